@@ -1,0 +1,53 @@
+//! Frames from anywhere through one door, [`FrameSource`].
+
+use crate::frame::{Clock, RawFrame};
+use crate::geometry::CameraModel;
+
+/// What a source says of itself once it is open.
+#[derive(Debug, Clone)]
+pub struct SourceDescription {
+    /// For logs: device and card, folder, or simulator scene and seed.
+    pub name: String,
+    /// Picture size if it is known before the first frame.
+    pub size: Option<(u32, u32)>,
+    /// Nominal frame rate, Hz, if known.
+    pub rate_hz: Option<f64>,
+    /// What `RawFrame::timestamp_ns` counts from.
+    pub clock: Clock,
+    /// The source's own calibration, if it brings one.
+    pub camera: Option<CameraModel>,
+    /// Number of frames, if finite and known.
+    pub frames: Option<u64>,
+}
+
+/// Outcome of one [`FrameSource::grab`].
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Grab {
+    /// `slot` holds a frame.
+    Frame,
+    /// Nothing came within the timeout; call again.
+    TimedOut,
+    /// One frame was unreadable and is skipped (counted, logged); the source goes on.
+    Skipped { reason: String },
+    /// The source has ended and will give no more frames.
+    End,
+}
+
+/// Why a source cannot be opened or cannot go on.
+#[derive(Debug, thiserror::Error)]
+pub enum SourceError {
+    #[error("{path}: {reason}")]
+    Open { path: String, reason: String },
+    #[error("camera {path} is gone: {reason}")]
+    Gone { path: String, reason: String },
+}
+
+/// Camera, recording or simulator.
+pub trait FrameSource: Send {
+    /// Constant after opening.
+    fn description(&self) -> &SourceDescription;
+
+    /// Waits at most `timeout` for the next frame and copies it into `slot`, whose buffer is reused.
+    /// A paced source sleeps until the frame is due; a lock-step source never waits.
+    fn grab(&mut self, slot: &mut RawFrame, timeout: std::time::Duration) -> Result<Grab, SourceError>;
+}

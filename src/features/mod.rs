@@ -1,0 +1,1 @@
+//! Map-free work on one picture: corners, descriptors, frame-to-frame tracks.

@@ -1,0 +1,1 @@
+//! Keyframes, landmarks and their covisibility. Knows no threads.
