@@ -17,6 +17,8 @@ pub mod messages;
 #[cfg(feature = "daemon")]
 pub mod camera;
 #[cfg(feature = "daemon")]
+pub mod cli;
+#[cfg(feature = "daemon")]
 pub mod features;
 #[cfg(feature = "daemon")]
 pub mod frame;
