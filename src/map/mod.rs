@@ -1,4 +1,18 @@
 //! Keyframes, landmarks and their covisibility. Knows no threads.
+//!
+//! One owner (reconstruction's thread) reads and writes it; mapping jobs work on copies of parts of it. World = the
+//! optical axes of the map's first keyframe; lengths are map units.
+
+pub mod store;
+
+use std::sync::Arc;
+
+use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
+
+use crate::geometry::Se3;
+use crate::geometry::frames::{Camera, World};
+use crate::image::Pyramid;
+use store::Store;
 
 /// A keyframe of a map; never reused within a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Default)]
@@ -11,3 +25,320 @@ pub struct LandmarkId(pub u32);
 /// A connected map; a new one begins after every re-initialisation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Default)]
 pub struct MapId(pub u32);
+
+/// Where a keyframe saw a landmark.
+#[derive(Debug, Clone, Copy)]
+pub struct Observation {
+    pub landmark: LandmarkId,
+    /// Level-0 pixel, distorted as in the picture.
+    pub pixel: Vector2<f32>,
+    /// The same, undistorted, on the plane z = 1.
+    pub normalised: Vector2<f64>,
+    /// One over the standard deviation of `pixel`, 1/px.
+    pub inv_sigma_px: f64,
+    /// d normalised / d pixel at `pixel`: takes pixel offsets to ray offsets.
+    pub normalised_from_pixel: Matrix2<f64>,
+}
+
+/// A frame that the map keeps, with its picture.
+#[derive(Debug, Clone)]
+pub struct Keyframe {
+    /// Sequence number of the frame.
+    pub sequence: u64,
+    pub timestamp_ns: i64,
+    pub map: MapId,
+    pub camera_from_world: Se3<Camera, World>,
+    /// Templates of its observations are cut from here.
+    pub pyramid: Arc<Pyramid>,
+    /// Ascending landmark id.
+    pub observations: Vec<Observation>,
+    /// Keyframes that share landmarks with this one and how many; ascending id.
+    pub covisible: Vec<(KeyframeId, u32)>,
+}
+
+impl Keyframe {
+    /// Optical centre in the world.
+    pub fn centre(&self) -> Vector3<f64> {
+        self.camera_from_world.inverse().translation
+    }
+
+    /// This keyframe's observation of `landmark`.
+    pub fn observation(&self, landmark: LandmarkId) -> Option<&Observation> {
+        let i = self.observations.binary_search_by_key(&landmark, |o| o.landmark).ok()?;
+        Some(&self.observations[i])
+    }
+}
+
+/// A point of the scene.
+#[derive(Debug, Clone)]
+pub struct Landmark {
+    pub position: Vector3<f64>,
+    /// Covariance of `position` with the keyframes held fixed, map units squared.
+    pub covariance: Matrix3<f64>,
+    /// Keyframes that observe it, ascending id.
+    pub observers: Vec<KeyframeId>,
+    /// Keyframe at whose time it was made.
+    pub created_by: KeyframeId,
+    /// Frames in which it was looked for, and in how many it was found and agreed with the pose.
+    pub sought: u32,
+    pub found: u32,
+    /// Frames in a row in which it was found but disagreed.
+    pub disagreed: u32,
+}
+
+/// Keyframes and landmarks of the current map.
+#[derive(Default)]
+pub struct Map {
+    pub keyframes: Store<Keyframe>,
+    pub landmarks: Store<Landmark>,
+    /// Grows with every change that is worth publishing.
+    pub revision: u64,
+}
+
+impl Map {
+    pub fn keyframe(&self, id: KeyframeId) -> Option<&Keyframe> {
+        self.keyframes.get(id.0)
+    }
+
+    pub fn landmark(&self, id: LandmarkId) -> Option<&Landmark> {
+        self.landmarks.get(id.0)
+    }
+
+    /// Adds a keyframe; its observations are linked into the landmarks and the covisibility of both sides is counted.
+    pub fn add_keyframe(&mut self, mut keyframe: Keyframe) -> KeyframeId {
+        keyframe.observations.sort_by_key(|o| o.landmark);
+        keyframe.observations.dedup_by_key(|o| o.landmark);
+        let landmarks = &self.landmarks;
+        keyframe.observations.retain(|o| landmarks.get(o.landmark.0).is_some());
+        keyframe.covisible.clear();
+        let observations = keyframe.observations.clone();
+        let id = KeyframeId(self.keyframes.insert(keyframe));
+        for observation in &observations {
+            self.link(id, observation.landmark);
+        }
+        self.revision += 1;
+        id
+    }
+
+    /// Adds a landmark seen by the given keyframes.
+    pub fn add_landmark(&mut self, mut landmark: Landmark, observations: &[(KeyframeId, Observation)]) -> LandmarkId {
+        landmark.observers.clear();
+        let id = LandmarkId(self.landmarks.insert(landmark));
+        for &(keyframe, observation) in observations {
+            self.add_observation(keyframe, Observation { landmark: id, ..observation });
+        }
+        self.revision += 1;
+        id
+    }
+
+    /// Adds one observation to a keyframe that is in the map. Replaces nothing: a second one of the same landmark is ignored.
+    pub fn add_observation(&mut self, keyframe_id: KeyframeId, observation: Observation) {
+        if self.landmarks.get(observation.landmark.0).is_none() {
+            return;
+        }
+        let Some(keyframe) = self.keyframes.get_mut(keyframe_id.0) else { return };
+        let Err(i) = keyframe.observations.binary_search_by_key(&observation.landmark, |o| o.landmark) else { return };
+        keyframe.observations.insert(i, observation);
+        self.link(keyframe_id, observation.landmark);
+    }
+
+    /// Enters `keyframe` among the observers of `landmark` and counts covisibility with the others.
+    fn link(&mut self, keyframe: KeyframeId, landmark: LandmarkId) {
+        let Some(entry) = self.landmarks.get_mut(landmark.0) else { return };
+        let Err(i) = entry.observers.binary_search(&keyframe) else { return };
+        for &other in &entry.observers {
+            change_covisibility(&mut self.keyframes, keyframe, other, 1);
+        }
+        entry.observers.insert(i, keyframe);
+    }
+
+    /// Takes one observation away; a landmark left with fewer than two observers goes as well.
+    pub fn remove_observation(&mut self, keyframe: KeyframeId, landmark: LandmarkId) {
+        let Some(entry) = self.landmarks.get_mut(landmark.0) else { return };
+        let Ok(i) = entry.observers.binary_search(&keyframe) else { return };
+        entry.observers.remove(i);
+        for &other in &entry.observers {
+            change_covisibility(&mut self.keyframes, keyframe, other, -1);
+        }
+        if let Some(k) = self.keyframes.get_mut(keyframe.0)
+            && let Ok(i) = k.observations.binary_search_by_key(&landmark, |o| o.landmark)
+        {
+            k.observations.remove(i);
+        }
+        if self.landmarks.get(landmark.0).is_some_and(|l| l.observers.len() < 2) {
+            self.remove_landmark(landmark);
+        }
+        self.revision += 1;
+    }
+
+    /// Takes a landmark and all of its observations away.
+    pub fn remove_landmark(&mut self, landmark: LandmarkId) {
+        let Some(entry) = self.landmarks.remove(landmark.0) else { return };
+        for (n, &a) in entry.observers.iter().enumerate() {
+            if let Some(k) = self.keyframes.get_mut(a.0)
+                && let Ok(i) = k.observations.binary_search_by_key(&landmark, |o| o.landmark)
+            {
+                k.observations.remove(i);
+            }
+            for &b in &entry.observers[n + 1..] {
+                change_covisibility(&mut self.keyframes, a, b, -1);
+            }
+        }
+        self.revision += 1;
+    }
+
+    /// Takes a keyframe away; landmarks left with fewer than two observers go as well.
+    pub fn remove_keyframe(&mut self, id: KeyframeId) -> Option<Keyframe> {
+        let landmarks: Vec<LandmarkId> = self.keyframe(id)?.observations.iter().map(|o| o.landmark).collect();
+        for landmark in landmarks {
+            self.remove_observation(id, landmark);
+        }
+        self.revision += 1;
+        self.keyframes.remove(id.0)
+    }
+
+    /// Covisible keyframes with at least `minimum` shared landmarks, strongest first (ties: newer first).
+    pub fn covisible(&self, id: KeyframeId, minimum: u32, limit: usize) -> Vec<(KeyframeId, u32)> {
+        let Some(keyframe) = self.keyframe(id) else { return Vec::new() };
+        let mut list: Vec<_> = keyframe.covisible.iter().copied().filter(|&(_, n)| n >= minimum).collect();
+        list.sort_by(|a, b| b.1.cmp(&a.1).then(b.0.cmp(&a.0)));
+        list.truncate(limit);
+        list
+    }
+
+    /// Forgets everything; ids go on.
+    pub fn clear(&mut self) {
+        self.keyframes.clear();
+        self.landmarks.clear();
+        self.revision += 1;
+    }
+
+    /// Every link is mutual and counted right (tests call it after random edits).
+    pub fn check_consistency(&self) -> Result<(), String> {
+        for (id, landmark) in self.landmarks.iter() {
+            for &k in &landmark.observers {
+                if self.keyframe(k).and_then(|k| k.observation(LandmarkId(id))).is_none() {
+                    return Err(format!("landmark {id} names keyframe {} which does not observe it", k.0));
+                }
+            }
+        }
+        for (id, keyframe) in self.keyframes.iter() {
+            let mut counts = std::collections::BTreeMap::new();
+            for o in &keyframe.observations {
+                let landmark =
+                    self.landmark(o.landmark).ok_or(format!("keyframe {id}: no landmark {}", o.landmark.0))?;
+                for &k in landmark.observers.iter().filter(|k| k.0 != id) {
+                    *counts.entry(k).or_insert(0u32) += 1;
+                }
+                if landmark.observers.binary_search(&KeyframeId(id)).is_err() {
+                    return Err(format!("keyframe {id} observes landmark {} which does not know", o.landmark.0));
+                }
+            }
+            let counted: Vec<_> = counts.into_iter().collect();
+            if counted != keyframe.covisible {
+                return Err(format!("keyframe {id}: covisibility {:?}, counted {counted:?}", keyframe.covisible));
+            }
+        }
+        Ok(())
+    }
+}
+
+fn change_covisibility(keyframes: &mut Store<Keyframe>, a: KeyframeId, b: KeyframeId, by: i32) {
+    for (one, other) in [(a, b), (b, a)] {
+        let Some(keyframe) = keyframes.get_mut(one.0) else { continue };
+        match keyframe.covisible.binary_search_by_key(&other, |c| c.0) {
+            Ok(i) => {
+                let n = keyframe.covisible[i].1 as i32 + by;
+                if n <= 0 {
+                    keyframe.covisible.remove(i);
+                } else {
+                    keyframe.covisible[i].1 = n as u32;
+                }
+            }
+            Err(i) if by > 0 => keyframe.covisible.insert(i, (other, by as u32)),
+            Err(_) => {}
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn keyframe(landmarks: &[u32]) -> Keyframe {
+        Keyframe {
+            sequence: 0,
+            timestamp_ns: 0,
+            map: MapId(0),
+            camera_from_world: Se3::identity(),
+            pyramid: Arc::default(),
+            observations: landmarks.iter().map(|&l| observation(l)).collect(),
+            covisible: Vec::new(),
+        }
+    }
+
+    fn observation(landmark: u32) -> Observation {
+        Observation {
+            landmark: LandmarkId(landmark),
+            pixel: Vector2::zeros(),
+            normalised: Vector2::zeros(),
+            inv_sigma_px: 1.0,
+            normalised_from_pixel: Matrix2::identity(),
+        }
+    }
+
+    fn landmark() -> Landmark {
+        Landmark {
+            position: Vector3::zeros(),
+            covariance: Matrix3::zeros(),
+            observers: Vec::new(),
+            created_by: KeyframeId(0),
+            sought: 0,
+            found: 0,
+            disagreed: 0,
+        }
+    }
+
+    #[test]
+    fn random_edits_keep_every_link_mutual_and_counted() {
+        for seed in 0..20u64 {
+            let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
+            let mut random = |n: u32| {
+                state ^= state << 13;
+                state ^= state >> 7;
+                state ^= state << 17;
+                ((state >> 33) as u32) % n
+            };
+            let mut map = Map::default();
+            for step in 0..300 {
+                match random(6) {
+                    0 | 1 => {
+                        let next = map.landmarks.next_id();
+                        let seen: Vec<u32> = (0..next).filter(|_| random(3) == 0).collect();
+                        map.add_keyframe(keyframe(&seen));
+                    }
+                    2 | 3 => {
+                        let keyframes: Vec<_> = map.keyframes.iter().map(|(id, _)| KeyframeId(id)).collect();
+                        if keyframes.len() >= 2 {
+                            let a = keyframes[random(keyframes.len() as u32) as usize];
+                            let b = keyframes[random(keyframes.len() as u32) as usize];
+                            map.add_landmark(landmark(), &[(a, observation(0)), (b, observation(0))]);
+                        }
+                    }
+                    4 => map.remove_landmark(LandmarkId(random(map.landmarks.next_id().max(1)))),
+                    _ => {
+                        let k = KeyframeId(random(map.keyframes.next_id().max(1)));
+                        if random(4) == 0 {
+                            map.remove_keyframe(k);
+                        } else {
+                            map.remove_observation(k, LandmarkId(random(map.landmarks.next_id().max(1))));
+                        }
+                    }
+                }
+                if let Err(why) = map.check_consistency() {
+                    panic!("seed {seed}, step {step}: {why}");
+                }
+            }
+        }
+    }
+}

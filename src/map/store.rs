@@ -1,0 +1,150 @@
+//! Paged storage by ascending ids that are never reused.
+//!
+//! Lookup is O(1), iteration is in ascending id (deterministic), and a page whose entries are all removed is freed, so that
+//! memory follows what is alive and not what ever was: 8 bytes remain of each 64 removed ids.
+
+const PAGE: usize = 64;
+
+struct Page<T> {
+    live: usize,
+    slots: [Option<T>; PAGE],
+}
+
+/// Map from a dense, growing `u32` id to `T`.
+pub struct Store<T> {
+    pages: Vec<Option<Box<Page<T>>>>,
+    next: u32,
+    live: usize,
+}
+
+impl<T> Default for Store<T> {
+    fn default() -> Self {
+        Self { pages: Vec::new(), next: 0, live: 0 }
+    }
+}
+
+impl<T> Store<T> {
+    /// The id that the next [`insert`](Self::insert) will use.
+    pub fn next_id(&self) -> u32 {
+        self.next
+    }
+
+    /// Number of entries alive.
+    pub fn len(&self) -> usize {
+        self.live
+    }
+
+    /// No entry is alive.
+    pub fn is_empty(&self) -> bool {
+        self.live == 0
+    }
+
+    /// Stores `value` under the next id.
+    pub fn insert(&mut self, value: T) -> u32 {
+        let id = self.next;
+        self.next += 1;
+        let (page, slot) = (id as usize / PAGE, id as usize % PAGE);
+        if page >= self.pages.len() {
+            self.pages.resize_with(page + 1, || None);
+        }
+        let page = self.pages[page].get_or_insert_with(|| Box::new(Page { live: 0, slots: [const { None }; PAGE] }));
+        page.slots[slot] = Some(value);
+        page.live += 1;
+        self.live += 1;
+        id
+    }
+
+    /// The entry, if it is alive.
+    pub fn get(&self, id: u32) -> Option<&T> {
+        self.pages.get(id as usize / PAGE)?.as_ref()?.slots[id as usize % PAGE].as_ref()
+    }
+
+    /// The entry, if it is alive.
+    pub fn get_mut(&mut self, id: u32) -> Option<&mut T> {
+        self.pages.get_mut(id as usize / PAGE)?.as_mut()?.slots[id as usize % PAGE].as_mut()
+    }
+
+    /// Takes the entry out.
+    pub fn remove(&mut self, id: u32) -> Option<T> {
+        let page = self.pages.get_mut(id as usize / PAGE)?;
+        let inner = page.as_mut()?;
+        let value = inner.slots[id as usize % PAGE].take()?;
+        inner.live -= 1;
+        self.live -= 1;
+        if inner.live == 0 {
+            *page = None;
+        }
+        Some(value)
+    }
+
+    /// Entries alive, ascending id.
+    pub fn iter(&self) -> impl Iterator<Item = (u32, &T)> {
+        self.pages.iter().enumerate().filter_map(|(p, page)| page.as_ref().map(|page| (p, page))).flat_map(
+            |(p, page)| {
+                page.slots.iter().enumerate().filter_map(move |(s, v)| v.as_ref().map(|v| ((p * PAGE + s) as u32, v)))
+            },
+        )
+    }
+
+    /// Entries alive, ascending id.
+    pub fn iter_mut(&mut self) -> impl Iterator<Item = (u32, &mut T)> {
+        self.pages.iter_mut().enumerate().filter_map(|(p, page)| page.as_mut().map(|page| (p, page))).flat_map(
+            |(p, page)| {
+                page.slots
+                    .iter_mut()
+                    .enumerate()
+                    .filter_map(move |(s, v)| v.as_mut().map(|v| ((p * PAGE + s) as u32, v)))
+            },
+        )
+    }
+
+    /// Removes everything; ids go on from where they were.
+    pub fn clear(&mut self) {
+        for page in &mut self.pages {
+            *page = None;
+        }
+        self.live = 0;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ids_ascend_and_are_never_reused() {
+        let mut store = Store::default();
+        let ids: Vec<u32> = (0..200).map(|i| store.insert(i * 10)).collect();
+        assert_eq!(ids, (0..200).collect::<Vec<_>>());
+        assert_eq!(store.remove(5), Some(50));
+        assert_eq!(store.remove(5), None);
+        assert_eq!(store.insert(7), 200);
+        assert_eq!(store.get(5), None);
+        assert_eq!(store.get(200), Some(&7));
+        assert_eq!(store.get(100_000), None);
+        assert_eq!(store.len(), 200);
+    }
+
+    #[test]
+    fn iteration_ascends_over_what_is_alive_and_empty_pages_are_freed() {
+        let mut store = Store::default();
+        for i in 0..300u32 {
+            store.insert(i);
+        }
+        for i in 64..192 {
+            store.remove(i);
+        }
+        let ids: Vec<u32> = store
+            .iter()
+            .map(|(id, &v)| {
+                assert_eq!(id, v);
+                id
+            })
+            .collect();
+        assert_eq!(ids, (0..64).chain(192..300).collect::<Vec<_>>());
+        assert!(store.pages[1].is_none() && store.pages[2].is_none());
+        store.clear();
+        assert!(store.is_empty());
+        assert_eq!(store.insert(1), 300);
+    }
+}
