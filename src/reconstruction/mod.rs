@@ -1,5 +1,8 @@
 //! From features to poses and a map. Knows no V4L2, ring or iceoryx2.
 
+pub mod bundle;
+pub mod pose_optimisation;
+
 use nalgebra::{Matrix6, Vector3};
 
 use crate::features::{Feedback, FrameFeatures};

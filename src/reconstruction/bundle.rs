@@ -1,0 +1,524 @@
+//! Bundle adjustment: keyframe poses and landmark positions together, landmarks eliminated by the Schur complement.
+//!
+//! Input: cameras (some held fixed), points, observations grouped by point; undistorted coordinates on z = 1. Output: the
+//! same, moved to a minimum of `sum rho(|e|^2)` with Huber's rho. Levenberg-Marquardt; for damped normal equations
+//! `[B E; Eᵀ C]` the reduced camera system is `S = B - E C⁻¹ Eᵀ` (Triggs et al. 2000, section 6.1), dense in f64, the 3x3
+//! blocks of C inverted in closed form. Two passes: outliers are taken out between them. Sequential: same input, same bits.
+//! Cost: for 10 free cameras and 1,500 points about 2 ms a step. Not here: intrinsics, rolling shutter, gauge (hold at
+//! least one camera fixed, or rely on the damping for the scale).
+
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, SMatrix, Vector2, Vector3, Vector6};
+
+use super::pose_optimisation::{accumulate, jacobian_rows};
+use crate::geometry::Se3;
+use crate::geometry::frames::{Camera, World};
+
+/// A keyframe's pose in the problem.
+#[derive(Debug, Clone, Copy)]
+pub struct BundleCamera {
+    pub camera_from_world: Se3<Camera, World>,
+    pub fixed: bool,
+}
+
+/// One point seen by one camera.
+#[derive(Debug, Clone, Copy)]
+pub struct BundleObservation {
+    /// Index into the cameras.
+    pub camera: u32,
+    /// Undistorted, plane z = 1.
+    pub normalised: Vector2<f64>,
+    /// One over the standard deviation, 1/px.
+    pub inv_sigma_px: f64,
+}
+
+/// A bundle adjustment problem and, after [`adjust`](Self::adjust), its solution.
+#[derive(Debug, Clone, Default)]
+pub struct BundleProblem {
+    /// Focal lengths, px: scale the residuals.
+    pub focal_px: Vector2<f64>,
+    pub cameras: Vec<BundleCamera>,
+    /// World coordinates.
+    pub points: Vec<Vector3<f64>>,
+    /// `first[i]..first[i + 1]` are the observations of point i; one longer than `points`.
+    pub first: Vec<u32>,
+    pub observations: Vec<BundleObservation>,
+    /// Set by the adjustment: false = judged an outlier.
+    pub inlier: Vec<bool>,
+    /// Set by the adjustment: covariance of each point with the cameras held fixed, map units squared.
+    pub point_covariances: Vec<Matrix3<f64>>,
+}
+
+/// Options of [`BundleProblem::adjust`].
+#[derive(Debug, Clone, Copy)]
+pub struct BundleOptions {
+    /// Levenberg-Marquardt steps in the first and the second pass, at the most.
+    pub steps: [usize; 2],
+    /// Huber's limit and the outlier limit, squared and sigma-scaled.
+    pub outlier_chi2: f64,
+    /// A step that lowers the cost by less than this share ends the pass.
+    pub relative_gain: f64,
+}
+
+impl Default for BundleOptions {
+    fn default() -> Self {
+        Self { steps: [5, 5], outlier_chi2: super::pose_optimisation::CHI2_2D_95, relative_gain: 1e-3 }
+    }
+}
+
+/// What an adjustment did.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct BundleReport {
+    pub steps: usize,
+    /// Robust cost before and after, sigma-scaled squares.
+    pub initial_cost: f64,
+    pub final_cost: f64,
+    pub outliers: usize,
+}
+
+type Matrix6x3 = SMatrix<f64, 6, 3>;
+
+/// Normal equations at one linearisation point.
+struct System {
+    /// Free cameras: own 6x6 block (upper triangle) and gradient.
+    camera_h: Vec<Matrix6<f64>>,
+    camera_g: Vec<Vector6<f64>>,
+    point_h: Vec<Matrix3<f64>>,
+    point_g: Vec<Vector3<f64>>,
+    /// Camera-point block of each observation (zero for fixed cameras and outliers).
+    cross: Vec<Matrix6x3>,
+    cost: f64,
+}
+
+const FIXED: u32 = u32::MAX;
+
+impl BundleProblem {
+    /// Minimises in place.
+    pub fn adjust(&mut self, options: &BundleOptions) -> BundleReport {
+        self.inlier.clear();
+        self.inlier.resize(self.observations.len(), true);
+        // Index of each camera among the free ones.
+        let mut free = 0u32;
+        let slot: Vec<u32> = self
+            .cameras
+            .iter()
+            .map(|c| {
+                if c.fixed {
+                    FIXED
+                } else {
+                    free += 1;
+                    free - 1
+                }
+            })
+            .collect();
+        let mut report = BundleReport::default();
+        for (pass, &steps) in options.steps.iter().enumerate() {
+            let (done, before, after) = self.minimise(&slot, free as usize, steps, options);
+            report.steps += done;
+            if pass == 0 {
+                report.initial_cost = before;
+            }
+            report.final_cost = after;
+            self.judge_outliers(options.outlier_chi2);
+        }
+        report.outliers = self.inlier.iter().filter(|ok| !**ok).count();
+        self.fill_point_covariances();
+        report
+    }
+
+    fn residual(&self, point: &Vector3<f64>, observation: &BundleObservation) -> Option<(Vector2<f64>, Vector3<f64>)> {
+        let p = self.cameras[observation.camera as usize].camera_from_world.transform(point);
+        if p.z < 1e-6 {
+            return None;
+        }
+        let (iz, s) = (1.0 / p.z, observation.inv_sigma_px);
+        let e = Vector2::new(
+            s * self.focal_px.x * (p.x * iz - observation.normalised.x),
+            s * self.focal_px.y * (p.y * iz - observation.normalised.y),
+        );
+        Some((e, p))
+    }
+
+    fn range(&self, point: usize) -> std::ops::Range<usize> {
+        self.first[point] as usize..self.first[point + 1] as usize
+    }
+
+    fn cost(&self, delta2: f64) -> f64 {
+        let mut cost = 0.0;
+        for (i, point) in self.points.iter().enumerate() {
+            for k in self.range(i) {
+                if self.inlier[k] {
+                    cost += match self.residual(point, &self.observations[k]) {
+                        Some((e, _)) => huber(e.norm_squared(), delta2).0,
+                        None => 100.0 * delta2,
+                    };
+                }
+            }
+        }
+        cost
+    }
+
+    fn linearise(&self, slot: &[u32], free: usize, delta2: f64, system: &mut System) {
+        system.camera_h.clear();
+        system.camera_h.resize(free, Matrix6::zeros());
+        system.camera_g.clear();
+        system.camera_g.resize(free, Vector6::zeros());
+        system.point_h.clear();
+        system.point_g.clear();
+        system.cross.clear();
+        system.cross.resize(self.observations.len(), Matrix6x3::zeros());
+        system.cost = 0.0;
+        let rotations: Vec<Matrix3<f64>> =
+            self.cameras.iter().map(|c| *c.camera_from_world.rotation.to_rotation_matrix().matrix()).collect();
+        for (i, point) in self.points.iter().enumerate() {
+            let (mut h, mut g) = (Matrix3::zeros(), Vector3::zeros());
+            for k in self.range(i) {
+                if !self.inlier[k] {
+                    continue;
+                }
+                let o = &self.observations[k];
+                let Some((e, p)) = self.residual(point, o) else {
+                    system.cost += 100.0 * delta2;
+                    continue;
+                };
+                let (rho, w) = huber(e.norm_squared(), delta2);
+                system.cost += rho;
+                let (fx, fy) = (self.focal_px.x * o.inv_sigma_px, self.focal_px.y * o.inv_sigma_px);
+                let (jx, jy) = jacobian_rows(&p, fx, fy);
+                // d e / d point = d e / d translation * R.
+                let r = &rotations[o.camera as usize];
+                let px = r.row(0) * jx[3] + r.row(2) * jx[5];
+                let py = r.row(1) * jy[4] + r.row(2) * jy[5];
+                for c in 0..3 {
+                    for d in 0..=c {
+                        h[(d, c)] += w * (px[d] * px[c] + py[d] * py[c]);
+                    }
+                    g[c] += w * (px[c] * e.x + py[c] * e.y);
+                }
+                let s = slot[o.camera as usize];
+                if s != FIXED {
+                    let s = s as usize;
+                    accumulate(&mut system.camera_h[s], &jx, &jy, w);
+                    let cross = &mut system.cross[k];
+                    for row in 0..6 {
+                        system.camera_g[s][row] += w * (jx[row] * e.x + jy[row] * e.y);
+                        let (a, b) = (w * jx[row], w * jy[row]);
+                        for c in 0..3 {
+                            cross[(row, c)] = a * px[c] + b * py[c];
+                        }
+                    }
+                }
+            }
+            h[(1, 0)] = h[(0, 1)];
+            h[(2, 0)] = h[(0, 2)];
+            h[(2, 1)] = h[(1, 2)];
+            system.point_h.push(h);
+            system.point_g.push(g);
+        }
+    }
+
+    /// One pass of Levenberg-Marquardt: steps done, cost before, cost after.
+    fn minimise(&mut self, slot: &[u32], free: usize, steps: usize, options: &BundleOptions) -> (usize, f64, f64) {
+        let mut system = System {
+            camera_h: Vec::new(),
+            camera_g: Vec::new(),
+            point_h: Vec::new(),
+            point_g: Vec::new(),
+            cross: Vec::new(),
+            cost: 0.0,
+        };
+        self.linearise(slot, free, options.outlier_chi2, &mut system);
+        let initial = system.cost;
+        let mut cost = initial;
+        let mut lambda = 1e-4;
+        let mut done = 0;
+        while done < steps {
+            done += 1;
+            let Some((camera_steps, point_steps)) = self.solve(slot, free, &system, lambda) else {
+                lambda *= 10.0;
+                continue;
+            };
+            let (old_cameras, old_points) = (self.cameras.clone(), self.points.clone());
+            for (camera, &s) in self.cameras.iter_mut().zip(slot) {
+                if s != FIXED {
+                    let step = camera_steps.fixed_rows::<6>(6 * s as usize).into_owned();
+                    camera.camera_from_world = camera.camera_from_world.perturb_left(&step);
+                }
+            }
+            for (point, step) in self.points.iter_mut().zip(&point_steps) {
+                *point += step;
+            }
+            let candidate = self.cost(options.outlier_chi2);
+            if candidate <= cost {
+                let gain = cost - candidate;
+                let enough = gain < options.relative_gain * cost;
+                cost = candidate;
+                lambda = (lambda * 0.1).max(1e-8);
+                if enough || done == steps {
+                    break;
+                }
+                self.linearise(slot, free, options.outlier_chi2, &mut system);
+            } else {
+                (self.cameras, self.points) = (old_cameras, old_points);
+                lambda = (lambda * 10.0).min(1e6);
+            }
+        }
+        (done, initial, cost)
+    }
+
+    /// Steps of cameras (stacked) and points at this damping; `None` if the reduced system is not positive definite.
+    fn solve(
+        &self,
+        slot: &[u32],
+        free: usize,
+        system: &System,
+        lambda: f64,
+    ) -> Option<(DVector<f64>, Vec<Vector3<f64>>)> {
+        let mut s = DMatrix::<f64>::zeros(6 * free, 6 * free);
+        let mut g = DVector::<f64>::zeros(6 * free);
+        for (i, (h, gradient)) in system.camera_h.iter().zip(&system.camera_g).enumerate() {
+            for c in 0..6 {
+                for r in 0..=c {
+                    s[(6 * i + r, 6 * i + c)] = h[(r, c)];
+                }
+                s[(6 * i + c, 6 * i + c)] += lambda * h[(c, c)] + 1e-9;
+                g[6 * i + c] = -gradient[c];
+            }
+        }
+        let mut inverses = Vec::with_capacity(self.points.len());
+        for i in 0..self.points.len() {
+            let mut c = system.point_h[i];
+            for d in 0..3 {
+                c[(d, d)] += lambda * c[(d, d)] + 1e-9;
+            }
+            let inverse = c.try_inverse().unwrap_or_else(Matrix3::zeros);
+            let rest = inverse * system.point_g[i];
+            let range = self.range(i);
+            for a in range.clone() {
+                let sa = slot[self.observations[a].camera as usize];
+                if sa == FIXED || !self.inlier[a] {
+                    continue;
+                }
+                let y = system.cross[a] * inverse;
+                let mut part = g.fixed_rows_mut::<6>(6 * sa as usize);
+                part += system.cross[a] * rest;
+                for b in range.clone() {
+                    let sb = slot[self.observations[b].camera as usize];
+                    // Upper triangle of blocks only.
+                    if sb == FIXED || sb < sa || !self.inlier[b] {
+                        continue;
+                    }
+                    let mut block = s.fixed_view_mut::<6, 6>(6 * sa as usize, 6 * sb as usize);
+                    block -= y * system.cross[b].transpose();
+                }
+            }
+            inverses.push(inverse);
+        }
+        for c in 0..6 * free {
+            for r in 0..c {
+                s[(c, r)] = s[(r, c)];
+            }
+        }
+        let camera_steps = if free == 0 { DVector::zeros(0) } else { s.cholesky()?.solve(&g) };
+        if !camera_steps.iter().all(|v| v.is_finite()) {
+            return None;
+        }
+        let mut point_steps = Vec::with_capacity(self.points.len());
+        for i in 0..self.points.len() {
+            let mut rest = -system.point_g[i];
+            for k in self.range(i) {
+                let sk = slot[self.observations[k].camera as usize];
+                if sk != FIXED && self.inlier[k] {
+                    rest -= system.cross[k].transpose() * camera_steps.fixed_rows::<6>(6 * sk as usize);
+                }
+            }
+            let step = inverses[i] * rest;
+            point_steps.push(if step.iter().all(|v| v.is_finite()) { step } else { Vector3::zeros() });
+        }
+        Some((camera_steps, point_steps))
+    }
+
+    fn judge_outliers(&mut self, limit: f64) {
+        for i in 0..self.points.len() {
+            for k in self.range(i) {
+                self.inlier[k] = self
+                    .residual(&self.points[i], &self.observations[k])
+                    .is_some_and(|(e, _)| e.norm_squared() <= limit);
+            }
+        }
+    }
+
+    fn fill_point_covariances(&mut self) {
+        self.point_covariances.clear();
+        for (i, point) in self.points.iter().enumerate() {
+            let mut h = Matrix3::zeros();
+            for k in self.range(i).filter(|&k| self.inlier[k]) {
+                let o = &self.observations[k];
+                let Some((_, p)) = self.residual(point, o) else { continue };
+                let (jx, jy) = jacobian_rows(&p, self.focal_px.x * o.inv_sigma_px, self.focal_px.y * o.inv_sigma_px);
+                let r = self.cameras[o.camera as usize].camera_from_world.rotation.to_rotation_matrix();
+                let x = r.matrix().transpose() * Vector3::new(jx[3], jx[4], jx[5]);
+                let y = r.matrix().transpose() * Vector3::new(jy[3], jy[4], jy[5]);
+                h += x * x.transpose() + y * y.transpose();
+            }
+            self.point_covariances.push(h.try_inverse().unwrap_or_else(|| Matrix3::from_element(f64::NAN)));
+        }
+    }
+}
+
+/// Huber's robust cost and weight of a squared residual.
+#[inline]
+fn huber(e2: f64, delta2: f64) -> (f64, f64) {
+    if e2 <= delta2 {
+        (e2, 1.0)
+    } else {
+        let root = (e2 * delta2).sqrt();
+        (2.0 * root - delta2, delta2 / root)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::UnitQuaternion;
+
+    struct Random(u64);
+    impl Random {
+        fn unit(&mut self) -> f64 {
+            self.0 ^= self.0 << 13;
+            self.0 ^= self.0 >> 7;
+            self.0 ^= self.0 << 17;
+            (self.0 >> 11) as f64 / (1u64 << 53) as f64 * 2.0 - 1.0
+        }
+        fn vector(&mut self) -> Vector3<f64> {
+            Vector3::new(self.unit(), self.unit(), self.unit())
+        }
+    }
+
+    /// A problem at its true solution.
+    fn problem(seed: u64, cameras: usize, points: usize, noise_px: f64) -> BundleProblem {
+        let mut random = Random(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1);
+        let mut p = BundleProblem { focal_px: Vector2::new(500.0, 510.0), first: vec![0], ..BundleProblem::default() };
+        for i in 0..cameras {
+            let rotation = UnitQuaternion::from_scaled_axis(random.vector() * 0.1);
+            let centre = Vector3::new(i as f64 * 0.3, 0.0, 0.0) + random.vector() * 0.1;
+            p.cameras.push(BundleCamera { camera_from_world: Se3::new(rotation, -(rotation * centre)), fixed: i < 2 });
+        }
+        for _ in 0..points {
+            let point = Vector3::new(2.0 * random.unit(), 1.5 * random.unit(), 5.0 + 2.0 * random.unit());
+            for c in 0..cameras {
+                let q = p.cameras[c].camera_from_world.transform(&point);
+                let noise = Vector2::new(random.unit(), random.unit()) * noise_px / 500.0;
+                p.observations.push(BundleObservation {
+                    camera: c as u32,
+                    normalised: Vector2::new(q.x / q.z, q.y / q.z) + noise,
+                    inv_sigma_px: 1.0,
+                });
+            }
+            p.points.push(point);
+            p.first.push(p.observations.len() as u32);
+        }
+        p
+    }
+
+    fn disturb(p: &mut BundleProblem, seed: u64) {
+        let mut random = Random(seed | 1);
+        for camera in p.cameras.iter_mut().filter(|c| !c.fixed) {
+            let (w, v) = (random.vector() * 0.02, random.vector() * 0.05);
+            camera.camera_from_world =
+                camera.camera_from_world.perturb_left(&Vector6::new(w.x, w.y, w.z, v.x, v.y, v.z));
+        }
+        for point in &mut p.points {
+            *point += random.vector() * 0.1;
+        }
+    }
+
+    #[test]
+    fn noiseless_problem_comes_back_to_the_truth() {
+        for seed in 1..6 {
+            let truth = problem(seed, 5, 60, 0.0);
+            let mut p = truth.clone();
+            disturb(&mut p, seed + 100);
+            let options = BundleOptions { steps: [30, 30], relative_gain: 0.0, ..BundleOptions::default() };
+            let report = p.adjust(&options);
+            assert!(report.final_cost < 1e-12, "seed {seed}: {report:?}");
+            for (a, b) in p.points.iter().zip(&truth.points) {
+                assert!((a - b).norm() < 1e-6, "seed {seed}");
+            }
+        }
+    }
+
+    #[test]
+    fn outliers_are_named_and_the_rest_still_fits() {
+        for seed in 1..6 {
+            let mut p = problem(seed, 6, 80, 0.5);
+            let mut random = Random(seed);
+            let wrong: Vec<usize> = (0..p.observations.len()).step_by(17).collect();
+            for &k in &wrong {
+                p.observations[k].normalised += Vector2::new(0.1 + 0.05 * random.unit(), 0.1);
+            }
+            let truth = p.points.clone();
+            disturb(&mut p, seed + 7);
+            let report = p.adjust(&BundleOptions { steps: [15, 10], ..BundleOptions::default() });
+            assert!(wrong.iter().all(|&k| !p.inlier[k]), "seed {seed}");
+            assert!(report.outliers < wrong.len() + 5, "seed {seed}: {report:?}");
+            let mean = p.points.iter().zip(&truth).map(|(a, b)| (a - b).norm()).sum::<f64>() / truth.len() as f64;
+            assert!(mean < 0.03, "seed {seed}: points {mean} off");
+        }
+    }
+
+    #[test]
+    fn schur_complement_gives_the_step_of_the_full_system() {
+        let mut p = problem(3, 4, 12, 1.0);
+        p.inlier = vec![true; p.observations.len()];
+        disturb(&mut p, 9);
+        let slot = [FIXED, FIXED, 0, 1];
+        let mut system = System {
+            camera_h: Vec::new(),
+            camera_g: Vec::new(),
+            point_h: Vec::new(),
+            point_g: Vec::new(),
+            cross: Vec::new(),
+            cost: 0.0,
+        };
+        p.linearise(&slot, 2, 1e9, &mut system);
+        let lambda = 1e-3;
+        let (cameras, points) = p.solve(&slot, 2, &system, lambda).unwrap();
+        // The same step from the numeric Jacobian of all parameters at once.
+        let n = 12 + 36;
+        let residuals = |x: &DVector<f64>| {
+            let mut q = p.clone();
+            for (c, s) in [(2, 0), (3, 1)] {
+                let d = x.fixed_rows::<6>(6 * s).into_owned();
+                q.cameras[c].camera_from_world = q.cameras[c].camera_from_world.perturb_left(&d);
+            }
+            for i in 0..12 {
+                q.points[i] += x.fixed_rows::<3>(12 + 3 * i);
+            }
+            let mut r = Vec::new();
+            for i in 0..12 {
+                for k in q.range(i) {
+                    let (e, _) = q.residual(&q.points[i], &q.observations[k]).unwrap();
+                    r.extend([e.x, e.y]);
+                }
+            }
+            DVector::from_vec(r)
+        };
+        let r0 = residuals(&DVector::zeros(n));
+        let mut j = DMatrix::zeros(r0.len(), n);
+        for c in 0..n {
+            let mut d = DVector::zeros(n);
+            d[c] = 1e-6;
+            let column = (residuals(&d) - residuals(&-&d)) / 2e-6;
+            j.set_column(c, &column);
+        }
+        let mut h = j.transpose() * &j;
+        for i in 0..n {
+            h[(i, i)] += lambda * h[(i, i)];
+        }
+        let full = h.cholesky().unwrap().solve(&-(j.transpose() * r0));
+        assert!((full.rows(0, 12) - cameras).norm() < 1e-5 * full.norm());
+        for i in 0..12 {
+            assert!((full.fixed_rows::<3>(12 + 3 * i) - points[i]).norm() < 1e-5 * full.norm());
+        }
+    }
+}

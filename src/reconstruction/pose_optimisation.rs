@@ -1,0 +1,314 @@
+//! Pose of one frame from landmarks of known position (motion-only adjustment).
+//!
+//! Input: pairs of a world point and its undistorted observation. Output: `camera_from_world` that minimises
+//! `sum rho(|e|^2)`, `e = f (pi(T X) - n) / sigma` with Huber's rho (Triggs et al. 2000, section 4), outliers taken out
+//! between rounds by the chi-square limit, and the 6x6 information of the result. Gauss-Newton with Levenberg damping on
+//! the left perturbation of [`Se3::perturb_left`]. Cost: about 60 ns a pair and step. Allocates nothing.
+
+use nalgebra::{Matrix6, Vector2, Vector3, Vector6};
+
+use crate::geometry::Se3;
+use crate::geometry::frames::{Camera, World};
+
+/// 95 % limit of chi-square with two degrees of freedom.
+pub const CHI2_2D_95: f64 = 5.991;
+
+/// One landmark seen in the frame.
+#[derive(Debug, Clone, Copy)]
+pub struct PosePair {
+    /// World coordinates, map units.
+    pub point: Vector3<f64>,
+    /// Undistorted observation on the plane z = 1.
+    pub normalised: Vector2<f64>,
+    /// One over the standard deviation, 1/px.
+    pub inv_sigma_px: f64,
+}
+
+/// Result of [`optimise_pose`].
+#[derive(Debug, Clone, Copy)]
+pub struct PoseSolution {
+    pub camera_from_world: Se3<Camera, World>,
+    pub inliers: usize,
+    /// Information (inverse covariance) of the left perturbation, inliers only, unit weights: rad and map units.
+    pub information: Matrix6<f64>,
+    /// Root mean square of the inliers' residuals, px.
+    pub rms_px: f64,
+}
+
+/// Options of [`optimise_pose`].
+#[derive(Debug, Clone, Copy)]
+pub struct PoseOptions {
+    /// Rounds of optimisation, outliers judged anew after each.
+    pub rounds: usize,
+    /// Gauss-Newton steps a round at the most.
+    pub steps: usize,
+    /// Limit of the squared, sigma-scaled residual above which a pair is an outlier.
+    pub outlier_chi2: f64,
+    /// The first round uses this many times the limit and a Cauchy weight: a poor start must not throw good pairs out.
+    pub first_round_relaxation: f64,
+}
+
+impl Default for PoseOptions {
+    fn default() -> Self {
+        Self { rounds: 3, steps: 6, outlier_chi2: CHI2_2D_95, first_round_relaxation: 4.0 }
+    }
+}
+
+/// Residual (sigma-scaled, px) of a pair; `None` behind the camera.
+#[inline]
+fn residual(
+    pose: &Se3<Camera, World>,
+    pair: &PosePair,
+    focal_px: Vector2<f64>,
+) -> Option<(Vector2<f64>, Vector3<f64>)> {
+    let p = pose.transform(&pair.point);
+    if p.z < 1e-6 {
+        return None;
+    }
+    let iz = 1.0 / p.z;
+    let s = pair.inv_sigma_px;
+    Some((
+        Vector2::new(s * focal_px.x * (p.x * iz - pair.normalised.x), s * focal_px.y * (p.y * iz - pair.normalised.y)),
+        p,
+    ))
+}
+
+/// Rows of d e / d delta at camera point `p`: tangent `[rotation, translation]`, `p' = exp(w) p + v`.
+#[inline]
+pub(crate) fn jacobian_rows(p: &Vector3<f64>, fx: f64, fy: f64) -> ([f64; 6], [f64; 6]) {
+    let iz = 1.0 / p.z;
+    let (u, v) = (p.x * iz, p.y * iz);
+    // d(u, v)/dp = iz [1 0 -u; 0 1 -v]; dp/dw = -[p]x, dp/dv = I.
+    (
+        [-fx * u * v, fx * (1.0 + u * u), -fx * v, fx * iz, 0.0, -fx * u * iz],
+        [-fy * (1.0 + v * v), fy * u * v, fy * u, 0.0, fy * iz, -fy * v * iz],
+    )
+}
+
+/// Robust pose from `start`. `inlier` (same length as `pairs`) is overwritten. `None` with fewer than four usable pairs,
+/// non-finite input or a singular system.
+pub fn optimise_pose(
+    start: &Se3<Camera, World>,
+    pairs: &[PosePair],
+    focal_px: Vector2<f64>,
+    options: &PoseOptions,
+    inlier: &mut Vec<bool>,
+) -> Option<PoseSolution> {
+    inlier.clear();
+    inlier.resize(pairs.len(), true);
+    if pairs.len() < 4 || !start.is_finite() {
+        return None;
+    }
+    let mut pose = *start;
+    let rounds = options.rounds.max(1);
+    for round in 0..rounds {
+        let relaxed = round == 0 && rounds > 1;
+        let limit = options.outlier_chi2 * if relaxed { options.first_round_relaxation } else { 1.0 };
+        let mut lambda = 1e-6;
+        let (mut h, mut g, mut cost) = linearise(&pose, pairs, focal_px, inlier, options.outlier_chi2, relaxed);
+        for _ in 0..options.steps {
+            let mut damped = h;
+            for i in 0..6 {
+                damped[(i, i)] += lambda * h[(i, i)].max(1e-12);
+            }
+            let step: Vector6<f64> = damped.cholesky()?.solve(&-g);
+            if !step.iter().all(|v| v.is_finite()) {
+                return None;
+            }
+            let candidate = pose.perturb_left(&step);
+            let (h2, g2, cost2) = linearise(&candidate, pairs, focal_px, inlier, options.outlier_chi2, relaxed);
+            if cost2 <= cost {
+                let gain = cost - cost2;
+                (pose, h, g) = (candidate, h2, g2);
+                let done = gain < 1e-6 * cost || step.norm_squared() < 1e-16;
+                cost = cost2;
+                lambda = (lambda * 0.1).max(1e-9);
+                if done {
+                    break;
+                }
+            } else {
+                lambda = (lambda * 100.0).max(1e-4);
+            }
+        }
+        let mut count = 0;
+        for (pair, flag) in pairs.iter().zip(inlier.iter_mut()) {
+            *flag = residual(&pose, pair, focal_px).is_some_and(|(e, _)| e.norm_squared() <= limit);
+            count += usize::from(*flag);
+        }
+        if count < 4 {
+            return None;
+        }
+    }
+    let mut information = Matrix6::zeros();
+    let (mut sum, mut count) = (0.0, 0usize);
+    for (pair, _) in pairs.iter().zip(inlier.iter()).filter(|&(_, &ok)| ok) {
+        let Some((e, p)) = residual(&pose, pair, focal_px) else { continue };
+        let s = pair.inv_sigma_px;
+        let (jx, jy) = jacobian_rows(&p, focal_px.x * s, focal_px.y * s);
+        accumulate(&mut information, &jx, &jy, 1.0);
+        sum += e.norm_squared() / (s * s);
+        count += 1;
+    }
+    mirror(&mut information);
+    let solution = PoseSolution {
+        camera_from_world: pose,
+        inliers: count,
+        information,
+        rms_px: (sum / count.max(1) as f64).sqrt(),
+    };
+    (pose.is_finite() && information.iter().all(|v| v.is_finite())).then_some(solution)
+}
+
+#[inline]
+pub(crate) fn accumulate(h: &mut Matrix6<f64>, jx: &[f64; 6], jy: &[f64; 6], w: f64) {
+    for c in 0..6 {
+        let (a, b) = (w * jx[c], w * jy[c]);
+        for r in 0..=c {
+            h[(r, c)] += jx[r] * a + jy[r] * b;
+        }
+    }
+}
+
+fn mirror(h: &mut Matrix6<f64>) {
+    for c in 0..6 {
+        for r in 0..c {
+            h[(c, r)] = h[(r, c)];
+        }
+    }
+}
+
+/// Normal equations over the current inliers; Cauchy weights when `relaxed`, Huber's else.
+fn linearise(
+    pose: &Se3<Camera, World>,
+    pairs: &[PosePair],
+    focal_px: Vector2<f64>,
+    inlier: &[bool],
+    delta2: f64,
+    relaxed: bool,
+) -> (Matrix6<f64>, Vector6<f64>, f64) {
+    let (mut h, mut g, mut cost) = (Matrix6::zeros(), Vector6::zeros(), 0.0);
+    for (pair, _) in pairs.iter().zip(inlier).filter(|(_, ok)| **ok) {
+        let Some((e, p)) = residual(pose, pair, focal_px) else {
+            cost += 100.0 * delta2; // behind the camera: a constant price, so that a step that does this is no gain
+            continue;
+        };
+        let e2 = e.norm_squared();
+        let w;
+        if relaxed {
+            cost += delta2 * (1.0 + e2 / delta2).ln();
+            w = 1.0 / (1.0 + e2 / delta2);
+        } else if e2 <= delta2 {
+            cost += e2;
+            w = 1.0;
+        } else {
+            let root = (e2 * delta2).sqrt();
+            cost += 2.0 * root - delta2;
+            w = delta2 / root;
+        }
+        let s = pair.inv_sigma_px;
+        let (jx, jy) = jacobian_rows(&p, focal_px.x * s, focal_px.y * s);
+        accumulate(&mut h, &jx, &jy, w);
+        for i in 0..6 {
+            g[i] += w * (jx[i] * e.x + jy[i] * e.y);
+        }
+    }
+    mirror(&mut h);
+    (h, g, cost)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::UnitQuaternion;
+
+    fn scene(seed: u64, n: usize, noise_px: f64, outliers: usize) -> (Se3<Camera, World>, Vec<PosePair>) {
+        let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
+        let mut random = move || {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            (state >> 11) as f64 / (1u64 << 53) as f64 * 2.0 - 1.0
+        };
+        let truth = Se3::new(
+            UnitQuaternion::from_scaled_axis(Vector3::new(random(), random(), random()) * 0.5),
+            Vector3::new(random(), random(), random()),
+        );
+        let pairs = (0..n)
+            .map(|i| {
+                let p = Vector3::new(random() * 2.0, random() * 1.5, 4.0 + 2.0 * random());
+                let mut normalised = Vector2::new(p.x / p.z, p.y / p.z);
+                normalised += Vector2::new(random(), random()) * noise_px / 500.0;
+                if i < outliers {
+                    normalised += Vector2::new(random(), random()) * 0.3;
+                }
+                PosePair { point: truth.inverse().transform(&p), normalised, inv_sigma_px: 1.0 }
+            })
+            .collect();
+        (truth, pairs)
+    }
+
+    fn distance(a: &Se3<Camera, World>, b: &Se3<Camera, World>) -> f64 {
+        a.rotation.angle_to(&b.rotation).max((a.translation - b.translation).norm())
+    }
+
+    #[test]
+    fn exact_on_noiseless_points_from_a_start_that_is_off() {
+        for seed in 1..20 {
+            let (truth, pairs) = scene(seed, 60, 0.0, 0);
+            let start = truth.perturb_left(&Vector6::new(0.05, -0.04, 0.06, 0.2, -0.1, 0.15));
+            let mut inlier = Vec::new();
+            let options = PoseOptions { steps: 20, ..PoseOptions::default() };
+            let s = optimise_pose(&start, &pairs, Vector2::new(500.0, 510.0), &options, &mut inlier).unwrap();
+            assert!(distance(&s.camera_from_world, &truth) < 1e-9, "seed {seed}");
+            assert_eq!(s.inliers, 60);
+        }
+    }
+
+    #[test]
+    fn a_third_of_outliers_is_named_and_does_not_bend_the_pose() {
+        for seed in 1..20 {
+            let (truth, pairs) = scene(seed, 120, 1.0, 40);
+            let start = truth.perturb_left(&Vector6::new(0.01, -0.01, 0.01, 0.04, -0.02, 0.03));
+            let mut inlier = Vec::new();
+            let s = optimise_pose(&start, &pairs, Vector2::new(500.0, 500.0), &PoseOptions::default(), &mut inlier)
+                .unwrap();
+            assert!(distance(&s.camera_from_world, &truth) < 5e-3, "seed {seed}");
+            assert!(inlier[40..].iter().all(|&ok| ok), "seed {seed}: a good pair was thrown out");
+        }
+    }
+
+    #[test]
+    fn jacobian_of_the_reprojection_agrees_with_differences() {
+        for seed in 1..10 {
+            let (pose, pairs) = scene(seed, 5, 3.0, 0);
+            let focal = Vector2::new(480.0, 520.0);
+            for pair in &pairs {
+                let (_, p) = residual(&pose, pair, focal).unwrap();
+                let (jx, jy) = jacobian_rows(&p, focal.x, focal.y);
+                for i in 0..6 {
+                    let mut d = Vector6::zeros();
+                    d[i] = 1e-6;
+                    let (plus, _) = residual(&pose.perturb_left(&d), pair, focal).unwrap();
+                    let (minus, _) = residual(&pose.perturb_left(&-d), pair, focal).unwrap();
+                    let numeric = (plus - minus) / 2e-6;
+                    assert!((numeric.x - jx[i]).abs() < 1e-3, "seed {seed}: {} against {}", numeric.x, jx[i]);
+                    assert!((numeric.y - jy[i]).abs() < 1e-3, "seed {seed}: {} against {}", numeric.y, jy[i]);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn too_few_or_non_finite_pairs_give_none() {
+        let (truth, mut pairs) = scene(3, 20, 0.0, 0);
+        let mut inlier = Vec::new();
+        let options = PoseOptions::default();
+        let focal = Vector2::new(500.0, 500.0);
+        assert!(optimise_pose(&truth, &pairs[..3], focal, &options, &mut inlier).is_none());
+        assert!(optimise_pose(&truth, &[], focal, &options, &mut inlier).is_none());
+        for pair in &mut pairs {
+            pair.point.x = f64::NAN;
+        }
+        assert!(optimise_pose(&truth, &pairs, focal, &options, &mut inlier).is_none());
+    }
+}
