@@ -10,7 +10,7 @@
 pub mod camera_model;
 pub mod se3;
 
-pub use camera_model::CameraModel;
+pub use camera_model::{CameraModel, CameraModelError};
 pub use se3::Se3;
 
 /// Marker types of the coordinate frames that a [`Se3`] maps between.
