@@ -5,8 +5,8 @@ use std::sync::Arc;
 use nalgebra::Vector2;
 
 use crate::frame::RawFrame;
-use crate::image::Pyramid;
 use crate::image::decode::DecodeError;
+use crate::image::{GreyImage, Pyramid};
 
 /// A corner of one picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -16,6 +16,59 @@ pub struct Corner {
     pub y: f32,
     /// Detector's own strength, larger is better; comparable within one detector only.
     pub response: f32,
+}
+
+/// One square of a [`CellGrid`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Cell {
+    /// Corners are wanted here; a detector skips the others.
+    pub wanted: bool,
+    /// Detection threshold of this cell, grey levels (FAST: brightness difference of the ring to the centre; SUSAN:
+    /// brightness threshold t). Whoever asks adapts it from one detection to the next.
+    pub threshold: f32,
+}
+
+/// Square cells over a picture: where corners are looked for, and how sensitively.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct CellGrid {
+    /// Side of a cell, pixels; the last column and row may be narrower. 0 only in an empty grid.
+    pub cell_px: usize,
+    pub columns: usize,
+    pub rows: usize,
+    /// `columns * rows` cells, row by row.
+    pub cells: Vec<Cell>,
+}
+
+impl CellGrid {
+    /// A grid over a `width` x `height` picture with every cell wanted at `threshold` (grey levels).
+    pub fn new(width: usize, height: usize, cell_px: usize, threshold: f32) -> Self {
+        let cell_px = cell_px.max(1);
+        let (columns, rows) = (width.div_ceil(cell_px), height.div_ceil(cell_px));
+        Self { cell_px, columns, rows, cells: vec![Cell { wanted: true, threshold }; columns * rows] }
+    }
+
+    /// Index of the cell that holds a level-0 pixel position; `None` outside the grid.
+    pub fn index(&self, x: f32, y: f32) -> Option<usize> {
+        // A pixel's centre is its integer coordinate, so pixel x covers [x - 0.5, x + 0.5).
+        let (x, y) = (x + 0.5, y + 0.5);
+        if !(x >= 0.0 && y >= 0.0) || self.cell_px == 0 {
+            return None;
+        }
+        let (column, row) = (x as usize / self.cell_px, y as usize / self.cell_px);
+        (column < self.columns && row < self.rows).then(|| row * self.columns + column)
+    }
+}
+
+/// Finds corners in the wanted cells of a picture.
+///
+/// A detector keeps its scratch buffers between calls and allocates nothing once it has seen a picture of this size.
+pub trait CornerDetector: std::fmt::Debug + Send {
+    /// Clears `out` and fills it with the corners of every wanted cell of `cells` (which covers `image`), at that
+    /// cell's threshold, after non-maximum suppression (across cell borders too: a corner must beat its neighbours
+    /// in other cells). Order: raster (y, then x) of the pixel found, so that the result is deterministic.
+    /// Positions may stay whole pixels. Pixels that the detector's mask cannot reach near the picture's edge give
+    /// no corner; a picture smaller than the mask gives none at all.
+    fn detect(&mut self, image: &GreyImage, cells: &CellGrid, out: &mut Vec<Corner>);
 }
 
 /// Which corner detector the feature thread uses.
