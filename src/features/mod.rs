@@ -1,5 +1,7 @@
 //! Map-free work on one picture: pyramid, corners, descriptors, frame-to-frame tracks. Knows no map.
 
+pub mod alignment;
+
 use std::sync::Arc;
 
 use nalgebra::Vector2;

@@ -9,6 +9,7 @@
 
 pub mod camera_model;
 pub mod se3;
+pub mod two_view;
 
 pub use camera_model::{CameraModel, CameraModelError};
 pub use se3::Se3;

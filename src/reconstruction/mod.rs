@@ -1,195 +1,393 @@
 //! From features to poses and a map. Knows no V4L2, ring or iceoryx2.
+//!
+//! One frame's journey is [`Reconstruction::track`] (its pose, published at once) and then [`Reconstruction::map`] (what
+//! the map learns from it). Adjustment runs elsewhere, on copies ([`MappingJob`]), and is merged at the start of a later
+//! frame. In lock-step everything is a function of the input alone.
 
+pub mod bindings;
 pub mod bundle;
+pub mod config;
+mod estimate;
+pub mod initialise;
+pub mod keyframes;
+pub mod local_adjustment;
 pub mod pose_optimisation;
+pub mod search;
+mod start;
+pub mod tracking;
+pub mod types;
 
-use nalgebra::{Matrix6, Vector3};
+use nalgebra::Vector3;
+
+pub use config::ReconstructionConfig;
+pub use local_adjustment::{InlineWorker, MappingJob, MappingResult, MappingWorker};
+pub use types::*;
+
+use bindings::Bindings;
+use initialise::Initialiser;
+use keyframes::{KeyframeInputs, NewKeyframe};
+use search::Match;
+use tracking::{Tracked, Tracker};
 
 use crate::features::{Feedback, FrameFeatures};
-use crate::geometry::frames::{Camera, Keyframe, Odom, World};
+use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, Odom, World};
 use crate::geometry::{CameraModel, Se3};
-use crate::map::{KeyframeId, LandmarkId, MapId};
+use crate::map::{KeyframeId, LandmarkId, Map, MapId};
 
-/// State of tracking as published.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum TrackingState {
-    /// No map yet; no pose.
-    #[default]
-    Initializing,
-    /// The pose rests on landmarks seen in this frame.
-    Tracking,
-    /// There was a map and this frame could not be placed in it; no pose.
-    Lost,
-}
-
-/// `[reconstruction]` of the configuration.
-#[derive(Debug, Clone, PartialEq, Default, serde::Deserialize, serde::Serialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ReconstructionConfig {}
-
-/// One frame's outcome.
-#[derive(Debug, Clone, PartialEq)]
-pub struct PoseEstimate {
-    pub sequence: u64,
-    pub timestamp_ns: i64,
-    pub arrival_ns: i64,
-    pub state: TrackingState,
-    /// Map pose; `None` unless tracking.
-    pub world_from_camera: Option<Se3<World, Camera>>,
-    /// Smooth pose, continuous within one reset counter; `None` unless tracking.
-    pub odom_from_camera: Option<Se3<Odom, Camera>>,
-    /// Keyframe that the covariance is relative to.
-    pub anchor: Option<KeyframeId>,
-    /// Covariance of the left perturbation of `camera_from_world` (tangent `[rotation rad, translation map units]` in the
-    /// camera's axes, [`Se3::perturb_left`]); NaN = unknown.
-    pub covariance: Matrix6<f64>,
-    /// Velocity of the camera in its own axes: angular (rad/s), linear (map units/s); NaN = unknown.
-    pub angular_velocity: Vector3<f64>,
-    pub linear_velocity: Vector3<f64>,
-    /// Landmarks seen in this frame that the pose rests on.
-    pub landmarks: u32,
-    /// Landmarks that were looked for in this frame.
-    pub landmarks_sought: u32,
-    /// 0 (none) to 1 (as good as it gets).
-    pub quality: f32,
-    pub map: MapId,
-    /// Counts re-initialisations and resets: poses across a change are unrelated.
-    pub reset_counter: u32,
-    /// This frame will become a keyframe.
-    pub keyframe: bool,
-}
-
-/// A frame's place in the map for the trajectory that is written at the end.
-#[derive(Debug, Clone, PartialEq)]
-pub enum TrajectoryEvent {
-    /// A frame was tracked (or solved afterwards): its pose relative to a keyframe, which later adjustments move.
-    Pose { timestamp_ns: i64, map: MapId, keyframe: KeyframeId, keyframe_from_camera: Se3<Keyframe, Camera> },
-    /// `keyframe` was culled; poses that refer to it now hang on `parent`.
-    KeyframeRemoved { keyframe: KeyframeId, parent: KeyframeId, parent_from_keyframe: Se3<Keyframe, Keyframe> },
-}
-
-/// A landmark as the outside sees it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LandmarkView {
-    pub id: LandmarkId,
-    pub position_world: Vector3<f64>,
-    /// One sigma along the line of sight, map units; NaN = unknown.
-    pub sigma: f32,
-    /// Keyframes that observe it.
-    pub observations: u32,
-}
-
-/// A keyframe as the outside sees it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct KeyframeView {
-    pub id: KeyframeId,
-    pub timestamp_ns: i64,
-    pub world_from_camera: Se3<World, Camera>,
-}
-
-/// The current map; buffers are reused by [`Reconstruction::snapshot`].
-#[derive(Debug, Clone, Default)]
-pub struct MapSnapshot {
-    pub map: MapId,
-    /// Grows with every change of the map.
-    pub revision: u64,
-    /// Ascending id.
-    pub landmarks: Vec<LandmarkView>,
-    /// Ascending id.
-    pub keyframes: Vec<KeyframeView>,
-}
-
-/// Counters since the start, for health and logs.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Counters {
-    pub frames: u64,
-    pub frames_tracked: u64,
-    pub keyframes_made: u64,
-    pub keyframes_culled: u64,
-    pub landmarks_made: u64,
-    pub landmarks_culled: u64,
-    pub adjustments: u64,
-    /// Adjustment results that came later than the configured number of frames (live only).
-    pub adjustments_late: u64,
-    pub resets: u64,
-    pub relocalisations: u64,
-}
-
-/// A piece of mapping work on a snapshot: a pure function of its input, so that it can run anywhere.
-#[derive(Debug)]
-pub struct MappingJob {}
-/// What a [`MappingJob`] gives back, merged by reconstruction.
-#[derive(Debug)]
-pub struct MappingResult {}
-impl MappingJob {
-    /// Bounded in iterations, not in time.
-    pub fn run(self) -> MappingResult {
-        MappingResult {}
-    }
-}
-
-/// Who runs mapping jobs: a thread of the daemon's, or the caller itself. At most one job is under way.
-pub trait MappingWorker: Send {
-    /// Starts a job; never called while one is under way.
-    fn post(&mut self, job: MappingJob);
-    /// The result if there is one; with `wait`, blocks until it is there (`None` then only if no job is under way or the worker died).
-    fn take(&mut self, wait: bool) -> Option<MappingResult>;
-}
-
-/// Runs every job at once in the calling thread.
-#[derive(Debug, Default)]
-pub struct InlineWorker {
-    result: Option<MappingResult>,
-}
-impl MappingWorker for InlineWorker {
-    fn post(&mut self, job: MappingJob) {
-        self.result = Some(job.run());
-    }
-    fn take(&mut self, _wait: bool) -> Option<MappingResult> {
-        self.result.take()
-    }
+/// The frame that was tracked last.
+#[derive(Debug, Clone, Copy)]
+struct LastFrame {
+    timestamp_ns: i64,
+    camera_from_world: Se3<Camera, World>,
+    /// Motion that led here, `this camera from the previous one`, and how long it took.
+    motion: Option<(Se3<Camera, Camera>, f64)>,
 }
 
 /// Tracking and mapping. One frame is [`track`](Self::track) (publish its result at once), then [`map`](Self::map).
-pub struct Reconstruction {}
+pub struct Reconstruction {
+    config: ReconstructionConfig,
+    camera: CameraModel,
+    worker: Box<dyn MappingWorker>,
+    lockstep: bool,
+    state: TrackingState,
+    map: Map,
+    map_id: MapId,
+    reset_counter: u32,
+    initialiser: Initialiser,
+    tracker: Tracker,
+    bindings: Bindings,
+    last: Option<LastFrame>,
+    odom_from_camera: Se3<Odom, Camera>,
+    /// Keyframe that shares most with the last frame.
+    reference: KeyframeId,
+    /// Frames seen, tracked or not: the clock of everything that counts frames.
+    frame: u64,
+    last_keyframe_frame: u64,
+    lost_frames: u64,
+    /// Frame at which the job under way was posted.
+    job_posted: Option<u64>,
+    /// Newest keyframe that no adjustment has seen yet.
+    unadjusted: Option<KeyframeId>,
+    /// The tracked frame that `map` still has to look at.
+    pending: Option<Pending>,
+    events: Vec<TrajectoryEvent>,
+    counters: Counters,
+    inliers: Vec<Match>,
+    angles: Vec<f64>,
+}
+
+struct Pending {
+    features: FrameFeatures,
+    camera_from_world: Se3<Camera, World>,
+    keyframe: bool,
+}
 
 impl Reconstruction {
     /// `lockstep`: mapping results are merged a fixed number of frames after they were posted, by waiting.
     pub fn new(
-        _config: &ReconstructionConfig,
-        _camera: &CameraModel,
-        _worker: Box<dyn MappingWorker>,
-        _lockstep: bool,
+        config: &ReconstructionConfig,
+        camera: &CameraModel,
+        worker: Box<dyn MappingWorker>,
+        lockstep: bool,
     ) -> Self {
-        Self {}
+        Self {
+            config: config.clone(),
+            camera: camera.clone(),
+            worker,
+            lockstep,
+            state: TrackingState::Initializing,
+            map: Map::default(),
+            map_id: MapId(0),
+            reset_counter: 0,
+            initialiser: Initialiser::default(),
+            tracker: Tracker::default(),
+            bindings: Bindings::default(),
+            last: None,
+            odom_from_camera: Se3::identity(),
+            reference: KeyframeId(0),
+            frame: 0,
+            last_keyframe_frame: 0,
+            lost_frames: 0,
+            job_posted: None,
+            unadjusted: None,
+            pending: None,
+            events: Vec::new(),
+            counters: Counters::default(),
+            inliers: Vec::new(),
+            angles: Vec::new(),
+        }
     }
 
     /// The pose of a frame. Allocates nothing once warm.
-    pub fn track(&mut self, _features: &FrameFeatures) -> PoseEstimate {
-        unreachable!("replaced by the reconstruction room")
+    pub fn track(&mut self, features: &FrameFeatures) -> PoseEstimate {
+        self.frame += 1;
+        self.counters.frames += 1;
+        self.pending = None;
+        self.merge_adjustment(false);
+        self.bindings.retain_living(&features.tracks);
+        if self.state == TrackingState::Initializing {
+            return self.try_start(features);
+        }
+        let guesses = self.guesses(features.timestamp_ns);
+        let guesses = &guesses.0[..guesses.1];
+        let tracked = self.tracker.track(
+            &self.map,
+            &self.bindings,
+            features,
+            &self.camera,
+            &self.config,
+            self.reference,
+            guesses,
+        );
+        self.count_landmarks(tracked.is_some());
+        match tracked {
+            Some(tracked) => self.accept(features, &tracked),
+            None => self.lose(features),
+        }
+    }
+
+    /// Constant velocity, the last pose, and while lost keyframes in turn.
+    fn guesses(&self, timestamp_ns: i64) -> ([Se3<Camera, World>; 3], usize) {
+        let mut guesses = [Se3::identity(); 3];
+        let mut n = 0;
+        if let Some(last) = &self.last {
+            let dt = (timestamp_ns - last.timestamp_ns) as f64 * 1e-9;
+            if let Some((motion, over)) = &last.motion
+                && self.lost_frames == 0
+                && *over > 0.0
+                && dt < 5.0 * over
+            {
+                guesses[n] = scaled(motion, dt / over) * last.camera_from_world;
+                n += 1;
+            }
+            guesses[n] = last.camera_from_world;
+            n += 1;
+        }
+        if self.lost_frames > 0 {
+            let count = self.map.keyframes.len().min(30);
+            if count > 0 {
+                let skip = self.map.keyframes.len() - 1 - (self.lost_frames as usize % count);
+                if let Some((_, k)) = self.map.keyframes.iter().nth(skip) {
+                    guesses[n] = k.camera_from_world;
+                    n += 1;
+                }
+            }
+        }
+        (guesses, n)
+    }
+
+    fn count_landmarks(&mut self, tracked: bool) {
+        if !tracked {
+            return;
+        }
+        for m in &self.tracker.search.matches {
+            if let Some(l) = self.map.landmarks.get_mut(m.landmark.0) {
+                l.sought += 1;
+                if m.inlier {
+                    l.found += 1;
+                    l.disagreed = 0;
+                } else {
+                    l.disagreed += 1;
+                }
+            }
+        }
+        for id in &self.tracker.search.missed {
+            if let Some(l) = self.map.landmarks.get_mut(id.0) {
+                l.sought += 1;
+            }
+        }
+    }
+
+    fn accept(&mut self, features: &FrameFeatures, tracked: &Tracked) -> PoseEstimate {
+        let pose = tracked.camera_from_world;
+        if self.lost_frames > 0 {
+            self.counters.relocalisations += 1;
+        }
+        self.lost_frames = 0;
+        self.state = TrackingState::Tracking;
+        self.counters.frames_tracked += 1;
+        self.reference = self.tracker.best_reference(&self.map).unwrap_or(self.reference);
+        self.inliers.clear();
+        self.inliers.extend(self.tracker.inliers());
+        let mut motion = None;
+        if let Some(last) = &self.last {
+            let dt = (features.timestamp_ns - last.timestamp_ns) as f64 * 1e-9;
+            let step = (pose * last.camera_from_world.inverse()).relabel::<Camera, Camera>();
+            self.odom_from_camera = self.odom_from_camera * step.inverse();
+            motion = (dt > 0.0).then_some((step, dt));
+        }
+        self.last = Some(LastFrame { timestamp_ns: features.timestamp_ns, camera_from_world: pose, motion });
+        let keyframe = self.decide_keyframe(&pose);
+        self.record_pose(features.timestamp_ns, &pose);
+        self.pending = Some(Pending { features: features.clone(), camera_from_world: pose, keyframe });
+        self.estimate_tracked(features, tracked, motion.as_ref(), keyframe)
+    }
+
+    fn decide_keyframe(&mut self, pose: &Se3<Camera, World>) -> bool {
+        let Some(reference) = self.map.keyframe(self.reference) else { return false };
+        let here = pose.inverse().translation;
+        let there = reference.centre();
+        let inputs = KeyframeInputs {
+            frames_since_keyframe: self.frame - self.last_keyframe_frame,
+            landmarks: self.inliers.len(),
+            reference_landmarks: reference.observations.len(),
+            parallax_deg: keyframes::median_parallax_deg(self.inliers.iter(), &here, &there, &mut self.angles),
+        };
+        keyframes::wants_keyframe(&inputs, &self.config)
+    }
+
+    fn lose(&mut self, features: &FrameFeatures) -> PoseEstimate {
+        self.lost_frames += 1;
+        self.state = TrackingState::Lost;
+        if self.lost_frames > self.config.lost_frames || self.map.keyframes.len() < 4 {
+            self.reset();
+            return self.try_start(features);
+        }
+        self.estimate_none(features)
+    }
+
+    /// The frame's place relative to its reference keyframe, for the trajectory that is written at the end.
+    fn record_pose(&mut self, timestamp_ns: i64, pose: &Se3<Camera, World>) {
+        let Some(k) = self.map.keyframe(self.reference) else { return };
+        let keyframe_from_camera = (k.camera_from_world * pose.inverse()).relabel::<KeyframeFrame, Camera>();
+        self.events.push(TrajectoryEvent::Pose {
+            timestamp_ns,
+            map: self.map_id,
+            keyframe: self.reference,
+            keyframe_from_camera,
+        });
     }
 
     /// Keyframe work for the frame just tracked, after its pose was published.
-    pub fn map(&mut self, _feedback: &mut Feedback) {}
+    pub fn map(&mut self, feedback: &mut Feedback) {
+        feedback.forget.clear();
+        if let Some(pending) = self.pending.take() {
+            feedback.sequence = pending.features.sequence;
+            if pending.keyframe {
+                self.insert_keyframe(&pending, feedback);
+            }
+        }
+        feedback.forget.sort_unstable();
+        if let Some(newest) = self.unadjusted
+            && self.job_posted.is_none()
+        {
+            self.unadjusted = None;
+            if let Some(job) = MappingJob::local(&self.map, newest, &self.camera, &self.config) {
+                self.worker.post(job);
+                self.job_posted = Some(self.frame);
+            }
+        }
+    }
+
+    fn insert_keyframe(&mut self, pending: &Pending, feedback: &mut Feedback) {
+        let new = NewKeyframe {
+            features: &pending.features,
+            camera_from_world: pending.camera_from_world,
+            map_id: self.map_id,
+            matches: &self.inliers,
+        };
+        let before = self.map.landmarks.len();
+        let id =
+            keyframes::insert_keyframe(&mut self.map, &mut self.bindings, &new, &self.camera, &self.config, feedback);
+        self.counters.keyframes_made += 1;
+        self.counters.landmarks_made += (self.map.landmarks.len() - before) as u64;
+        self.last_keyframe_frame = self.frame;
+        self.reference = id;
+        self.counters.landmarks_culled += keyframes::cull_landmarks(&mut self.map, id);
+        self.counters.keyframes_culled += keyframes::cull_keyframes(&mut self.map, id, &self.config, &mut self.events);
+        self.unadjusted = Some(id);
+    }
+
+    /// Merges a finished adjustment when its time has come.
+    fn merge_adjustment(&mut self, now: bool) {
+        let Some(posted) = self.job_posted else { return };
+        let due = self.frame >= posted + self.config.merge_after_frames;
+        if !now && self.lockstep && !due {
+            return;
+        }
+        let Some(result) = self.worker.take(now || self.lockstep) else { return };
+        if !self.lockstep && self.frame > posted + self.config.merge_after_frames {
+            self.counters.adjustments_late += 1;
+        }
+        self.job_posted = None;
+        self.counters.adjustments += 1;
+        let old_from_new = result.merge(&mut self.map);
+        if let Some(last) = &mut self.last {
+            last.camera_from_world = last.camera_from_world * old_from_new;
+        }
+    }
 
     /// Drops the map and starts over at the next frame.
-    pub fn reset(&mut self) {}
+    pub fn reset(&mut self) {
+        if self.job_posted.take().is_some() {
+            self.worker.take(true);
+        }
+        for (id, k) in self.map.keyframes.iter() {
+            self.events.push(TrajectoryEvent::KeyframeRetired {
+                keyframe: KeyframeId(id),
+                world_from_camera: k.camera_from_world.inverse(),
+            });
+        }
+        self.map.clear();
+        self.initialiser.clear();
+        self.bindings.clear();
+        self.tracker = Tracker::default();
+        self.last = None;
+        self.pending = None;
+        self.unadjusted = None;
+        self.lost_frames = 0;
+        self.odom_from_camera = Se3::identity();
+        self.state = TrackingState::Initializing;
+        self.map_id = MapId(self.map_id.0 + 1);
+        self.reset_counter += 1;
+        self.counters.resets += 1;
+    }
 
     /// Waits for the job under way, if any, and merges it. Nothing is adjusted beyond it.
-    pub fn finish(&mut self) {}
+    pub fn finish(&mut self) {
+        self.merge_adjustment(true);
+    }
 
     /// Fills `out` with the current map.
-    pub fn snapshot(&self, _out: &mut MapSnapshot) {}
+    pub fn snapshot(&self, out: &mut MapSnapshot) {
+        out.map = self.map_id;
+        out.revision = self.map.revision;
+        out.landmarks.clear();
+        out.landmarks.extend(self.map.landmarks.iter().map(|(id, l)| LandmarkView {
+            id: LandmarkId(id),
+            position_world: l.position,
+            sigma: l.covariance.symmetric_eigenvalues().max().max(0.0).sqrt() as f32,
+            observations: l.observers.len() as u32,
+        }));
+        out.keyframes.clear();
+        out.keyframes.extend(self.map.keyframes.iter().map(|(id, k)| KeyframeView {
+            id: KeyframeId(id),
+            timestamp_ns: k.timestamp_ns,
+            world_from_camera: k.camera_from_world.inverse(),
+        }));
+    }
 
     /// Events since the last call, in order; to be drained after every frame.
-    pub fn take_trajectory_events(&mut self, _out: &mut Vec<TrajectoryEvent>) {}
+    pub fn take_trajectory_events(&mut self, out: &mut Vec<TrajectoryEvent>) {
+        out.append(&mut self.events);
+    }
 
-    /// Poses of every keyframe of every map of this run that still exists, for the trajectory written at the end.
+    /// Poses of the current map's keyframes, for the trajectory written at the end; those of maps before came as events.
     pub fn keyframe_poses(&self) -> Vec<(KeyframeId, Se3<World, Camera>)> {
-        Vec::new()
+        self.map.keyframes.iter().map(|(id, k)| (KeyframeId(id), k.camera_from_world.inverse())).collect()
     }
 
     pub fn counters(&self) -> Counters {
-        Counters::default()
+        self.counters
     }
+
+    pub fn state(&self) -> TrackingState {
+        self.state
+    }
+}
+
+/// A motion of `share` times the time.
+fn scaled(motion: &Se3<Camera, Camera>, share: f64) -> Se3<Camera, Camera> {
+    let w: Vector3<f64> = motion.rotation.scaled_axis();
+    Se3::new(nalgebra::UnitQuaternion::from_scaled_axis(w * share), motion.translation * share)
 }

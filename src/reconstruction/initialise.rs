@@ -1,0 +1,215 @@
+//! From tracks alone to a first map.
+//!
+//! A reference frame is held while its tracks live. Once the flow that a rotation cannot explain is large enough, two-view
+//! geometry is tried (essential matrix or homography, [`two_view`]). Standing still and turning on the spot never pass: their
+//! rotation-compensated flow stays at the noise. All frames in between are remembered by their tracks, so that their poses
+//! can be solved once there is a map.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use nalgebra::{Matrix3, Rotation3, Vector2, Vector3};
+
+use super::config::ReconstructionConfig;
+use crate::features::{FrameFeatures, Track};
+use crate::geometry::frames::{First, Second};
+use crate::geometry::two_view::{TwoViewOptions, reconstruct_two_views};
+use crate::geometry::{CameraModel, Se3};
+use crate::image::Pyramid;
+
+/// A frame before the map exists.
+#[derive(Debug, Clone)]
+pub struct PendingFrame {
+    pub sequence: u64,
+    pub timestamp_ns: i64,
+    /// Track id and level-0 pixel, ascending id.
+    pub tracks: Vec<(u64, Vector2<f32>)>,
+}
+
+/// One corner of a first map.
+#[derive(Debug, Clone, Copy)]
+pub struct StartPoint {
+    pub track: u64,
+    pub first_pixel: Vector2<f32>,
+    pub second_pixel: Vector2<f32>,
+    /// In the first camera's coordinates.
+    pub point: Vector3<f64>,
+}
+
+/// A first map: two frames and points.
+#[derive(Debug)]
+pub struct Start {
+    pub first: PendingFrame,
+    pub first_pyramid: Arc<Pyramid>,
+    pub second_from_first: Se3<Second, First>,
+    pub points: Vec<StartPoint>,
+}
+
+/// Frames that are remembered for a pose afterwards; older ones are dropped.
+const MAX_PENDING: usize = 900;
+/// The reference frame is given up below this many common tracks.
+const MIN_COMMON: usize = 60;
+
+/// Waits for a start.
+#[derive(Debug, Default)]
+pub struct Initialiser {
+    reference: Option<(PendingFrame, Arc<Pyramid>)>,
+    /// All frames since the last reset that may still get a pose, the reference among them.
+    pub pending: VecDeque<PendingFrame>,
+}
+
+impl Initialiser {
+    pub fn clear(&mut self) {
+        self.reference = None;
+        self.pending.clear();
+    }
+
+    /// Takes a frame; `Some` when it makes a start together with the reference frame.
+    pub fn step(
+        &mut self,
+        features: &FrameFeatures,
+        camera: &CameraModel,
+        config: &ReconstructionConfig,
+    ) -> Option<Start> {
+        let frame = PendingFrame {
+            sequence: features.sequence,
+            timestamp_ns: features.timestamp_ns,
+            tracks: features.tracks.iter().map(|t| (t.id, t.position)).collect(),
+        };
+        self.pending.push_back(frame.clone());
+        if self.pending.len() > MAX_PENDING {
+            self.pending.pop_front();
+        }
+        let Some((reference, pyramid)) = &self.reference else {
+            if frame.tracks.len() >= MIN_COMMON {
+                self.reference = Some((frame, features.pyramid.clone()));
+            }
+            return None;
+        };
+        let pairs = common(reference, &features.tracks, camera);
+        if pairs.len() < MIN_COMMON.max(reference.tracks.len() / 4) {
+            self.reference = (frame.tracks.len() >= MIN_COMMON).then(|| (frame, features.pyramid.clone()));
+            return None;
+        }
+        if rotation_compensated_flow(&pairs, camera.focal_px()) < config.start_flow_px {
+            return None;
+        }
+        let first: Vec<Vector2<f64>> = pairs.iter().map(|p| p.first).collect();
+        let second: Vec<Vector2<f64>> = pairs.iter().map(|p| p.second).collect();
+        let options = TwoViewOptions { seed: features.sequence, ..TwoViewOptions::new(camera.focal_px()) };
+        let solution = reconstruct_two_views(&first, &second, &options).ok()?;
+        let points: Vec<StartPoint> = pairs
+            .iter()
+            .zip(&solution.points)
+            .filter_map(|(pair, point)| {
+                Some(StartPoint {
+                    track: pair.track,
+                    first_pixel: pair.first_pixel,
+                    second_pixel: pair.second_pixel,
+                    point: (*point)?,
+                })
+            })
+            .collect();
+        if points.len() < config.start_landmarks {
+            return None;
+        }
+        Some(Start {
+            first: reference.clone(),
+            first_pyramid: pyramid.clone(),
+            second_from_first: solution.second_from_first,
+            points,
+        })
+    }
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Pair {
+    track: u64,
+    first_pixel: Vector2<f32>,
+    second_pixel: Vector2<f32>,
+    first: Vector2<f64>,
+    second: Vector2<f64>,
+}
+
+/// Tracks that both frames see, undistorted.
+fn common(reference: &PendingFrame, tracks: &[Track], camera: &CameraModel) -> Vec<Pair> {
+    tracks
+        .iter()
+        .filter_map(|t| {
+            let i = reference.tracks.binary_search_by_key(&t.id, |r| r.0).ok()?;
+            let first_pixel = reference.tracks[i].1;
+            Some(Pair {
+                track: t.id,
+                first_pixel,
+                second_pixel: t.position,
+                first: camera.undistort(&first_pixel.cast())?,
+                second: camera.undistort(&t.position.cast())?,
+            })
+        })
+        .collect()
+}
+
+/// Median flow (px) that remains when the rotation that explains it best is taken out: Kabsch's rotation between the rays,
+/// twice, the second time over the better half.
+fn rotation_compensated_flow(pairs: &[Pair], focal_px: f64) -> f64 {
+    let ray = |n: &Vector2<f64>| Vector3::new(n.x, n.y, 1.0).normalize();
+    let mut rest: Vec<f64> = Vec::new();
+    let mut limit = f64::INFINITY;
+    for _ in 0..3 {
+        let mut sum = Matrix3::zeros();
+        for (i, p) in pairs.iter().enumerate() {
+            if rest.get(i).is_none_or(|&r| r <= limit) {
+                sum += ray(&p.second) * ray(&p.first).transpose();
+            }
+        }
+        let Some(svd) = sum.try_svd(true, true, 1e-12, 100) else { return 0.0 };
+        let (Some(u), Some(vt)) = (svd.u, svd.v_t) else { return 0.0 };
+        let d = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, (u * vt).determinant().signum()));
+        let rotation = Rotation3::from_matrix_unchecked(u * d * vt);
+        rest.clear();
+        rest.extend(pairs.iter().map(|p| {
+            let r = rotation * ray(&p.first);
+            (Vector2::new(r.x / r.z, r.y / r.z) - p.second).norm() * focal_px
+        }));
+        limit = median(&rest);
+    }
+    limit
+}
+
+fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_unstable_by(f64::total_cmp);
+    sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pairs(rotation: Rotation3<f64>, translation: Vector3<f64>) -> Vec<Pair> {
+        let mut pairs = Vec::new();
+        for i in 0..10 {
+            for j in 0..8 {
+                let depth = 3.0 + ((i * 7 + j * 3) % 5) as f64 * 0.5;
+                let n = Vector2::new((i as f64 - 4.5) * 0.1, (j as f64 - 3.5) * 0.1);
+                let p = rotation * (Vector3::new(n.x, n.y, 1.0) * depth) + translation;
+                pairs.push(Pair {
+                    track: 0,
+                    first_pixel: Vector2::zeros(),
+                    second_pixel: Vector2::zeros(),
+                    first: n,
+                    second: Vector2::new(p.x / p.z, p.y / p.z),
+                });
+            }
+        }
+        pairs
+    }
+
+    #[test]
+    fn turning_on_the_spot_leaves_no_flow_and_translation_does() {
+        let turn = Rotation3::from_euler_angles(0.1, -0.3, 0.2);
+        assert!(rotation_compensated_flow(&pairs(turn, Vector3::zeros()), 500.0) < 1e-6);
+        let moved = rotation_compensated_flow(&pairs(turn, Vector3::new(0.3, 0.0, 0.0)), 500.0);
+        assert!(moved > 3.0, "{moved}");
+    }
+}

@@ -1,0 +1,414 @@
+//! When a frame becomes a keyframe, and what the map gains and loses by it.
+//!
+//! New landmarks come from seeds (tracks without depth): when the rays from their anchor keyframe and from the new one make
+//! enough of an angle, the point is triangulated, its place in the new picture is refined against the anchor's template,
+//! and it must reproject well into every keyframe that saw it.
+
+use nalgebra::{Matrix3, Vector2, Vector3};
+
+use super::bindings::{Bindings, Seed, Target};
+use super::config::ReconstructionConfig;
+use super::pose_optimisation::{CHI2_2D_95, jacobian_rows};
+use super::search::{Match, SearchOptions, affine_warp, align_template};
+use super::types::TrajectoryEvent;
+use crate::features::{Feedback, FrameFeatures};
+use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
+use crate::geometry::{CameraModel, Se3};
+use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, MapId, Observation};
+
+/// What the decision looks at.
+#[derive(Debug, Clone, Copy)]
+pub struct KeyframeInputs {
+    pub frames_since_keyframe: u64,
+    /// Landmarks the frame's pose rests on.
+    pub landmarks: usize,
+    /// Landmarks of the reference keyframe.
+    pub reference_landmarks: usize,
+    /// Median angle between the rays to the frame's landmarks from here and from the reference keyframe, degrees.
+    pub parallax_deg: f64,
+}
+
+/// Whether a frame becomes a keyframe.
+pub fn wants_keyframe(inputs: &KeyframeInputs, config: &ReconstructionConfig) -> bool {
+    if inputs.frames_since_keyframe < config.keyframe_gap_frames {
+        return false;
+    }
+    let expected = inputs.reference_landmarks.min(config.landmarks_per_frame) as f64;
+    (inputs.landmarks as f64) < config.keyframe_share * expected || inputs.parallax_deg > config.keyframe_parallax_deg
+}
+
+/// Median angle (degrees) between the rays to the matches from two centres.
+pub fn median_parallax_deg<'a>(
+    matches: impl Iterator<Item = &'a Match>,
+    here: &Vector3<f64>,
+    there: &Vector3<f64>,
+    buffer: &mut Vec<f64>,
+) -> f64 {
+    buffer.clear();
+    buffer.extend(matches.map(|m| (m.point - here).angle(&(m.point - there))));
+    if buffer.is_empty() {
+        return 0.0;
+    }
+    let middle = buffer.len() / 2;
+    let (_, &mut median, _) = buffer.select_nth_unstable_by(middle, f64::total_cmp);
+    median.to_degrees()
+}
+
+/// A tracked frame on its way into the map.
+pub struct NewKeyframe<'a> {
+    pub features: &'a FrameFeatures,
+    pub camera_from_world: Se3<Camera, World>,
+    pub map_id: MapId,
+    /// Matches that agree with the pose, ascending landmark id.
+    pub matches: &'a [Match],
+}
+
+/// Radius within which a track and a found landmark are the same corner, px.
+const SAME_CORNER_PX: f32 = 2.0;
+/// A track that has left its landmark's found place by more than this has drifted, px.
+const DRIFTED_PX: f32 = 3.0;
+/// How far refinement may move a seed's tracked place, px.
+const SEED_REFINE_PX: f64 = 2.0;
+
+/// Observation of a pixel; `None` where the lens model does not reach.
+pub fn observe(
+    camera: &CameraModel,
+    landmark: LandmarkId,
+    pixel: Vector2<f32>,
+    inv_sigma_px: f64,
+) -> Option<Observation> {
+    let normalised = camera.undistort(&pixel.cast())?;
+    let (_, jacobian) = camera.distort_jacobian(&normalised)?;
+    Some(Observation { landmark, pixel, normalised, inv_sigma_px, normalised_from_pixel: jacobian.try_inverse()? })
+}
+
+/// Enters a frame into the map: keyframe, new landmarks, new seeds. Tracks that follow nothing useful go to `feedback`.
+pub fn insert_keyframe(
+    map: &mut Map,
+    bindings: &mut Bindings,
+    new: &NewKeyframe<'_>,
+    camera: &CameraModel,
+    config: &ReconstructionConfig,
+    feedback: &mut Feedback,
+) -> KeyframeId {
+    let observations =
+        new.matches.iter().filter_map(|m| observe(camera, m.landmark, m.pixel, m.inv_sigma_px)).collect::<Vec<_>>();
+    let id = map.add_keyframe(Keyframe {
+        sequence: new.features.sequence,
+        timestamp_ns: new.features.timestamp_ns,
+        map: new.map_id,
+        camera_from_world: new.camera_from_world,
+        pyramid: new.features.pyramid.clone(),
+        observations,
+        covisible: Vec::new(),
+    });
+    for track in &new.features.tracks {
+        match bindings.get(track.id).copied() {
+            Some(Target::Landmark(landmark)) if map.landmark(landmark).is_some() => {
+                let drifted =
+                    find(new.matches, landmark).is_some_and(|m| (m.pixel - track.position).norm() > DRIFTED_PX);
+                if drifted {
+                    bindings.remove(track.id);
+                    feedback.forget.push(track.id);
+                }
+            }
+            Some(Target::Seed(mut seed)) => {
+                match triangulate_seed(map, &seed, id, track.position, new, camera, config) {
+                    SeedOutcome::Landmark(landmark) => bindings.set(track.id, Target::Landmark(landmark)),
+                    SeedOutcome::Waits => {
+                        seed.add(id, track.position);
+                        bindings.set(track.id, Target::Seed(seed));
+                    }
+                    SeedOutcome::Wrong => {
+                        bindings.remove(track.id);
+                        feedback.forget.push(track.id);
+                    }
+                    SeedOutcome::Orphan => bindings.set(track.id, Target::Seed(Seed::new(id, track.position))),
+                }
+            }
+            // Unbound, or its landmark is gone.
+            _ => match new.matches.iter().find(|m| (m.pixel - track.position).norm() < SAME_CORNER_PX) {
+                Some(m) if !is_bound(bindings, m.landmark) => bindings.set(track.id, Target::Landmark(m.landmark)),
+                Some(_) => {
+                    bindings.remove(track.id);
+                    feedback.forget.push(track.id);
+                }
+                None => bindings.set(track.id, Target::Seed(Seed::new(id, track.position))),
+            },
+        }
+    }
+    id
+}
+
+fn find(matches: &[Match], landmark: LandmarkId) -> Option<&Match> {
+    matches.binary_search_by_key(&landmark, |m| m.landmark).ok().map(|i| &matches[i])
+}
+
+fn is_bound(bindings: &Bindings, landmark: LandmarkId) -> bool {
+    bindings.iter().any(|(_, t)| matches!(t, Target::Landmark(l) if *l == landmark))
+}
+
+enum SeedOutcome {
+    Landmark(LandmarkId),
+    /// Not enough parallax yet.
+    Waits,
+    /// The rays do not meet, or the picture there is another.
+    Wrong,
+    /// Its anchor keyframe is gone.
+    Orphan,
+}
+
+fn triangulate_seed(
+    map: &mut Map,
+    seed: &Seed,
+    newest: KeyframeId,
+    pixel: Vector2<f32>,
+    new: &NewKeyframe<'_>,
+    camera: &CameraModel,
+    config: &ReconstructionConfig,
+) -> SeedOutcome {
+    let Some(&(anchor_id, anchor_pixel)) = seed.observations().iter().find(|(k, _)| map.keyframe(*k).is_some()) else {
+        return SeedOutcome::Orphan;
+    };
+    let Some(anchor) = map.keyframe(anchor_id) else { return SeedOutcome::Orphan };
+    let none = LandmarkId::default();
+    let inv_sigma = 1.0 / config.sigma_px;
+    let (Some(a), Some(b)) = (observe(camera, none, anchor_pixel, inv_sigma), observe(camera, none, pixel, inv_sigma))
+    else {
+        return SeedOutcome::Wrong;
+    };
+    let Some((point, angle)) =
+        triangulate(&anchor.camera_from_world, &a.normalised, &new.camera_from_world, &b.normalised)
+    else {
+        return SeedOutcome::Waits;
+    };
+    if angle < config.min_parallax_deg.to_radians() {
+        return SeedOutcome::Waits;
+    }
+    // Refine the place in the new picture (and in those between) against the anchor's template.
+    let options = SearchOptions { radius_px: SEED_REFINE_PX, coarse_levels: 0, limit: 0, sigma_px: config.sigma_px };
+    let mut seen: Vec<(KeyframeId, Observation)> = vec![(anchor_id, a)];
+    for &(id, pixel) in seed.observations().iter().chain(&[(newest, pixel)]) {
+        let Some(keyframe) = map.keyframe(id).filter(|_| id != anchor_id) else { continue };
+        let refined = refine_in(anchor, &a, keyframe, &point, pixel, camera, &options);
+        match refined {
+            Some(o) => seen.push((id, o)),
+            None if id == newest => return SeedOutcome::Wrong,
+            None => {}
+        }
+    }
+    let Some(&(_, last)) = seen.last() else { return SeedOutcome::Wrong };
+    let Some((mut point, angle)) =
+        triangulate(&anchor.camera_from_world, &a.normalised, &new.camera_from_world, &last.normalised)
+    else {
+        return SeedOutcome::Wrong;
+    };
+    if angle < config.min_parallax_deg.to_radians() {
+        return SeedOutcome::Waits;
+    }
+    let Some(covariance) = refine_point(map, &seen, camera, &mut point) else { return SeedOutcome::Wrong };
+    seen.retain(|(k, o)| {
+        map.keyframe(*k).is_some_and(|k| reprojection_chi2(&k.camera_from_world, &point, o, camera) <= CHI2_2D_95)
+    });
+    if seen.len() < 2 || seen[0].0 != anchor_id || seen.last().map(|s| s.0) != Some(newest) {
+        return SeedOutcome::Wrong;
+    }
+    let landmark = Landmark {
+        position: point,
+        covariance,
+        observers: Vec::new(),
+        created_by: newest,
+        sought: 1,
+        found: 1,
+        disagreed: 0,
+    };
+    SeedOutcome::Landmark(map.add_landmark(landmark, &seen))
+}
+
+/// The place of `a`'s patch (in `anchor`) near `start` in another keyframe, given the point's position.
+fn refine_in(
+    anchor: &Keyframe,
+    a: &Observation,
+    other: &Keyframe,
+    point: &Vector3<f64>,
+    start: Vector2<f32>,
+    camera: &CameraModel,
+    options: &SearchOptions,
+) -> Option<Observation> {
+    let (_, projection) = camera.project_jacobian(&other.camera_from_world.transform(point))?;
+    let rotation = other.camera_from_world.rotation * anchor.camera_from_world.rotation.inverse();
+    let depth = anchor.camera_from_world.transform(point).z;
+    let affine = affine_warp(&projection, &rotation, depth, &a.normalised_from_pixel);
+    let found = align_template(anchor, a, &other.pyramid, &affine, start.cast(), options)?;
+    observe(camera, a.landmark, found.pixel, found.inv_sigma_px)
+}
+
+/// Midpoint of the two rays' closest approach, and the angle between the rays (rad); `None` behind either camera.
+pub fn triangulate(
+    first: &Se3<Camera, World>,
+    n1: &Vector2<f64>,
+    second: &Se3<Camera, World>,
+    n2: &Vector2<f64>,
+) -> Option<(Vector3<f64>, f64)> {
+    let (w1, w2) = (first.inverse(), second.inverse());
+    let d1 = (w1.rotation * Vector3::new(n1.x, n1.y, 1.0)).normalize();
+    let d2 = (w2.rotation * Vector3::new(n2.x, n2.y, 1.0)).normalize();
+    let base = w2.translation - w1.translation;
+    let cosine = d1.dot(&d2);
+    let sine2 = 1.0 - cosine * cosine;
+    if sine2 < 1e-10 {
+        return None;
+    }
+    let (b1, b2) = (base.dot(&d1), base.dot(&d2));
+    let s1 = (b1 - cosine * b2) / sine2;
+    let s2 = (cosine * b1 - b2) / sine2;
+    if s1 <= 0.0 || s2 <= 0.0 {
+        return None;
+    }
+    let point = 0.5 * (w1.translation + d1 * s1 + w2.translation + d2 * s2);
+    Some((point, sine2.sqrt().atan2(cosine)))
+}
+
+fn reprojection_chi2(pose: &Se3<Camera, World>, point: &Vector3<f64>, o: &Observation, camera: &CameraModel) -> f64 {
+    let p = pose.transform(point);
+    if p.z < 1e-6 {
+        return f64::INFINITY;
+    }
+    let e = Vector2::new(p.x / p.z, p.y / p.z) - o.normalised;
+    (Vector2::new(camera.fx * e.x, camera.fy * e.y) * o.inv_sigma_px).norm_squared()
+}
+
+/// Gauss-Newton on the point alone over its observations; its covariance with the keyframes held.
+pub(super) fn refine_point(
+    map: &Map,
+    seen: &[(KeyframeId, Observation)],
+    camera: &CameraModel,
+    point: &mut Vector3<f64>,
+) -> Option<Matrix3<f64>> {
+    let mut covariance = None;
+    for _ in 0..5 {
+        let (mut h, mut g) = (Matrix3::zeros(), Vector3::zeros());
+        for (k, o) in seen {
+            let Some(keyframe) = map.keyframe(*k) else { continue };
+            let pose = &keyframe.camera_from_world;
+            let p = pose.transform(point);
+            if p.z < 1e-6 {
+                return None;
+            }
+            let (fx, fy) = (camera.fx * o.inv_sigma_px, camera.fy * o.inv_sigma_px);
+            let (jx, jy) = jacobian_rows(&p, fx, fy);
+            let r = pose.rotation.inverse();
+            let (x, y) = (r * Vector3::new(jx[3], jx[4], jx[5]), r * Vector3::new(jy[3], jy[4], jy[5]));
+            h += x * x.transpose() + y * y.transpose();
+            g += x * fx * (p.x / p.z - o.normalised.x) + y * fy * (p.y / p.z - o.normalised.y);
+        }
+        let inverse = h.try_inverse()?;
+        let step = -(inverse * g);
+        *point += step;
+        covariance = Some(inverse);
+        if step.norm() < 1e-7 * point.norm() {
+            break;
+        }
+    }
+    covariance.filter(|c| c.iter().chain(point.iter()).all(|v| v.is_finite()))
+}
+
+/// Landmarks that were made lately and did not prove themselves, and those that disagree all the time, go.
+pub fn cull_landmarks(map: &mut Map, newest: KeyframeId) -> u64 {
+    let mut doomed = Vec::new();
+    for (id, l) in map.landmarks.iter() {
+        let age = newest.0.saturating_sub(l.created_by.0);
+        let rarely_found = l.sought >= 10 && 4 * l.found < l.sought;
+        let not_confirmed = (3..6).contains(&age) && l.observers.len() < 3;
+        if rarely_found || not_confirmed || l.disagreed >= 8 {
+            doomed.push(LandmarkId(id));
+        }
+    }
+    for &id in &doomed {
+        map.remove_landmark(id);
+    }
+    doomed.len() as u64
+}
+
+/// Removes keyframes around `newest` whose landmarks are nearly all seen by three others.
+pub fn cull_keyframes(
+    map: &mut Map,
+    newest: KeyframeId,
+    config: &ReconstructionConfig,
+    events: &mut Vec<TrajectoryEvent>,
+) -> u64 {
+    let mut culled = 0;
+    for (id, _) in map.covisible(newest, 1, usize::MAX) {
+        // The newest ones are still being connected.
+        if id.0 + 3 > newest.0 {
+            continue;
+        }
+        let Some(keyframe) = map.keyframe(id) else { continue };
+        let total = keyframe.observations.len();
+        let redundant = keyframe
+            .observations
+            .iter()
+            .filter(|o| map.landmark(o.landmark).is_some_and(|l| l.observers.len() >= 4))
+            .count();
+        let over = map.keyframes.len() > config.max_keyframes;
+        if total > 0 && (redundant as f64 > config.redundant_share * total as f64 || over) && remove(map, id, events) {
+            culled += 1;
+        }
+    }
+    culled
+}
+
+/// Removes a keyframe and hangs the trajectory that refers to it on its most covisible neighbour.
+fn remove(map: &mut Map, id: KeyframeId, events: &mut Vec<TrajectoryEvent>) -> bool {
+    let Some(&(parent, _)) = map.covisible(id, 1, 1).first() else { return false };
+    let (Some(k), Some(p)) = (map.keyframe(id), map.keyframe(parent)) else { return false };
+    let parent_from_keyframe: Se3<KeyframeFrame, KeyframeFrame> =
+        (p.camera_from_world * k.camera_from_world.inverse()).relabel();
+    events.push(TrajectoryEvent::KeyframeRemoved { keyframe: id, parent, parent_from_keyframe });
+    map.remove_keyframe(id).is_some()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::UnitQuaternion;
+
+    #[test]
+    fn rays_meet_where_the_point_is_and_say_at_what_angle() {
+        let first = Se3::identity();
+        let second: Se3<Camera, World> =
+            Se3::new(UnitQuaternion::from_scaled_axis(Vector3::new(0.02, -0.1, 0.05)), Vector3::new(-0.5, 0.1, 0.05));
+        let point = Vector3::new(0.3, -0.2, 4.0);
+        let see = |pose: &Se3<Camera, World>| {
+            let p = pose.transform(&point);
+            Vector2::new(p.x / p.z, p.y / p.z)
+        };
+        let (found, angle) = triangulate(&first, &see(&first), &second, &see(&second)).unwrap();
+        assert!((found - point).norm() < 1e-9);
+        let centre = second.inverse().translation;
+        assert!((angle - point.angle(&(point - centre))).abs() < 1e-9);
+    }
+
+    #[test]
+    fn parallel_rays_and_points_behind_give_none() {
+        let first = Se3::identity();
+        let second: Se3<Camera, World> = Se3::new(UnitQuaternion::identity(), Vector3::new(-0.5, 0.0, 0.0));
+        let n = Vector2::new(0.1, 0.0);
+        assert!(triangulate(&first, &n, &second, &n).is_none());
+        // The rays diverge: they would meet behind the cameras.
+        assert!(triangulate(&first, &n, &second, &Vector2::new(0.3, 0.0)).is_none());
+        assert!(triangulate(&first, &n, &first, &n).is_none());
+    }
+
+    #[test]
+    fn a_keyframe_is_wanted_when_landmarks_run_out_or_the_view_has_changed() {
+        let config = ReconstructionConfig::default();
+        let plenty =
+            KeyframeInputs { frames_since_keyframe: 30, landmarks: 150, reference_landmarks: 160, parallax_deg: 0.5 };
+        assert!(!wants_keyframe(&plenty, &config));
+        assert!(wants_keyframe(&KeyframeInputs { landmarks: 80, ..plenty }, &config));
+        assert!(wants_keyframe(&KeyframeInputs { parallax_deg: 10.0, ..plenty }, &config));
+        let soon = KeyframeInputs { frames_since_keyframe: config.keyframe_gap_frames - 1, landmarks: 20, ..plenty };
+        assert!(!wants_keyframe(&soon, &config));
+    }
+}

@@ -1,0 +1,216 @@
+//! Local bundle adjustment as a job: built from a part of the map, run anywhere, merged later.
+//!
+//! The newest keyframe and its strongest covisible ones move, other observers of their landmarks hold them in place
+//! (Mur-Artal et al. 2015, section VI-D). What the map gained while the job ran is carried along by the motion of the
+//! newest adjusted keyframe.
+
+use nalgebra::{Matrix3, Vector2, Vector3};
+
+use super::bundle::{BundleCamera, BundleObservation, BundleOptions, BundleProblem, BundleReport};
+use super::config::ReconstructionConfig;
+use crate::geometry::frames::{Camera, World};
+use crate::geometry::{CameraModel, Se3};
+use crate::map::{KeyframeId, LandmarkId, Map};
+
+/// A piece of mapping work on a copy of a part of the map: a pure function of its input, so that it can run anywhere.
+#[derive(Debug)]
+pub struct MappingJob {
+    problem: BundleProblem,
+    options: BundleOptions,
+    keyframes: Vec<KeyframeId>,
+    landmarks: Vec<LandmarkId>,
+    /// Its motion carries along what was added after the job was built.
+    newest: usize,
+    before: Se3<Camera, World>,
+    next_keyframe: u32,
+    next_landmark: u32,
+}
+
+/// What a [`MappingJob`] gives back.
+#[derive(Debug)]
+pub struct MappingResult {
+    job: MappingJob,
+    pub report: BundleReport,
+}
+
+impl MappingJob {
+    /// The local problem around `newest`; `None` if it has nothing to move.
+    pub fn local(map: &Map, newest: KeyframeId, camera: &CameraModel, config: &ReconstructionConfig) -> Option<Self> {
+        let mut free = vec![newest];
+        free.extend(map.covisible(newest, 10, config.adjusted_keyframes.saturating_sub(1)).iter().map(|c| c.0));
+        free.sort_unstable();
+        let mut landmarks: Vec<LandmarkId> = Vec::new();
+        for &id in &free {
+            landmarks.extend(map.keyframe(id)?.observations.iter().map(|o| o.landmark));
+        }
+        landmarks.sort_unstable();
+        landmarks.dedup();
+        let mut votes: Vec<(KeyframeId, u32)> = Vec::new();
+        for &id in &landmarks {
+            for &k in &map.landmark(id)?.observers {
+                if free.binary_search(&k).is_err() {
+                    match votes.binary_search_by_key(&k, |v| v.0) {
+                        Ok(i) => votes[i].1 += 1,
+                        Err(i) => votes.insert(i, (k, 1)),
+                    }
+                }
+            }
+        }
+        votes.sort_by(|a, b| b.1.cmp(&a.1).then(b.0.cmp(&a.0)));
+        votes.truncate(config.fixed_keyframes);
+        let mut keyframes: Vec<(KeyframeId, bool)> =
+            free.iter().map(|&k| (k, false)).chain(votes.iter().map(|v| (v.0, true))).collect();
+        keyframes.sort_unstable();
+        if votes.is_empty() {
+            // Nobody outside holds the problem: the oldest does.
+            keyframes.first_mut()?.1 = true;
+        }
+        let options = BundleOptions { steps: [config.adjustment_steps; 2], ..BundleOptions::default() };
+        Self::build(map, &keyframes, landmarks, newest, camera, options)
+    }
+
+    /// The whole map, its first keyframe held.
+    pub fn whole(map: &Map, camera: &CameraModel, steps: usize) -> Option<Self> {
+        let mut keyframes: Vec<(KeyframeId, bool)> =
+            map.keyframes.iter().map(|(id, _)| (KeyframeId(id), false)).collect();
+        keyframes.first_mut()?.1 = true;
+        let newest = keyframes.last()?.0;
+        let landmarks = map.landmarks.iter().map(|(id, _)| LandmarkId(id)).collect();
+        let options = BundleOptions { steps: [steps; 2], relative_gain: 1e-5, ..BundleOptions::default() };
+        Self::build(map, &keyframes, landmarks, newest, camera, options)
+    }
+
+    fn build(
+        map: &Map,
+        keyframes: &[(KeyframeId, bool)],
+        mut landmarks: Vec<LandmarkId>,
+        newest: KeyframeId,
+        camera: &CameraModel,
+        options: BundleOptions,
+    ) -> Option<Self> {
+        let mut problem =
+            BundleProblem { focal_px: Vector2::new(camera.fx, camera.fy), first: vec![0], ..BundleProblem::default() };
+        for &(id, fixed) in keyframes {
+            problem.cameras.push(BundleCamera { camera_from_world: map.keyframe(id)?.camera_from_world, fixed });
+        }
+        landmarks.retain(|&id| {
+            let Some(landmark) = map.landmark(id) else { return false };
+            let begin = problem.observations.len();
+            for &k in &landmark.observers {
+                let Ok(index) = keyframes.binary_search_by_key(&k, |k| k.0) else { continue };
+                let Some(o) = map.keyframe(k).and_then(|k| k.observation(id)) else { continue };
+                problem.observations.push(BundleObservation {
+                    camera: index as u32,
+                    normalised: o.normalised,
+                    inv_sigma_px: o.inv_sigma_px,
+                });
+            }
+            if problem.observations.len() < begin + 2 {
+                problem.observations.truncate(begin);
+                return false;
+            }
+            problem.points.push(landmark.position);
+            problem.first.push(problem.observations.len() as u32);
+            true
+        });
+        let index = keyframes.binary_search_by_key(&newest, |k| k.0).ok()?;
+        Some(Self {
+            before: problem.cameras[index].camera_from_world,
+            problem,
+            options,
+            keyframes: keyframes.iter().map(|k| k.0).collect(),
+            landmarks,
+            newest: index,
+            next_keyframe: map.keyframes.next_id(),
+            next_landmark: map.landmarks.next_id(),
+        })
+    }
+
+    /// Bounded in iterations, not in time.
+    pub fn run(mut self) -> MappingResult {
+        let report = self.problem.adjust(&self.options);
+        MappingResult { job: self, report }
+    }
+}
+
+impl MappingResult {
+    /// Writes the result into the map. Returns `old_from_new`: how the newest adjusted keyframe's surroundings moved, to be
+    /// multiplied to the right of a `camera_from_world` that was estimated meanwhile.
+    pub fn merge(&self, map: &mut Map) -> Se3<World, World> {
+        let job = &self.job;
+        let after = job.problem.cameras[job.newest].camera_from_world;
+        let old_from_new: Se3<World, World> = job.before.inverse() * after;
+        let new_from_old = old_from_new.inverse();
+        for (&id, camera) in job.keyframes.iter().zip(&job.problem.cameras) {
+            if let Some(k) = map.keyframes.get_mut(id.0)
+                && !camera.fixed
+                && camera.camera_from_world.is_finite()
+            {
+                k.camera_from_world = camera.camera_from_world;
+            }
+        }
+        for (id, keyframe) in map.keyframes.iter_mut() {
+            if id >= job.next_keyframe {
+                keyframe.camera_from_world = keyframe.camera_from_world * old_from_new;
+            }
+        }
+        let mut outliers = Vec::new();
+        for (i, &id) in job.landmarks.iter().enumerate() {
+            let Some(landmark) = map.landmarks.get_mut(id.0) else { continue };
+            let point: Vector3<f64> = job.problem.points[i];
+            if !point.iter().all(|v| v.is_finite()) {
+                continue;
+            }
+            landmark.position = point;
+            let covariance: Matrix3<f64> = job.problem.point_covariances[i];
+            landmark.covariance = covariance;
+            for k in job.problem.first[i] as usize..job.problem.first[i + 1] as usize {
+                if !job.problem.inlier[k] {
+                    outliers.push((job.keyframes[job.problem.observations[k].camera as usize], id));
+                }
+            }
+        }
+        for (id, landmark) in map.landmarks.iter_mut() {
+            if id >= job.next_landmark {
+                landmark.position = new_from_old.transform(&landmark.position);
+            }
+        }
+        for (keyframe, landmark) in outliers {
+            map.remove_observation(keyframe, landmark);
+        }
+        map.revision += 1;
+        old_from_new
+    }
+
+    /// Landmarks of the job with at least two inlier observations.
+    pub fn supported_landmarks(&self) -> usize {
+        let p = &self.job.problem;
+        (0..p.points.len())
+            .filter(|&i| (p.first[i] as usize..p.first[i + 1] as usize).filter(|&k| p.inlier[k]).count() >= 2)
+            .count()
+    }
+}
+
+/// Who runs mapping jobs: a thread of the daemon's, or the caller itself. At most one job is under way.
+pub trait MappingWorker: Send {
+    /// Starts a job; never called while one is under way.
+    fn post(&mut self, job: MappingJob);
+    /// The result if there is one; with `wait`, blocks until it is there (`None` then only if no job is under way or the
+    /// worker died).
+    fn take(&mut self, wait: bool) -> Option<MappingResult>;
+}
+
+/// Runs every job at once in the calling thread.
+#[derive(Debug, Default)]
+pub struct InlineWorker {
+    result: Option<MappingResult>,
+}
+
+impl MappingWorker for InlineWorker {
+    fn post(&mut self, job: MappingJob) {
+        self.result = Some(job.run());
+    }
+    fn take(&mut self, _wait: bool) -> Option<MappingResult> {
+        self.result.take()
+    }
+}

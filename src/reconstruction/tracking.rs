@@ -1,0 +1,245 @@
+//! One frame against the map: predict, search by projection, optimise the pose.
+//!
+//! 1. *Prediction*: constant velocity, then corrected by the frame-to-frame tracks that are bound to landmarks (motion-only
+//!    optimisation): it follows any acceleration that the flow could follow.
+//! 2. *Search*: local landmarks are projected and aligned against keyframe templates ([`search`](super::search)).
+//! 3. *Optimisation*: robust, motion-only, over everything found; tracks whose template was not found (blur) help with a
+//!    smaller weight.
+//! 4. If that rests on too few landmarks: once more with a wide, coarse-to-fine search from each other guess that there is.
+//!
+//! Everything reads the map and writes only its own buffers.
+
+use nalgebra::{Matrix6, Vector2, Vector3};
+
+use super::bindings::{Bindings, Target};
+use super::config::ReconstructionConfig;
+use super::pose_optimisation::{PoseOptions, PosePair, PoseSolution, accumulate, jacobian_rows, optimise_pose};
+use super::search::{Match, Search, SearchOptions};
+use crate::features::FrameFeatures;
+use crate::geometry::frames::{Camera, World};
+use crate::geometry::{CameraModel, Se3};
+use crate::map::{KeyframeId, LandmarkId, Map};
+
+/// A frame that was placed in the map.
+#[derive(Debug, Clone, Copy)]
+pub struct Tracked {
+    pub camera_from_world: Se3<Camera, World>,
+    /// Inverse is the covariance of the left perturbation; landmarks' own uncertainty is in it.
+    pub information: Matrix6<f64>,
+    /// Landmarks that were found and agree.
+    pub landmarks: usize,
+    pub sought: usize,
+    pub rms_px: f64,
+}
+
+/// Buffers of tracking, kept between frames.
+#[derive(Debug, Default)]
+pub struct Tracker {
+    pub search: Search,
+    pairs: Vec<PosePair>,
+    inlier: Vec<bool>,
+    /// Landmarks of the bound tracks that agree with the prediction, with the track's place in the frame.
+    flow: Vec<(LandmarkId, PosePair)>,
+    local: Vec<LandmarkId>,
+    /// What `local` was made of.
+    local_of: Option<(KeyframeId, u64)>,
+    votes: Vec<(KeyframeId, u32)>,
+}
+
+/// Keyframes around the reference whose landmarks are looked for.
+const LOCAL_KEYFRAMES: usize = 20;
+/// Bound tracks that a prediction by flow must rest on.
+const MIN_FLOW: usize = 10;
+/// Standard deviation of a frame-to-frame track's position, px (drifts; templates do not).
+const FLOW_SIGMA_PX: f64 = 2.0;
+
+impl Tracker {
+    /// Places a frame. `guesses`: poses to start from, most likely first (constant velocity, last pose, ...).
+    pub fn track(
+        &mut self,
+        map: &Map,
+        bindings: &Bindings,
+        features: &FrameFeatures,
+        camera: &CameraModel,
+        config: &ReconstructionConfig,
+        reference: KeyframeId,
+        guesses: &[Se3<Camera, World>],
+    ) -> Option<Tracked> {
+        self.refresh_local(map, reference);
+        let focal = Vector2::new(camera.fx, camera.fy);
+        let by_flow =
+            guesses.iter().find_map(|guess| self.predict_by_flow(map, bindings, features, camera, focal, guess));
+        if let Some(pose) = by_flow
+            && let Some(tracked) = self.refine(map, features, camera, config, &pose, config.search_radius_px, 0)
+        {
+            return Some(tracked);
+        }
+        if by_flow.is_none() {
+            self.flow.clear();
+        }
+        by_flow
+            .iter()
+            .chain(guesses)
+            .find_map(|guess| self.refine(map, features, camera, config, guess, 4.0 * config.search_radius_px, 3))
+    }
+
+    /// The keyframe that shares most landmarks with the frame just tracked (ties: the newer).
+    pub fn best_reference(&mut self, map: &Map) -> Option<KeyframeId> {
+        self.votes.clear();
+        for m in self.search.matches.iter().filter(|m| m.inlier) {
+            let Some(landmark) = map.landmark(m.landmark) else { continue };
+            for &k in &landmark.observers {
+                match self.votes.binary_search_by_key(&k, |v| v.0) {
+                    Ok(i) => self.votes[i].1 += 1,
+                    Err(i) => self.votes.insert(i, (k, 1)),
+                }
+            }
+        }
+        self.votes.iter().max_by_key(|&&(k, n)| (n, k)).map(|v| v.0)
+    }
+
+    /// Inlier matches of the last tracked frame.
+    pub fn inliers(&self) -> impl Iterator<Item = &Match> {
+        self.search.matches.iter().filter(|m| m.inlier)
+    }
+
+    fn refresh_local(&mut self, map: &Map, reference: KeyframeId) {
+        if self.local_of == Some((reference, map.revision)) {
+            return;
+        }
+        self.local_of = Some((reference, map.revision));
+        self.local.clear();
+        let add = |id: KeyframeId, local: &mut Vec<LandmarkId>| {
+            if let Some(k) = map.keyframe(id) {
+                local.extend(k.observations.iter().map(|o| o.landmark));
+            }
+        };
+        add(reference, &mut self.local);
+        for (id, _) in map.covisible(reference, 5, LOCAL_KEYFRAMES) {
+            add(id, &mut self.local);
+        }
+        self.local.sort_unstable();
+        self.local.dedup();
+    }
+
+    /// Pose from the tracks that are bound to landmarks; `None` if too few of them agree.
+    fn predict_by_flow(
+        &mut self,
+        map: &Map,
+        bindings: &Bindings,
+        features: &FrameFeatures,
+        camera: &CameraModel,
+        focal: Vector2<f64>,
+        guess: &Se3<Camera, World>,
+    ) -> Option<Se3<Camera, World>> {
+        self.flow.clear();
+        self.pairs.clear();
+        for track in &features.tracks {
+            let Some(Target::Landmark(id)) = bindings.get(track.id) else { continue };
+            let Some(landmark) = map.landmark(*id) else { continue };
+            let Some(normalised) = camera.undistort(&track.position.cast()) else { continue };
+            let pair = PosePair { point: landmark.position, normalised, inv_sigma_px: 1.0 / FLOW_SIGMA_PX };
+            self.flow.push((*id, pair));
+            self.pairs.push(pair);
+        }
+        if self.pairs.len() < MIN_FLOW {
+            return None;
+        }
+        let options = PoseOptions { first_round_relaxation: 25.0, ..PoseOptions::default() };
+        let solution = optimise_pose(guess, &self.pairs, focal, &options, &mut self.inlier)?;
+        let mut flags = self.inlier.iter();
+        self.flow.retain(|_| flags.next().copied().unwrap_or(false));
+        (solution.inliers >= MIN_FLOW && 2 * solution.inliers >= self.pairs.len()).then_some(solution.camera_from_world)
+    }
+
+    /// Search at `guess` and optimise; a second search at the result when the first had to look widely.
+    #[allow(clippy::too_many_arguments)]
+    fn refine(
+        &mut self,
+        map: &Map,
+        features: &FrameFeatures,
+        camera: &CameraModel,
+        config: &ReconstructionConfig,
+        guess: &Se3<Camera, World>,
+        radius_px: f64,
+        coarse_levels: usize,
+    ) -> Option<Tracked> {
+        let mut options = SearchOptions {
+            radius_px,
+            coarse_levels,
+            limit: if coarse_levels > 0 { config.landmarks_per_frame / 2 } else { config.landmarks_per_frame },
+            sigma_px: config.sigma_px,
+        };
+        self.search.select(map, &self.local, camera, guess, config.landmarks_per_frame);
+        self.search.align(map, camera, guess, &features.pyramid, &options);
+        let mut solution = self.solve(camera, guess)?;
+        if coarse_levels > 0 {
+            options.limit = config.landmarks_per_frame;
+            options.coarse_levels = 0;
+            options.radius_px = config.search_radius_px;
+            self.search.select(map, &self.local, camera, &solution.camera_from_world, options.limit);
+            self.search.align(map, camera, &solution.camera_from_world, &features.pyramid, &options);
+            solution = self.solve(camera, &solution.camera_from_world)?;
+        }
+        let landmarks = self.search.matches.iter().filter(|m| m.inlier).count();
+        let sought = self.search.matches.len() + self.search.missed.len();
+        if landmarks < config.min_landmarks {
+            return None;
+        }
+        let information = self.information(map, camera, &solution);
+        Some(Tracked {
+            camera_from_world: solution.camera_from_world,
+            information,
+            landmarks,
+            sought,
+            rms_px: solution.rms_px,
+        })
+    }
+
+    /// Motion-only optimisation over the matches, and the flow of landmarks that were not matched.
+    fn solve(&mut self, camera: &CameraModel, start: &Se3<Camera, World>) -> Option<PoseSolution> {
+        self.pairs.clear();
+        for m in &self.search.matches {
+            self.pairs.push(PosePair { point: m.point, normalised: m.normalised, inv_sigma_px: m.inv_sigma_px });
+        }
+        let matched = self.pairs.len();
+        for (id, pair) in &self.flow {
+            if self.search.matches.binary_search_by_key(id, |m| m.landmark).is_err() {
+                self.pairs.push(*pair);
+            }
+        }
+        let focal = Vector2::new(camera.fx, camera.fy);
+        let solution = optimise_pose(start, &self.pairs, focal, &PoseOptions::default(), &mut self.inlier)?;
+        for (m, &ok) in self.search.matches.iter_mut().zip(&self.inlier[..matched]) {
+            m.inlier = ok;
+        }
+        Some(solution)
+    }
+
+    /// Information of the pose where every observation's covariance is `sigma^2 I + J_l P_l J_lᵀ`, P_l the landmark's own.
+    fn information(&self, map: &Map, camera: &CameraModel, solution: &PoseSolution) -> Matrix6<f64> {
+        let pose = &solution.camera_from_world;
+        let rotation = pose.rotation.to_rotation_matrix();
+        let mut h = Matrix6::zeros();
+        for m in self.search.matches.iter().filter(|m| m.inlier) {
+            let Some(landmark) = map.landmark(m.landmark) else { continue };
+            let p = pose.transform(&m.point);
+            if p.z < 1e-6 {
+                continue;
+            }
+            let (jx, jy) = jacobian_rows(&p, camera.fx, camera.fy);
+            let (ax, ay) = (Vector3::new(jx[3], jx[4], jx[5]), Vector3::new(jy[3], jy[4], jy[5]));
+            let own = rotation.matrix() * landmark.covariance * rotation.matrix().transpose();
+            let sigma2 = 1.0 / (m.inv_sigma_px * m.inv_sigma_px);
+            let (vx, vy) = (ax.dot(&(own * ax)), ay.dot(&(own * ay)));
+            if !(vx.is_finite() && vy.is_finite()) {
+                continue;
+            }
+            // The two rows are treated as independent: their cross term is small beside sigma^2.
+            let (wx, wy) = (1.0 / (sigma2 + vx), 1.0 / (sigma2 + vy));
+            accumulate(&mut h, &jx.map(|v| v * wx.sqrt()), &jy.map(|v| v * wy.sqrt()), 1.0);
+        }
+        h.fill_lower_triangle_with_upper_triangle();
+        h
+    }
+}

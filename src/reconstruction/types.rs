@@ -1,0 +1,109 @@
+//! What reconstruction tells the outside: poses, map snapshots, trajectory events, counters.
+
+use nalgebra::{Matrix6, Vector3};
+
+use crate::geometry::Se3;
+use crate::geometry::frames::{Camera, Keyframe, Odom, World};
+use crate::map::{KeyframeId, LandmarkId, MapId};
+
+/// State of tracking as published.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum TrackingState {
+    /// No map yet; no pose.
+    #[default]
+    Initializing,
+    /// The pose rests on landmarks seen in this frame.
+    Tracking,
+    /// There was a map and this frame could not be placed in it; no pose.
+    Lost,
+}
+
+/// One frame's outcome.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PoseEstimate {
+    pub sequence: u64,
+    pub timestamp_ns: i64,
+    pub arrival_ns: i64,
+    pub state: TrackingState,
+    /// Map pose; `None` unless tracking.
+    pub world_from_camera: Option<Se3<World, Camera>>,
+    /// Smooth pose, continuous within one reset counter; `None` unless tracking.
+    pub odom_from_camera: Option<Se3<Odom, Camera>>,
+    /// Keyframe that the covariance is relative to.
+    pub anchor: Option<KeyframeId>,
+    /// Covariance of the left perturbation of `camera_from_world` (tangent `[rotation rad, translation map units]` in the
+    /// camera's axes, [`Se3::perturb_left`]); NaN = unknown.
+    pub covariance: Matrix6<f64>,
+    /// Velocity of the camera in its own axes: angular (rad/s), linear (map units/s); NaN = unknown.
+    pub angular_velocity: Vector3<f64>,
+    pub linear_velocity: Vector3<f64>,
+    /// Landmarks seen in this frame that the pose rests on.
+    pub landmarks: u32,
+    /// Landmarks that were looked for in this frame.
+    pub landmarks_sought: u32,
+    /// 0 (none) to 1 (as good as it gets).
+    pub quality: f32,
+    pub map: MapId,
+    /// Counts re-initialisations and resets: poses across a change are unrelated.
+    pub reset_counter: u32,
+    /// This frame will become a keyframe.
+    pub keyframe: bool,
+}
+
+/// A frame's place in the map for the trajectory that is written at the end.
+#[derive(Debug, Clone, PartialEq)]
+pub enum TrajectoryEvent {
+    /// A frame was tracked (or solved afterwards): its pose relative to a keyframe, which later adjustments move.
+    Pose { timestamp_ns: i64, map: MapId, keyframe: KeyframeId, keyframe_from_camera: Se3<Keyframe, Camera> },
+    /// `keyframe` was culled; poses that refer to it now hang on `parent`.
+    KeyframeRemoved { keyframe: KeyframeId, parent: KeyframeId, parent_from_keyframe: Se3<Keyframe, Keyframe> },
+    /// Its map has ended; this is the keyframe's last pose.
+    KeyframeRetired { keyframe: KeyframeId, world_from_camera: Se3<World, Camera> },
+}
+
+/// A landmark as the outside sees it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LandmarkView {
+    pub id: LandmarkId,
+    pub position_world: Vector3<f64>,
+    /// One sigma along the line of sight, map units; NaN = unknown.
+    pub sigma: f32,
+    /// Keyframes that observe it.
+    pub observations: u32,
+}
+
+/// A keyframe as the outside sees it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct KeyframeView {
+    pub id: KeyframeId,
+    pub timestamp_ns: i64,
+    pub world_from_camera: Se3<World, Camera>,
+}
+
+/// The current map; buffers are reused by [`Reconstruction::snapshot`].
+#[derive(Debug, Clone, Default)]
+pub struct MapSnapshot {
+    pub map: MapId,
+    /// Grows with every change of the map.
+    pub revision: u64,
+    /// Ascending id.
+    pub landmarks: Vec<LandmarkView>,
+    /// Ascending id.
+    pub keyframes: Vec<KeyframeView>,
+}
+
+/// Counters since the start, for health and logs.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Counters {
+    pub frames: u64,
+    pub frames_tracked: u64,
+    pub keyframes_made: u64,
+    pub keyframes_culled: u64,
+    pub landmarks_made: u64,
+    pub landmarks_culled: u64,
+    pub adjustments: u64,
+    /// Adjustment results that came later than the configured number of frames (live only).
+    pub adjustments_late: u64,
+    pub resets: u64,
+    pub relocalisations: u64,
+}
