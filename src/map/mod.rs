@@ -197,13 +197,13 @@ impl Map {
         self.keyframes.remove(id.0)
     }
 
-    /// Covisible keyframes with at least `minimum` shared landmarks, strongest first (ties: newer first).
-    pub fn covisible(&self, id: KeyframeId, minimum: u32, limit: usize) -> Vec<(KeyframeId, u32)> {
-        let Some(keyframe) = self.keyframe(id) else { return Vec::new() };
-        let mut list: Vec<_> = keyframe.covisible.iter().copied().filter(|&(_, n)| n >= minimum).collect();
-        list.sort_by(|a, b| b.1.cmp(&a.1).then(b.0.cmp(&a.0)));
-        list.truncate(limit);
-        list
+    /// Covisible keyframes with at least `minimum` shared landmarks, strongest first (ties: newer first), into `out`.
+    pub fn covisible(&self, id: KeyframeId, minimum: u32, limit: usize, out: &mut Vec<(KeyframeId, u32)>) {
+        out.clear();
+        let Some(keyframe) = self.keyframe(id) else { return };
+        out.extend(keyframe.covisible.iter().filter(|c| c.1 >= minimum));
+        out.sort_unstable_by(|a, b| b.1.cmp(&a.1).then(b.0.cmp(&a.0)));
+        out.truncate(limit);
     }
 
     /// Forgets everything; ids go on.

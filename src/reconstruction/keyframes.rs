@@ -338,7 +338,9 @@ pub fn cull_keyframes(
     events: &mut Vec<TrajectoryEvent>,
 ) -> u64 {
     let mut culled = 0;
-    for (id, _) in map.covisible(newest, 1, usize::MAX) {
+    let mut around = Vec::new();
+    map.covisible(newest, 1, usize::MAX, &mut around);
+    for (id, _) in around {
         // The newest ones are still being connected.
         if id.0 + 3 > newest.0 {
             continue;
@@ -360,7 +362,9 @@ pub fn cull_keyframes(
 
 /// Removes a keyframe and hangs the trajectory that refers to it on its most covisible neighbour.
 fn remove(map: &mut Map, id: KeyframeId, events: &mut Vec<TrajectoryEvent>) -> bool {
-    let Some(&(parent, _)) = map.covisible(id, 1, 1).first() else { return false };
+    let mut strongest = Vec::new();
+    map.covisible(id, 1, 1, &mut strongest);
+    let Some(&(parent, _)) = strongest.first() else { return false };
     let (Some(k), Some(p)) = (map.keyframe(id), map.keyframe(parent)) else { return false };
     let parent_from_keyframe: Se3<KeyframeFrame, KeyframeFrame> =
         (p.camera_from_world * k.camera_from_world.inverse()).relabel();

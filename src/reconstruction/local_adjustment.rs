@@ -36,8 +36,9 @@ pub struct MappingResult {
 impl MappingJob {
     /// The local problem around `newest`; `None` if it has nothing to move.
     pub fn local(map: &Map, newest: KeyframeId, camera: &CameraModel, config: &ReconstructionConfig) -> Option<Self> {
-        let mut free = vec![newest];
-        free.extend(map.covisible(newest, 10, config.adjusted_keyframes.saturating_sub(1)).iter().map(|c| c.0));
+        let mut around = Vec::new();
+        map.covisible(newest, 10, config.adjusted_keyframes.saturating_sub(1), &mut around);
+        let mut free: Vec<KeyframeId> = around.iter().map(|c| c.0).chain([newest]).collect();
         free.sort_unstable();
         let mut landmarks: Vec<LandmarkId> = Vec::new();
         for &id in &free {

@@ -68,18 +68,12 @@ pub struct Reconstruction {
     job_posted: Option<u64>,
     /// Newest keyframe that no adjustment has seen yet.
     unadjusted: Option<KeyframeId>,
-    /// The tracked frame that `map` still has to look at.
-    pending: Option<Pending>,
+    /// Pose of the frame just tracked, if it becomes a keyframe.
+    pending: Option<Se3<Camera, World>>,
     events: Vec<TrajectoryEvent>,
     counters: Counters,
     inliers: Vec<Match>,
     angles: Vec<f64>,
-}
-
-struct Pending {
-    features: FrameFeatures,
-    camera_from_world: Se3<Camera, World>,
-    keyframe: bool,
 }
 
 impl Reconstruction {
@@ -123,7 +117,6 @@ impl Reconstruction {
         self.frame += 1;
         self.counters.frames += 1;
         self.pending = None;
-        self.merge_adjustment(false);
         self.bindings.retain_living(&features.tracks);
         if self.state == TrackingState::Initializing {
             return self.try_start(features);
@@ -219,7 +212,7 @@ impl Reconstruction {
         self.last = Some(LastFrame { timestamp_ns: features.timestamp_ns, camera_from_world: pose, motion });
         let keyframe = self.decide_keyframe(&pose);
         self.record_pose(features.timestamp_ns, &pose);
-        self.pending = Some(Pending { features: features.clone(), camera_from_world: pose, keyframe });
+        self.pending = keyframe.then_some(pose);
         self.estimate_tracked(features, tracked, motion.as_ref(), keyframe)
     }
 
@@ -258,16 +251,15 @@ impl Reconstruction {
         });
     }
 
-    /// Keyframe work for the frame just tracked, after its pose was published.
-    pub fn map(&mut self, feedback: &mut Feedback) {
+    /// Keyframe work for the frame just tracked (the same `features`), after its pose was published.
+    pub fn map(&mut self, features: &FrameFeatures, feedback: &mut Feedback) {
+        feedback.sequence = features.sequence;
         feedback.forget.clear();
-        if let Some(pending) = self.pending.take() {
-            feedback.sequence = pending.features.sequence;
-            if pending.keyframe {
-                self.insert_keyframe(&pending, feedback);
-            }
+        if let Some(pose) = self.pending.take() {
+            self.insert_keyframe(features, pose, feedback);
+            feedback.forget.sort_unstable();
         }
-        feedback.forget.sort_unstable();
+        self.merge_adjustment(false);
         if let Some(newest) = self.unadjusted
             && self.job_posted.is_none()
         {
@@ -279,13 +271,8 @@ impl Reconstruction {
         }
     }
 
-    fn insert_keyframe(&mut self, pending: &Pending, feedback: &mut Feedback) {
-        let new = NewKeyframe {
-            features: &pending.features,
-            camera_from_world: pending.camera_from_world,
-            map_id: self.map_id,
-            matches: &self.inliers,
-        };
+    fn insert_keyframe(&mut self, features: &FrameFeatures, pose: Se3<Camera, World>, feedback: &mut Feedback) {
+        let new = NewKeyframe { features, camera_from_world: pose, map_id: self.map_id, matches: &self.inliers };
         let before = self.map.landmarks.len();
         let id =
             keyframes::insert_keyframe(&mut self.map, &mut self.bindings, &new, &self.camera, &self.config, feedback);

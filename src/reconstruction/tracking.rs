@@ -109,14 +109,12 @@ impl Tracker {
         }
         self.local_of = Some((reference, map.revision));
         self.local.clear();
-        let add = |id: KeyframeId, local: &mut Vec<LandmarkId>| {
+        map.covisible(reference, 5, LOCAL_KEYFRAMES, &mut self.votes);
+        self.votes.push((reference, 0));
+        for &(id, _) in &self.votes {
             if let Some(k) = map.keyframe(id) {
-                local.extend(k.observations.iter().map(|o| o.landmark));
+                self.local.extend(k.observations.iter().map(|o| o.landmark));
             }
-        };
-        add(reference, &mut self.local);
-        for (id, _) in map.covisible(reference, 5, LOCAL_KEYFRAMES) {
-            add(id, &mut self.local);
         }
         self.local.sort_unstable();
         self.local.dedup();
