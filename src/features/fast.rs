@@ -18,26 +18,6 @@ use crate::image::GreyImage;
 /// Radius of the ring, pixels; corners are at least this far from the picture's edge.
 pub const RING_RADIUS: usize = 3;
 
-/// The ring, clockwise from above the centre: (dx, dy + 3), so that the second is an index into seven rows.
-const RING: [(usize, usize); 16] = [
-    (3, 0),
-    (4, 0),
-    (5, 1),
-    (6, 2),
-    (6, 3),
-    (6, 4),
-    (5, 5),
-    (4, 6),
-    (3, 6),
-    (2, 6),
-    (1, 5),
-    (0, 4),
-    (0, 3),
-    (0, 2),
-    (1, 1),
-    (2, 0),
-];
-
 /// Pixels scored at a time.
 const BLOCK: usize = 32;
 
@@ -52,14 +32,12 @@ type Rows<'a> = [&'a [u8]; 7];
 pub struct FastDetector {
     /// Scores of the last three rows, by y modulo 3; 0 = no corner, otherwise response + 1.
     scores: [Vec<u8>; 3],
-    /// Which pixels of those rows were scored at all.
+    /// Which blocks of those rows were scored at all; block k begins at pixel `RING_RADIUS + k * BLOCK`.
     scored: [Vec<bool>; 3],
     /// Threshold of each pixel's own cell, or [`UNWANTED`].
     own: Vec<u8>,
     /// Lowest threshold of the cells whose corners have this pixel as a neighbour.
     halo: Vec<u8>,
-    /// Which pixels of a row survive the suppression.
-    kept: Vec<u8>,
 }
 
 impl FastDetector {
@@ -76,7 +54,9 @@ impl FastDetector {
 
     /// Sets `own` for row `y`.
     fn fill_own(&mut self, cells: &CellGrid, y: usize) {
-        fill_thresholds(cells, y, &mut self.own);
+        let (picture, margin) = self.own.split_at_mut(self.halo.len());
+        margin.fill(UNWANTED);
+        fill_thresholds(cells, y, picture);
     }
 
     /// Sets `halo` for row `y`: each wanted cell's threshold, spread by one pixel to every side.
@@ -101,23 +81,22 @@ impl FastDetector {
 
     /// Appends the corners of row `y`; scores of rows y - 1 .. y + 1 are in the ring buffer.
     fn suppress_row(&mut self, y: usize, out: &mut Vec<Corner>) {
-        let width = self.own.len();
-        let [above, row, below] = [(y + 2) % 3, y % 3, (y + 1) % 3];
-        let (begin, end) = (RING_RADIUS, width - RING_RADIUS);
-        let mut x = begin;
-        while x < end {
-            let n = BLOCK.min(end - x);
-            if self.scored[row][x..x + n].iter().any(|&s| s) {
-                let s = &self.scores;
-                let neighbours = [&s[above][x - 1..], &s[row][x - 1..], &s[below][x - 1..]];
-                let kept = &mut self.kept[..n];
-                keep_maxima(neighbours, &self.own[x..x + n], kept);
-                for (i, _) in kept.iter().enumerate().filter(|(_, k)| **k != 0) {
-                    let response = f32::from(s[row][x + i] - 1);
-                    out.push(Corner { x: (x + i) as f32, y: y as f32, response });
+        let s = &self.scores;
+        let [above, row, below] = [&s[(y + 2) % 3], &s[y % 3], &s[(y + 1) % 3]];
+        for (block, _) in self.scored[y % 3].iter().enumerate().filter(|(_, scored)| **scored) {
+            // The buffers go on for a block past the picture's edge, where nothing is wanted.
+            let x = RING_RADIUS + block * BLOCK;
+            let mut kept = [0; BLOCK];
+            keep_maxima([above, row, below].map(|s| window(s, x - 1)), window(&self.own, x), &mut kept);
+            for (chunk, bytes) in kept.chunks_exact(8).enumerate() {
+                let mut bits = u64::from_le_bytes(std::array::from_fn(|i| bytes[i]));
+                while bits != 0 {
+                    let i = bits.trailing_zeros() as usize / 8;
+                    bits &= !(0xff << (8 * i));
+                    let x = x + 8 * chunk + i;
+                    out.push(Corner { x: x as f32, y: y as f32, response: f32::from(row[x] - 1) });
                 }
             }
-            x += n;
         }
     }
 }
@@ -129,15 +108,15 @@ impl CornerDetector for FastDetector {
         if width <= 2 * RING_RADIUS || height <= 2 * RING_RADIUS {
             return;
         }
-        for buffer in self.scores.iter_mut().chain([&mut self.own, &mut self.halo]) {
+        for buffer in self.scores.iter_mut().chain([&mut self.own]) {
             buffer.clear();
-            buffer.resize(width, 0);
+            buffer.resize(width + BLOCK, 0);
         }
+        self.halo.resize(width, UNWANTED);
         for flags in &mut self.scored {
             flags.clear();
-            flags.resize(width, false);
+            flags.resize(width / BLOCK + 1, false);
         }
-        self.kept.resize(BLOCK, 0);
         let last = height - RING_RADIUS;
         // One row past the last that can hold corners: it scores nothing, so that its neighbour above can be finished.
         for y in RING_RADIUS..=last {
@@ -187,7 +166,7 @@ pub(super) fn fill_thresholds(cells: &CellGrid, y: usize, own: &mut [u8]) {
 }
 
 simd_kernel! {
-    /// Scores the pixels of a row that may be corners above `thresholds`; marks them in `scored`.
+    /// Scores the pixels of a row that may be corners above `thresholds`; marks their blocks in `scored`.
     fn score_row(rows: &Rows, thresholds: &[u8], scores: &mut [u8], scored: &mut [bool]) = score_row_body
 }
 
@@ -196,26 +175,45 @@ fn score_row_body(rows: &Rows, thresholds: &[u8], scores: &mut [u8], scored: &mu
     let end = thresholds.len() - RING_RADIUS;
     let mut x = RING_RADIUS;
     while x + BLOCK <= end {
-        score_block::<BLOCK>(rows, x, thresholds, scores, scored);
+        scored[(x - RING_RADIUS) / BLOCK] |= score_block::<BLOCK>(rows, x, thresholds, scores);
         x += BLOCK;
     }
     if x < end && end >= RING_RADIUS + BLOCK {
-        // The last, overlapping block: scoring a pixel again gives the same.
-        score_block::<BLOCK>(rows, end - BLOCK, thresholds, scores, scored);
+        // The last block reaches back: scoring a pixel again gives the same.
+        scored[(x - RING_RADIUS) / BLOCK] |= score_block::<BLOCK>(rows, end - BLOCK, thresholds, scores);
         x = end;
     }
     while x < end {
-        score_block::<1>(rows, x, thresholds, scores, scored);
+        scored[(x - RING_RADIUS) / BLOCK] |= score_block::<1>(rows, x, thresholds, scores);
         x += 1;
     }
 }
 
-/// Scores `N` pixels from `x` on when one of them passes the quick test.
+/// Scores `N` pixels from `x` on when one of them passes the quick test; says whether it did.
 #[inline(always)]
-fn score_block<const N: usize>(rows: &Rows, x: usize, t: &[u8], scores: &mut [u8], scored: &mut [bool]) {
-    let ring: [&[u8; N]; 16] = std::array::from_fn(|i| window(rows[RING[i].1], x - RING_RADIUS + RING[i].0));
-    let centre: &[u8; N] = window(rows[RING_RADIUS], x);
-    let t: &[u8; N] = window(t, x);
+fn score_block<const N: usize>(rows: &Rows, x: usize, t: &[u8], scores: &mut [u8]) -> bool {
+    let rows = rows.map(|row| &row[x - RING_RADIUS..x + RING_RADIUS + N]);
+    let at = |dx: usize, dy: usize| window::<N>(rows[dy], dx);
+    // Clockwise from above the centre, which is at (3, 3).
+    let ring: [&[u8; N]; 16] = [
+        at(3, 0),
+        at(4, 0),
+        at(5, 1),
+        at(6, 2),
+        at(6, 3),
+        at(6, 4),
+        at(5, 5),
+        at(4, 6),
+        at(3, 6),
+        at(2, 6),
+        at(1, 5),
+        at(0, 4),
+        at(0, 3),
+        at(0, 2),
+        at(1, 1),
+        at(2, 0),
+    ];
+    let (centre, t) = (at(3, 3), window::<N>(t, x));
     // An arc of nine holds at least one of every two opposite pixels: four such pairs must agree.
     let mut excess = [0u8; N];
     for i in 0..N {
@@ -229,15 +227,15 @@ fn score_block<const N: usize>(rows: &Rows, x: usize, t: &[u8], scores: &mut [u8
         excess[i] = m.saturating_sub(t[i]);
     }
     if excess.iter().fold(0, |a, e| a | e) == 0 {
-        return;
+        return false;
     }
-    let Some(scores) = scores[x..].first_chunk_mut::<N>() else { return };
+    let Some(scores) = scores[x..].first_chunk_mut::<N>() else { return false };
     for i in 0..N {
         let p: [u8; 16] = std::array::from_fn(|k| ring[k][i]);
         let (bright, dark) = arc_extremes(&p);
         scores[i] = bright.saturating_sub(centre[i]).max(centre[i].saturating_sub(dark));
     }
-    scored[x..x + N].fill(true);
+    true
 }
 
 /// (max over the arcs of the arc's minimum, min over the arcs of the arc's maximum), arcs of nine on a ring of 16.
@@ -261,21 +259,19 @@ fn arc_extremes(p: &[u8; 16]) -> (u8, u8) {
 }
 
 simd_kernel! {
-    /// `kept[i]` = 255 where the middle row's pixel i + 1 is above its threshold and its eight neighbours.
+    /// `kept[i]` is not 0 where the middle row's pixel i + 1 is above its threshold and its eight neighbours.
     /// Of equal neighbours the first in raster order wins.
-    fn keep_maxima(rows: [&[u8]; 3], thresholds: &[u8], kept: &mut [u8]) = keep_maxima_body
+    fn keep_maxima(rows: [&[u8; BLOCK + 2]; 3], thresholds: &[u8; BLOCK], kept: &mut [u8; BLOCK]) = keep_maxima_body
 }
 
 #[inline(always)]
-fn keep_maxima_body(rows: [&[u8]; 3], thresholds: &[u8], kept: &mut [u8]) {
-    let n = kept.len();
-    let [a, r, b] = rows.map(|row| &row[..n + 2]);
-    let thresholds = &thresholds[..n];
-    for i in 0..n {
+fn keep_maxima_body(rows: [&[u8; BLOCK + 2]; 3], thresholds: &[u8; BLOCK], kept: &mut [u8; BLOCK]) {
+    let [a, r, b] = rows;
+    for i in 0..BLOCK {
         let before = a[i].max(a[i + 1]).max(a[i + 2]).max(r[i]);
         let after = r[i + 2].max(b[i]).max(b[i + 1]).max(b[i + 2]);
-        let s = r[i + 1];
-        kept[i] = if (s > before.max(thresholds[i])) & (s >= after) { 255 } else { 0 };
+        // s >= after is s > after - 1, and s > 0 follows from s > threshold.
+        kept[i] = r[i + 1].saturating_sub(before.max(after.saturating_sub(1)).max(thresholds[i]));
     }
 }
 

@@ -143,14 +143,15 @@ proptest! {
         let rows: Rows = std::array::from_fn(|i| image.row(i));
         let thresholds = vec![threshold; width];
         let run = |f: fn(&Rows, &[u8], &mut [u8], &mut [bool])| {
-            let (mut scores, mut scored) = (vec![0; width], vec![false; width]);
+            let (mut scores, mut scored) = (vec![0; width], vec![false; width / BLOCK + 1]);
             f(&rows, &thresholds, &mut scores, &mut scored);
             (scores, scored)
         };
         prop_assert_eq!(run(|r, t, s, m| score_row(r, t, s, m)), run(|r, t, s, m| score_row_body(r, t, s, m)));
-        let run = |f: fn([&[u8]; 3], &[u8], &mut [u8])| {
-            let mut kept = vec![0; width - 2];
-            f([image.row(0), image.row(1), image.row(2)], &thresholds, &mut kept);
+        let run = |f: fn([&[u8; BLOCK + 2]; 3], &[u8; BLOCK], &mut [u8; BLOCK])| {
+            let mut kept = [0; BLOCK];
+            let image = blocky(BLOCK + 2, 3, seed);
+            f([0, 1, 2].map(|y| window(image.row(y), 0)), &[threshold; BLOCK], &mut kept);
             kept
         };
         prop_assert_eq!(run(|r, t, k| keep_maxima(r, t, k)), run(|r, t, k| keep_maxima_body(r, t, k)));
