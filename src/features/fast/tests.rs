@@ -147,13 +147,13 @@ proptest! {
             f(&rows, &thresholds, &mut scores, &mut scored);
             (scores, scored)
         };
-        prop_assert_eq!(run(|r, t, s, m| score_row(r, t, s, m)), run(|r, t, s, m| score_row_body(r, t, s, m)));
+        prop_assert_eq!(run(score_row), run(score_row_body));
         let run = |f: fn([&[u8; BLOCK + 2]; 3], &[u8; BLOCK], &mut [u8; BLOCK])| {
             let mut kept = [0; BLOCK];
             let image = blocky(BLOCK + 2, 3, seed);
             f([0, 1, 2].map(|y| window(image.row(y), 0)), &[threshold; BLOCK], &mut kept);
             kept
         };
-        prop_assert_eq!(run(|r, t, k| keep_maxima(r, t, k)), run(|r, t, k| keep_maxima_body(r, t, k)));
+        prop_assert_eq!(run(keep_maxima), run(keep_maxima_body));
     }
 }
