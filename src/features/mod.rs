@@ -1,6 +1,8 @@
 //! Map-free work on one picture: pyramid, corners, descriptors, frame-to-frame tracks. Knows no map.
 
 pub mod alignment;
+mod dispatch;
+pub mod fast;
 
 use std::sync::Arc;
 
