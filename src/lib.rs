@@ -15,6 +15,8 @@
 pub mod messages;
 
 #[cfg(feature = "daemon")]
+pub mod atomic_file;
+#[cfg(feature = "daemon")]
 pub mod camera;
 #[cfg(feature = "daemon")]
 pub mod cli;
@@ -30,3 +32,5 @@ pub mod image;
 pub mod map;
 #[cfg(feature = "daemon")]
 pub mod reconstruction;
+#[cfg(feature = "daemon")]
+pub mod trajectory;
