@@ -21,6 +21,8 @@ pub mod camera;
 #[cfg(feature = "daemon")]
 pub mod cli;
 #[cfg(feature = "daemon")]
+pub mod evaluation;
+#[cfg(feature = "daemon")]
 pub mod features;
 #[cfg(feature = "daemon")]
 pub mod frame;
