@@ -15,9 +15,13 @@
 pub mod messages;
 
 #[cfg(feature = "daemon")]
+pub mod atomic_file;
+#[cfg(feature = "daemon")]
 pub mod camera;
 #[cfg(feature = "daemon")]
 pub mod cli;
+#[cfg(feature = "daemon")]
+pub mod evaluation;
 #[cfg(feature = "daemon")]
 pub mod features;
 #[cfg(feature = "daemon")]
@@ -30,3 +34,5 @@ pub mod image;
 pub mod map;
 #[cfg(feature = "daemon")]
 pub mod reconstruction;
+#[cfg(feature = "daemon")]
+pub mod trajectory;

@@ -1,0 +1,373 @@
+//! Spools: a run's poses on disk while it lasts, a TUM file at its end.
+//!
+//! Input: [`TrajectoryEvent`]s (pose relative to a keyframe, 80 bytes each) or published poses, as they come. Output: one
+//! TUM file of the largest map. A frame's pose is `world_from_keyframe * keyframe_from_camera` with the keyframe as the
+//! map knows it at the end; a keyframe that was removed hands its frames to its parent, however often.
+//!
+//! Memory does not grow while recording: a 64 KiB buffer over a temporary file that has no name any more once it is open,
+//! so nothing is left behind however the process ends. 30 frames a second are 8.6 MB of disk an hour; the file stops
+//! growing at [`MAX_SPOOL_BYTES`], and what is lost then, or to a full disk, is counted. Writing takes 16 bytes a pose
+//! and about 1.5 us a pose (an hour at 30 Hz: 0.2 s); it can be repeated, so a full disk costs nothing but another path.
+//!
+//! Deliberately not here: joining maps, filling gaps.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io;
+use std::os::unix::fs::FileExt;
+use std::path::Path;
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+
+use super::{TrajectoryError, write_tum_line};
+use crate::atomic_file::{create_unique, write_atomically};
+use crate::geometry::Se3;
+use crate::geometry::frames::{Camera, Keyframe, World};
+use crate::map::{KeyframeId, MapId};
+use crate::reconstruction::{PoseEstimate, TrackingState, TrajectoryEvent};
+
+/// Size at which a spool stops growing: 41 days at 30 frames a second.
+pub const MAX_SPOOL_BYTES: u64 = 8 << 30;
+const RECORD_BYTES: usize = 80;
+const BUFFER_RECORDS: usize = 819;
+
+/// What writing a trajectory came to.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct TrajectorySummary {
+    /// Lines in the file.
+    pub poses_written: u64,
+    /// The map that they belong to: the one with the most poses, the earliest of several.
+    pub map: Option<MapId>,
+    /// Maps that were left out, and their poses.
+    pub other_maps: u64,
+    pub poses_in_other_maps: u64,
+    /// Poses replaced by a later one of the same timestamp.
+    pub poses_replaced: u64,
+    /// Poses of the map whose keyframe is not known.
+    pub poses_unresolved: u64,
+    /// Events that could not be recorded (disk full, spool at its limit).
+    pub events_lost: u64,
+}
+
+/// The trajectory as the map knows it at the end.
+#[derive(Debug)]
+pub struct TrajectorySpool {
+    records: RecordFile,
+}
+
+impl TrajectorySpool {
+    /// `directory`: where the temporary file goes; choose the output's own folder, since `/tmp` may be memory.
+    pub fn create(directory: &Path) -> Result<Self, TrajectoryError> {
+        Ok(Self { records: RecordFile::create(directory)? })
+    }
+
+    /// Takes one event. An error means that events were lost (they are counted); recording may go on.
+    pub fn record(&mut self, event: &TrajectoryEvent) -> Result<(), TrajectoryError> {
+        self.records.push(event)
+    }
+
+    /// Writes the largest map's poses in ascending time. `keyframe_poses`: every keyframe that still exists. Can be called
+    /// again (another path after a full disk; later, with more events).
+    pub fn write_tum(
+        &mut self,
+        path: &Path,
+        keyframe_poses: &[(KeyframeId, Se3<World, Camera>)],
+    ) -> Result<TrajectorySummary, TrajectoryError> {
+        let mut moved = BTreeMap::new();
+        self.records.for_each(|_, event| {
+            if let TrajectoryEvent::KeyframeRemoved { keyframe, parent, parent_from_keyframe } = event {
+                moved.insert(keyframe, (parent, parent_from_keyframe));
+            }
+        })?;
+        // A keyframe's frame is its camera's.
+        let mut known: BTreeMap<KeyframeId, Option<Se3<World, Keyframe>>> =
+            keyframe_poses.iter().map(|(id, pose)| (*id, Some(pose.relabel()))).collect();
+        let resolve = |keyframe: KeyframeId, keyframe_from_camera: Se3<Keyframe, Camera>| {
+            world_from_keyframe(keyframe, &mut known, &moved).map(|w| w * keyframe_from_camera)
+        };
+        self.records.write_largest(path, resolve)
+    }
+}
+
+/// Follows removed keyframes to one that exists. Every step of a chain is remembered, so that all chains together cost
+/// one step a keyframe; a loop or an end in nothing is `None`.
+fn world_from_keyframe(
+    keyframe: KeyframeId,
+    known: &mut BTreeMap<KeyframeId, Option<Se3<World, Keyframe>>>,
+    moved: &BTreeMap<KeyframeId, (KeyframeId, Se3<Keyframe, Keyframe>)>,
+) -> Option<Se3<World, Keyframe>> {
+    let mut chain = Vec::new();
+    let mut at = keyframe;
+    let mut world_from_at = loop {
+        if let Some(pose) = known.get(&at) {
+            break *pose;
+        }
+        match moved.get(&at) {
+            Some((parent, parent_from_at)) if chain.len() <= moved.len() => {
+                chain.push((at, *parent_from_at));
+                at = *parent;
+            }
+            _ => break None,
+        }
+    };
+    for (id, parent_from_id) in chain.into_iter().rev() {
+        world_from_at = world_from_at.map(|w| w * parent_from_id);
+        known.insert(id, world_from_at);
+    }
+    world_from_at
+}
+
+/// The trajectory as it was published: the map pose of every tracked frame at its time.
+#[derive(Debug)]
+pub struct LiveTrajectory {
+    records: RecordFile,
+}
+
+impl LiveTrajectory {
+    /// See [`TrajectorySpool::create`].
+    pub fn create(directory: &Path) -> Result<Self, TrajectoryError> {
+        Ok(Self { records: RecordFile::create(directory)? })
+    }
+
+    /// Takes what was published for a frame; frames without a pose are skipped.
+    pub fn record(&mut self, estimate: &PoseEstimate) -> Result<(), TrajectoryError> {
+        match estimate.world_from_camera {
+            Some(pose) if estimate.state == TrackingState::Tracking => {
+                self.records.push(&TrajectoryEvent::Pose {
+                    timestamp_ns: estimate.timestamp_ns,
+                    map: estimate.map,
+                    keyframe: KeyframeId::default(),
+                    // Stored in the place of a relative pose and read back as what it is.
+                    keyframe_from_camera: pose.relabel(),
+                })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Writes the poses of the map that most of them were published in (poses of different maps are unrelated).
+    pub fn write_tum(&mut self, path: &Path) -> Result<TrajectorySummary, TrajectoryError> {
+        self.records.write_largest(path, |_, pose| Some(pose.relabel()))
+    }
+}
+
+/// Append-only file of fixed-size records without a name in the file system.
+#[derive(Debug)]
+struct RecordFile {
+    file: File,
+    directory: String,
+    buffer: Vec<u8>,
+    written_bytes: u64,
+    limit_bytes: u64,
+    lost: u64,
+}
+
+impl RecordFile {
+    fn create(directory: &Path) -> Result<Self, TrajectoryError> {
+        // An output path without a folder has the empty path as its parent.
+        let directory = if directory.as_os_str().is_empty() { Path::new(".") } else { directory };
+        let named = |source| TrajectoryError::Spool { directory: directory.display().to_string(), source };
+        let (file, path) = create_unique(directory, ".cairn-spool", true).map_err(named)?;
+        std::fs::remove_file(&path).map_err(named)?;
+        Ok(Self {
+            file,
+            directory: directory.display().to_string(),
+            buffer: Vec::with_capacity(BUFFER_RECORDS * RECORD_BYTES),
+            written_bytes: 0,
+            limit_bytes: MAX_SPOOL_BYTES,
+            lost: 0,
+        })
+    }
+
+    fn error(&self, source: io::Error) -> TrajectoryError {
+        TrajectoryError::Spool { directory: self.directory.clone(), source }
+    }
+
+    fn push(&mut self, event: &TrajectoryEvent) -> Result<(), TrajectoryError> {
+        self.buffer.extend_from_slice(&encode(event));
+        if self.buffer.len() < BUFFER_RECORDS * RECORD_BYTES { Ok(()) } else { self.flush() }
+    }
+
+    /// Moves the buffer to the file, or counts its records as lost: the file always ends with a whole record.
+    fn flush(&mut self) -> Result<(), TrajectoryError> {
+        let bytes = self.buffer.len() as u64;
+        let outcome = if self.written_bytes + bytes > self.limit_bytes {
+            Err(io::Error::other(format!("limit of {} bytes reached", self.limit_bytes)))
+        } else {
+            self.file.write_all_at(&self.buffer, self.written_bytes)
+        };
+        match outcome {
+            Ok(()) => self.written_bytes += bytes,
+            Err(_) => self.lost += bytes / RECORD_BYTES as u64,
+        }
+        self.buffer.clear();
+        outcome.map_err(|source| self.error(source))
+    }
+
+    /// Calls `each` with every record and its number, oldest first.
+    fn for_each(&mut self, mut each: impl FnMut(u32, TrajectoryEvent)) -> Result<(), TrajectoryError> {
+        // Lost records are in the summary; what was recorded is still worth writing.
+        let _ = self.flush();
+        let mut block = vec![0; BUFFER_RECORDS * RECORD_BYTES];
+        let (mut at, mut number) = (0, 0);
+        while at < self.written_bytes {
+            let bytes = ((self.written_bytes - at) as usize).min(block.len());
+            self.file.read_exact_at(&mut block[..bytes], at).map_err(|e| self.error(e))?;
+            for record in block[..bytes].chunks_exact(RECORD_BYTES) {
+                if let Some(event) = decode(record) {
+                    each(number, event);
+                }
+                number += 1;
+            }
+            at += bytes as u64;
+        }
+        Ok(())
+    }
+
+    /// Writes the map with the most poses that `resolve` can place.
+    fn write_largest(
+        &mut self,
+        path: &Path,
+        mut resolve: impl FnMut(KeyframeId, Se3<Keyframe, Camera>) -> Option<Se3<World, Camera>>,
+    ) -> Result<TrajectorySummary, TrajectoryError> {
+        let mut poses_of_map = BTreeMap::<MapId, u64>::new();
+        self.for_each(|_, event| {
+            if let TrajectoryEvent::Pose { map, .. } = event {
+                *poses_of_map.entry(map).or_default() += 1;
+            }
+        })?;
+        let mut summary = TrajectorySummary { events_lost: self.lost, ..Default::default() };
+        let largest = poses_of_map.iter().max_by_key(|(map, poses)| (**poses, std::cmp::Reverse(**map)));
+        summary.map = largest.map(|(map, _)| *map);
+        summary.other_maps = poses_of_map.len().saturating_sub(1) as u64;
+        summary.poses_in_other_maps = poses_of_map.values().sum::<u64>() - largest.map_or(0, |(_, poses)| *poses);
+
+        // Frames that were solved afterwards come late: sort by time, the last record of a timestamp first.
+        let mut order = Vec::<(i64, u32)>::with_capacity(largest.map_or(0, |(_, poses)| *poses as usize));
+        self.for_each(|number, event| match event {
+            TrajectoryEvent::Pose { timestamp_ns, map, keyframe, keyframe_from_camera } if Some(map) == summary.map => {
+                match resolve(keyframe, keyframe_from_camera).is_some_and(|pose| pose.is_finite()) {
+                    true => order.push((timestamp_ns, number)),
+                    false => summary.poses_unresolved += 1,
+                }
+            }
+            _ => {}
+        })?;
+        order.sort_unstable_by_key(|(timestamp_ns, number)| (*timestamp_ns, std::cmp::Reverse(*number)));
+        let resolved = order.len();
+        order.dedup_by_key(|(timestamp_ns, _)| *timestamp_ns);
+        summary.poses_replaced = (resolved - order.len()) as u64;
+        summary.poses_written = order.len() as u64;
+
+        write_atomically(path, |out| {
+            let mut record = [0; RECORD_BYTES];
+            for (timestamp_ns, number) in &order {
+                self.file.read_exact_at(&mut record, u64::from(*number) * RECORD_BYTES as u64)?;
+                if let Some(TrajectoryEvent::Pose { keyframe, keyframe_from_camera, .. }) = decode(&record)
+                    && let Some(pose) = resolve(keyframe, keyframe_from_camera)
+                {
+                    write_tum_line(out, *timestamp_ns, &pose)?;
+                }
+            }
+            Ok(())
+        })?;
+        Ok(summary)
+    }
+}
+
+const KIND_POSE: u32 = 1;
+const KIND_REMOVED: u32 = 2;
+
+/// `kind u32, map or keyframe u32, keyframe or parent u32, 0 u32, timestamp i64, q xyzw 4 f64, t 3 f64`, little endian.
+fn encode(event: &TrajectoryEvent) -> [u8; RECORD_BYTES] {
+    let (kind, first, second, timestamp_ns, rotation, t) = match event {
+        TrajectoryEvent::Pose { timestamp_ns, map, keyframe, keyframe_from_camera: pose } => {
+            (KIND_POSE, map.0, keyframe.0, *timestamp_ns, pose.rotation, pose.translation)
+        }
+        TrajectoryEvent::KeyframeRemoved { keyframe, parent, parent_from_keyframe: pose } => {
+            (KIND_REMOVED, keyframe.0, parent.0, 0, pose.rotation, pose.translation)
+        }
+    };
+    let mut record = [0; RECORD_BYTES];
+    let words = [kind, first, second, 0];
+    for (slot, word) in record[..16].chunks_exact_mut(4).zip(words) {
+        slot.copy_from_slice(&word.to_le_bytes());
+    }
+    record[16..24].copy_from_slice(&timestamp_ns.to_le_bytes());
+    let q = rotation.coords;
+    for (slot, value) in record[24..].chunks_exact_mut(8).zip([q.x, q.y, q.z, q.w, t.x, t.y, t.z]) {
+        slot.copy_from_slice(&value.to_le_bytes());
+    }
+    record
+}
+
+fn decode(record: &[u8]) -> Option<TrajectoryEvent> {
+    let word = |i: usize| record.get(4 * i..4 * i + 4)?.try_into().ok().map(u32::from_le_bytes);
+    let long = |i: usize| -> Option<[u8; 8]> { record.get(16 + 8 * i..24 + 8 * i)?.try_into().ok() };
+    let real = |i: usize| long(i).map(f64::from_le_bytes);
+    // Already a unit quaternion when it was recorded: normalising again could change its last digit.
+    let rotation = UnitQuaternion::new_unchecked(Quaternion::new(real(4)?, real(1)?, real(2)?, real(3)?));
+    let translation = Vector3::new(real(5)?, real(6)?, real(7)?);
+    match word(0)? {
+        KIND_POSE => Some(TrajectoryEvent::Pose {
+            timestamp_ns: long(0).map(i64::from_le_bytes)?,
+            map: MapId(word(1)?),
+            keyframe: KeyframeId(word(2)?),
+            keyframe_from_camera: Se3::new(rotation, translation),
+        }),
+        KIND_REMOVED => Some(TrajectoryEvent::KeyframeRemoved {
+            keyframe: KeyframeId(word(1)?),
+            parent: KeyframeId(word(2)?),
+            parent_from_keyframe: Se3::new(rotation, translation),
+        }),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_spool_at_its_limit_counts_what_it_loses_and_writes_what_it_has() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut spool = TrajectorySpool::create(dir.path()).unwrap();
+        spool.records.limit_bytes = (BUFFER_RECORDS * RECORD_BYTES) as u64;
+        let mut errors = 0;
+        for i in 0..2 * BUFFER_RECORDS as i64 + 5 {
+            let event = TrajectoryEvent::Pose {
+                timestamp_ns: i,
+                map: MapId(0),
+                keyframe: KeyframeId(0),
+                keyframe_from_camera: Se3::identity(),
+            };
+            errors += u32::from(spool.record(&event).is_err());
+        }
+        assert_eq!(errors, 1, "one error a lost block, for the log");
+        let summary = spool.write_tum(&dir.path().join("t.txt"), &[(KeyframeId(0), Se3::identity())]).unwrap();
+        assert_eq!((summary.poses_written, summary.events_lost), (BUFFER_RECORDS as u64, BUFFER_RECORDS as u64 + 5));
+    }
+
+    #[test]
+    fn records_survive_their_encoding_bit_for_bit() {
+        let rotation = UnitQuaternion::from_euler_angles(0.1, -2.0, 3.0);
+        let translation = Vector3::new(1e-300, -0.1, 1e17);
+        for event in [
+            TrajectoryEvent::Pose {
+                timestamp_ns: i64::MIN,
+                map: MapId(u32::MAX),
+                keyframe: KeyframeId(1),
+                keyframe_from_camera: Se3::new(rotation, translation),
+            },
+            TrajectoryEvent::KeyframeRemoved {
+                keyframe: KeyframeId(3),
+                parent: KeyframeId(2),
+                parent_from_keyframe: Se3::new(rotation, translation),
+            },
+        ] {
+            assert_eq!(decode(&encode(&event)), Some(event));
+        }
+        assert_eq!(decode(&[0; RECORD_BYTES]), None);
+        assert_eq!(decode(&[1; 20]), None);
+    }
+}
