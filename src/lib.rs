@@ -30,3 +30,5 @@ pub mod image;
 pub mod map;
 #[cfg(feature = "daemon")]
 pub mod reconstruction;
+#[cfg(feature = "daemon")]
+pub mod ring;
