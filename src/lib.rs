@@ -19,6 +19,8 @@ pub mod camera;
 #[cfg(feature = "daemon")]
 pub mod cli;
 #[cfg(feature = "daemon")]
+pub mod config;
+#[cfg(feature = "daemon")]
 pub mod features;
 #[cfg(feature = "daemon")]
 pub mod frame;
@@ -32,3 +34,5 @@ pub mod map;
 pub mod reconstruction;
 #[cfg(feature = "daemon")]
 pub mod ring;
+#[cfg(feature = "daemon")]
+pub mod telemetry;
