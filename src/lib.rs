@@ -21,6 +21,8 @@ pub mod camera;
 #[cfg(feature = "daemon")]
 pub mod cli;
 #[cfg(feature = "daemon")]
+pub mod config;
+#[cfg(feature = "daemon")]
 pub mod evaluation;
 #[cfg(feature = "daemon")]
 pub mod features;
@@ -34,5 +36,9 @@ pub mod image;
 pub mod map;
 #[cfg(feature = "daemon")]
 pub mod reconstruction;
+#[cfg(feature = "daemon")]
+pub mod ring;
+#[cfg(feature = "daemon")]
+pub mod telemetry;
 #[cfg(feature = "daemon")]
 pub mod trajectory;

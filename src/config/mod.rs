@@ -1,0 +1,162 @@
+//! The configuration file: typed, validated, one struct a room.
+//!
+//! - In: TOML text and the name to call it by in messages. Out: a [`Config`] in which every value is usable, or one
+//!   [`ConfigError`] that names file, line, key, value, unit and reason. [`parse`] is a pure function.
+//! - A key that nobody knows is an error, because a typo that is silently ignored runs a robot with the default. Units
+//!   stand in the keys' names (`_px`, `_ms`, `_hz`, `_m`, `_deg`), so a wrong unit is an unknown key, and the message says which is meant.
+//! - A missing key has its default; an empty file is a complete configuration. `config/cairn.toml` shows every key.
+//! - The rooms own their structs and what values they can use (`validate`); this room knows the file.
+
+mod error;
+mod mount;
+
+use std::path::{Path, PathBuf};
+
+pub use error::ConfigError;
+pub use mount::{BodyFromCamera, MountConfig};
+
+use crate::features::FeaturesConfig;
+use crate::reconstruction::ReconstructionConfig;
+use crate::telemetry::LogConfig;
+
+/// Where the daemon looks when no file is named.
+pub const SYSTEM_FILE: &str = "/etc/cairn/cairn.toml";
+
+/// Everything that can be configured.
+#[derive(Debug, Clone, PartialEq, serde::Deserialize, serde::Serialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Config {
+    /// First part of every service name; robots with two cameras give each instance its own.
+    pub prefix: String,
+    pub daemon: DaemonConfig,
+    pub features: FeaturesConfig,
+    pub reconstruction: ReconstructionConfig,
+    pub mount: MountConfig,
+    pub output: OutputConfig,
+    pub log: LogConfig,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            prefix: "cairn".into(),
+            daemon: DaemonConfig::default(),
+            features: FeaturesConfig::default(),
+            reconstruction: ReconstructionConfig::default(),
+            mount: MountConfig::default(),
+            output: OutputConfig::default(),
+            log: LogConfig::default(),
+        }
+    }
+}
+
+/// What `cairn run` takes its frames from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Deserialize, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SourceKind {
+    /// The webcam of `[camera]`.
+    #[default]
+    Camera,
+    /// The rendered room of `[simulator]`.
+    Simulator,
+}
+
+/// `[daemon]`: how the stages are wired.
+#[derive(Debug, Clone, PartialEq, serde::Deserialize, serde::Serialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct DaemonConfig {
+    pub source: SourceKind,
+    /// Frames that may wait between the feature and the reconstruction thread.
+    pub queue_frames: usize,
+    /// A stage that shows no sign of life for so long is reported as stalled.
+    pub stall_after_ms: u64,
+    /// Longest pause between two attempts to open a camera that is absent.
+    pub camera_retry_ms: u64,
+}
+
+impl Default for DaemonConfig {
+    fn default() -> Self {
+        Self { source: SourceKind::Camera, queue_frames: 2, stall_after_ms: 1000, camera_retry_ms: 2000 }
+    }
+}
+
+/// `[output]`: files written when the daemon ends. An empty path writes nothing.
+#[derive(Debug, Clone, Default, PartialEq, Eq, serde::Deserialize, serde::Serialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct OutputConfig {
+    /// TUM trajectory, every tracked frame as the map knows it at the end.
+    pub trajectory: PathBuf,
+    /// TUM trajectory, every map pose as it was published.
+    pub live_trajectory: PathBuf,
+    /// Landmarks and keyframes as PLY.
+    pub map: PathBuf,
+    /// Picture of map and trajectory from above, PNG.
+    pub overview: PathBuf,
+}
+
+/// A value that a room cannot use; [`parse`] adds where it stands.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Invalid {
+    /// Dotted path from the top of the file.
+    pub key: String,
+    /// Lower case, with what would be right: `must be 1 or 2`.
+    pub reason: String,
+}
+
+impl Invalid {
+    pub fn new(key: impl Into<String>, reason: impl Into<String>) -> Self {
+        Self { key: key.into(), reason: reason.into() }
+    }
+}
+
+impl Config {
+    /// Checks everything that the types alone cannot.
+    pub fn validate(&self) -> Result<(), Invalid> {
+        let name_ok = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.' | '/');
+        if self.prefix.is_empty() || self.prefix.len() > 64 || !self.prefix.chars().all(name_ok) {
+            return Err(Invalid::new("prefix", "must be 1 to 64 letters, digits, '-', '_', '.' or '/'"));
+        }
+        let d = &self.daemon;
+        if !(1..=2).contains(&d.queue_frames) {
+            return Err(Invalid::new("daemon.queue_frames", "must be 1 or 2"));
+        }
+        if !(100..=60_000).contains(&d.stall_after_ms) {
+            return Err(Invalid::new("daemon.stall_after_ms", "must be 100 to 60000"));
+        }
+        if !(100..=60_000).contains(&d.camera_retry_ms) {
+            return Err(Invalid::new("daemon.camera_retry_ms", "must be 100 to 60000"));
+        }
+        self.log.filter().map_err(|reason| Invalid::new("log.level", reason))?;
+        self.mount.validate()
+    }
+}
+
+/// A configuration from TOML text; `file` is only for messages.
+pub fn parse(text: &str, file: &str) -> Result<Config, ConfigError> {
+    let config: Config = toml::from_str(text).map_err(|e| error::from_toml(&e, text, file))?;
+    config.validate().map_err(|invalid| error::from_invalid(invalid, text, file))?;
+    Ok(config)
+}
+
+/// Reads and parses `path`.
+pub fn load(path: &Path) -> Result<Config, ConfigError> {
+    let file = path.display().to_string();
+    let text =
+        std::fs::read_to_string(path).map_err(|e| ConfigError::Read { file: file.clone(), reason: e.to_string() })?;
+    parse(&text, &file)
+}
+
+/// The configuration of `path`, else of [`SYSTEM_FILE`] if that exists, else the defaults; and which of them, for the log.
+pub fn find(path: Option<&Path>) -> Result<(Config, String), ConfigError> {
+    if let Some(path) = path {
+        return Ok((load(path)?, path.display().to_string()));
+    }
+    let system = Path::new(SYSTEM_FILE);
+    if system.exists() {
+        return Ok((load(system)?, SYSTEM_FILE.into()));
+    }
+    Ok((Config::default(), "defaults".into()))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,162 @@
+//! What the daemon says about itself: structured logs, counters, latency histograms, heartbeats.
+//!
+//! - Logs go to stderr by `tracing`: human text on a terminal, one JSON object a line elsewhere (journald, pipes). The
+//!   facts of a record are its fields; its message is a constant that can be searched for.
+//! - Everything a stage touches per frame ([`Counter`], [`Histogram`], [`Heartbeat`]) is a relaxed atomic of fixed size:
+//!   a few nanoseconds, no lock, no allocation. The supervisor reads them once a second.
+//! - A fault that repeats is logged through a [`RateLimiter`]: at once the first time, then once a second with a count.
+//!
+//! It spawns no thread and knows no stage: stages name themselves.
+
+mod heartbeat;
+mod histogram;
+mod rate_limiter;
+
+use std::io::{IsTerminal, Write};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use tracing_subscriber::EnvFilter;
+use tracing_subscriber::fmt::MakeWriter;
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
+
+pub use heartbeat::Heartbeat;
+pub use histogram::{Histogram, Percentiles, Snapshot};
+pub use rate_limiter::RateLimiter;
+
+/// How log records look.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Deserialize, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LogFormat {
+    /// Human on a terminal, JSON elsewhere.
+    #[default]
+    Auto,
+    /// Text for a person.
+    Human,
+    /// One JSON object a line.
+    Json,
+}
+
+/// `[log]` of the configuration.
+#[derive(Debug, Clone, PartialEq, Eq, serde::Deserialize, serde::Serialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LogConfig {
+    /// `error`, `warn`, `info`, `debug`, `trace`, or directives such as `info,cairn::daemon=debug`.
+    pub level: String,
+    pub format: LogFormat,
+}
+
+impl Default for LogConfig {
+    fn default() -> Self {
+        Self { level: "info".into(), format: LogFormat::Auto }
+    }
+}
+
+impl LogConfig {
+    /// The directives as a filter, or why they are none.
+    pub fn filter(&self) -> Result<EnvFilter, String> {
+        // A word without `=` that is no level would name a target, and silence everything else.
+        for word in self.level.split(',').map(str::trim).filter(|w| !w.contains(['=', '['])) {
+            if word.is_empty() || word.parse::<tracing_subscriber::filter::LevelFilter>().is_err() {
+                return Err(format!("`{word}` is no level: one of off, error, warn, info, debug, trace"));
+            }
+        }
+        // iceoryx2 speaks of its shared-memory segments at info: of use to its own developers only. A directive given
+        // by the user comes later and wins.
+        EnvFilter::try_new(format!("iceoryx2=warn,{}", self.level)).map_err(|e| e.to_string())
+    }
+}
+
+/// Starts logging for this process. Later calls change nothing (tests start several daemons in one process).
+pub fn init(config: &LogConfig) -> Result<(), String> {
+    let filter = config.filter()?;
+    let terminal = std::io::stderr().is_terminal();
+    let json = match config.format {
+        LogFormat::Auto => !terminal,
+        LogFormat::Human => false,
+        LogFormat::Json => true,
+    };
+    let registry = tracing_subscriber::registry().with(filter);
+    // A record that cannot be written (stderr closed) is lost; it must neither panic nor end the robot's daemon.
+    let outcome = if json {
+        let layer = tracing_subscriber::fmt::layer()
+            .json()
+            .flatten_event(true)
+            .with_current_span(false)
+            .with_span_list(false)
+            .log_internal_errors(false)
+            .with_writer(Stderr);
+        registry.with(layer).try_init()
+    } else {
+        let layer = tracing_subscriber::fmt::layer()
+            .with_ansi(terminal)
+            .with_target(false)
+            .log_internal_errors(false)
+            .with_writer(Stderr);
+        registry.with(layer).try_init()
+    };
+    // `Err` means that a subscriber is there already, which is what was wanted.
+    drop(outcome);
+    Ok(())
+}
+
+/// Standard error without its panics.
+struct Stderr;
+
+impl<'a> MakeWriter<'a> for Stderr {
+    type Writer = std::io::StderrLock<'static>;
+    fn make_writer(&'a self) -> Self::Writer {
+        std::io::stderr().lock()
+    }
+}
+
+/// Writes a line to stderr for a person at a terminal; a closed stderr is no fault of the program's.
+pub fn say(line: &str) {
+    let _ = writeln!(std::io::stderr().lock(), "{line}");
+}
+
+/// Counts events; relaxed, because nothing is ordered by a statistic.
+#[derive(Debug, Default)]
+pub struct Counter(AtomicU64);
+
+impl Counter {
+    /// `n` events more.
+    pub fn add(&self, n: u64) {
+        self.0.fetch_add(n, Ordering::Relaxed);
+    }
+
+    /// Takes the count from elsewhere (a counter that another room keeps).
+    pub fn set(&self, n: u64) {
+        self.0.store(n, Ordering::Relaxed);
+    }
+
+    /// Events so far.
+    pub fn get(&self) -> u64 {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_level_that_is_none_is_refused_with_the_reason() {
+        for (level, part) in
+            [("info,cairn::daemon=loud", "expected one of"), ("inof", "`inof` is no level"), ("", "``")]
+        {
+            let config = LogConfig { level: level.into(), ..Default::default() };
+            let reason = config.filter().expect_err("refused");
+            assert!(reason.contains(part), "{level}: {reason}");
+        }
+        let config = LogConfig { level: "warn,cairn::daemon=debug".into(), ..Default::default() };
+        assert!(config.filter().is_ok());
+    }
+
+    #[test]
+    fn starting_twice_is_harmless() {
+        let config = LogConfig { level: "error".into(), ..Default::default() };
+        assert_eq!(init(&config), Ok(()));
+        assert_eq!(init(&config), Ok(()));
+    }
+}
