@@ -74,14 +74,18 @@ impl TrajectorySpool {
         keyframe_poses: &[(KeyframeId, Se3<World, Camera>)],
     ) -> Result<TrajectorySummary, TrajectoryError> {
         let mut moved = BTreeMap::new();
-        self.records.for_each(|_, event| {
-            if let TrajectoryEvent::KeyframeRemoved { keyframe, parent, parent_from_keyframe } = event {
-                moved.insert(keyframe, (parent, parent_from_keyframe));
-            }
-        })?;
         // A keyframe's frame is its camera's.
         let mut known: BTreeMap<KeyframeId, Option<Se3<World, Keyframe>>> =
             keyframe_poses.iter().map(|(id, pose)| (*id, Some(pose.relabel()))).collect();
+        self.records.for_each(|_, event| match event {
+            TrajectoryEvent::KeyframeRemoved { keyframe, parent, parent_from_keyframe } => {
+                moved.insert(keyframe, (parent, parent_from_keyframe));
+            }
+            TrajectoryEvent::KeyframeRetired { keyframe, world_from_camera } => {
+                known.insert(keyframe, Some(world_from_camera.relabel()));
+            }
+            TrajectoryEvent::Pose { .. } => {}
+        })?;
         let resolve = |keyframe: KeyframeId, keyframe_from_camera: Se3<Keyframe, Camera>| {
             world_from_keyframe(keyframe, &mut known, &moved).map(|w| w * keyframe_from_camera)
         };
@@ -277,6 +281,7 @@ impl RecordFile {
 
 const KIND_POSE: u32 = 1;
 const KIND_REMOVED: u32 = 2;
+const KIND_RETIRED: u32 = 3;
 
 /// `kind u32, map or keyframe u32, keyframe or parent u32, 0 u32, timestamp i64, q xyzw 4 f64, t 3 f64`, little endian.
 fn encode(event: &TrajectoryEvent) -> [u8; RECORD_BYTES] {
@@ -286,6 +291,9 @@ fn encode(event: &TrajectoryEvent) -> [u8; RECORD_BYTES] {
         }
         TrajectoryEvent::KeyframeRemoved { keyframe, parent, parent_from_keyframe: pose } => {
             (KIND_REMOVED, keyframe.0, parent.0, 0, pose.rotation, pose.translation)
+        }
+        TrajectoryEvent::KeyframeRetired { keyframe, world_from_camera: pose } => {
+            (KIND_RETIRED, keyframe.0, 0, 0, pose.rotation, pose.translation)
         }
     };
     let mut record = [0; RECORD_BYTES];
@@ -319,6 +327,10 @@ fn decode(record: &[u8]) -> Option<TrajectoryEvent> {
             keyframe: KeyframeId(word(1)?),
             parent: KeyframeId(word(2)?),
             parent_from_keyframe: Se3::new(rotation, translation),
+        }),
+        KIND_RETIRED => Some(TrajectoryEvent::KeyframeRetired {
+            keyframe: KeyframeId(word(1)?),
+            world_from_camera: Se3::new(rotation, translation),
         }),
         _ => None,
     }
@@ -363,6 +375,10 @@ mod tests {
                 keyframe: KeyframeId(3),
                 parent: KeyframeId(2),
                 parent_from_keyframe: Se3::new(rotation, translation),
+            },
+            TrajectoryEvent::KeyframeRetired {
+                keyframe: KeyframeId(9),
+                world_from_camera: Se3::new(rotation, translation),
             },
         ] {
             assert_eq!(decode(&encode(&event)), Some(event));
