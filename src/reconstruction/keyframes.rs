@@ -319,7 +319,7 @@ pub fn cull_landmarks(map: &mut Map, newest: KeyframeId) -> u64 {
     for (id, l) in map.landmarks.iter() {
         let age = newest.0.saturating_sub(l.created_by.0);
         let rarely_found = l.sought >= 10 && 4 * l.found < l.sought;
-        let not_confirmed = (3..6).contains(&age) && l.observers.len() < 3;
+        let not_confirmed = (3..6).contains(&age) && l.observers.len() < 3 && 2 * l.found < l.sought;
         if rarely_found || not_confirmed || l.disagreed >= 8 {
             doomed.push(LandmarkId(id));
         }
