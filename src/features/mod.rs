@@ -1,5 +1,8 @@
 //! Map-free work on one picture: pyramid, corners, descriptors, frame-to-frame tracks. Knows no map.
 
+pub mod alignment;
+pub mod patch_sampling;
+
 use std::sync::Arc;
 
 use nalgebra::Vector2;
