@@ -5,24 +5,27 @@
 //! a residual; or a named reason why there is none.
 //!
 //! Model: I(p + u) = a T(u) + b for all u of the patch, with gain a and bias b free (auto exposure), solved for p by the
-//! inverse-compositional Gauss-Newton method (Baker & Matthews, Lucas-Kanade 20 Years On, IJCV 2004, section 3.2 and,
-//! for the linear appearance, 4.3 "project out"). With g = grad T made orthogonal to the constant and to T,
+//! inverse-compositional Gauss-Newton method (Baker & Matthews, Lucas-Kanade 20 Years On, IJCV 2004, section 3.2; gain
+//! and bias are projected out as in their part 3, CMU-RI-TR-03-35). With g = grad T made orthogonal to the constant and to T,
 //!
 //! ```text
 //! H = sum g gᵀ        S(u) = H⁻¹ g(u)        p <- p - (1 / a) sum S(u) I(p + u)
 //! ```
 //!
-//! Gain and bias drop out of the sum, so a step is two dot products of the bilinear samples with the images S, which
-//! belong to the template alone. Patch offsets u are symmetric: pixel (i, j) of the template lies at
-//! (i - (N - 1) / 2, j - (N - 1) / 2), so for even N a centre with both coordinates at k + 0.5 samples whole pixels.
+//! Gain and bias drop out of the sum, so a step is two dot products of the samples with the images S, which belong to
+//! the template alone. Patch offsets u are symmetric: pixel (i, j) of the template lies at (i - (N - 1) / 2,
+//! j - (N - 1) / 2), so that a patch's centre is the point that it stands for under rotation too. Samples are those of
+//! [`patch_sampling`](super::patch_sampling), on both sides.
 //!
-//! Cost, 8 x 8: one iteration is 81 pixels converted, 64 bilinear samples, 192 multiply-adds; about 0.05 us on a
-//! 2.6 GHz x86-64 with SSE2 only. Loops have fixed length over arrays, so that they vectorise on SSE2 and NEON.
+//! Cost, 8 x 8: see the figures there; a step is 64 samples and 192 multiply-adds in 16 bits.
 //!
 //! Does not: search beyond the basin of about half the patch, estimate a warp (the caller warps the template, see
-//! [`warp_patch`]), or allocate.
+//! [`warp_patch`](super::patch_sampling::warp_patch)), or allocate.
 
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::Vector2;
+use wide::{f32x8, i16x8, i32x4, i32x8};
+
+use super::patch_sampling::{MAX_SAMPLE, OFFSET, SCALE, Window};
 
 use crate::image::GreyImage;
 
@@ -34,6 +37,11 @@ const MAX_BORDERED: usize = 18;
 
 /// Structure tensors with a smaller eigenvalue (grey²/px², mean over the patch) than this cannot be inverted in f32.
 const SINGULAR_EIGENVALUE: f32 = 1e-3;
+
+/// Bound of the sum of magnitudes of 16-bit numbers that samples are multiplied with: with one half per entry for
+/// rounding (128 for 16 x 16), every partial sum of such products stays below 2^31.
+const MAX_SUM_OF_MAGNITUDES: f32 = 130_000.0;
+const _: () = assert!((MAX_SUM_OF_MAGNITUDES as i64 + 128) * (MAX_SAMPLE as i64) < 1 << 31);
 
 /// When to stop, and what to call a failure.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -82,15 +90,20 @@ pub enum AlignFailure {
     Singular,
 }
 
-/// What of a patch does not depend on where it is looked for.
+/// What of a patch does not depend on where it is looked for. `N` is 8 or 16.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PatchTemplate<const N: usize> {
-    /// Grey values minus their mean.
-    pixels: [[f32; N]; N],
-    /// S = H⁻¹ g, x and y.
-    step_x: [[f32; N]; N],
-    step_y: [[f32; N]; N],
-    /// Sum of squares of `pixels`.
+    /// S = H⁻¹ g, x and y, and the grey values minus their mean, each times a scale, rounded.
+    step_x: [[i16; N]; N],
+    step_y: [[i16; N]; N],
+    pixels: [[i16; N]; N],
+    /// Pixels, pixels and grey² of one unit of the products of samples with the above.
+    unit: [f32; 3],
+    /// Products of the above with the template's own samples: what rounding leaves of zero, of zero, and the energy.
+    own: [i32; 3],
+    /// The point that the template stands for, from the centre of its samples: below 1 / 512 px.
+    offset: Vector2<f32>,
+    /// Sum of squares of the grey values minus their mean, grey².
     energy: f32,
     /// H divided by N²: xx, xy, yy.
     tensor: [f32; 3],
@@ -101,84 +114,114 @@ impl<const N: usize> PatchTemplate<N> {
     const BORDERED: usize = N + 2;
     const RADIUS: f32 = (N as f32 - 1.0) / 2.0;
 
-    /// The template around `center` (pixels of `image`); `None` where patch and border reach outside.
+    /// The template around `center` (pixels of `image`); `None` where patch and border, with the one or two pixels
+    /// more that sampling needs, reach outside.
     #[inline]
     pub fn from_image(image: &GreyImage, center: Vector2<f32>) -> Option<Self> {
-        const { assert!(N >= 4 && N + 2 <= MAX_BORDERED) }
+        let side = Self::BORDERED;
         let mut buffer = [0.0f32; MAX_BORDERED * MAX_BORDERED];
-        let bordered = &mut buffer[..Self::BORDERED * Self::BORDERED];
-        let window = Window::new(image, center, Self::RADIUS + 1.0, Self::BORDERED)?;
-        window.bilinear(bordered, Self::BORDERED);
-        Some(Self::build(bordered))
+        let window = Window::new(image, center.map(|v| v - Self::RADIUS - 1.0), side)?;
+        // Strips of eight columns; the last overlaps the one before it.
+        for strip in 0..side.div_ceil(8) {
+            let column = (strip * 8).min(side - 8);
+            window.strip(column, side, |row, samples| {
+                let grey = to_f32(samples) * f32x8::splat(1.0 / SCALE) + f32x8::splat(OFFSET);
+                buffer[row * side + column..][..8].copy_from_slice(&grey.to_array());
+            });
+        }
+        let mut template = Self::build(&buffer);
+        template.offset = center - window.first.map(|v| v + Self::RADIUS + 1.0);
+        Some(template)
     }
 
-    /// The template of given pixels, row by row, border included: `A` = (N + 2)².
+    /// The template of given grey values, row by row, border included: `A` = (N + 2)².
     #[inline]
     pub fn from_pixels<const A: usize>(pixels: &[f32; A]) -> Self {
-        const { assert!(A == (N + 2) * (N + 2) && N >= 4 && N + 2 <= MAX_BORDERED) }
+        const { assert!(A == (N + 2) * (N + 2)) }
         Self::build(pixels)
     }
 
     fn build(bordered: &[f32]) -> Self {
+        const { assert!(N == 8 || N == 16) }
         let side = Self::BORDERED;
         let area = (N * N) as f32;
-        let mut pixels = [[0.0; N]; N];
-        let mut gx = [[0.0; N]; N];
-        let mut gy = [[0.0; N]; N];
-        let mut sums = [[0.0; N]; 3];
-        for j in 0..N {
-            let above = &bordered[j * side + 1..][..N];
-            let row = &bordered[(j + 1) * side..][..N + 2];
-            let below = &bordered[(j + 2) * side + 1..][..N];
-            for i in 0..N {
-                pixels[j][i] = row[i + 1];
-                gx[j][i] = 0.5 * (row[i + 2] - row[i]);
-                gy[j][i] = 0.5 * (below[i] - above[i]);
-                sums[0][i] += pixels[j][i];
-                sums[1][i] += gx[j][i];
-                sums[2][i] += gy[j][i];
-            }
-        }
-        let [mean, mean_x, mean_y] = sums.map(|s| s.iter().sum::<f32>() / area);
-        let mut sums = [[0.0; N]; 3];
-        for j in 0..N {
-            for i in 0..N {
-                pixels[j][i] -= mean;
-                gx[j][i] -= mean_x;
-                gy[j][i] -= mean_y;
-                sums[0][i] += pixels[j][i] * pixels[j][i];
-                sums[1][i] += pixels[j][i] * gx[j][i];
-                sums[2][i] += pixels[j][i] * gy[j][i];
-            }
-        }
-        let [energy, along_x, along_y] = sums.map(|s| s.iter().sum::<f32>());
-        let (along_x, along_y) = if energy > 0.0 { (along_x / energy, along_y / energy) } else { (0.0, 0.0) };
-        let mut sums = [[0.0; N]; 3];
-        for j in 0..N {
-            for i in 0..N {
-                gx[j][i] -= along_x * pixels[j][i];
-                gy[j][i] -= along_y * pixels[j][i];
-                sums[0][i] += gx[j][i] * gx[j][i];
-                sums[1][i] += gx[j][i] * gy[j][i];
-                sums[2][i] += gy[j][i] * gy[j][i];
-            }
-        }
-        let tensor @ [xx, xy, yy] = sums.map(|s| s.iter().sum::<f32>() / area);
-        let min_eigenvalue = 0.5 * (xx + yy - ((xx - yy) * (xx - yy) + 4.0 * xy * xy).sqrt());
-        let determinant = area * (xx * yy - xy * xy);
-        let (ixx, ixy, iyy) = if min_eigenvalue > SINGULAR_EIGENVALUE {
-            (yy / determinant, -xy / determinant, xx / determinant)
-        } else {
-            (0.0, 0.0, 0.0)
+        // Grey value (less the offset, for precision) and gradient of eight pixels from (column, row) on.
+        let at = |column: usize, row: usize| {
+            let load = |i: usize, j: usize| {
+                let eight = &bordered[(row + j) * side + column + i..][..8];
+                f32x8::new(std::array::from_fn(|k| eight[k]))
+            };
+            let half = f32x8::splat(0.5);
+            let grey = load(1, 1) - f32x8::splat(OFFSET);
+            (grey, (load(2, 1) - load(0, 1)) * half, (load(1, 2) - load(1, 0)) * half)
         };
-        for j in 0..N {
-            for i in 0..N {
-                let (x, y) = (gx[j][i], gy[j][i]);
-                gx[j][i] = ixx * x + ixy * y;
-                gy[j][i] = ixy * x + iyy * y;
+        let mut sums = [f32x8::ZERO; 9];
+        for row in 0..N {
+            for column in (0..N).step_by(8) {
+                let (t, x, y) = at(column, row);
+                for (sum, v) in sums.iter_mut().zip([t, x, y, t * t, t * x, t * y, x * x, x * y, y * y]) {
+                    *sum += v;
+                }
             }
         }
-        Self { pixels, step_x: gx, step_y: gy, energy, tensor, min_eigenvalue }
+        let [t, x, y, tt, tx, ty, xx, xy, yy] = sums.map(sum_lanes);
+        let (mean, mean_x, mean_y) = (t / area, x / area, y / area);
+        let energy = (tt - t * mean).max(0.0);
+        let (along_x, along_y) =
+            if energy > 0.0 { ((tx - t * mean_x) / energy, (ty - t * mean_y) / energy) } else { (0.0, 0.0) };
+        let tensor @ [xx, xy, yy] = [
+            (xx - x * mean_x - along_x * along_x * energy) / area,
+            (xy - x * mean_y - along_x * along_y * energy) / area,
+            (yy - y * mean_y - along_y * along_y * energy) / area,
+        ];
+        let min_eigenvalue = 0.5 * (xx + yy - ((xx - yy) * (xx - yy) + 4.0 * xy * xy).sqrt());
+        let mut template = Self {
+            step_x: [[0; N]; N],
+            step_y: [[0; N]; N],
+            pixels: [[0; N]; N],
+            unit: [0.0; 3],
+            own: [0; 3],
+            offset: Vector2::zeros(),
+            energy,
+            tensor,
+            min_eigenvalue,
+        };
+        // Written so that NaN fails.
+        if !(min_eigenvalue > SINGULAR_EIGENVALUE && energy > 0.0 && (xx + yy).is_finite()) {
+            return template;
+        }
+        let determinant = area * (xx * yy - xy * xy);
+        let inverse = [yy / determinant, -xy / determinant, xx / determinant];
+        // The sum of S squared is the diagonal of H⁻¹, so by Cauchy-Schwarz these scales keep the sum of magnitudes
+        // within what a product can take, and each entry within 130,000 / sqrt(N²) <= 16,250.
+        let scales = [inverse[0], inverse[2], energy].map(|squares| MAX_SUM_OF_MAGNITUDES / (area * squares).sqrt());
+        // S = inverse * (gradient - mean gradient - along * (T - mean)), written out as a combination of the three.
+        let combine = |a: f32, b: f32, scale: f32| {
+            let c = -(a * along_x + b * along_y);
+            let d = -(a * mean_x + b * mean_y + c * mean);
+            [c, a, b, d].map(|v| f32x8::splat(v * scale))
+        };
+        let combinations = [
+            combine(inverse[0], inverse[1], scales[0]),
+            combine(inverse[1], inverse[2], scales[1]),
+            [scales[2], 0.0, 0.0, -mean * scales[2]].map(f32x8::splat),
+        ];
+        let mut own = [i32x4::ZERO; 3];
+        for row in 0..N {
+            for column in (0..N).step_by(8) {
+                let (t, x, y) = at(column, row);
+                let samples = to_i16(t * f32x8::splat(SCALE));
+                let images = [&mut template.step_x, &mut template.step_y, &mut template.pixels];
+                for ((image, [c, a, b, d]), own) in images.into_iter().zip(&combinations).zip(&mut own) {
+                    let eight = to_i16((t * *c + x * *a) + (y * *b + *d));
+                    image[row][column..column + 8].copy_from_slice(&eight.to_array());
+                    *own += eight.dot(samples);
+                }
+            }
+        }
+        template.own = own.map(|v| v.reduce_add());
+        template.unit = scales.map(|scale| 1.0 / (scale * SCALE));
+        template
     }
 
     /// Smaller eigenvalue of the structure tensor, grey²/px², mean over the patch (Shi & Tomasi, Good Features to
@@ -202,38 +245,56 @@ impl<const N: usize> PatchTemplate<N> {
         self.energy / (N * N) as f32
     }
 
-    /// Normalised cross-correlation with the picture at `position`, -1 to 1; `None` outside or where either is flat.
+    /// Normalised cross-correlation with the picture at `position`, -1 to 1; `None` outside, 0 where either is flat.
     pub fn ncc(&self, image: &GreyImage, position: Vector2<f32>) -> Option<f32> {
-        let window = Window::new(image, position, Self::RADIUS, N)?;
-        Some(self.score(&self.sample(&window)).1)
+        let mut patch = [[0; N]; N];
+        self.products(image, position - self.offset, &mut patch)?;
+        Some(self.score(&patch).1)
     }
 
-    #[inline]
-    fn sample(&self, window: &Window) -> [[f32; N]; N] {
-        let mut patch = [[0.0; N]; N];
-        window.bilinear_rows(&mut patch);
-        patch
+    /// Samples `patch` around `center`; returns where that really is and the products of the samples with the two step
+    /// images and the template, each minus the template's own.
+    #[inline(always)]
+    fn products(
+        &self,
+        image: &GreyImage,
+        center: Vector2<f32>,
+        patch: &mut [[i16; N]; N],
+    ) -> Option<(Vector2<f32>, [f32; 3])> {
+        let window = Window::new(image, center.map(|v| v - Self::RADIUS), N)?;
+        let mut sums = [i32x4::ZERO; 3];
+        for column in (0..N).step_by(8) {
+            window.strip(column, N, |row, samples| {
+                sums[0] += samples.dot(eight(&self.step_x[row], column));
+                sums[1] += samples.dot(eight(&self.step_y[row], column));
+                sums[2] += samples.dot(eight(&self.pixels[row], column));
+                patch[row][column..column + 8].copy_from_slice(&samples.to_array());
+            });
+        }
+        let mut out = [0.0; 3];
+        for k in 0..3 {
+            // Each is below 2^31, their difference need not be.
+            out[k] = (sums[k].reduce_add() as f32 - self.own[k] as f32) * self.unit[k];
+        }
+        Some((window.first.map(|v| v + Self::RADIUS), out))
     }
 
     /// Zero-mean SSD per pixel, NCC and gain of a sampled patch.
-    fn score(&self, patch: &[[f32; N]; N]) -> (f32, f32, f32) {
+    #[inline(always)]
+    fn score(&self, patch: &[[i16; N]; N]) -> (f32, f32, f32) {
         let area = (N * N) as f32;
-        let mut lanes = [0.0; N];
-        for row in patch {
-            for i in 0..N {
-                lanes[i] += row[i];
+        let mut sums = [f32x8::ZERO; 3];
+        for (row, pixels) in patch.iter().zip(&self.pixels) {
+            for column in (0..N).step_by(8) {
+                let v = to_f32(eight(row, column));
+                sums[0] += v;
+                sums[1] += v * v;
+                sums[2] += v * to_f32(eight(pixels, column));
             }
         }
-        let mean = lanes.iter().sum::<f32>() / area;
-        let mut sums = [[0.0; N]; 2];
-        for j in 0..N {
-            for i in 0..N {
-                let v = patch[j][i] - mean;
-                sums[0][i] += v * v;
-                sums[1][i] += v * self.pixels[j][i];
-            }
-        }
-        let [energy, product] = sums.map(|s| s.iter().sum::<f32>());
+        let [sum, squares, product] = sums.map(sum_lanes);
+        let energy = (squares - sum * sum / area).max(0.0) * (1.0 / (SCALE * SCALE));
+        let product = product * self.unit[2];
         let norm = (energy * self.energy).sqrt();
         let ncc = if norm > 0.0 { product / norm } else { 0.0 };
         let gain = if self.energy > 0.0 { product / self.energy } else { 0.0 };
@@ -248,34 +309,26 @@ pub fn align<const N: usize>(
     start: Vector2<f32>,
     options: &AlignOptions,
 ) -> Result<Aligned, AlignFailure> {
-    if template.min_eigenvalue <= SINGULAR_EIGENVALUE || !template.min_eigenvalue.is_finite() {
+    if template.unit[0] == 0.0 {
         return Err(AlignFailure::Singular);
     }
     let max_shift_squared = options.max_shift_px * options.max_shift_px;
     let inverse_energy = 1.0 / template.energy;
+    let start = start - template.offset;
     let mut position = start;
-    let mut patch = [[0.0; N]; N];
+    let mut patch = [[0; N]; N];
     let mut step_squared = f32::INFINITY;
     let mut iterations = 0;
     while iterations < options.max_iterations {
-        let window = Window::new(image, position, PatchTemplate::<N>::RADIUS, N).ok_or(AlignFailure::LeftPicture)?;
-        window.bilinear_rows(&mut patch);
-        let mut sums = [[0.0; N]; 3];
-        for j in 0..N {
-            for i in 0..N {
-                sums[0][i] += template.step_x[j][i] * patch[j][i];
-                sums[1][i] += template.step_y[j][i] * patch[j][i];
-                sums[2][i] += template.pixels[j][i] * patch[j][i];
-            }
-        }
-        let [x, y, product] = sums.map(|s| sum_lanes(&s));
+        let (sampled, [x, y, product]) =
+            template.products(image, position, &mut patch).ok_or(AlignFailure::LeftPicture)?;
         // Far from the solution the gain is not meaningful: bounded, it only shortens or lengthens the step.
-        let gain = (product * inverse_energy).clamp(0.5, 2.0);
-        let step = Vector2::new(x / gain, y / gain);
-        position -= step;
+        let gain = (1.0 + product * inverse_energy).clamp(0.5, 2.0);
+        let step = Vector2::new(x, y) / gain;
+        position = sampled - step;
         iterations += 1;
         step_squared = step.norm_squared();
-        // Written so that NaN fails.
+        // Written so that NaN fails, here and below.
         if !((position - start).norm_squared() <= max_shift_squared) {
             return Err(AlignFailure::Diverged);
         }
@@ -287,140 +340,33 @@ pub fn align<const N: usize>(
         return Err(AlignFailure::Diverged);
     }
     let (ssd, ncc, gain) = template.score(&patch);
-    if ncc <= 0.0 {
+    if !(ncc > 0.0) {
         return Err(AlignFailure::Diverged);
     }
-    Ok(Aligned { position, ssd, ncc, gain, iterations })
+    Ok(Aligned { position: position + template.offset, ssd, ncc, gain, iterations })
 }
 
-/// Sum in a fixed order that the vector unit likes.
-#[inline]
-fn sum_lanes<const N: usize>(lanes: &[f32; N]) -> f32 {
-    let mut four = [0.0; 4];
-    for (i, v) in lanes.iter().enumerate() {
-        four[i % 4] += v;
-    }
-    (four[0] + four[1]) + (four[2] + four[3])
-}
-
-/// Fills `out` (a square, row by row) with `source` seen through an affine map: pixel (i, j) of a side of S pixels is
-/// `source` at `center + source_from_patch * (i - (S - 1) / 2, j - (S - 1) / 2)`, bilinear. With `A` = 100 this makes the
-/// pixels of an 8 x 8 [`Template`]. False, with `out` unspecified, when a sample lies outside `source` or the map is not finite.
-pub fn warp_patch<const A: usize>(
-    source: &GreyImage,
-    center: Vector2<f32>,
-    source_from_patch: &Matrix2<f32>,
-    out: &mut [f32; A],
-) -> bool {
-    let side = const {
-        let side = A.isqrt();
-        assert!(side * side == A && side >= 2);
-        side
-    };
-    let radius = (side as f32 - 1.0) / 2.0;
-    let m = source_from_patch;
-    let reach = Vector2::new(m.m11.abs() + m.m12.abs(), m.m21.abs() + m.m22.abs()) * radius;
-    let (low, high) = (center - reach, center + reach);
-    // The last column and row need their right and lower neighbours.
-    let inside = low.x >= 0.0
-        && low.y >= 0.0
-        && high.x < source.width as f32 - 1.0
-        && high.y < source.height as f32 - 1.0
-        && source.data.len() >= source.width * source.height;
-    if !inside {
-        return false;
-    }
-    let right = Vector2::new(m.m11, m.m21);
-    let down = Vector2::new(m.m12, m.m22);
-    let first = center - (right + down) * radius;
-    for (j, row) in out.chunks_exact_mut(side).enumerate() {
-        let start = first + down * j as f32;
-        for (i, v) in row.iter_mut().enumerate() {
-            let p = start + right * i as f32;
-            // Rounding may put a sample a hair outside what was checked above.
-            let x = (p.x.max(0.0) as usize).min(source.width - 2);
-            let y = (p.y.max(0.0) as usize).min(source.height - 2);
-            let (fx, fy) = (p.x - x as f32, p.y - y as f32);
-            let upper = &source.data[y * source.width + x..][..2];
-            let lower = &source.data[(y + 1) * source.width + x..][..2];
-            let top = lerp(f32::from(upper[0]), f32::from(upper[1]), fx);
-            let bottom = lerp(f32::from(lower[0]), f32::from(lower[1]), fx);
-            *v = lerp(top, bottom, fy);
-        }
-    }
-    true
+/// Eight lanes of a row.
+#[inline(always)]
+fn eight(row: &[i16], column: usize) -> i16x8 {
+    let eight = &row[column..column + 8];
+    i16x8::new(std::array::from_fn(|k| eight[k]))
 }
 
 #[inline(always)]
-fn lerp(a: f32, b: f32, t: f32) -> f32 {
-    a + t * (b - a)
+fn to_f32(v: i16x8) -> f32x8 {
+    f32x8::from_i32x8(i32x8::from_i16x8(v))
 }
 
-/// A square of bilinear samples one pixel apart: all share the same two weights.
-struct Window<'a> {
-    /// From the first pixel needed on.
-    data: &'a [u8],
-    stride: usize,
-    fx: f32,
-    fy: f32,
+/// To the nearest whole number; what lies outside 16 bits saturates.
+#[inline(always)]
+fn to_i16(v: f32x8) -> i16x8 {
+    i16x8::from_i32x8_saturate(v.fast_round_int())
 }
 
-impl<'a> Window<'a> {
-    /// `side` samples each way, the first at `center - radius`; `None` outside, and for NaN.
-    #[inline(always)]
-    fn new(image: &'a GreyImage, center: Vector2<f32>, radius: f32, side: usize) -> Option<Self> {
-        let (left, top) = (center.x - radius, center.y - radius);
-        if !(left >= 0.0 && top >= 0.0) {
-            return None;
-        }
-        let (x, y) = (left as usize, top as usize);
-        if x.saturating_add(side) >= image.width || y.saturating_add(side) >= image.height {
-            return None;
-        }
-        let data = image.data.get(y * image.width + x..)?;
-        Some(Self { data, stride: image.width, fx: left - x as f32, fy: top - y as f32 })
-    }
-
-    /// One row of pixels, interpolated across.
-    #[inline(always)]
-    fn across<const N: usize>(&self, row: usize) -> [f32; N] {
-        let pixels = &self.data[row * self.stride..][..N + 1];
-        let mut out = [0.0; N];
-        for i in 0..N {
-            let (a, b) = (f32::from(pixels[i]), f32::from(pixels[i + 1]));
-            out[i] = lerp(a, b, self.fx);
-        }
-        out
-    }
-
-    #[inline(always)]
-    fn bilinear_rows<const N: usize>(&self, out: &mut [[f32; N]; N]) {
-        let mut above = self.across::<N>(0);
-        for (j, row) in out.iter_mut().enumerate() {
-            let below = self.across::<N>(j + 1);
-            for i in 0..N {
-                row[i] = lerp(above[i], below[i], self.fy);
-            }
-            above = below;
-        }
-    }
-
-    /// The same for a side that is no constant of the type: a template with its border.
-    #[inline(always)]
-    fn bilinear(&self, out: &mut [f32], side: usize) {
-        let mut above = [0.0; MAX_BORDERED];
-        for j in 0..=side {
-            let pixels = &self.data[j * self.stride..][..side + 1];
-            let mut below = [0.0; MAX_BORDERED];
-            for i in 0..side {
-                below[i] = lerp(f32::from(pixels[i]), f32::from(pixels[i + 1]), self.fx);
-            }
-            if j > 0 {
-                for (i, v) in out[(j - 1) * side..j * side].iter_mut().enumerate() {
-                    *v = lerp(above[i], below[i], self.fy);
-                }
-            }
-            above = below;
-        }
-    }
+/// Sum in a fixed order, whatever the machine's vectors.
+#[inline(always)]
+fn sum_lanes(lanes: f32x8) -> f32 {
+    let v = lanes.to_array();
+    ((v[0] + v[4]) + (v[2] + v[6])) + ((v[1] + v[5]) + (v[3] + v[7]))
 }

@@ -3,6 +3,8 @@
 pub mod alignment;
 mod dispatch;
 pub mod fast;
+pub mod patch_sampling;
+pub mod thumbnail;
 
 use std::sync::Arc;
 

@@ -9,6 +9,7 @@ use std::sync::Arc;
 
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
+use crate::features::thumbnail::Thumbnail;
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 use crate::image::Pyramid;
@@ -50,6 +51,8 @@ pub struct Keyframe {
     pub camera_from_world: Se3<Camera, World>,
     /// Templates of its observations are cut from here.
     pub pyramid: Arc<Pyramid>,
+    /// For relocalisation.
+    pub thumbnail: Thumbnail,
     /// Ascending landmark id.
     pub observations: Vec<Observation>,
     /// Keyframes that share landmarks with this one and how many; ascending id.
@@ -272,6 +275,7 @@ mod tests {
             map: MapId(0),
             camera_from_world: Se3::identity(),
             pyramid: Arc::default(),
+            thumbnail: Thumbnail::default(),
             observations: landmarks.iter().map(|&l| observation(l)).collect(),
             covisible: Vec::new(),
         }

@@ -9,6 +9,7 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 use super::bindings::{Bindings, Seed, Target};
 use super::config::ReconstructionConfig;
 use super::pose_optimisation::{CHI2_2D_95, jacobian_rows};
+use super::relocalise::thumbnail_of;
 use super::search::{Match, SearchOptions, affine_warp, align_template};
 use super::types::TrajectoryEvent;
 use crate::features::{Feedback, FrameFeatures};
@@ -99,6 +100,7 @@ pub fn insert_keyframe(
         map: new.map_id,
         camera_from_world: new.camera_from_world,
         pyramid: new.features.pyramid.clone(),
+        thumbnail: thumbnail_of(&new.features.pyramid),
         observations,
         covisible: Vec::new(),
     });

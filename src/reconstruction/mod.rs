@@ -12,6 +12,7 @@ pub mod initialise;
 pub mod keyframes;
 pub mod local_adjustment;
 pub mod pose_optimisation;
+pub mod relocalise;
 pub mod search;
 mod start;
 pub mod tracking;
@@ -26,6 +27,7 @@ pub use types::*;
 use bindings::Bindings;
 use initialise::Initialiser;
 use keyframes::{KeyframeInputs, NewKeyframe};
+use relocalise::{Guess, Relocaliser};
 use search::Match;
 use tracking::{Tracked, Tracker};
 
@@ -74,6 +76,8 @@ pub struct Reconstruction {
     counters: Counters,
     inliers: Vec<Match>,
     angles: Vec<f64>,
+    relocaliser: Relocaliser,
+    guesses: Vec<Guess>,
 }
 
 impl Reconstruction {
@@ -109,6 +113,8 @@ impl Reconstruction {
             counters: Counters::default(),
             inliers: Vec::new(),
             angles: Vec::new(),
+            relocaliser: Relocaliser::default(),
+            guesses: Vec::new(),
         }
     }
 
@@ -121,17 +127,22 @@ impl Reconstruction {
         if self.state == TrackingState::Initializing {
             return self.try_start(features);
         }
-        let guesses = self.guesses(features.timestamp_ns);
-        let guesses = &guesses.0[..guesses.1];
-        let tracked = self.tracker.track(
+        let near = self.near_poses(features.timestamp_ns);
+        let mut tracked = self.tracker.track(
             &self.map,
             &self.bindings,
             features,
             &self.camera,
             &self.config,
             self.reference,
-            guesses,
+            &near.0[..near.1],
         );
+        if tracked.is_none() {
+            self.guesses.clear();
+            let pyramid = &features.pyramid;
+            self.relocaliser.guess(&self.map, &self.camera, pyramid, self.reference, &mut self.guesses);
+            tracked = self.tracker.relocalise(&self.map, features, &self.camera, &self.config, &self.guesses);
+        }
         self.count_landmarks(tracked.is_some());
         match tracked {
             Some(tracked) => self.accept(features, &tracked),
@@ -139,34 +150,16 @@ impl Reconstruction {
         }
     }
 
-    /// Constant velocity, the last pose, and while lost keyframes in turn.
-    fn guesses(&self, timestamp_ns: i64) -> ([Se3<Camera, World>; 3], usize) {
-        let mut guesses = [Se3::identity(); 3];
-        let mut n = 0;
-        if let Some(last) = &self.last {
-            let dt = (timestamp_ns - last.timestamp_ns) as f64 * 1e-9;
-            if let Some((motion, over)) = &last.motion
-                && self.lost_frames == 0
-                && *over > 0.0
-                && dt < 5.0 * over
-            {
-                guesses[n] = scaled(motion, dt / over) * last.camera_from_world;
-                n += 1;
+    /// Constant velocity, then the last pose.
+    fn near_poses(&self, timestamp_ns: i64) -> ([Se3<Camera, World>; 2], usize) {
+        let Some(last) = &self.last else { return ([Se3::identity(); 2], 0) };
+        let dt = (timestamp_ns - last.timestamp_ns) as f64 * 1e-9;
+        match &last.motion {
+            Some((motion, over)) if self.lost_frames == 0 && dt < 5.0 * over => {
+                ([scaled(motion, dt / over) * last.camera_from_world, last.camera_from_world], 2)
             }
-            guesses[n] = last.camera_from_world;
-            n += 1;
+            _ => ([last.camera_from_world; 2], 1),
         }
-        if self.lost_frames > 0 {
-            let count = self.map.keyframes.len().min(30);
-            if count > 0 {
-                let skip = self.map.keyframes.len() - 1 - (self.lost_frames as usize % count);
-                if let Some((_, k)) = self.map.keyframes.iter().nth(skip) {
-                    guesses[n] = k.camera_from_world;
-                    n += 1;
-                }
-            }
-        }
-        (guesses, n)
     }
 
     fn count_landmarks(&mut self, tracked: bool) {

@@ -7,7 +7,8 @@
 
 use nalgebra::{Matrix2, Matrix2x3, Matrix3x2, Vector2, Vector3};
 
-use crate::features::alignment::{AlignOptions, Template, align, warp_patch};
+use crate::features::alignment::{AlignOptions, Template, align};
+use crate::features::patch_sampling::warp_patch;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::image::Pyramid;

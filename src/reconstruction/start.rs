@@ -1,5 +1,7 @@
 //! The first map: from a two-view start to keyframes, landmarks, and poses of the frames before.
 
+use std::sync::Arc;
+
 use nalgebra::{Matrix3, Vector2};
 
 use super::bindings::Target;
@@ -7,12 +9,14 @@ use super::initialise::{PendingFrame, Start};
 use super::keyframes::{observe, refine_point};
 use super::local_adjustment::MappingJob;
 use super::pose_optimisation::{PoseOptions, PosePair, optimise_pose};
+use super::relocalise::thumbnail_of;
 use super::search::{SearchOptions, affine_warp, align_template};
 use super::types::{PoseEstimate, TrackingState, TrajectoryEvent};
 use super::{LastFrame, Reconstruction, Tracked};
 use crate::features::FrameFeatures;
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
+use crate::image::Pyramid;
 use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId};
 
 /// Steps of the first adjustment's passes.
@@ -66,11 +70,12 @@ impl Reconstruction {
         let scale = 1.0 / depths[depths.len() / 2];
         let second: Se3<Camera, World> =
             Se3::new(start.second_from_first.rotation, start.second_from_first.translation * scale);
-        let keyframe = |sequence, timestamp_ns, pose, pyramid| Keyframe {
+        let keyframe = |sequence, timestamp_ns, pose, pyramid: Arc<Pyramid>| Keyframe {
             sequence,
             timestamp_ns,
             map: self.map_id,
             camera_from_world: pose,
+            thumbnail: thumbnail_of(&pyramid),
             pyramid,
             observations: Vec::new(),
             covisible: Vec::new(),

@@ -14,6 +14,7 @@ use nalgebra::{Matrix6, Vector2, Vector3};
 use super::bindings::{Bindings, Target};
 use super::config::ReconstructionConfig;
 use super::pose_optimisation::{PoseOptions, PosePair, PoseSolution, accumulate, jacobian_rows, optimise_pose};
+use super::relocalise::Guess;
 use super::search::{Match, Search, SearchOptions};
 use crate::features::FrameFeatures;
 use crate::geometry::frames::{Camera, World};
@@ -50,11 +51,14 @@ pub struct Tracker {
 const LOCAL_KEYFRAMES: usize = 20;
 /// Bound tracks that a prediction by flow must rest on.
 const MIN_FLOW: usize = 10;
+/// A search without a good prediction looks in this many times the usual radius.
+const WIDE: f64 = 4.0;
 /// Standard deviation of a frame-to-frame track's position, px (drifts; templates do not).
 const FLOW_SIGMA_PX: f64 = 2.0;
 
 impl Tracker {
-    /// Places a frame. `guesses`: poses to start from, most likely first (constant velocity, last pose, ...).
+    /// Places a frame near a known pose. `guesses`: constant velocity, last pose, ..., the most likely first.
+    #[allow(clippy::too_many_arguments)]
     pub fn track(
         &mut self,
         map: &Map,
@@ -80,7 +84,25 @@ impl Tracker {
         by_flow
             .iter()
             .chain(guesses)
-            .find_map(|guess| self.refine(map, features, camera, config, guess, 4.0 * config.search_radius_px, 3))
+            .find_map(|guess| self.refine(map, features, camera, config, guess, WIDE * config.search_radius_px, 3))
+    }
+
+    /// Places a frame at one of `guesses` anywhere in the map; asks for more landmarks, as nothing else speaks for it.
+    pub fn relocalise(
+        &mut self,
+        map: &Map,
+        features: &FrameFeatures,
+        camera: &CameraModel,
+        config: &ReconstructionConfig,
+        guesses: &[Guess],
+    ) -> Option<Tracked> {
+        self.flow.clear();
+        guesses.iter().find_map(|guess| {
+            self.refresh_local(map, guess.reference);
+            let radius = WIDE * config.search_radius_px;
+            self.refine(map, features, camera, config, &guess.camera_from_world, radius, 3)
+                .filter(|t| t.landmarks >= 2 * config.min_landmarks && 3 * t.landmarks >= t.sought)
+        })
     }
 
     /// The keyframe that shares most landmarks with the frame just tracked (ties: the newer).
