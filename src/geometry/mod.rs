@@ -8,7 +8,20 @@
 //! The first camera is `[I | 0]`, the second `[R | t]` = `second_from_first`; `x2ᵀ F x1 = 0`, `E = [t]x R`.
 
 pub mod camera_model;
+pub mod epipolar;
+pub mod essential;
+pub mod five_point;
+pub mod least_squares;
+pub mod null_space;
+pub mod point_set;
+pub mod polynomial;
+pub mod random;
+pub mod ransac;
+pub mod rotation;
 pub mod se3;
+#[cfg(test)]
+pub(crate) mod synthetic;
+pub mod triangulation;
 pub mod two_view;
 
 pub use camera_model::{CameraModel, CameraModelError};
