@@ -2,6 +2,7 @@
 
 mod dispatch;
 pub mod fast;
+pub mod susan;
 
 use std::sync::Arc;
 
