@@ -1,0 +1,1 @@
+//! Which corner of one picture is which of another: by binary descriptors.
