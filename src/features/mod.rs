@@ -3,6 +3,7 @@
 pub mod descriptor;
 mod dispatch;
 pub mod fast;
+pub mod matching;
 pub mod susan;
 
 use std::sync::Arc;
