@@ -218,7 +218,7 @@ impl PointGrid {
     /// Sets `near` to the indices of the positions within `radius_px` of `at`, ascending.
     pub fn within(&self, at: [f32; 2], radius_px: f32, near: &mut Vec<u32>) {
         near.clear();
-        if !is_finite(&at) || !(radius_px >= 0.0) || self.indices.is_empty() {
+        if !is_finite(&at) || radius_px.is_nan() || radius_px < 0.0 || self.indices.is_empty() {
             return;
         }
         let range = |k: usize, count: usize| {
@@ -226,7 +226,7 @@ impl PointGrid {
             // `as` stays within 0 and the largest number, whatever the float.
             let first = ((offset - radius_px) / self.cell_px) as usize;
             let last = ((offset + radius_px) / self.cell_px) as usize;
-            if offset + radius_px < 0.0 { 1..=0 } else { first..=last.min(count - 1) }
+            if offset + radius_px < 0.0 { 0..0 } else { first..last.min(count - 1) + 1 }
         };
         let columns = range(0, self.columns);
         for row in range(1, self.rows) {

@@ -80,7 +80,8 @@ proptest! {
     #[test]
     fn the_wide_kernel_agrees_with_its_scalar_twin(n in 0usize..20, m in 0usize..20, seed in any::<u64>()) {
         let (a, b) = (draw(n, seed), draw(m, seed.wrapping_add(1)));
-        let run = |f: fn(&[Descriptor], &[Descriptor], &mut [Nearest], &mut [Nearest])| {
+        type Kernel = fn(&[Descriptor], &[Descriptor], &mut [Nearest], &mut [Nearest]);
+        let run = |f: Kernel| {
             let (mut rows, mut columns) = (vec![Nearest::NONE; n], vec![Nearest::NONE; m]);
             f(&a, &b, &mut rows, &mut columns);
             rows.iter().chain(&columns).map(|x| (x.distance, x.second, x.index)).collect::<Vec<_>>()
