@@ -5,6 +5,11 @@ mod dispatch;
 pub mod fast;
 pub mod patch_sampling;
 pub mod thumbnail;
+pub mod descriptor;
+mod dispatch;
+pub mod fast;
+pub mod matching;
+pub mod susan;
 
 use std::sync::Arc;
 

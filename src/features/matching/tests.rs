@@ -1,0 +1,115 @@
+use super::*;
+use proptest::prelude::*;
+
+/// Random bits from a seed.
+fn draw(n: usize, seed: u64) -> Vec<Descriptor> {
+    let mut state = seed ^ 0x9e37_79b9_7f4a_7c15;
+    let mut next = move || {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        state
+    };
+    (0..n).map(|_| Descriptor([next(), next(), next(), next()])).collect()
+}
+
+/// Flips every bit k with k % 32 < n of 256: 8 n bits.
+fn spoil(d: &Descriptor, n: u32) -> Descriptor {
+    let mask = (0..n).fold(0u64, |m, k| m | 1 << k | 1 << (k + 32));
+    Descriptor(d.0.map(|w| w ^ mask))
+}
+
+#[test]
+fn shuffled_and_spoiled_descriptors_find_each_other() {
+    let first = draw(90, 7);
+    let second: Vec<_> = (0..90).map(|j| spoil(&first[(j * 7) % 90], 3)).collect();
+    let mut out = Vec::new();
+    DescriptorMatcher::new().match_all(&first, &second, &DescriptorMatching::default(), &mut out);
+    assert_eq!(out.len(), 90);
+    for m in &out {
+        assert_eq!((m.second as usize * 7) % 90, m.first as usize);
+        assert_eq!(m.distance, 24.0);
+    }
+    assert!(out.is_sorted_by_key(|m| m.first));
+}
+
+#[test]
+fn what_is_not_mutual_or_not_clear_or_too_far_is_left_out() {
+    let d = draw(4, 3);
+    let run = |first: &[Descriptor], second: &[Descriptor], rule| {
+        let mut out = Vec::new();
+        DescriptorMatcher::new().match_all(first, second, &rule, &mut out);
+        out.iter().map(|m| (m.first, m.second)).collect::<Vec<_>>()
+    };
+    let any = DescriptorMatching { max_distance: 256, max_ratio: 1.0 };
+    // Two of the first want the same of the second: the nearer gets it.
+    assert_eq!(run(&[spoil(&d[0], 2), spoil(&d[0], 1)], &[d[0]], any), [(1, 0)]);
+    // Two equal ones: the first when nothing is asked, none when a ratio is.
+    assert_eq!(run(&[d[0]], &[d[0], d[0]], any), [(0, 0)]);
+    assert_eq!(run(&[d[0]], &[d[0], d[0]], DescriptorMatching::default()), []);
+    // The same seen from the other side.
+    assert_eq!(run(&[d[0], d[0]], &[d[0]], DescriptorMatching::default()), []);
+    // Too far.
+    let near = DescriptorMatching { max_distance: 15, max_ratio: 1.0 };
+    assert_eq!(run(&[d[0]], &[spoil(&d[0], 2)], near), []);
+    assert_eq!(run(&[d[0]], &[spoil(&d[0], 1)], near), [(0, 0)]);
+    assert_eq!(run(&[], &d, any), []);
+    assert_eq!(run(&d, &[], any), []);
+}
+
+#[test]
+fn a_window_keeps_a_twin_elsewhere_out() {
+    let d = draw(1, 5);
+    let expected = [Some([100.0, 50.0])];
+    let positions = [[300.0, 50.0], [104.0, 47.0]];
+    let mut out = Vec::new();
+    let mut matcher = DescriptorMatcher::new();
+    let rule = DescriptorMatching::default();
+    matcher.match_windows((&d, &expected), (&[d[0], spoil(&d[0], 2)], &positions), 6.0, &rule, &mut out);
+    assert_eq!(out, [Match { first: 0, second: 1, distance: 16.0 }]);
+    matcher.match_windows((&d, &[None]), (&[d[0], d[0]], &positions), 6.0, &rule, &mut out);
+    assert_eq!(out, []);
+    let nowhere = [[f32::NAN, 0.0], [f32::INFINITY, 1.0]];
+    matcher.match_windows((&d, &expected), (&[d[0], d[0]], &nowhere), 1e9, &rule, &mut out);
+    assert_eq!(out, []);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 64, ..ProptestConfig::default() })]
+
+    #[test]
+    fn the_wide_kernel_agrees_with_its_scalar_twin(n in 0usize..20, m in 0usize..20, seed in any::<u64>()) {
+        let (a, b) = (draw(n, seed), draw(m, seed.wrapping_add(1)));
+        type Kernel = fn(&[Descriptor], &[Descriptor], &mut [Nearest], &mut [Nearest]);
+        let run = |f: Kernel| {
+            let (mut rows, mut columns) = (vec![Nearest::NONE; n], vec![Nearest::NONE; m]);
+            f(&a, &b, &mut rows, &mut columns);
+            rows.iter().chain(&columns).map(|x| (x.distance, x.second, x.index)).collect::<Vec<_>>()
+        };
+        prop_assert_eq!(run(nearest_of_all), run(nearest_of_all_body));
+        let mut sorted: Vec<u32> = b.iter().flat_map(|b| a.first().map(|a| a.distance(b))).collect();
+        sorted.sort();
+        if n > 0 && m > 1 {
+            let row = run(nearest_of_all)[0];
+            prop_assert_eq!((u32::from(row.0), u32::from(row.1)), (sorted[0], sorted[1]));
+        }
+    }
+
+    #[test]
+    fn the_grid_finds_what_a_search_of_all_finds(
+        points in prop::collection::vec((-50.0f32..700.0, -50.0f32..500.0), 0..60),
+        at in (-200.0f32..900.0, -200.0f32..700.0), radius in 0.0f32..300.0, cell in 0.5f32..80.0,
+    ) {
+        let points: Vec<[f32; 2]> = points.into_iter().map(|(x, y)| [x, y]).collect();
+        let at = [at.0, at.1];
+        let mut grid = PointGrid::default();
+        grid.fill(&points, cell);
+        let mut near = Vec::new();
+        grid.within(at, radius, &mut near);
+        let plain: Vec<u32> = (0..points.len() as u32).filter(|&i| {
+            let [x, y] = points[i as usize];
+            (x - at[0]).powi(2) + (y - at[1]).powi(2) <= radius * radius
+        }).collect();
+        prop_assert_eq!(near, plain);
+    }
+}
