@@ -17,6 +17,8 @@ pub mod messages;
 #[cfg(feature = "daemon")]
 pub mod atomic_file;
 #[cfg(feature = "daemon")]
+pub mod calibration;
+#[cfg(feature = "daemon")]
 pub mod camera;
 #[cfg(feature = "daemon")]
 pub mod cli;

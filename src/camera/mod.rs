@@ -1,5 +1,9 @@
 //! Frames from anywhere through one door, [`FrameSource`].
 
+pub mod recording;
+
+pub use recording::{Pacing, Recording};
+
 use crate::frame::{Clock, RawFrame};
 use crate::geometry::CameraModel;
 

@@ -1,6 +1,8 @@
 //! Grey pictures and pyramids; decoding of what cameras and recordings deliver.
 
 pub mod decode;
+mod jpeg;
+mod png;
 pub mod pyramid;
 
 pub use pyramid::Pyramid;

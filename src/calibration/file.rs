@@ -1,0 +1,274 @@
+//! Calibration files: four dialects in, ours out.
+//!
+//! Input: a path. `*.toml` is our own format; everything else is read as one of the YAML dialects that the field uses
+//! (see [`super::yaml`]). Output: a checked [`CameraModel`], pixels and OpenCV's order `k1 k2 p1 p2 k3`, or an error with file,
+//! line, key, value, unit and reason. Our format:
+//!
+//! ```toml
+//! width_px = 640
+//! height_px = 480
+//! fx_px = 517.306408
+//! fy_px = 516.469215
+//! cx_px = 318.64304
+//! cy_px = 255.313989
+//! distortion = [0.262383, -0.953104, -0.005358, 0.002628, 1.163314] # k1 k2 p1 p2 k3
+//! ```
+//!
+//! Other keys (standard deviations, residual, date ...) are kept as they are and written back. Beyond what
+//! [`CameraModel::new`] refuses, numbers are refused that no webcam has and that a wrong unit or a swapped key gives: a
+//! principal point outside the picture, a focal length under a tenth of its longer side or over twenty times that.
+//!
+//! Not here: calibrating; lens models other than pinhole with radial-tangential distortion (refused by name); scaling a
+//! calibration to another picture size.
+
+use super::yaml;
+use crate::atomic_file::write_atomically;
+use crate::geometry::CameraModel;
+use std::io::{Read, Write};
+use std::path::Path;
+
+/// No calibration is longer, bytes.
+const MAX_FILE_BYTES: u64 = 1 << 20;
+/// Wider or higher is a typing error, pixels.
+const MAX_SIZE_PX: f64 = 16_384.0;
+/// Focal length in units of the longer side: 157 degrees of view to 3 degrees.
+const FOCAL_RANGE: (f64, f64) = (0.1, 20.0);
+
+/// Why a calibration cannot be read or written.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum CalibrationError {
+    /// The file cannot be opened, read or written.
+    #[error("{path}: {reason}")]
+    File { path: String, reason: String },
+    /// The text is not of the format.
+    #[error("{path}:{line}: {reason}")]
+    Syntax { path: String, line: usize, reason: String },
+    /// A key that must be there is not.
+    #[error("{path}: {key} is missing: {reason}")]
+    Missing { path: String, key: String, reason: String },
+    /// A value is impossible.
+    #[error("{path}:{line}: {key} = {value}{}: {reason}", if unit.is_empty() { String::new() } else { format!(" {unit}") })]
+    Value { path: String, line: usize, key: String, value: String, unit: &'static str, reason: String },
+}
+
+/// A calibration with whatever else its file says.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CalibrationFile {
+    pub camera: CameraModel,
+    /// The other keys of our TOML; empty for the YAML dialects.
+    pub other: toml::Table,
+}
+
+/// Reads the camera of a calibration file of any dialect.
+pub fn load_camera(path: &Path) -> Result<CameraModel, CalibrationError> {
+    CalibrationFile::load(path).map(|file| file.camera)
+}
+
+/// Writes a camera alone as our TOML, whole or not at all.
+pub fn save_camera(path: &Path, camera: &CameraModel) -> Result<(), CalibrationError> {
+    CalibrationFile { camera: camera.clone(), other: toml::Table::new() }.save(path)
+}
+
+impl CalibrationFile {
+    /// Reads a calibration file of any dialect.
+    pub fn load(path: &Path) -> Result<Self, CalibrationError> {
+        let name = path.display().to_string();
+        let unreadable = |reason: String| CalibrationError::File { path: name.clone(), reason };
+        let metadata = std::fs::metadata(path).map_err(|e| unreadable(e.to_string()))?;
+        if !metadata.is_file() {
+            return Err(unreadable("is not a file".into()));
+        }
+        let mut bytes = Vec::new();
+        std::fs::File::open(path)
+            .and_then(|f| f.take(MAX_FILE_BYTES + 1).read_to_end(&mut bytes))
+            .map_err(|e| unreadable(e.to_string()))?;
+        if bytes.len() as u64 > MAX_FILE_BYTES {
+            return Err(unreadable(format!("is longer than {MAX_FILE_BYTES} bytes, so it is no calibration")));
+        }
+        let text = String::from_utf8(bytes).map_err(|_| unreadable("is not UTF-8 text".into()))?;
+        Self::parse(&text, &name, path.extension().is_some_and(|e| e.eq_ignore_ascii_case("toml")))
+    }
+
+    /// Reads a calibration from text; `path` is for messages.
+    pub fn parse(text: &str, path: &str, is_toml: bool) -> Result<Self, CalibrationError> {
+        let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+        if is_toml {
+            return parse_toml(text, path);
+        }
+        let camera = yaml::parse(text, path)?;
+        Ok(Self { camera, other: toml::Table::new() })
+    }
+
+    /// Writes our TOML, whole or not at all. Keys of `other` that are the camera's own are left out.
+    pub fn save(&self, path: &Path) -> Result<(), CalibrationError> {
+        let failed = |reason: String| CalibrationError::File { path: path.display().to_string(), reason };
+        let text = self.to_toml().map_err(|e| failed(e.to_string()))?;
+        write_atomically(path, |w| w.write_all(text.as_bytes())).map_err(|e| failed(e.source.to_string()))
+    }
+
+    /// Our TOML. Every number reads back as the very same one.
+    pub fn to_toml(&self) -> Result<String, toml::ser::Error> {
+        let c = &self.camera;
+        let [k1, k2, p1, p2, k3] = c.distortion;
+        let mut other = self.other.clone();
+        other.retain(|key, _| !OWN_KEYS.iter().any(|own| *own == key));
+        let rest = toml::to_string(&other)?;
+        Ok(format!(
+            "# Pinhole camera with radial-tangential distortion. Pixel (0, 0) is the centre of the first pixel.\n\
+             width_px = {}\nheight_px = {}\n\
+             fx_px = {:?}\nfy_px = {:?}\ncx_px = {:?}\ncy_px = {:?}\n\
+             # k1 k2 p1 p2 k3, OpenCV's order\n\
+             distortion = [{k1:?}, {k2:?}, {p1:?}, {p2:?}, {k3:?}]\n{rest}",
+            c.width, c.height, c.fx, c.fy, c.cx, c.cy
+        ))
+    }
+}
+
+/// The camera's keys of our TOML.
+const OWN_KEYS: [&str; 7] = ["width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px", "distortion"];
+
+fn parse_toml(text: &str, path: &str) -> Result<CalibrationFile, CalibrationError> {
+    let mut table: toml::Table = toml::from_str(text).map_err(|e: toml::de::Error| CalibrationError::Syntax {
+        path: path.into(),
+        line: e.span().map_or(1, |s| 1 + text.as_bytes().iter().take(s.start).filter(|b| **b == b'\n').count()),
+        reason: e.message().into(),
+    })?;
+    let number = |value: &toml::Value| match value {
+        toml::Value::Integer(i) => Some(*i as f64),
+        toml::Value::Float(f) => Some(*f),
+        _ => None,
+    };
+    let field = |key: &'static str, value: toml::Value| -> Result<Field, CalibrationError> {
+        let numbers = match &value {
+            toml::Value::Array(items) => items.iter().map(number).collect(),
+            single => number(single).map(|n| vec![n]),
+        };
+        let line = line_of_key(text, key);
+        let field = Field { path: path.into(), key: key.into(), line, text: value.to_string(), numbers: Vec::new() };
+        match numbers {
+            Some(numbers) => Ok(Field { numbers, ..field }),
+            None if key == "distortion" => Err(field.wrong("", "must be a list of numbers")),
+            None => Err(field.wrong("px", "must be a number")),
+        }
+    };
+    let mut take = |key: &'static str| match table.remove(key) {
+        Some(value) => field(key, value),
+        None => Err(CalibrationError::Missing {
+            path: path.into(),
+            key: key.into(),
+            reason: format!("a calibration needs {}", OWN_KEYS.join(", ")),
+        }),
+    };
+    let [width, height] = [take("width_px")?, take("height_px")?];
+    let intrinsics = [take("fx_px")?, take("fy_px")?, take("cx_px")?, take("cy_px")?];
+    let camera = camera([&width, &height], &intrinsics, &take("distortion")?)?;
+    Ok(CalibrationFile { camera, other: table })
+}
+
+/// Line, from 1, on which a top-level key stands.
+fn line_of_key(text: &str, key: &str) -> usize {
+    let is_key = |line: &str| {
+        line.trim_start()
+            .trim_start_matches(['"', '\''])
+            .strip_prefix(key)
+            .is_some_and(|rest| rest.trim_start_matches(['"', '\'']).trim_start().starts_with('='))
+    };
+    text.lines().position(is_key).map_or(1, |at| at + 1)
+}
+
+/// Numbers of one key, and where they stand.
+#[derive(Debug, Clone)]
+pub(super) struct Field {
+    pub path: String,
+    pub key: String,
+    pub line: usize,
+    /// As written.
+    pub text: String,
+    pub numbers: Vec<f64>,
+}
+
+impl Field {
+    pub(super) fn wrong(&self, unit: &'static str, reason: impl Into<String>) -> CalibrationError {
+        CalibrationError::Value {
+            path: self.path.clone(),
+            line: self.line,
+            key: self.key.clone(),
+            value: if self.text.chars().count() > 80 {
+                self.text.chars().take(77).chain("...".chars()).collect()
+            } else {
+                self.text.clone()
+            },
+            unit,
+            reason: reason.into(),
+        }
+    }
+
+    /// The only number, finite.
+    fn single(&self) -> Result<f64, CalibrationError> {
+        match self.numbers[..] {
+            [n] if n.is_finite() => Ok(n),
+            [_] => Err(self.wrong("px", "must be a finite number")),
+            _ => Err(self.wrong("px", "must be one number")),
+        }
+    }
+
+    fn size(&self) -> Result<u32, CalibrationError> {
+        let value = self.single()?;
+        if value.fract() != 0.0 || !(1.0..=MAX_SIZE_PX).contains(&value) {
+            return Err(self.wrong("px", format!("must be a whole number from 1 to {MAX_SIZE_PX}")));
+        }
+        Ok(value as u32)
+    }
+}
+
+/// Checks the fields and makes the model. `size` is width and height, `intrinsics` fx fy cx cy, one number each.
+pub(super) fn camera(
+    size: [&Field; 2],
+    intrinsics: &[Field; 4],
+    distortion: &Field,
+) -> Result<CameraModel, CalibrationError> {
+    let [width, height] = [size[0].size()?, size[1].size()?];
+    let longer = f64::from(width.max(height));
+    for field in &intrinsics[..2] {
+        let value = field.single()?;
+        if value <= 0.0 {
+            return Err(field.wrong("px", "must be greater than 0"));
+        }
+        if !(FOCAL_RANGE.0 * longer..=FOCAL_RANGE.1 * longer).contains(&value) {
+            let reason = format!(
+                "must be from {} to {} times the picture's longer side of {longer} px (is it in mm, or for another size?)",
+                FOCAL_RANGE.0, FOCAL_RANGE.1
+            );
+            return Err(field.wrong("px", reason));
+        }
+    }
+    for (field, side) in intrinsics[2..].iter().zip([width, height]) {
+        if !(0.0..=f64::from(side)).contains(&field.single()?) {
+            return Err(field.wrong("px", format!("must be inside the picture, 0 to {side}")));
+        }
+    }
+    let [fx, fy, cx, cy] = [0, 1, 2, 3].map(|i| intrinsics[i].numbers[0]);
+    let coefficients = coefficients(distortion)?;
+    CameraModel::new(width, height, fx, fy, cx, cy, coefficients)
+        .map_err(|e| CalibrationError::File { path: distortion.path.clone(), reason: e.to_string() })
+}
+
+/// k1 k2 p1 p2 k3. Four coefficients mean k3 = 0; a longer model passes when what is beyond k3 is zero.
+fn coefficients(field: &Field) -> Result<[f64; 5], CalibrationError> {
+    if field.numbers.iter().any(|n| !n.is_finite()) {
+        return Err(field.wrong("", "must be finite numbers"));
+    }
+    let [k1, k2, p1, p2, ref rest @ ..] = field.numbers[..] else {
+        return Err(
+            field.wrong("", "must be four or five numbers: k1 k2 p1 p2 k3 (zeros for a lens without distortion)")
+        );
+    };
+    let (k3, beyond) = rest.split_first().map_or((0.0, [].as_slice()), |(k3, beyond)| (*k3, beyond));
+    if beyond.iter().any(|n| *n != 0.0) {
+        return Err(field.wrong("", "has coefficients beyond k3: only k1 k2 p1 p2 k3 are handled"));
+    }
+    Ok([k1, k2, p1, p2, k3])
+}
+
+#[cfg(test)]
+mod tests;

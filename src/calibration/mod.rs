@@ -1,0 +1,6 @@
+//! Cameras' calibrations: how they come in from files and go out to them.
+
+pub mod file;
+mod yaml;
+
+pub use file::{CalibrationError, CalibrationFile, load_camera, save_camera};
