@@ -12,6 +12,8 @@
 //! `client` (wire types and subscriptions, iceoryx2 only) and `daemon` (default: everything).
 
 #[cfg(feature = "client")]
+pub mod client;
+#[cfg(feature = "client")]
 pub mod messages;
 
 #[cfg(feature = "daemon")]
@@ -36,6 +38,8 @@ pub mod geometry;
 pub mod image;
 #[cfg(feature = "daemon")]
 pub mod map;
+#[cfg(feature = "daemon")]
+pub mod publish;
 #[cfg(feature = "daemon")]
 pub mod reconstruction;
 #[cfg(feature = "daemon")]

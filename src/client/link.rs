@@ -1,0 +1,60 @@
+//! What the subscriptions of one [`super::Client`] share: the endpoint, and an iceoryx2 node while any of them is connected.
+
+use std::sync::{Arc, Mutex, PoisonError, Weak};
+
+use iceoryx2::prelude::{Node, NodeBuilder, NodeName, SignalHandlingMode, ipc_threadsafe};
+
+use super::ClientError;
+use crate::messages::{Endpoint, Presence};
+
+/// Ports of this flavour may move between threads; it meets every other flavour on the wire.
+pub(super) type Ipc = ipc_threadsafe::Service;
+
+/// See module.
+#[derive(Debug)]
+pub(super) struct Link {
+    endpoint: Endpoint,
+    node: Mutex<Weak<Node<Ipc>>>,
+}
+
+impl Link {
+    pub fn new(endpoint: Endpoint) -> Self {
+        Self { endpoint, node: Mutex::new(Weak::new()) }
+    }
+
+    pub fn endpoint(&self) -> &Endpoint {
+        &self.endpoint
+    }
+
+    /// Whether the service exists; creates nothing.
+    pub fn probe(&self, topic: &str) -> Result<bool, ClientError> {
+        match self.endpoint.probe(&self.endpoint.service(topic)?) {
+            Presence::Absent => Ok(false),
+            Presence::Ours => Ok(true),
+            Presence::OtherOwner { path, owner } => Err(ClientError::OtherOwner { path, owner }),
+        }
+    }
+
+    /// The node, made anew when nobody holds it. Call it only once a daemon's service was seen: a node creates folders.
+    pub fn node(&self) -> Result<Arc<Node<Ipc>>, ClientError> {
+        let mut shared = self.node.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(node) = shared.upgrade() {
+            return Ok(node);
+        }
+        let fail = |reason: String| ClientError::Ipc {
+            service: self.endpoint.root().display().to_string(),
+            doing: "creating an iceoryx2 node",
+            reason,
+        };
+        let name = NodeName::new("cairn-client").map_err(|e| fail(e.to_string()))?;
+        let node = NodeBuilder::new()
+            .name(&name)
+            .config(self.endpoint.config())
+            .signal_handling_mode(SignalHandlingMode::Disabled)
+            .create::<Ipc>()
+            .map_err(|e| fail(e.to_string()))?;
+        let node = Arc::new(node);
+        *shared = Arc::downgrade(&node);
+        Ok(node)
+    }
+}

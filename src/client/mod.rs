@@ -1,0 +1,110 @@
+//! A planner's side: typed subscriptions to a daemon, over iceoryx2 and nothing of ours but [`crate::messages`].
+//!
+//! ```no_run
+//! # fn main() -> Result<(), cairn::client::ClientError> {
+//! for pose in cairn::client::Client::connect("cairn")?.poses() {
+//!     let pose = pose?;
+//!     println!("{:?} {:?}", pose.state(), pose.position);
+//! }
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! - The order of starting does not matter: a [`Subscription`] waits for the daemon, and finds it again when it was stopped,
+//!   killed or replaced. [`crate::messages::Pose::run_id`] tells two runs apart.
+//! - Waiting is by event: a sleeping planner costs nothing. While no daemon is there it looks 20 times a second.
+//! - A daemon that has died leaves its last messages readable; their age tells ([`Subscription::latest`],
+//!   [`crate::messages::Pose::age_ns`], [`monotonic_ns`]).
+//! - Map, keyframes and frames are borrowed slices of shared memory, never copied. Two may be held at a time.
+//! - What cannot work is an error that says why and what to do: another version, another user's files, too many readers.
+//! - A client never creates anything before the daemon has: it could lock the daemon's user out.
+//! - No signal handler is installed. No thread is started. All types are `Send`.
+
+mod commander;
+mod error;
+mod link;
+mod subscription;
+mod topics;
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use iceoryx2_bb_posix::clock::{ClockType, Time};
+
+pub use error::ClientError;
+pub use subscription::Subscription;
+pub use topics::{Frame, Frames, Healths, Keyframes, KeyframesSnapshot, Map, MapSnapshot, Poses, Slice, Topic};
+
+use crate::messages::Endpoint;
+use crate::messages::services::topic;
+use link::Link;
+
+/// How often a client looks for a daemon that is not there.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+
+/// CLOCK_MONOTONIC now, ns: what `published_ns` and `arrival_ns` are measured in.
+pub fn monotonic_ns() -> i64 {
+    // Fails only on systems without that clock, on which iceoryx2 does not run.
+    Time::now_with_clock(ClockType::Monotonic)
+        .map_or(0, |t| t.seconds() as i64 * 1_000_000_000 + i64::from(t.nanoseconds()))
+}
+
+/// The services of one daemon. Cheap; subscriptions made from it share one iceoryx2 node.
+#[derive(Debug, Clone)]
+pub struct Client {
+    link: Arc<Link>,
+}
+
+impl Client {
+    /// The daemon with this prefix (`cairn` unless it was told otherwise), which need not run yet. An error here is one that
+    /// waiting would not cure.
+    pub fn connect(prefix: &str) -> Result<Self, ClientError> {
+        Self::with_endpoint(Endpoint::new(prefix)?)
+    }
+
+    /// As [`Self::connect`], with iceoryx2's own files elsewhere than by default.
+    pub fn with_endpoint(endpoint: Endpoint) -> Result<Self, ClientError> {
+        let link = Link::new(endpoint);
+        link.probe(topic::POSE)?;
+        Ok(Self { link: Arc::new(link) })
+    }
+
+    /// Waits until a daemon is there; `false` after `timeout`.
+    pub fn wait_for_daemon(&self, timeout: Duration) -> Result<bool, ClientError> {
+        let start = Instant::now();
+        loop {
+            if self.link.probe(topic::POSE)? {
+                return Ok(true);
+            }
+            match timeout.checked_sub(start.elapsed()) {
+                Some(left) if !left.is_zero() => std::thread::sleep(left.min(LOOK_EVERY)),
+                _ => return Ok(false),
+            }
+        }
+    }
+
+    /// Poses, one a frame.
+    pub fn poses(&self) -> Poses {
+        Subscription::new(self.link.clone())
+    }
+
+    /// The sparse map, at most twice a second.
+    pub fn map(&self) -> Map {
+        Subscription::new(self.link.clone())
+    }
+
+    /// Keyframes, with the map.
+    pub fn keyframes(&self) -> Keyframes {
+        Subscription::new(self.link.clone())
+    }
+
+    /// The daemon's health, at a steady rate.
+    pub fn health(&self) -> Healths {
+        Subscription::new(self.link.clone())
+    }
+
+    /// Grey pictures as the daemon sees them. The daemon copies pictures only while somebody holds such a subscription.
+    pub fn frames(&self) -> Frames {
+        Subscription::new(self.link.clone())
+    }
+}

@@ -1,0 +1,267 @@
+//! One subscription: finds the daemon, reads, sleeps, and finds the next daemon.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use iceoryx2::port::ReceiveError;
+use iceoryx2::port::listener::{Listener, ListenerCreateError, ListenerWaitError};
+use iceoryx2::prelude::{MessagingPattern, Node, PortFactory as _, ServiceName};
+use iceoryx2::service::Service as _;
+use iceoryx2::service::builder::event::EventOpenError;
+use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
+
+use super::link::{Ipc, Link};
+use super::topics::{OpenFailure, Topic};
+use super::{ClientError, LOOK_EVERY};
+
+/// Silence after which it is checked whether the daemon has died.
+const SILENCE: Duration = Duration::from_secs(1);
+/// A daemon that is restarted within this time finds the services as they were.
+const GRACE: Duration = Duration::from_millis(500);
+/// Something half made or half removed that stays so for this long is an error.
+const PATIENCE: Duration = Duration::from_secs(10);
+/// Longest sleep while connected.
+const NAP: Duration = Duration::from_millis(500);
+
+/// Messages of one service in the order in which they were sent.
+///
+/// Read with [`Self::wait`] or as an iterator to get every message (the queue holds the newest ones if you are slow), with
+/// [`Self::latest`] to get the state of the world now. An error stays one: waiting longer does not cure it.
+#[derive(Debug)]
+pub struct Subscription<T: Topic> {
+    link: Arc<Link>,
+    open: Option<Open<T>>,
+    latest: Option<T::Item>,
+    /// When the service was looked for last, while it is not open.
+    looked: Option<Instant>,
+    /// Since when opening fails in a way that should pass.
+    trouble: Option<Instant>,
+    /// The iterator has given its error.
+    ended: bool,
+}
+
+/// Ports of a connected subscription, dropped in this order.
+struct Open<T: Topic> {
+    port: T::Port,
+    listener: Listener<Ipc>,
+    node: Arc<Node<Ipc>>,
+    /// Of the last message or sign that the daemon lives.
+    heard: Instant,
+    /// Since when there is no publisher.
+    alone: Option<Instant>,
+}
+
+impl<T: Topic> std::fmt::Debug for Open<T> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Open").field("heard", &self.heard).field("alone", &self.alone).finish_non_exhaustive()
+    }
+}
+
+impl<T: Topic> Subscription<T> {
+    pub(super) fn new(link: Arc<Link>) -> Self {
+        Self { link, open: None, latest: None, looked: None, trouble: None, ended: false }
+    }
+
+    /// A daemon is there (it may still be silent: see the age of its messages).
+    pub fn is_connected(&self) -> bool {
+        self.open.as_ref().is_some_and(|open| T::publishers(&open.port) > 0)
+    }
+
+    /// The oldest message not read yet, without waiting. Also looks after the connection, so call this, [`Self::latest`]
+    /// or [`Self::wait`] from time to time.
+    pub fn try_next(&mut self) -> Result<Option<T::Item>, ClientError> {
+        if self.open.is_none() {
+            if self.looked.is_some_and(|t| t.elapsed() < LOOK_EVERY) {
+                return Ok(None);
+            }
+            self.looked = Some(Instant::now());
+            self.connect()?;
+        }
+        let Some(open) = &mut self.open else { return Ok(None) };
+        match T::receive(&open.port) {
+            Ok(Some(item)) => {
+                (open.heard, open.alone, self.trouble) = (Instant::now(), None, None);
+                Ok(Some(item))
+            }
+            Ok(None) => {
+                self.tend();
+                Ok(None)
+            }
+            Err(ReceiveError::ExceedsMaxBorrows) => {
+                let limit = T::max_held(&open.port);
+                Err(ClientError::TooManyHeld { service: self.name()?.to_string(), limit })
+            }
+            Err(ReceiveError::ConnectionFailure(e)) => {
+                // The publisher may have died while we connected. Start over, and give up only if that goes on.
+                self.close();
+                self.troubled("connecting to the publisher", e.to_string())?;
+                Ok(None)
+            }
+        }
+    }
+
+    /// The newest message there is, without waiting; the same one again while no newer has come, also after the daemon has
+    /// gone (look at its age). Of a slice, one of the messages that may be held is held here.
+    pub fn latest(&mut self) -> Result<Option<&T::Item>, ClientError> {
+        while let Some(item) = self.try_next()? {
+            self.latest = Some(item);
+        }
+        Ok(self.latest.as_ref())
+    }
+
+    /// The oldest message not read yet, waiting for it if need be; `None` after `timeout`, or earlier when a signal
+    /// arrives. Sleeps; a message wakes it.
+    pub fn wait(&mut self, timeout: Duration) -> Result<Option<T::Item>, ClientError> {
+        let start = Instant::now();
+        loop {
+            if let Some(item) = self.try_next()? {
+                return Ok(Some(item));
+            }
+            let left = match timeout.checked_sub(start.elapsed()) {
+                Some(left) if !left.is_zero() => left,
+                _ => return Ok(None),
+            };
+            let Some(open) = &self.open else {
+                std::thread::sleep(left.min(LOOK_EVERY));
+                continue;
+            };
+            // Shorter naps without a publisher: its going is noticed after GRACE, its coming is an event.
+            let nap = if open.alone.is_some() { LOOK_EVERY } else { NAP };
+            match open.listener.timed_wait(|_| (), left.min(nap)) {
+                Ok(_) => {}
+                Err(ListenerWaitError::InterruptSignal) => return Ok(None),
+                Err(e) => {
+                    self.close();
+                    self.troubled("waiting", format!("{e:?}"))?;
+                }
+            }
+        }
+    }
+
+    /// Nothing was there to read: is the daemon still alive?
+    fn tend(&mut self) {
+        let Some(open) = &mut self.open else { return };
+        if T::publishers(&open.port) > 0 {
+            open.alone = None;
+            if open.heard.elapsed() < SILENCE {
+                return;
+            }
+            // Silent: if it was killed, somebody has to clear its remains away, and that may be us.
+            open.heard = Instant::now();
+            open.node.try_cleanup_dead_nodes();
+            if T::publishers(&open.port) > 0 {
+                return;
+            }
+        }
+        // Nobody publishes. Let go of the services soon, so that a daemon of another version or user can make its own.
+        let since = *open.alone.get_or_insert_with(Instant::now);
+        if since.elapsed() >= GRACE {
+            self.close();
+        }
+    }
+
+    fn close(&mut self) {
+        if T::BORROWS {
+            self.latest = None;
+        }
+        self.open = None;
+        self.looked = Some(Instant::now());
+    }
+
+    fn name(&self) -> Result<ServiceName, ClientError> {
+        Ok(self.link.endpoint().service(T::NAME)?)
+    }
+
+    /// Opens the service if it is there.
+    fn connect(&mut self) -> Result<(), ClientError> {
+        if !self.link.probe(T::NAME)? {
+            self.trouble = None;
+            return Ok(());
+        }
+        let name = self.name()?;
+        let node = self.link.node()?;
+        let port = match T::open(&node, &name) {
+            Ok(port) => port,
+            Err(failure) => return self.open_failed(&name, failure),
+        };
+        let listener = match node.service_builder(&name).event().open() {
+            Ok(service) => match service.listener_builder().create() {
+                Ok(listener) => listener,
+                Err(ListenerCreateError::ExceedsMaxSupportedListeners) => {
+                    return Err(ClientError::TooManySubscribers {
+                        service: name.to_string(),
+                        limit: service.static_config().max_listeners(),
+                    });
+                }
+                Err(e) => return self.troubled("listening for its events", e.to_string()),
+            },
+            Err(EventOpenError::VersionMismatch) => {
+                return Err(ClientError::IpcVersionMismatch { service: name.to_string() });
+            }
+            Err(e) => return self.troubled("opening its events", e.to_string()),
+        };
+        self.open = Some(Open { port, listener, node, heard: Instant::now(), alone: None });
+        Ok(())
+    }
+
+    fn open_failed(&mut self, name: &ServiceName, failure: OpenFailure) -> Result<(), ClientError> {
+        use PublishSubscribeOpenError as E;
+        let service = name.to_string();
+        match failure {
+            // It went away between looking and opening.
+            OpenFailure::Service(E::DoesNotExist | E::IsMarkedForDestruction | E::Interrupt) => Ok(()),
+            OpenFailure::Service(E::VersionMismatch) => Err(ClientError::IpcVersionMismatch { service }),
+            OpenFailure::Service(E::IncompatibleTypes) => {
+                let theirs = self.type_on_the_wire(name);
+                Err(ClientError::VersionMismatch { service, ours: T::TYPE.into(), theirs })
+            }
+            OpenFailure::Service(E::ExceedsMaxNumberOfNodes) => {
+                Err(ClientError::TooManySubscribers { service, limit: crate::messages::services::MAX_NODES })
+            }
+            OpenFailure::Full { limit } => Err(ClientError::TooManySubscribers { service, limit }),
+            OpenFailure::Service(e) => self.troubled("opening it", e.to_string()),
+            OpenFailure::Port(e) => self.troubled("subscribing", e.to_string()),
+        }
+    }
+
+    /// A failure that should pass, because somebody is just making or clearing away things; an error when it does not.
+    fn troubled(&mut self, doing: &'static str, reason: String) -> Result<(), ClientError> {
+        let since = *self.trouble.get_or_insert_with(Instant::now);
+        if since.elapsed() < PATIENCE {
+            return Ok(());
+        }
+        self.trouble = None;
+        Err(ClientError::Ipc { service: self.name()?.to_string(), doing, reason })
+    }
+
+    /// Type name of the service as it exists.
+    fn type_on_the_wire(&self, name: &ServiceName) -> String {
+        let details = Ipc::details(name, self.link.endpoint().config(), MessagingPattern::PublishSubscribe);
+        match details {
+            Ok(Some(details)) => {
+                let types = details.static_details.publish_subscribe().message_type_details();
+                format!("{} of {} bytes", types.payload.type_name(), types.payload.size())
+            }
+            _ => "another type".into(),
+        }
+    }
+}
+
+/// Never ends by itself: sleeps until the next message. After an error it ends.
+impl<T: Topic> Iterator for Subscription<T> {
+    type Item = Result<T::Item, ClientError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        while !self.ended {
+            match self.wait(Duration::from_secs(60)) {
+                Ok(Some(item)) => return Some(Ok(item)),
+                Ok(None) => {}
+                Err(e) => {
+                    self.ended = true;
+                    return Some(Err(e));
+                }
+            }
+        }
+        None
+    }
+}

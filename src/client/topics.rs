@@ -1,0 +1,187 @@
+//! The services as types: what a subscription to each of them yields.
+
+use std::fmt;
+use std::ops::Deref;
+
+use iceoryx2::port::DegradationAction;
+use iceoryx2::port::ReceiveError;
+use iceoryx2::port::subscriber::{Subscriber, SubscriberCreateError};
+use iceoryx2::prelude::{Node, PortFactory as _, ServiceName, ZeroCopySend};
+use iceoryx2::sample::Sample;
+use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
+use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
+
+use super::Subscription;
+use super::link::Ipc;
+use crate::messages::services::topic;
+use crate::messages::{FrameHeader, Health, Keyframe, KeyframesHeader, Landmark, MapHeader, Pose};
+
+/// Subscription to poses; its items are copies (424 bytes).
+pub type Poses = Subscription<PoseTopic>;
+/// Subscription to health; its items are copies.
+pub type Healths = Subscription<HealthTopic>;
+/// Subscription to the map.
+pub type Map = Subscription<MapTopic>;
+/// Subscription to keyframes.
+pub type Keyframes = Subscription<KeyframesTopic>;
+/// Subscription to grey pictures.
+pub type Frames = Subscription<FrameTopic>;
+
+/// The map as it was at one moment: a slice of [`Landmark`] in shared memory.
+pub type MapSnapshot = Slice<Landmark, MapHeader>;
+/// The keyframes as they were at one moment: a slice of [`Keyframe`] in shared memory.
+pub type KeyframesSnapshot = Slice<Keyframe, KeyframesHeader>;
+/// A grey picture in shared memory, rows of [`FrameHeader::stride`] bytes.
+pub type Frame = Slice<u8, FrameHeader>;
+
+/// A message with many elements, borrowed from shared memory for as long as it lives. Never changes.
+pub struct Slice<T: ZeroCopySend + fmt::Debug + 'static, H: ZeroCopySend + fmt::Debug>(Sample<Ipc, [T], H>);
+
+impl<T: ZeroCopySend + fmt::Debug, H: ZeroCopySend + fmt::Debug> Slice<T, H> {
+    /// What the elements are a picture of.
+    pub fn header(&self) -> &H {
+        self.0.user_header()
+    }
+}
+
+impl<T: ZeroCopySend + fmt::Debug, H: ZeroCopySend + fmt::Debug> Deref for Slice<T, H> {
+    type Target = [T];
+    fn deref(&self) -> &[T] {
+        self.0.payload()
+    }
+}
+
+impl<T: ZeroCopySend + fmt::Debug, H: ZeroCopySend + fmt::Debug> fmt::Debug for Slice<T, H> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Slice").field("header", self.header()).field("len", &self.len()).finish()
+    }
+}
+
+/// Why ports could not be made; [`super::Subscription`] tells what passes from what stays.
+#[derive(Debug)]
+pub enum OpenFailure {
+    Service(PublishSubscribeOpenError),
+    Port(SubscriberCreateError),
+    /// All subscribers are there already.
+    Full {
+        limit: usize,
+    },
+}
+
+/// A publish/subscribe service. Implemented for those of the daemon.
+pub trait Topic {
+    /// Last part of the service's name.
+    const NAME: &'static str;
+    /// Versioned name of the elements' type.
+    const TYPE: &'static str;
+    /// The items borrow shared memory.
+    const BORROWS: bool;
+    /// What a subscription yields.
+    type Item;
+    /// The opened service and its port.
+    type Port: Send;
+
+    /// Opens the service, which must exist, as its creator made it.
+    #[doc(hidden)]
+    fn open(node: &Node<super::link::Ipc>, name: &ServiceName) -> Result<Self::Port, OpenFailure>;
+    /// The next message, oldest first.
+    #[doc(hidden)]
+    fn receive(port: &Self::Port) -> Result<Option<Self::Item>, ReceiveError>;
+    /// Publishers that are registered, dead ones included until they are cleared away.
+    #[doc(hidden)]
+    fn publishers(port: &Self::Port) -> usize;
+    /// Messages a subscriber may hold at most.
+    #[doc(hidden)]
+    fn max_held(port: &Self::Port) -> usize;
+}
+
+macro_rules! topic {
+    ($(#[$doc:meta])* $topic:ident, $name:expr, $payload:ty, $element:ty, $header:ty, $borrows:literal, $item:ty, $from:expr) => {
+        $(#[$doc])*
+        #[derive(Debug)]
+        pub struct $topic;
+
+        impl Topic for $topic {
+            const NAME: &'static str = $name;
+            const TYPE: &'static str = <$element as WireName>::WIRE_NAME;
+            const BORROWS: bool = $borrows;
+            type Item = $item;
+            // The port before the service: it must be gone when the service is closed.
+            type Port = (Subscriber<Ipc, $payload, $header>, PortFactory<Ipc, $payload, $header>);
+
+            fn open(node: &Node<Ipc>, name: &ServiceName) -> Result<Self::Port, OpenFailure> {
+                let service = node
+                    .service_builder(name)
+                    .publish_subscribe::<$payload>()
+                    .user_header::<$header>()
+                    .open()
+                    .map_err(OpenFailure::Service)?;
+                // A connection that cannot be made must not pass as silence.
+                let port = service
+                    .subscriber_builder()
+                    .set_degradation_handler(|_, _| DegradationAction::DegradeAndFail)
+                    .create()
+                    .map_err(|e| match e {
+                        SubscriberCreateError::ExceedsMaxSupportedSubscribers => {
+                            OpenFailure::Full { limit: service.static_config().max_subscribers() }
+                        }
+                        e => OpenFailure::Port(e),
+                    })?;
+                Ok((port, service))
+            }
+
+            fn receive((port, _): &Self::Port) -> Result<Option<Self::Item>, ReceiveError> {
+                Ok(port.receive()?.map($from))
+            }
+
+            fn publishers((_, service): &Self::Port) -> usize {
+                service.dynamic_config().number_of_publishers()
+            }
+
+            fn max_held((_, service): &Self::Port) -> usize {
+                service.static_config().subscriber_max_borrowed_samples()
+            }
+        }
+    };
+}
+
+/// Versioned name of an element's type; a plain byte has only iceoryx2's name.
+trait WireName {
+    const WIRE_NAME: &'static str;
+}
+impl WireName for Pose {
+    const WIRE_NAME: &'static str = Pose::TYPE_NAME;
+}
+impl WireName for Health {
+    const WIRE_NAME: &'static str = Health::TYPE_NAME;
+}
+impl WireName for Landmark {
+    const WIRE_NAME: &'static str = Landmark::TYPE_NAME;
+}
+impl WireName for Keyframe {
+    const WIRE_NAME: &'static str = Keyframe::TYPE_NAME;
+}
+impl WireName for u8 {
+    const WIRE_NAME: &'static str = "u8";
+}
+
+topic!(
+    /// [`Pose`], one a frame.
+    PoseTopic, topic::POSE, Pose, Pose, (), false, Pose, |s| *s.payload()
+);
+topic!(
+    /// [`Health`], at a steady rate.
+    HealthTopic, topic::HEALTH, Health, Health, (), false, Health, |s| *s.payload()
+);
+topic!(
+    /// [`MapSnapshot`], at most twice a second.
+    MapTopic, topic::MAP, [Landmark], Landmark, MapHeader, true, MapSnapshot, Slice
+);
+topic!(
+    /// [`KeyframesSnapshot`], with the map.
+    KeyframesTopic, topic::KEYFRAMES, [Keyframe], Keyframe, KeyframesHeader, true, KeyframesSnapshot, Slice
+);
+topic!(
+    /// [`Frame`], while somebody subscribes.
+    FrameTopic, topic::FRAME, [u8], u8, FrameHeader, true, Frame, Slice
+);

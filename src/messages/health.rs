@@ -1,0 +1,265 @@
+//! How the daemon is, at a steady rate whatever else has stalled.
+
+use iceoryx2::prelude::ZeroCopySend;
+
+use super::{CLOCK_MONOTONIC, Clock, STATE_INITIALIZING, State, UNKNOWN_NS};
+
+/// Bits of [`Health::errors`]; a bit stands as long as its fault lasts.
+pub mod error {
+    /// No camera is there, or it cannot be opened.
+    pub const NO_CAMERA: u64 = 1 << 0;
+    /// The source is open and gives no frames.
+    pub const NO_FRAMES: u64 = 1 << 1;
+    /// No keypoint was found in the last frame: black, white, covered or badly out of focus.
+    pub const NO_FEATURES: u64 = 1 << 2;
+    /// So few keypoints or landmarks that tracking may be lost soon.
+    pub const LOW_FEATURES: u64 = 1 << 3;
+    /// Frames were dropped lately because the pipeline could not keep up.
+    pub const DROPPED_FRAMES: u64 = 1 << 4;
+    /// Frames lately could not be decoded.
+    pub const CORRUPT_FRAMES: u64 = 1 << 5;
+    /// Calibration is missing, is of another picture size, or does not fit what is seen.
+    pub const BAD_CALIBRATION: u64 = 1 << 6;
+    /// Frames lately had a time that repeats, goes back or jumps.
+    pub const BAD_TIMESTAMP: u64 = 1 << 7;
+    /// A stage has shown no sign of life for longer than its limit; see [`super::StageHealth::heartbeat_age_ns`].
+    pub const STALLED_STAGE: u64 = 1 << 8;
+    /// Map adjustments come later than configured.
+    pub const MAPPING_LATE: u64 = 1 << 9;
+    /// There was a map and tracking is lost.
+    pub const LOST: u64 = 1 << 10;
+    /// A file could not be written (trajectory, map).
+    pub const SAVE_FAILED: u64 = 1 << 11;
+    /// Messages lately could not be sent.
+    pub const PUBLISH_FAILED: u64 = 1 << 12;
+
+    const NAMES: [(u64, &str); 13] = [
+        (NO_CAMERA, "NO_CAMERA"),
+        (NO_FRAMES, "NO_FRAMES"),
+        (NO_FEATURES, "NO_FEATURES"),
+        (LOW_FEATURES, "LOW_FEATURES"),
+        (DROPPED_FRAMES, "DROPPED_FRAMES"),
+        (CORRUPT_FRAMES, "CORRUPT_FRAMES"),
+        (BAD_CALIBRATION, "BAD_CALIBRATION"),
+        (BAD_TIMESTAMP, "BAD_TIMESTAMP"),
+        (STALLED_STAGE, "STALLED_STAGE"),
+        (MAPPING_LATE, "MAPPING_LATE"),
+        (LOST, "LOST"),
+        (SAVE_FAILED, "SAVE_FAILED"),
+        (PUBLISH_FAILED, "PUBLISH_FAILED"),
+    ];
+
+    /// Names of the bits that are set; bits of a newer daemon together are `UNKNOWN`.
+    pub fn names(errors: u64) -> impl Iterator<Item = &'static str> {
+        let known = NAMES.iter().fold(0, |all, (bit, _)| all | bit);
+        let unknown = (errors & !known != 0).then_some("UNKNOWN");
+        NAMES.iter().filter(move |(bit, _)| errors & bit != 0).map(|(_, name)| *name).chain(unknown)
+    }
+}
+
+/// Index into [`Health::stages`].
+pub mod stage {
+    /// Frames from the source into the ring.
+    pub const CAPTURE: usize = 0;
+    /// Decoding, pyramid, corners, tracks.
+    pub const FEATURES: usize = 1;
+    /// Pose of the frame.
+    pub const TRACKING: usize = 2;
+    /// Keyframes, landmarks, adjustment.
+    pub const MAPPING: usize = 3;
+    /// Messages into shared memory.
+    pub const PUBLISHING: usize = 4;
+    /// A whole frame, from its arrival to its published pose.
+    pub const END_TO_END: usize = 5;
+    /// Names by index.
+    pub const NAMES: [&str; super::STAGES] = ["capture", "features", "tracking", "mapping", "publishing", "end_to_end"];
+}
+
+/// Number of stages.
+pub const STAGES: usize = 6;
+
+/// One stage of the pipeline over the last interval between two health messages (or longer, as the daemon chooses).
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
+#[type_name("cairn.StageHealth.v1")]
+pub struct StageHealth {
+    /// Steps since the start.
+    pub steps: u64,
+    /// Time since the stage's last sign of life, ns; [`UNKNOWN_NS`] if it is not under watch.
+    pub heartbeat_age_ns: i64,
+    /// Median duration of a step, ms; NaN if there was none.
+    pub p50_ms: f32,
+    /// 95 of 100 steps were not longer, ms; NaN if there was none.
+    pub p95_ms: f32,
+    /// 99 of 100 steps were not longer, ms; NaN if there was none.
+    pub p99_ms: f32,
+    /// Steps a second; NaN = unknown.
+    pub rate_hz: f32,
+}
+
+layout!(StageHealth, "cairn.StageHealth.v1", 32, {
+    steps @ 0, heartbeat_age_ns @ 8, p50_ms @ 16, p95_ms @ 20, p99_ms @ 24, rate_hz @ 28,
+});
+
+impl Default for StageHealth {
+    fn default() -> Self {
+        let nan = f32::NAN;
+        Self { steps: 0, heartbeat_age_ns: UNKNOWN_NS, p50_ms: nan, p95_ms: nan, p99_ms: nan, rate_hz: nan }
+    }
+}
+
+/// The daemon's health. Counters count from its start.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
+#[type_name("cairn.Health.v1")]
+pub struct Health {
+    /// Another value at every start of the daemon.
+    pub run_id: u64,
+    /// Counts health messages of this run.
+    pub sequence: u64,
+    /// CLOCK_MONOTONIC when this message was sent, ns.
+    pub published_ns: i64,
+    /// Time since the start, ns.
+    pub uptime_ns: i64,
+    /// CLOCK_REALTIME minus CLOCK_MONOTONIC, ns: add it to a monotonic time to get the time of day.
+    pub realtime_minus_monotonic_ns: i64,
+    /// Faults that stand now: bits of [`error`].
+    pub errors: u64,
+    /// Frames that arrived from the source.
+    pub frames_captured: u64,
+    /// Frames never looked at because a later one was there already.
+    pub frames_dropped: u64,
+    /// Frames that could not be decoded.
+    pub frames_corrupt: u64,
+    /// Frames with a pose.
+    pub frames_tracked: u64,
+    /// Keyframes made.
+    pub keyframes_made: u64,
+    /// Landmarks made.
+    pub landmarks_made: u64,
+    /// Map adjustments merged.
+    pub adjustments: u64,
+    /// Map adjustments that came later than configured.
+    pub adjustments_late: u64,
+    /// Resets and re-initialisations.
+    pub resets: u64,
+    /// Times that a lost robot was found again in its map.
+    pub relocalisations: u64,
+    /// Time since the last frame arrived, ns; [`UNKNOWN_NS`] if there was none.
+    pub frame_age_ns: i64,
+    /// Time since the last frame with a pose arrived, ns; [`UNKNOWN_NS`] if there was none.
+    pub pose_age_ns: i64,
+    /// By [`stage`].
+    pub stages: [StageHealth; STAGES],
+    /// Keyframes in the current map.
+    pub keyframes: u32,
+    /// Landmarks in the current map.
+    pub landmarks: u32,
+    /// As in [`super::Pose::reset_counter`].
+    pub reset_counter: u32,
+    /// As in [`super::Pose::map_id`].
+    pub map_id: u32,
+    /// Process id of the daemon.
+    pub pid: u32,
+    /// [`super::STATE_INITIALIZING`], [`super::STATE_TRACKING`], [`super::STATE_LOST`] of the last frame.
+    pub state: u8,
+    /// [`super::CLOCK_MONOTONIC`] or [`super::CLOCK_RECORDING`]: what the source's times count from.
+    pub clock: u8,
+    /// Zero.
+    pub reserved: [u8; 2],
+    /// Version of the daemon, UTF-8, zero-padded.
+    pub version: [u8; 32],
+}
+
+layout!(Health, "cairn.Health.v1", 392, {
+    run_id @ 0, sequence @ 8, published_ns @ 16, uptime_ns @ 24, realtime_minus_monotonic_ns @ 32, errors @ 40,
+    frames_captured @ 48, frames_dropped @ 56, frames_corrupt @ 64, frames_tracked @ 72, keyframes_made @ 80,
+    landmarks_made @ 88, adjustments @ 96, adjustments_late @ 104, resets @ 112, relocalisations @ 120,
+    frame_age_ns @ 128, pose_age_ns @ 136, stages @ 144, keyframes @ 336, landmarks @ 340, reset_counter @ 344,
+    map_id @ 348, pid @ 352, state @ 356, clock @ 357, reserved @ 358, version @ 360,
+});
+
+impl Default for Health {
+    /// Nothing has happened yet.
+    fn default() -> Self {
+        Self {
+            run_id: 0,
+            sequence: 0,
+            published_ns: 0,
+            uptime_ns: 0,
+            realtime_minus_monotonic_ns: 0,
+            errors: 0,
+            frames_captured: 0,
+            frames_dropped: 0,
+            frames_corrupt: 0,
+            frames_tracked: 0,
+            keyframes_made: 0,
+            landmarks_made: 0,
+            adjustments: 0,
+            adjustments_late: 0,
+            resets: 0,
+            relocalisations: 0,
+            frame_age_ns: UNKNOWN_NS,
+            pose_age_ns: UNKNOWN_NS,
+            stages: [StageHealth::default(); STAGES],
+            keyframes: 0,
+            landmarks: 0,
+            reset_counter: 0,
+            map_id: 0,
+            pid: 0,
+            state: STATE_INITIALIZING,
+            clock: CLOCK_MONOTONIC,
+            reserved: [0; 2],
+            version: [0; 32],
+        }
+    }
+}
+
+impl Health {
+    /// `state` as a type.
+    pub fn state(&self) -> State {
+        State::from_wire(self.state)
+    }
+
+    /// `clock` as a type.
+    pub fn clock(&self) -> Clock {
+        Clock::from_wire(self.clock)
+    }
+
+    /// Version of the daemon.
+    pub fn version(&self) -> &str {
+        let bytes = self.version.split(|b| *b == 0).next().unwrap_or_default();
+        core::str::from_utf8(bytes).unwrap_or_default()
+    }
+
+    /// Sets [`Health::version`]; what does not fit is cut off.
+    pub fn set_version(&mut self, version: &str) {
+        self.version = super::command::padded(version);
+    }
+
+    /// How long ago this message was sent, ns; `now_ns` is CLOCK_MONOTONIC.
+    pub fn age_ns(&self, now_ns: i64) -> i64 {
+        now_ns.saturating_sub(self.published_ns)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_are_named_and_unknown_bits_do_not_vanish() {
+        let names: Vec<_> = error::names(error::LOST | error::NO_CAMERA | 1 << 60).collect();
+        assert_eq!(names, ["NO_CAMERA", "LOST", "UNKNOWN"]);
+        assert_eq!(error::names(0).count(), 0);
+    }
+
+    #[test]
+    fn a_version_that_is_too_long_is_cut_at_a_character() {
+        let mut health = Health::default();
+        health.set_version("0.1.0");
+        assert_eq!(health.version(), "0.1.0");
+        health.set_version(&"é".repeat(40));
+        assert_eq!(health.version(), "é".repeat(16));
+    }
+}

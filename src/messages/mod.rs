@@ -1,0 +1,238 @@
+//! The wire: what the daemon puts into shared memory, field by field. Needs iceoryx2 and nothing of ours.
+//!
+//! | service | pattern | payload | user header |
+//! |---|---|---|---|
+//! | `PREFIX/pose` | publish/subscribe | [`Pose`], one a frame | |
+//! | `PREFIX/map` | publish/subscribe | slice of [`Landmark`], at most 2 Hz | [`MapHeader`] |
+//! | `PREFIX/keyframes` | publish/subscribe | slice of [`Keyframe`] | [`KeyframesHeader`] |
+//! | `PREFIX/health` | publish/subscribe | [`Health`], at a steady rate | |
+//! | `PREFIX/frame` | publish/subscribe | slice of `u8`, grey | [`FrameHeader`] |
+//! | `PREFIX/command` | request/response | [`Command`] -> [`CommandReply`] | |
+//!
+//! Each publish/subscribe service has an event service of the same name ([`services::EVENT_NEW`] and others), so that a
+//! planner sleeps until something comes. `PREFIX` is `cairn` unless chosen otherwise ([`Endpoint`]).
+//!
+//! # Layout and versions
+//! Every type is `#[repr(C)]`, little-endian as the machine is, of fixed size and without padding; names, offsets and
+//! sizes are asserted at compile time and readable as `FIELDS`. The type name carries a version (`cairn.Pose.v1`). A
+//! change of layout or meaning makes a new version; iceoryx2 then refuses to connect the two, and
+//! [`crate::client::ClientError::VersionMismatch`] says so. New values of an enumeration or new bits are no new version:
+//! readers keep unknown ones ([`State::Unknown`]).
+//!
+//! # Frames and units
+//! - *map* (the world): REP-103 axes (x forward, y left, z up). Its origin is the camera's centre at the map's first
+//!   keyframe and its axes are those of the robot's **body** at that moment, as told by the mount: "up" comes from the
+//!   mount and not from gravity.
+//! - *odom*: the same kind of axes; continuous within one (`run_id`, `reset_counter`), while the map pose jumps when a loop
+//!   is closed (REP-105).
+//! - *body*: REP-103 axes of the robot, from the camera by the configuration's `[mount]`. The mount's rotation is always
+//!   applied, its translation only where `scale` is [`SCALE_METRIC`]; before that the body's origin is the camera's centre.
+//! - Quaternions are (x, y, z, w), unit length, and rotate body vectors into map (or odom) vectors.
+//! - Lengths are in map units; they are metres only where `scale` is [`SCALE_METRIC`]. Angles are radians, times are ns.
+//! - NaN means unknown, [`UNKNOWN_NS`] a time that is not known, [`NO_KEYFRAME`] no keyframe.
+//!
+//! # Clocks
+//! `timestamp_ns` is the capture time in the clock that the field `clock` names; all other times are CLOCK_MONOTONIC, and
+//! [`Health::realtime_minus_monotonic_ns`] relates that to the time of day.
+
+/// Checks a wire struct at compile time and lists its fields: offsets as written, no padding, nothing left out.
+macro_rules! layout {
+    ($type:ident, $name:literal, $size:literal, { $($field:ident @ $offset:literal),+ $(,)? }) => {
+        impl $type {
+            /// Name that iceoryx2 compares when two processes meet.
+            pub const TYPE_NAME: &'static str = $name;
+            /// All fields in order.
+            pub const FIELDS: &'static [$crate::messages::Field] = &[$($crate::messages::Field {
+                name: stringify!($field),
+                offset: core::mem::offset_of!($type, $field),
+                size: $crate::messages::size_of_field::<$type, _>(|s| &s.$field),
+            }),+];
+        }
+        const _: () = {
+            assert!(core::mem::size_of::<$type>() == $size);
+            $(assert!(core::mem::offset_of!($type, $field) == $offset);)+
+            let (mut i, mut end) = (0, 0);
+            while i < $type::FIELDS.len() {
+                assert!($type::FIELDS[i].offset == end, "padding, or a field is not listed");
+                end += $type::FIELDS[i].size;
+                i += 1;
+            }
+            assert!(end == $size, "padding at the end, or a field is not listed");
+        };
+    };
+}
+
+mod command;
+mod endpoint;
+mod frame;
+mod health;
+mod map;
+mod pose;
+pub mod services;
+
+pub use command::{Command, CommandReply, TEXT_LEN, command_kind, reply_code};
+pub(crate) use endpoint::user_name;
+pub use endpoint::{DEFAULT_PREFIX, Endpoint, EndpointError, Presence, effective_uid, service_name};
+pub use frame::FrameHeader;
+pub use health::{Health, STAGES, StageHealth, error, stage};
+pub use map::{Keyframe, KeyframesHeader, Landmark, MapHeader};
+pub use pose::Pose;
+
+/// A field of a wire struct, for documentation, bindings to other languages and tests.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Field {
+    pub name: &'static str,
+    /// Bytes from the start of the struct.
+    pub offset: usize,
+    /// Bytes.
+    pub size: usize,
+}
+
+const fn size_of_field<T, F>(_field: fn(&T) -> &F) -> usize {
+    core::mem::size_of::<F>()
+}
+
+/// Stands where a time or duration in ns is not known.
+pub const UNKNOWN_NS: i64 = i64::MIN;
+/// Stands where there is no keyframe.
+pub const NO_KEYFRAME: u32 = u32::MAX;
+
+/// `state`: no map yet, no pose.
+pub const STATE_INITIALIZING: u8 = 0;
+/// `state`: the pose rests on landmarks that were seen in this frame.
+pub const STATE_TRACKING: u8 = 1;
+/// `state`: there was a map and this frame could not be placed in it; no pose.
+pub const STATE_LOST: u8 = 2;
+
+/// `scale`: lengths are arbitrary (one camera alone); only ratios mean something.
+pub const SCALE_UNKNOWN: u8 = 0;
+/// `scale`: lengths are meant to be metres, with the relative uncertainty `scale_sigma`.
+pub const SCALE_ESTIMATED: u8 = 1;
+/// `scale`: lengths are metres, the mount's translation is applied, `scale_sigma` says how well.
+pub const SCALE_METRIC: u8 = 2;
+
+/// `clock`: `timestamp_ns` is CLOCK_MONOTONIC of this machine.
+pub const CLOCK_MONOTONIC: u8 = 0;
+/// `clock`: `timestamp_ns` is a recording's own time.
+pub const CLOCK_RECORDING: u8 = 1;
+
+/// `state` as a type; a value from a newer daemon is kept.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum State {
+    Initializing,
+    Tracking,
+    Lost,
+    Unknown(u8),
+}
+
+impl State {
+    /// From the wire.
+    pub fn from_wire(value: u8) -> Self {
+        match value {
+            STATE_INITIALIZING => Self::Initializing,
+            STATE_TRACKING => Self::Tracking,
+            STATE_LOST => Self::Lost,
+            other => Self::Unknown(other),
+        }
+    }
+
+    /// `INITIALIZING`, `TRACKING`, `LOST`, `UNKNOWN`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Initializing => "INITIALIZING",
+            Self::Tracking => "TRACKING",
+            Self::Lost => "LOST",
+            Self::Unknown(_) => "UNKNOWN",
+        }
+    }
+}
+
+/// `scale` as a type; a value from a newer daemon is kept.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Scale {
+    /// Arbitrary units.
+    Arbitrary,
+    /// Metres as estimated.
+    Estimated,
+    /// Metres.
+    Metric,
+    Unknown(u8),
+}
+
+impl Scale {
+    /// From the wire.
+    pub fn from_wire(value: u8) -> Self {
+        match value {
+            SCALE_UNKNOWN => Self::Arbitrary,
+            SCALE_ESTIMATED => Self::Estimated,
+            SCALE_METRIC => Self::Metric,
+            other => Self::Unknown(other),
+        }
+    }
+
+    /// `UNKNOWN` (arbitrary units, or a value of a newer daemon), `ESTIMATED`, `METRIC`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Arbitrary | Self::Unknown(_) => "UNKNOWN",
+            Self::Estimated => "ESTIMATED",
+            Self::Metric => "METRIC",
+        }
+    }
+}
+
+/// `clock` as a type; a value from a newer daemon is kept.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Clock {
+    Monotonic,
+    Recording,
+    Unknown(u8),
+}
+
+impl Clock {
+    /// From the wire.
+    pub fn from_wire(value: u8) -> Self {
+        match value {
+            CLOCK_MONOTONIC => Self::Monotonic,
+            CLOCK_RECORDING => Self::Recording,
+            other => Self::Unknown(other),
+        }
+    }
+
+    /// `MONOTONIC`, `RECORDING`, `UNKNOWN`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Monotonic => "MONOTONIC",
+            Self::Recording => "RECORDING",
+            Self::Unknown(_) => "UNKNOWN",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use iceoryx2::service::static_config::message_type_details::{TypeDetail, TypeVariant};
+
+    #[test]
+    fn iceoryx2_sees_the_versioned_name_and_the_asserted_size_of_every_type() {
+        macro_rules! check {
+            ($($type:ty),+) => {$(
+                let seen = TypeDetail::new::<$type>(TypeVariant::FixedSize);
+                assert_eq!(seen.type_name().to_string(), <$type>::TYPE_NAME);
+                assert_eq!(seen.size(), core::mem::size_of::<$type>());
+                assert!(<$type>::TYPE_NAME.starts_with("cairn."));
+                assert!(<$type>::TYPE_NAME.ends_with(".v1"));
+            )+};
+        }
+        check!(Pose, Health, Landmark, MapHeader, Keyframe, KeyframesHeader, FrameHeader, Command, CommandReply);
+    }
+
+    #[test]
+    fn values_of_a_newer_daemon_are_kept_and_not_taken_for_good_ones() {
+        assert_eq!(State::from_wire(77), State::Unknown(77));
+        assert_eq!(Scale::from_wire(9), Scale::Unknown(9));
+        assert_eq!(Clock::from_wire(9), Clock::Unknown(9));
+        let pose = Pose { state: 77, ..Pose::default() };
+        assert!(!pose.is_tracking());
+    }
+}

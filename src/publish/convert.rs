@@ -1,0 +1,197 @@
+//! From optical axes (right, down, forward) to the wire's REP-103 axes (forward, left, up) of the robot's body.
+//!
+//! With `M` the rotation of `body_from_camera`, `b` its translation (the camera in the body; zero unless the scale is
+//! metric), and `R`, `t` of `world_from_camera`:
+//!
+//! ```text
+//! map_from_body:  R_b = M R Mᵀ          p_b = M t − R_b b
+//! landmark:       p   = M x
+//! velocity:       w_b = M w             v_b = M v − w_b × b
+//! covariance:     e_b = J e_c           J = | M  [b]x M |     e = [position, rotation], right tangent
+//!                                           | 0     M   |
+//! ```
+//!
+//! The map's axes are the body's at the map's first keyframe, where `R = I`; its origin is the camera's centre there.
+//!
+//! Covariance comes in as that of the left perturbation of `camera_from_world`, `R' = exp(w) R_cw`, `t' = exp(w) t_cw + v`.
+//! Then `R_wc' = R_wc exp(-w)` and the centre moves by `-R_wc v` to first order: the right tangent of `world_from_camera` is
+//! `e_c = -[v, w]`, so its covariance is the same one with its halves swapped.
+
+use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
+
+use crate::frame;
+use crate::geometry::frames::{Body, Camera};
+use crate::geometry::{Se3, ros_from_optical};
+use crate::messages::{self, Keyframe, Landmark, NO_KEYFRAME, Pose};
+use crate::reconstruction::{KeyframeView, LandmarkView, PoseEstimate, TrackingState};
+
+/// What is known of the length of a map unit.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum ScaleEstimate {
+    /// Arbitrary.
+    #[default]
+    Unknown,
+    /// Metres, with this relative standard deviation, as estimated; not relied upon.
+    Estimated { sigma: f32 },
+    /// Metres, with this relative standard deviation.
+    Metric { sigma: f32 },
+}
+
+impl ScaleEstimate {
+    /// `scale` and `scale_sigma` of the messages.
+    pub fn to_wire(self) -> (u8, f32) {
+        match self {
+            Self::Unknown => (messages::SCALE_UNKNOWN, f32::NAN),
+            Self::Estimated { sigma } => (messages::SCALE_ESTIMATED, sigma),
+            Self::Metric { sigma } => (messages::SCALE_METRIC, sigma),
+        }
+    }
+}
+
+/// What the messages need to know beyond the estimate itself.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Conversion {
+    /// The mount, of the configuration; its translation in metres.
+    pub body_from_camera: Se3<Body, Camera>,
+    pub scale: ScaleEstimate,
+    /// What the source's timestamps count from.
+    pub clock: frame::Clock,
+}
+
+impl Default for Conversion {
+    /// A camera that looks forward, upright, at the body's origin; unknown scale.
+    fn default() -> Self {
+        Self {
+            body_from_camera: Se3::new(ros_from_optical(), Vector3::zeros()),
+            scale: ScaleEstimate::Unknown,
+            clock: frame::Clock::Monotonic,
+        }
+    }
+}
+
+impl Conversion {
+    /// `M`: camera axes to body axes, and the world's optical axes to the map's.
+    pub fn rotation(&self) -> UnitQuaternion<f64> {
+        self.body_from_camera.rotation
+    }
+
+    /// `b`: the camera's centre in the body, zero unless lengths are metres.
+    fn lever(&self) -> Vector3<f64> {
+        match self.scale {
+            ScaleEstimate::Metric { .. } => self.body_from_camera.translation,
+            ScaleEstimate::Unknown | ScaleEstimate::Estimated { .. } => Vector3::zeros(),
+        }
+    }
+
+    /// Position and quaternion of the body, in REP-103 axes, from `world_from_camera` (or `odom_from_camera`).
+    fn body<W>(&self, world_from_camera: &Se3<W, Camera>) -> ([f64; 3], [f64; 4]) {
+        let m = self.rotation();
+        let rotation = m * world_from_camera.rotation * m.inverse();
+        let position = m * world_from_camera.translation - rotation * self.lever();
+        // One of the two quaternions of a rotation, always the same.
+        let q = if rotation.w < 0.0 { -rotation.coords } else { rotation.coords };
+        (position.into(), [q.x, q.y, q.z, q.w])
+    }
+}
+
+/// `clock` of the messages.
+pub fn clock(clock: frame::Clock) -> u8 {
+    match clock {
+        frame::Clock::Monotonic => messages::CLOCK_MONOTONIC,
+        frame::Clock::Recording => messages::CLOCK_RECORDING,
+    }
+}
+
+/// `state` of the messages.
+pub fn state(state: TrackingState) -> u8 {
+    match state {
+        TrackingState::Initializing => messages::STATE_INITIALIZING,
+        TrackingState::Tracking => messages::STATE_TRACKING,
+        TrackingState::Lost => messages::STATE_LOST,
+    }
+}
+
+/// The message of one frame, without what only the sender knows (run, drops, times of sending).
+///
+/// An estimate that claims to track and has no finite pose is sent as lost: nothing invented may look good.
+pub fn pose(estimate: &PoseEstimate, conversion: &Conversion) -> Pose {
+    let (scale, scale_sigma) = conversion.scale.to_wire();
+    let mut pose = Pose {
+        sequence: estimate.sequence,
+        timestamp_ns: estimate.timestamp_ns,
+        arrival_ns: estimate.arrival_ns,
+        scale_sigma,
+        landmarks_sought: estimate.landmarks_sought,
+        reset_counter: estimate.reset_counter,
+        map_id: estimate.map.0,
+        state: state(estimate.state),
+        scale,
+        clock: clock(conversion.clock),
+        ..Pose::default()
+    };
+    if estimate.state != TrackingState::Tracking {
+        return pose;
+    }
+    let finite = |p: &Se3<_, Camera>| p.is_finite();
+    let Some(world_from_camera) = estimate.world_from_camera.filter(finite) else {
+        pose.state = messages::STATE_LOST;
+        return pose;
+    };
+    (pose.position, pose.orientation) = conversion.body(&world_from_camera);
+    if let Some(odom_from_camera) = estimate.odom_from_camera.filter(|p| p.is_finite()) {
+        (pose.odom_position, pose.odom_orientation) = conversion.body(&odom_from_camera);
+    }
+    pose.covariance = upper_triangle(&body_covariance(&estimate.covariance, conversion));
+    let (m, lever) = (conversion.rotation(), conversion.lever());
+    let (angular, mut linear) = (m * estimate.angular_velocity, m * estimate.linear_velocity);
+    if lever != Vector3::zeros() {
+        // Not without a lever: an unknown rate would make the known velocity unknown.
+        linear -= angular.cross(&lever);
+    }
+    pose.angular_velocity = angular.into();
+    pose.linear_velocity = linear.into();
+    pose.quality = estimate.quality;
+    pose.landmarks = estimate.landmarks;
+    pose.anchor_keyframe = estimate.anchor.map_or(NO_KEYFRAME, |k| k.0);
+    pose.keyframe = u8::from(estimate.keyframe);
+    pose
+}
+
+/// Covariance of the body's pose, order position, rotation, right tangent; from that of the left perturbation of
+/// `camera_from_world`, order rotation, translation.
+pub fn body_covariance(camera: &Matrix6<f64>, conversion: &Conversion) -> Matrix6<f64> {
+    let m: Matrix3<f64> = conversion.rotation().to_rotation_matrix().into_inner();
+    // From [w, v] to [position, rotation] of the body; the common sign cancels.
+    let mut j = Matrix6::zeros();
+    j.fixed_view_mut::<3, 3>(0, 3).copy_from(&m);
+    j.fixed_view_mut::<3, 3>(0, 0).copy_from(&(conversion.lever().cross_matrix() * m));
+    j.fixed_view_mut::<3, 3>(3, 0).copy_from(&m);
+    j * camera * j.transpose()
+}
+
+fn upper_triangle(m: &Matrix6<f64>) -> [f64; 21] {
+    let mut packed = [f64::NAN; 21];
+    let entries = (0..6).flat_map(|i| (i..6).map(move |j| (i, j)));
+    for (slot, (i, j)) in packed.iter_mut().zip(entries) {
+        // The mean of both halves, so that rounding leaves no trace of which one was taken.
+        *slot = 0.5 * (m[(i, j)] + m[(j, i)]);
+    }
+    packed
+}
+
+/// A landmark in the map's axes; `rotation` is [`Conversion::rotation`].
+pub fn landmark(landmark: &LandmarkView, rotation: &UnitQuaternion<f64>) -> Landmark {
+    let p = rotation * landmark.position_world;
+    Landmark {
+        id: landmark.id.0,
+        observations: landmark.observations,
+        position: [p.x as f32, p.y as f32, p.z as f32],
+        sigma: landmark.sigma,
+    }
+}
+
+/// A keyframe as the pose of the body.
+pub fn keyframe(keyframe: &KeyframeView, conversion: &Conversion) -> Keyframe {
+    let (position, orientation) = conversion.body(&keyframe.world_from_camera);
+    Keyframe { timestamp_ns: keyframe.timestamp_ns, position, orientation, id: keyframe.id.0, reserved: 0 }
+}

@@ -1,0 +1,307 @@
+//! One publish/subscribe service with its events, as a publisher sees it.
+
+use std::fmt::Debug;
+use std::os::unix::fs::MetadataExt;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use iceoryx2::node::NodeView;
+use iceoryx2::port::notifier::Notifier;
+use iceoryx2::port::publisher::{Publisher, PublisherCreateError};
+use iceoryx2::prelude::{
+    AllocationStrategy, BackpressureStrategy, CallbackProgression, EventId, MessagingPattern, Node, NodeState,
+    PortFactory as _, ServiceName, ZeroCopySend,
+};
+use iceoryx2::service::Service as _;
+use iceoryx2::service::builder::publish_subscribe::{
+    PublishSubscribeCreateError, PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError,
+};
+use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
+
+use super::{Ipc, PublishError};
+use crate::messages::services::{self, Qos};
+use crate::messages::{Endpoint, effective_uid};
+
+/// How long the remains of another daemon may take to go away.
+const PATIENCE: Duration = Duration::from_secs(3);
+/// Pause between two tries.
+const PAUSE: Duration = Duration::from_millis(50);
+
+/// See module. Dropped in this order, so that listeners that hear of the publisher's going find it gone.
+#[derive(Debug)]
+pub(super) struct Port<P, H>
+where
+    P: iceoryx2::prelude::IceoryxSend + Debug + ?Sized + 'static,
+    H: Default + Debug + ZeroCopySend + 'static,
+{
+    pub publisher: Arc<Publisher<Ipc, P, H>>,
+    notifier: Notifier<Ipc>,
+    service: PortFactory<Ipc, P, H>,
+    name: ServiceName,
+}
+
+/// The builder calls that slices and single values have in common; their types differ.
+macro_rules! service {
+    ($node:expr, $name:expr, $payload:ty, $header:ty, $qos:expr) => {
+        $node
+            .service_builder($name)
+            .publish_subscribe::<$payload>()
+            .user_header::<$header>()
+            .max_publishers(services::MAX_PUBLISHERS)
+            .max_subscribers(services::MAX_SUBSCRIBERS)
+            .max_nodes(services::MAX_NODES)
+            .history_size($qos.history)
+            .subscriber_max_buffer_size($qos.buffer)
+            .subscriber_max_borrowed_samples($qos.borrowed)
+            .enable_safe_overflow(true)
+            .open_or_create()
+    };
+}
+
+impl<T> Port<T, ()>
+where
+    T: ZeroCopySend + Debug + 'static,
+{
+    /// Makes a service of single values.
+    pub fn open(node: &Node<Ipc>, endpoint: &Endpoint, topic: &str, qos: Qos) -> Result<Self, PublishError> {
+        let name = endpoint.service(topic)?;
+        let notifier = notifier(node, &name)?;
+        let service = patiently(endpoint, &name, || service!(node, &name, T, (), qos))?;
+        refuse_company(node, endpoint, &service)?;
+        let publisher = service
+            .publisher_builder()
+            .max_loaned_samples(services::PUBLISHER_LOANS)
+            .backpressure_strategy(BackpressureStrategy::DiscardData)
+            .create()
+            .map_err(|e| publisher_failed(endpoint, &service, e))?;
+        Ok(Self { publisher: Arc::new(publisher), notifier, service, name })
+    }
+
+    /// Sends one value and wakes its readers.
+    pub fn send(&self, value: T) -> Result<(), PublishError> {
+        let sample = self.publisher.loan_uninit().map_err(|e| self.failed("taking memory", e))?;
+        sample.write_payload(value).send().map_err(|e| self.failed("sending", e))?;
+        self.wake();
+        Ok(())
+    }
+}
+
+impl<T, H> Port<[T], H>
+where
+    T: ZeroCopySend + Debug + Copy + Default + 'static,
+    H: ZeroCopySend + Debug + Default + 'static,
+{
+    /// Makes a service of slices of at most `max_len` elements.
+    pub fn open_slices(
+        node: &Node<Ipc>,
+        endpoint: &Endpoint,
+        topic: &str,
+        qos: Qos,
+        max_len: usize,
+    ) -> Result<Self, PublishError> {
+        let name = endpoint.service(topic)?;
+        let notifier = notifier(node, &name)?;
+        let service = patiently(endpoint, &name, || service!(node, &name, [T], H, qos))?;
+        refuse_company(node, endpoint, &service)?;
+        let publisher = service
+            .publisher_builder()
+            .max_loaned_samples(services::PUBLISHER_LOANS)
+            .backpressure_strategy(BackpressureStrategy::DiscardData)
+            .initial_max_slice_len(max_len.max(1))
+            .allocation_strategy(AllocationStrategy::Static)
+            .create()
+            .map_err(|e| publisher_failed(endpoint, &service, e))?;
+        Ok(Self { publisher: Arc::new(publisher), notifier, service, name })
+    }
+
+    /// Sends a slice, each element written into shared memory by `convert`, and wakes its readers.
+    pub fn send_with<S>(&self, header: H, source: &[S], convert: impl Fn(&S) -> T) -> Result<(), PublishError> {
+        let mut sample = self.publisher.loan_slice_uninit(source.len()).map_err(|e| self.failed("taking memory", e))?;
+        *sample.user_header_mut() = header;
+        // There are as many slots as elements, so the default is never used.
+        let sample = sample.write_from_fn(|i| source.get(i).map(&convert).unwrap_or_default());
+        sample.send().map_err(|e| self.failed("sending", e))?;
+        self.wake();
+        Ok(())
+    }
+
+    /// Sends a copy of a slice and wakes its readers.
+    pub fn send_copy(&self, header: H, source: &[T]) -> Result<(), PublishError> {
+        let mut sample = self.publisher.loan_slice_uninit(source.len()).map_err(|e| self.failed("taking memory", e))?;
+        *sample.user_header_mut() = header;
+        sample.write_from_slice(source).send().map_err(|e| self.failed("sending", e))?;
+        self.wake();
+        Ok(())
+    }
+}
+
+impl<P, H> Port<P, H>
+where
+    P: iceoryx2::prelude::IceoryxSend + Debug + ?Sized + 'static,
+    H: Default + Debug + ZeroCopySend + 'static,
+{
+    /// Subscribers that are registered.
+    pub fn subscribers(&self) -> usize {
+        self.service.dynamic_config().number_of_subscribers()
+    }
+
+    fn wake(&self) {
+        // A listener that cannot be woken has died or will read late; the message is there.
+        let _ = self.notifier.notify();
+    }
+
+    fn failed(&self, doing: &'static str, reason: impl ToString) -> PublishError {
+        PublishError::Ipc { service: self.name.to_string(), doing, reason: reason.to_string() }
+    }
+}
+
+fn notifier(node: &Node<Ipc>, name: &ServiceName) -> Result<Notifier<Ipc>, PublishError> {
+    let failed = |doing, reason: String| PublishError::Ipc { service: name.to_string(), doing, reason };
+    let start = Instant::now();
+    let events = loop {
+        let opened = node
+            .service_builder(name)
+            .event()
+            .event_id_max_value(services::EVENT_MAX)
+            .max_listeners(services::MAX_SUBSCRIBERS)
+            .max_notifiers(services::MAX_NOTIFIERS)
+            .max_nodes(services::MAX_NODES)
+            .notifier_created_event(EventId::new(services::EVENT_CREATED))
+            .notifier_dropped_event(EventId::new(services::EVENT_DROPPED))
+            .notifier_dead_event(EventId::new(services::EVENT_DEAD))
+            .open_or_create();
+        match opened {
+            Ok(events) => break events,
+            Err(_) if start.elapsed() < PATIENCE => std::thread::sleep(PAUSE),
+            Err(e) => return Err(failed("making its events", e.to_string())),
+        }
+    };
+    events
+        .notifier_builder()
+        .default_event_id(EventId::new(services::EVENT_NEW))
+        .create()
+        .map_err(|e| failed("making its notifier", e.to_string()))
+}
+
+/// Opens or creates a service, again and again while another process is just making or clearing it away, or still holds one
+/// of another shape (clients let go of it half a second after its daemon has gone).
+fn patiently<S>(
+    endpoint: &Endpoint,
+    name: &ServiceName,
+    open_or_create: impl Fn() -> Result<S, PublishSubscribeOpenOrCreateError>,
+) -> Result<S, PublishError> {
+    use PublishSubscribeOpenOrCreateError::{PublishSubscribeCreateError as Create, PublishSubscribeOpenError as Open};
+    let start = Instant::now();
+    loop {
+        let error = match open_or_create() {
+            Ok(service) => return Ok(service),
+            Err(e) => e,
+        };
+        if start.elapsed() < PATIENCE {
+            std::thread::sleep(PAUSE);
+            continue;
+        }
+        let service = name.to_string();
+        return Err(match error {
+            Open(PublishSubscribeOpenError::InsufficientPermissions)
+            | Create(PublishSubscribeCreateError::InsufficientPermissions) => match foreign_folder(endpoint) {
+                Some((path, owner)) => PublishError::OtherOwner { path, owner },
+                None => PublishError::Ipc { service, doing: "making it", reason: error.to_string() },
+            },
+            Open(e) => PublishError::Incompatible { reason: e.to_string(), pids: holders(endpoint, name), service },
+            e => PublishError::Ipc { service, doing: "making it", reason: e.to_string() },
+        });
+    }
+}
+
+/// Processes that hold a publish/subscribe service open.
+fn holders(endpoint: &Endpoint, name: &ServiceName) -> Vec<u32> {
+    let details = Ipc::details(name, endpoint.config(), MessagingPattern::PublishSubscribe);
+    let nodes = details.ok().flatten().and_then(|d| d.dynamic_details).map(|d| d.nodes).unwrap_or_default();
+    nodes
+        .iter()
+        .filter_map(|node| match node {
+            NodeState::Alive(node) => node.details().as_ref().and_then(|d| u32::try_from(d.process_id().value()).ok()),
+            _ => None,
+        })
+        .collect()
+}
+
+/// A publisher that lives is another daemon. (The service's own limit of one publisher does not help when somebody else
+/// has made the service with a higher one.)
+fn refuse_company<P, H>(
+    node: &Node<Ipc>,
+    endpoint: &Endpoint,
+    service: &PortFactory<Ipc, P, H>,
+) -> Result<(), PublishError>
+where
+    P: iceoryx2::prelude::IceoryxSend + Debug + ?Sized,
+    H: Debug + ZeroCopySend,
+{
+    if service.dynamic_config().number_of_publishers() > 0 {
+        node.blocking_cleanup_dead_nodes(Duration::from_secs(1));
+    }
+    match service.dynamic_config().number_of_publishers() {
+        0 => Ok(()),
+        _ => Err(already_running(endpoint, service)),
+    }
+}
+
+fn publisher_failed<P, H>(
+    endpoint: &Endpoint,
+    service: &PortFactory<Ipc, P, H>,
+    error: PublisherCreateError,
+) -> PublishError
+where
+    P: iceoryx2::prelude::IceoryxSend + Debug + ?Sized,
+    H: Debug + ZeroCopySend,
+{
+    match error {
+        PublisherCreateError::ExceedsMaxSupportedPublishers => already_running(endpoint, service),
+        e => PublishError::Ipc {
+            service: service.name().to_string(),
+            doing: "making its publisher",
+            reason: e.to_string(),
+        },
+    }
+}
+
+fn already_running<P, H>(endpoint: &Endpoint, service: &PortFactory<Ipc, P, H>) -> PublishError
+where
+    P: iceoryx2::prelude::IceoryxSend + Debug + ?Sized,
+    H: Debug + ZeroCopySend,
+{
+    let mut pid = None;
+    service.dynamic_config().list_publishers(|publisher| {
+        pid = publisher.node_id.pid::<Ipc>().ok().and_then(|pid| u32::try_from(pid.value()).ok());
+        CallbackProgression::Stop
+    });
+    PublishError::AlreadyRunning { prefix: endpoint.prefix().into(), pid }
+}
+
+/// One of iceoryx2's folders that belongs to another user.
+pub(super) fn foreign_folder(endpoint: &Endpoint) -> Option<(PathBuf, u32)> {
+    let us = effective_uid()?;
+    let (root, global) = (endpoint.root(), &endpoint.config().global);
+    let folders = [root.join(global.node.directory.to_string()), root.join(global.service.directory.to_string()), root];
+    folders.into_iter().find_map(|folder| {
+        let owner = std::fs::metadata(&folder).ok()?.uid();
+        (owner != us).then_some((folder, owner))
+    })
+}
+
+/// Free bytes of /dev/shm must exceed what may be written there.
+pub(super) fn check_room(needed: u64) -> Result<(), PublishError> {
+    let Some(free) = free_shared_memory() else { return Ok(()) };
+    if free >= needed {
+        return Ok(());
+    }
+    Err(PublishError::NoRoom { free_mb: free >> 20, needed_mb: (needed >> 20) + 1 })
+}
+
+/// Free bytes of /dev/shm; `None` where there is none.
+fn free_shared_memory() -> Option<u64> {
+    let stat = rustix::fs::statvfs("/dev/shm").ok()?;
+    Some(stat.f_bavail.saturating_mul(stat.f_frsize))
+}
