@@ -35,6 +35,8 @@ pub mod image;
 #[cfg(feature = "daemon")]
 pub mod map;
 #[cfg(feature = "daemon")]
+pub mod plot;
+#[cfg(feature = "daemon")]
 pub mod reconstruction;
 #[cfg(feature = "daemon")]
 pub mod ring;
