@@ -39,6 +39,8 @@ pub mod image;
 #[cfg(feature = "daemon")]
 pub mod map;
 #[cfg(feature = "daemon")]
+pub mod plot;
+#[cfg(feature = "daemon")]
 pub mod publish;
 #[cfg(feature = "daemon")]
 pub mod reconstruction;

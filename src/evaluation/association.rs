@@ -6,6 +6,8 @@
 //! it carries (1 ms is left for other programs' rounding), and each frame takes one pose at most, so that coverage never exceeds 100 %.
 //! Cost: linear after sorting.
 
+use nalgebra::Vector3;
+
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 use crate::trajectory::TumPose;
@@ -34,9 +36,11 @@ pub enum CoverageBasis {
 }
 
 /// One thing that should have a pose: a frame (or a ground-truth sample), in ascending time.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Expected {
     pub timestamp_ns: i64,
+    /// Where the camera truly was, in the truth's world.
+    pub truth_position: Vector3<f64>,
     pub covered: bool,
 }
 
@@ -98,7 +102,8 @@ fn by_frames(truth: &[TumPose], estimate: &[TumPose], frames: &[i64]) -> Associa
         }
         match nearest(truth, timestamp_ns).and_then(|i| truth.get(i)) {
             Some(sample) => {
-                out.expected.push(Expected { timestamp_ns, covered: pose.is_some() });
+                let truth_position = sample.world_from_camera.translation;
+                out.expected.push(Expected { timestamp_ns, truth_position, covered: pose.is_some() });
                 out.pairs.extend(pose.map(|p| Pair {
                     timestamp_ns,
                     truth: sample.world_from_camera,
@@ -116,8 +121,12 @@ fn by_frames(truth: &[TumPose], estimate: &[TumPose], frames: &[i64]) -> Associa
 }
 
 fn by_samples(truth: &[TumPose], estimate: &[TumPose]) -> Association {
-    let mut expected: Vec<_> =
-        truth.iter().map(|s| Expected { timestamp_ns: s.timestamp_ns, covered: false }).collect();
+    let expected = truth.iter().map(|s| Expected {
+        timestamp_ns: s.timestamp_ns,
+        truth_position: s.world_from_camera.translation,
+        covered: nearest(estimate, s.timestamp_ns).is_some(),
+    });
+    let expected = expected.collect();
     let mut pairs = Vec::new();
     for pose in estimate {
         if let Some(sample) = nearest(truth, pose.timestamp_ns).and_then(|i| truth.get(i)) {
@@ -127,9 +136,6 @@ fn by_samples(truth: &[TumPose], estimate: &[TumPose]) -> Association {
                 estimate: pose.world_from_camera,
             });
         }
-    }
-    for sample in &mut expected {
-        sample.covered = nearest(estimate, sample.timestamp_ns).is_some();
     }
     Association {
         basis: CoverageBasis::GroundTruthSamples,

@@ -1,15 +1,13 @@
 //! Map-free work on one picture: pyramid, corners, descriptors, frame-to-frame tracks. Knows no map.
 
 pub mod alignment;
-mod dispatch;
-pub mod fast;
-pub mod patch_sampling;
-pub mod thumbnail;
 pub mod descriptor;
 mod dispatch;
 pub mod fast;
 pub mod matching;
+pub mod patch_sampling;
 pub mod susan;
+pub mod thumbnail;
 
 use std::sync::Arc;
 

@@ -15,6 +15,8 @@ use crate::geometry::frames::{Camera, World};
 use crate::image::Pyramid;
 use store::Store;
 
+pub mod export;
+
 /// A keyframe of a map; never reused within a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Default)]
 pub struct KeyframeId(pub u32);

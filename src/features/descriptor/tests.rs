@@ -94,7 +94,8 @@ fn positions_near_the_edge_or_not_numbers_have_no_descriptor() {
 
 #[test]
 fn a_level_is_described_at_its_own_pixels() {
-    let pyramid = Pyramid { levels: vec![textured(200, 160, 2), textured(100, 80, 3)] };
+    let mut pyramid = Pyramid::new(2);
+    pyramid.levels = vec![textured(200, 160, 2), textured(100, 80, 3)];
     let at = describe_at_level(&pyramid, 1, 100.5, 80.5, Orientation::default());
     assert_eq!(at, describe(&pyramid.levels[1], 50.0, 40.0, Orientation::default()));
     assert!(at.is_some());

@@ -1,0 +1,279 @@
+//! A trajectory against the truth: where it went, and how far off it was when.
+//!
+//! Left: the truth seen along its thinnest direction, and the estimate over it, coloured by its error. Right, over time:
+//! the three coordinates of both, the position error and the rotation error. Frames without a pose are shaded.
+
+use std::path::Path;
+
+use super::axes::{Axes, Range, TICK_TEXT_PX, ticks};
+use super::canvas::{Anchor, Area, Canvas, TextStyle};
+use super::{PlotError, palette, save};
+use crate::evaluation::association::CoverageBasis;
+use crate::evaluation::metrics::{Sample, Statistics};
+use crate::evaluation::{Evaluation, Outcome};
+
+const WIDTH: u32 = 1800;
+const HEIGHT: u32 = 1160;
+const AXIS_NAMES: [&str; 3] = ["x (m)", "y (m)", "z (m)"];
+/// Lengths below this are drawn as if they had it: a camera that stands still.
+const SMALLEST_EXTENT_M: f64 = 0.02;
+
+/// Draws `outcome` to `path`.
+pub fn write_comparison(path: &Path, outcome: &Outcome, title: &str) -> Result<(), PlotError> {
+    let mut canvas = Canvas::new(WIDTH, HEIGHT)?;
+    heading(&mut canvas, &outcome.figures, title);
+    seen_from_above(&mut canvas, outcome);
+    over_time(&mut canvas, outcome);
+    save(path, &canvas)
+}
+
+fn heading(canvas: &mut Canvas, figures: &Evaluation, title: &str) {
+    canvas.text(title, (44.0, 62.0), TextStyle::new(36.0, palette::INK, Anchor::Left).bold());
+    let of = match figures.coverage_basis {
+        CoverageBasis::Frames => "frames",
+        CoverageBasis::GroundTruthSamples => "ground-truth samples",
+    };
+    let mut facts = vec![("coverage", format!("{:.1} % of {} {of}", figures.coverage_percent, figures.expected))];
+    if let Some(ate) = &figures.ate_m {
+        facts.insert(0, ("ATE RMSE", length(ate.rmse)));
+    }
+    if let Some(rotation) = &figures.rotation_deg {
+        facts.push(("rotation RMSE", format!("{:.2}°", rotation.rmse)));
+    }
+    if let Some(relative) = &figures.relative {
+        let (t, r) = (relative.translation_percent.rmse, relative.rotation_deg_per_m.rmse);
+        facts.push(("relative", format!("{t:.2} %, {r:.2}°/m")));
+    }
+    if figures.path_m > 0.0 {
+        facts.push(("path", format!("{:.2} m", figures.path_m)));
+    }
+    let mut x = 44.0;
+    for (name, value) in facts {
+        x += canvas.text(name, (x, 104.0), TextStyle::new(23.0, palette::MUTED, Anchor::Left)) + 9.0;
+        x += canvas.text(&value, (x, 104.0), TextStyle::new(23.0, palette::INK, Anchor::Left).bold()) + 34.0;
+    }
+}
+
+/// A length with a readable unit.
+fn length(metres: f64) -> String {
+    if metres < 0.1 { format!("{:.2} mm", 1e3 * metres) } else { format!("{metres:.3} m") }
+}
+
+/// Runs of neighbouring frames: the truth's indices from the last frame with a pose to the next one.
+fn gaps(outcome: &Outcome) -> Vec<(f64, f64)> {
+    let mut gaps: Vec<(f64, f64)> = Vec::new();
+    let frames = &outcome.expected;
+    let mut open = false;
+    for (i, frame) in frames.iter().enumerate() {
+        if !frame.covered {
+            let from = i.checked_sub(1).and_then(|j| frames.get(j)).unwrap_or(frame);
+            let to = frames.get(i + 1).unwrap_or(frame);
+            let (from, to) = (seconds(outcome, from.timestamp_ns), seconds(outcome, to.timestamp_ns));
+            match gaps.last_mut().filter(|_| open) {
+                Some(last) => last.1 = to,
+                None => gaps.push((from, to)),
+            }
+        }
+        open = !frame.covered;
+    }
+    gaps
+}
+
+fn seconds(outcome: &Outcome, timestamp_ns: i64) -> f64 {
+    let start = outcome.expected.first().map_or(0, |e| e.timestamp_ns);
+    timestamp_ns.saturating_sub(start) as f64 * 1e-9
+}
+
+/// The samples in runs that no frame without a pose interrupts: a line is drawn through each, and none across a gap.
+fn runs<'a>(outcome: &'a Outcome, gaps: &[(f64, f64)]) -> Vec<&'a [Sample]> {
+    outcome
+        .samples
+        .chunk_by(|a, b| {
+            let (a, b) = (seconds(outcome, a.timestamp_ns), seconds(outcome, b.timestamp_ns));
+            !gaps.iter().any(|(from, to)| *from < b - 1e-9 && *to > a + 1e-9)
+        })
+        .collect()
+}
+
+fn seen_from_above(canvas: &mut Canvas, outcome: &Outcome) {
+    let area = Area { left: 140.0, top: 190.0, right: 800.0, bottom: 1060.0 };
+    let extent = |i: usize| Range::of(outcome.expected.iter().map(|e| e.truth_position[i]));
+    let width = |i: usize| extent(i).map_or(0.0, |r| r.width());
+    // The axis with the least extent is the one looked along.
+    let away = (0..3).min_by(|a, b| width(*a).total_cmp(&width(*b))).unwrap_or(2);
+    let (across, up) = match away {
+        0 => (1, 2),
+        1 => (0, 2),
+        _ => (0, 1),
+    };
+    let range = |i: usize| {
+        let estimate = outcome.samples.iter().map(|s| s.estimate.translation[i]);
+        Range::of(outcome.expected.iter().map(|e| e.truth_position[i]).chain(estimate))
+            .unwrap_or(Range { min: 0.0, max: 1.0 })
+            .padded(0.06, SMALLEST_EXTENT_M)
+    };
+    let axes = Axes::equal(area, range(across), range(up));
+    axes.draw(canvas, (AXIS_NAMES[across], AXIS_NAMES[up]), (90.0, 90.0), true);
+
+    let worst = outcome.figures.ate_m.map_or(1.0, |a| a.max).max(1e-9);
+    let runs = runs(outcome, &gaps(outcome));
+    canvas.clipped(&area, |canvas| {
+        let truth: Vec<_> =
+            outcome.expected.iter().map(|e| axes.place(e.truth_position[across], e.truth_position[up])).collect();
+        canvas.line(&truth, 6.0, palette::TRUTH, 0.75, None);
+        for run in &runs {
+            let place = |s: &Sample| axes.place(s.estimate.translation[across], s.estimate.translation[up]);
+            for pair in run.windows(2) {
+                let colour = palette::sequential(pair[1].position_error_m / worst);
+                canvas.line(&[place(&pair[0]), place(&pair[1])], 2.8, colour, 1.0, None);
+            }
+        }
+        for (end, colour) in [(outcome.expected.first(), palette::START), (outcome.expected.last(), palette::LOST)] {
+            if let Some(frame) = end {
+                let at = axes.place(frame.truth_position[across], frame.truth_position[up]);
+                canvas.disc(at, 10.0, palette::PAPER, 1.0);
+                canvas.disc(at, 7.5, colour, 1.0);
+            }
+        }
+    });
+    axes.frame(canvas);
+    legend(canvas, &area);
+    if outcome.figures.ate_m.is_some() {
+        colour_bar(canvas, &area, worst);
+    } else {
+        let reason = outcome.figures.notes.iter().find(|n| n.starts_with("no errors")).map_or("", String::as_str);
+        let middle = ((area.left + area.right) / 2.0, area.top + 40.0);
+        canvas.text(reason, middle, TextStyle::new(18.0, palette::LOST, Anchor::Centre));
+    }
+}
+
+fn legend(canvas: &mut Canvas, area: &Area) {
+    let y = area.top - 22.0;
+    let style = TextStyle::new(TICK_TEXT_PX, palette::INK, Anchor::Left);
+    let mut x = area.left;
+    canvas.line(&[(x, y - 7.0), (x + 34.0, y - 7.0)], 6.0, palette::TRUTH, 0.75, None);
+    x += 44.0;
+    x += canvas.text("ground truth", (x, y), style) + 26.0;
+    let steps = 12;
+    for i in 0..steps {
+        let at = |i: i32| (x + 34.0 * i as f32 / steps as f32, y - 7.0);
+        let colour = palette::sequential(f64::from(i) / f64::from(steps - 1));
+        canvas.line(&[at(i), at(i + 1)], 2.8, colour, 1.0, None);
+    }
+    x += 44.0;
+    x += canvas.text("estimate", (x, y), style) + 26.0;
+    for (name, colour) in [("start", palette::START), ("end", palette::LOST)] {
+        canvas.disc((x + 7.0, y - 7.0), 7.5, colour, 1.0);
+        x += 22.0;
+        x += canvas.text(name, (x, y), style) + 22.0;
+    }
+}
+
+fn colour_bar(canvas: &mut Canvas, area: &Area, worst: f64) {
+    let (left, right) = (area.right + 18.0, area.right + 38.0);
+    let steps = area.height() as i32;
+    for i in 0..steps {
+        let bottom = area.bottom - i as f32;
+        let strip = Area { left, top: bottom - 1.5, right, bottom };
+        canvas.rectangle(&strip, palette::sequential(f64::from(i) / f64::from(steps - 1)), 1.0);
+    }
+    let axes = Axes { area: *area, x: Range { min: 0.0, max: 1.0 }, y: Range { min: 0.0, max: worst * 1e3 } };
+    for (value, text) in ticks(&axes.y, 8.0) {
+        let (_, y) = axes.place(0.0, value);
+        canvas.line(&[(right, y), (right + 6.0, y)], 1.0, palette::MUTED, 1.0, None);
+        let style = TextStyle::new(TICK_TEXT_PX, palette::MUTED, Anchor::Left);
+        canvas.text(&text, (right + 11.0, y + 0.36 * TICK_TEXT_PX), style);
+    }
+    let style = TextStyle::new(TICK_TEXT_PX, palette::MUTED, Anchor::Centre);
+    canvas.text("error (mm)", ((left + right) / 2.0 + 8.0, area.top - 22.0), style);
+}
+
+fn over_time(canvas: &mut Canvas, outcome: &Outcome) {
+    const ROWS: usize = 5;
+    const GAP_PX: f32 = 16.0;
+    const ROW_SPACING_PX: (f32, f32) = (100.0, 48.0);
+    let whole = Area { left: 1066.0, top: 190.0, right: 1736.0, bottom: 1060.0 };
+    let height = (whole.height() - GAP_PX * (ROWS - 1) as f32) / ROWS as f32;
+    let time = Range::of(outcome.expected.iter().map(|e| seconds(outcome, e.timestamp_ns)))
+        .unwrap_or(Range { min: 0.0, max: 1.0 })
+        .padded(0.0, 0.1);
+    let gaps = gaps(outcome);
+    let runs = runs(outcome, &gaps);
+    let row = |i: usize| {
+        let top = whole.top + i as f32 * (height + GAP_PX);
+        Area { top, bottom: top + height, ..whole }
+    };
+    let shade = |canvas: &mut Canvas, axes: &Axes| {
+        for (from, to) in &gaps {
+            let ((left, _), (right, _)) = (axes.place(*from, 0.0), axes.place(*to, 0.0));
+            let lost = Area { left, right: right.max(left + 1.5), ..axes.area };
+            canvas.rectangle(&lost, palette::LOST, 0.16);
+        }
+    };
+
+    for (i, name) in AXIS_NAMES.iter().enumerate() {
+        let truth = outcome.expected.iter().map(|e| e.truth_position[i]);
+        let range = Range::of(truth.chain(outcome.samples.iter().map(|s| s.estimate.translation[i])));
+        let range = range.unwrap_or(Range { min: 0.0, max: 1.0 }).padded(0.1, SMALLEST_EXTENT_M);
+        let axes = Axes { area: row(i), x: time, y: range };
+        axes.draw(canvas, ("", name), ROW_SPACING_PX, false);
+        canvas.clipped(&axes.area, |canvas| {
+            shade(canvas, &axes);
+            let place = |t: i64, v: f64| axes.place(seconds(outcome, t), v);
+            let truth: Vec<_> = outcome.expected.iter().map(|e| place(e.timestamp_ns, e.truth_position[i])).collect();
+            canvas.line(&truth, 5.0, palette::TRUTH, 0.75, None);
+            for run in &runs {
+                let line: Vec<_> = run.iter().map(|s| place(s.timestamp_ns, s.estimate.translation[i])).collect();
+                canvas.line(&line, 2.0, palette::ESTIMATE, 1.0, None);
+            }
+        });
+        axes.frame(canvas);
+    }
+    type Value = fn(&Sample) -> f64;
+    let position: Value = |s| 1e3 * s.position_error_m;
+    let rotation: Value = |s| s.rotation_error_deg;
+    let errors = [
+        ("error (mm)", position, palette::ESTIMATE, outcome.figures.ate_m, 1e3),
+        ("rotation (°)", rotation, palette::ROTATION, outcome.figures.rotation_deg, 1.0),
+    ];
+    for (i, (name, value, colour, statistics, factor)) in errors.into_iter().enumerate() {
+        let top = statistics.map_or(1.0, |s: Statistics| factor * s.max).max(1e-6);
+        let axes = Axes { area: row(3 + i), x: time, y: Range { min: 0.0, max: 1.12 * top } };
+        axes.draw(canvas, ("time (s)", name), ROW_SPACING_PX, i == 1);
+        canvas.clipped(&axes.area, |canvas| {
+            shade(canvas, &axes);
+            for run in &runs {
+                let line: Vec<_> = run.iter().map(|s| axes.place(seconds(outcome, s.timestamp_ns), value(s))).collect();
+                if let (Some(first), Some(last)) = (line.first(), line.last()) {
+                    let mut filled = line.clone();
+                    filled.extend([(last.0, axes.area.bottom), (first.0, axes.area.bottom)]);
+                    canvas.polygon(&filled, colour, 0.14);
+                }
+                canvas.line(&line, 2.0, colour, 1.0, None);
+            }
+        });
+        if let Some(statistics) = statistics {
+            let (_, y) = axes.place(0.0, factor * statistics.rmse);
+            canvas.line(&[(axes.area.left, y), (axes.area.right, y)], 1.6, palette::INK, 0.7, Some([8.0, 6.0]));
+            let style = TextStyle::new(15.0, palette::INK, Anchor::Left);
+            canvas.text("RMSE", (axes.area.right + 6.0, y + 5.0), style);
+        }
+        axes.frame(canvas);
+    }
+
+    // What the colours mean, over the first row.
+    let y = whole.top - 22.0;
+    let style = TextStyle::new(TICK_TEXT_PX, palette::INK, Anchor::Left);
+    let mut x = whole.left;
+    for (name, width, colour) in
+        [("ground truth", 5.0, palette::TRUTH), ("estimate, aligned by one Sim(3)", 2.0, palette::ESTIMATE)]
+    {
+        canvas.line(&[(x, y - 7.0), (x + 34.0, y - 7.0)], width, colour, 1.0, None);
+        x += 44.0;
+        x += canvas.text(name, (x, y), style) + 22.0;
+    }
+    if !gaps.is_empty() {
+        canvas.rectangle(&Area { left: x, top: y - 16.0, right: x + 24.0, bottom: y + 2.0 }, palette::LOST, 0.3);
+        canvas.text("no pose", (x + 32.0, y), style);
+    }
+}
