@@ -4,6 +4,8 @@
 //! enough of an angle, the point is triangulated, its place in the new picture is refined against the anchor's template,
 //! and it must reproject well into every keyframe that saw it.
 
+use std::sync::Arc;
+
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 use super::bindings::{Bindings, Seed, Target};
@@ -15,6 +17,7 @@ use super::types::TrajectoryEvent;
 use crate::features::{Feedback, FrameFeatures};
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::geometry::{CameraModel, Se3};
+use crate::image::Pyramid;
 use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, MapId, Observation};
 
 /// What the decision looks at.
@@ -99,7 +102,8 @@ pub fn insert_keyframe(
         timestamp_ns: new.features.timestamp_ns,
         map: new.map_id,
         camera_from_world: new.camera_from_world,
-        pyramid: new.features.pyramid.clone(),
+        // A copy of its own: the frame's goes back to the pool, which so never has to allocate on the path of a pose.
+        pyramid: Arc::new(Pyramid::clone(&new.features.pyramid)),
         thumbnail: thumbnail_of(&new.features.pyramid),
         observations,
         covisible: Vec::new(),
