@@ -1,20 +1,24 @@
 //! Map-free work on one picture: pyramid, corners, descriptors, frame-to-frame tracks. Knows no map.
 
 pub mod alignment;
+pub mod config;
 pub mod descriptor;
 mod dispatch;
 pub mod fast;
 pub mod matching;
+pub mod optical_flow;
 pub mod patch_sampling;
+pub mod stage;
 pub mod susan;
 pub mod thumbnail;
+
+pub use config::{DetectorKind, FeaturesConfig};
+pub use stage::FeatureStage;
 
 use std::sync::Arc;
 
 use nalgebra::Vector2;
 
-use crate::frame::RawFrame;
-use crate::image::decode::DecodeError;
 use crate::image::{GreyImage, Pyramid};
 
 /// A corner of one picture.
@@ -80,30 +84,6 @@ pub trait CornerDetector: std::fmt::Debug + Send {
     fn detect(&mut self, image: &GreyImage, cells: &CellGrid, out: &mut Vec<Corner>);
 }
 
-/// Which corner detector the feature thread uses.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Deserialize, serde::Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum DetectorKind {
-    /// FAST-9 segment test with non-maximum suppression.
-    #[default]
-    Fast,
-    /// SUSAN, 37-pixel mask, exponential response (METHOD section 2).
-    Susan,
-}
-
-/// `[features]` of the configuration.
-#[derive(Debug, Clone, PartialEq, serde::Deserialize, serde::Serialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct FeaturesConfig {
-    pub detector: DetectorKind,
-}
-
-impl Default for FeaturesConfig {
-    fn default() -> Self {
-        Self { detector: DetectorKind::Fast }
-    }
-}
-
 /// A point followed from frame to frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Track {
@@ -138,22 +118,4 @@ pub struct Feedback {
     pub sequence: u64,
     /// Tracks to forget, ascending.
     pub forget: Vec<u64>,
-}
-
-/// The feature thread's work as a plain step.
-#[derive(Debug)]
-pub struct FeatureStage {}
-
-impl FeatureStage {
-    pub fn new(_config: &FeaturesConfig) -> Self {
-        Self {}
-    }
-
-    /// Decodes `frame` and fills `out`. A corrupt picture is an error and leaves the stage as it was.
-    pub fn step(&mut self, _frame: &RawFrame, _out: &mut FrameFeatures) -> Result<(), DecodeError> {
-        Ok(())
-    }
-
-    /// Takes reconstruction's feedback; applied from the next [`step`](Self::step) on.
-    pub fn feedback(&mut self, _feedback: &Feedback) {}
 }

@@ -119,6 +119,12 @@ struct Buffers {
     left: Vec<u8>,
 }
 
+impl Default for SusanDetector {
+    fn default() -> Self {
+        Self::of_valid(SusanConfig::default())
+    }
+}
+
 impl SusanDetector {
     /// Fails when a value is out of its range.
     pub fn new(config: SusanConfig) -> Result<Self, SusanConfigError> {
@@ -132,8 +138,13 @@ impl SusanDetector {
         if !(0.0..=MASK_RADIUS as f32).contains(&config.min_centroid_px) {
             return Err(SusanConfigError::Centroid(config.min_centroid_px));
         }
+        Ok(Self::of_valid(config))
+    }
+
+    fn of_valid(config: SusanConfig) -> Self {
+        let g = config.geometric_threshold;
         let area_limit = (f64::from(g) * f64::from(MASK_AREA) * f64::from(WHOLE)).ceil() as u32;
-        Ok(Self { config, area_limit, similarities: vec![None; 256], rows: Buffers::default() })
+        Self { config, area_limit, similarities: vec![None; 256], rows: Buffers::default() }
     }
 
     pub fn config(&self) -> &SusanConfig {

@@ -1,0 +1,260 @@
+//! The feature thread's work as a plain step: decode, pyramid, follow tracks, start new ones where cells are empty.
+//!
+//! Where a track is looked for comes from the motion between blurred thumbnails of the two pictures (fast turns); a track
+//! that is lost there gets a second chance at the median motion of its neighbours. Corners are detected in cells without
+//! a track, each cell at a threshold of its own that follows its texture. Deterministic; allocates nothing once warm.
+
+use std::sync::Arc;
+
+use nalgebra::Vector2;
+
+use super::alignment::Template;
+use super::config::{DetectorKind, FeaturesConfig};
+use super::fast::FastDetector;
+use super::optical_flow::{FlowOptions, follow};
+use super::susan::{SusanConfig, SusanDetector};
+use super::thumbnail::{Thumbnail, ThumbnailAligner};
+use super::{CellGrid, Corner, CornerDetector, Feedback, FrameFeatures, Track};
+use crate::frame::{RawFrame, monotonic_ns};
+use crate::image::decode::{DecodeError, Decoder};
+use crate::image::pyramid::PyramidPool;
+use crate::image::{GreyImage, Pyramid};
+
+/// Pyramid levels: 640x480 down to 40x30.
+const LEVELS: usize = 5;
+/// Pyramids under way at once: the stage's previous one, the frame in the channel, the one being tracked, two to spare.
+const POOL: usize = 6;
+/// Corners nearer to the picture's edge than this are not started, px.
+const BORDER_PX: f32 = 10.0;
+/// Thumbnails less alike than this say nothing about the motion.
+const THUMBNAIL_NCC: f32 = 0.5;
+/// Neighbours whose median motion gives a lost track its second chance.
+const NEIGHBOURS: usize = 5;
+/// Corners are detected when tracks fill less than this share of the cells.
+const FILLED_SHARE: f32 = 0.95;
+
+/// A track of the previous frame on its way into this one.
+#[derive(Debug, Clone, Copy)]
+struct Step {
+    track: Track,
+    guess: Vector2<f32>,
+    found: Option<Vector2<f32>>,
+}
+
+/// See the module.
+#[derive(Debug)]
+pub struct FeatureStage {
+    config: FeaturesConfig,
+    decoder: Decoder,
+    pool: PyramidPool,
+    detector: Box<dyn CornerDetector>,
+    previous: Option<Arc<Pyramid>>,
+    previous_thumbnail: Thumbnail,
+    thumbnail: Thumbnail,
+    aligner: ThumbnailAligner,
+    tracks: Vec<Track>,
+    steps: Vec<Step>,
+    next_id: u64,
+    grid: CellGrid,
+    /// Threshold of each cell, grey levels.
+    thresholds: Vec<f32>,
+    corners: Vec<Corner>,
+    /// Best corner of each cell with its eigenvalue.
+    best: Vec<Option<(f32, Vector2<f32>)>>,
+}
+
+impl FeatureStage {
+    pub fn new(config: &FeaturesConfig) -> Self {
+        let detector: Box<dyn CornerDetector> = match config.detector {
+            DetectorKind::Fast => Box::new(FastDetector::new()),
+            DetectorKind::Susan => Box::new(SusanDetector::default()),
+        };
+        Self {
+            config: config.clone(),
+            decoder: Decoder::default(),
+            pool: PyramidPool::new(POOL, LEVELS),
+            detector,
+            previous: None,
+            previous_thumbnail: Thumbnail::default(),
+            thumbnail: Thumbnail::default(),
+            aligner: ThumbnailAligner::default(),
+            tracks: Vec::new(),
+            steps: Vec::new(),
+            next_id: 0,
+            grid: CellGrid::new(0, 0, config.cell_px, config.threshold),
+            thresholds: Vec::new(),
+            corners: Vec::new(),
+            best: Vec::new(),
+        }
+    }
+
+    /// Decodes `frame` and fills `out`. A corrupt picture is an error and leaves the stage as it was.
+    pub fn step(&mut self, frame: &RawFrame, out: &mut FrameFeatures) -> Result<(), DecodeError> {
+        let decoder = &mut self.decoder;
+        let mut decoded_ns = 0;
+        let pyramid = self.pool.fill(|p| {
+            decoder.decode(frame, p.base_mut())?;
+            decoded_ns = monotonic_ns();
+            p.rebuild();
+            Ok(())
+        })?;
+        out.sequence = frame.sequence;
+        out.timestamp_ns = frame.timestamp_ns;
+        out.arrival_ns = frame.arrival_ns;
+        out.decoded_ns = decoded_ns;
+        self.follow_into(pyramid, out);
+        Ok(())
+    }
+
+    /// The same for a picture that is grey already; `out`'s times and number are left alone.
+    pub fn step_grey(&mut self, picture: &GreyImage, out: &mut FrameFeatures) {
+        let filled: Result<_, std::convert::Infallible> = self.pool.fill(|p| {
+            p.build(picture);
+            Ok(())
+        });
+        let Ok(pyramid) = filled;
+        self.follow_into(pyramid, out);
+    }
+
+    /// Takes reconstruction's feedback; applied from the next step on.
+    pub fn feedback(&mut self, feedback: &Feedback) {
+        self.tracks.retain(|t| feedback.forget.binary_search(&t.id).is_err());
+    }
+
+    fn follow_into(&mut self, pyramid: Arc<Pyramid>, out: &mut FrameFeatures) {
+        let previous = self.previous.take().filter(|p| p.size() == pyramid.size());
+        self.thumbnail.build(&pyramid);
+        match &previous {
+            Some(previous) => self.follow_tracks(previous, &pyramid),
+            None => self.start_over(&pyramid),
+        }
+        std::mem::swap(&mut self.thumbnail, &mut self.previous_thumbnail);
+        self.detect(&pyramid);
+        out.tracks.clear();
+        out.tracks.extend_from_slice(&self.tracks);
+        self.previous = Some(pyramid.clone());
+        out.pyramid = pyramid;
+    }
+
+    /// First picture, or one of another size.
+    fn start_over(&mut self, pyramid: &Pyramid) {
+        let (width, height) = pyramid.size();
+        self.tracks.clear();
+        self.grid = CellGrid::new(width, height, self.config.cell_px, self.config.threshold);
+        self.thresholds.clear();
+        self.thresholds.resize(self.grid.cells.len(), self.config.threshold);
+    }
+
+    fn follow_tracks(&mut self, previous: &Pyramid, current: &Pyramid) {
+        let motion = self.aligner.align(&self.previous_thumbnail, &self.thumbnail).filter(|m| m.ncc >= THUMBNAIL_NCC);
+        let options = FlowOptions {
+            min_ncc: self.config.min_ncc,
+            max_return_px: self.config.max_return_px,
+            ..FlowOptions::default()
+        };
+        self.steps.clear();
+        for &track in &self.tracks {
+            let guess = motion.map_or(track.position, |m| m.apply(track.position));
+            let found = follow(previous, current, track.position, guess, &options);
+            self.steps.push(Step { track, guess, found });
+        }
+        let wide = FlowOptions { coarsest_level: 3, ..options };
+        for i in 0..self.steps.len() {
+            let step = self.steps[i];
+            if step.found.is_none() {
+                let guess = step.guess + neighbours_residual(&self.steps, step.track.position);
+                self.steps[i].found = follow(previous, current, step.track.position, guess, &wide);
+            }
+        }
+        self.tracks.clear();
+        for step in &self.steps {
+            if let Some(position) = step.found {
+                self.tracks.push(Track { position, age: step.track.age.saturating_add(1), ..step.track });
+            }
+        }
+    }
+
+    /// One new track in each empty cell that has a corner.
+    fn detect(&mut self, pyramid: &Pyramid) {
+        let Some(image) = pyramid.levels.first() else { return };
+        for (cell, &threshold) in self.grid.cells.iter_mut().zip(&self.thresholds) {
+            cell.wanted = true;
+            cell.threshold = threshold;
+        }
+        let mut filled = 0;
+        for track in &self.tracks {
+            if let Some(i) = self.grid.index(track.position.x, track.position.y)
+                && std::mem::replace(&mut self.grid.cells[i].wanted, false)
+            {
+                filled += 1;
+            }
+        }
+        let room = self.config.max_tracks.saturating_sub(self.tracks.len());
+        if room == 0 || filled as f32 >= FILLED_SHARE * self.grid.cells.len() as f32 {
+            return;
+        }
+        self.detector.detect(image, &self.grid, &mut self.corners);
+        self.best.clear();
+        self.best.resize(self.grid.cells.len(), None);
+        let (right, bottom) = (image.width as f32 - 1.0 - BORDER_PX, image.height as f32 - 1.0 - BORDER_PX);
+        for corner in &self.corners {
+            let inside = corner.x >= BORDER_PX && corner.y >= BORDER_PX && corner.x <= right && corner.y <= bottom;
+            let Some(i) = self.grid.index(corner.x, corner.y).filter(|_| inside) else { continue };
+            let position = Vector2::new(corner.x, corner.y);
+            let Some(template) = Template::from_image(image, position) else { continue };
+            let eigenvalue = template.min_eigenvalue();
+            if eigenvalue >= self.config.min_eigenvalue && self.best[i].is_none_or(|b| eigenvalue > b.0) {
+                self.best[i] = Some((eigenvalue, position));
+            }
+        }
+        let mut started = 0;
+        for (i, best) in self.best.iter().enumerate() {
+            if !self.grid.cells[i].wanted {
+                continue;
+            }
+            // A cell without a corner is looked at more closely next time, one with a corner a little less so.
+            let threshold = &mut self.thresholds[i];
+            let Some((_, position)) = best else {
+                *threshold = (*threshold * 0.7).max(self.config.min_threshold);
+                continue;
+            };
+            *threshold = (*threshold * 1.1).min(self.config.threshold);
+            if started < room {
+                self.tracks.push(Track { id: self.next_id, position: *position, age: 0 });
+                self.next_id += 1;
+                started += 1;
+            }
+        }
+    }
+}
+
+/// Median of how far the nearest found tracks lie from their guesses.
+fn neighbours_residual(steps: &[Step], position: Vector2<f32>) -> Vector2<f32> {
+    let mut near = [(f32::INFINITY, Vector2::zeros()); NEIGHBOURS];
+    let mut count = 0;
+    for step in steps {
+        let Some(found) = step.found else { continue };
+        let distance = (step.track.position - position).norm_squared();
+        if distance < near[NEIGHBOURS - 1].0 {
+            let mut i = NEIGHBOURS - 1;
+            while i > 0 && near[i - 1].0 > distance {
+                near[i] = near[i - 1];
+                i -= 1;
+            }
+            near[i] = (distance, found - step.guess);
+            count = (count + 1).min(NEIGHBOURS);
+        }
+    }
+    if count == 0 {
+        return Vector2::zeros();
+    }
+    let mut component = |axis: usize| {
+        let mut values = [0.0f32; NEIGHBOURS];
+        for (v, n) in values.iter_mut().zip(&near[..count]) {
+            *v = n.1[axis];
+        }
+        values[..count].sort_unstable_by(f32::total_cmp);
+        values[count / 2]
+    };
+    Vector2::new(component(0), component(1))
+}
