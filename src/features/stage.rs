@@ -248,7 +248,7 @@ fn neighbours_residual(steps: &[Step], position: Vector2<f32>) -> Vector2<f32> {
     if count == 0 {
         return Vector2::zeros();
     }
-    let mut component = |axis: usize| {
+    let component = |axis: usize| {
         let mut values = [0.0f32; NEIGHBOURS];
         for (v, n) in values.iter_mut().zip(&near[..count]) {
             *v = n.1[axis];
