@@ -86,16 +86,20 @@ pub fn spread(points: impl Iterator<Item = Vector2<f64>> + Clone) -> (f64, f64) 
     (large.sqrt(), small.max(0.0).sqrt())
 }
 
+/// Lowest and highest corner of the box around the points; `None` without points.
+pub fn bounding_box(x: &[Vector2<f64>]) -> Option<(Vector2<f64>, Vector2<f64>)> {
+    let first = x.first()?;
+    Some(x.iter().fold((*first, *first), |(low, high), p| (low.inf(p), high.sup(p))))
+}
+
 /// Width and height of the box around the points.
-pub fn bounding_box(x: &[Vector2<f64>]) -> Vector2<f64> {
-    let Some(first) = x.first() else { return Vector2::zeros() };
-    let (low, high) = x.iter().fold((*first, *first), |(low, high), p| (low.inf(p), high.sup(p)));
-    high - low
+fn size(x: &[Vector2<f64>]) -> Vector2<f64> {
+    bounding_box(x).map_or_else(Vector2::zeros, |(low, high)| high - low)
 }
 
 /// Probability that a random point of the box around `x` is within `threshold` of a given line through it.
 pub fn chance_near_line(x: &[Vector2<f64>], threshold: f64) -> f64 {
-    let size = bounding_box(x);
+    let size = size(x);
     // A box as thin as the band: no line stands out.
     let area = (size.x * size.y).max(f64::MIN_POSITIVE);
     (2.0 * threshold * size.norm() / area).min(1.0)
@@ -103,7 +107,7 @@ pub fn chance_near_line(x: &[Vector2<f64>], threshold: f64) -> f64 {
 
 /// Probability that a random point of the box around `x` is within `threshold` of a given point.
 pub fn chance_near_point(x: &[Vector2<f64>], threshold: f64) -> f64 {
-    let size = bounding_box(x);
+    let size = size(x);
     let area = (size.x * size.y).max(f64::MIN_POSITIVE);
     (std::f64::consts::PI * threshold * threshold / area).min(1.0)
 }

@@ -202,8 +202,8 @@ pub fn score<E: Estimator>(estimator: &E, model: &E::Model, threshold: f64, limi
     Some(sum / squared)
 }
 
-/// Refits while that lowers the score.
-fn optimise<E: Estimator>(
+/// Refits `best` (a model and its score) to its own inliers while that lowers the score. `inliers` is a buffer.
+pub fn optimise<E: Estimator>(
     estimator: &E,
     options: &RansacOptions,
     best: &mut (E::Model, f64),
