@@ -111,7 +111,7 @@ impl CalibrationFile {
         let c = &self.camera;
         let [k1, k2, p1, p2, k3] = c.distortion;
         let mut other = self.other.clone();
-        other.retain(|key, _| !OWN_KEYS.iter().any(|own| *own == key));
+        other.retain(|key, _| !OWN_KEYS.contains(&key));
         let rest = toml::to_string(&other)?;
         Ok(format!(
             "# Pinhole camera with radial-tangential distortion. Pixel (0, 0) is the centre of the first pixel.\n\

@@ -1,6 +1,8 @@
 //! Frames from anywhere through one door, [`FrameSource`].
 
 pub mod recording;
+#[cfg(target_os = "linux")]
+pub mod v4l2;
 
 pub use recording::{Pacing, Recording};
 

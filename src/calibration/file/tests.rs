@@ -143,7 +143,7 @@ fn ros_and_opencv_files_are_read() {
     let k = [-0.361976, 0.110510, 0.001014, 0.000505, 0.0];
     assert_eq!(numbers(&yaml(ROS).expect("valid")), ([640, 480], [438.783367, 437.302876, 305.593336, 243.738352], k));
     let opencv = yaml(OPENCV).expect("valid");
-    assert_eq!((opencv.fx, opencv.cy), (534.80326845051309, 240.66183054066337));
+    assert_eq!((opencv.fx, opencv.cy), (534.803_268_450_513, 240.661_830_540_663_37));
     assert_eq!(opencv.distortion[1], 1.0354662043042675e-01);
 }
 

@@ -1,0 +1,482 @@
+//! The kernel's side of a camera: ioctls, and a queue of mapped buffers. The only `unsafe` of the camera room.
+//!
+//! The structs and ioctl numbers are crate `v4l`'s; its streams, formats and control lists are not used: its stream gives
+//! the driver a buffer twice after a time-out, its format conversion panics on values that it does not know, its lists have no end
+//! of their own. Here every list and every retry has a bound.
+//!
+//! Calls in the order of a stream's life: QUERYCAP, ENUM_FMT / ENUM_FRAMESIZES / ENUM_FRAMEINTERVALS, S_FMT (size and stride are
+//! read from its answer), S_PARM (without it some drivers send at 5 Hz), REQBUFS, QUERYBUF + mmap + QBUF for each buffer,
+//! STREAMON; then poll, DQBUF, QBUF for each frame; at the end STREAMOFF, munmap, REQBUFS(0). After a poll that timed out no
+//! buffer is touched.
+
+use super::V4l2Config;
+use super::capture::{BufferQueue, Filled, QueueError};
+use super::negotiate::{CameraFormat, Choice, Interval, Offer, Rates, nearest_step};
+use std::fs::File;
+use std::io;
+use std::os::fd::AsRawFd;
+use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
+use std::path::Path;
+use std::ptr::NonNull;
+use std::time::{Duration, Instant};
+use v4l::v4l_sys as sys;
+use v4l::v4l2::vidioc;
+
+const CAPTURE: u32 = 1; // V4L2_BUF_TYPE_VIDEO_CAPTURE
+const MMAP: u32 = 1; // V4L2_MEMORY_MMAP
+const CAP_VIDEO_CAPTURE: u32 = 0x1;
+const CAP_STREAMING: u32 = 0x0400_0000;
+const CAP_DEVICE_CAPS: u32 = 0x8000_0000;
+const CAP_TIME_PER_FRAME: u32 = 0x1000;
+const FIELD_NONE: u32 = 1;
+const DISCRETE: u32 = 1; // of sizes and intervals alike
+const BUF_FLAG_ERROR: u32 = 0x40;
+const BUF_FLAG_TIMESTAMP_MASK: u32 = 0xe000;
+const BUF_FLAG_TIMESTAMP_MONOTONIC: u32 = 0x2000;
+const CID_EXPOSURE_AUTO_PRIORITY: u32 = 0x009a_0903;
+const CID_FOCUS_AUTO: u32 = 0x009a_090c;
+
+/// Bounds of what a driver may list.
+const MAX_FORMATS: u32 = 64;
+const MAX_SIZES: u32 = 128;
+const MAX_INTERVALS: u32 = 64;
+/// A call that was interrupted by a signal is repeated so often.
+const MAX_INTERRUPTS: u32 = 100;
+
+/// An open device file.
+#[derive(Debug)]
+pub struct Device {
+    file: File,
+}
+
+/// What a device says of itself.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Capability {
+    pub driver: String,
+    pub card: String,
+    pub bus: String,
+    /// Single-planar capture by streaming.
+    pub captures: bool,
+}
+
+/// What the driver made of the format that it was asked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Granted {
+    pub width: u32,
+    pub height: u32,
+    /// Bytes a row.
+    pub stride: u32,
+}
+
+impl Device {
+    /// Opens a device file for reading and writing; calls on it never block.
+    pub fn open(path: &Path) -> io::Result<Self> {
+        let metadata = std::fs::metadata(path)?;
+        if !metadata.file_type().is_char_device() {
+            return Err(io::Error::new(io::ErrorKind::InvalidInput, "is not a device file"));
+        }
+        let file = File::options().read(true).write(true).custom_flags(libc::O_NONBLOCK).open(path)?;
+        Ok(Self { file })
+    }
+
+    /// One ioctl, repeated when a signal interrupts it.
+    ///
+    /// # Safety
+    /// `request` must be declared for `T`: the kernel reads and writes exactly one `T`, and puts no pointer of its own in it.
+    unsafe fn ioctl<T>(&self, request: vidioc::_IOC_TYPE, argument: &mut T) -> io::Result<()> {
+        let mut result = Ok(());
+        for _ in 0..MAX_INTERRUPTS {
+            // SAFETY: the descriptor is open as long as `self.file` lives; `argument` is a whole, exclusive `T`, which is what
+            // `request` takes (the caller's promise).
+            result = unsafe { v4l::v4l2::ioctl(self.file.as_raw_fd(), request, std::ptr::from_mut(argument).cast()) };
+            match &result {
+                Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
+                _ => break,
+            }
+        }
+        result
+    }
+
+    pub fn capability(&self) -> io::Result<Capability> {
+        let mut caps: sys::v4l2_capability = zeroed();
+        // SAFETY: QUERYCAP is declared for v4l2_capability.
+        unsafe { self.ioctl(vidioc::VIDIOC_QUERYCAP, &mut caps)? };
+        // A driver of several nodes says in `device_caps` what this one can do.
+        let bits = if caps.capabilities & CAP_DEVICE_CAPS != 0 { caps.device_caps } else { caps.capabilities };
+        Ok(Capability {
+            driver: text(&caps.driver),
+            card: text(&caps.card),
+            bus: text(&caps.bus_info),
+            captures: bits & CAP_VIDEO_CAPTURE != 0 && bits & CAP_STREAMING != 0,
+        })
+    }
+
+    /// Four-character codes of what the camera sends.
+    fn fourccs(&self) -> Vec<u32> {
+        let mut found = Vec::new();
+        for index in 0..MAX_FORMATS {
+            let mut format: sys::v4l2_fmtdesc = zeroed();
+            (format.index, format.type_) = (index, CAPTURE);
+            // SAFETY: ENUM_FMT is declared for v4l2_fmtdesc.
+            if unsafe { self.ioctl(vidioc::VIDIOC_ENUM_FMT, &mut format) }.is_err() {
+                break;
+            }
+            found.push(format.pixelformat);
+        }
+        found
+    }
+
+    /// The same for a message.
+    pub fn format_names(&self) -> Vec<String> {
+        let names: Vec<String> = self.fourccs().iter().map(|code| text(&code.to_le_bytes())).collect();
+        if names.is_empty() { vec!["nothing".into()] } else { names }
+    }
+
+    /// Every usable format and size; of sizes that go in steps the one nearest to `width` x `height`.
+    pub fn offers(&self, width: u32, height: u32) -> Vec<Offer> {
+        let mut offers = Vec::new();
+        for format in self.fourccs().into_iter().filter_map(CameraFormat::from_fourcc) {
+            for (width, height) in self.sizes(format, width, height) {
+                offers.push(Offer { format, width, height, rates: self.rates(format, width, height) });
+            }
+        }
+        offers
+    }
+
+    fn sizes(&self, format: CameraFormat, width: u32, height: u32) -> Vec<(u32, u32)> {
+        let mut found = Vec::new();
+        for index in 0..MAX_SIZES {
+            let mut size: sys::v4l2_frmsizeenum = zeroed();
+            (size.index, size.pixel_format) = (index, format.fourcc());
+            // SAFETY: ENUM_FRAMESIZES is declared for v4l2_frmsizeenum.
+            if unsafe { self.ioctl(vidioc::VIDIOC_ENUM_FRAMESIZES, &mut size) }.is_err() {
+                break;
+            }
+            if size.type_ == DISCRETE {
+                // SAFETY: the type says which member the kernel wrote; both are plain integers.
+                let size = unsafe { size.__bindgen_anon_1.discrete };
+                found.push((size.width, size.height));
+            } else {
+                // SAFETY: as above; a stepwise or continuous range is listed alone.
+                let s = unsafe { size.__bindgen_anon_1.stepwise };
+                found.push((
+                    nearest_step(width, s.min_width, s.max_width, s.step_width),
+                    nearest_step(height, s.min_height, s.max_height, s.step_height),
+                ));
+                break;
+            }
+        }
+        if found.is_empty() {
+            // A driver that lists no sizes adjusts what it is asked for.
+            found.push((width, height));
+        }
+        found
+    }
+
+    fn rates(&self, format: CameraFormat, width: u32, height: u32) -> Rates {
+        let mut found = Vec::new();
+        for index in 0..MAX_INTERVALS {
+            let mut interval: sys::v4l2_frmivalenum = zeroed();
+            (interval.index, interval.pixel_format) = (index, format.fourcc());
+            (interval.width, interval.height) = (width, height);
+            // SAFETY: ENUM_FRAMEINTERVALS is declared for v4l2_frmivalenum.
+            if unsafe { self.ioctl(vidioc::VIDIOC_ENUM_FRAMEINTERVALS, &mut interval) }.is_err() {
+                break;
+            }
+            if interval.type_ == DISCRETE {
+                // SAFETY: the type says which member the kernel wrote; both are plain integers.
+                found.push(from_fraction(unsafe { interval.__bindgen_anon_1.discrete }));
+            } else {
+                // SAFETY: as above; a range is listed alone.
+                let s = unsafe { interval.__bindgen_anon_1.stepwise };
+                return match (from_fraction(s.max).rate_hz(), from_fraction(s.min).rate_hz()) {
+                    (Some(slow), Some(fast)) => Rates::Between(slow, fast),
+                    _ => Rates::Unknown,
+                };
+            }
+        }
+        if found.is_empty() { Rates::Unknown } else { Rates::Listed(found) }
+    }
+
+    /// Sets format and size. An answer in another format is an error; another size is not.
+    pub fn set_format(&self, choice: &Choice) -> io::Result<Granted> {
+        let mut format: sys::v4l2_format = zeroed();
+        format.type_ = CAPTURE;
+        let mut wanted: sys::v4l2_pix_format = zeroed();
+        (wanted.width, wanted.height) = (choice.width, choice.height);
+        (wanted.pixelformat, wanted.field) = (choice.format.fourcc(), FIELD_NONE);
+        format.fmt.pix = wanted;
+        // SAFETY: S_FMT is declared for v4l2_format.
+        unsafe { self.ioctl(vidioc::VIDIOC_S_FMT, &mut format)? };
+        // SAFETY: for this buffer type the union holds `pix`, plain integers.
+        let pix = unsafe { format.fmt.pix };
+        if pix.pixelformat != choice.format.fourcc() {
+            let got = text(&pix.pixelformat.to_le_bytes());
+            return Err(io::Error::other(format!("asked for {}, the driver set {got}", choice.format)));
+        }
+        if pix.field > FIELD_NONE {
+            return Err(io::Error::other("sends interlaced pictures, which are not handled"));
+        }
+        let row_bytes = pix.width.saturating_mul(choice.format.bytes_per_pixel());
+        let stride = if pix.bytesperline == 0 { row_bytes } else { pix.bytesperline };
+        Ok(Granted { width: pix.width, height: pix.height, stride })
+    }
+
+    /// Asks for the rate and returns what is granted, Hz; `None` if the camera cannot be asked.
+    pub fn set_rate(&self, choice: &Choice) -> Option<f64> {
+        let mut parameters: sys::v4l2_streamparm = zeroed();
+        parameters.type_ = CAPTURE;
+        // SAFETY: G_PARM is declared for v4l2_streamparm.
+        unsafe { self.ioctl(vidioc::VIDIOC_G_PARM, &mut parameters) }.ok()?;
+        // SAFETY: for this buffer type the union holds `capture`, plain integers.
+        let mut capture = unsafe { parameters.parm.capture };
+        if capture.capability & CAP_TIME_PER_FRAME != 0 {
+            capture.timeperframe =
+                sys::v4l2_fract { numerator: choice.interval.numerator, denominator: choice.interval.denominator };
+            parameters.parm.capture = capture;
+            // SAFETY: S_PARM is declared for v4l2_streamparm.
+            if unsafe { self.ioctl(vidioc::VIDIOC_S_PARM, &mut parameters) }.is_ok() {
+                // SAFETY: as above.
+                capture = unsafe { parameters.parm.capture };
+            }
+        }
+        from_fraction(capture.timeperframe).rate_hz()
+    }
+
+    /// Turns off what would change the lens or the rate during a run, where the camera has such a switch.
+    pub fn prefer_constant_optics(&self, config: &V4l2Config) {
+        let switches = [
+            (CID_FOCUS_AUTO, config.autofocus, "autofocus"),
+            (CID_EXPOSURE_AUTO_PRIORITY, config.dynamic_rate, "dynamic_rate"),
+        ];
+        for (id, on, name) in switches {
+            let mut control = sys::v4l2_control { id, value: i32::from(on) };
+            // SAFETY: S_CTRL is declared for v4l2_control.
+            if let Err(e) = unsafe { self.ioctl(vidioc::VIDIOC_S_CTRL, &mut control) } {
+                tracing::debug!(control = name, on, error = %e, "camera has no such switch");
+            }
+        }
+    }
+
+    /// REQBUFS; how many were granted.
+    fn request_buffers(&self, count: u32) -> io::Result<u32> {
+        let mut request: sys::v4l2_requestbuffers = zeroed();
+        (request.count, request.type_, request.memory) = (count, CAPTURE, MMAP);
+        // SAFETY: REQBUFS is declared for v4l2_requestbuffers.
+        unsafe { self.ioctl(vidioc::VIDIOC_REQBUFS, &mut request)? };
+        Ok(request.count)
+    }
+
+    /// One of QUERYBUF, QBUF and DQBUF.
+    fn buffer(&self, request: vidioc::_IOC_TYPE, index: u32) -> io::Result<sys::v4l2_buffer> {
+        let mut buffer: sys::v4l2_buffer = zeroed();
+        (buffer.index, buffer.type_, buffer.memory) = (index, CAPTURE, MMAP);
+        // SAFETY: the three requests are declared for v4l2_buffer, and for single-planar mapped buffers its union holds an
+        // offset and not a pointer.
+        unsafe { self.ioctl(request, &mut buffer)? };
+        Ok(buffer)
+    }
+
+    fn stream(&self, request: vidioc::_IOC_TYPE) -> io::Result<()> {
+        let mut kind = CAPTURE as libc::c_int;
+        // SAFETY: STREAMON and STREAMOFF are declared for int.
+        unsafe { self.ioctl(request, &mut kind) }
+    }
+}
+
+/// Memory of one of the driver's buffers.
+#[derive(Debug)]
+struct Mapping {
+    start: NonNull<u8>,
+    length: usize,
+    /// The driver has given it to us.
+    ours: bool,
+}
+
+// SAFETY: the memory belongs to the mapping alone and stays where it is; nothing about it is bound to a thread.
+unsafe impl Send for Mapping {}
+
+impl Mapping {
+    fn new(device: &Device, buffer: &sys::v4l2_buffer) -> io::Result<Self> {
+        let length = buffer.length as usize;
+        if length == 0 {
+            return Err(io::Error::other("the driver made a buffer of 0 bytes"));
+        }
+        // SAFETY: QUERYBUF on a buffer of type MMAP writes the offset.
+        let offset = unsafe { buffer.m.offset };
+        // SAFETY: a new mapping at an address of the kernel's choice touches no existing memory; descriptor, offset and length
+        // are those that the driver gave for this buffer.
+        let start = unsafe {
+            libc::mmap(
+                std::ptr::null_mut(),
+                length,
+                libc::PROT_READ | libc::PROT_WRITE,
+                libc::MAP_SHARED,
+                device.file.as_raw_fd(),
+                offset as libc::off_t,
+            )
+        };
+        if start == libc::MAP_FAILED {
+            return Err(io::Error::last_os_error());
+        }
+        let start = NonNull::new(start.cast()).ok_or_else(|| io::Error::other("mapped at address 0"))?;
+        Ok(Self { start, length, ours: false })
+    }
+}
+
+impl Drop for Mapping {
+    fn drop(&mut self) {
+        // SAFETY: exactly the range that mmap gave, unmapped once; every slice of it borrowed from `self`.
+        unsafe { libc::munmap(self.start.as_ptr().cast(), self.length) };
+    }
+}
+
+/// A running stream.
+#[derive(Debug)]
+pub struct MmapQueue {
+    mappings: Vec<Mapping>,
+    device: Device,
+}
+
+impl MmapQueue {
+    /// Makes and maps the buffers, hands them to the driver and starts the stream.
+    pub fn start(device: Device, buffers: u32) -> io::Result<Self> {
+        let granted = device.request_buffers(buffers)?;
+        if granted < 2 {
+            return Err(io::Error::other(format!("the driver has {granted} buffers, 2 are needed")));
+        }
+        // From here on a failure drops the queue, which gives everything back.
+        let mut queue = Self { mappings: Vec::new(), device };
+        for index in 0..granted {
+            let buffer = queue.device.buffer(vidioc::VIDIOC_QUERYBUF, index)?;
+            queue.mappings.push(Mapping::new(&queue.device, &buffer)?);
+            queue.device.buffer(vidioc::VIDIOC_QBUF, index)?;
+        }
+        queue.device.stream(vidioc::VIDIOC_STREAMON)?;
+        Ok(queue)
+    }
+
+    /// Waits for events on the device; 0 after `timeout`.
+    fn poll(&self, timeout: Duration) -> io::Result<libc::c_short> {
+        let mut fd = libc::pollfd { fd: self.device.file.as_raw_fd(), events: libc::POLLIN, revents: 0 };
+        // Rounded up: a last fraction of a millisecond must not become a busy loop.
+        let ms = timeout.as_nanos().div_ceil(1_000_000).min(i32::MAX as u128) as libc::c_int;
+        // SAFETY: one valid pollfd, and the count says one.
+        match unsafe { libc::poll(&mut fd, 1, ms) } {
+            -1 => Err(io::Error::last_os_error()),
+            _ => Ok(fd.revents),
+        }
+    }
+}
+
+impl BufferQueue for MmapQueue {
+    fn dequeue(&mut self, timeout: Duration) -> Result<Option<Filled>, QueueError> {
+        let deadline = Instant::now().checked_add(timeout);
+        loop {
+            // A timeout beyond what the clock can count is one that never comes.
+            let left = deadline.map_or(timeout, |d| d.saturating_duration_since(Instant::now()));
+            let events = match self.poll(left) {
+                Ok(0) => return Ok(None),
+                Ok(events) => events,
+                Err(e) if e.kind() == io::ErrorKind::Interrupted => {
+                    if left.is_zero() {
+                        return Ok(None);
+                    }
+                    continue;
+                }
+                Err(e) => return Err(QueueError::Gone(format!("poll: {e}"))),
+            };
+            match self.device.buffer(vidioc::VIDIOC_DQBUF, 0) {
+                Ok(buffer) => {
+                    let Some(mapping) = self.mappings.get_mut(buffer.index as usize) else {
+                        return Err(QueueError::Gone(format!(
+                            "the driver gave buffer {}, which is none",
+                            buffer.index
+                        )));
+                    };
+                    mapping.ours = true;
+                    return Ok(Some(filled(&buffer)));
+                }
+                Err(e) => match e.raw_os_error() {
+                    // Nothing there yet; with an error event there never will be.
+                    Some(libc::EAGAIN) if events & (libc::POLLERR | libc::POLLHUP | libc::POLLNVAL) == 0 => {
+                        if left.is_zero() {
+                            return Ok(None);
+                        }
+                    }
+                    Some(libc::ENODEV) => return Err(QueueError::Gone("it was unplugged".into())),
+                    Some(libc::EIO) => return Err(QueueError::Trouble(format!("DQBUF: {e}"))),
+                    _ => return Err(QueueError::Gone(format!("DQBUF: {e}"))),
+                },
+            }
+        }
+    }
+
+    fn bytes(&self, index: u32) -> &[u8] {
+        match self.mappings.get(index as usize) {
+            // SAFETY: mapped, readable and of this length as long as the mapping lives, which `self` outlives the slice for; the
+            // driver writes into a buffer only while it is queued, and `ours` says that it is not.
+            Some(m) if m.ours => unsafe { std::slice::from_raw_parts(m.start.as_ptr(), m.length) },
+            _ => &[],
+        }
+    }
+
+    fn requeue(&mut self, index: u32) -> Result<(), QueueError> {
+        let Some(mapping) = self.mappings.get_mut(index as usize).filter(|m| m.ours) else {
+            return Err(QueueError::Gone(format!("buffer {index} is not ours to give back")));
+        };
+        mapping.ours = false;
+        self.device.buffer(vidioc::VIDIOC_QBUF, index).map(drop).map_err(|e| QueueError::Gone(format!("QBUF: {e}")))
+    }
+}
+
+impl Drop for MmapQueue {
+    fn drop(&mut self) {
+        // An unplugged camera answers each with an error, and that is all right. Unmapped before the buffers are given back,
+        // because a driver refuses to free mapped ones.
+        let _ = self.device.stream(vidioc::VIDIOC_STREAMOFF);
+        self.mappings.clear();
+        let _ = self.device.request_buffers(0);
+    }
+}
+
+fn filled(buffer: &sys::v4l2_buffer) -> Filled {
+    let monotonic = buffer.flags & BUF_FLAG_TIMESTAMP_MASK == BUF_FLAG_TIMESTAMP_MONOTONIC;
+    let seconds: i64 = buffer.timestamp.tv_sec;
+    let micros: i64 = buffer.timestamp.tv_usec;
+    Filled {
+        index: buffer.index,
+        bytes_used: buffer.bytesused as usize,
+        sequence: buffer.sequence,
+        timestamp_ns: monotonic
+            .then(|| seconds.saturating_mul(1_000_000_000).saturating_add(micros.saturating_mul(1_000))),
+        corrupt: buffer.flags & BUF_FLAG_ERROR != 0,
+    }
+}
+
+fn from_fraction(f: sys::v4l2_fract) -> Interval {
+    Interval { numerator: f.numerator, denominator: f.denominator }
+}
+
+/// Bytes up to the first zero, readable.
+fn text(bytes: &[u8]) -> String {
+    let end = bytes.iter().position(|b| *b == 0).unwrap_or(bytes.len());
+    String::from_utf8_lossy(bytes.get(..end).unwrap_or_default()).trim().to_string()
+}
+
+/// The kernel's structs that are used here: integers, arrays and unions of them.
+trait Plain {}
+impl Plain for sys::v4l2_capability {}
+impl Plain for sys::v4l2_fmtdesc {}
+impl Plain for sys::v4l2_frmsizeenum {}
+impl Plain for sys::v4l2_frmivalenum {}
+impl Plain for sys::v4l2_format {}
+impl Plain for sys::v4l2_pix_format {}
+impl Plain for sys::v4l2_streamparm {}
+impl Plain for sys::v4l2_requestbuffers {}
+impl Plain for sys::v4l2_buffer {}
+
+fn zeroed<T: Plain>() -> T {
+    // SAFETY: all-zero bytes are a value of every `Plain` struct: integers 0, pointers null, unions zero.
+    unsafe { std::mem::zeroed() }
+}
