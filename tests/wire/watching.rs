@@ -1,0 +1,1 @@
+//! `cairn watch` as a process.
