@@ -43,10 +43,6 @@ impl Place {
         &self.root
     }
 
-    pub fn ipc_prefix(&self) -> &str {
-        &self.ipc_prefix
-    }
-
     pub fn client(&self) -> Client {
         Client::with_endpoint(self.endpoint()).expect("client")
     }
@@ -56,15 +52,21 @@ impl Place {
     }
 
     pub fn spawn(&self, role: Role) -> Helper {
-        let child = Command::new(std::env::current_exe().expect("own path"))
-            .args(["--ignored", "--exact", "support::helper", "--nocapture", "--test-threads=1"])
+        Helper { child: self.command(role).stdout(Stdio::null()).spawn().expect("helper") }
+    }
+
+    /// This test binary in a role. Terse, so that the test harness writes nothing into the middle of a line.
+    pub fn command(&self, role: Role) -> Command {
+        let mut command = Command::new(std::env::current_exe().expect("own path"));
+        command
+            .args(["--ignored", "--exact", "support::helper", "--nocapture", "--quiet"])
             .env(ROOT, &self.root)
             .env(ROLE, role.name())
-            .stdin(Stdio::null())
-            .stdout(Stdio::null())
-            .spawn()
-            .expect("helper");
-        Helper { child }
+            .env("CAIRN_IPC_ROOT", &self.root)
+            .env("CAIRN_IPC_PREFIX", &self.ipc_prefix)
+            .env("CAIRN_PREFIX", "robot")
+            .stdin(Stdio::null());
+        command
     }
 
     /// Objects in /dev/shm and files under the root. Not counted: iceoryx2's one object that outlives everything.
@@ -123,6 +125,8 @@ pub enum Role {
     Publisher,
     /// Reads poses.
     Subscriber,
+    /// `cairn watch` with the arguments in the environment variable `CAIRN_TEST_WATCH`.
+    Watch,
 }
 
 impl Role {
@@ -130,6 +134,7 @@ impl Role {
         match self {
             Self::Publisher => "publisher",
             Self::Subscriber => "subscriber",
+            Self::Watch => "watch",
         }
     }
 }
@@ -182,6 +187,7 @@ fn helper() {
                 poses.wait(Duration::from_millis(100)).expect("wait");
             }
         }
+        "watch" => crate::watching::watch(),
         other => panic!("no role {other}"),
     }
 }
