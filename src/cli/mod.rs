@@ -1,5 +1,9 @@
 //! One file a subcommand: `Args` (clap) and `run(&Args) -> Result<ExitCode, CliError>`. Results on stdout, all else on stderr.
 
+pub mod command;
+pub mod endpoint_args;
+pub mod watch;
+
 use std::fmt;
 
 /// Exit codes (sysexits.h where one fits).

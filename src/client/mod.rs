@@ -57,12 +57,12 @@ pub struct Client {
 
 impl Client {
     /// The daemon with this prefix (`cairn` unless it was told otherwise), which need not run yet. An error here is one that
-    /// waiting would not cure.
+    /// waiting would not cure. CAIRN_IPC_ROOT and CAIRN_IPC_PREFIX are looked at ([`Endpoint::with_environment`]).
     pub fn connect(prefix: &str) -> Result<Self, ClientError> {
-        Self::with_endpoint(Endpoint::new(prefix)?)
+        Self::with_endpoint(Endpoint::new(prefix)?.with_environment()?)
     }
 
-    /// As [`Self::connect`], with iceoryx2's own files elsewhere than by default.
+    /// As [`Self::connect`], regardless of the environment.
     pub fn with_endpoint(endpoint: Endpoint) -> Result<Self, ClientError> {
         let link = Link::new(endpoint);
         link.probe(topic::POSE)?;

@@ -94,6 +94,20 @@ impl Endpoint {
         Ok(self)
     }
 
+    /// As [`Self::with_root`] and [`Self::with_ipc_prefix`] with CAIRN_IPC_ROOT and CAIRN_IPC_PREFIX of the environment,
+    /// where they are set and not empty.
+    pub fn with_environment(self) -> Result<Self, EndpointError> {
+        let set = |name| std::env::var_os(name).filter(|value| !value.is_empty());
+        let endpoint = match set("CAIRN_IPC_ROOT") {
+            Some(root) => self.with_root(Path::new(&root))?,
+            None => self,
+        };
+        match set("CAIRN_IPC_PREFIX") {
+            Some(prefix) => endpoint.with_ipc_prefix(&prefix.to_string_lossy()),
+            None => Ok(endpoint),
+        }
+    }
+
     /// First part of every service's name.
     pub fn prefix(&self) -> &str {
         &self.prefix

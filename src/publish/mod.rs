@@ -39,7 +39,7 @@ use ports::Port;
 type Ipc = ipc_threadsafe::Service;
 
 /// How often the remains of processes that were killed are looked for.
-const CLEAN_UP_EVERY: Duration = Duration::from_secs(2);
+const CLEAN_UP_EVERY: Duration = Duration::from_secs(1);
 
 /// Sizes that shared memory is reserved for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

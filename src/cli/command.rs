@@ -1,0 +1,98 @@
+//! `cairn command`: tells a running daemon to do something and prints what became of it.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Duration;
+
+use super::endpoint_args::EndpointArgs;
+use super::{CliError, exit_code};
+use crate::client::Client;
+use crate::messages::{CommandReply, reply_code};
+
+/// Tell a running daemon to reset, or to save its trajectory or map
+#[derive(Debug, Clone, clap::Args)]
+pub struct CommandArgs {
+    #[command(flatten)]
+    pub endpoint: EndpointArgs,
+    /// Seconds to wait for the daemon's answer
+    #[arg(long, value_name = "SECONDS", default_value = "30", value_parser = clap::value_parser!(u64).range(1..=3600))]
+    pub timeout: u64,
+    #[command(subcommand)]
+    pub action: Action,
+}
+
+/// What the daemon is to do.
+#[derive(Debug, Clone, clap::Subcommand)]
+pub enum Action {
+    /// Drop the map and start over
+    Reset,
+    /// Write the trajectory so far (TUM format), as the daemon's user
+    SaveTrajectory {
+        /// File to write
+        path: PathBuf,
+    },
+    /// Write the sparse map (PLY), as the daemon's user
+    SaveMap {
+        /// File to write
+        path: PathBuf,
+    },
+}
+
+/// Runs the subcommand.
+pub fn run(args: &CommandArgs) -> Result<ExitCode, CliError> {
+    let client = Client::with_endpoint(args.endpoint.endpoint()?)?;
+    let timeout = Duration::from_secs(args.timeout);
+    let reply = match &args.action {
+        Action::Reset => client.reset(timeout)?,
+        Action::SaveTrajectory { path } => client.save_trajectory(&absolute(path)?, timeout)?,
+        Action::SaveMap { path } => client.save_map(&absolute(path)?, timeout)?,
+    };
+    outcome(&reply)
+}
+
+fn outcome(reply: &CommandReply) -> Result<ExitCode, CliError> {
+    let message = if reply.message().is_empty() { "done" } else { reply.message() };
+    let code = match reply.code {
+        reply_code::OK => {
+            // Whoever closed stdout does not want to know.
+            let _ = writeln!(std::io::stdout().lock(), "{message}");
+            return Ok(ExitCode::SUCCESS);
+        }
+        reply_code::UNSUPPORTED | reply_code::BUSY => exit_code::UNAVAILABLE,
+        reply_code::INVALID => exit_code::USAGE,
+        _ => exit_code::FAILURE,
+    };
+    Err(CliError::new(code, format!("the daemon answered: {}", reply.message())))
+}
+
+/// The daemon has another working folder, so the path is made absolute here.
+fn absolute(path: &Path) -> Result<String, CliError> {
+    let absolute =
+        std::path::absolute(path).map_err(|e| CliError::new(exit_code::USAGE, format!("{}: {e}", path.display())))?;
+    absolute
+        .into_os_string()
+        .into_string()
+        .map_err(|p| CliError::new(exit_code::USAGE, format!("{}: not UTF-8", p.display())))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn refusals_of_the_daemon_become_exit_codes() {
+        let code = |reply| outcome(&CommandReply::new(reply, "why")).expect_err("refused").code;
+        assert_eq!(code(reply_code::UNSUPPORTED), exit_code::UNAVAILABLE);
+        assert_eq!(code(reply_code::INVALID), exit_code::USAGE);
+        assert_eq!(code(reply_code::FAILED), exit_code::FAILURE);
+        assert_eq!(code(4711), exit_code::FAILURE);
+        assert!(outcome(&CommandReply::default()).is_ok());
+    }
+
+    #[test]
+    fn paths_are_made_absolute_for_a_daemon_elsewhere() {
+        let path = absolute(Path::new("map.ply")).expect("path");
+        assert!(path.starts_with('/') && path.ends_with("/map.ply"), "{path}");
+    }
+}

@@ -1,0 +1,309 @@
+//! What is sent arrives, to whom and as what it should.
+
+use std::time::Duration;
+
+use cairn::client::{Client, ClientError};
+use cairn::image::GreyImage;
+use cairn::messages::{Command, CommandReply, Health, State, command_kind, error, reply_code};
+use cairn::publish::{Conversion, FrameStamp, MapContext, PublishError, Publisher};
+use iceoryx2::prelude::*;
+
+use crate::support::{Place, Role, connect, estimate, next, small, snapshot};
+
+const NOW: Duration = Duration::from_millis(1);
+
+#[test]
+fn poses_arrive_in_order_and_complete() {
+    let place = Place::new();
+    let mut publisher = place.publisher();
+    let mut poses = place.client().poses();
+    connect(&mut poses);
+    for sequence in 0..20 {
+        let sent = publisher.poses.publish(&estimate(sequence), &Conversion::default(), 3).unwrap();
+        assert!(sent.latency_arrival_ns >= 0 && sent.latency_capture_ns >= sent.latency_arrival_ns);
+    }
+    for sequence in 0..20 {
+        let pose = next(&mut poses);
+        assert_eq!((pose.sequence, pose.frames_dropped), (sequence, 3));
+        assert_eq!(pose.position, [sequence as f64, 0.0, 0.0], "forward is x on the wire");
+        assert_eq!((pose.state(), pose.run_id), (State::Tracking, publisher.health.run_id()));
+        assert!(pose.age_ns(cairn::client::monotonic_ns()) >= 0);
+    }
+    assert!(poses.wait(NOW).unwrap().is_none());
+}
+
+#[test]
+fn the_latest_pose_stays_and_its_age_grows() {
+    let place = Place::new();
+    let mut publisher = place.publisher();
+    let mut poses = place.client().poses();
+    assert!(poses.latest().unwrap().is_none());
+    connect(&mut poses);
+    for sequence in 0..5 {
+        publisher.poses.publish(&estimate(sequence), &Conversion::default(), 0).unwrap();
+    }
+    let first = *poses.latest().unwrap().expect("pose");
+    assert_eq!(first.sequence, 4);
+    let again = *poses.latest().unwrap().expect("the same pose again");
+    assert_eq!(again.sequence, 4);
+    drop(publisher);
+    crate::support::until("the subscription has noticed", || {
+        poses.latest().unwrap();
+        !poses.is_connected()
+    });
+    assert_eq!(poses.latest().unwrap().expect("the last pose of the daemon that went").sequence, 4);
+}
+
+#[test]
+fn a_slow_reader_loses_its_oldest_poses_and_no_other() {
+    let place = Place::new();
+    let mut publisher = place.publisher();
+    let mut poses = place.client().poses();
+    connect(&mut poses);
+    for sequence in 0..100 {
+        publisher.poses.publish(&estimate(sequence), &Conversion::default(), 0).unwrap();
+    }
+    let mut got = Vec::new();
+    while let Some(pose) = poses.wait(NOW).unwrap() {
+        got.push(pose.sequence);
+    }
+    assert_eq!(got, (68..100).collect::<Vec<_>>(), "the newest 32");
+}
+
+#[test]
+fn a_late_joiner_gets_the_last_pose_map_keyframes_and_health_at_once() {
+    let place = Place::new();
+    let mut publisher = place.publisher();
+    for sequence in 0..6 {
+        publisher.poses.publish(&estimate(sequence), &Conversion::default(), 0).unwrap();
+    }
+    publisher.map.publish(&snapshot(41, 10), &Conversion::default(), &MapContext::default()).unwrap();
+    publisher.map.publish(&snapshot(42, 10), &Conversion::default(), &MapContext::default()).unwrap();
+    publisher.health.publish(&Health { errors: error::LOST, ..Health::default() }).unwrap();
+
+    let client = place.client();
+    let (mut poses, mut map, mut keyframes, mut health) =
+        (client.poses(), client.map(), client.keyframes(), client.health());
+    connect(&mut poses);
+    connect(&mut map);
+    connect(&mut keyframes);
+    connect(&mut health);
+    // The next health message lets them all have what they missed; nothing else is sent.
+    publisher.health.publish(&Health { errors: error::NO_CAMERA, ..Health::default() }).unwrap();
+
+    assert_eq!(poses.latest().unwrap().expect("pose").sequence, 5);
+    assert_eq!(next(&mut map).header().revision, 42);
+    assert_eq!(next(&mut keyframes).header().revision, 42);
+    assert_eq!(next(&mut health).errors, error::LOST);
+    assert_eq!(next(&mut health).errors, error::NO_CAMERA);
+}
+
+#[test]
+fn the_map_is_a_slice_and_says_what_was_left_out() {
+    let place = Place::new();
+    let mut publisher = place.publisher();
+    let mut map = place.client().map();
+    connect(&mut map);
+    let context = MapContext { timestamp_ns: 77, reset_counter: 3 };
+    publisher.map.publish(&snapshot(1, 130), &Conversion::default(), &context).unwrap();
+    let first = next(&mut map);
+    let header = *first.header();
+    assert_eq!((header.count, header.total, header.timestamp_ns, header.reset_counter), (100, 130, 77, 3));
+    assert_eq!((first.len(), first[0].id, first[99].id), (100, 30, 129));
+    assert_eq!(first[0].position, [1.0, -30.0, 0.0], "right, down, forward became forward, left, up");
+
+    // Two may be held; the first one does not change while the publisher goes on.
+    publisher.map.publish(&snapshot(2, 0), &Conversion::default(), &context).unwrap();
+    let second = next(&mut map);
+    assert!(second.is_empty());
+    publisher.map.publish(&snapshot(3, 5), &Conversion::default(), &context).unwrap();
+    assert!(matches!(map.try_next(), Err(ClientError::TooManyHeld { limit: 2, .. })));
+    assert_eq!((first.header().revision, first[99].id), (1, 129));
+    drop(second);
+    assert_eq!(next(&mut map).header().revision, 3);
+}
+
+#[test]
+fn pictures_are_sent_only_while_somebody_wants_them() {
+    let place = Place::new();
+    let mut publisher = place.publisher();
+    let mut image = GreyImage::new(64, 48);
+    image.data.iter_mut().zip(0u32..).for_each(|(p, i)| *p = (i % 251) as u8);
+    let stamp = FrameStamp { sequence: 9, timestamp_ns: 10, arrival_ns: 11, ..FrameStamp::default() };
+    assert!(!publisher.frames.publish(&image, &stamp).unwrap(), "nobody subscribes");
+    let mut frames = place.client().frames();
+    connect(&mut frames);
+    assert!(publisher.frames.publish(&image, &stamp).unwrap());
+    let frame = next(&mut frames);
+    let header = frame.header();
+    assert_eq!((header.sequence, header.width, header.height, header.stride), (9, 64, 48, 64));
+    assert_eq!(*frame, image.data[..]);
+    let too_large = publisher.frames.publish(&GreyImage::new(65, 48), &stamp);
+    assert!(matches!(too_large, Err(PublishError::FrameTooLarge { bytes: 3120, limit: 3072 })), "{too_large:?}");
+    drop(frames);
+    assert!(!publisher.frames.publish(&image, &stamp).unwrap(), "nobody subscribes any more");
+}
+
+#[test]
+fn a_second_daemon_is_refused_and_told_by_whom() {
+    let place = Place::new();
+    let publisher = place.publisher();
+    let error = Publisher::open(&place.endpoint(), &small()).expect_err("one daemon a prefix");
+    assert!(matches!(error, PublishError::AlreadyRunning { .. }), "{error}");
+    let message = error.to_string();
+    assert!(message.contains("\"robot\"") && message.contains(&std::process::id().to_string()), "{message}");
+    drop(publisher);
+    place.publisher();
+}
+
+#[test]
+fn a_daemon_of_another_process_is_named_by_its_process() {
+    let place = Place::new();
+    let helper = place.spawn(Role::Publisher);
+    next(&mut place.client().poses());
+    let error = Publisher::open(&place.endpoint(), &small()).expect_err("one daemon a prefix").to_string();
+    assert!(error.contains(&format!("(process {})", helper.pid())), "{error}");
+}
+
+#[test]
+fn commands_are_carried_out_and_answered() {
+    let place = Place::new();
+    let mut publisher = place.publisher();
+    let endpoint = place.endpoint();
+    let sender = std::thread::spawn(move || {
+        let client = Client::with_endpoint(endpoint).unwrap();
+        let reset = client.reset(crate::support::PATIENCE).unwrap();
+        let save = client.save_map("/tmp/map.ply", crate::support::PATIENCE).unwrap();
+        (reset, save)
+    });
+    let mut seen = Vec::new();
+    crate::support::until("two commands have come", || {
+        publisher
+            .commands
+            .poll_commands(|command| {
+                seen.push((command.kind, command.path().unwrap().to_string()));
+                match command.kind {
+                    command_kind::RESET => CommandReply::default(),
+                    _ => CommandReply::new(reply_code::FAILED, "disk full"),
+                }
+            })
+            .unwrap();
+        seen.len() == 2
+    });
+    let (reset, save) = sender.join().unwrap();
+    assert_eq!(seen, [(command_kind::RESET, String::new()), (command_kind::SAVE_MAP, "/tmp/map.ply".into())]);
+    assert!(reset.is_ok());
+    assert_eq!((save.code, save.message()), (reply_code::FAILED, "disk full"));
+}
+
+#[test]
+fn a_command_can_be_answered_later_from_another_thread() {
+    let place = Place::new();
+    let mut publisher = place.publisher();
+    let endpoint = place.endpoint();
+    let sender = std::thread::spawn(move || {
+        Client::with_endpoint(endpoint).unwrap().command(Command::new(77), crate::support::PATIENCE).unwrap()
+    });
+    let mut request = None;
+    crate::support::until("a command has come", || {
+        request = publisher.commands.receive().unwrap();
+        request.is_some()
+    });
+    let request = request.unwrap();
+    let worker = std::thread::spawn(move || request.refuse());
+    assert!(worker.join().unwrap());
+    let reply = sender.join().unwrap();
+    assert_eq!(reply.code, reply_code::UNSUPPORTED);
+    assert!(reply.message().contains("77"));
+}
+
+#[test]
+fn a_command_without_daemon_or_without_reply_is_an_error_in_bounded_time() {
+    let place = Place::new();
+    let client = place.client();
+    assert!(matches!(client.reset(NOW), Err(ClientError::NoDaemon { .. })));
+    let publisher = place.publisher();
+    assert!(matches!(client.reset(NOW), Err(ClientError::NoReply { .. })), "nobody polls");
+    drop(publisher);
+    assert!(matches!(client.save_map(&"x".repeat(600), NOW), Err(ClientError::PathTooLong { bytes: 600, .. })));
+}
+
+#[test]
+fn the_ninth_subscriber_is_told_that_the_house_is_full() {
+    let place = Place::new();
+    let _publisher = place.publisher();
+    let client = place.client();
+    let mut guests: Vec<_> = (0..8).map(|_| client.poses()).collect();
+    guests.iter_mut().for_each(connect);
+    let error = client.poses().try_next().expect_err("full");
+    assert!(matches!(error, ClientError::TooManySubscribers { limit: 8, .. }), "{error}");
+    guests.pop();
+    connect(&mut client.poses());
+}
+
+/// The layout of a later version, as an older program would meet it.
+#[derive(Debug, Clone, Copy, Default, ZeroCopySend)]
+#[repr(C)]
+#[type_name("cairn.Pose.v2")]
+struct LaterPose {
+    anything: [u64; 4],
+}
+
+#[test]
+fn another_version_is_told_so_on_both_sides() {
+    let place = Place::new();
+    let endpoint = place.endpoint();
+    let node = NodeBuilder::new()
+        .config(endpoint.config())
+        .signal_handling_mode(SignalHandlingMode::Disabled)
+        .create::<ipc::Service>()
+        .unwrap();
+    let service = node.service_builder(&endpoint.service("pose").unwrap()).publish_subscribe::<LaterPose>();
+    let _service = service.create().unwrap();
+
+    let error = place.client().poses().try_next().expect_err("another version").to_string();
+    assert!(error.contains("cairn.Pose.v2 of 32 bytes") && error.contains("cairn.Pose.v1"), "{error}");
+
+    let error = Publisher::open(&endpoint, &small()).expect_err("another version");
+    assert!(matches!(&error, PublishError::Incompatible { pids, .. } if *pids == [std::process::id()]), "{error}");
+}
+
+#[test]
+fn a_client_that_comes_first_leaves_nothing_behind_and_finds_the_daemon() {
+    let place = Place::new();
+    let client = place.client();
+    let mut poses = client.poses();
+    assert!(poses.wait(Duration::from_millis(100)).unwrap().is_none());
+    assert!(!client.wait_for_daemon(NOW).unwrap());
+    assert_eq!(place.files(), (0, 0));
+    assert!(!place.root().exists());
+
+    let mut publisher = place.publisher();
+    assert!(client.wait_for_daemon(NOW).unwrap());
+    publisher.poses.publish(&estimate(1), &Conversion::default(), 0).unwrap();
+    connect_and_read(&mut publisher, &mut poses);
+}
+
+/// The history is handed over when the publisher next looks after its connections.
+fn connect_and_read(publisher: &mut Publisher, poses: &mut cairn::client::Poses) {
+    crate::support::until("the pose of before has come", || {
+        publisher.health.publish(&Health::default()).unwrap();
+        poses.try_next().unwrap().is_some_and(|pose| pose.sequence == 1)
+    });
+}
+
+#[test]
+fn everything_is_gone_when_daemon_and_clients_have_left() {
+    let place = Place::new();
+    {
+        let mut publisher = place.publisher();
+        let client = place.client();
+        let (mut poses, mut map) = (client.poses(), client.map());
+        connect(&mut poses);
+        connect(&mut map);
+        publisher.poses.publish(&estimate(1), &Conversion::default(), 0).unwrap();
+        publisher.health.publish(&Health::default()).unwrap();
+        next(&mut poses);
+    }
+    assert_eq!(place.files().0, 0, "objects in /dev/shm");
+}

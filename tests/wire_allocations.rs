@@ -1,0 +1,101 @@
+//! Publishing a pose allocates nothing, with and without readers. A binary of its own, for its allocator that counts.
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use cairn::client::Client;
+use cairn::geometry::Se3;
+use cairn::map::{KeyframeId, MapId};
+use cairn::messages::Endpoint;
+use cairn::publish::{Conversion, Limits, Publisher};
+use cairn::reconstruction::{PoseEstimate, TrackingState};
+use nalgebra::{Matrix6, Vector3};
+
+struct Counting;
+
+thread_local! {
+    /// Of this thread: the test harness has others.
+    static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
+}
+
+fn count() {
+    // Gone while a thread ends, and then nobody asks.
+    let _ = ALLOCATIONS.try_with(|n| n.set(n.get() + 1));
+}
+
+// SAFETY: every call goes on to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count();
+        // SAFETY: the caller keeps the contract of `alloc`.
+        unsafe { System.alloc(layout) }
+    }
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: the caller keeps the contract of `dealloc`.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        count();
+        // SAFETY: the caller keeps the contract of `realloc`.
+        unsafe { System.realloc(pointer, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+#[test]
+fn publishing_a_pose_allocates_nothing() {
+    let name = format!("ca{}", std::process::id());
+    let root = Path::new("/tmp").join(&name);
+    let endpoint = Endpoint::new("robot").and_then(|e| e.with_root(&root));
+    let endpoint = endpoint.and_then(|e| e.with_ipc_prefix(&format!("{name}_"))).expect("endpoint");
+    let limits = Limits { landmarks: 10, keyframes: 10, frame_bytes: 10 };
+    let mut publisher = Publisher::open(&endpoint, &limits).expect("publisher");
+    let estimate = PoseEstimate {
+        sequence: 0,
+        timestamp_ns: 0,
+        arrival_ns: 0,
+        state: TrackingState::Tracking,
+        world_from_camera: Some(Se3::identity()),
+        odom_from_camera: Some(Se3::identity()),
+        anchor: Some(KeyframeId(0)),
+        covariance: Matrix6::identity(),
+        angular_velocity: Vector3::zeros(),
+        linear_velocity: Vector3::zeros(),
+        landmarks: 100,
+        landmarks_sought: 120,
+        quality: 0.9,
+        map: MapId(0),
+        reset_counter: 0,
+        keyframe: false,
+    };
+    let mut allocations = |times: usize| {
+        let before = ALLOCATIONS.get();
+        for _ in 0..times {
+            publisher.poses.publish(&estimate, &Conversion::default(), 0).expect("pose");
+        }
+        ALLOCATIONS.get() - before
+    };
+    allocations(10);
+    assert_eq!(allocations(1_000), 0, "without a reader");
+
+    let mut poses = Client::with_endpoint(endpoint).expect("client").poses();
+    let start = Instant::now();
+    while poses.latest().expect("latest").is_none() {
+        assert!(start.elapsed() < Duration::from_secs(10), "no pose has come");
+        allocations(1);
+    }
+    allocations(10);
+    // Its queue overflows and gives the oldest message back each time.
+    assert_eq!(allocations(1_000), 0, "with a reader");
+    drop((publisher, poses));
+    let _ = std::fs::remove_dir_all(&root);
+    for entry in std::fs::read_dir("/dev/shm").into_iter().flatten().flatten() {
+        if entry.file_name().to_string_lossy().starts_with(&name) {
+            let _ = std::fs::remove_file(entry.path());
+        }
+    }
+}
