@@ -17,6 +17,7 @@ pub struct Usage {
     pub status: ExitStatus,
     pub wall_s: f64,
     pub cpu_s: f64,
+    /// MiB.
     pub peak_rss_mb: f64,
 }
 
@@ -62,7 +63,7 @@ fn poll_until(id: u32, start: Instant, limit: Duration) -> Result<Option<Usage>,
                 wall_s: start.elapsed().as_secs_f64(),
                 cpu_s: seconds(usage.ru_utime) + seconds(usage.ru_stime),
                 // Linux counts it in KiB.
-                peak_rss_mb: usage.ru_maxrss as f64 * 1024.0 * 1e-6,
+                peak_rss_mb: usage.ru_maxrss as f64 / 1024.0,
             }));
         }
         if start.elapsed() >= limit {

@@ -20,31 +20,49 @@ use super::{Evaluation, EvaluationError, Outcome, Reference, evaluate};
 use crate::atomic_file::{WriteError, write_atomically};
 use crate::trajectory::{TrajectoryError, TumPose, read_tum};
 
-/// What `replay --summary FILE` writes (JSON). A key that is missing is not known; others are passed over.
+/// What is read of `replay --json`'s summary. A key that is missing is not known; others are passed over.
 #[derive(Debug, Clone, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default)]
 pub struct ReplaySummary {
-    /// Frames that the source gave.
+    /// Frames of the recording.
     pub frames: Option<u64>,
-    /// Frames with a pose in the written trajectory, and in the live one.
-    pub frames_tracked: Option<u64>,
-    pub frames_tracked_live: Option<u64>,
-    /// Frames that could not be decoded.
-    pub frames_skipped: Option<u64>,
-    /// From the first frame's timestamp to that of the first published pose, s.
-    pub initialised_after_s: Option<f64>,
-    pub maps: Option<u64>,
+    pub tracked: Option<u64>,
+    pub unreadable: Option<u64>,
+    pub dropped: Option<u64>,
+    pub keyframes: Option<u64>,
+    pub landmarks: Option<u64>,
     pub resets: Option<u64>,
     pub relocalisations: Option<u64>,
     pub loops: Option<u64>,
-    pub keyframes: Option<u64>,
-    pub landmarks: Option<u64>,
-    /// From the decoded grey picture to the pose, ms a frame.
-    pub pose_ms_p50: Option<f64>,
-    pub pose_ms_p95: Option<f64>,
-    /// The whole frame, decoding and mapping included, ms a frame.
-    pub frame_ms_p50: Option<f64>,
-    pub frame_ms_p95: Option<f64>,
+    pub stages: Stages,
+}
+
+/// Latencies of replay's stages, ms a frame.
+#[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(default)]
+pub struct Stages {
+    pub decode: Option<Quantiles>,
+    /// From the decoded grey picture to its corners and tracks.
+    pub feature: Option<Quantiles>,
+    /// From there to the pose.
+    pub track: Option<Quantiles>,
+    pub mapping: Option<Quantiles>,
+}
+
+#[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(default)]
+pub struct Quantiles {
+    pub p50_ms: f64,
+    pub p95_ms: f64,
+    pub p99_ms: f64,
+}
+
+impl Stages {
+    /// From the decoded grey picture to the pose, p50 and p95: sums of the stages', so the latter is an upper bound.
+    fn picture_to_pose_ms(&self) -> Option<(f64, f64)> {
+        let (feature, track) = self.feature.zip(self.track)?;
+        Some((feature.p50_ms + track.p50_ms, feature.p95_ms + track.p95_ms))
+    }
 }
 
 /// How to run a suite.
@@ -206,24 +224,25 @@ fn replay_and_judge(job: &Job, options: &SuiteOptions, row: &mut SequenceResult)
             return Err(format!("cannot remove {}: {e}", old.display()));
         }
     }
-    let log_file = File::create(&log).map_err(|e| format!("cannot write {}: {e}", log.display()))?;
-    let log_copy = log_file.try_clone().map_err(|e| format!("cannot write {}: {e}", log.display()))?;
+    let create = |path: &Path| File::create(path).map_err(|e| format!("cannot write {}: {e}", path.display()));
     let mut command = Command::new(&options.program);
     command.args(&options.leading_arguments).arg(&job.folder).arg("--lockstep");
-    for (flag, path) in [("--trajectory", &trajectory), ("--live-trajectory", &live), ("--summary", &summary)] {
-        command.arg(flag).arg(path);
-    }
-    command.args(&options.more_arguments).stdin(Stdio::null()).stdout(log_file).stderr(log_copy);
+    command.arg("--trajectory").arg(&trajectory).arg("--live-trajectory").arg(&live).arg("--json");
+    command.args(&options.more_arguments).stdin(Stdio::null()).stdout(create(&summary)?).stderr(create(&log)?);
 
     let usage: Usage = run_bounded(&mut command, options.limit).map_err(|e| e.to_string())?;
     row.wall_s = Some(usage.wall_s);
     row.peak_rss_mb = Some(usage.peak_rss_mb);
-    if let Ok(text) = fs::read_to_string(&summary) {
-        row.replay = serde_json::from_str(&text).map_err(|e| format!("{}: {e}", summary.display()))?;
+    // A replay that failed early printed none, and its exit code says more than that.
+    let text = fs::read_to_string(&summary).map_err(|e| format!("cannot read {}: {e}", summary.display()))?;
+    match serde_json::from_str(&text) {
+        Ok(printed) => row.replay = printed,
+        Err(e) if usage.status.success() => return Err(format!("{}: {e}", summary.display())),
+        Err(_) => {}
     }
     row.frames = row.replay.frames.or(row.frames);
     row.cpu_ms_per_frame = row.frames.filter(|n| *n > 0).map(|n| 1e3 * usage.cpu_s / n as f64);
-    let nothing_tracked = row.replay.frames_tracked == Some(0);
+    let nothing_tracked = row.replay.tracked == Some(0);
     if !usage.status.success() && !nothing_tracked {
         return Err(format!("{}: {}", usage.status, last_line(&log)));
     }
@@ -286,7 +305,7 @@ pub fn table(result: &SuiteResult) -> String {
         "first pose s",
         "relocalised",
         "loops",
-        "pose ms p50 / p95",
+        "picture to pose ms p50 / p95",
         "CPU ms a frame",
         "peak RSS MB",
     ];
@@ -296,7 +315,7 @@ pub fn table(result: &SuiteResult) -> String {
     }
     out += &format!(
         "\nCairn {}, {}. Lock-step, one run, every frame of `rgb.txt` that has ground truth within 20 ms; one Sim(3) a file; \
-         RMSE. CPU and memory are the whole process's, decoding included.\n",
+         RMSE. Picture to pose: features and tracking, without decoding. CPU and memory: the whole process, decoding included.\n",
         result.version, result.machine
     );
     for row in &result.sequences {
@@ -316,10 +335,10 @@ fn table_row(row: &SequenceResult) -> String {
     let or_dash = |text: Option<String>| text.unwrap_or_else(|| "–".to_string());
     let number = |value: Option<f64>, decimals: usize| or_dash(value.map(|v| format!("{v:.decimals$}")));
     let count = |value: Option<u64>| or_dash(value.map(|v| v.to_string()));
-    let pair = |a: Option<f64>, b: Option<f64>| or_dash(a.zip(b).map(|(a, b)| format!("{a:.2} / {b:.2}")));
     let (end, live) = (row.evaluation.as_ref(), row.live.as_ref());
     let relative = end.and_then(|e| e.relative);
-    let first_pose = row.replay.initialised_after_s.or(live.and_then(|l| l.first_pose_after_s));
+    let first_pose = live.and_then(|l| l.first_pose_after_s);
+    let picture_to_pose = row.replay.stages.picture_to_pose_ms();
     let name = match row.status {
         RunStatus::Failed(_) => format!("{} (failed)", row.name),
         RunStatus::NoPose => format!("{} (no pose)", row.name),
@@ -338,7 +357,7 @@ fn table_row(row: &SequenceResult) -> String {
         number(first_pose, 2),
         count(row.replay.relocalisations),
         count(row.replay.loops),
-        pair(row.replay.pose_ms_p50, row.replay.pose_ms_p95),
+        or_dash(picture_to_pose.map(|(p50, p95)| format!("{p50:.2} / {p95:.2}"))),
         number(row.cpu_ms_per_frame, 2),
         number(row.peak_rss_mb, 0),
     ];

@@ -99,19 +99,20 @@ while [ $# -gt 0 ]; do
     --lockstep) lockstep=1; shift;;
     --trajectory) trajectory=$2; shift 2;;
     --live-trajectory) live=$2; shift 2;;
-    --summary) summary=$2; shift 2;;
+    --json) json=1; shift;;
     --prefix) prefix=$2; shift 2;;
     *) echo "unknown option $1"; exit 64;;
   esac
 done
-[ "$lockstep" = 1 ] && [ "$prefix" = robot ] || exit 64
+[ "$lockstep$json" = 11 ] && [ "$prefix" = robot ] || exit 64
 case $(cat "$folder/fate" 2>/dev/null) in
   hangs) exec sleep 1000;;
-  fails) echo "first line"; echo "camera.yaml: fx is negative" >&2; exit 78;;
-  nothing) printf '{"frames":60,"frames_tracked":0}' > "$summary"; exit 1;;
+  fails) echo "first line" >&2; echo "camera.yaml: fx is negative" >&2; exit 78;;
+  nothing) echo '{"frames":60,"tracked":0}'; : > "$trajectory"; exit 1;;
 esac
 cp "$folder/fake.txt" "$trajectory"; cp "$folder/fake.txt" "$live"
-printf '{"frames":60,"frames_tracked":50,"resets":1,"pose_ms_p50":1.25,"pose_ms_p95":2.5,"unheard_of":[1]}' > "$summary"
+echo '{"frames":60,"tracked":50,"resets":1,"unheard_of":[1],"stages":{"decode":{"count":60,"p50_ms":9.0},
+  "feature":{"count":60,"p50_ms":0.75,"p95_ms":1.5,"p99_ms":3},"track":{"p50_ms":0.5,"p95_ms":1,"p99_ms":3}}}'
 "#;
 
 fn options(dir: &Path, seconds: u64) -> SuiteOptions {
