@@ -6,6 +6,8 @@ pub mod watch;
 
 use std::fmt;
 
+pub mod evaluate;
+
 /// Exit codes (sysexits.h where one fits).
 pub mod exit_code {
     /// Something failed that no other code names; also a replay in which no frame was tracked.

@@ -16,8 +16,10 @@ use crate::trajectory::{TrajectoryError, TumPose};
 
 pub mod alignment;
 pub mod association;
+pub mod child;
 mod ground_truth;
 pub mod metrics;
+pub mod suite;
 
 #[cfg(test)]
 mod tests;

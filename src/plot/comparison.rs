@@ -1,7 +1,8 @@
 //! A trajectory against the truth: where it went, and how far off it was when.
 //!
-//! Left: the truth seen along its thinnest direction, and the estimate over it, coloured by its error. Right, over time:
-//! the three coordinates of both, the position error and the rotation error. Frames without a pose are shaded.
+//! Left: the truth seen along its thinnest direction, and the estimate over it, coloured by its error; under it the share of
+//! all frames whose error is below a value (it ends at the coverage, not at 100 %). Right, over time: the three coordinates
+//! of both, the position error and the rotation error. Frames without a pose are shaded.
 
 use std::path::Path;
 
@@ -23,6 +24,7 @@ pub fn write_comparison(path: &Path, outcome: &Outcome, title: &str) -> Result<(
     let mut canvas = Canvas::new(WIDTH, HEIGHT)?;
     heading(&mut canvas, &outcome.figures, title);
     seen_from_above(&mut canvas, outcome);
+    share_below(&mut canvas, outcome);
     over_time(&mut canvas, outcome);
     save(path, &canvas)
 }
@@ -51,6 +53,14 @@ fn heading(canvas: &mut Canvas, figures: &Evaluation, title: &str) {
     for (name, value) in facts {
         x += canvas.text(name, (x, 104.0), TextStyle::new(23.0, palette::MUTED, Anchor::Left)) + 9.0;
         x += canvas.text(&value, (x, 104.0), TextStyle::new(23.0, palette::INK, Anchor::Left).bold()) + 34.0;
+    }
+}
+
+/// Position errors are drawn in millimetres, and in metres where there are metres of them: factor and name.
+fn error_unit(outcome: &Outcome) -> (f64, &'static str) {
+    match outcome.figures.ate_m {
+        Some(ate) if ate.max >= 2.0 => (1.0, "m"),
+        _ => (1e3, "mm"),
     }
 }
 
@@ -96,7 +106,7 @@ fn runs<'a>(outcome: &'a Outcome, gaps: &[(f64, f64)]) -> Vec<&'a [Sample]> {
 }
 
 fn seen_from_above(canvas: &mut Canvas, outcome: &Outcome) {
-    let area = Area { left: 140.0, top: 190.0, right: 800.0, bottom: 1060.0 };
+    let area = Area { left: 140.0, top: 190.0, right: 800.0, bottom: 770.0 };
     let extent = |i: usize| Range::of(outcome.expected.iter().map(|e| e.truth_position[i]));
     let width = |i: usize| extent(i).map_or(0.0, |r| r.width());
     // The axis with the least extent is the one looked along.
@@ -139,12 +149,36 @@ fn seen_from_above(canvas: &mut Canvas, outcome: &Outcome) {
     axes.frame(canvas);
     legend(canvas, &area);
     if outcome.figures.ate_m.is_some() {
-        colour_bar(canvas, &area, worst);
+        colour_bar(canvas, &area, worst, error_unit(outcome));
     } else {
         let reason = outcome.figures.notes.iter().find(|n| n.starts_with("no errors")).map_or("", String::as_str);
         let middle = ((area.left + area.right) / 2.0, area.top + 40.0);
         canvas.text(reason, middle, TextStyle::new(18.0, palette::LOST, Anchor::Centre));
     }
+}
+
+/// The distribution of the position error over all frames that should have a pose.
+fn share_below(canvas: &mut Canvas, outcome: &Outcome) {
+    let area = Area { left: 140.0, top: 872.0, right: 800.0, bottom: 1060.0 };
+    let (factor, unit) = error_unit(outcome);
+    let mut errors: Vec<f64> = outcome.samples.iter().map(|s| factor * s.position_error_m).collect();
+    errors.sort_unstable_by(f64::total_cmp);
+    let worst = errors.last().copied().unwrap_or(1.0).max(1e-6);
+    let axes = Axes { area, x: Range { min: 0.0, max: 1.04 * worst }, y: Range { min: 0.0, max: 104.0 } };
+    axes.draw(canvas, (&format!("position error below ({unit})"), "frames (%)"), (90.0, 48.0), true);
+    let share = |n: usize| 100.0 * n as f64 / outcome.expected.len().max(1) as f64;
+    let mut curve = vec![axes.place(0.0, 0.0)];
+    for (i, error) in errors.iter().enumerate() {
+        curve.extend([axes.place(*error, share(i)), axes.place(*error, share(i + 1))]);
+    }
+    curve.push(axes.place(axes.x.max, share(errors.len())));
+    let mut filled = curve.clone();
+    filled.push((area.right, area.bottom));
+    canvas.clipped(&area, |canvas| {
+        canvas.polygon(&filled, palette::ESTIMATE, 0.14);
+        canvas.line(&curve, 2.2, palette::ESTIMATE, 1.0, None);
+    });
+    axes.frame(canvas);
 }
 
 fn legend(canvas: &mut Canvas, area: &Area) {
@@ -169,7 +203,7 @@ fn legend(canvas: &mut Canvas, area: &Area) {
     }
 }
 
-fn colour_bar(canvas: &mut Canvas, area: &Area, worst: f64) {
+fn colour_bar(canvas: &mut Canvas, area: &Area, worst: f64, (factor, unit): (f64, &str)) {
     let (left, right) = (area.right + 18.0, area.right + 38.0);
     let steps = area.height() as i32;
     for i in 0..steps {
@@ -177,7 +211,7 @@ fn colour_bar(canvas: &mut Canvas, area: &Area, worst: f64) {
         let strip = Area { left, top: bottom - 1.5, right, bottom };
         canvas.rectangle(&strip, palette::sequential(f64::from(i) / f64::from(steps - 1)), 1.0);
     }
-    let axes = Axes { area: *area, x: Range { min: 0.0, max: 1.0 }, y: Range { min: 0.0, max: worst * 1e3 } };
+    let axes = Axes { area: *area, x: Range { min: 0.0, max: 1.0 }, y: Range { min: 0.0, max: factor * worst } };
     for (value, text) in ticks(&axes.y, 8.0) {
         let (_, y) = axes.place(0.0, value);
         canvas.line(&[(right, y), (right + 6.0, y)], 1.0, palette::MUTED, 1.0, None);
@@ -185,7 +219,7 @@ fn colour_bar(canvas: &mut Canvas, area: &Area, worst: f64) {
         canvas.text(&text, (right + 11.0, y + 0.36 * TICK_TEXT_PX), style);
     }
     let style = TextStyle::new(TICK_TEXT_PX, palette::MUTED, Anchor::Centre);
-    canvas.text("error (mm)", ((left + right) / 2.0 + 8.0, area.top - 22.0), style);
+    canvas.text(&format!("error ({unit})"), ((left + right) / 2.0 + 8.0, area.top - 22.0), style);
 }
 
 fn over_time(canvas: &mut Canvas, outcome: &Outcome) {
@@ -230,10 +264,12 @@ fn over_time(canvas: &mut Canvas, outcome: &Outcome) {
         axes.frame(canvas);
     }
     type Value = fn(&Sample) -> f64;
-    let position: Value = |s| 1e3 * s.position_error_m;
+    let (metres, unit) = error_unit(outcome);
+    let position_name = format!("error ({unit})");
+    let position: Value = |s| s.position_error_m;
     let rotation: Value = |s| s.rotation_error_deg;
     let errors = [
-        ("error (mm)", position, palette::ESTIMATE, outcome.figures.ate_m, 1e3),
+        (position_name.as_str(), position, palette::ESTIMATE, outcome.figures.ate_m, metres),
         ("rotation (°)", rotation, palette::ROTATION, outcome.figures.rotation_deg, 1.0),
     ];
     for (i, (name, value, colour, statistics, factor)) in errors.into_iter().enumerate() {
@@ -243,7 +279,8 @@ fn over_time(canvas: &mut Canvas, outcome: &Outcome) {
         canvas.clipped(&axes.area, |canvas| {
             shade(canvas, &axes);
             for run in &runs {
-                let line: Vec<_> = run.iter().map(|s| axes.place(seconds(outcome, s.timestamp_ns), value(s))).collect();
+                let line: Vec<_> =
+                    run.iter().map(|s| axes.place(seconds(outcome, s.timestamp_ns), factor * value(s))).collect();
                 if let (Some(first), Some(last)) = (line.first(), line.last()) {
                     let mut filled = line.clone();
                     filled.extend([(last.0, axes.area.bottom), (first.0, axes.area.bottom)]);
