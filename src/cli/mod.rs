@@ -1,6 +1,10 @@
 //! One file a subcommand: `Args` (clap) and `run(&Args) -> Result<ExitCode, CliError>`. Results on stdout, all else on stderr.
 
+pub mod replay;
+mod session;
+
 use std::fmt;
+use std::process::ExitCode;
 
 /// Exit codes (sysexits.h where one fits).
 pub mod exit_code {
@@ -39,3 +43,23 @@ impl fmt::Display for CliError {
     }
 }
 impl std::error::Error for CliError {}
+
+/// Monocular SLAM for small robots: one webcam in, pose and sparse map out, in shared memory
+#[derive(Debug, clap::Parser)]
+#[command(name = "cairn", version)]
+pub struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Command {
+    Replay(replay::ReplayArgs),
+}
+
+/// Carries out the subcommand.
+pub fn run(arguments: &Arguments) -> Result<ExitCode, CliError> {
+    match &arguments.command {
+        Command::Replay(args) => replay::run(args),
+    }
+}
