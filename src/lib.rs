@@ -27,6 +27,8 @@ pub mod cli;
 #[cfg(feature = "daemon")]
 pub mod config;
 #[cfg(feature = "daemon")]
+pub mod daemon;
+#[cfg(feature = "daemon")]
 pub mod evaluation;
 #[cfg(feature = "daemon")]
 pub mod features;

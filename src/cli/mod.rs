@@ -3,8 +3,11 @@
 pub mod command;
 pub mod endpoint_args;
 pub mod watch;
+pub mod replay;
+mod session;
 
 use std::fmt;
+use std::process::ExitCode;
 
 pub mod evaluate;
 
@@ -45,3 +48,23 @@ impl fmt::Display for CliError {
     }
 }
 impl std::error::Error for CliError {}
+
+/// Monocular SLAM for small robots: one webcam in, pose and sparse map out, in shared memory
+#[derive(Debug, clap::Parser)]
+#[command(name = "cairn", version)]
+pub struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Command {
+    Replay(replay::ReplayArgs),
+}
+
+/// Carries out the subcommand.
+pub fn run(arguments: &Arguments) -> Result<ExitCode, CliError> {
+    match &arguments.command {
+        Command::Replay(args) => replay::run(args),
+    }
+}

@@ -126,6 +126,8 @@ impl Config {
         if !(100..=60_000).contains(&d.camera_retry_ms) {
             return Err(Invalid::new("daemon.camera_retry_ms", "must be 100 to 60000"));
         }
+        let in_room = |room: &str, key: &str, reason: String| Invalid::new(format!("{room}.{key}"), reason);
+        self.reconstruction.validate().map_err(|(key, _, reason)| in_room("reconstruction", key, reason))?;
         self.log.filter().map_err(|reason| Invalid::new("log.level", reason))?;
         self.mount.validate()
     }

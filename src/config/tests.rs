@@ -49,6 +49,8 @@ fn every_key_of_the_example_is_explained_by_a_comment_above_it() {
             explained = true;
         } else if line.contains('=') {
             assert!(explained, "config/cairn.toml:{}: no comment explains `{line}`", i + 1);
+        } else {
+            // A blank line or a section's head: what was said before does not speak of what follows.
             explained = false;
         }
     }

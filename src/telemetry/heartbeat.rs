@@ -34,13 +34,15 @@ impl Heartbeat {
         self.last_ns.store(IDLE, Ordering::Relaxed);
     }
 
+    /// Time since the last beat, ns; `None` while the stage is not under watch.
+    pub fn age_ns(&self, now_ns: i64) -> Option<i64> {
+        let last = self.last_ns.load(Ordering::Relaxed);
+        (last != IDLE).then(|| now_ns.saturating_sub(last))
+    }
+
     /// How long the stage has not beaten, if that is longer than `limit`.
     pub fn stalled(&self, now_ns: i64, limit: Duration) -> Option<Duration> {
-        let last = self.last_ns.load(Ordering::Relaxed);
-        if last == IDLE {
-            return None;
-        }
-        let silent = Duration::from_nanos(u64::try_from(now_ns.saturating_sub(last)).unwrap_or(0));
+        let silent = Duration::from_nanos(u64::try_from(self.age_ns(now_ns)?).unwrap_or(0));
         (silent > limit).then_some(silent)
     }
 }

@@ -100,6 +100,23 @@ pub fn init(config: &LogConfig) -> Result<(), String> {
     Ok(())
 }
 
+/// Makes a panic a record like any other, with thread and place as fields.
+pub fn log_panics() {
+    let before = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |info| {
+        if !tracing::enabled!(tracing::Level::ERROR) {
+            return before(info);
+        }
+        let payload = info.payload();
+        let text = payload.downcast_ref::<&str>().copied();
+        let message = text.or_else(|| payload.downcast_ref::<String>().map(String::as_str)).unwrap_or("");
+        let place = info.location().map(ToString::to_string).unwrap_or_default();
+        let thread = std::thread::current().name().unwrap_or("").to_owned();
+        let backtrace = std::backtrace::Backtrace::capture();
+        tracing::error!(thread, place, reason = message, %backtrace, "panic");
+    }));
+}
+
 /// Standard error without its panics.
 struct Stderr;
 

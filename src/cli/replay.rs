@@ -1,0 +1,220 @@
+//! `cairn replay`: a recording through the pipeline, in real time or in lock-step.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::time::Instant;
+
+use serde::Serialize;
+use tracing::warn;
+
+use super::session::{self, Resources, SessionArgs, StageLatencies, StatusLine};
+use super::{CliError, exit_code};
+use crate::calibration::load_camera;
+use crate::camera::recording::OwnCalibration;
+use crate::camera::{FrameSource, Pacing, Recording};
+use crate::daemon::{self, Calibration, End, Outputs, Parts, Status, Supply, state_name};
+use crate::frame::process_cpu_ns;
+
+/// Replays a recording: prints a summary, writes trajectory, map and pictures
+#[derive(Debug, clap::Args)]
+pub struct ReplayArgs {
+    /// Folder in TUM RGB-D or EuRoC layout
+    pub dir: PathBuf,
+    /// Every frame, as fast as they can be processed, with the same result every time
+    #[arg(long)]
+    pub lockstep: bool,
+    /// Camera calibration: ours (TOML) or a YAML with fx fy cx cy and distortion [default: DIR/camera.yaml]
+    #[arg(long, value_name = "FILE")]
+    pub camera: Option<PathBuf>,
+    /// Write every tracked frame as the map knows it at the end (TUM format)
+    #[arg(long, value_name = "OUT")]
+    pub trajectory: Option<PathBuf>,
+    /// Write every map pose as it was published (TUM format)
+    #[arg(long, value_name = "OUT")]
+    pub live_trajectory: Option<PathBuf>,
+    /// Write landmarks and keyframes (PLY)
+    #[arg(long, value_name = "OUT.ply")]
+    pub map: Option<PathBuf>,
+    /// Write a picture of map and trajectory from above (PNG)
+    #[arg(long, value_name = "OUT.png")]
+    pub overview: Option<PathBuf>,
+    /// Print the summary as JSON
+    #[arg(long)]
+    pub json: bool,
+    #[command(flatten)]
+    pub session: SessionArgs,
+}
+
+/// What a replay came to.
+#[derive(Debug, Clone, Serialize)]
+struct Summary {
+    recording: String,
+    mode: &'static str,
+    /// Frames of the recording, as far as it was replayed.
+    frames: u64,
+    tracked: u64,
+    coverage_percent: f64,
+    dropped: u64,
+    unreadable: u64,
+    bad_timestamps: u64,
+    keyframes: u64,
+    landmarks: u32,
+    resets: u64,
+    elapsed_s: f64,
+    #[serde(flatten)]
+    resources: Resources,
+    stages: StageLatencies,
+    files: Vec<PathBuf>,
+}
+
+pub fn run(args: &ReplayArgs) -> Result<ExitCode, CliError> {
+    let config = args.session.open(true)?;
+    let stop = session::stop_flag()?;
+    let outputs = Outputs {
+        trajectory: args.trajectory.clone(),
+        live_trajectory: args.live_trajectory.clone(),
+        map: args.map.clone(),
+        overview: args.overview.clone(),
+    };
+    session::check_outputs([&outputs.trajectory, &outputs.live_trajectory, &outputs.map, &outputs.overview])?;
+    let pacing = if args.lockstep { Pacing::LockStep } else { Pacing::RealTime };
+    let own = if args.camera.is_some() { OwnCalibration::Ignore } else { OwnCalibration::Read };
+    let recording =
+        Recording::open_with(&args.dir, pacing, own).map_err(|e| CliError::new(exit_code::NO_INPUT, e.to_string()))?;
+    let description = recording.description().clone();
+    let calibration = calibration(args, &recording)?;
+
+    let status = Arc::new(Status::default());
+    let mut parts = Parts {
+        config,
+        supply: Supply::Once(Box::new(recording)),
+        calibration,
+        outlet: None,
+        outputs,
+        spool_folder: None,
+        status: status.clone(),
+    };
+    let (began, cpu_before_ns) = (Instant::now(), process_cpu_ns());
+    let mut line = StatusLine::new();
+    let mut show = |status: &Status| line.show(&progress(status, description.frames));
+    let end = if args.lockstep {
+        let mut shown = Instant::now();
+        daemon::lockstep::run(parts, &stop, &mut |status| {
+            if shown.elapsed().as_millis() > 200 {
+                shown = Instant::now();
+                show(status);
+            }
+            true
+        })
+    } else {
+        // A planner can be tried against a recording; if a daemon runs, its services are left alone.
+        let desk = match session::open_wire(&parts.config, description.clock) {
+            Ok((outlet, desk)) => {
+                parts.outlet = Some(outlet);
+                Some(desk)
+            }
+            Err(error) => {
+                warn!(%error, "nothing is published");
+                None
+            }
+        };
+        daemon::supervise(parts, desk, description.clock, &stop, &mut |tick| {
+            show(tick.status);
+            true
+        })
+    };
+    line.clear();
+    let end = end.map_err(|e| CliError::new(exit_code::CANNOT_CREATE, e.to_string()))?;
+    let summary = Summary {
+        recording: description.name,
+        mode: if args.lockstep { "lock-step" } else { "real time" },
+        elapsed_s: began.elapsed().as_secs_f64(),
+        resources: Resources::now(status.processed.get(), cpu_before_ns),
+        ..summarise(&status, &end)
+    };
+    session::print(&if args.json { json(&summary) } else { text(&summary) })?;
+    session::judge(&end)?;
+    if status.tracked.get() == 0 {
+        return Err(CliError::new(exit_code::FAILURE, "no frame was tracked"));
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The camera that was named, else the recording's own.
+fn calibration(args: &ReplayArgs, recording: &Recording) -> Result<Calibration, CliError> {
+    if let Some(path) = &args.camera {
+        let model = load_camera(path).map_err(|e| CliError::new(exit_code::NO_INPUT, e.to_string()))?;
+        return Ok(Calibration { model, origin: path.display().to_string() });
+    }
+    match &recording.description().camera {
+        Some(model) => {
+            Ok(Calibration { model: model.clone(), origin: args.dir.join("camera.yaml").display().to_string() })
+        }
+        None => {
+            let message = format!("{}: no camera.yaml; name a calibration with --camera", args.dir.display());
+            Err(CliError::new(exit_code::NO_INPUT, message))
+        }
+    }
+}
+
+fn progress(status: &Status, frames: Option<u64>) -> String {
+    let of = frames.map(|n| format!("/{n}")).unwrap_or_default();
+    let (landmarks, keyframes) = status.map_size();
+    format!(
+        "frame {}{of}  {}  tracked {}  map {landmarks} landmarks, {keyframes} keyframes",
+        status.captured.get(),
+        state_name(status.state()),
+        status.tracked.get(),
+    )
+}
+
+fn summarise(status: &Status, end: &End) -> Summary {
+    // Frames that could not even be read are frames of the recording, too.
+    let frames = status.captured.get() + status.unreadable.get();
+    Summary {
+        recording: String::new(),
+        mode: "",
+        frames,
+        tracked: status.tracked.get(),
+        coverage_percent: 100.0 * status.tracked.get() as f64 / frames.max(1) as f64,
+        dropped: status.dropped.get(),
+        unreadable: status.unreadable.get() + status.corrupt.get() + status.wrong_size.get(),
+        bad_timestamps: status.bad_timestamps.get(),
+        keyframes: status.keyframes.get(),
+        landmarks: status.map_size().0,
+        resets: status.resets.get(),
+        elapsed_s: 0.0,
+        resources: Resources { cpu_ms_per_frame: 0.0, peak_rss_mb: 0.0 },
+        stages: StageLatencies::of(status),
+        files: end.written.files.clone(),
+    }
+}
+
+fn json(summary: &Summary) -> String {
+    serde_json::to_string_pretty(summary).map(|text| text + "\n").unwrap_or_default()
+}
+
+fn text(s: &Summary) -> String {
+    let mut text = format!(
+        "{}, {}\n  {} frames, {} tracked, coverage {:.1} %\n",
+        s.recording, s.mode, s.frames, s.tracked, s.coverage_percent
+    );
+    let faults = [
+        (s.dropped, "dropped because processing could not keep up"),
+        (s.unreadable, "unreadable or of another size, skipped"),
+        (s.bad_timestamps, "with a timestamp that cannot be, dropped"),
+    ];
+    for (count, what) in faults.iter().filter(|(count, _)| *count > 0) {
+        text += &format!("  {count} frames {what}\n");
+    }
+    text += &format!(
+        "  {} landmarks in the map, {} keyframes made, {} resets\n  {:.1} s, CPU {:.2} ms a frame, peak memory {:.0} MB\n",
+        s.landmarks, s.keyframes, s.resets, s.elapsed_s, s.resources.cpu_ms_per_frame, s.resources.peak_rss_mb
+    );
+    text += &s.stages.table();
+    for file in &s.files {
+        text += &format!("wrote {}\n", file.display());
+    }
+    text
+}

@@ -1,0 +1,90 @@
+//! `cairn run`: the daemon.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::time::Duration;
+
+use super::session::{self, SessionArgs};
+use super::{CliError, exit_code};
+use crate::calibration::load_camera;
+use crate::camera::simulator::Simulator;
+use crate::camera::v4l2::V4l2Camera;
+use crate::camera::{FrameSource, Pacing};
+use crate::config::{Config, SourceKind};
+use crate::daemon::{self, Calibration, Opener, Outputs, Parts, Status, Supply};
+use crate::frame::Clock;
+
+/// Runs the daemon until SIGTERM or SIGINT
+#[derive(Debug, clap::Args)]
+pub struct RunArgs {
+    #[command(flatten)]
+    pub session: SessionArgs,
+}
+
+pub fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
+    let config = args.session.open(false)?;
+    let stop = session::stop_flag()?;
+    let outputs = outputs(&config);
+    session::check_outputs([&outputs.trajectory, &outputs.live_trajectory, &outputs.map, &outputs.overview])?;
+    let (supply, calibration) = source(&config)?;
+    let (outlet, desk) = session::open_wire(&config, Clock::Monotonic).map_err(|e| session::wire_error(&e))?;
+    let parts = Parts {
+        supply,
+        calibration,
+        outlet: Some(outlet),
+        outputs,
+        spool_folder: Some(spool_folder()),
+        status: Arc::new(Status::default()),
+        config,
+    };
+    let end = daemon::supervise(parts, Some(desk), Clock::Monotonic, &stop, &mut |_| true)
+        .map_err(|e| CliError::new(exit_code::CANNOT_CREATE, e.to_string()))?;
+    session::judge(&end)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The configured source and the camera model that belongs to it.
+fn source(config: &Config) -> Result<(Supply, Calibration), CliError> {
+    match config.daemon.source {
+        SourceKind::Simulator => {
+            let simulator = Simulator::new(&config.simulator, Pacing::RealTime)
+                .map_err(|e| CliError::new(exit_code::CONFIG, e.to_string()))?;
+            let origin = simulator.description().name.clone();
+            let calibration = Calibration { model: simulator.camera_model().clone(), origin };
+            Ok((Supply::Once(Box::new(simulator)), calibration))
+        }
+        SourceKind::Camera => {
+            let path = &config.camera.calibration;
+            if path.as_os_str().is_empty() {
+                let message = "camera.calibration is not set: the camera's calibration file is needed for a pose";
+                return Err(CliError::new(exit_code::CONFIG, message));
+            }
+            let model = load_camera(path).map_err(|e| CliError::new(exit_code::CONFIG, e.to_string()))?;
+            let camera = config.camera.clone();
+            let open: Opener =
+                Box::new(move || V4l2Camera::open(&camera).map(|camera| Box::new(camera) as Box<dyn FrameSource>));
+            let longest_pause = Duration::from_millis(config.daemon.camera_retry_ms);
+            let calibration = Calibration { model, origin: path.display().to_string() };
+            Ok((Supply::Camera { open, longest_pause }, calibration))
+        }
+    }
+}
+
+/// The configured files; an empty path is none.
+fn outputs(config: &Config) -> Outputs {
+    let named = |path: &Path| (!path.as_os_str().is_empty()).then(|| path.to_path_buf());
+    let o = &config.output;
+    Outputs {
+        trajectory: named(&o.trajectory),
+        live_trajectory: named(&o.live_trajectory),
+        map: named(&o.map),
+        overview: named(&o.overview),
+    }
+}
+
+/// Where the trajectory is spooled that a command may ask for: the service's state folder, else one that survives in
+/// size and is not memory.
+fn spool_folder() -> PathBuf {
+    std::env::var_os("STATE_DIRECTORY").map_or_else(|| PathBuf::from("/var/tmp"), PathBuf::from)
+}

@@ -1,0 +1,274 @@
+//! The capture step: one frame from whatever source there is into a slot, or a reason why not.
+//!
+//! A camera that is absent or goes away is looked for again, at growing intervals; a recording or a simulator that fails
+//! has ended. Every fault is counted, logged at once and then once a second at most.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tracing::{info, warn};
+
+use super::status::Status;
+use super::timestamps::{TimestampGate, Verdict};
+use crate::camera::{FrameSource, Grab, SourceError};
+use crate::frame::{Clock, RawFrame, monotonic_ns};
+use crate::telemetry::RateLimiter;
+
+/// Opens a source again after it was lost.
+pub type Opener = Box<dyn FnMut() -> Result<Box<dyn FrameSource>, SourceError> + Send>;
+
+/// Where frames come from.
+pub enum Supply {
+    /// An open source that ends when it fails: a recording, a simulator.
+    Once(Box<dyn FrameSource>),
+    /// A camera, which may be absent now and then; `longest_pause` between attempts to open it.
+    Camera { open: Opener, longest_pause: Duration },
+}
+
+/// What one step came to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Captured {
+    /// The slot holds a good frame.
+    Frame,
+    /// The same, and its time went back for good: the map must be forgotten.
+    FrameOfNewTimeline,
+    /// No good frame this time.
+    Nothing,
+    /// There is no source at the moment; nothing is to be done for so long.
+    Absent(Duration),
+    /// No frame will come any more. `failed`: the source broke before its end.
+    End { failed: bool },
+}
+
+/// First pause after a failed attempt to open the camera; doubled every time.
+const FIRST_PAUSE: Duration = Duration::from_millis(100);
+/// An absent camera is mentioned in the log once in so many ns.
+const REMINDER_NS: i64 = 60_000_000_000;
+
+/// The capture stage without its thread.
+pub struct CaptureStep {
+    source: Option<Box<dyn FrameSource>>,
+    open: Option<Opener>,
+    longest_pause: Duration,
+    pause: Duration,
+    /// The last fault that kept the camera closed, and when it was logged.
+    complaint: Option<(String, i64)>,
+    gate: TimestampGate,
+    unreadable: RateLimiter,
+    bad_times: RateLimiter,
+    status: Arc<Status>,
+}
+
+impl CaptureStep {
+    pub fn new(supply: Supply, status: Arc<Status>) -> Self {
+        let (source, open, longest_pause) = match supply {
+            Supply::Once(source) => (Some(source), None, Duration::ZERO),
+            Supply::Camera { open, longest_pause } => (None, Some(open), longest_pause),
+        };
+        status.set_source_present(source.is_some());
+        Self {
+            source,
+            open,
+            longest_pause,
+            pause: FIRST_PAUSE,
+            complaint: None,
+            gate: TimestampGate::default(),
+            unreadable: RateLimiter::default(),
+            bad_times: RateLimiter::default(),
+            status,
+        }
+    }
+
+    /// Waits at most `timeout` for a frame.
+    pub fn step(&mut self, slot: &mut RawFrame, timeout: Duration) -> Captured {
+        let Some(source) = self.source.as_mut() else { return self.try_open() };
+        match source.grab(slot, timeout) {
+            Ok(Grab::Frame) => self.judge(slot),
+            Ok(Grab::TimedOut) => Captured::Nothing,
+            Ok(Grab::Skipped { reason }) => {
+                self.status.unreadable.add(1);
+                if let Some(frames) = self.unreadable.event(monotonic_ns()) {
+                    warn!(frames, reason, "frame cannot be read, skipped");
+                }
+                Captured::Nothing
+            }
+            Ok(Grab::End) => {
+                info!(frames = self.status.captured.get(), "source has ended");
+                Captured::End { failed: false }
+            }
+            Err(error) => self.lose(&error),
+        }
+    }
+
+    fn judge(&mut self, slot: &RawFrame) -> Captured {
+        self.status.captured.add(1);
+        self.status.set_last_arrival_ns(slot.arrival_ns);
+        let clock = self.source.as_ref().map(|s| s.description().clock);
+        if clock == Some(Clock::Monotonic) {
+            self.status.capture_delay.record_ns(slot.arrival_ns.saturating_sub(slot.timestamp_ns));
+        }
+        match self.gate.judge(slot.timestamp_ns) {
+            Verdict::Accept => Captured::Frame,
+            Verdict::AcceptNewTimeline => {
+                warn!(timestamp_ns = slot.timestamp_ns, "time went back for good, starting over");
+                Captured::FrameOfNewTimeline
+            }
+            Verdict::Drop(fault) => {
+                self.status.bad_timestamps.add(1);
+                if let Some(frames) = self.bad_times.event(monotonic_ns()) {
+                    let (sequence, timestamp_ns) = (slot.sequence, slot.timestamp_ns);
+                    warn!(
+                        frames,
+                        fault = fault.name(),
+                        sequence,
+                        timestamp_ns,
+                        "timestamp not believed, frame dropped"
+                    );
+                }
+                Captured::Nothing
+            }
+        }
+    }
+
+    fn lose(&mut self, error: &SourceError) -> Captured {
+        self.source = None;
+        self.status.set_source_present(false);
+        if self.open.is_none() {
+            warn!(%error, "source failed");
+            return Captured::End { failed: true };
+        }
+        warn!(%error, "camera lost, looking for it");
+        self.complaint = Some((error.to_string(), monotonic_ns()));
+        self.pause = FIRST_PAUSE;
+        Captured::Absent(self.pause)
+    }
+
+    fn try_open(&mut self) -> Captured {
+        let Some(open) = self.open.as_mut() else { return Captured::End { failed: true } };
+        match open() {
+            Ok(source) => {
+                let d = source.description();
+                let (width, height) = d.size.unwrap_or_default();
+                info!(name = d.name, width, height, rate_hz = d.rate_hz, "camera open");
+                self.source = Some(source);
+                self.status.set_source_present(true);
+                self.complaint = None;
+                self.pause = FIRST_PAUSE;
+                Captured::Nothing
+            }
+            Err(error) => {
+                let (text, now) = (error.to_string(), monotonic_ns());
+                let known = self.complaint.as_ref().is_some_and(|(last, at)| *last == text && now - at < REMINDER_NS);
+                if !known {
+                    warn!(%error, "camera cannot be opened, will be tried again");
+                    self.complaint = Some((text, now));
+                }
+                let pause = self.pause;
+                self.pause = (pause * 2).min(self.longest_pause);
+                Captured::Absent(pause)
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::SourceDescription;
+
+    /// A source that follows a script of outcomes.
+    struct Script {
+        description: SourceDescription,
+        outcomes: Vec<Result<(Grab, i64), ()>>,
+        at: usize,
+    }
+
+    fn script(outcomes: &[Result<(Grab, i64), ()>]) -> Box<dyn FrameSource> {
+        let description = SourceDescription {
+            name: "script".into(),
+            size: None,
+            rate_hz: None,
+            clock: Clock::Recording,
+            camera: None,
+            frames: None,
+        };
+        Box::new(Script { description, outcomes: outcomes.to_vec(), at: 0 })
+    }
+
+    impl FrameSource for Script {
+        fn description(&self) -> &SourceDescription {
+            &self.description
+        }
+        fn grab(&mut self, slot: &mut RawFrame, _timeout: Duration) -> Result<Grab, SourceError> {
+            let outcome = self.outcomes.get(self.at).cloned().unwrap_or(Ok((Grab::End, 0)));
+            self.at += 1;
+            match outcome {
+                Ok((grab, timestamp_ns)) => {
+                    slot.timestamp_ns = timestamp_ns;
+                    Ok(grab)
+                }
+                Err(()) => Err(SourceError::Gone { path: "script".into(), reason: "unplugged".into() }),
+            }
+        }
+    }
+
+    fn run(step: &mut CaptureStep, steps: usize) -> Vec<Captured> {
+        let mut slot = RawFrame::default();
+        (0..steps).map(|_| step.step(&mut slot, Duration::ZERO)).collect()
+    }
+
+    #[test]
+    fn faults_are_skipped_and_counted_each_in_its_own_place() {
+        let status = Arc::new(Status::default());
+        let skipped = Grab::Skipped { reason: "truncated".into() };
+        let source = script(&[
+            Ok((Grab::Frame, 10)),
+            Ok((skipped, 0)),
+            Ok((Grab::TimedOut, 0)),
+            Ok((Grab::Frame, 10)),
+            Ok((Grab::Frame, 20)),
+        ]);
+        let mut step = CaptureStep::new(Supply::Once(source), status.clone());
+        let end = Captured::End { failed: false };
+        let nothing = Captured::Nothing;
+        assert_eq!(run(&mut step, 6), [Captured::Frame, nothing, nothing, nothing, Captured::Frame, end]);
+        assert_eq!(status.captured.get(), 3);
+        assert_eq!(status.unreadable.get(), 1);
+        assert_eq!(status.bad_timestamps.get(), 1);
+    }
+
+    #[test]
+    fn a_source_without_a_way_back_ends_when_it_breaks() {
+        let source = script(&[Ok((Grab::Frame, 1)), Err(())]);
+        let mut step = CaptureStep::new(Supply::Once(source), Arc::default());
+        assert_eq!(
+            run(&mut step, 3),
+            [Captured::Frame, Captured::End { failed: true }, Captured::End { failed: true }]
+        );
+    }
+
+    #[test]
+    fn a_camera_that_is_absent_is_looked_for_at_growing_intervals_and_found_again() {
+        let status = Arc::new(Status::default());
+        let mut attempts = 0;
+        let open: Opener = Box::new(move || {
+            attempts += 1;
+            match attempts {
+                // Found at the first attempt, lost at its second frame; then absent five times.
+                1 => Ok(script(&[Ok((Grab::Frame, 1)), Err(())])),
+                2..=6 => Err(SourceError::Open { path: "/dev/video0".into(), reason: "no such device".into() }),
+                _ => Ok(script(&[Ok((Grab::Frame, 2))])),
+            }
+        });
+        let longest_pause = Duration::from_millis(500);
+        let mut step = CaptureStep::new(Supply::Camera { open, longest_pause }, status.clone());
+        assert!(!status.source_present());
+        let ms = |ms| Captured::Absent(Duration::from_millis(ms));
+        assert_eq!(run(&mut step, 2), [Captured::Nothing, Captured::Frame]);
+        assert!(status.source_present());
+        assert_eq!(run(&mut step, 6), [ms(100), ms(100), ms(200), ms(400), ms(500), ms(500)]);
+        assert!(!status.source_present());
+        assert_eq!(run(&mut step, 2), [Captured::Nothing, Captured::Frame]);
+        assert!(status.source_present());
+    }
+}

@@ -1,0 +1,366 @@
+//! From counters, latencies and signs of life to a health message and the record that is logged once a second.
+//!
+//! A fault that is an event (a dropped frame, a bad timestamp) stands for the second after the one it happened in; a
+//! fault that is a condition (no camera, a stalled stage, tracking lost) stands as long as it lasts.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tracing::{info, warn};
+
+use super::status::{Status, state_name};
+use crate::frame::Clock;
+use crate::messages::{Health, STAGES, StageHealth, UNKNOWN_NS, error, stage};
+use crate::publish::convert;
+use crate::reconstruction::TrackingState;
+use crate::telemetry::{Counter, Heartbeat, Percentiles, Snapshot};
+
+/// A source that is open and gives nothing for so long has a fault, ns.
+const NO_FRAMES_NS: i64 = 2_000_000_000;
+/// Fewer points or landmarks than this may soon be too few.
+const FEW: u32 = 40;
+/// Length of the interval that rates and percentiles are of, ns.
+const SECOND_NS: i64 = 1_000_000_000;
+
+/// Watches one run.
+pub struct HealthWatch {
+    status: Arc<Status>,
+    clock: Clock,
+    stall_after: Duration,
+    started_ns: i64,
+    second_began_ns: i64,
+    before: Totals,
+    stages: [StageHealth; STAGES],
+    /// Faults that were events of the last second.
+    events: u64,
+    /// Faults as last logged.
+    logged: u64,
+    /// A file could not be written; stands until one can.
+    pub save_failed: bool,
+}
+
+/// Everything that grows, at one moment.
+#[derive(Debug, Clone, Default)]
+struct Totals {
+    captured: u64,
+    dropped: u64,
+    corrupt: u64,
+    bad_timestamps: u64,
+    processed: u64,
+    tracked: u64,
+    poses_published: u64,
+    publish_failures: u64,
+    adjustments_late: u64,
+    records_lost: u64,
+    decode: Snapshot,
+    feature: Snapshot,
+    queue: Snapshot,
+    track: Snapshot,
+    mapping: Snapshot,
+    publish: Snapshot,
+    capture_delay: Snapshot,
+    latency: Snapshot,
+}
+
+impl Totals {
+    fn of(s: &Status) -> Self {
+        Self {
+            captured: s.captured.get(),
+            dropped: s.dropped.get(),
+            corrupt: [&s.corrupt, &s.unreadable, &s.wrong_size].map(Counter::get).iter().sum(),
+            bad_timestamps: s.bad_timestamps.get(),
+            processed: s.processed.get(),
+            tracked: s.tracked.get(),
+            poses_published: s.poses_published.get(),
+            publish_failures: s.publish_failures.get(),
+            adjustments_late: s.adjustments_late.get(),
+            records_lost: s.records_lost.get(),
+            decode: s.decode.snapshot(),
+            feature: s.feature.snapshot(),
+            queue: s.queue.snapshot(),
+            track: s.track.snapshot(),
+            mapping: s.mapping.snapshot(),
+            publish: s.publish.snapshot(),
+            capture_delay: s.capture_delay.snapshot(),
+            latency: s.latency.snapshot(),
+        }
+    }
+}
+
+impl HealthWatch {
+    pub fn new(status: Arc<Status>, clock: Clock, stall_after: Duration, now_ns: i64) -> Self {
+        let before = Totals::of(&status);
+        Self {
+            status,
+            clock,
+            stall_after,
+            started_ns: now_ns,
+            second_began_ns: now_ns,
+            before,
+            stages: [StageHealth::default(); STAGES],
+            events: 0,
+            logged: 0,
+            save_failed: false,
+        }
+    }
+
+    /// The health at `now_ns` (CLOCK_MONOTONIC). Logs the record of every full second, and faults as they come and go.
+    pub fn tick(&mut self, now_ns: i64) -> Health {
+        let interval_ns = now_ns - self.second_began_ns;
+        if interval_ns >= SECOND_NS {
+            self.end_second(interval_ns);
+            self.second_began_ns = now_ns;
+        }
+        let errors = self.errors(now_ns);
+        self.log_faults(errors);
+        self.health(now_ns, errors)
+    }
+
+    /// No stage has been silent for longer than its limit.
+    pub fn all_alive(&self, now_ns: i64) -> bool {
+        self.hearts().iter().all(|h| h.stalled(now_ns, self.stall_after).is_none())
+    }
+
+    fn hearts(&self) -> [&Heartbeat; 3] {
+        [&self.status.capture, &self.status.features, &self.status.reconstruction]
+    }
+
+    fn end_second(&mut self, interval_ns: i64) {
+        let now = Totals::of(&self.status);
+        let before = std::mem::replace(&mut self.before, now.clone());
+        let since = |pick: fn(&Totals) -> &Snapshot| pick(&now).since(pick(&before)).percentiles();
+        let decode = since(|t| &t.decode);
+        let feature = since(|t| &t.feature);
+        let queue = since(|t| &t.queue);
+        let track = since(|t| &t.track);
+        let mapping = since(|t| &t.mapping);
+        let publish = since(|t| &t.publish);
+        let latency = since(|t| &t.latency);
+        let capture = since(|t| &t.capture_delay);
+
+        let dropped = now.dropped - before.dropped;
+        if dropped > 0 {
+            warn!(dropped, dropped_total = now.dropped, "frames dropped, the pipeline could not keep up");
+        }
+        self.events = [
+            (dropped, error::DROPPED_FRAMES),
+            (now.corrupt - before.corrupt, error::CORRUPT_FRAMES),
+            (now.bad_timestamps - before.bad_timestamps, error::BAD_TIMESTAMP),
+            (now.publish_failures - before.publish_failures, error::PUBLISH_FAILED),
+            (now.adjustments_late - before.adjustments_late, error::MAPPING_LATE),
+            (now.records_lost - before.records_lost, error::SAVE_FAILED),
+        ]
+        .iter()
+        .filter(|(count, _)| *count > 0)
+        .fold(0, |bits, (_, bit)| bits | bit);
+
+        let seconds = interval_ns as f64 * 1e-9;
+        let stages = [
+            (stage::CAPTURE, &self.status.captured, now.captured - before.captured, capture),
+            (stage::FEATURES, &self.status.processed, now.processed - before.processed, feature),
+            (stage::TRACKING, &self.status.processed, now.processed - before.processed, track),
+            (stage::MAPPING, &self.status.processed, now.processed - before.processed, mapping),
+            (stage::PUBLISHING, &self.status.poses_published, now.poses_published - before.poses_published, publish),
+            (stage::END_TO_END, &self.status.poses_published, now.poses_published - before.poses_published, latency),
+        ];
+        for (index, total, steps, p) in stages {
+            if let Some(stage) = self.stages.get_mut(index) {
+                *stage = stage_health(total.get(), steps as f64 / seconds, &p);
+            }
+        }
+        let (map_landmarks, map_keyframes) = self.status.map_size();
+        info!(
+            state = state_name(self.status.state()),
+            frames = now.captured - before.captured,
+            tracked = now.tracked - before.tracked,
+            dropped,
+            corrupt = now.corrupt - before.corrupt,
+            map_landmarks,
+            map_keyframes,
+            landmarks = self.status.landmarks_tracked(),
+            decode_p50_ms = decode.p50_ms,
+            decode_p95_ms = decode.p95_ms,
+            decode_p99_ms = decode.p99_ms,
+            feature_p50_ms = feature.p50_ms,
+            feature_p95_ms = feature.p95_ms,
+            feature_p99_ms = feature.p99_ms,
+            queue_p50_ms = queue.p50_ms,
+            queue_p95_ms = queue.p95_ms,
+            queue_p99_ms = queue.p99_ms,
+            track_p50_ms = track.p50_ms,
+            track_p95_ms = track.p95_ms,
+            track_p99_ms = track.p99_ms,
+            mapping_p50_ms = mapping.p50_ms,
+            mapping_p95_ms = mapping.p95_ms,
+            mapping_p99_ms = mapping.p99_ms,
+            latency_p50_ms = latency.p50_ms,
+            latency_p95_ms = latency.p95_ms,
+            latency_p99_ms = latency.p99_ms,
+            "health"
+        );
+    }
+
+    /// All faults that stand.
+    fn errors(&self, now_ns: i64) -> u64 {
+        let s = &self.status;
+        let state = s.state();
+        let last_frame_ns = s.last_arrival_ns().unwrap_or(self.started_ns);
+        let seen_any = s.processed.get() > 0;
+        let conditions = [
+            (!s.source_present(), error::NO_CAMERA),
+            (s.source_present() && now_ns - last_frame_ns > NO_FRAMES_NS, error::NO_FRAMES),
+            (seen_any && s.points_followed() == 0, error::NO_FEATURES),
+            (state == TrackingState::Tracking && s.landmarks_tracked() < FEW, error::LOW_FEATURES),
+            (seen_any && s.points_followed() < FEW, error::LOW_FEATURES),
+            (s.calibration_refused(), error::BAD_CALIBRATION),
+            (!self.all_alive(now_ns), error::STALLED_STAGE),
+            (state == TrackingState::Lost, error::LOST),
+            (self.save_failed, error::SAVE_FAILED),
+        ];
+        conditions.iter().filter(|(stands, _)| *stands).fold(self.events, |bits, (_, bit)| bits | bit)
+    }
+
+    fn log_faults(&mut self, errors: u64) {
+        let (began, ended) = (errors & !self.logged, self.logged & !errors);
+        self.logged = errors;
+        for fault in error::names(began) {
+            warn!(fault, "fault began");
+        }
+        for fault in error::names(ended) {
+            info!(fault, "fault ended");
+        }
+        if began & error::STALLED_STAGE != 0 {
+            let now_ns = crate::frame::monotonic_ns();
+            for heart in self.hearts() {
+                if let Some(silent) = heart.stalled(now_ns, self.stall_after) {
+                    warn!(stage = heart.stage(), silent_ms = silent.as_millis() as u64, "stage has stalled");
+                }
+            }
+        }
+    }
+
+    fn health(&self, now_ns: i64, errors: u64) -> Health {
+        let s = &self.status;
+        let age = |at: Option<i64>| at.map_or(UNKNOWN_NS, |at| now_ns - at);
+        let ((landmarks, keyframes), (map_id, reset_counter)) = (s.map_size(), s.map_and_resets());
+        let mut stages = self.stages;
+        let hearts = [
+            (stage::CAPTURE, &s.capture),
+            (stage::FEATURES, &s.features),
+            (stage::TRACKING, &s.reconstruction),
+            (stage::MAPPING, &s.reconstruction),
+            (stage::PUBLISHING, &s.reconstruction),
+        ];
+        for (index, heart) in hearts {
+            if let Some(stage) = stages.get_mut(index) {
+                stage.heartbeat_age_ns = heart.age_ns(now_ns).unwrap_or(UNKNOWN_NS);
+            }
+        }
+        Health {
+            errors,
+            frames_captured: s.captured.get(),
+            frames_dropped: s.dropped.get(),
+            frames_corrupt: s.corrupt.get() + s.unreadable.get(),
+            frames_tracked: s.tracked.get(),
+            keyframes_made: s.keyframes.get(),
+            landmarks_made: s.landmarks_made.get(),
+            adjustments: s.adjustments.get(),
+            adjustments_late: s.adjustments_late.get(),
+            resets: s.resets.get(),
+            relocalisations: s.relocalisations.get(),
+            frame_age_ns: age(s.last_arrival_ns()),
+            pose_age_ns: age(s.last_pose_arrival_ns()),
+            stages,
+            keyframes,
+            landmarks,
+            reset_counter,
+            map_id,
+            state: convert::state(s.state()),
+            clock: convert::clock(self.clock),
+            ..Health::default()
+        }
+    }
+}
+
+fn stage_health(steps: u64, rate_hz: f64, p: &Percentiles) -> StageHealth {
+    StageHealth {
+        steps,
+        p50_ms: p.p50_ms as f32,
+        p95_ms: p.p95_ms as f32,
+        p99_ms: p.p99_ms as f32,
+        rate_hz: rate_hz as f32,
+        ..StageHealth::default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: i64 = 1_000_000;
+
+    fn watch() -> (Arc<Status>, HealthWatch) {
+        let status = Arc::new(Status::default());
+        status.set_source_present(true);
+        let watch = HealthWatch::new(status.clone(), Clock::Monotonic, Duration::from_secs(1), 0);
+        (status, watch)
+    }
+
+    #[test]
+    fn a_dropped_frame_stands_for_one_second_and_no_longer() {
+        let (status, mut watch) = watch();
+        status.set_last_arrival_ns(3_000 * MS);
+        status.dropped.add(3);
+        assert_eq!(watch.tick(900 * MS).errors & error::DROPPED_FRAMES, 0);
+        assert_eq!(watch.tick(1000 * MS).errors, error::DROPPED_FRAMES);
+        assert_eq!(watch.tick(1900 * MS).errors, error::DROPPED_FRAMES);
+        assert_eq!(watch.tick(2000 * MS).errors, 0);
+        assert_eq!(watch.tick(2000 * MS).frames_dropped, 3);
+    }
+
+    #[test]
+    fn a_source_that_falls_silent_is_told_from_one_that_is_gone() {
+        let (status, mut watch) = watch();
+        status.set_last_arrival_ns(100 * MS);
+        assert_eq!(watch.tick(500 * MS).errors, 0);
+        assert_eq!(watch.tick(2500 * MS).errors, error::NO_FRAMES);
+        assert_eq!(watch.tick(2500 * MS).frame_age_ns, 2400 * MS);
+        status.set_source_present(false);
+        assert_eq!(watch.tick(2600 * MS).errors, error::NO_CAMERA);
+    }
+
+    #[test]
+    fn a_stage_that_hangs_is_named_and_counted_from_its_last_beat() {
+        let (status, mut watch) = watch();
+        status.features.beat(1000 * MS);
+        status.reconstruction.beat(1000 * MS);
+        status.set_last_arrival_ns(3000 * MS);
+        assert!(watch.all_alive(1900 * MS));
+        status.reconstruction.beat(2400 * MS);
+        let health = watch.tick(2500 * MS);
+        assert!(!watch.all_alive(2500 * MS));
+        assert_eq!(health.errors, error::STALLED_STAGE);
+        assert_eq!(health.stages[stage::FEATURES].heartbeat_age_ns, 1500 * MS);
+        assert_eq!(health.stages[stage::TRACKING].heartbeat_age_ns, 100 * MS);
+        assert_eq!(health.stages[stage::CAPTURE].heartbeat_age_ns, UNKNOWN_NS);
+        status.features.rest();
+        assert_eq!(watch.tick(2600 * MS).errors, 0);
+    }
+
+    #[test]
+    fn rates_and_percentiles_are_those_of_the_last_second() {
+        let (status, mut watch) = watch();
+        for _ in 0..30 {
+            status.processed.add(1);
+            status.track.record(Duration::from_millis(4));
+        }
+        watch.tick(1000 * MS);
+        let tracking = watch.tick(1100 * MS).stages[stage::TRACKING];
+        assert_eq!((tracking.steps, tracking.rate_hz), (30, 30.0));
+        assert!((tracking.p99_ms - 4.0).abs() < 0.13, "{tracking:?}");
+        watch.tick(2000 * MS);
+        let tracking = watch.tick(2000 * MS).stages[stage::TRACKING];
+        assert_eq!((tracking.steps, tracking.rate_hz), (30, 0.0));
+        assert!(tracking.p50_ms.is_nan());
+    }
+}

@@ -1,0 +1,272 @@
+//! The reconstruction step: one frame's features into a published pose, then into the map.
+//!
+//! The order is the daemon's promise: track, publish the pose, and only then keyframe work, logs, records and the map's
+//! message. Nothing before the publication allocates, writes or waits.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use crossbeam::channel::Sender;
+use tracing::{debug, info, warn};
+
+use super::outlet::Outlet;
+use super::recorder::{FinalMap, Record, RecorderLink, SaveKind};
+use super::status::{Status, state_name};
+use crate::features::{Feedback, FrameFeatures};
+use crate::frame::monotonic_ns;
+use crate::geometry::CameraModel;
+use crate::publish::{MapContext, PublishError};
+use crate::reconstruction::{
+    MapSnapshot, MappingWorker, PoseEstimate, Reconstruction, ReconstructionConfig, TrackingState, TrajectoryEvent,
+};
+use crate::telemetry::RateLimiter;
+
+/// A camera model and where it came from, for messages.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Calibration {
+    pub model: CameraModel,
+    pub origin: String,
+}
+
+impl Calibration {
+    /// The model for pictures of this size: the same, or scaled if only the resolution differs.
+    pub fn fit(&self, width: u32, height: u32) -> Result<CameraModel, String> {
+        let (from_width, from_height) = (self.model.width, self.model.height);
+        if (from_width, from_height) == (width, height) {
+            return Ok(self.model.clone());
+        }
+        let scaled = self.model.scaled(width, height).map_err(|e| {
+            format!(
+                "{}: the calibration is for {from_width}x{from_height} px, the pictures have {width}x{height} px: {e}",
+                self.origin
+            )
+        })?;
+        warn!(from_width, from_height, width, height, "calibration scaled to the size of the pictures");
+        Ok(scaled)
+    }
+}
+
+/// What may be asked of the stage between two frames.
+#[derive(Debug)]
+pub enum Request {
+    /// Drop the map and start over.
+    Reset { why: &'static str },
+    /// Have a file written.
+    Save { kind: SaveKind, path: std::path::PathBuf, reply: Sender<Result<String, String>> },
+}
+
+/// The reconstruction stage without its thread.
+pub struct ReconstructStep {
+    config: ReconstructionConfig,
+    calibration: Calibration,
+    lockstep: bool,
+    /// Given to reconstruction with the first frame, whose size completes the camera model.
+    worker: Option<Box<dyn MappingWorker>>,
+    reconstruction: Option<Reconstruction>,
+    outlet: Option<Outlet>,
+    recorder: RecorderLink,
+    status: Arc<Status>,
+    publish_faults: RateLimiter,
+    events: Vec<TrajectoryEvent>,
+    snapshot: MapSnapshot,
+    last_state: Option<TrackingState>,
+    last_resets: u32,
+    last_frame: MapContext,
+}
+
+impl ReconstructStep {
+    pub fn new(
+        config: &ReconstructionConfig,
+        calibration: Calibration,
+        worker: Box<dyn MappingWorker>,
+        lockstep: bool,
+        outlet: Option<Outlet>,
+        recorder: RecorderLink,
+        status: Arc<Status>,
+    ) -> Self {
+        Self {
+            config: config.clone(),
+            calibration,
+            lockstep,
+            worker: Some(worker),
+            reconstruction: None,
+            outlet,
+            recorder,
+            status,
+            publish_faults: RateLimiter::default(),
+            events: Vec::new(),
+            snapshot: MapSnapshot::default(),
+            last_state: None,
+            last_resets: 0,
+            last_frame: MapContext::default(),
+        }
+    }
+
+    /// One frame, from features to map. `ready_ns`: CLOCK_MONOTONIC when its features were ready. The error is the
+    /// calibration's: no frame of this source can ever be placed.
+    pub fn step(&mut self, features: &FrameFeatures, ready_ns: i64, feedback: &mut Feedback) -> Result<(), String> {
+        self.status.queue.record_ns(monotonic_ns() - ready_ns);
+        if self.reconstruction.is_none() {
+            self.begin(features)?;
+        }
+        let Some(reconstruction) = self.reconstruction.as_mut() else { return Ok(()) };
+        let begin = Instant::now();
+        let estimate = reconstruction.track(features);
+        self.status.track.record(begin.elapsed());
+        self.publish_pose(features, &estimate);
+        self.account(features, &estimate);
+
+        let begin = Instant::now();
+        if let Some(reconstruction) = self.reconstruction.as_mut() {
+            reconstruction.map(features, feedback);
+        }
+        self.status.mapping.record(begin.elapsed());
+        self.last_frame = MapContext { timestamp_ns: estimate.timestamp_ns, reset_counter: estimate.reset_counter };
+        self.log_changes(&estimate);
+        self.drain_events();
+        self.recorder.record(Record::Published(estimate));
+        self.publish_map();
+        Ok(())
+    }
+
+    /// The first frame tells the size of the pictures, and with that the camera model.
+    fn begin(&mut self, features: &FrameFeatures) -> Result<(), String> {
+        let Some(picture) = features.pyramid.levels.first() else { return Ok(()) };
+        let size = |pixels: usize| u32::try_from(pixels).unwrap_or(u32::MAX);
+        let (width, height) = (size(picture.width), size(picture.height));
+        let camera = self.calibration.fit(width, height)?;
+        info!(
+            width,
+            height,
+            fx_px = camera.fx,
+            fy_px = camera.fy,
+            cx_px = camera.cx,
+            cy_px = camera.cy,
+            origin = self.calibration.origin,
+            "camera model"
+        );
+        if let Some(worker) = self.worker.take() {
+            self.reconstruction = Some(Reconstruction::new(&self.config, &camera, worker, self.lockstep));
+        }
+        Ok(())
+    }
+
+    fn publish_pose(&mut self, features: &FrameFeatures, estimate: &PoseEstimate) {
+        let Some(outlet) = self.outlet.as_mut() else { return };
+        let begin = Instant::now();
+        let sent = outlet.pose(estimate, self.status.dropped.get());
+        self.status.publish.record(begin.elapsed());
+        match sent {
+            Ok(()) => self.status.poses_published.add(1),
+            Err(error) => self.publish_failed(&error),
+        }
+        self.status.latency.record_ns(monotonic_ns() - estimate.arrival_ns);
+        if let Some(outlet) = self.outlet.as_mut()
+            && let Err(error) = outlet.frame(features)
+        {
+            self.publish_failed(&error);
+        }
+    }
+
+    fn publish_failed(&mut self, error: &PublishError) {
+        self.status.publish_failures.add(1);
+        if let Some(messages) = self.publish_faults.event(monotonic_ns()) {
+            warn!(messages, %error, "message cannot be sent");
+        }
+    }
+
+    fn account(&mut self, features: &FrameFeatures, estimate: &PoseEstimate) {
+        let status = &self.status;
+        status.processed.add(1);
+        if estimate.world_from_camera.is_some() {
+            status.tracked.add(1);
+        }
+        status.set_frame(estimate, features.tracks.len());
+    }
+
+    fn log_changes(&mut self, e: &PoseEstimate) {
+        let (sequence, timestamp_ns, map) = (e.sequence, e.timestamp_ns, e.map.0);
+        if e.reset_counter != self.last_resets {
+            info!(sequence, timestamp_ns, map, reset_counter = e.reset_counter, "reset");
+            self.last_resets = e.reset_counter;
+        }
+        if self.last_state != Some(e.state) {
+            let from = self.last_state.map_or("none", state_name);
+            let to = state_name(e.state);
+            info!(sequence, timestamp_ns, map, from, to, landmarks = e.landmarks, "state");
+            self.last_state = Some(e.state);
+        }
+        let Some(reconstruction) = &self.reconstruction else { return };
+        let counters = reconstruction.counters();
+        self.status.set_counters(&counters);
+        if e.keyframe {
+            let (keyframes, landmarks_made) = (counters.keyframes_made, counters.landmarks_made);
+            info!(sequence, timestamp_ns, map, keyframes, landmarks_made, landmarks = e.landmarks, "keyframe");
+        } else {
+            debug!(sequence, landmarks = e.landmarks, sought = e.landmarks_sought, quality = e.quality, "frame");
+        }
+    }
+
+    fn drain_events(&mut self) {
+        if let Some(reconstruction) = self.reconstruction.as_mut() {
+            reconstruction.take_trajectory_events(&mut self.events);
+        }
+        for event in self.events.drain(..) {
+            self.recorder.record(Record::Event(event));
+        }
+    }
+
+    /// The map, as often as the wire wants it.
+    fn publish_map(&mut self) {
+        let (Some(outlet), Some(reconstruction)) = (self.outlet.as_mut(), &self.reconstruction) else { return };
+        if !outlet.map_is_due(monotonic_ns()) {
+            return;
+        }
+        reconstruction.snapshot(&mut self.snapshot);
+        self.status.set_map(&self.snapshot);
+        match outlet.map(&self.snapshot, &self.last_frame) {
+            Ok(()) => self.status.maps_published.add(1),
+            Err(error) => self.publish_failed(&error),
+        }
+    }
+
+    /// Between two frames, or while none comes.
+    pub fn request(&mut self, request: Request) {
+        match request {
+            Request::Reset { why } => {
+                info!(why, "reset asked for");
+                if let Some(reconstruction) = self.reconstruction.as_mut() {
+                    reconstruction.reset();
+                }
+                self.drain_events();
+            }
+            Request::Save { kind, path, reply } => {
+                let map = Box::new(self.final_map());
+                self.recorder.save(kind, path, map, reply);
+            }
+        }
+    }
+
+    fn final_map(&self) -> FinalMap {
+        let mut map = FinalMap::default();
+        if let Some(reconstruction) = &self.reconstruction {
+            map.keyframe_poses = reconstruction.keyframe_poses();
+            reconstruction.snapshot(&mut map.snapshot);
+        }
+        map
+    }
+
+    /// Ends: merges the adjustment under way, hands out the last records, and gives back what files are written from.
+    pub fn finish(mut self) -> (FinalMap, RecorderLink) {
+        if let Some(reconstruction) = self.reconstruction.as_mut() {
+            reconstruction.finish();
+        }
+        self.drain_events();
+        let map = self.final_map();
+        if let Some(reconstruction) = &self.reconstruction {
+            self.status.set_counters(&reconstruction.counters());
+        }
+        self.status.set_map(&map.snapshot);
+        (map, self.recorder)
+    }
+}

@@ -1,0 +1,241 @@
+//! What the stages say of themselves while they run: counters, latencies, signs of life. Written by the stages, read by
+//! the supervisor and by whoever prints a summary. Fixed size, no locks.
+
+use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU32, Ordering};
+
+use crate::reconstruction::{Counters, MapSnapshot, PoseEstimate, TrackingState};
+use crate::telemetry::{Counter, Heartbeat, Histogram};
+
+/// State and statistics of one run.
+#[derive(Debug)]
+pub struct Status {
+    pub capture: Heartbeat,
+    pub features: Heartbeat,
+    pub reconstruction: Heartbeat,
+
+    /// Frames that a source delivered.
+    pub captured: Counter,
+    /// Frames overwritten in the ring because the feature thread had no room for them.
+    pub dropped: Counter,
+    /// Frames that the source itself could not read.
+    pub unreadable: Counter,
+    /// Frames whose timestamp repeated, went back, or jumped without a second frame to confirm it.
+    pub bad_timestamps: Counter,
+    /// Frames that could not be decoded.
+    pub corrupt: Counter,
+    /// Frames of another size than the first.
+    pub wrong_size: Counter,
+    /// Frames handed to reconstruction.
+    pub processed: Counter,
+    /// Frames with a pose.
+    pub tracked: Counter,
+    pub poses_published: Counter,
+    pub maps_published: Counter,
+    /// Messages that could not be published.
+    pub publish_failures: Counter,
+    /// Trajectory records that the recorder had no room or no disk for.
+    pub records_lost: Counter,
+    pub keyframes: Counter,
+    pub landmarks_made: Counter,
+    pub resets: Counter,
+    pub relocalisations: Counter,
+    pub adjustments: Counter,
+    pub adjustments_late: Counter,
+
+    /// Grey picture from the bytes of a frame.
+    pub decode: Histogram,
+    /// Pyramid, corners and tracks of a decoded picture.
+    pub feature: Histogram,
+    /// Between the end of the feature step and the beginning of tracking.
+    pub queue: Histogram,
+    /// A frame's pose from its features.
+    pub track: Histogram,
+    /// Keyframe work after the pose, in the reconstruction thread.
+    pub mapping: Histogram,
+    /// Sending of one message.
+    pub publish: Histogram,
+    /// From a frame's capture to its arrival in the process, where the source's clock tells.
+    pub capture_delay: Histogram,
+    /// From a frame's arrival in the process to its published pose.
+    pub latency: Histogram,
+
+    source_present: AtomicBool,
+    calibration_refused: AtomicBool,
+    state: AtomicU8,
+    /// Of the current map, as of its last snapshot.
+    map_landmarks: AtomicU32,
+    map_keyframes: AtomicU32,
+    map_id: AtomicU32,
+    reset_counter: AtomicU32,
+    /// That the last frame's pose rests on.
+    landmarks_tracked: AtomicU32,
+    /// Points followed in the last frame.
+    points_followed: AtomicU32,
+    /// CLOCK_MONOTONIC of the arrival of the last frame, and of the last with a pose, ns; 0 before the first.
+    last_arrival_ns: AtomicI64,
+    last_pose_arrival_ns: AtomicI64,
+    stop: AtomicBool,
+}
+
+impl Default for Status {
+    fn default() -> Self {
+        Self {
+            capture: Heartbeat::new("capture"),
+            features: Heartbeat::new("features"),
+            reconstruction: Heartbeat::new("reconstruction"),
+            captured: Counter::default(),
+            dropped: Counter::default(),
+            unreadable: Counter::default(),
+            bad_timestamps: Counter::default(),
+            corrupt: Counter::default(),
+            wrong_size: Counter::default(),
+            processed: Counter::default(),
+            tracked: Counter::default(),
+            poses_published: Counter::default(),
+            maps_published: Counter::default(),
+            publish_failures: Counter::default(),
+            records_lost: Counter::default(),
+            keyframes: Counter::default(),
+            landmarks_made: Counter::default(),
+            resets: Counter::default(),
+            relocalisations: Counter::default(),
+            adjustments: Counter::default(),
+            adjustments_late: Counter::default(),
+            decode: Histogram::default(),
+            feature: Histogram::default(),
+            queue: Histogram::default(),
+            track: Histogram::default(),
+            mapping: Histogram::default(),
+            publish: Histogram::default(),
+            capture_delay: Histogram::default(),
+            latency: Histogram::default(),
+            source_present: AtomicBool::new(false),
+            calibration_refused: AtomicBool::new(false),
+            state: AtomicU8::new(0),
+            map_landmarks: AtomicU32::new(0),
+            map_keyframes: AtomicU32::new(0),
+            map_id: AtomicU32::new(0),
+            reset_counter: AtomicU32::new(0),
+            landmarks_tracked: AtomicU32::new(0),
+            points_followed: AtomicU32::new(0),
+            last_arrival_ns: AtomicI64::new(0),
+            last_pose_arrival_ns: AtomicI64::new(0),
+            stop: AtomicBool::new(false),
+        }
+    }
+}
+
+impl Status {
+    /// Asks every stage to end.
+    pub fn request_stop(&self) {
+        self.stop.store(true, Ordering::Relaxed);
+    }
+
+    /// The stages are to end. A flag that is polled: nothing else is ordered by it.
+    pub fn stopping(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+
+    /// Whether there is a source that delivers or may deliver.
+    pub fn source_present(&self) -> bool {
+        self.source_present.load(Ordering::Relaxed)
+    }
+
+    pub fn set_source_present(&self, present: bool) {
+        self.source_present.store(present, Ordering::Relaxed);
+    }
+
+    /// The calibration does not belong to the source's pictures.
+    pub fn calibration_refused(&self) -> bool {
+        self.calibration_refused.load(Ordering::Relaxed)
+    }
+
+    pub fn refuse_calibration(&self) {
+        self.calibration_refused.store(true, Ordering::Relaxed);
+    }
+
+    /// State of tracking after the last frame.
+    pub fn state(&self) -> TrackingState {
+        match self.state.load(Ordering::Relaxed) {
+            1 => TrackingState::Tracking,
+            2 => TrackingState::Lost,
+            _ => TrackingState::Initializing,
+        }
+    }
+
+    /// Landmarks that the last frame's pose rests on.
+    pub fn landmarks_tracked(&self) -> u32 {
+        self.landmarks_tracked.load(Ordering::Relaxed)
+    }
+
+    /// Points followed in the last frame.
+    pub fn points_followed(&self) -> u32 {
+        self.points_followed.load(Ordering::Relaxed)
+    }
+
+    /// Takes over one frame's outcome.
+    pub fn set_frame(&self, estimate: &PoseEstimate, points_followed: usize) {
+        let state = match estimate.state {
+            TrackingState::Initializing => 0,
+            TrackingState::Tracking => 1,
+            TrackingState::Lost => 2,
+        };
+        self.state.store(state, Ordering::Relaxed);
+        self.map_id.store(estimate.map.0, Ordering::Relaxed);
+        self.reset_counter.store(estimate.reset_counter, Ordering::Relaxed);
+        self.landmarks_tracked.store(estimate.landmarks, Ordering::Relaxed);
+        self.points_followed.store(u32::try_from(points_followed).unwrap_or(u32::MAX), Ordering::Relaxed);
+        if estimate.state == TrackingState::Tracking {
+            self.last_pose_arrival_ns.store(estimate.arrival_ns, Ordering::Relaxed);
+        }
+    }
+
+    /// Landmarks and keyframes of the map, as of its last snapshot.
+    pub fn map_size(&self) -> (u32, u32) {
+        (self.map_landmarks.load(Ordering::Relaxed), self.map_keyframes.load(Ordering::Relaxed))
+    }
+
+    /// Takes over the map's size.
+    pub fn set_map(&self, map: &MapSnapshot) {
+        self.map_landmarks.store(u32::try_from(map.landmarks.len()).unwrap_or(u32::MAX), Ordering::Relaxed);
+        self.map_keyframes.store(u32::try_from(map.keyframes.len()).unwrap_or(u32::MAX), Ordering::Relaxed);
+    }
+
+    /// The current map, and how often poses became unrelated to earlier ones.
+    pub fn map_and_resets(&self) -> (u32, u32) {
+        (self.map_id.load(Ordering::Relaxed), self.reset_counter.load(Ordering::Relaxed))
+    }
+
+    /// CLOCK_MONOTONIC of the last frame's arrival, if there was one.
+    pub fn last_arrival_ns(&self) -> Option<i64> {
+        Some(self.last_arrival_ns.load(Ordering::Relaxed)).filter(|ns| *ns != 0)
+    }
+
+    /// The same of the last frame with a pose.
+    pub fn last_pose_arrival_ns(&self) -> Option<i64> {
+        Some(self.last_pose_arrival_ns.load(Ordering::Relaxed)).filter(|ns| *ns != 0)
+    }
+
+    pub fn set_last_arrival_ns(&self, ns: i64) {
+        self.last_arrival_ns.store(ns, Ordering::Relaxed);
+    }
+
+    /// Takes over what reconstruction counts itself.
+    pub fn set_counters(&self, c: &Counters) {
+        self.keyframes.set(c.keyframes_made);
+        self.landmarks_made.set(c.landmarks_made);
+        self.resets.set(c.resets);
+        self.relocalisations.set(c.relocalisations);
+        self.adjustments.set(c.adjustments);
+        self.adjustments_late.set(c.adjustments_late);
+    }
+}
+
+/// A state's name as logged and printed.
+pub fn state_name(state: TrackingState) -> &'static str {
+    match state {
+        TrackingState::Initializing => "initializing",
+        TrackingState::Tracking => "tracking",
+        TrackingState::Lost => "lost",
+    }
+}

@@ -1,0 +1,275 @@
+//! The supervisor: publishes health whatever has stalled, feeds the service manager's watchdog, carries out commands,
+//! sees signals, joins the threads and has the files written. It runs in the calling thread.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+use crossbeam::channel::{Receiver, bounded};
+use sd_notify::NotifyState;
+use tracing::{error, info, warn};
+
+use super::health::HealthWatch;
+use super::recorder::{FinalMap, Outputs, Recorder, SaveKind, Written};
+use super::status::Status;
+use super::{DaemonError, Parts, Request, TURN, Threads, start};
+use crate::frame::{Clock, monotonic_ns};
+use crate::messages::{CommandReply, command_kind, reply_code};
+use crate::publish::{self, CommandServer, HealthPublisher};
+
+/// The supervisor's part of the wire.
+pub struct Desk {
+    pub health: HealthPublisher,
+    pub commands: CommandServer,
+}
+
+/// Why a run ended.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum EndCause {
+    /// A recording or simulation came to its end.
+    SourceEnded,
+    /// The source broke and cannot be opened again.
+    SourceFailed,
+    /// A signal, or the caller.
+    Stopped,
+    /// The calibration does not belong to the pictures.
+    Calibration(String),
+    /// A stage panicked, or did not end when it was told to.
+    Broken(String),
+}
+
+/// How a run ended, and what is left of it.
+#[derive(Debug)]
+pub struct End {
+    pub cause: EndCause,
+    pub map: FinalMap,
+    pub written: Written,
+}
+
+/// A look at the run, ten times a second.
+pub struct Tick<'a> {
+    pub status: &'a Status,
+    pub elapsed: Duration,
+}
+
+/// A stage that has not ended so long after it was told to is given up.
+const GIVE_UP: Duration = Duration::from_secs(3);
+/// A save that has not answered after this long is reported as failed.
+const SAVE_TIMEOUT: Duration = Duration::from_secs(30);
+
+/// Runs everything until the source ends, `stop` is set, or `go_on` says no.
+pub fn supervise(
+    parts: Parts,
+    desk: Option<Desk>,
+    clock: Clock,
+    stop: &AtomicBool,
+    go_on: &mut dyn FnMut(&Tick<'_>) -> bool,
+) -> Result<End, DaemonError> {
+    let status = parts.status.clone();
+    let outputs = parts.outputs.clone();
+    let stall_after = Duration::from_millis(parts.config.daemon.stall_after_ms);
+    let began = Instant::now();
+    let threads = start(parts)?;
+    notify(&[NotifyState::Ready]);
+    info!("running");
+
+    let mut watch = HealthWatch::new(status.clone(), clock, stall_after, monotonic_ns());
+    let mut bench = Bench { desk, saves: Vec::new(), requests: threads.requests.clone(), faults: Default::default() };
+    let mut stopped_at = None;
+    loop {
+        bench.turn(&mut watch);
+        let elapsed = began.elapsed();
+        let wanted = !stop.load(Ordering::Relaxed) && go_on(&Tick { status: &status, elapsed });
+        if !wanted && stopped_at.is_none() {
+            info!(after_ms = elapsed.as_millis() as u64, "stopping");
+            notify(&[NotifyState::Stopping]);
+            status.request_stop();
+            stopped_at = Some(Instant::now());
+        }
+        let finished =
+            threads.capture.is_finished() && threads.features.is_finished() && threads.reconstruction.is_finished();
+        if finished || stopped_at.is_some_and(|at| at.elapsed() > GIVE_UP) {
+            break;
+        }
+        // Short turns near the end, so that joining costs no whole turn.
+        thread::sleep(if stopped_at.is_some() || threads.capture.is_finished() { TURN / 20 } else { TURN });
+    }
+    drop(bench.requests);
+    Ok(wind_up(threads, &status, &outputs, stopped_at.is_some()))
+}
+
+/// Joins what ends, writes the files, and says how it went.
+fn wind_up(threads: Threads, status: &Arc<Status>, outputs: &Outputs, stopped: bool) -> End {
+    let Threads { capture, features, reconstruction, mapping, recorder, requests } = threads;
+    drop(requests);
+    let mut cause = if stopped { EndCause::Stopped } else { EndCause::SourceEnded };
+    match join(capture, "capture") {
+        Ok(true) if !stopped => cause = EndCause::SourceFailed,
+        Ok(_) => {}
+        Err(broken) => cause = broken,
+    }
+    if let Err(broken) = join(features, "features") {
+        cause = broken;
+    }
+    let mut map = FinalMap::default();
+    let mut whole = false;
+    match join(reconstruction, "reconstruction") {
+        Ok(Ok(last)) => (map, whole) = (last, true),
+        Ok(Err(reason)) => {
+            status.refuse_calibration();
+            error!(reason, "calibration does not fit");
+            cause = EndCause::Calibration(reason);
+        }
+        Err(broken) => cause = broken,
+    }
+    let mut written = Written::default();
+    // Without reconstruction's last word nothing true can be written; older files stay as they are.
+    if whole {
+        if join(mapping, "mapping").is_err() {
+            warn!("mapping thread ended badly");
+        }
+        match join(recorder, "recorder") {
+            Ok(mut recorder) => written = Recorder::write(&mut recorder, outputs, &map),
+            Err(broken) => cause = broken,
+        }
+    }
+    for failure in &written.failures {
+        error!(reason = failure, "file not written");
+    }
+    info!(cause = ?cause, frames = status.captured.get(), tracked = status.tracked.get(), "ended");
+    End { cause, map, written }
+}
+
+/// Waits for a thread that is about to end; one that does not is left behind.
+fn join<T>(handle: JoinHandle<T>, stage: &'static str) -> Result<T, EndCause> {
+    let deadline = Instant::now() + GIVE_UP;
+    while !handle.is_finished() && Instant::now() < deadline {
+        thread::sleep(Duration::from_millis(2));
+    }
+    if !handle.is_finished() {
+        error!(stage, "stage does not end, left behind");
+        return Err(EndCause::Broken(format!("the {stage} stage hangs")));
+    }
+    handle.join().map_err(|_| {
+        error!(stage, "stage panicked");
+        EndCause::Broken(format!("the {stage} stage panicked"))
+    })
+}
+
+/// Tells the service manager; without one it does nothing.
+fn notify(states: &[NotifyState<'_>]) {
+    if let Err(error) = sd_notify::notify(states) {
+        warn!(%error, "service manager cannot be told");
+    }
+}
+
+/// A save under way: the command that waits for it.
+struct Save {
+    request: publish::Request,
+    outcome: Receiver<Result<String, String>>,
+    began: Instant,
+}
+
+/// What the supervisor does ten times a second.
+struct Bench {
+    desk: Option<Desk>,
+    saves: Vec<Save>,
+    requests: crossbeam::channel::Sender<Request>,
+    faults: crate::telemetry::RateLimiter,
+}
+
+impl Bench {
+    fn turn(&mut self, watch: &mut HealthWatch) {
+        let now_ns = monotonic_ns();
+        let health = watch.tick(now_ns);
+        if watch.all_alive(now_ns) {
+            notify(&[NotifyState::Watchdog]);
+        }
+        let Some(desk) = self.desk.as_mut() else { return };
+        if let Err(error) = desk.health.publish(&health)
+            && let Some(messages) = self.faults.event(now_ns)
+        {
+            warn!(messages, %error, "health cannot be sent");
+        }
+        self.take_commands();
+        self.answer_saves(watch);
+    }
+
+    fn take_commands(&mut self) {
+        // A few a turn, so that a flood of commands delays no health.
+        for _ in 0..4 {
+            let received = self.desk.as_mut().map_or(Ok(None), |desk| desk.commands.receive());
+            match received {
+                Ok(Some(request)) => self.carry_out(request),
+                Ok(None) => return,
+                Err(error) => {
+                    if let Some(times) = self.faults.event(monotonic_ns()) {
+                        warn!(times, %error, "command cannot be received");
+                    }
+                    return;
+                }
+            }
+        }
+    }
+
+    fn carry_out(&mut self, request: publish::Request) {
+        let command = *request.command();
+        info!(kind = command.kind, path = command.path(), "command");
+        let kind = match command.kind {
+            command_kind::RESET => {
+                let sent = self.requests.try_send(Request::Reset { why: "command" });
+                reply(
+                    request,
+                    match sent {
+                        Ok(()) => (reply_code::OK, "the map is dropped, a new one begins"),
+                        Err(_) => (reply_code::BUSY, "the reconstruction stage does not take requests at the moment"),
+                    },
+                );
+                return;
+            }
+            command_kind::SAVE_TRAJECTORY => SaveKind::Trajectory,
+            command_kind::SAVE_MAP => SaveKind::Map,
+            _ => {
+                request.refuse();
+                return;
+            }
+        };
+        let path = match command.path().map(PathBuf::from) {
+            Some(path) if path.is_absolute() => path,
+            _ => return reply(request, (reply_code::INVALID, "the path must be absolute and UTF-8")),
+        };
+        let (sender, outcome) = bounded(1);
+        match self.requests.try_send(Request::Save { kind, path, reply: sender }) {
+            Ok(()) => self.saves.push(Save { request, outcome, began: Instant::now() }),
+            Err(_) => reply(request, (reply_code::BUSY, "other requests are under way")),
+        }
+    }
+
+    fn answer_saves(&mut self, watch: &mut HealthWatch) {
+        for save in std::mem::take(&mut self.saves) {
+            let outcome = match save.outcome.try_recv() {
+                Ok(outcome) => outcome,
+                Err(crossbeam::channel::TryRecvError::Empty) if save.began.elapsed() < SAVE_TIMEOUT => {
+                    self.saves.push(save);
+                    continue;
+                }
+                Err(_) => Err("no answer from the stage that writes".into()),
+            };
+            watch.save_failed = outcome.is_err();
+            match &outcome {
+                Ok(text) => reply(save.request, (reply_code::OK, text)),
+                Err(reason) => {
+                    warn!(reason, "file not written");
+                    reply(save.request, (reply_code::FAILED, reason));
+                }
+            }
+        }
+    }
+}
+
+/// Answers a command; a sender that has gone needs no answer.
+fn reply(request: publish::Request, (code, message): (u32, &str)) {
+    let _ = request.reply(CommandReply::new(code, message));
+}
