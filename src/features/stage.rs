@@ -12,7 +12,7 @@ use super::alignment::Template;
 use super::config::{DetectorKind, FeaturesConfig};
 use super::fast::FastDetector;
 use super::optical_flow::{FlowOptions, follow};
-use super::susan::{SusanConfig, SusanDetector};
+use super::susan::SusanDetector;
 use super::thumbnail::{Thumbnail, ThumbnailAligner};
 use super::{CellGrid, Corner, CornerDetector, Feedback, FrameFeatures, Track};
 use crate::frame::{RawFrame, monotonic_ns};
