@@ -4,7 +4,7 @@
 //! for the threads that make them, health for the supervisor, commands for whoever carries them out. All are `Send`.
 //!
 //! - Nothing here waits for a reader: queues overflow, oldest first, and memory is of fixed size. Publishing a pose
-//!   allocates nothing (a test counts).
+//!   allocates nothing if [`PosePublisher::prepare`] was called before (a test counts).
 //! - [`convert`] turns optical axes into REP-103 axes of the robot's body, covariance included.
 //! - One daemon a prefix: a second one gets [`PublishError::AlreadyRunning`]. What a killed one left behind is cleared away.
 //! - Shared memory, reserved though not touched before it is used, for 8 subscribers: poses 0.2 MB, health 0.03 MB, map
@@ -33,7 +33,7 @@ use crate::image::GreyImage;
 use crate::messages::services::{self, topic};
 use crate::messages::{Endpoint, FrameHeader, Health, Keyframe, KeyframesHeader, Landmark, MapHeader, Pose, Presence};
 use crate::reconstruction::{MapSnapshot, PoseEstimate};
-use ports::Port;
+use ports::{Loan, Port};
 
 /// Ports of this flavour may move between threads; it meets every other flavour on the wire.
 type Ipc = ipc_threadsafe::Service;
@@ -113,7 +113,7 @@ impl Publisher {
             updater(&frames.publisher),
         ];
         Ok(Self {
-            poses: PosePublisher { port: poses, run_id },
+            poses: PosePublisher { next: None, port: poses, run_id },
             map: MapPublisher { map, keyframes, limits: *limits, run_id, sent_ns: None },
             frames: FramePublisher { port: frames, limit: limits.frame_bytes, run_id },
             health: HealthPublisher {
@@ -169,15 +169,31 @@ where
 }
 
 /// `PREFIX/pose`.
-#[derive(Debug)]
 pub struct PosePublisher {
+    /// Memory taken in advance.
+    next: Option<Loan<Pose>>,
     port: Port<Pose, ()>,
     run_id: u64,
 }
 
+impl std::fmt::Debug for PosePublisher {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("PosePublisher").field("run_id", &self.run_id).field("port", &self.port).finish_non_exhaustive()
+    }
+}
+
 impl PosePublisher {
-    /// Sends the pose of one frame and returns it as sent. `frames_dropped`: of this run, so far. Allocates nothing, waits
-    /// for nobody.
+    /// Takes memory for the next pose. Call it when a frame's work is done: then [`Self::publish`] allocates nothing.
+    /// (iceoryx2 0.10 makes one small heap allocation for every message.)
+    pub fn prepare(&mut self) {
+        if self.next.is_none() {
+            // Without it `publish` tries again, and says why it fails.
+            self.next = self.port.loan().ok();
+        }
+    }
+
+    /// Sends the pose of one frame and returns it as sent. `frames_dropped`: of this run, so far. Waits for nobody;
+    /// allocates nothing after [`Self::prepare`].
     pub fn publish(
         &mut self,
         estimate: &PoseEstimate,
@@ -192,7 +208,10 @@ impl PosePublisher {
         if conversion.clock == Clock::Monotonic {
             pose.latency_capture_ns = pose.published_ns.saturating_sub(pose.timestamp_ns);
         }
-        self.port.send(pose)?;
+        match self.next.take() {
+            Some(memory) => self.port.send_in(memory, pose)?,
+            None => self.port.send(pose)?,
+        }
         Ok(pose)
     }
 

@@ -1,6 +1,7 @@
 //! One publish/subscribe service with its events, as a publisher sees it.
 
 use std::fmt::Debug;
+use std::mem::MaybeUninit;
 use std::os::unix::fs::MetadataExt;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -13,6 +14,7 @@ use iceoryx2::prelude::{
     AllocationStrategy, BackpressureStrategy, CallbackProgression, EventId, MessagingPattern, Node, NodeState,
     PortFactory as _, ServiceName, ZeroCopySend,
 };
+use iceoryx2::sample_mut_uninit::SampleMutUninit;
 use iceoryx2::service::Service as _;
 use iceoryx2::service::builder::publish_subscribe::{
     PublishSubscribeCreateError, PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError,
@@ -40,6 +42,9 @@ where
     service: PortFactory<Ipc, P, H>,
     name: ServiceName,
 }
+
+/// Memory for one message of single values.
+pub(super) type Loan<T> = SampleMutUninit<Ipc, MaybeUninit<T>, ()>;
 
 /// The builder calls that slices and single values have in common; their types differ.
 macro_rules! service {
@@ -78,10 +83,19 @@ where
         Ok(Self { publisher: Arc::new(publisher), notifier, service, name })
     }
 
+    /// Memory for the next value. iceoryx2 0.10 makes one small heap allocation here.
+    pub fn loan(&self) -> Result<Loan<T>, PublishError> {
+        self.publisher.loan_uninit().map_err(|e| self.failed("taking memory", e))
+    }
+
     /// Sends one value and wakes its readers.
     pub fn send(&self, value: T) -> Result<(), PublishError> {
-        let sample = self.publisher.loan_uninit().map_err(|e| self.failed("taking memory", e))?;
-        sample.write_payload(value).send().map_err(|e| self.failed("sending", e))?;
+        self.send_in(self.loan()?, value)
+    }
+
+    /// Sends one value in memory that was taken before, and wakes its readers.
+    pub fn send_in(&self, memory: Loan<T>, value: T) -> Result<(), PublishError> {
+        memory.write_payload(value).send().map_err(|e| self.failed("sending", e))?;
         self.wake();
         Ok(())
     }
