@@ -1,12 +1,54 @@
 //! Cairn: one webcam in, the robot's pose and a sparse map out, in shared memory.
 //!
+//! This is the architecture: what each room does, what it must not know, and why. `tests/architecture.rs` holds the edges.
+//!
 //! # Data flow, one direction
 //!
 //! ```text
-//! camera ──► capture thread ──► frame ring ──► feature thread ──► bounded channel ──► reconstruction thread ──► publish
-//! (v4l2 | recording | simulator) (newest wins)  (decode, pyramid,                     (pose now, then keyframe,  (iceoryx2)
+//! camera ──► capture thread ──► frame ring ──► feature thread ──► bounded channel ──► reconstruction thread ──► publish ──► planners
+//! (v4l2 | recording | simulator) (newest wins)  (decode, pyramid,  (1 or 2 frames)    (pose now, then keyframe,  (iceoryx2)
 //!                                                corners, tracks)                      map, adjustment)
+//!                                                     ▲                                     │        ▲
+//!                                                     └── tracks to forget, by frame ◄──────┘        │
+//!                                                                           mapping worker (bundle adjustment on copies)
 //! ```
+//!
+//! One image's journey reads down [`daemon`]: a source's [`grab`](camera::FrameSource::grab) fills a slot of the
+//! [`ring`]; [`FeatureStage::step`](features::FeatureStage::step) decodes it, follows the tracks of the frame before and starts
+//! new ones; [`Reconstruction::track`](reconstruction::Reconstruction::track) gives the pose, which is published at once;
+//! [`Reconstruction::map`](reconstruction::Reconstruction::map) then makes a keyframe of it where that pays.
+//! A lock-step replay runs the very same steps in one thread.
+//!
+//! # How a pose comes about
+//! - Frame-to-frame tracks (optical flow on 8x8 patches, started from the motion of a blurred thumbnail) predict the pose.
+//! - Landmarks of the covisible keyframes are projected with it and aligned, to a hundredth of a pixel, against templates cut
+//!   from the keyframe with the closest view. Templates belong to keyframes, so positions do not drift with the frames.
+//! - A robust motion-only adjustment over these gives pose and covariance; the covariance contains the landmarks' own.
+//! - Seeds (tracks without depth) become landmarks at keyframes, where their rays meet at a degree or more.
+//! - Local bundle adjustment runs in the mapping worker on a copy of the map's part, and is merged after a published pose, at
+//!   a fixed number of frames later in lock-step (waiting if need be), whenever it is done when live.
+//!
+//! # Invariants
+//! 1. [`messages`] and [`client`] build alone (`default-features = false, features = ["client"]`).
+//! 2. [`geometry`] knows nalgebra and faer only: no threads, IO, clock, logging, configuration, unseeded randomness.
+//! 3. [`ring`] knows no images; [`features`] knows no map; [`map`] knows no threads; [`reconstruction`] knows no V4L2, ring or
+//!    iceoryx2. ([`map`] uses one thing of [`features`]: the thumbnail that a keyframe keeps for relocalisation.)
+//! 4. Only [`daemon`] spawns threads. Every stage is also a plain step that a test calls without threads.
+//! 5. Camera, recording and simulator come in by one door ([`camera::FrameSource`]).
+//! 6. The daemon opens no network socket.
+//! 7. Lock-step replay is deterministic, byte for byte: no clock in a decision, no iteration over hash maps, seeds from frame
+//!    numbers, sequential reductions.
+//! 8. Every queue and store is bounded and counts what it drops. A trajectory streams to disk as keyframe and relative pose.
+//! 9. No heap allocation from the decoded picture to the published pose once warm (`tests/allocations.rs`).
+//! 10. Unscaled lengths are never called metres: the wire says whether the scale is metric.
+//! 11. When tracking is lost the daemon keeps publishing, and says LOST. No pose is predicted into a trajectory.
+//! 12. Release builds run on any machine of the architecture: x86-64 baseline with run-time dispatch, NEON on aarch64.
+//!
+//! # Where this house differs from its first plan
+//! - Corners are detected by the feature thread whenever cells are empty, not on keyframes only: a frame in live operation has
+//!   left the feature thread before reconstruction knows that it is a keyframe.
+//! - A keyframe copies its frame's pyramid (0.4 MB, 30 us, after the pose is published) instead of holding it, so that the pool of
+//!   pyramids never allocates on the path of a pose.
 //!
 //! # Features
 //! `client` (wire types and subscriptions, iceoryx2 only) and `daemon` (default: everything).
