@@ -2,9 +2,9 @@
 
 pub mod command;
 pub mod endpoint_args;
-pub mod watch;
 pub mod replay;
 mod session;
+pub mod watch;
 
 use std::fmt;
 use std::process::ExitCode;

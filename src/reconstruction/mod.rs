@@ -29,7 +29,7 @@ use initialise::Initialiser;
 use keyframes::{KeyframeInputs, NewKeyframe};
 use relocalise::{Guess, Relocaliser};
 use search::Match;
-use tracking::{Tracked, Tracker};
+use tracking::{Frame, Tracked, Tracker};
 
 use crate::features::{Feedback, FrameFeatures};
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, Odom, World};
@@ -128,26 +128,33 @@ impl Reconstruction {
             return self.try_start(features);
         }
         let near = self.near_poses(features.timestamp_ns);
-        let mut tracked = self.tracker.track(
-            &self.map,
-            &self.bindings,
+        let frame = Frame {
             features,
-            &self.camera,
-            &self.config,
-            self.reference,
-            &near.0[..near.1],
-        );
+            map: &self.map,
+            bindings: &self.bindings,
+            camera: &self.camera,
+            config: &self.config,
+            before: self.frame_before(features.timestamp_ns),
+        };
+        let mut tracked = self.tracker.track(&frame, self.reference, &near.0[..near.1]);
         if tracked.is_none() {
             self.guesses.clear();
             let pyramid = &features.pyramid;
             self.relocaliser.guess(&self.map, &self.camera, pyramid, self.reference, &mut self.guesses);
-            tracked = self.tracker.relocalise(&self.map, features, &self.camera, &self.config, &self.guesses);
+            tracked = self.tracker.relocalise(&frame, &self.guesses);
         }
         self.count_landmarks(tracked.is_some());
         match tracked {
             Some(tracked) => self.accept(features, &tracked),
             None => self.lose(features),
         }
+    }
+
+    /// Pose of the frame before and the time since, if that was tracked and not long ago.
+    fn frame_before(&self, timestamp_ns: i64) -> Option<(Se3<Camera, World>, f64)> {
+        let last = self.last.as_ref().filter(|_| self.lost_frames == 0)?;
+        let dt = (timestamp_ns - last.timestamp_ns) as f64 * 1e-9;
+        (dt > 0.0 && dt < 0.2).then_some((last.camera_from_world, dt))
     }
 
     /// Constant velocity, then the last pose.

@@ -11,6 +11,7 @@ use super::local_adjustment::MappingJob;
 use super::pose_optimisation::{PoseOptions, PosePair, optimise_pose};
 use super::relocalise::thumbnail_of;
 use super::search::{SearchOptions, affine_warp, align_template};
+use super::tracking::Frame;
 use super::types::{PoseEstimate, TrackingState, TrajectoryEvent};
 use super::{LastFrame, Reconstruction, Tracked};
 use crate::features::FrameFeatures;
@@ -44,8 +45,15 @@ impl Reconstruction {
         self.counters.landmarks_made += self.map.landmarks.len() as u64;
         // The frame itself is placed like any other, so that its covariance and counts are honest.
         let guess = [self.last.map_or_else(Se3::identity, |l| l.camera_from_world)];
-        let tracked =
-            self.tracker.track(&self.map, &self.bindings, features, &self.camera, &self.config, self.reference, &guess);
+        let frame = Frame {
+            features,
+            map: &self.map,
+            bindings: &self.bindings,
+            camera: &self.camera,
+            config: &self.config,
+            before: None,
+        };
+        let tracked = self.tracker.track(&frame, self.reference, &guess);
         match tracked {
             Some(tracked) => {
                 let Tracked { camera_from_world, .. } = tracked;

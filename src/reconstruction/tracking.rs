@@ -33,6 +33,18 @@ pub struct Tracked {
     pub rms_px: f64,
 }
 
+/// Everything that one frame's tracking reads.
+#[derive(Clone, Copy)]
+pub struct Frame<'a> {
+    pub features: &'a FrameFeatures,
+    pub map: &'a Map,
+    pub bindings: &'a Bindings,
+    pub camera: &'a CameraModel,
+    pub config: &'a ReconstructionConfig,
+    /// Pose of the frame before and how long ago it was taken (s), if it was tracked just before.
+    pub before: Option<(Se3<Camera, World>, f64)>,
+}
+
 /// Buffers of tracking, kept between frames.
 #[derive(Debug, Default)]
 pub struct Tracker {
@@ -58,50 +70,33 @@ const FLOW_SIGMA_PX: f64 = 2.0;
 
 impl Tracker {
     /// Places a frame near a known pose. `guesses`: constant velocity, last pose, ..., the most likely first.
-    #[allow(clippy::too_many_arguments)]
     pub fn track(
         &mut self,
-        map: &Map,
-        bindings: &Bindings,
-        features: &FrameFeatures,
-        camera: &CameraModel,
-        config: &ReconstructionConfig,
+        frame: &Frame<'_>,
         reference: KeyframeId,
         guesses: &[Se3<Camera, World>],
     ) -> Option<Tracked> {
-        self.refresh_local(map, reference);
-        let focal = Vector2::new(camera.fx, camera.fy);
-        let by_flow =
-            guesses.iter().find_map(|guess| self.predict_by_flow(map, bindings, features, camera, focal, guess));
+        self.refresh_local(frame.map, reference);
+        let radius_px = frame.config.search_radius_px;
+        let by_flow = guesses.iter().find_map(|guess| self.predict_by_flow(frame, guess));
         if let Some(pose) = by_flow
-            && let Some(tracked) = self.refine(map, features, camera, config, &pose, config.search_radius_px, 0)
+            && let Some(tracked) = self.refine(frame, &pose, radius_px, 0)
         {
             return Some(tracked);
         }
         if by_flow.is_none() {
             self.flow.clear();
         }
-        by_flow
-            .iter()
-            .chain(guesses)
-            .find_map(|guess| self.refine(map, features, camera, config, guess, WIDE * config.search_radius_px, 3))
+        by_flow.iter().chain(guesses).find_map(|guess| self.refine(frame, guess, WIDE * radius_px, 3))
     }
 
     /// Places a frame at one of `guesses` anywhere in the map; asks for more landmarks, as nothing else speaks for it.
-    pub fn relocalise(
-        &mut self,
-        map: &Map,
-        features: &FrameFeatures,
-        camera: &CameraModel,
-        config: &ReconstructionConfig,
-        guesses: &[Guess],
-    ) -> Option<Tracked> {
+    pub fn relocalise(&mut self, frame: &Frame<'_>, guesses: &[Guess]) -> Option<Tracked> {
         self.flow.clear();
         guesses.iter().find_map(|guess| {
-            self.refresh_local(map, guess.reference);
-            let radius = WIDE * config.search_radius_px;
-            self.refine(map, features, camera, config, &guess.camera_from_world, radius, 3)
-                .filter(|t| t.landmarks >= 2 * config.min_landmarks && 3 * t.landmarks >= t.sought)
+            self.refresh_local(frame.map, guess.reference);
+            self.refine(frame, &guess.camera_from_world, WIDE * frame.config.search_radius_px, 3)
+                .filter(|t| t.landmarks >= 2 * frame.config.min_landmarks && 3 * t.landmarks >= t.sought)
         })
     }
 
@@ -143,15 +138,8 @@ impl Tracker {
     }
 
     /// Pose from the tracks that are bound to landmarks; `None` if too few of them agree.
-    fn predict_by_flow(
-        &mut self,
-        map: &Map,
-        bindings: &Bindings,
-        features: &FrameFeatures,
-        camera: &CameraModel,
-        focal: Vector2<f64>,
-        guess: &Se3<Camera, World>,
-    ) -> Option<Se3<Camera, World>> {
+    fn predict_by_flow(&mut self, frame: &Frame<'_>, guess: &Se3<Camera, World>) -> Option<Se3<Camera, World>> {
+        let Frame { map, bindings, features, camera, .. } = *frame;
         self.flow.clear();
         self.pairs.clear();
         for track in &features.tracks {
@@ -166,6 +154,7 @@ impl Tracker {
             return None;
         }
         let options = PoseOptions { first_round_relaxation: 25.0, ..PoseOptions::default() };
+        let focal = Vector2::new(camera.fx, camera.fy);
         let solution = optimise_pose(guess, &self.pairs, focal, &options, &mut self.inlier)?;
         let mut flags = self.inlier.iter();
         self.flow.retain(|_| flags.next().copied().unwrap_or(false));
@@ -173,17 +162,14 @@ impl Tracker {
     }
 
     /// Search at `guess` and optimise; a second search at the result when the first had to look widely.
-    #[allow(clippy::too_many_arguments)]
     fn refine(
         &mut self,
-        map: &Map,
-        features: &FrameFeatures,
-        camera: &CameraModel,
-        config: &ReconstructionConfig,
+        frame: &Frame<'_>,
         guess: &Se3<Camera, World>,
         radius_px: f64,
         coarse_levels: usize,
     ) -> Option<Tracked> {
+        let Frame { map, features, camera, config, .. } = *frame;
         let mut options = SearchOptions {
             radius_px,
             coarse_levels,
@@ -201,6 +187,13 @@ impl Tracker {
             self.search.align(map, camera, &solution.camera_from_world, &features.pyramid, &options);
             solution = self.solve(camera, &solution.camera_from_world)?;
         }
+        if config.readout_ms > 0.0
+            && let Some((before, dt)) = &frame.before
+            && *dt > 0.0
+        {
+            self.undo_rolling_shutter(camera, &solution.camera_from_world, before, config.readout_ms * 1e-3 / dt);
+            solution = self.solve(camera, &solution.camera_from_world)?;
+        }
         let landmarks = self.search.matches.iter().filter(|m| m.inlier).count();
         let sought = self.search.matches.len() + self.search.missed.len();
         if landmarks < config.min_landmarks {
@@ -214,6 +207,31 @@ impl Tracker {
             sought,
             rms_px: solution.rms_px,
         })
+    }
+
+    /// Moves every match to where the middle row's exposure would have seen it, `share` = readout time over the time since
+    /// `before`: the point's velocity in the camera, to first order, times its row's delay.
+    fn undo_rolling_shutter(
+        &mut self,
+        camera: &CameraModel,
+        pose: &Se3<Camera, World>,
+        before: &Se3<Camera, World>,
+        share: f64,
+    ) {
+        let motion: Se3<Camera, Camera> = *pose * before.inverse();
+        let turn = motion.rotation.scaled_axis();
+        let height = f64::from(camera.height.max(1));
+        for m in &mut self.search.matches {
+            let p = pose.transform(&m.point);
+            if p.z < 1e-6 {
+                continue;
+            }
+            let moved = turn.cross(&p) + motion.translation;
+            let n = Vector2::new(p.x / p.z, p.y / p.z);
+            let flow = Vector2::new(moved.x - n.x * moved.z, moved.y - n.y * moved.z) / p.z;
+            let delay = (f64::from(m.pixel.y) + 0.5) / height - 0.5;
+            m.normalised -= flow * (delay * share);
+        }
     }
 
     /// Motion-only optimisation over the matches, and the flow of landmarks that were not matched.
