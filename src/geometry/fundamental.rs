@@ -22,7 +22,6 @@ use super::least_squares::{LeastSquares, LmOptions, Loss, NormalEquations, minim
 use super::null_space::{RowTriangle, null_space};
 use super::point_set::{Conditioning, all_finite, bounding_box, chance_near_line, spread};
 use super::polynomial::real_roots;
-use super::random::Random;
 use super::ransac::{self, Estimator, RansacOptions, Workspace};
 use super::rotation::rotation_nearest;
 
@@ -266,25 +265,26 @@ pub fn estimate_fundamental(
     let threshold = options.threshold;
     let mut workspace = Workspace::default();
     let found = ransac::estimate(&problem, &options, &mut workspace)?;
-    let mut best = (found.model, found.score);
-    let mut plane = dominant_plane(&problem, &options, &workspace);
+    let mut model = found.model;
+    let plane = dominant_plane(&problem, &options, &workspace);
+    // What fixes the epipole when a plane holds most matches: the matches beside it.
+    let mut epipole_fixed = true;
     if let Some(h) = &plane {
-        plane_and_parallax(&problem, &options, h, &mut best);
-        ransac::judge(&problem, &best.0, &options, &mut workspace)?;
-        plane = dominant_plane(&problem, &options, &workspace);
+        epipole_fixed = plane_and_parallax(&problem, &options, h, &mut model);
+        ransac::judge(&problem, &model, &options, &mut workspace)?;
     }
     let matches = workspace.inliers().iter().map(|&i| problem.at(i));
-    let model = refine_fundamental(&best.0, matches, Loss::Cauchy(threshold), &LmOptions::default())?;
+    let model = refine_fundamental(&model, matches, Loss::Cauchy(threshold), &LmOptions::default())?;
     let log10_false_alarms = ransac::judge(&problem, &model, &options, &mut workspace)?;
     let inliers = workspace.inliers();
     let across = |x: &[Vector2<f64>]| spread(inliers.iter().map(|&i| x[i])).1;
     if across(&problem.x1) < threshold || across(&problem.x2) < threshold {
         return None;
     }
-    let degeneracy = plane.map_or(Degeneracy::None, |h| {
-        let on_plane = inliers.iter().filter(|&&i| on_plane(&problem, &h, i, threshold)).count();
-        describe(&problem, &conditioning, &h, on_plane, inliers, threshold)
-    });
+    let degeneracy = match plane {
+        None => Degeneracy::None,
+        Some(h) => describe(&problem, &conditioning, &h, epipole_fixed, inliers, threshold),
+    };
     Some(FundamentalEstimate {
         fundamental: uncondition(&model, &conditioning)?,
         inlier_count: inliers.len(),
@@ -316,56 +316,84 @@ fn dominant_plane(problem: &Problem, options: &RansacOptions, workspace: &Worksp
     TwoWay::new(&found.homography)
 }
 
-/// Better F among those that share the plane's homography: two matches beside the plane fix the epipole.
-fn plane_and_parallax(problem: &Problem, options: &RansacOptions, h: &TwoWay, best: &mut (Matrix3<f64>, f64)) {
-    let beside: Vec<usize> =
-        (0..problem.data_count()).filter(|&i| !on_plane(problem, h, i, options.threshold)).collect();
-    let mut random = Random::new(options.seed ^ 0x504C_414E_45);
-    let mut sample = [0; 2];
-    for _ in 0..options.max_iterations.min(500) {
-        if !random.sample_distinct(beside.len(), &mut sample) {
-            return;
-        }
+/// Epipolar geometries of a known plane, for the robust loop on the matches beside it.
+struct Parallax<'a> {
+    problem: &'a Problem,
+    plane: &'a TwoWay,
+    beside: Vec<usize>,
+}
+
+impl Estimator for Parallax<'_> {
+    type Model = Matrix3<f64>;
+    const SAMPLE_SIZE: usize = 2;
+
+    fn data_count(&self) -> usize {
+        self.beside.len()
+    }
+
+    fn solve_minimal(&self, sample: &[usize], models: &mut Vec<Self::Model>) {
         // The line through x2 and H x1 holds the epipole.
         let line = |k: usize| {
-            let (x1, x2) = problem.at(beside[sample[k]]);
-            x2.push(1.0).cross(&(h.forward * x1.push(1.0)))
+            let (x1, x2) = self.problem.at(self.beside[sample[k]]);
+            x2.push(1.0).cross(&(self.plane.forward * x1.push(1.0)))
         };
-        let f = skew(&line(0).cross(&line(1))) * h.forward;
+        let f = skew(&line(0).cross(&line(1))) * self.plane.forward;
         let norm = f.norm();
-        if !(norm > 1e-12 && norm.is_finite()) {
-            continue;
+        if norm > 1e-12 && norm.is_finite() {
+            models.push(f / norm);
         }
-        let f = f / norm;
-        if let Some(score) = ransac::score(problem, &f, options.threshold, best.1) {
-            *best = (f, score);
-            ransac::optimise(problem, options, best, options.local_iterations, options.local_data, &mut Vec::new());
-        }
+    }
+
+    #[inline]
+    fn residual_squared(&self, f: &Self::Model, i: usize) -> f64 {
+        self.problem.residual_squared(f, self.beside[i])
+    }
+
+    fn refit(&self, _: &Self::Model, _: &[usize]) -> Option<Self::Model> {
+        None
+    }
+
+    fn chance(&self, threshold: f64) -> f64 {
+        self.problem.chance(threshold)
     }
 }
 
-/// Names the degeneracy of a scene whose plane `h` holds `on_plane` of the inliers.
+/// Replaces F by one that shares the plane's homography when that explains more of the matches beside the plane: those
+/// on it fit every such F, and say nothing. Returns whether the matches beside the plane fix the epipole, beyond chance.
+fn plane_and_parallax(problem: &Problem, options: &RansacOptions, h: &TwoWay, model: &mut Matrix3<f64>) -> bool {
+    let beside = (0..problem.data_count()).filter(|&i| !on_plane(problem, h, i, options.threshold)).collect();
+    let parallax = Parallax { problem, plane: h, beside };
+    let options = RansacOptions { max_iterations: options.max_iterations.min(1000), ..*options };
+    let mut workspace = Workspace::default();
+    let Some(found) = ransac::estimate(&parallax, &options, &mut workspace) else {
+        return ransac::judge(&parallax, model, &options, &mut workspace).is_some();
+    };
+    if ransac::score(&parallax, model, options.threshold, found.score).is_none() {
+        *model = found.model;
+    }
+    true
+}
+
+/// Names the degeneracy of a scene whose plane `h` holds most of the inliers.
 fn describe(
     problem: &Problem,
     conditioning: &Conditioning,
     h: &TwoWay,
-    on_plane: usize,
+    epipole_fixed: bool,
     inliers: &[usize],
     threshold: f64,
 ) -> Degeneracy {
-    let beside = inliers.len() - on_plane;
+    let on_plane = inliers.iter().filter(|&&i| on_plane(problem, h, i, threshold)).count();
     let raw =
         conditioning.matrix2().try_inverse().unwrap_or_else(Matrix3::identity) * h.forward * conditioning.matrix1();
     let homography = raw / raw.norm();
-    // Beside the plane two matches always fit; a handful more, and more than the tail of the noise, fix the epipole.
-    if beside >= 8 && beside as f64 >= 0.05 * inliers.len() as f64 {
+    if epipole_fixed {
         return if 2 * on_plane > inliers.len() {
             Degeneracy::DominantPlane { homography, on_plane }
         } else {
             Degeneracy::None
         };
     }
-    // det H > 0, so that the nearest rotation is the one that was meant.
     let raw_matches: Vec<_> = inliers
         .iter()
         .map(|&i| {

@@ -7,6 +7,7 @@
 //! # Two views
 //! The first camera is `[I | 0]`, the second `[R | t]` = `second_from_first`; `x2ᵀ F x1 = 0`, `E = [t]x R`.
 
+pub mod alignment;
 pub mod camera_model;
 pub mod epipolar;
 pub mod essential;
@@ -16,12 +17,15 @@ pub mod homography;
 pub mod homography_decomposition;
 pub mod least_squares;
 pub mod null_space;
+pub mod p3p;
+pub mod pnp;
 pub mod point_set;
 pub mod polynomial;
 pub mod random;
 pub mod ransac;
 pub mod rotation;
 pub mod se3;
+pub mod sim3;
 #[cfg(test)]
 pub(crate) mod synthetic;
 pub mod triangulation;

@@ -48,6 +48,8 @@ pub struct RansacOptions {
     pub max_iterations: usize,
     /// Refits of each new best model; 0 switches local optimisation off.
     pub local_iterations: usize,
+    /// Refits to random subsets of a new best model's inliers.
+    pub inner_samples: usize,
     /// Data of a local refit, spread evenly over the inliers; the last refit takes all.
     pub local_data: usize,
     /// Models with fewer inliers are no models.
@@ -59,19 +61,26 @@ pub struct RansacOptions {
 }
 
 impl RansacOptions {
-    /// The usual settings at a threshold.
+    /// The usual settings at a threshold: fast, for hundreds of matches of a video.
     pub fn new(threshold: f64) -> Self {
         Self {
             threshold,
             confidence: 0.9999,
-            min_iterations: 30,
+            min_iterations: 50,
             max_iterations: 5000,
             local_iterations: 4,
+            inner_samples: 5,
             local_data: 150,
             min_inliers: 0,
             max_log10_false_alarms: -3.0,
             seed: 1,
         }
+    }
+
+    /// The settings for a single pair with few or poor matches, where the best model and not the first good one is
+    /// wanted: several milliseconds.
+    pub fn thorough(threshold: f64) -> Self {
+        Self { min_iterations: 1000, inner_samples: 20, max_iterations: 20_000, ..Self::new(threshold) }
     }
 }
 
@@ -150,6 +159,7 @@ pub fn estimate<E: Estimator>(
         if let (true, Some(found)) = (improved, best.as_mut()) {
             let rounds = options.local_iterations;
             optimise(estimator, options, found, rounds, options.local_data, &mut workspace.inliers);
+            resample(estimator, options, found, &mut random, workspace);
             collect_inliers(estimator, &found.0, options.threshold, &mut workspace.inliers);
             needed = iterations_needed(workspace.inliers.len(), count, E::SAMPLE_SIZE, options.confidence);
         }
@@ -229,6 +239,35 @@ pub fn optimise<E: Estimator>(
         *best = (model, score);
         if gain < 1e-3 * score {
             return;
+        }
+    }
+}
+
+/// Refits to random subsets of the inliers of `best` (the inner samples of LO-RANSAC): the few false inliers that hold a
+/// wrong model together are not in all of them.
+fn resample<E: Estimator>(
+    estimator: &E,
+    options: &RansacOptions,
+    best: &mut (E::Model, f64),
+    random: &mut Random,
+    workspace: &mut Workspace<E::Model>,
+) {
+    for _ in 0..options.inner_samples {
+        collect_inliers(estimator, &best.0, options.threshold, &mut workspace.inliers);
+        let count = workspace.inliers.len();
+        let size = (count / 2).min(2 * E::SAMPLE_SIZE);
+        if size <= E::SAMPLE_SIZE {
+            return;
+        }
+        // Partial Fisher-Yates shuffle.
+        for i in 0..size {
+            let j = i + random.below(count - i);
+            workspace.inliers.swap(i, j);
+        }
+        let Some(model) = estimator.refit(&best.0, &workspace.inliers[..size]) else { continue };
+        if let Some(score) = score(estimator, &model, options.threshold, best.1) {
+            *best = (model, score);
+            optimise(estimator, options, best, options.local_iterations, options.local_data, &mut workspace.inliers);
         }
     }
 }
