@@ -8,6 +8,7 @@
 //! Cost: 12 ns an area, 40 ns a set of moments.
 //! It deliberately does not choose corners.
 
+use crate::features::dispatch::simd_kernel;
 use crate::image::GreyImage;
 
 /// Radius of the 37-pixel mask, pixels.
@@ -70,16 +71,151 @@ impl Similarity {
 }
 
 /// USAN area times [`WHOLE`] round the pixel at (`x`, 3) of seven rows; `None` where the mask leaves the rows.
-#[inline]
+#[inline(always)]
 pub(super) fn area_in_rows(rows: &[&[u8]; 7], x: usize, similarity: &Similarity) -> Option<u16> {
     let begin = x.checked_sub(MASK_RADIUS)?;
     let c = similarity.of_nucleus(*rows[MASK_RADIUS].get(x)?);
     let mut area = 0;
     for (row, half) in rows.iter().zip(MASK_HALF_WIDTHS) {
         let row: &[u8; 7] = row.get(begin..)?.first_chunk()?;
-        area += row[MASK_RADIUS - half..=MASK_RADIUS + half].iter().map(|&p| c[usize::from(p)]).sum::<u16>();
+        for &p in &row[MASK_RADIUS - half..=MASK_RADIUS + half] {
+            area += c[usize::from(p)];
+        }
     }
     Some(area)
+}
+
+/// The mask's bounding rows, padded to eight so that a row is a vector: 7 rows of 8.
+const CELLS: usize = 56;
+
+/// What each cell weighs in a sum over the mask; outside the mask nothing.
+struct Weights {
+    one: [i16; CELLS],
+    x: [i16; CELLS],
+    y: [i16; CELLS],
+}
+
+const WEIGHTS: Weights = {
+    let mut w = Weights { one: [0; CELLS], x: [0; CELLS], y: [0; CELLS] };
+    let mut k = 0;
+    while k < MASK_AREA as usize {
+        let cell = MASK_CELLS[k];
+        w.one[cell] = 1;
+        w.x[cell] = (cell % 8) as i16 - MASK_RADIUS as i16;
+        w.y[cell] = (cell / 8) as i16 - MASK_RADIUS as i16;
+        k += 1;
+    }
+    w
+};
+
+/// The mask's cells among the padded ones.
+const MASK_CELLS: [usize; MASK_AREA as usize] = {
+    let mut cells = [0; MASK_AREA as usize];
+    let (mut n, mut row) = (0, 0);
+    while row < 7 {
+        let half = MASK_HALF_WIDTHS[row];
+        let mut x = MASK_RADIUS - half;
+        while x <= MASK_RADIUS + half {
+            cells[n] = 8 * row + x;
+            n += 1;
+            x += 1;
+        }
+        row += 1;
+    }
+    cells
+};
+
+/// The mask's pixels and their similarities to the nucleus, laid out for sums by vectors.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Mask {
+    nucleus: u8,
+    grey: [u8; CELLS],
+    /// c * [`WHOLE`]; 0 outside the mask.
+    c: [i16; CELLS],
+}
+
+impl Mask {
+    /// Takes the mask round the pixel at (`x`, 3) of seven rows; false where it leaves the rows. Not inlined, nor are the
+    /// sums: the cells must lie in memory, or they would be added up one by one.
+    #[inline(never)]
+    pub(super) fn gather(&mut self, rows: &[&[u8]; 7], x: usize, similarity: &Similarity) -> bool {
+        let Some(begin) = x.checked_sub(MASK_RADIUS).filter(|begin| rows.iter().all(|row| row.len() >= begin + 7))
+        else {
+            return false;
+        };
+        self.nucleus = rows[MASK_RADIUS][x];
+        let table = similarity.of_nucleus(self.nucleus);
+        for (row, to) in rows.iter().zip(self.grey.chunks_exact_mut(8)) {
+            to[..7].copy_from_slice(&row[begin..begin + 7]);
+        }
+        for (r, half) in MASK_HALF_WIDTHS.into_iter().enumerate() {
+            for k in 8 * r + MASK_RADIUS - half..=8 * r + MASK_RADIUS + half {
+                self.c[k] = table[usize::from(self.grey[k])] as i16;
+            }
+        }
+        true
+    }
+
+    /// USAN area times [`WHOLE`].
+    pub(super) fn area(&self) -> u16 {
+        self.c.iter().fold(0, |sum, &c| sum + c as u16)
+    }
+
+    /// Sum of c times the cell's weight.
+    fn sum(&self, weight: impl Fn(usize) -> i16) -> i32 {
+        (0..CELLS).map(|k| i32::from(self.c[k]) * i32::from(weight(k))).sum()
+    }
+
+    /// Centre of gravity relative to the nucleus, pixels, and contrast: the sum of (1 - c) |I(r) - I(r0)| over the mask,
+    /// grey levels. `area`: see [`Self::area`]; the nucleus itself is similar, so it is not 0.
+    #[inline]
+    pub(super) fn first_moments(&self, area: u16) -> ([f32; 2], f32) {
+        let sums = first_sums(self);
+        let scale = 1.0 / f32::from(area);
+        ([sums[0] as f32 * scale, sums[1] as f32 * scale], sums[2] as f32 / f32::from(WHOLE))
+    }
+
+    /// Whether all pixels from the nucleus towards `direction` (any length but 0), to the mask's edge, belong to the USAN.
+    pub(super) fn is_contiguous(&self, direction: [f32; 2]) -> bool {
+        let [dx, dy] = direction;
+        let longest = dx.abs().max(dy.abs());
+        (1..=MASK_RADIUS).all(|step| {
+            let cell = |d: f32| (step as f32 * d / longest).round() as i32 + MASK_RADIUS as i32;
+            let k = (8 * cell(dy) + cell(dx)) as usize;
+            // Beyond the round mask's edge there is nothing to ask.
+            WEIGHTS.one[k] == 0 || 2 * self.c[k] as u16 >= WHOLE
+        })
+    }
+
+    /// Second moments about the nucleus (xx, xy, yy), each divided by the area, pixels squared.
+    fn moments(&self) -> [f32; 3] {
+        let Weights { x, y, .. } = &WEIGHTS;
+        let scale = 1.0 / f32::from(self.area());
+        [self.sum(|k| x[k] * x[k]), self.sum(|k| x[k] * y[k]), self.sum(|k| y[k] * y[k])].map(|s| s as f32 * scale)
+    }
+}
+
+impl Default for Mask {
+    fn default() -> Self {
+        Self { nucleus: 0, grey: [0; CELLS], c: [0; CELLS] }
+    }
+}
+
+simd_kernel! {
+    /// Sums of c x, c y and (1 - c) |I(r) - I(r0)|, each times [`WHOLE`].
+    fn first_sums(mask: &Mask) -> [i32; 3] = first_sums_body
+}
+
+#[inline(always)]
+fn first_sums_body(mask: &Mask) -> [i32; 3] {
+    let (mut x, mut y, mut unlike) = (0, 0, 0);
+    for k in 0..CELLS {
+        x += i32::from(mask.c[k]) * i32::from(WEIGHTS.x[k]);
+        y += i32::from(mask.c[k]) * i32::from(WEIGHTS.y[k]);
+        let rest = WHOLE as i16 * WEIGHTS.one[k] - mask.c[k];
+        unlike += i32::from(rest) * i32::from(i16::from(mask.grey[k].abs_diff(mask.nucleus)));
+    }
+    [x, y, unlike]
 }
 
 /// Area and moments of a USAN.
@@ -93,60 +229,26 @@ pub struct Usan {
     pub centroid: [f32; 2],
     /// Second moments about the nucleus (xx, xy, yy), each divided by the area, pixels squared.
     pub moments: [f32; 3],
+    /// Sum of (1 - c) |I(r) - I(r0)|: how much, and how strongly, the rest of the mask differs; grey levels.
+    pub contrast: f32,
 }
 
 /// Area and moments round (`x`, `y`); `None` where the mask leaves the picture.
 pub fn usan(image: &GreyImage, x: usize, y: usize, similarity: &Similarity) -> Option<Usan> {
-    let r = MASK_RADIUS;
-    if x < r || y < r || x + r >= image.width || y + r >= image.height {
+    let top = y.checked_sub(MASK_RADIUS)?;
+    if y + MASK_RADIUS >= image.height {
         return None;
     }
-    let grey = image.at(x, y);
-    let c = similarity.of_nucleus(grey);
-    let [mut area, mut sx, mut sy, mut sxx, mut sxy, mut syy] = [0i32; 6];
-    for (j, half) in MASK_HALF_WIDTHS.into_iter().enumerate() {
-        let dy = j as i32 - r as i32;
-        let row = &image.row(y + j - r)[x - half..=x + half];
-        let [mut row_area, mut row_x, mut row_xx] = [0i32; 3];
-        for (i, &p) in row.iter().enumerate() {
-            let (dx, c) = (i as i32 - half as i32, i32::from(c[usize::from(p)]));
-            row_area += c;
-            row_x += c * dx;
-            row_xx += c * dx * dx;
-        }
-        area += row_area;
-        sx += row_x;
-        sxx += row_xx;
-        sy += dy * row_area;
-        sxy += dy * row_x;
-        syy += dy * dy * row_area;
+    let mut mask = Mask::default();
+    if !mask.gather(&std::array::from_fn(|i| image.row(top + i)), x, similarity) {
+        return None;
     }
-    // The nucleus itself is similar: the area is at least WHOLE.
-    let scale = 1.0 / area as f32;
+    let (centroid, contrast) = mask.first_moments(mask.area());
     Some(Usan {
-        grey,
-        salient_degree: area as f32 / (MASK_AREA as f32 * f32::from(WHOLE)),
-        centroid: [sx as f32 * scale, sy as f32 * scale],
-        moments: [sxx as f32 * scale, sxy as f32 * scale, syy as f32 * scale],
-    })
-}
-
-/// Whether all pixels from the nucleus towards `direction` (any length but 0), to the mask's edge, belong to the USAN.
-pub(super) fn is_contiguous(
-    image: &GreyImage,
-    x: usize,
-    y: usize,
-    direction: [f32; 2],
-    similarity: &Similarity,
-) -> bool {
-    let [dx, dy] = direction;
-    let longest = dx.abs().max(dy.abs());
-    let c = similarity.of_nucleus(image.at(x, y));
-    (1..=MASK_RADIUS as i32).all(|step| {
-        let [px, py] = [dx, dy].map(|d| (step as f32 * d / longest).round() as i32);
-        let half = MASK_HALF_WIDTHS[(py + MASK_RADIUS as i32) as usize] as i32;
-        let (px, py) = ((x as i32 + px) as usize, (y as i32 + py) as usize);
-        // Beyond the round mask's edge there is nothing to ask.
-        (px as i32 - x as i32).abs() > half || 2 * c[usize::from(image.at(px, py))] >= WHOLE
+        grey: mask.nucleus,
+        salient_degree: f32::from(mask.area()) / (MASK_AREA as f32 * f32::from(WHOLE)),
+        centroid,
+        moments: mask.moments(),
+        contrast,
     })
 }
