@@ -1,7 +1,7 @@
 //! Calibration files: four dialects in, ours out.
 //!
 //! Input: a path. `*.toml` is our own format; everything else is read as one of the YAML dialects that the field uses
-//! (see [`super::yaml`]). Output: a checked [`CameraModel`], pixels and OpenCV's order `k1 k2 p1 p2 k3`, or an error with file,
+//! (listed in the module `yaml`). Output: a checked [`CameraModel`], pixels and OpenCV's order `k1 k2 p1 p2 k3`, or an error with file,
 //! line, key, value, unit and reason. Our format:
 //!
 //! ```toml

@@ -11,6 +11,13 @@
 //! A camera that is unplugged is [`SourceError::Gone`]; the caller opens another `V4l2Camera` when it likes. Dropping
 //! one stops the stream and gives the buffers back.
 //!
+//! # Tried on
+//! In a virtual machine on the kernel's own drivers: vivid (its 35 ms of lead, dropped and broken buffers, injected errors of
+//! every call, disconnect, unbind and bind), v4l2loopback (whose first frame is number 0 whatever was written before, so
+//! that one gap shows), uvcvideo with a USB camera in software (motion JPEG, YUYV, unplugging while it streams), a process
+//! stopped for two seconds, a second program. *Not tried:* a camera of glass and plastic; the way back to the next format
+//! when the USB bus is full; the switches of focus and exposure on a camera that has them; ARM.
+//!
 //! Cost: 0.03 ms of copying a frame of 640x480; nothing is allocated per frame once the slot has grown.
 //!
 //! Deliberately not here: multi-planar devices, raw Bayer sensors, other pixel formats, exposure control, choosing among cameras by
@@ -23,7 +30,7 @@ pub mod negotiate;
 use super::{FrameSource, Grab, SourceDescription, SourceError};
 use crate::frame::{Clock, PixelFormat, RawFrame};
 use capture::{Capture, Layout};
-use device::{Device, MmapQueue};
+use device::{CallError, Device, MmapQueue};
 use negotiate::{CameraFormat, Choice, Offer, ranked};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -145,13 +152,18 @@ fn inspect(path: &Path, wanted: &V4l2Config) -> Result<Option<CameraInfo>, Sourc
 }
 
 fn open_error(path: &Path, error: &io::Error) -> SourceError {
-    let hint = match error.raw_os_error() {
+    SourceError::Open { path: path.display().to_string(), reason: format!("{error}{}", hint(error)) }
+}
+
+/// What to do about it.
+fn hint(error: &io::Error) -> &'static str {
+    match error.raw_os_error() {
         Some(libc::EACCES | libc::EPERM) => " (may this user use it? cameras belong to the group 'video')",
         Some(libc::EBUSY) => " (another program uses it)",
         Some(libc::ENOTTY) => " (this is no Video4Linux device)",
+        Some(libc::ENOSPC) => " (the usb bus has no bandwidth left for it)",
         _ => "",
-    };
-    SourceError::Open { path: path.display().to_string(), reason: format!("{error}{hint}") }
+    }
 }
 
 /// An open camera, streaming.
@@ -206,12 +218,12 @@ impl V4l2Camera {
                     FormatPreference::Auto => "GREY, YUYV or MJPEG".into(),
                     one => format!("{one:?}").to_uppercase(),
                 },
-                device.format_names().join(", ")
+                device.format_names()
             )));
         }
         device.prefer_constant_optics(config);
         let mut device = Some(device);
-        let mut last = None;
+        let mut failure = String::new();
         for choice in choices.iter().take(MAX_ATTEMPTS) {
             // A failed stream may leave a driver holding buffers; a fresh descriptor does not.
             let fresh = match device.take() {
@@ -222,15 +234,17 @@ impl V4l2Camera {
                 Ok((queue, layout, rate_hz)) => {
                     return Ok(Self::describe(path, &capability.card, choice, config, queue, layout, rate_hz));
                 }
-                // The USB bus has no room for this format: the next one needs less.
-                Err(e) if e.raw_os_error() == Some(libc::ENOSPC) => {
+                Err(e) => {
+                    failure = format!("{choice}: {e}{}", hint(&e.error));
+                    // Only if the USB bus has no room for this format may the next one, which needs less, do better.
+                    if e.error.raw_os_error() != Some(libc::ENOSPC) {
+                        break;
+                    }
                     tracing::warn!(device = %path.display(), format = %choice, "no usb bandwidth for this format");
-                    last = Some(e);
                 }
-                Err(e) => return Err(failed(e)),
             }
         }
-        Err(failed(last.unwrap_or_else(|| io::Error::from_raw_os_error(libc::ENOSPC))))
+        Err(unusable(failure))
     }
 
     fn describe(
@@ -261,7 +275,7 @@ impl V4l2Camera {
 }
 
 /// Sets format and rate and starts the stream; also what was granted.
-fn start(device: Device, choice: &Choice, buffers: u32) -> io::Result<(MmapQueue, Layout, Option<f64>)> {
+fn start(device: Device, choice: &Choice, buffers: u32) -> Result<(MmapQueue, Layout, Option<f64>), CallError> {
     let granted = device.set_format(choice)?;
     let rate_hz = device.set_rate(choice);
     let format = match choice.format {

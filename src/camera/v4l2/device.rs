@@ -42,7 +42,6 @@ const MAX_SIZES: u32 = 128;
 const MAX_INTERVALS: u32 = 64;
 /// A call that was interrupted by a signal is repeated so often.
 const MAX_INTERRUPTS: u32 = 100;
-
 /// An open device file.
 #[derive(Debug)]
 pub struct Device {
@@ -57,6 +56,18 @@ pub struct Capability {
     pub bus: String,
     /// Single-planar capture by streaming.
     pub captures: bool,
+}
+
+/// A failed step of starting a stream.
+#[derive(Debug, thiserror::Error)]
+#[error("{call}: {error}")]
+pub struct CallError {
+    pub call: &'static str,
+    pub error: io::Error,
+}
+
+fn in_call<T>(call: &'static str, result: io::Result<T>) -> Result<T, CallError> {
+    result.map_err(|error| CallError { call, error })
 }
 
 /// What the driver made of the format that it was asked for.
@@ -126,10 +137,16 @@ impl Device {
         found
     }
 
-    /// The same for a message.
-    pub fn format_names(&self) -> Vec<String> {
-        let names: Vec<String> = self.fourccs().iter().map(|code| text(&code.to_le_bytes())).collect();
-        if names.is_empty() { vec!["nothing".into()] } else { names }
+    /// The same for a message; the first of many.
+    pub fn format_names(&self) -> String {
+        const SHOWN: usize = 12;
+        let codes = self.fourccs();
+        let names: Vec<String> = codes.iter().take(SHOWN).map(|code| text(&code.to_le_bytes())).collect();
+        match (names.is_empty(), codes.len() > SHOWN) {
+            (true, _) => "nothing".into(),
+            (_, true) => format!("{}, ...", names.join(", ")),
+            _ => names.join(", "),
+        }
     }
 
     /// Every usable format and size; of sizes that go in steps the one nearest to `width` x `height`.
@@ -199,7 +216,8 @@ impl Device {
     }
 
     /// Sets format and size. An answer in another format is an error; another size is not.
-    pub fn set_format(&self, choice: &Choice) -> io::Result<Granted> {
+    pub fn set_format(&self, choice: &Choice) -> Result<Granted, CallError> {
+        let refused = |reason: String| CallError { call: "S_FMT", error: io::Error::other(reason) };
         let mut format: sys::v4l2_format = zeroed();
         format.type_ = CAPTURE;
         let mut wanted: sys::v4l2_pix_format = zeroed();
@@ -207,15 +225,15 @@ impl Device {
         (wanted.pixelformat, wanted.field) = (choice.format.fourcc(), FIELD_NONE);
         format.fmt.pix = wanted;
         // SAFETY: S_FMT is declared for v4l2_format.
-        unsafe { self.ioctl(vidioc::VIDIOC_S_FMT, &mut format)? };
+        in_call("S_FMT", unsafe { self.ioctl(vidioc::VIDIOC_S_FMT, &mut format) })?;
         // SAFETY: for this buffer type the union holds `pix`, plain integers.
         let pix = unsafe { format.fmt.pix };
         if pix.pixelformat != choice.format.fourcc() {
             let got = text(&pix.pixelformat.to_le_bytes());
-            return Err(io::Error::other(format!("asked for {}, the driver set {got}", choice.format)));
+            return Err(refused(format!("asked for {}, the driver set {got}", choice.format)));
         }
         if pix.field > FIELD_NONE {
-            return Err(io::Error::other("sends interlaced pictures, which are not handled"));
+            return Err(refused("sends interlaced pictures, which are not handled".into()));
         }
         let row_bytes = pix.width.saturating_mul(choice.format.bytes_per_pixel());
         let stride = if pix.bytesperline == 0 { row_bytes } else { pix.bytesperline };
@@ -340,23 +358,24 @@ pub struct MmapQueue {
 
 impl MmapQueue {
     /// Makes and maps the buffers, hands them to the driver and starts the stream.
-    pub fn start(device: Device, buffers: u32) -> io::Result<Self> {
-        let granted = device.request_buffers(buffers)?;
+    pub fn start(device: Device, buffers: u32) -> Result<Self, CallError> {
+        let granted = in_call("REQBUFS", device.request_buffers(buffers))?;
         if granted < 2 {
-            return Err(io::Error::other(format!("the driver has {granted} buffers, 2 are needed")));
+            let error = io::Error::other(format!("the driver has {granted} buffers, 2 are needed"));
+            return Err(CallError { call: "REQBUFS", error });
         }
-        // From here on a failure drops the queue, which gives everything back.
+        // From here on a failure drops the queue, which gives all back.
         let mut queue = Self { mappings: Vec::new(), device };
         for index in 0..granted {
-            let buffer = queue.device.buffer(vidioc::VIDIOC_QUERYBUF, index)?;
-            queue.mappings.push(Mapping::new(&queue.device, &buffer)?);
-            queue.device.buffer(vidioc::VIDIOC_QBUF, index)?;
+            let buffer = in_call("QUERYBUF", queue.device.buffer(vidioc::VIDIOC_QUERYBUF, index))?;
+            queue.mappings.push(in_call("mmap", Mapping::new(&queue.device, &buffer))?);
+            in_call("QBUF", queue.device.buffer(vidioc::VIDIOC_QBUF, index))?;
         }
-        queue.device.stream(vidioc::VIDIOC_STREAMON)?;
+        in_call("STREAMON", queue.device.stream(vidioc::VIDIOC_STREAMON))?;
         Ok(queue)
     }
 
-    /// Waits for events on the device; 0 after `timeout`.
+    /// Events on the device; 0 after `timeout`.
     fn poll(&self, timeout: Duration) -> io::Result<libc::c_short> {
         let mut fd = libc::pollfd { fd: self.device.file.as_raw_fd(), events: libc::POLLIN, revents: 0 };
         // Rounded up: a last fraction of a millisecond must not become a busy loop.
@@ -432,8 +451,7 @@ impl BufferQueue for MmapQueue {
 
 impl Drop for MmapQueue {
     fn drop(&mut self) {
-        // An unplugged camera answers each with an error, and that is all right. Unmapped before the buffers are given back,
-        // because a driver refuses to free mapped ones.
+        // An unplugged camera answers with errors, and that is all right. A driver refuses to free mapped buffers.
         let _ = self.device.stream(vidioc::VIDIOC_STREAMOFF);
         self.mappings.clear();
         let _ = self.device.request_buffers(0);
@@ -477,6 +495,6 @@ impl Plain for sys::v4l2_requestbuffers {}
 impl Plain for sys::v4l2_buffer {}
 
 fn zeroed<T: Plain>() -> T {
-    // SAFETY: all-zero bytes are a value of every `Plain` struct: integers 0, pointers null, unions zero.
+    // SAFETY: all-zero bytes are a value of every `Plain` struct.
     unsafe { std::mem::zeroed() }
 }
