@@ -5,6 +5,7 @@ pub mod endpoint_args;
 pub mod watch;
 pub mod replay;
 mod session;
+pub mod simulate;
 
 use std::fmt;
 use std::process::ExitCode;
