@@ -2,14 +2,13 @@
 
 pub mod command;
 pub mod endpoint_args;
-pub mod watch;
+pub mod evaluate;
 pub mod replay;
 mod session;
+pub mod watch;
 
 use std::fmt;
 use std::process::ExitCode;
-
-pub mod evaluate;
 
 /// Exit codes (sysexits.h where one fits).
 pub mod exit_code {
@@ -60,11 +59,18 @@ pub struct Arguments {
 #[derive(Debug, clap::Subcommand)]
 enum Command {
     Replay(replay::ReplayArgs),
+    Watch(watch::WatchArgs),
+    Evaluate(evaluate::EvaluateArgs),
+    #[command(name = "command")]
+    Send(command::CommandArgs),
 }
 
 /// Carries out the subcommand.
 pub fn run(arguments: &Arguments) -> Result<ExitCode, CliError> {
     match &arguments.command {
         Command::Replay(args) => replay::run(args),
+        Command::Watch(args) => watch::run(args),
+        Command::Evaluate(args) => evaluate::run(args),
+        Command::Send(args) => command::run(args),
     }
 }
