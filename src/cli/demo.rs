@@ -75,14 +75,14 @@ pub fn run(args: &DemoArgs) -> Result<ExitCode, CliError> {
     };
     let simulator = Simulator::new(&config.simulator, Pacing::RealTime)
         .map_err(|e| CliError::new(exit_code::CONFIG, e.to_string()))?;
-    let name = simulator.description().name.clone();
+    let (name, size) = (simulator.description().name.clone(), simulator.description().size);
     let truth = Truth {
         trajectory: simulator.trajectory().clone(),
         rate_hz: config.simulator.rate_hz,
         frames: simulator.description().frames.unwrap_or(0),
     };
     let calibration = Calibration { model: simulator.camera_model().clone(), origin: name.clone() };
-    let (outlet, desk) = session::open_wire(&config, Clock::Monotonic).map_err(|e| session::wire_error(&e))?;
+    let (outlet, desk) = session::open_wire(&config, Clock::Monotonic, size).map_err(|e| session::wire_error(&e))?;
     let status = Arc::new(Status::default());
     let parts = Parts {
         config,

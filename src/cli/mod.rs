@@ -2,6 +2,7 @@
 
 pub mod command;
 pub mod endpoint_args;
+pub mod evaluate;
 pub mod replay;
 mod session;
 pub mod simulate;
@@ -9,8 +10,6 @@ pub mod watch;
 
 use std::fmt;
 use std::process::ExitCode;
-
-pub mod evaluate;
 
 /// Exit codes (sysexits.h where one fits).
 pub mod exit_code {
@@ -61,11 +60,18 @@ pub struct Arguments {
 #[derive(Debug, clap::Subcommand)]
 enum Command {
     Replay(replay::ReplayArgs),
+    Watch(watch::WatchArgs),
+    Evaluate(evaluate::EvaluateArgs),
+    #[command(name = "command")]
+    Send(command::CommandArgs),
 }
 
 /// Carries out the subcommand.
 pub fn run(arguments: &Arguments) -> Result<ExitCode, CliError> {
     match &arguments.command {
         Command::Replay(args) => replay::run(args),
+        Command::Watch(args) => watch::run(args),
+        Command::Evaluate(args) => evaluate::run(args),
+        Command::Send(args) => command::run(args),
     }
 }

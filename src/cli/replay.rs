@@ -61,6 +61,7 @@ struct Summary {
     keyframes: u64,
     landmarks: u32,
     resets: u64,
+    relocalisations: u64,
     elapsed_s: f64,
     #[serde(flatten)]
     resources: Resources,
@@ -109,7 +110,7 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode, CliError> {
         })
     } else {
         // A planner can be tried against a recording; if a daemon runs, its services are left alone.
-        let desk = match session::open_wire(&parts.config, description.clock) {
+        let desk = match session::open_wire(&parts.config, description.clock, description.size) {
             Ok((outlet, desk)) => {
                 parts.outlet = Some(outlet);
                 Some(desk)
@@ -184,6 +185,7 @@ fn summarise(status: &Status, end: &End) -> Summary {
         keyframes: status.keyframes.get(),
         landmarks: status.map_size().0,
         resets: status.resets.get(),
+        relocalisations: status.relocalisations.get(),
         elapsed_s: 0.0,
         resources: Resources { cpu_ms_per_frame: 0.0, peak_rss_mb: 0.0 },
         stages: StageLatencies::of(status),

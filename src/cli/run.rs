@@ -27,8 +27,8 @@ pub fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
     let stop = session::stop_flag()?;
     let outputs = outputs(&config);
     session::check_outputs([&outputs.trajectory, &outputs.live_trajectory, &outputs.map, &outputs.overview])?;
-    let (supply, calibration) = source(&config)?;
-    let (outlet, desk) = session::open_wire(&config, Clock::Monotonic).map_err(|e| session::wire_error(&e))?;
+    let (supply, calibration, size) = source(&config)?;
+    let (outlet, desk) = session::open_wire(&config, Clock::Monotonic, Some(size)).map_err(|e| session::wire_error(&e))?;
     let parts = Parts {
         supply,
         calibration,
@@ -44,20 +44,21 @@ pub fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// The configured source and the camera model that belongs to it.
-fn source(config: &Config) -> Result<(Supply, Calibration), CliError> {
+/// The configured source, the camera model that belongs to it, and the size of picture that is expected.
+fn source(config: &Config) -> Result<(Supply, Calibration, (u32, u32)), CliError> {
     match config.daemon.source {
         SourceKind::Simulator => {
             let simulator = Simulator::new(&config.simulator, Pacing::RealTime)
                 .map_err(|e| CliError::new(exit_code::CONFIG, e.to_string()))?;
             let origin = simulator.description().name.clone();
             let calibration = Calibration { model: simulator.camera_model().clone(), origin };
-            Ok((Supply::Once(Box::new(simulator)), calibration))
+            let size = (config.simulator.width, config.simulator.height);
+            Ok((Supply::Once(Box::new(simulator)), calibration, size))
         }
         SourceKind::Camera => {
-            let path = &config.camera.calibration;
+            let path = &config.calibration.file;
             if path.as_os_str().is_empty() {
-                let message = "camera.calibration is not set: the camera's calibration file is needed for a pose";
+                let message = "calibration.file is not set: without the camera's calibration there is no pose";
                 return Err(CliError::new(exit_code::CONFIG, message));
             }
             let model = load_camera(path).map_err(|e| CliError::new(exit_code::CONFIG, e.to_string()))?;
@@ -66,7 +67,8 @@ fn source(config: &Config) -> Result<(Supply, Calibration), CliError> {
                 Box::new(move || V4l2Camera::open(&camera).map(|camera| Box::new(camera) as Box<dyn FrameSource>));
             let longest_pause = Duration::from_millis(config.daemon.camera_retry_ms);
             let calibration = Calibration { model, origin: path.display().to_string() };
-            Ok((Supply::Camera { open, longest_pause }, calibration))
+            let size = (config.camera.width_px, config.camera.height_px);
+            Ok((Supply::Camera { open, longest_pause }, calibration, size))
         }
     }
 }

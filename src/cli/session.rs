@@ -13,7 +13,7 @@ use crate::config::{self, Config, ConfigError};
 use crate::daemon::{Desk, End, EndCause, Outlet, Status};
 use crate::frame::{Clock, process_cpu_ns};
 use crate::messages::Endpoint;
-use crate::publish::{Limits, PublishError, Publisher};
+use crate::publish::{PublishError, Publisher};
 use crate::telemetry::{self, Percentiles};
 
 /// Options of every command that runs the pipeline.
@@ -72,9 +72,9 @@ pub fn stop_flag() -> Result<Arc<AtomicBool>, CliError> {
 }
 
 /// The services of this run, one part for each thread that publishes.
-pub fn open_wire(config: &Config, clock: Clock) -> Result<(Outlet, Desk), PublishError> {
-    let endpoint = Endpoint::new(&config.prefix)?;
-    let publisher = Publisher::open(&endpoint, &Limits::default())?;
+pub fn open_wire(config: &Config, clock: Clock, size: Option<(u32, u32)>) -> Result<(Outlet, Desk), PublishError> {
+    let endpoint = Endpoint::new(&config.prefix).and_then(Endpoint::with_environment)?;
+    let publisher = Publisher::open(&endpoint, &config.publish.limits(size))?;
     let outlet = Outlet::new(publisher.poses, publisher.map, publisher.frames, &config.mount, clock);
     Ok((outlet, Desk { health: publisher.health, commands: publisher.commands }))
 }
@@ -175,21 +175,21 @@ impl Default for StatusLine {
     }
 }
 
-/// Latencies of every stage over a whole run.
+/// Latencies of every stage over a whole run; none where the stage had nothing to do.
 #[derive(Debug, Clone, Serialize)]
 pub struct StageLatencies {
-    pub decode: Percentiles,
-    pub feature: Percentiles,
-    pub queue: Percentiles,
-    pub track: Percentiles,
-    pub mapping: Percentiles,
+    pub decode: Option<Percentiles>,
+    pub feature: Option<Percentiles>,
+    pub queue: Option<Percentiles>,
+    pub track: Option<Percentiles>,
+    pub mapping: Option<Percentiles>,
     /// From arrival to the published pose; nothing in lock-step.
-    pub latency: Percentiles,
+    pub latency: Option<Percentiles>,
 }
 
 impl StageLatencies {
     pub fn of(status: &Status) -> Self {
-        let of = |h: &telemetry::Histogram| h.snapshot().percentiles();
+        let of = |h: &telemetry::Histogram| Some(h.snapshot().percentiles()).filter(|p| p.count > 0);
         Self {
             decode: of(&status.decode),
             feature: of(&status.feature),
@@ -204,14 +204,14 @@ impl StageLatencies {
     pub fn table(&self) -> String {
         let mut text = format!("  {:<10}{:>9}{:>9}{:>9}\n", "ms", "p50", "p95", "p99");
         let stages = [
-            ("decode", &self.decode),
-            ("features", &self.feature),
-            ("queue", &self.queue),
-            ("track", &self.track),
-            ("mapping", &self.mapping),
-            ("end to end", &self.latency),
+            ("decode", self.decode),
+            ("features", self.feature),
+            ("queue", self.queue),
+            ("track", self.track),
+            ("mapping", self.mapping),
+            ("end to end", self.latency),
         ];
-        for (name, p) in stages.iter().filter(|(_, p)| p.count > 0) {
+        for (name, p) in stages.iter().filter_map(|(name, p)| p.map(|p| (name, p))) {
             text += &format!("  {name:<10}{:>9.2}{:>9.2}{:>9.2}\n", p.p50_ms, p.p95_ms, p.p99_ms);
         }
         text

@@ -15,7 +15,9 @@ use std::path::{Path, PathBuf};
 pub use error::ConfigError;
 pub use mount::{BodyFromCamera, MountConfig};
 
+use crate::camera::v4l2::V4l2Config;
 use crate::features::FeaturesConfig;
+use crate::publish::Limits;
 use crate::reconstruction::ReconstructionConfig;
 use crate::telemetry::LogConfig;
 
@@ -29,9 +31,12 @@ pub struct Config {
     /// First part of every service name; robots with two cameras give each instance its own.
     pub prefix: String,
     pub daemon: DaemonConfig,
+    pub camera: V4l2Config,
+    pub calibration: CalibrationConfig,
     pub features: FeaturesConfig,
     pub reconstruction: ReconstructionConfig,
     pub mount: MountConfig,
+    pub publish: PublishConfig,
     pub output: OutputConfig,
     pub log: LogConfig,
 }
@@ -41,9 +46,12 @@ impl Default for Config {
         Self {
             prefix: "cairn".into(),
             daemon: DaemonConfig::default(),
+            camera: V4l2Config::default(),
+            calibration: CalibrationConfig::default(),
             features: FeaturesConfig::default(),
             reconstruction: ReconstructionConfig::default(),
             mount: MountConfig::default(),
+            publish: PublishConfig::default(),
             output: OutputConfig::default(),
             log: LogConfig::default(),
         }
@@ -77,6 +85,55 @@ pub struct DaemonConfig {
 impl Default for DaemonConfig {
     fn default() -> Self {
         Self { source: SourceKind::Camera, queue_frames: 2, stall_after_ms: 1000, camera_retry_ms: 2000 }
+    }
+}
+
+/// `[calibration]`: the camera's lens.
+#[derive(Debug, Clone, Default, PartialEq, Eq, serde::Deserialize, serde::Serialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct CalibrationConfig {
+    /// Our TOML, or a YAML with `width height fx fy cx cy distortion`; relative to where the daemon is started.
+    pub file: PathBuf,
+}
+
+/// `[publish]`: memory that is reserved for messages.
+#[derive(Debug, Clone, PartialEq, Eq, serde::Deserialize, serde::Serialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct PublishConfig {
+    /// Landmarks in a map message at the most.
+    pub max_landmarks: usize,
+    /// Keyframes in a keyframes message at the most.
+    pub max_keyframes: usize,
+    /// Picture that can be shared at the least.
+    pub max_frame_bytes: usize,
+}
+
+impl Default for PublishConfig {
+    fn default() -> Self {
+        let Limits { landmarks, keyframes, frame_bytes } = Limits::default();
+        Self { max_landmarks: landmarks, max_keyframes: keyframes, max_frame_bytes: frame_bytes }
+    }
+}
+
+impl PublishConfig {
+    /// As the wire takes them, for pictures of this size if it is known.
+    pub fn limits(&self, size: Option<(u32, u32)>) -> Limits {
+        let picture = size.map_or(0, |(width, height)| width as usize * height as usize);
+        let frame_bytes = self.max_frame_bytes.max(picture);
+        Limits { landmarks: self.max_landmarks, keyframes: self.max_keyframes, frame_bytes }
+    }
+
+    fn validate(&self) -> Result<(), Invalid> {
+        if !(100..=1_000_000).contains(&self.max_landmarks) {
+            return Err(Invalid::new("publish.max_landmarks", "must be 100 to 1000000"));
+        }
+        if !(10..=100_000).contains(&self.max_keyframes) {
+            return Err(Invalid::new("publish.max_keyframes", "must be 10 to 100000"));
+        }
+        if !(76_800..=2_304_000).contains(&self.max_frame_bytes) {
+            return Err(Invalid::new("publish.max_frame_bytes", "must be 76800 (320x240) to 2304000 (1920x1200)"));
+        }
+        Ok(())
     }
 }
 
@@ -128,6 +185,8 @@ impl Config {
         }
         let in_room = |room: &str, key: &str, reason: String| Invalid::new(format!("{room}.{key}"), reason);
         self.reconstruction.validate().map_err(|(key, _, reason)| in_room("reconstruction", key, reason))?;
+        self.camera.validate().map_err(|(key, reason)| in_room("camera", key, reason))?;
+        self.publish.validate()?;
         self.log.filter().map_err(|reason| Invalid::new("log.level", reason))?;
         self.mount.validate()
     }

@@ -47,6 +47,8 @@ pub struct Start {
 
 /// Frames that are remembered for a pose afterwards; older ones are dropped.
 const MAX_PENDING: usize = 900;
+/// Standard deviation of a track over the frames of a start, px.
+const START_SIGMA_PX: f64 = 1.0;
 /// The reference frame is given up below this many common tracks.
 const MIN_COMMON: usize = 60;
 
@@ -96,7 +98,8 @@ impl Initialiser {
         }
         let first: Vec<Vector2<f64>> = pairs.iter().map(|p| p.first).collect();
         let second: Vec<Vector2<f64>> = pairs.iter().map(|p| p.second).collect();
-        let options = TwoViewOptions { seed: features.sequence, ..TwoViewOptions::new(camera.focal_px()) };
+        let options =
+            TwoViewOptions { seed: features.sequence, ..TwoViewOptions::new(START_SIGMA_PX, camera.focal_px()) };
         let solution = reconstruct_two_views(&first, &second, &options).ok()?;
         let points: Vec<StartPoint> = pairs
             .iter()
