@@ -298,10 +298,11 @@ impl Scene {
             x += canvas.text(&value, (x, 104.0), TextStyle::new(23.0, palette::INK, Anchor::Left).bold()) + 8.0;
             x += canvas.text(&name, (x, 104.0), TextStyle::new(23.0, palette::MUTED, Anchor::Left)) + 30.0;
         }
+        let note = TextStyle::new(19.0, palette::MUTED, Anchor::Right);
+        let right = WIDTH as f32 - 48.0;
+        canvas.text("axes of the first keyframe's camera", (right, 40.0), note);
         if unit == LengthUnit::MapUnits {
-            let note = "map units: one camera alone knows no metres";
-            let style = TextStyle::new(19.0, palette::MUTED, Anchor::Right);
-            canvas.text(note, (WIDTH as f32 - 48.0, 62.0), style);
+            canvas.text("map units: one camera alone knows no metres", (right, 66.0), note);
         }
     }
 }

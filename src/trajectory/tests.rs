@@ -198,6 +198,26 @@ fn only_the_largest_map_is_written_and_the_rest_is_counted() {
 }
 
 #[test]
+fn keyframes_of_an_ended_map_keep_their_last_pose() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("t.txt");
+    let mut spool = TrajectorySpool::create(dir.path()).unwrap();
+    let (retired, pose) = keyframe(2, 20.0);
+    for event in [
+        pose_event(S, 0, 1, 0.5),
+        pose_event(2 * S, 0, 2, 0.25),
+        removed(1, 2, 1.0),
+        TrajectoryEvent::KeyframeRetired { keyframe: retired, world_from_camera: pose },
+        pose_event(3 * S, 1, 3, 0.0),
+    ] {
+        spool.record(&event).unwrap();
+    }
+    let summary = spool.write_tum(&path, &[keyframe(3, 0.0)]).unwrap();
+    assert_eq!(lines(&path), [("1.000000".into(), 21.5), ("2.000000".into(), 20.25)]);
+    assert_eq!((summary.map, summary.poses_in_other_maps, summary.poses_unresolved), (Some(MapId(0)), 1, 0));
+}
+
+#[test]
 fn long_runs_stream_through_the_file() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("t.txt");
