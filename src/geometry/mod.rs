@@ -9,6 +9,7 @@
 
 pub mod alignment;
 pub mod camera_model;
+pub mod camera_motion;
 pub mod epipolar;
 pub mod essential;
 pub mod five_point;

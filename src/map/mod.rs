@@ -11,6 +11,7 @@ use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
 use crate::features::thumbnail::Thumbnail;
 use crate::geometry::Se3;
+use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, World};
 use crate::image::Pyramid;
 use store::Store;
@@ -37,10 +38,19 @@ pub struct Observation {
     pub pixel: Vector2<f32>,
     /// The same, undistorted, on the plane z = 1.
     pub normalised: Vector2<f64>,
+    /// How far a rolling shutter moved it, per second of readout time.
+    pub displacement: Vector2<f64>,
     /// One over the standard deviation of `pixel`, 1/px.
     pub inv_sigma_px: f64,
     /// d normalised / d pixel at `pixel`: takes pixel offsets to ray offsets.
     pub normalised_from_pixel: Matrix2<f64>,
+}
+
+impl Observation {
+    /// Where the middle row's pose would have seen it, for a readout time in seconds.
+    pub fn at_middle_row(&self, readout_s: f64) -> Vector2<f64> {
+        self.normalised - self.displacement * readout_s
+    }
 }
 
 /// A frame that the map keeps, with its picture.
@@ -51,6 +61,8 @@ pub struct Keyframe {
     pub timestamp_ns: i64,
     pub map: MapId,
     pub camera_from_world: Se3<Camera, World>,
+    /// How the camera moved then, if that is known.
+    pub motion: Option<CameraMotion>,
     /// Templates of its observations are cut from here.
     pub pyramid: Arc<Pyramid>,
     /// For relocalisation.
@@ -276,6 +288,7 @@ mod tests {
             timestamp_ns: 0,
             map: MapId(0),
             camera_from_world: Se3::identity(),
+            motion: None,
             pyramid: Arc::default(),
             thumbnail: Thumbnail::default(),
             observations: landmarks.iter().map(|&l| observation(l)).collect(),
@@ -288,6 +301,7 @@ mod tests {
             landmark: LandmarkId(landmark),
             pixel: Vector2::zeros(),
             normalised: Vector2::zeros(),
+            displacement: Vector2::zeros(),
             inv_sigma_px: 1.0,
             normalised_from_pixel: Matrix2::identity(),
         }

@@ -20,8 +20,10 @@ pub struct ReconstructionConfig {
     pub keyframe_gap_frames: u64,
     /// Smallest parallax at which a landmark is made, degrees. 0.2..=10.0.
     pub min_parallax_deg: f64,
-    /// Time from the first row's exposure to the last one's (rolling shutter), ms; 0 = global shutter or not known. 0.0..=50.0.
+    /// Time from the first row's exposure to the last one's (rolling shutter), ms; negative: last row first. -40.0..=40.0.
     pub readout_ms: f64,
+    /// Learn the readout time from the pictures, starting at `readout_ms`.
+    pub estimate_readout: bool,
     /// Keyframes that a local adjustment moves, at the most. 2..=40.
     pub adjusted_keyframes: usize,
     /// Keyframes that hold a local adjustment in place, at the most. 0..=80.
@@ -54,6 +56,7 @@ impl Default for ReconstructionConfig {
             keyframe_gap_frames: 3,
             min_parallax_deg: 1.0,
             readout_ms: 0.0,
+            estimate_readout: true,
             adjusted_keyframes: 10,
             fixed_keyframes: 20,
             adjustment_steps: 5,
@@ -91,7 +94,7 @@ impl ReconstructionConfig {
         within("keyframe_parallax_deg", self.keyframe_parallax_deg, 0.5, 20.0, "degrees")?;
         within("keyframe_gap_frames", self.keyframe_gap_frames, 1, 60, "frames")?;
         within("min_parallax_deg", self.min_parallax_deg, 0.2, 10.0, "degrees")?;
-        within("readout_ms", self.readout_ms, 0.0, 50.0, "ms")?;
+        within("readout_ms", self.readout_ms, -40.0, 40.0, "ms")?;
         within("adjusted_keyframes", self.adjusted_keyframes, 2, 40, "")?;
         within("fixed_keyframes", self.fixed_keyframes, 0, 80, "")?;
         within("adjustment_steps", self.adjustment_steps, 1, 50, "")?;

@@ -12,9 +12,11 @@ use super::bindings::{Bindings, Seed, Target};
 use super::config::ReconstructionConfig;
 use super::pose_optimisation::{CHI2_2D_95, jacobian_rows};
 use super::relocalise::thumbnail_of;
+use super::rolling_shutter::Shutter;
 use super::search::{Match, SearchOptions, affine_warp, align_template};
 use super::types::TrajectoryEvent;
 use crate::features::{Feedback, FrameFeatures};
+use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::image::Pyramid;
@@ -65,6 +67,8 @@ pub struct NewKeyframe<'a> {
     pub map_id: MapId,
     /// Matches that agree with the pose, ascending landmark id.
     pub matches: &'a [Match],
+    pub motion: Option<CameraMotion>,
+    pub shutter: &'a Shutter,
 }
 
 /// Radius within which a track and a found landmark are the same corner, px.
@@ -83,7 +87,19 @@ pub fn observe(
 ) -> Option<Observation> {
     let normalised = camera.undistort(&pixel.cast())?;
     let (_, jacobian) = camera.distort_jacobian(&normalised)?;
-    Some(Observation { landmark, pixel, normalised, inv_sigma_px, normalised_from_pixel: jacobian.try_inverse()? })
+    Some(Observation {
+        landmark,
+        pixel,
+        normalised,
+        displacement: Vector2::zeros(),
+        inv_sigma_px,
+        normalised_from_pixel: jacobian.try_inverse()?,
+    })
+}
+
+fn observe_match(camera: &CameraModel, m: &Match) -> Option<Observation> {
+    let o = observe(camera, m.landmark, m.pixel, m.inv_sigma_px)?;
+    Some(Observation { displacement: m.displacement, ..o })
 }
 
 /// Enters a frame into the map: keyframe, new landmarks, new seeds. Tracks that follow nothing useful go to `feedback`.
@@ -95,13 +111,13 @@ pub fn insert_keyframe(
     config: &ReconstructionConfig,
     feedback: &mut Feedback,
 ) -> KeyframeId {
-    let observations =
-        new.matches.iter().filter_map(|m| observe(camera, m.landmark, m.pixel, m.inv_sigma_px)).collect::<Vec<_>>();
+    let observations = new.matches.iter().filter_map(|m| observe_match(camera, m)).collect::<Vec<_>>();
     let id = map.add_keyframe(Keyframe {
         sequence: new.features.sequence,
         timestamp_ns: new.features.timestamp_ns,
         map: new.map_id,
         camera_from_world: new.camera_from_world,
+        motion: new.motion,
         // A copy of its own: the frame's goes back to the pool, which so never has to allocate on the path of a pose.
         pyramid: Arc::new(Pyramid::clone(&new.features.pyramid)),
         thumbnail: thumbnail_of(&new.features.pyramid),
@@ -193,28 +209,37 @@ fn triangulate_seed(
     }
     // Refine the place in the new picture (and in those between) against the anchor's template.
     let options = SearchOptions { radius_px: SEED_REFINE_PX, coarse_levels: 0, limit: 0, sigma_px: config.sigma_px };
-    let mut seen: Vec<(KeyframeId, Observation)> = vec![(anchor_id, a)];
+    let displaced = |keyframe: &Keyframe, o: Observation| {
+        let p = keyframe.camera_from_world.transform(&point);
+        let displacement = match &keyframe.motion {
+            Some(motion) if p.z > 1e-6 => new.shutter.displacement(motion, &p, o.pixel.y),
+            _ => Vector2::zeros(),
+        };
+        Observation { displacement, ..o }
+    };
+    let readout_s = new.shutter.readout_s;
+    let mut seen: Vec<(KeyframeId, Observation)> = vec![(anchor_id, displaced(anchor, a))];
     for &(id, pixel) in seed.observations().iter().chain(&[(newest, pixel)]) {
         let Some(keyframe) = map.keyframe(id).filter(|_| id != anchor_id) else { continue };
         let refined = refine_in(anchor, &a, keyframe, &point, pixel, camera, &options);
         match refined {
-            Some(o) => seen.push((id, o)),
+            Some(o) => seen.push((id, displaced(keyframe, o))),
             None if id == newest => return SeedOutcome::Wrong,
             None => {}
         }
     }
-    let Some(&(_, last)) = seen.last() else { return SeedOutcome::Wrong };
-    let Some((mut point, angle)) =
-        triangulate(&anchor.camera_from_world, &a.normalised, &new.camera_from_world, &last.normalised)
-    else {
+    let (Some(&(_, first)), Some(&(_, last))) = (seen.first(), seen.last()) else { return SeedOutcome::Wrong };
+    let (first, last) = (first.at_middle_row(readout_s), last.at_middle_row(readout_s));
+    let Some((mut point, angle)) = triangulate(&anchor.camera_from_world, &first, &new.camera_from_world, &last) else {
         return SeedOutcome::Wrong;
     };
     if angle < config.min_parallax_deg.to_radians() {
         return SeedOutcome::Waits;
     }
-    let Some(covariance) = refine_point(map, &seen, camera, &mut point) else { return SeedOutcome::Wrong };
+    let Some(covariance) = refine_point(map, &seen, camera, readout_s, &mut point) else { return SeedOutcome::Wrong };
     seen.retain(|(k, o)| {
-        map.keyframe(*k).is_some_and(|k| reprojection_chi2(&k.camera_from_world, &point, o, camera) <= CHI2_2D_95)
+        map.keyframe(*k)
+            .is_some_and(|k| reprojection_chi2(&k.camera_from_world, &point, o, camera, readout_s) <= CHI2_2D_95)
     });
     if seen.len() < 2 || seen[0].0 != anchor_id || seen.last().map(|s| s.0) != Some(newest) {
         return SeedOutcome::Wrong;
@@ -275,12 +300,18 @@ pub fn triangulate(
     Some((point, sine2.sqrt().atan2(cosine)))
 }
 
-fn reprojection_chi2(pose: &Se3<Camera, World>, point: &Vector3<f64>, o: &Observation, camera: &CameraModel) -> f64 {
+fn reprojection_chi2(
+    pose: &Se3<Camera, World>,
+    point: &Vector3<f64>,
+    o: &Observation,
+    camera: &CameraModel,
+    readout_s: f64,
+) -> f64 {
     let p = pose.transform(point);
     if p.z < 1e-6 {
         return f64::INFINITY;
     }
-    let e = Vector2::new(p.x / p.z, p.y / p.z) - o.normalised;
+    let e = Vector2::new(p.x / p.z, p.y / p.z) - o.at_middle_row(readout_s);
     (Vector2::new(camera.fx * e.x, camera.fy * e.y) * o.inv_sigma_px).norm_squared()
 }
 
@@ -289,6 +320,7 @@ pub(super) fn refine_point(
     map: &Map,
     seen: &[(KeyframeId, Observation)],
     camera: &CameraModel,
+    readout_s: f64,
     point: &mut Vector3<f64>,
 ) -> Option<Matrix3<f64>> {
     let mut covariance = None;
@@ -306,7 +338,8 @@ pub(super) fn refine_point(
             let r = pose.rotation.inverse();
             let (x, y) = (r * Vector3::new(jx[3], jx[4], jx[5]), r * Vector3::new(jy[3], jy[4], jy[5]));
             h += x * x.transpose() + y * y.transpose();
-            g += x * fx * (p.x / p.z - o.normalised.x) + y * fy * (p.y / p.z - o.normalised.y);
+            let seen = o.at_middle_row(readout_s);
+            g += x * fx * (p.x / p.z - seen.x) + y * fy * (p.y / p.z - seen.y);
         }
         let inverse = h.try_inverse()?;
         let step = -(inverse * g);

@@ -35,7 +35,14 @@ pub struct MappingResult {
 
 impl MappingJob {
     /// The local problem around `newest`; `None` if it has nothing to move.
-    pub fn local(map: &Map, newest: KeyframeId, camera: &CameraModel, config: &ReconstructionConfig) -> Option<Self> {
+    /// `readout_s`: the camera's rolling shutter.
+    pub fn local(
+        map: &Map,
+        newest: KeyframeId,
+        camera: &CameraModel,
+        readout_s: f64,
+        config: &ReconstructionConfig,
+    ) -> Option<Self> {
         let mut around = Vec::new();
         map.covisible(newest, 10, config.adjusted_keyframes.saturating_sub(1), &mut around);
         let mut free: Vec<KeyframeId> = around.iter().map(|c| c.0).chain([newest]).collect();
@@ -67,18 +74,18 @@ impl MappingJob {
             keyframes.first_mut()?.1 = true;
         }
         let options = BundleOptions { steps: [config.adjustment_steps; 2], ..BundleOptions::default() };
-        Self::build(map, &keyframes, landmarks, newest, camera, options)
+        Self::build(map, &keyframes, landmarks, newest, camera, readout_s, options)
     }
 
     /// The whole map, its first keyframe held.
-    pub fn whole(map: &Map, camera: &CameraModel, steps: usize) -> Option<Self> {
+    pub fn whole(map: &Map, camera: &CameraModel, readout_s: f64, steps: usize) -> Option<Self> {
         let mut keyframes: Vec<(KeyframeId, bool)> =
             map.keyframes.iter().map(|(id, _)| (KeyframeId(id), false)).collect();
         keyframes.first_mut()?.1 = true;
         let newest = keyframes.last()?.0;
         let landmarks = map.landmarks.iter().map(|(id, _)| LandmarkId(id)).collect();
         let options = BundleOptions { steps: [steps; 2], relative_gain: 1e-5, ..BundleOptions::default() };
-        Self::build(map, &keyframes, landmarks, newest, camera, options)
+        Self::build(map, &keyframes, landmarks, newest, camera, readout_s, options)
     }
 
     fn build(
@@ -87,6 +94,7 @@ impl MappingJob {
         mut landmarks: Vec<LandmarkId>,
         newest: KeyframeId,
         camera: &CameraModel,
+        readout_s: f64,
         options: BundleOptions,
     ) -> Option<Self> {
         let mut problem =
@@ -102,7 +110,7 @@ impl MappingJob {
                 let Some(o) = map.keyframe(k).and_then(|k| k.observation(id)) else { continue };
                 problem.observations.push(BundleObservation {
                     camera: index as u32,
-                    normalised: o.normalised,
+                    normalised: o.at_middle_row(readout_s),
                     inv_sigma_px: o.inv_sigma_px,
                 });
             }

@@ -13,12 +13,13 @@ pub mod keyframes;
 pub mod local_adjustment;
 pub mod pose_optimisation;
 pub mod relocalise;
+pub mod rolling_shutter;
 pub mod search;
 mod start;
 pub mod tracking;
 pub mod types;
 
-use nalgebra::Vector3;
+use nalgebra::{Vector2, Vector3};
 
 pub use config::ReconstructionConfig;
 pub use local_adjustment::{InlineWorker, MappingJob, MappingResult, MappingWorker};
@@ -28,10 +29,12 @@ use bindings::Bindings;
 use initialise::Initialiser;
 use keyframes::{KeyframeInputs, NewKeyframe};
 use relocalise::{Guess, Relocaliser};
+use rolling_shutter::Shutter;
 use search::Match;
 use tracking::{Frame, Tracked, Tracker};
 
 use crate::features::{Feedback, FrameFeatures};
+use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, Odom, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::map::{KeyframeId, LandmarkId, Map, MapId};
@@ -77,6 +80,7 @@ pub struct Reconstruction {
     inliers: Vec<Match>,
     angles: Vec<f64>,
     relocaliser: Relocaliser,
+    shutter: Shutter,
     guesses: Vec<Guess>,
 }
 
@@ -114,6 +118,7 @@ impl Reconstruction {
             inliers: Vec::new(),
             angles: Vec::new(),
             relocaliser: Relocaliser::default(),
+            shutter: Shutter::new(config.readout_ms * 1e-3, camera.height, config.estimate_readout),
             guesses: Vec::new(),
         }
     }
@@ -135,6 +140,8 @@ impl Reconstruction {
             camera: &self.camera,
             config: &self.config,
             before: self.frame_before(features.timestamp_ns),
+            motion: self.last.as_ref().and_then(|l| l.motion.as_ref()).map(|(m, dt)| CameraMotion::over(m, *dt)),
+            shutter: &self.shutter,
         };
         let mut tracked = self.tracker.track(&frame, self.reference, &near.0[..near.1]);
         if tracked.is_none() {
@@ -210,6 +217,14 @@ impl Reconstruction {
             motion = (dt > 0.0).then_some((step, dt));
         }
         self.last = Some(LastFrame { timestamp_ns: features.timestamp_ns, camera_from_world: pose, motion });
+        if motion.is_some() {
+            let readout_s = self.shutter.readout_s;
+            let items = self.inliers.iter().map(|m| {
+                let seen = m.normalised - m.displacement * readout_s;
+                (pose.transform(&m.point), seen, m.displacement, m.inv_sigma_px)
+            });
+            self.shutter.learn(items, Vector2::new(self.camera.fx, self.camera.fy));
+        }
         let keyframe = self.decide_keyframe(&pose);
         self.record_pose(features.timestamp_ns, &pose);
         self.pending = keyframe.then_some(pose);
@@ -264,7 +279,8 @@ impl Reconstruction {
             && self.job_posted.is_none()
         {
             self.unadjusted = None;
-            if let Some(job) = MappingJob::local(&self.map, newest, &self.camera, &self.config) {
+            if let Some(job) = MappingJob::local(&self.map, newest, &self.camera, self.shutter.readout_s, &self.config)
+            {
                 self.worker.post(job);
                 self.job_posted = Some(self.frame);
             }
@@ -272,7 +288,15 @@ impl Reconstruction {
     }
 
     fn insert_keyframe(&mut self, features: &FrameFeatures, pose: Se3<Camera, World>, feedback: &mut Feedback) {
-        let new = NewKeyframe { features, camera_from_world: pose, map_id: self.map_id, matches: &self.inliers };
+        let motion = self.last.as_ref().and_then(|l| l.motion.as_ref()).map(|(m, dt)| CameraMotion::over(m, *dt));
+        let new = NewKeyframe {
+            features,
+            camera_from_world: pose,
+            map_id: self.map_id,
+            matches: &self.inliers,
+            motion,
+            shutter: &self.shutter,
+        };
         let before = self.map.landmarks.len();
         let id =
             keyframes::insert_keyframe(&mut self.map, &mut self.bindings, &new, &self.camera, &self.config, feedback);
@@ -370,6 +394,11 @@ impl Reconstruction {
 
     pub fn state(&self) -> TrackingState {
         self.state
+    }
+
+    /// Readout time of the camera's rolling shutter as it is believed now, s.
+    pub fn readout_s(&self) -> f64 {
+        self.shutter.readout_s
     }
 }
 

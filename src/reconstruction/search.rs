@@ -23,7 +23,10 @@ pub struct Match {
     pub point: Vector3<f64>,
     /// Level-0 pixel, distorted as in the picture.
     pub pixel: Vector2<f32>,
+    /// Undistorted, z = 1, as seen.
     pub normalised: Vector2<f64>,
+    /// How far a rolling shutter moved it, per second of readout time.
+    pub displacement: Vector2<f64>,
     pub inv_sigma_px: f64,
     /// Agreed with the pose in the end.
     pub inlier: bool,
@@ -166,6 +169,7 @@ fn align_candidate(
         point: candidate.point,
         pixel,
         normalised,
+        displacement: Vector2::zeros(),
         inv_sigma_px: found.inv_sigma_px,
         inlier: true,
         template,

@@ -51,7 +51,9 @@ impl Reconstruction {
             bindings: &self.bindings,
             camera: &self.camera,
             config: &self.config,
+            shutter: &self.shutter,
             before: None,
+            motion: None,
         };
         let tracked = self.tracker.track(&frame, self.reference, &guess);
         match tracked {
@@ -83,6 +85,7 @@ impl Reconstruction {
             timestamp_ns,
             map: self.map_id,
             camera_from_world: pose,
+            motion: None,
             thumbnail: thumbnail_of(&pyramid),
             pyramid,
             observations: Vec::new(),
@@ -131,7 +134,9 @@ impl Reconstruction {
 
     /// Adjusts the whole (new, small) map at once; false if too few landmarks hold.
     fn adjust_whole(&mut self) -> bool {
-        let Some(job) = MappingJob::whole(&self.map, &self.camera, START_STEPS) else { return false };
+        let Some(job) = MappingJob::whole(&self.map, &self.camera, self.shutter.readout_s, START_STEPS) else {
+            return false;
+        };
         let result = job.run();
         let supported = result.supported_landmarks();
         result.merge(&mut self.map);
@@ -169,7 +174,8 @@ impl Reconstruction {
             let seen: Vec<_> =
                 [a, b].iter().filter_map(|&k| Some((k, *self.map.keyframe(k)?.observation(landmark_id)?))).collect();
             let Some(mut position) = self.map.landmark(landmark_id).map(|l| l.position) else { continue };
-            if let Some(covariance) = refine_point(&self.map, &seen, &self.camera, &mut position)
+            if let Some(covariance) =
+                refine_point(&self.map, &seen, &self.camera, self.shutter.readout_s, &mut position)
                 && let Some(l) = self.map.landmarks.get_mut(id)
             {
                 l.position = position;

@@ -15,8 +15,10 @@ use super::bindings::{Bindings, Target};
 use super::config::ReconstructionConfig;
 use super::pose_optimisation::{PoseOptions, PosePair, PoseSolution, accumulate, jacobian_rows, optimise_pose};
 use super::relocalise::Guess;
+use super::rolling_shutter::Shutter;
 use super::search::{Match, Search, SearchOptions};
 use crate::features::FrameFeatures;
+use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::map::{KeyframeId, LandmarkId, Map};
@@ -43,6 +45,9 @@ pub struct Frame<'a> {
     pub config: &'a ReconstructionConfig,
     /// Pose of the frame before and how long ago it was taken (s), if it was tracked just before.
     pub before: Option<(Se3<Camera, World>, f64)>,
+    /// Motion that is expected (that of the frame before).
+    pub motion: Option<CameraMotion>,
+    pub shutter: &'a Shutter,
 }
 
 /// Buffers of tracking, kept between frames.
@@ -67,6 +72,12 @@ const MIN_FLOW: usize = 10;
 const WIDE: f64 = 4.0;
 /// Standard deviation of a frame-to-frame track's position, px (drifts; templates do not).
 const FLOW_SIGMA_PX: f64 = 2.0;
+
+/// Motion from the frame before to `pose`.
+pub fn motion_since(frame: &Frame<'_>, pose: &Se3<Camera, World>) -> Option<CameraMotion> {
+    let (before, dt) = frame.before.as_ref()?;
+    Some(CameraMotion::over(&(*pose * before.inverse()), *dt))
+}
 
 impl Tracker {
     /// Places a frame near a known pose. `guesses`: constant velocity, last pose, ..., the most likely first.
@@ -178,21 +189,19 @@ impl Tracker {
         };
         self.search.select(map, &self.local, camera, guess, config.landmarks_per_frame);
         self.search.align(map, camera, guess, &features.pyramid, &options);
-        let mut solution = self.solve(camera, guess)?;
+        let mut solution = self.solve(frame, guess, frame.motion.as_ref())?;
         if coarse_levels > 0 {
             options.limit = config.landmarks_per_frame;
             options.coarse_levels = 0;
             options.radius_px = config.search_radius_px;
             self.search.select(map, &self.local, camera, &solution.camera_from_world, options.limit);
             self.search.align(map, camera, &solution.camera_from_world, &features.pyramid, &options);
-            solution = self.solve(camera, &solution.camera_from_world)?;
+            solution = self.solve(frame, &solution.camera_from_world, frame.motion.as_ref())?;
         }
-        if config.readout_ms > 0.0
-            && let Some((before, dt)) = &frame.before
-            && *dt > 0.0
-        {
-            self.undo_rolling_shutter(camera, &solution.camera_from_world, before, config.readout_ms * 1e-3 / dt);
-            solution = self.solve(camera, &solution.camera_from_world)?;
+        let motion = motion_since(frame, &solution.camera_from_world);
+        if motion.is_some() && !frame.shutter.is_off() {
+            // The motion that the shutter saw is known only now.
+            solution = self.solve(frame, &solution.camera_from_world, motion.as_ref())?;
         }
         let landmarks = self.search.matches.iter().filter(|m| m.inlier).count();
         let sought = self.search.matches.len() + self.search.missed.len();
@@ -209,36 +218,24 @@ impl Tracker {
         })
     }
 
-    /// Moves every match to where the middle row's exposure would have seen it, `share` = readout time over the time since
-    /// `before`: the point's velocity in the camera, to first order, times its row's delay.
-    fn undo_rolling_shutter(
+    /// Motion-only optimisation over the matches, and the flow of landmarks that were not matched. The matches are
+    /// corrected for a rolling shutter that moved as `motion` says.
+    fn solve(
         &mut self,
-        camera: &CameraModel,
-        pose: &Se3<Camera, World>,
-        before: &Se3<Camera, World>,
-        share: f64,
-    ) {
-        let motion: Se3<Camera, Camera> = *pose * before.inverse();
-        let turn = motion.rotation.scaled_axis();
-        let height = f64::from(camera.height.max(1));
-        for m in &mut self.search.matches {
-            let p = pose.transform(&m.point);
-            if p.z < 1e-6 {
-                continue;
-            }
-            let moved = turn.cross(&p) + motion.translation;
-            let n = Vector2::new(p.x / p.z, p.y / p.z);
-            let flow = Vector2::new(moved.x - n.x * moved.z, moved.y - n.y * moved.z) / p.z;
-            let delay = (f64::from(m.pixel.y) + 0.5) / height - 0.5;
-            m.normalised -= flow * (delay * share);
-        }
-    }
-
-    /// Motion-only optimisation over the matches, and the flow of landmarks that were not matched.
-    fn solve(&mut self, camera: &CameraModel, start: &Se3<Camera, World>) -> Option<PoseSolution> {
+        frame: &Frame<'_>,
+        start: &Se3<Camera, World>,
+        motion: Option<&CameraMotion>,
+    ) -> Option<PoseSolution> {
+        let Frame { camera, shutter, .. } = *frame;
         self.pairs.clear();
-        for m in &self.search.matches {
-            self.pairs.push(PosePair { point: m.point, normalised: m.normalised, inv_sigma_px: m.inv_sigma_px });
+        for m in &mut self.search.matches {
+            let p = start.transform(&m.point);
+            m.displacement = match motion {
+                Some(motion) if p.z > 1e-6 => shutter.displacement(motion, &p, m.pixel.y),
+                _ => Vector2::zeros(),
+            };
+            let normalised = m.normalised - m.displacement * shutter.readout_s;
+            self.pairs.push(PosePair { point: m.point, normalised, inv_sigma_px: m.inv_sigma_px });
         }
         let matched = self.pairs.len();
         for (id, pair) in &self.flow {
