@@ -29,6 +29,7 @@ pub mod sim3;
 #[cfg(test)]
 pub(crate) mod synthetic;
 pub mod triangulation;
+pub mod two_view;
 
 pub use camera_model::{CameraModel, CameraModelError};
 pub use se3::Se3;

@@ -286,7 +286,8 @@ mod tests {
         for seed in 0..20 {
             let mut random = Random::new(seed);
             let c = case(&mut random, 100, 0.0, 0.0);
-            let off = Se3::<Camera, World>::new(random_rotation(&mut random, 0.1) * c.pose.rotation, c.pose.translation);
+            let off =
+                Se3::<Camera, World>::new(random_rotation(&mut random, 0.1) * c.pose.rotation, c.pose.translation);
             let matches = c.points.iter().copied().zip(c.seen.iter().copied());
             let (found, summary) = refine_pose(&off, matches, Loss::Huber(0.01), &LmOptions::default());
             let error = found.rotation.angle_to(&c.pose.rotation) + (found.translation - c.pose.translation).norm();

@@ -1,0 +1,360 @@
+//! A first map from two views: relative pose and points, or the reason why there is none.
+//!
+//! Matched points, undistorted and normalised -> `second_from_first` with unit translation, points in the first camera's
+//! coordinates (unit: the baseline), inliers, parallax, votes.
+//! 1. An essential matrix and a homography are estimated side by side, and the best rotation alone.
+//! 2. The rotation explains the matches: standing still or turning on the spot, no map.
+//! 3. Scores of both models, truncated chi-square over both pictures (Mur-Artal, Montiel, Tardos: ORB-SLAM, 2015, eq.
+//!    2-3); `S_H / (S_H + S_E) > 0.45` chooses the homography: a plane, or little parallax.
+//! 4. Every motion of the chosen model is refined, and every match votes for it that it explains with a point in front of
+//!    both cameras. The winner must have enough points at enough parallax, and a clear margin over the runner-up: the
+//!    two motions that a plane leaves open are both returned, for a third view to choose.
+//!
+//! Cost: about 3 ms for 300 matches. Not here: full adjustment (the caller's), more than two views.
+
+use nalgebra::{Matrix3, Vector2, Vector3};
+
+use super::Se3;
+use super::epipolar::{line_distances_squared, sampson_squared};
+use super::essential::{EssentialOptions, decompose, essential_of, estimate_essential, refine_motion};
+use super::frames::{First, Second};
+use super::homography::{TwoWay, apply, estimate_homography};
+use super::homography_decomposition::{PlaneMotions, decompose_homography};
+use super::least_squares::{LmOptions, Loss};
+use super::point_set::all_finite;
+use super::ransac::{RansacOptions, Workspace};
+use super::rotation::estimate_rotation;
+use super::triangulation::{intersect, nearest_match};
+
+/// 95 % points of chi-square with one and with two degrees of freedom.
+const CHI2_LINE: f64 = 3.84;
+const CHI2_POINT: f64 = 5.99;
+/// Motions closer than this, radians of rotation plus radians between the translations, are one and the same.
+const SAME_MOTION: f64 = 0.1;
+
+/// How [`reconstruct_two_views`] works.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TwoViewOptions {
+    /// Standard deviation of a point in one picture, normalised units (pixels / focal length).
+    pub sigma: f64,
+    /// Fewer matches are not tried.
+    pub min_matches: usize,
+    /// Points in front of both cameras at `min_parallax_rad` or more.
+    pub min_points: usize,
+    pub min_parallax_rad: f64,
+    /// Share of the matches of the best model that a rotation alone must leave unexplained.
+    pub min_off_rotation: f64,
+    /// `S_H / (S_H + S_E)` above which the scene counts as a plane.
+    pub homography_ratio: f64,
+    /// Votes of the runner-up as a share of the winner's: more is ambiguous.
+    pub max_runner_up: f64,
+    pub confidence: f64,
+    pub max_iterations: usize,
+    pub seed: u64,
+}
+
+impl TwoViewOptions {
+    /// The usual settings of a video's first map; `sigma_px` is about 1, less for sub-pixel tracks.
+    pub fn new(sigma_px: f64, focal_px: f64) -> Self {
+        Self {
+            sigma: sigma_px / focal_px,
+            min_matches: 60,
+            min_points: 50,
+            min_parallax_rad: 1f64.to_radians(),
+            min_off_rotation: 0.1,
+            homography_ratio: 0.45,
+            max_runner_up: 0.75,
+            confidence: 0.9999,
+            max_iterations: 2000,
+            seed: 1,
+        }
+    }
+}
+
+/// Which model fits the scene.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TwoViewModel {
+    /// Depth in the scene.
+    Essential,
+    /// A plane.
+    Homography,
+}
+
+/// Pose and points of two views.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TwoViewReconstruction {
+    /// Translation of unit length.
+    pub second_from_first: Se3<Second, First>,
+    /// One a match, in the first camera's coordinates; `None` for outliers and points too far to be placed.
+    pub points: Vec<Option<Vector3<f64>>>,
+    pub model: TwoViewModel,
+    /// One a match: agrees with the motion (in front of both cameras, or too far for that to show).
+    pub inliers: Vec<bool>,
+    pub inlier_count: usize,
+    /// Matches with a point.
+    pub votes: usize,
+    /// The same for the best other motion.
+    pub votes_runner_up: usize,
+    /// Median angle between the two rays of a point, radians.
+    pub median_parallax_rad: f64,
+    /// Points at `min_parallax_rad` or more.
+    pub wide_points: usize,
+    /// S_H / (S_H + S_E).
+    pub homography_ratio: f64,
+}
+
+/// Why two views give no map.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum TwoViewFailure {
+    #[error("{count} matches: at least {needed} are needed")]
+    TooFewMatches { count: usize, needed: usize },
+    #[error("{first} points in the first picture and {second} in the second: every point needs a partner")]
+    LengthMismatch { first: usize, second: usize },
+    #[error("a coordinate is not a finite number")]
+    NotFinite,
+    #[error("no motion explains the matches")]
+    NoModel,
+    /// The camera turned and did not move.
+    #[error("a rotation of {angle_rad:.4} rad alone explains the matches")]
+    PureRotation { angle_rad: f64 },
+    /// The camera stood still, or moved too little for the distance of the scene.
+    #[error("{wide_points} points with enough parallax, median {median_rad:.5} rad: the camera moved too little")]
+    LowParallax { median_rad: f64, wide_points: usize },
+    #[error("{count} points in front of both cameras: at least {needed} are needed")]
+    TooFewPoints { count: usize, needed: usize },
+    /// Two motions explain the matches about equally well, as a plane allows: a third view must choose.
+    #[error("two motions explain the matches: {} and {} votes", best.votes, runner_up.votes)]
+    Ambiguous { best: Box<TwoViewReconstruction>, runner_up: Box<TwoViewReconstruction> },
+}
+
+/// Pose and points of two views, or why not.
+pub fn reconstruct_two_views(
+    x1: &[Vector2<f64>],
+    x2: &[Vector2<f64>],
+    options: &TwoViewOptions,
+) -> Result<TwoViewReconstruction, TwoViewFailure> {
+    let count = x1.len();
+    if count != x2.len() {
+        return Err(TwoViewFailure::LengthMismatch { first: count, second: x2.len() });
+    }
+    if !all_finite(x1) || !all_finite(x2) {
+        return Err(TwoViewFailure::NotFinite);
+    }
+    if count < options.min_matches.max(5) {
+        return Err(TwoViewFailure::TooFewMatches { count, needed: options.min_matches.max(5) });
+    }
+    let views = Views { x1, x2, options };
+    let ransac = RansacOptions {
+        confidence: options.confidence,
+        max_iterations: options.max_iterations,
+        seed: options.seed,
+        ..RansacOptions::new(CHI2_LINE.sqrt() * options.sigma)
+    };
+    // A transfer error has two dimensions, and the noise of both pictures.
+    let transfer = RansacOptions { threshold: (2.0 * CHI2_POINT).sqrt() * options.sigma, ..ransac };
+    let plane = estimate_homography(x1, x2, &transfer);
+    let essential_options = EssentialOptions { ransac, min_off_rotation: options.min_off_rotation };
+    let essential = estimate_essential(x1, x2, &essential_options);
+
+    let explained = plane.as_ref().map_or(0, |p| p.inlier_count).max(essential.as_ref().map_or(0, |e| e.inlier_count));
+    views.reject_rotation(&transfer, explained)?;
+    let plane = plane.and_then(|p| TwoWay::new(&p.homography));
+    let score_h = plane.as_ref().map_or(0.0, |h| views.score_homography(h));
+    let score_e = essential.as_ref().map_or(0.0, |e| views.score_essential(&e.essential));
+    // No model at all makes this NaN.
+    let ratio = score_h / (score_h + score_e);
+    if ratio.is_nan() {
+        return Err(TwoViewFailure::NoModel);
+    }
+
+    let mut motions: Vec<Se3<Second, First>> = Vec::new();
+    let model = if ratio > options.homography_ratio { TwoViewModel::Homography } else { TwoViewModel::Essential };
+    if let (TwoViewModel::Homography, Some(h)) = (model, &plane) {
+        match decompose_homography(&h.forward, 1e-9) {
+            Some(PlaneMotions::Four(four)) => {
+                motions.extend(four.iter().map(|m| Se3::new(m.rotation, m.translation.normalize())));
+            }
+            Some(PlaneMotions::Rotation(r)) => return Err(TwoViewFailure::PureRotation { angle_rad: r.angle() }),
+            None => return Err(TwoViewFailure::NoModel),
+        }
+        // Matches beside the plane may have told the essential matrix more.
+        motions.extend(essential.as_ref().map(|e| e.second_from_first));
+    } else if let Some(parts) = essential.as_ref().and_then(|e| decompose(&e.essential)) {
+        motions.extend(parts.candidates);
+    }
+    views.choose(&motions, model, ratio)
+}
+
+/// What a motion makes of the matches.
+struct Tally {
+    motion: Se3<Second, First>,
+    points: Vec<Option<Vector3<f64>>>,
+    inliers: Vec<bool>,
+    votes: usize,
+    parallax: Vec<f64>,
+}
+
+struct Views<'a> {
+    x1: &'a [Vector2<f64>],
+    x2: &'a [Vector2<f64>],
+    options: &'a TwoViewOptions,
+}
+
+impl Views<'_> {
+    fn matches(&self) -> impl Iterator<Item = (Vector2<f64>, Vector2<f64>)> + Clone {
+        self.x1.iter().copied().zip(self.x2.iter().copied())
+    }
+
+    /// An error when a rotation explains (nearly) as many matches as the best model does.
+    fn reject_rotation(&self, transfer: &RansacOptions, explained: usize) -> Result<(), TwoViewFailure> {
+        let options = RansacOptions { max_iterations: 300, ..*transfer };
+        let Some(found) = estimate_rotation(self.x1, self.x2, &options, &mut Workspace::default()) else {
+            return Ok(());
+        };
+        let allowed = explained as f64 * (1.0 - self.options.min_off_rotation);
+        if explained > 0 && (found.inlier_count as f64) < allowed {
+            return Ok(());
+        }
+        let angle_rad = (0.5 * (found.model.trace() - 1.0)).clamp(-1.0, 1.0).acos();
+        // Did the pictures turn at all?
+        let mut flow: Vec<f64> =
+            self.matches().map(|(a, b)| (apply(&found.model, &a) - a).norm().max((b - a).norm())).collect();
+        if median(&mut flow) > options.threshold {
+            return Err(TwoViewFailure::PureRotation { angle_rad });
+        }
+        let mut parallax: Vec<f64> =
+            self.matches().map(|(a, b)| (found.model * a.push(1.0)).angle(&b.push(1.0))).collect();
+        Err(TwoViewFailure::LowParallax { median_rad: median(&mut parallax), wide_points: 0 })
+    }
+
+    /// Inverse variance of ORB-SLAM's scores. A distance carries the noise of both pictures, 2 sigma²; twice that, because
+    /// with the exact variance a perfect plane would score (5.99 - 2) / (5.99 - 2 + 5.99 - 1) = 0.444 and lose.
+    fn score_scale(&self) -> f64 {
+        0.25 / (self.options.sigma * self.options.sigma)
+    }
+
+    /// ORB-SLAM's score: what is left of chi-square's limit, over both pictures.
+    fn score_homography(&self, h: &TwoWay) -> f64 {
+        let scale = self.score_scale();
+        let kept = |d: f64| if d * scale < CHI2_POINT { CHI2_POINT - d * scale } else { 0.0 };
+        self.matches().map(|(a, b)| h.transfer_squared(&a, &b)).map(|(d1, d2)| kept(d1) + kept(d2)).sum()
+    }
+
+    fn score_essential(&self, e: &Matrix3<f64>) -> f64 {
+        let scale = self.score_scale();
+        let kept = |d: f64| if d * scale < CHI2_LINE { CHI2_POINT - d * scale } else { 0.0 };
+        self.matches().map(|(a, b)| line_distances_squared(e, &a, &b)).map(|(d1, d2)| kept(d1) + kept(d2)).sum()
+    }
+
+    /// Points of the matches that the motion explains.
+    fn tally(&self, motion: &Se3<Second, First>) -> Tally {
+        let e = essential_of(motion);
+        let limit = CHI2_LINE * self.options.sigma * self.options.sigma;
+        // Below three sigma of the angle the depth's sign is noise.
+        let far = 3.0 * std::f64::consts::SQRT_2 * self.options.sigma;
+        let count = self.x1.len();
+        let mut tally = Tally {
+            motion: *motion,
+            points: vec![None; count],
+            inliers: vec![false; count],
+            votes: 0,
+            parallax: vec![],
+        };
+        for (i, (x1, x2)) in self.matches().enumerate() {
+            // Written so that NaN fails.
+            if !(sampson_squared(&e, &x1, &x2) <= limit) {
+                continue;
+            }
+            let met = nearest_match(&e, &x1, &x2).and_then(|(y1, y2)| intersect(motion, &y1, &y2));
+            let Some(met) = met.filter(|m| m.parallax_rad > far) else {
+                tally.inliers[i] = true;
+                continue;
+            };
+            if met.depth1 > 0.0 && met.depth2 > 0.0 {
+                tally.points[i] = Some(met.point);
+                tally.inliers[i] = true;
+                tally.votes += 1;
+                tally.parallax.push(met.parallax_rad);
+            }
+        }
+        tally
+    }
+
+    /// The motion refined over the matches that vote for it.
+    fn refined(&self, tally: Tally) -> Tally {
+        let voters = tally.points.iter().zip(self.matches()).filter(|(p, _)| p.is_some()).map(|(_, m)| m);
+        let loss = Loss::Cauchy(2.0 * self.options.sigma);
+        let better = refine_motion(&tally.motion, voters, loss, &LmOptions::default()).map(|m| self.tally(&m));
+        better.filter(|b| b.votes >= tally.votes).unwrap_or(tally)
+    }
+
+    /// The motion with most votes, if it stands out.
+    fn choose(
+        &self,
+        motions: &[Se3<Second, First>],
+        model: TwoViewModel,
+        homography_ratio: f64,
+    ) -> Result<TwoViewReconstruction, TwoViewFailure> {
+        let mut tallies: Vec<Tally> = motions.iter().map(|m| self.tally(m)).collect();
+        tallies.sort_by_key(|t| std::cmp::Reverse(t.votes));
+        // Only motions near the best can still win.
+        let most = tallies.first().map_or(0, |t| t.votes);
+        let mut tallies: Vec<Tally> =
+            tallies.into_iter().map(|t| if 2 * t.votes >= most { self.refined(t) } else { t }).collect();
+        tallies.sort_by_key(|t| std::cmp::Reverse(t.votes));
+        let mut rest = tallies.into_iter();
+        let best = rest.next().ok_or(TwoViewFailure::NoModel)?;
+        let runner_up = rest.find(|t| difference(&t.motion, &best.motion) > SAME_MOTION);
+        let runner_up_votes = runner_up.as_ref().map_or(0, |t| t.votes);
+
+        let finish = |t: Tally, other: usize| {
+            let mut parallax = t.parallax;
+            TwoViewReconstruction {
+                second_from_first: t.motion,
+                points: t.points,
+                model,
+                inlier_count: t.inliers.iter().filter(|i| **i).count(),
+                inliers: t.inliers,
+                votes: t.votes,
+                votes_runner_up: other,
+                wide_points: parallax.iter().filter(|p| **p >= self.options.min_parallax_rad).count(),
+                median_parallax_rad: median(&mut parallax),
+                homography_ratio,
+            }
+        };
+        let votes = best.votes;
+        let best = finish(best, runner_up_votes);
+        let needed = self.options.min_points;
+        if best.wide_points < needed {
+            // Too few points of any parallax, or too little parallax of enough points.
+            return Err(if best.inlier_count < needed {
+                TwoViewFailure::TooFewPoints { count: best.inlier_count, needed }
+            } else {
+                TwoViewFailure::LowParallax { median_rad: best.median_parallax_rad, wide_points: best.wide_points }
+            });
+        }
+        match runner_up {
+            Some(other) if runner_up_votes as f64 > self.options.max_runner_up * votes as f64 => {
+                Err(TwoViewFailure::Ambiguous { best: Box::new(best), runner_up: Box::new(finish(other, votes)) })
+            }
+            _ => Ok(best),
+        }
+    }
+}
+
+/// Angle between the rotations plus angle between the translations, radians.
+fn difference(a: &Se3<Second, First>, b: &Se3<Second, First>) -> f64 {
+    a.rotation.angle_to(&b.rotation) + a.translation.angle(&b.translation)
+}
+
+/// Upper median; zero of nothing.
+fn median(values: &mut [f64]) -> f64 {
+    let middle = values.len() / 2;
+    if values.is_empty() {
+        return 0.0;
+    }
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+#[cfg(test)]
+mod tests;
