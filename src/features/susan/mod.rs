@@ -328,7 +328,7 @@ fn strength_of(
     similarity: &Similarity,
 ) -> Option<f32> {
     let by_area = 1.0 - f32::from(area) / (MASK_AREA as f32 * f32::from(WHOLE));
-    let asked = config.min_centroid_px > 0.0 || config.contiguous;
+    let asked = config.min_centroid_px > 0.0 || config.contiguous || config.reject_edges;
     if config.strength == SusanStrength::SalientDegree && !asked {
         return Some(by_area);
     }
@@ -337,7 +337,9 @@ fn strength_of(
     }
     let (centroid @ [cx, cy], contrast) = mask.first_moments(area);
     let distance = (cx * cx + cy * cy).sqrt();
-    if distance < config.min_centroid_px || (config.contiguous && distance > 0.0 && !mask.is_contiguous(centroid)) {
+    let told =
+        || (config.contiguous && !mask.is_contiguous(centroid)) || (config.reject_edges && mask.is_edge(centroid));
+    if distance < config.min_centroid_px || (distance > 0.0 && told()) {
         return None;
     }
     let strength = match config.strength {

@@ -176,15 +176,24 @@ impl Mask {
     }
 
     /// Whether all pixels from the nucleus towards `direction` (any length but 0), to the mask's edge, belong to the USAN.
-    pub(super) fn is_contiguous(&self, direction: [f32; 2]) -> bool {
-        let [dx, dy] = direction;
+    pub(super) fn is_contiguous(&self, [dx, dy]: [f32; 2]) -> bool {
         let longest = dx.abs().max(dy.abs());
         (1..=MASK_RADIUS).all(|step| {
-            let cell = |d: f32| (step as f32 * d / longest).round() as i32 + MASK_RADIUS as i32;
+            // Rounded half away from the nucleus; `f32::round` is a call on the x86-64 baseline.
+            let cell = |d: f32| {
+                let away = (step as f32 * d.abs() / longest + 0.5) as i32;
+                MASK_RADIUS as i32 + if d < 0.0 { -away } else { away }
+            };
             let k = (8 * cell(dy) + cell(dx)) as usize;
             // Beyond the round mask's edge there is nothing to ask.
             WEIGHTS.one[k] == 0 || 2 * self.c[k] as u16 >= WHOLE
         })
+    }
+
+    /// Whether the USAN goes on both ways across `direction` (towards its centre of gravity): then an edge or a ramp
+    /// passes through the nucleus, however small the area is.
+    pub(super) fn is_edge(&self, [dx, dy]: [f32; 2]) -> bool {
+        self.is_contiguous([-dy, dx]) && self.is_contiguous([dy, -dx])
     }
 
     /// Second moments about the nucleus (xx, xy, yy), each divided by the area, pixels squared.
