@@ -95,6 +95,11 @@ impl SusanConfig {
         Self { response: SusanResponse::Exponential, geometric_threshold: 0.255, ..Self::study() }
     }
 
+    /// Whether false corners are told by more than the area.
+    pub(super) fn asks(&self) -> bool {
+        self.min_centroid_px > 0.0 || self.contiguous || self.reject_edges
+    }
+
     /// Fails when a value is out of its range.
     pub fn check(&self) -> Result<(), SusanConfigError> {
         if !(self.geometric_threshold > 0.0 && self.geometric_threshold < 1.0) {
