@@ -22,6 +22,9 @@ use kernels::{count_row, smooth_row, smooth_strengths};
 pub use usan::{MASK_AREA, MASK_RADIUS, Similarity, SusanResponse, Usan, WHOLE, usan};
 use usan::{Mask, area_in_rows};
 
+/// Masks gathered before they are summed up: a vector loaded right after its parts were stored would have to wait.
+const BATCH: usize = 16;
+
 /// What the vector pass needs of one brightness threshold.
 #[derive(Debug, Clone, Copy)]
 struct Bound {
@@ -163,7 +166,17 @@ impl SusanDetector {
         let (raw, points) = (&mut raw[y % 3][*margin..], &mut raw_points[y % 3]);
         let rows = std::array::from_fn(|i| image.row(y + i - MASK_RADIUS));
         count_row(&rows, difference, limit, left);
-        let mut mask = Mask::default();
+        let by_area = self.config.strength == SusanStrength::SalientDegree && !self.config.asks();
+        let mut batch = [(0, 0, Mask::default()); BATCH];
+        let mut n = 0;
+        let mut finish = |batch: &[(usize, u16, Mask)]| {
+            for (x, area, mask) in batch {
+                if let Some(strength) = strength_of(&self.config, *area, mask) {
+                    raw[*x] = strength;
+                    points.push(*x as u16);
+                }
+            }
+        };
         for (chunk, bytes) in left.chunks_exact(8).enumerate() {
             let mut bits = u64::from_le_bytes(std::array::from_fn(|i| bytes[i]));
             while bits != 0 {
@@ -175,12 +188,18 @@ impl SusanDetector {
                 if u32::from(area) >= self.area_limit {
                     continue;
                 }
-                if let Some(strength) = strength_of(&self.config, &rows, x, area, &mut mask, similarity) {
-                    raw[x] = strength;
-                    points.push(x as u16);
+                let (to_x, to_area, mask) = &mut batch[n];
+                (*to_x, *to_area) = (x, area);
+                if by_area || mask.gather(&rows, x, similarity) {
+                    n += 1;
+                }
+                if n == BATCH {
+                    finish(&batch);
+                    n = 0;
                 }
             }
         }
+        finish(&batch[..n]);
     }
 
     /// Moves row `y` of measured strengths on, averaged or as it is.
@@ -329,25 +348,16 @@ fn threshold_of(cells: &CellGrid, column: usize, row: usize) -> Option<(bool, u8
 
 /// The strength of a pixel whose area is below g; `None` where the paper's questions, as far as the configuration asks
 /// them, tell a false corner.
-fn strength_of(
-    config: &SusanConfig,
-    rows: &[&[u8]; 7],
-    x: usize,
-    area: u16,
-    mask: &mut Mask,
-    similarity: &Similarity,
-) -> Option<f32> {
+fn strength_of(config: &SusanConfig, area: u16, mask: &Mask) -> Option<f32> {
     let by_area = 1.0 - f32::from(area) / (MASK_AREA as f32 * f32::from(WHOLE));
-    let asked = config.min_centroid_px > 0.0 || config.contiguous;
-    if config.strength == SusanStrength::SalientDegree && !asked {
+    if config.strength == SusanStrength::SalientDegree && !config.asks() {
         return Some(by_area);
-    }
-    if !mask.gather(rows, x, similarity) {
-        return None;
     }
     let (centroid @ [cx, cy], contrast) = mask.first_moments(area);
     let distance = (cx * cx + cy * cy).sqrt();
-    if distance < config.min_centroid_px || (config.contiguous && distance > 0.0 && !mask.is_contiguous(centroid)) {
+    let told =
+        || (config.contiguous && !mask.is_contiguous(centroid)) || (config.reject_edges && mask.is_edge(centroid));
+    if distance < config.min_centroid_px || (distance > 0.0 && told()) {
         return None;
     }
     let strength = match config.strength {

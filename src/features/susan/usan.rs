@@ -176,15 +176,24 @@ impl Mask {
     }
 
     /// Whether all pixels from the nucleus towards `direction` (any length but 0), to the mask's edge, belong to the USAN.
+    #[inline]
     pub(super) fn is_contiguous(&self, direction: [f32; 2]) -> bool {
-        let [dx, dy] = direction;
-        let longest = dx.abs().max(dy.abs());
-        (1..=MASK_RADIUS).all(|step| {
-            let cell = |d: f32| (step as f32 * d / longest).round() as i32 + MASK_RADIUS as i32;
-            let k = (8 * cell(dy) + cell(dx)) as usize;
-            // Beyond the round mask's edge there is nothing to ask.
-            WEIGHTS.one[k] == 0 || 2 * self.c[k] as u16 >= WHOLE
-        })
+        steps_towards(direction).into_iter().fold(true, |all, step| all & self.belongs(step))
+    }
+
+    /// Whether the USAN goes on both ways across `direction` (towards its centre of gravity): then an edge or a ramp
+    /// passes through the nucleus, however small the area is.
+    #[inline]
+    pub(super) fn is_edge(&self, [dx, dy]: [f32; 2]) -> bool {
+        // No early end: which pixel fails first cannot be foreseen, and a wrong guess costs more than the rest.
+        steps_towards([-dy, dx]).into_iter().fold(true, |all, step| all & self.belongs(step) & self.belongs(-step))
+    }
+
+    /// Whether the cell `step` cells after the nucleus's is USAN. Beyond the round mask's edge there is nothing to ask.
+    #[inline(always)]
+    fn belongs(&self, step: i32) -> bool {
+        let k = (NUCLEUS_CELL + step) as usize % CELLS;
+        (WEIGHTS.one[k] == 0) | (self.c[k] >= WHOLE as i16 / 2)
     }
 
     /// Second moments about the nucleus (xx, xy, yy), each divided by the area, pixels squared.
@@ -193,6 +202,24 @@ impl Mask {
         let scale = 1.0 / f32::from(self.area());
         [self.sum(|k| x[k] * x[k]), self.sum(|k| x[k] * y[k]), self.sum(|k| y[k] * y[k])].map(|s| s as f32 * scale)
     }
+}
+
+/// The nucleus among the cells.
+const NUCLEUS_CELL: i32 = 8 * MASK_RADIUS as i32 + MASK_RADIUS as i32;
+
+/// Cells one, two and three steps from the nucleus towards a direction, rounded to the nearest (half away from it).
+#[inline(always)]
+fn steps_towards([dx, dy]: [f32; 2]) -> [i32; 3] {
+    let (ax, ay) = (dx.abs(), dy.abs());
+    let (sx, sy) = (if dx < 0.0 { -1 } else { 1 }, if dy < 0.0 { -8 } else { 8 });
+    let (long, short, along, aside) = if ax >= ay { (ax, ay, sx, sy) } else { (ay, ax, sy, sx) };
+    // k short / long rounds to at least n where 2 k short >= (2 n - 1) long.
+    let least = |k: f32, n: f32| i32::from(2.0 * k * short >= (2.0 * n - 1.0) * long);
+    [
+        along + aside * least(1.0, 1.0),
+        2 * along + aside * (least(2.0, 1.0) + least(2.0, 2.0)),
+        3 * along + aside * (least(3.0, 1.0) + least(3.0, 2.0) + least(3.0, 3.0)),
+    ]
 }
 
 impl Default for Mask {
