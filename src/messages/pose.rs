@@ -153,14 +153,10 @@ impl Pose {
     /// The covariance as a full matrix, body axes, order x, y, z, rotation about x, y, z.
     pub fn covariance_matrix(&self) -> [[f64; 6]; 6] {
         let mut full = [[0.0; 6]; 6];
-        let mut packed = self.covariance.iter();
-        for i in 0..6 {
-            for j in i..6 {
-                if let Some(&value) = packed.next() {
-                    full[i][j] = value;
-                    full[j][i] = value;
-                }
-            }
+        let entries = (0..6).flat_map(|i| (i..6).map(move |j| (i, j)));
+        for ((i, j), &value) in entries.zip(&self.covariance) {
+            full[i][j] = value;
+            full[j][i] = value;
         }
         full
     }

@@ -254,15 +254,14 @@ impl MapPublisher {
         conversion: &Conversion,
         context: &MapContext,
     ) -> Result<(), PublishError> {
-        let published_ns = monotonic_ns();
-        self.sent_ns = Some(published_ns);
+        self.sent_ns = Some(monotonic_ns());
         let (scale, scale_sigma) = conversion.scale.to_wire();
         let landmarks = newest(&snapshot.landmarks, self.limits.landmarks);
-        let header = MapHeader {
+        let header = || MapHeader {
             run_id: self.run_id,
             revision: snapshot.revision,
             timestamp_ns: context.timestamp_ns,
-            published_ns,
+            published_ns: monotonic_ns(),
             count: count(landmarks.len()),
             total: count(snapshot.landmarks.len()),
             map_id: snapshot.map.0,
@@ -276,11 +275,11 @@ impl MapPublisher {
         self.map.send_with(header, landmarks, |l| convert::landmark(l, &rotation))?;
 
         let keyframes = newest(&snapshot.keyframes, self.limits.keyframes);
-        let header = KeyframesHeader {
+        let header = || KeyframesHeader {
             run_id: self.run_id,
             revision: snapshot.revision,
             timestamp_ns: context.timestamp_ns,
-            published_ns,
+            published_ns: monotonic_ns(),
             count: count(keyframes.len()),
             total: count(snapshot.keyframes.len()),
             map_id: snapshot.map.0,

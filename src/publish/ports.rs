@@ -129,12 +129,18 @@ where
         Ok(Self { publisher: Arc::new(publisher), notifier, service, name })
     }
 
-    /// Sends a slice, each element written into shared memory by `convert`, and wakes its readers.
-    pub fn send_with<S>(&self, header: H, source: &[S], convert: impl Fn(&S) -> T) -> Result<(), PublishError> {
-        let mut sample = self.publisher.loan_slice_uninit(source.len()).map_err(|e| self.failed("taking memory", e))?;
-        *sample.user_header_mut() = header;
+    /// Sends a slice, each element written into shared memory by `convert`, and wakes its readers. `header` is called last,
+    /// when only the sending is left.
+    pub fn send_with<S>(
+        &self,
+        header: impl FnOnce() -> H,
+        source: &[S],
+        convert: impl Fn(&S) -> T,
+    ) -> Result<(), PublishError> {
+        let sample = self.publisher.loan_slice_uninit(source.len()).map_err(|e| self.failed("taking memory", e))?;
         // There are as many slots as elements, so the default is never used.
-        let sample = sample.write_from_fn(|i| source.get(i).map(&convert).unwrap_or_default());
+        let mut sample = sample.write_from_fn(|i| source.get(i).map(&convert).unwrap_or_default());
+        *sample.user_header_mut() = header();
         sample.send().map_err(|e| self.failed("sending", e))?;
         self.wake();
         Ok(())
