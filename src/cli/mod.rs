@@ -2,14 +2,13 @@
 
 pub mod command;
 pub mod endpoint_args;
-pub mod watch;
+pub mod evaluate;
 pub mod replay;
 mod session;
+pub mod watch;
 
 use std::fmt;
 use std::process::ExitCode;
-
-pub mod evaluate;
 
 /// Exit codes (sysexits.h where one fits).
 pub mod exit_code {
@@ -59,12 +58,14 @@ pub struct Arguments {
 
 #[derive(Debug, clap::Subcommand)]
 enum Command {
+    Evaluate(evaluate::EvaluateArgs),
     Replay(replay::ReplayArgs),
 }
 
 /// Carries out the subcommand.
 pub fn run(arguments: &Arguments) -> Result<ExitCode, CliError> {
     match &arguments.command {
+        Command::Evaluate(args) => evaluate::run(args),
         Command::Replay(args) => replay::run(args),
     }
 }
