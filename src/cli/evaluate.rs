@@ -3,11 +3,11 @@
 //! Figures go to stdout (text, `--json`, or the suite's Markdown table), notes and progress to stderr.
 
 use std::ffi::OsString;
-use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
 
+use super::session::print;
 use super::{CliError, exit_code};
 use crate::evaluation::association::CoverageBasis;
 use crate::evaluation::suite::{self, SuiteError, SuiteOptions};
@@ -77,16 +77,6 @@ fn evaluation_error(error: EvaluationError) -> CliError {
     match error {
         EvaluationError::Trajectory(e) => trajectory_error(e),
         EvaluationError::NoFrameWithTruth { .. } => CliError::new(exit_code::DATA, error.to_string()),
-    }
-}
-
-fn print(text: &str) -> Result<(), CliError> {
-    let mut out = io::stdout().lock();
-    let outcome = out.write_all(text.as_bytes()).and_then(|()| out.flush());
-    match outcome {
-        // Whoever read the other end has seen enough.
-        Err(e) if e.kind() == io::ErrorKind::BrokenPipe => Ok(()),
-        other => other.map_err(|e| CliError::new(exit_code::CANNOT_CREATE, format!("cannot write to stdout: {e}"))),
     }
 }
 

@@ -52,16 +52,17 @@ pub struct Stages {
 #[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default)]
 pub struct Quantiles {
-    pub p50_ms: f64,
-    pub p95_ms: f64,
-    pub p99_ms: f64,
+    /// `None` (JSON's null) where nothing was counted.
+    pub p50_ms: Option<f64>,
+    pub p95_ms: Option<f64>,
+    pub p99_ms: Option<f64>,
 }
 
 impl Stages {
     /// From the decoded grey picture to the pose, p50 and p95: sums of the stages', so the latter is an upper bound.
     fn picture_to_pose_ms(&self) -> Option<(f64, f64)> {
         let (feature, track) = self.feature.zip(self.track)?;
-        Some((feature.p50_ms + track.p50_ms, feature.p95_ms + track.p95_ms))
+        Some((feature.p50_ms? + track.p50_ms?, feature.p95_ms? + track.p95_ms?))
     }
 }
 
