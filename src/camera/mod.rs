@@ -1,6 +1,7 @@
 //! Frames from anywhere through one door, [`FrameSource`].
 
 pub mod recording;
+pub mod simulator;
 #[cfg(target_os = "linux")]
 pub mod v4l2;
 

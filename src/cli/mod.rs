@@ -4,6 +4,7 @@ pub mod command;
 pub mod endpoint_args;
 pub mod replay;
 mod session;
+pub mod simulate;
 pub mod watch;
 
 use std::fmt;

@@ -1,0 +1,201 @@
+//! `cairn simulate`: writes a simulated drive as a recording that `cairn replay` reads, with ground truth.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::{Args, ValueEnum};
+
+use super::{CliError, exit_code};
+use crate::camera::Pacing;
+use crate::camera::simulator::{ExportError, Scenario, Simulator, SimulatorConfig};
+
+/// Something that can be switched on or off.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+#[value(rename_all = "snake_case")]
+pub enum Effect {
+    /// Lens distortion.
+    Distortion,
+    /// Darkening towards the corners.
+    Vignetting,
+    /// Automatic exposure.
+    Exposure,
+    /// Sudden jumps of the exposure.
+    ExposureJumps,
+    /// Sensor noise.
+    Noise,
+    /// Motion blur.
+    MotionBlur,
+    /// Rolling shutter.
+    RollingShutter,
+    /// Something that walks by and covers a part of the picture.
+    Occluder,
+    /// A covered lens for some frames.
+    Blackout,
+    /// Bare walls.
+    LowTexture,
+    /// A chessboard on the wall above the desk.
+    Chessboard,
+}
+
+impl Effect {
+    fn switch(self, config: &mut SimulatorConfig, on: bool) {
+        let key = match self {
+            Self::Distortion => &mut config.lens.distortion,
+            Self::Vignetting => &mut config.vignetting.enabled,
+            Self::Exposure => &mut config.exposure.automatic,
+            Self::ExposureJumps => &mut config.exposure.jumps,
+            Self::Noise => &mut config.noise.enabled,
+            Self::MotionBlur => &mut config.motion_blur.enabled,
+            Self::RollingShutter => &mut config.rolling_shutter.enabled,
+            Self::Occluder => &mut config.occluder.enabled,
+            Self::Blackout => &mut config.blackout.enabled,
+            Self::LowTexture => &mut config.low_texture,
+            Self::Chessboard => &mut config.chessboard.enabled,
+        };
+        *key = on;
+    }
+}
+
+/// Write a simulated drive through a textured room, with ground truth, as a recording (TUM RGB-D layout)
+#[derive(Debug, Clone, Args)]
+pub struct SimulateArgs {
+    /// Folder to write; must be new or empty
+    #[arg(long, value_name = "DIR")]
+    pub output: PathBuf,
+    /// Place and movement
+    #[arg(long, value_enum, default_value = "room_tour")]
+    pub scenario: Scenario,
+    /// Length of the drive, s
+    #[arg(long, default_value_t = 20.0)]
+    pub seconds: f64,
+    /// Seed of everything random: same seed and options, same bytes
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Picture size, pixels, 320x240 to 1280x720
+    #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "640x480", value_parser = parse_size)]
+    pub size: (u32, u32),
+    /// Frames per second, Hz
+    #[arg(long, default_value_t = 30.0)]
+    pub rate: f64,
+    /// Factor on all speeds of the movement, 0.1 to 4
+    #[arg(long, default_value_t = 1.0)]
+    pub speed: f64,
+    /// Start from a flawless camera instead of an ordinary webcam
+    #[arg(long)]
+    pub ideal: bool,
+    /// Switch effects on, comma separated
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "EFFECT")]
+    pub with: Vec<Effect>,
+    /// Switch effects off, comma separated
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "EFFECT")]
+    pub without: Vec<Effect>,
+    /// Exposure time, ms
+    #[arg(long, value_name = "MS")]
+    pub exposure_ms: Option<f64>,
+    /// Time from the first row to the last, ms
+    #[arg(long, value_name = "MS")]
+    pub readout_ms: Option<f64>,
+}
+
+fn parse_size(text: &str) -> Result<(u32, u32), String> {
+    let parsed = text.split_once('x').and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
+    parsed.ok_or_else(|| format!("`{text}` is not WIDTHxHEIGHT in pixels, as in 640x480"))
+}
+
+impl SimulateArgs {
+    /// The simulator's configuration that these options stand for.
+    fn config(&self) -> SimulatorConfig {
+        let mut config = if self.ideal { SimulatorConfig::ideal(self.scenario) } else { SimulatorConfig::default() };
+        config.scenario = self.scenario;
+        config.seed = self.seed;
+        (config.width, config.height) = self.size;
+        config.rate_hz = self.rate;
+        config.speed = self.speed;
+        config.chessboard.enabled = self.scenario == Scenario::CalibrationSweep;
+        for effect in &self.with {
+            effect.switch(&mut config, true);
+        }
+        for effect in &self.without {
+            effect.switch(&mut config, false);
+        }
+        if let Some(ms) = self.exposure_ms {
+            config.motion_blur.exposure_ms = ms;
+        }
+        if let Some(ms) = self.readout_ms {
+            config.rolling_shutter.readout_ms = ms;
+        }
+        config
+    }
+}
+
+/// Renders and writes; prints the folder on stdout.
+pub fn run(args: &SimulateArgs) -> Result<ExitCode, CliError> {
+    if !(args.seconds > 0.0 && args.seconds <= 36_000.0) {
+        let message = format!("--seconds {} s: must lie above 0 and at most 36000", args.seconds);
+        return Err(CliError::new(exit_code::USAGE, message));
+    }
+    let config = args.config();
+    config.validate().map_err(|e| CliError::new(exit_code::USAGE, e.to_string()))?;
+    let mut simulator =
+        Simulator::new(&config, Pacing::LockStep).map_err(|e| CliError::new(exit_code::FAILURE, e.to_string()))?;
+    let written = simulator.write_recording(&args.output, args.seconds).map_err(|e| {
+        let code = match e {
+            ExportError::Write { .. } | ExportError::NotEmpty { .. } => exit_code::CANNOT_CREATE,
+        };
+        CliError::new(code, e.to_string())
+    })?;
+    eprintln!("{} frames of scenario {} (seed {})", written.frames, config.scenario.name(), config.seed);
+    println!("{}", args.output.display());
+    Ok(ExitCode::SUCCESS)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: SimulateArgs,
+    }
+
+    fn parse(line: &str) -> Result<SimulateArgs, clap::Error> {
+        Line::try_parse_from(line.split_whitespace()).map(|l| l.args)
+    }
+
+    #[test]
+    fn options_become_configuration() {
+        let line = "x --output a --scenario fast_rotation --seed 9 --size 752x480 --with occluder,blackout \
+                    --without noise --exposure-ms 12";
+        let config = parse(line).unwrap().config();
+        assert_eq!((config.scenario, config.seed, config.width), (Scenario::FastRotation, 9, 752));
+        assert!(config.occluder.enabled && config.blackout.enabled && !config.noise.enabled);
+        assert_eq!(config.motion_blur.exposure_ms, 12.0);
+        assert!(config.validate().is_ok());
+    }
+
+    #[test]
+    fn nonsense_is_refused_with_a_reason() {
+        assert!(parse("x --output a --size 640").is_err());
+        assert!(parse("x --output a --with fog").is_err());
+        let dir = tempfile::tempdir().unwrap();
+        let mut args = parse(&format!("x --output {} --size 100x100", dir.path().display())).unwrap();
+        let error = run(&args).unwrap_err();
+        assert_eq!(error.code, exit_code::USAGE);
+        assert!(error.message.contains("width = 100 px"), "{}", error.message);
+        args.size = (640, 480);
+        args.seconds = f64::NAN;
+        assert_eq!(run(&args).unwrap_err().code, exit_code::USAGE);
+    }
+
+    #[test]
+    fn a_folder_in_use_is_left_alone() {
+        let dir = tempfile::tempdir().unwrap();
+        std::fs::write(dir.path().join("mine.txt"), "keep").unwrap();
+        let args = parse(&format!("x --output {} --size 320x240 --seconds 0.1", dir.path().display())).unwrap();
+        let error = run(&args).unwrap_err();
+        assert_eq!(error.code, exit_code::CANNOT_CREATE);
+        assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1);
+    }
+}
