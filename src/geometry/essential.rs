@@ -289,12 +289,16 @@ pub fn estimate_essential(
     let found = ransac::estimate(&problem, &options.ransac, &mut workspace)?;
     let threshold = options.ransac.threshold;
     let (parts, _) = vote(&problem, &found.model, &workspace)?;
-    // Refine over the inliers; what is left of the outliers within the threshold fades.
-    let matches = workspace.inliers().iter().map(|&i| problem.at(i));
-    let loss = Loss::Cauchy(threshold);
-    let refined = refine_motion(&parts.candidates[0], matches, loss, &LmOptions::default())?;
-    let essential = essential_of(&refined);
-    let log10_false_alarms = ransac::judge(&problem, &essential, &options.ransac, &mut workspace)?;
+    // Refine twice, because a better motion has other inliers; what is left of the outliers fades.
+    let mut motion = parts.candidates[0];
+    let mut near = Vec::new();
+    for _ in 0..2 {
+        ransac::collect_inliers(&problem, &essential_of(&motion), ransac::REFIT_WIDTH * threshold, &mut near);
+        let matches = near.iter().map(|&i| problem.at(i));
+        motion = refine_motion(&motion, matches, Loss::Cauchy(2.0 * threshold), &LmOptions::default())?;
+    }
+    let log10_false_alarms = ransac::judge(&problem, &essential_of(&motion), &options.ransac, &mut workspace)?;
+    let essential = essential_of(&motion);
     if degenerate(&problem, options, &workspace) {
         return None;
     }

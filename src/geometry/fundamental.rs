@@ -273,8 +273,12 @@ pub fn estimate_fundamental(
         epipole_fixed = plane_and_parallax(&problem, &options, h, &mut model);
         ransac::judge(&problem, &model, &options, &mut workspace)?;
     }
-    let matches = workspace.inliers().iter().map(|&i| problem.at(i));
-    let model = refine_fundamental(&model, matches, Loss::Cauchy(threshold), &LmOptions::default())?;
+    let mut near = Vec::new();
+    for _ in 0..2 {
+        ransac::collect_inliers(&problem, &model, ransac::REFIT_WIDTH * threshold, &mut near);
+        let matches = near.iter().map(|&i| problem.at(i));
+        model = refine_fundamental(&model, matches, Loss::Cauchy(2.0 * threshold), &LmOptions::default())?;
+    }
     let log10_false_alarms = ransac::judge(&problem, &model, &options, &mut workspace)?;
     let inliers = workspace.inliers();
     let across = |x: &[Vector2<f64>]| spread(inliers.iter().map(|&i| x[i])).1;

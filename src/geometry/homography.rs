@@ -254,8 +254,10 @@ pub fn estimate_homography(
     let options = RansacOptions { threshold: options.threshold * conditioning.scale, ..*options };
     let mut workspace = Workspace::default();
     let found = ransac::estimate(&problem, &options, &mut workspace)?;
-    let matches = workspace.inliers().iter().map(|&i| (problem.x1[i], problem.x2[i]));
-    let model = refine_homography(&found.model, matches, Loss::Cauchy(options.threshold), &LmOptions::default());
+    let mut near = Vec::new();
+    ransac::collect_inliers(&problem, &found.model, ransac::REFIT_WIDTH * options.threshold, &mut near);
+    let matches = near.iter().map(|&i| (problem.x1[i], problem.x2[i]));
+    let model = refine_homography(&found.model, matches, Loss::Cauchy(2.0 * options.threshold), &LmOptions::default());
     let log10_false_alarms = ransac::judge(&problem, &model, &options, &mut workspace)?;
     // Points of a line fix no homography, however many there are.
     let inliers = workspace.inliers();

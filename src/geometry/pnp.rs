@@ -171,8 +171,9 @@ pub fn estimate_pose<To, From>(
     let problem = Problem { points, seen };
     let mut workspace = Workspace::default();
     let found = ransac::estimate(&problem, options, &mut workspace)?;
-    let loss = Loss::Cauchy(options.threshold);
-    let pose = problem.refined(&found.model, workspace.inliers(), loss, &LmOptions::default())?;
+    let mut near = Vec::new();
+    ransac::collect_inliers(&problem, &found.model, ransac::REFIT_WIDTH * options.threshold, &mut near);
+    let pose = problem.refined(&found.model, &near, Loss::Cauchy(2.0 * options.threshold), &LmOptions::default())?;
     let log10_false_alarms = ransac::judge(&problem, &pose, options, &mut workspace)?;
     // Points of one line: the turn about it is open.
     if spread(workspace.inliers().iter().map(|&i| seen[i])).1 < options.threshold {

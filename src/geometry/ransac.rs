@@ -222,7 +222,7 @@ pub fn optimise<E: Estimator>(
     inliers: &mut Vec<usize>,
 ) {
     for _ in 0..rounds {
-        collect_inliers(estimator, &best.0, options.threshold, inliers);
+        collect_inliers(estimator, &best.0, REFIT_WIDTH * options.threshold, inliers);
         if inliers.len() <= E::SAMPLE_SIZE {
             return;
         }
@@ -272,7 +272,12 @@ fn resample<E: Estimator>(
     }
 }
 
-fn collect_inliers<E: Estimator>(estimator: &E, model: &E::Model, threshold: f64, inliers: &mut Vec<usize>) {
+/// Width of a refit's inliers in thresholds. The threshold cuts off the tail of the noise; estimates from the cut set are
+/// biased towards the model that chose it, measurably (a third more error of an essential matrix's motion).
+pub const REFIT_WIDTH: f64 = 1.5;
+
+/// Indices of the data within `threshold` of the model, ascending.
+pub fn collect_inliers<E: Estimator>(estimator: &E, model: &E::Model, threshold: f64, inliers: &mut Vec<usize>) {
     inliers.clear();
     let squared = threshold * threshold;
     inliers.extend((0..estimator.data_count()).filter(|&i| estimator.residual_squared(model, i) <= squared));

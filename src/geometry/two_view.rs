@@ -152,7 +152,9 @@ pub fn reconstruct_two_views(
     };
     // A transfer error has two dimensions, and the noise of both pictures.
     let transfer = RansacOptions { threshold: (2.0 * CHI2_POINT).sqrt() * options.sigma, ..ransac };
-    let plane = estimate_homography(x1, x2, &transfer);
+    // A scene of depth has none: then the search runs to its end, which need not be far.
+    let plane_search = RansacOptions { max_iterations: options.max_iterations.min(600), ..transfer };
+    let plane = estimate_homography(x1, x2, &plane_search);
     let essential_options = EssentialOptions { ransac, min_off_rotation: options.min_off_rotation };
     let essential = estimate_essential(x1, x2, &essential_options);
 

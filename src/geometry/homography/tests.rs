@@ -102,7 +102,7 @@ fn half_outliers_and_half_a_pixel_leave_the_plane() {
         assert!(recall > 0.9 && precision > 0.98, "seed {seed}: {recall} {precision}");
         for (a, b) in clean1.iter().zip(&clean2) {
             let error = (apply(&found.homography, a) - b).norm() * FOCAL;
-            assert!(error < 0.7, "seed {seed}: {error} px");
+            assert!(error < 1.0, "seed {seed}: {error} px");
         }
     }
 }
