@@ -1,5 +1,6 @@
 //! Map-free work on one picture: pyramid, corners, descriptors, frame-to-frame tracks. Knows no map.
 
+pub mod attributes;
 pub mod descriptor;
 mod dispatch;
 pub mod fast;
