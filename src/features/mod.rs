@@ -1,6 +1,7 @@
 //! Map-free work on one picture: pyramid, corners, descriptors, frame-to-frame tracks. Knows no map.
 
 pub mod alignment;
+pub mod attributes;
 pub mod config;
 pub mod descriptor;
 mod dispatch;

@@ -263,7 +263,7 @@ pub struct Usan {
 /// Area and moments round (`x`, `y`); `None` where the mask leaves the picture.
 pub fn usan(image: &GreyImage, x: usize, y: usize, similarity: &Similarity) -> Option<Usan> {
     let top = y.checked_sub(MASK_RADIUS)?;
-    if y + MASK_RADIUS >= image.height {
+    if x >= image.width || y >= image.height || y + MASK_RADIUS >= image.height {
         return None;
     }
     let mut mask = Mask::default();
