@@ -1,6 +1,7 @@
 //! What the subscriptions of one [`super::Client`] share: the endpoint, and an iceoryx2 node while any of them is connected.
 
 use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::time::Duration;
 
 use iceoryx2::prelude::{Node, NodeBuilder, NodeName, SignalHandlingMode, ipc_threadsafe};
 
@@ -9,6 +10,9 @@ use crate::messages::{Endpoint, Presence};
 
 /// Ports of this flavour may move between threads; it meets every other flavour on the wire.
 pub(super) type Ipc = ipc_threadsafe::Service;
+
+/// Longest wait for a service that is half made: the next try comes soon, and reading must not block.
+const CONNECTING: Duration = Duration::from_millis(50);
 
 /// See module.
 #[derive(Debug)]
@@ -46,10 +50,12 @@ impl Link {
             doing: "creating an iceoryx2 node",
             reason,
         };
+        let mut config = self.endpoint.config().clone();
+        config.global.creation_timeout = CONNECTING;
         let name = NodeName::new("cairn-client").map_err(|e| fail(e.to_string()))?;
         let node = NodeBuilder::new()
             .name(&name)
-            .config(self.endpoint.config())
+            .config(&config)
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<Ipc>()
             .map_err(|e| fail(e.to_string()))?;

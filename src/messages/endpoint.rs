@@ -130,12 +130,9 @@ impl Endpoint {
             .map_err(|_| EndpointError::Prefix { prefix: self.prefix.clone(), reason: "iceoryx2 refuses it" })
     }
 
-    /// Where the description of a publish/subscribe service lies, if it exists.
-    fn description_path(&self, service: &ServiceName) -> PathBuf {
-        let hash = ServiceHash::new::<<ipc_threadsafe::Service as Service>::ServiceNameHasher>(
-            service,
-            MessagingPattern::PublishSubscribe,
-        );
+    /// Where the description of a service lies, if it exists.
+    pub(crate) fn description_path(&self, service: &ServiceName, pattern: MessagingPattern) -> PathBuf {
+        let hash = ServiceHash::new::<<ipc_threadsafe::Service as Service>::ServiceNameHasher>(service, pattern);
         let global = &self.config.global;
         let file = format!("{}{hash}{}", global.prefix, global.service.static_config_storage_suffix);
         self.root().join(global.service.directory.to_string()).join(file)
@@ -144,7 +141,8 @@ impl Endpoint {
     /// Looks whether a publish/subscribe service exists and whose it is, without leaving anything behind: a process of
     /// another user that created so much as a folder would lock the rightful one out.
     pub fn probe(&self, service: &ServiceName) -> Presence {
-        let (path, us) = (self.description_path(service), effective_uid());
+        let path = self.description_path(service, MessagingPattern::PublishSubscribe);
+        let us = effective_uid();
         match std::fs::metadata(&path) {
             Ok(meta) if us.is_some_and(|us| us != meta.uid()) => Presence::OtherOwner { path, owner: meta.uid() },
             Ok(_) => Presence::Ours,

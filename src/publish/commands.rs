@@ -4,9 +4,10 @@ use std::fmt;
 
 use iceoryx2::active_request::ActiveRequest;
 use iceoryx2::port::server::Server;
-use iceoryx2::prelude::{BackpressureStrategy, Node};
+use iceoryx2::prelude::{BackpressureStrategy, MessagingPattern, Node};
 use iceoryx2::service::port_factory::server::ServerCreateError;
 
+use super::opening::open_patiently;
 use super::{Ipc, PublishError};
 use crate::messages::services::{MAX_COMMANDERS, MAX_NODES, topic};
 use crate::messages::{Command, CommandReply, Endpoint, reply_code};
@@ -25,20 +26,20 @@ impl CommandServer {
     pub(super) fn open(node: &Node<Ipc>, endpoint: &Endpoint) -> Result<Self, PublishError> {
         let name = endpoint.service(topic::COMMAND)?;
         let failed = |doing, reason: String| PublishError::Ipc { service: name.to_string(), doing, reason };
-        let service = node
-            .service_builder(&name)
-            .request_response::<Command, CommandReply>()
-            .max_servers(1)
-            .max_clients(MAX_COMMANDERS)
-            .max_nodes(MAX_NODES)
-            .max_active_requests_per_client(1)
-            .max_loaned_requests(1)
-            .max_response_buffer_size(1)
-            .max_borrowed_responses_per_pending_response(1)
-            // A request whose sender cannot be answered is not carried out.
-            .enable_fire_and_forget_requests(false)
-            .open_or_create()
-            .map_err(|e| failed("making it", e.to_string()))?;
+        let service = open_patiently(endpoint, &name, MessagingPattern::RequestResponse, || {
+            node.service_builder(&name)
+                .request_response::<Command, CommandReply>()
+                .max_servers(1)
+                .max_clients(MAX_COMMANDERS)
+                .max_nodes(MAX_NODES)
+                .max_active_requests_per_client(1)
+                .max_loaned_requests(1)
+                .max_response_buffer_size(1)
+                .max_borrowed_responses_per_pending_response(1)
+                // A request whose sender cannot be answered is not carried out.
+                .enable_fire_and_forget_requests(false)
+                .open_or_create()
+        })?;
         let server = service
             .server_builder()
             .backpressure_strategy(BackpressureStrategy::DiscardData)

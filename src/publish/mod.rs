@@ -16,6 +16,7 @@
 mod commands;
 pub mod convert;
 mod error;
+mod opening;
 mod ports;
 
 use std::sync::{Arc, Weak};
@@ -40,6 +41,9 @@ type Ipc = ipc_threadsafe::Service;
 
 /// How often the remains of processes that were killed are looked for.
 const CLEAN_UP_EVERY: Duration = Duration::from_secs(1);
+
+/// How often what iceoryx2 cannot clear away itself is looked for.
+const SWEEP_EVERY: Duration = Duration::from_secs(60);
 
 /// Sizes that shared memory is reserved for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -93,7 +97,8 @@ impl Publisher {
         if let Presence::OtherOwner { path, owner } = endpoint.probe(&endpoint.service(topic::POSE)?) {
             return Err(PublishError::OtherOwner { path, owner });
         }
-        ports::check_room(limits.shared_memory_bytes())?;
+        opening::check_room(limits.shared_memory_bytes())?;
+        opening::sweep(endpoint);
         let node = Arc::new(node(endpoint)?);
         let run_id = run_id();
         // The pose first: it is what tells that another daemon has this prefix.
@@ -119,28 +124,35 @@ impl Publisher {
             health: HealthPublisher {
                 port: health,
                 node,
+                endpoint: endpoint.clone(),
                 others,
                 run_id,
                 sequence: 0,
                 started_ns: monotonic_ns(),
                 cleaned: Instant::now(),
+                swept: Instant::now(),
             },
             commands,
         })
     }
 }
 
+/// Longest wait for a subscriber that is just connecting (and may have died over it), in the middle of a pose's way.
+const CONNECTING: Duration = Duration::from_millis(200);
+
 fn node(endpoint: &Endpoint) -> Result<Node<Ipc>, PublishError> {
+    let mut config = endpoint.config().clone();
+    config.global.creation_timeout = CONNECTING;
     let create = || {
         let name = NodeName::new("cairn").map_err(|e| e.to_string())?;
         NodeBuilder::new()
             .name(&name)
-            .config(endpoint.config())
+            .config(&config)
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<Ipc>()
             .map_err(|e| e.to_string())
     };
-    create().map_err(|reason| match ports::foreign_folder(endpoint) {
+    create().map_err(|reason| match opening::foreign_folder(endpoint) {
         Some((path, owner)) => PublishError::OtherOwner { path, owner },
         None => PublishError::Ipc { service: endpoint.root().display().to_string(), doing: "creating a node", reason },
     })
@@ -352,11 +364,13 @@ impl FramePublisher {
 pub struct HealthPublisher {
     port: Port<Health, ()>,
     node: Arc<Node<Ipc>>,
+    endpoint: Endpoint,
     others: Vec<Updater>,
     run_id: u64,
     sequence: u64,
     started_ns: i64,
     cleaned: Instant,
+    swept: Instant,
 }
 
 impl std::fmt::Debug for HealthPublisher {
@@ -385,6 +399,10 @@ impl HealthPublisher {
         if self.cleaned.elapsed() >= CLEAN_UP_EVERY {
             self.node.try_cleanup_dead_nodes();
             self.cleaned = Instant::now();
+        }
+        if self.swept.elapsed() >= SWEEP_EVERY {
+            opening::sweep(&self.endpoint);
+            self.swept = Instant::now();
         }
         sent
     }

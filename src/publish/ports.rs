@@ -2,33 +2,22 @@
 
 use std::fmt::Debug;
 use std::mem::MaybeUninit;
-use std::os::unix::fs::MetadataExt;
-use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use iceoryx2::node::NodeView;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::{Publisher, PublisherCreateError};
 use iceoryx2::prelude::{
-    AllocationStrategy, BackpressureStrategy, CallbackProgression, EventId, MessagingPattern, Node, NodeState,
-    PortFactory as _, ServiceName, ZeroCopySend,
+    AllocationStrategy, BackpressureStrategy, CallbackProgression, EventId, MessagingPattern, Node, PortFactory as _,
+    ServiceName, ZeroCopySend,
 };
 use iceoryx2::sample_mut_uninit::SampleMutUninit;
-use iceoryx2::service::Service as _;
-use iceoryx2::service::builder::publish_subscribe::{
-    PublishSubscribeCreateError, PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError,
-};
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
+use super::opening::open_patiently;
 use super::{Ipc, PublishError};
+use crate::messages::Endpoint;
 use crate::messages::services::{self, Qos};
-use crate::messages::{Endpoint, effective_uid};
-
-/// How long the remains of another daemon may take to go away.
-const PATIENCE: Duration = Duration::from_secs(3);
-/// Pause between two tries.
-const PAUSE: Duration = Duration::from_millis(50);
 
 /// See module. Dropped in this order, so that listeners that hear of the publisher's going find it gone.
 #[derive(Debug)]
@@ -71,8 +60,9 @@ where
     /// Makes a service of single values.
     pub fn open(node: &Node<Ipc>, endpoint: &Endpoint, topic: &str, qos: Qos) -> Result<Self, PublishError> {
         let name = endpoint.service(topic)?;
-        let notifier = notifier(node, &name)?;
-        let service = patiently(endpoint, &name, || service!(node, &name, T, (), qos))?;
+        let notifier = notifier(node, endpoint, &name)?;
+        let service =
+            open_patiently(endpoint, &name, MessagingPattern::PublishSubscribe, || service!(node, &name, T, (), qos))?;
         refuse_company(node, endpoint, &service)?;
         let publisher = service
             .publisher_builder()
@@ -115,8 +105,9 @@ where
         max_len: usize,
     ) -> Result<Self, PublishError> {
         let name = endpoint.service(topic)?;
-        let notifier = notifier(node, &name)?;
-        let service = patiently(endpoint, &name, || service!(node, &name, [T], H, qos))?;
+        let notifier = notifier(node, endpoint, &name)?;
+        let service =
+            open_patiently(endpoint, &name, MessagingPattern::PublishSubscribe, || service!(node, &name, [T], H, qos))?;
         refuse_company(node, endpoint, &service)?;
         let publisher = service
             .publisher_builder()
@@ -176,12 +167,9 @@ where
     }
 }
 
-fn notifier(node: &Node<Ipc>, name: &ServiceName) -> Result<Notifier<Ipc>, PublishError> {
-    let failed = |doing, reason: String| PublishError::Ipc { service: name.to_string(), doing, reason };
-    let start = Instant::now();
-    let events = loop {
-        let opened = node
-            .service_builder(name)
+fn notifier(node: &Node<Ipc>, endpoint: &Endpoint, name: &ServiceName) -> Result<Notifier<Ipc>, PublishError> {
+    let events = open_patiently(endpoint, name, MessagingPattern::Event, || {
+        node.service_builder(name)
             .event()
             .event_id_max_value(services::EVENT_MAX)
             .max_listeners(services::MAX_SUBSCRIBERS)
@@ -190,62 +178,11 @@ fn notifier(node: &Node<Ipc>, name: &ServiceName) -> Result<Notifier<Ipc>, Publi
             .notifier_created_event(EventId::new(services::EVENT_CREATED))
             .notifier_dropped_event(EventId::new(services::EVENT_DROPPED))
             .notifier_dead_event(EventId::new(services::EVENT_DEAD))
-            .open_or_create();
-        match opened {
-            Ok(events) => break events,
-            Err(_) if start.elapsed() < PATIENCE => std::thread::sleep(PAUSE),
-            Err(e) => return Err(failed("making its events", e.to_string())),
-        }
-    };
-    events
-        .notifier_builder()
-        .default_event_id(EventId::new(services::EVENT_NEW))
-        .create()
-        .map_err(|e| failed("making its notifier", e.to_string()))
-}
-
-/// Opens or creates a service, again and again while another process is just making or clearing it away, or still holds one
-/// of another shape (clients let go of it half a second after its daemon has gone).
-fn patiently<S>(
-    endpoint: &Endpoint,
-    name: &ServiceName,
-    open_or_create: impl Fn() -> Result<S, PublishSubscribeOpenOrCreateError>,
-) -> Result<S, PublishError> {
-    use PublishSubscribeOpenOrCreateError::{PublishSubscribeCreateError as Create, PublishSubscribeOpenError as Open};
-    let start = Instant::now();
-    loop {
-        let error = match open_or_create() {
-            Ok(service) => return Ok(service),
-            Err(e) => e,
-        };
-        if start.elapsed() < PATIENCE {
-            std::thread::sleep(PAUSE);
-            continue;
-        }
-        let service = name.to_string();
-        return Err(match error {
-            Open(PublishSubscribeOpenError::InsufficientPermissions)
-            | Create(PublishSubscribeCreateError::InsufficientPermissions) => match foreign_folder(endpoint) {
-                Some((path, owner)) => PublishError::OtherOwner { path, owner },
-                None => PublishError::Ipc { service, doing: "making it", reason: error.to_string() },
-            },
-            Open(e) => PublishError::Incompatible { reason: e.to_string(), pids: holders(endpoint, name), service },
-            e => PublishError::Ipc { service, doing: "making it", reason: e.to_string() },
-        });
-    }
-}
-
-/// Processes that hold a publish/subscribe service open.
-fn holders(endpoint: &Endpoint, name: &ServiceName) -> Vec<u32> {
-    let details = Ipc::details(name, endpoint.config(), MessagingPattern::PublishSubscribe);
-    let nodes = details.ok().flatten().and_then(|d| d.dynamic_details).map(|d| d.nodes).unwrap_or_default();
-    nodes
-        .iter()
-        .filter_map(|node| match node {
-            NodeState::Alive(node) => node.details().as_ref().and_then(|d| u32::try_from(d.process_id().value()).ok()),
-            _ => None,
-        })
-        .collect()
+            .open_or_create()
+    })?;
+    events.notifier_builder().default_event_id(EventId::new(services::EVENT_NEW)).create().map_err(|e| {
+        PublishError::Ipc { service: name.to_string(), doing: "making its notifier", reason: e.to_string() }
+    })
 }
 
 /// A publisher that lives is another daemon. (The service's own limit of one publisher does not help when somebody else
@@ -298,30 +235,4 @@ where
         CallbackProgression::Stop
     });
     PublishError::AlreadyRunning { prefix: endpoint.prefix().into(), pid }
-}
-
-/// One of iceoryx2's folders that belongs to another user.
-pub(super) fn foreign_folder(endpoint: &Endpoint) -> Option<(PathBuf, u32)> {
-    let us = effective_uid()?;
-    let (root, global) = (endpoint.root(), &endpoint.config().global);
-    let folders = [root.join(global.node.directory.to_string()), root.join(global.service.directory.to_string()), root];
-    folders.into_iter().find_map(|folder| {
-        let owner = std::fs::metadata(&folder).ok()?.uid();
-        (owner != us).then_some((folder, owner))
-    })
-}
-
-/// Free bytes of /dev/shm must exceed what may be written there.
-pub(super) fn check_room(needed: u64) -> Result<(), PublishError> {
-    let Some(free) = free_shared_memory() else { return Ok(()) };
-    if free >= needed {
-        return Ok(());
-    }
-    Err(PublishError::NoRoom { free_mb: free >> 20, needed_mb: (needed >> 20) + 1 })
-}
-
-/// Free bytes of /dev/shm; `None` where there is none.
-fn free_shared_memory() -> Option<u64> {
-    let stat = rustix::fs::statvfs("/dev/shm").ok()?;
-    Some(stat.f_bavail.saturating_mul(stat.f_frsize))
 }

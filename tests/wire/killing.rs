@@ -120,3 +120,47 @@ fn a_stuck_subscriber_delays_neither_the_publisher_nor_the_others() {
     println!("longest publish beside a stopped subscriber: {longest:?}");
     stuck.signal("-CONT");
 }
+
+#[test]
+fn daemons_killed_while_they_open_do_not_lock_the_next_one_out() {
+    let place = Place::new();
+    let mut poses = place.client().poses();
+    for round in 0..40 {
+        let daemon = place.spawn(Role::Publisher);
+        // Opening takes some 10 ms; the process itself needs as long to start.
+        std::thread::sleep(Duration::from_millis(4 + round * 37 % 50));
+        poses.try_next().unwrap();
+        daemon.kill();
+    }
+    let _daemon = place.spawn(Role::Publisher);
+    let (first, second) = (next(&mut poses), next(&mut poses));
+    assert!(first.run_id < second.run_id || first.sequence < second.sequence);
+}
+
+#[test]
+fn subscribers_killed_while_they_connect_harm_nobody() {
+    let place = Place::new();
+    let mut publisher = place.publisher();
+    let mut witness = place.client().poses();
+    connect(&mut witness);
+    let (mut sequence, mut longest) = (0, Duration::ZERO);
+    for round in 0..40 {
+        let subscriber = place.spawn(Role::Subscriber);
+        let start = Instant::now();
+        while start.elapsed() < Duration::from_millis(4 + round * 37 % 50) {
+            let begin = Instant::now();
+            publisher.poses.publish(&estimate(sequence), &Conversion::default(), 0).unwrap();
+            longest = longest.max(begin.elapsed());
+            assert_eq!(next(&mut witness).sequence, sequence);
+            sequence += 1;
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        publisher.health.publish(&Health::default()).unwrap();
+        subscriber.kill();
+    }
+    println!("longest publish while subscribers died: {longest:?}");
+    until("all places are free again", || {
+        publisher.health.publish(&Health::default()).unwrap();
+        publisher.poses.subscribers() == 1
+    });
+}
