@@ -350,15 +350,9 @@ impl SimulatorConfig {
         if distortion.iter().any(|k| !k.is_finite()) {
             return Err(bad("must be finite numbers".to_owned()));
         }
-        let camera = CameraModel {
-            width: self.width,
-            height: self.height,
-            fx,
-            fy: fx * 1.003,
-            cx: 0.5 * (w - 1.0) + 0.006 * w,
-            cy: 0.5 * (h - 1.0) - 0.009 * h,
-            distortion,
-        };
+        let (cx, cy) = (0.5 * (w - 1.0) + 0.006 * w, 0.5 * (h - 1.0) - 0.009 * h);
+        let camera = CameraModel::new(self.width, self.height, fx, fx * 1.003, cx, cy, distortion)
+            .map_err(|e| bad(e.to_string()))?;
         super::rays::check_lens(&camera).map_err(bad)?;
         Ok(camera)
     }
