@@ -7,7 +7,7 @@ use clap::{Args, ValueEnum};
 
 use super::{CliError, exit_code};
 use crate::camera::Pacing;
-use crate::camera::simulator::{ExportError, Scenario, Simulator, SimulatorConfig};
+use crate::camera::simulator::{Scenario, Simulator, SimulatorConfig};
 
 /// Something that can be switched on or off.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -138,12 +138,9 @@ pub fn run(args: &SimulateArgs) -> Result<ExitCode, CliError> {
     config.validate().map_err(|e| CliError::new(exit_code::USAGE, e.to_string()))?;
     let mut simulator =
         Simulator::new(&config, Pacing::LockStep).map_err(|e| CliError::new(exit_code::FAILURE, e.to_string()))?;
-    let written = simulator.write_recording(&args.output, args.seconds).map_err(|e| {
-        let code = match e {
-            ExportError::Write { .. } | ExportError::NotEmpty { .. } => exit_code::CANNOT_CREATE,
-        };
-        CliError::new(code, e.to_string())
-    })?;
+    let written = simulator
+        .write_recording(&args.output, args.seconds)
+        .map_err(|e| CliError::new(exit_code::CANNOT_CREATE, e.to_string()))?;
     eprintln!("{} frames of scenario {} (seed {})", written.frames, config.scenario.name(), config.seed);
     println!("{}", args.output.display());
     Ok(ExitCode::SUCCESS)

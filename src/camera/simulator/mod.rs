@@ -16,7 +16,7 @@
 //!
 //! # Rooms
 //! [`config`] keys; `random` numbers; `paint`, `styles`, `furnishings`: textures; `scene`, `room`: geometry and light;
-//! [`trajectory`]; `rays`, `cull`, `render`, `texture`: the picture; `effects`, `occluder`: what spoils it;
+//! [`trajectory`]; `rays`, `cull`, `render`, `tile`, `texture`: the picture; `effects`, `occluder`: what spoils it;
 //! `export`: a recording on disk.
 //!
 //! Deliberately not here: physics, colour, transparency, reflections, cast shadows of moving things.
@@ -35,6 +35,7 @@ mod room;
 mod scene;
 mod styles;
 mod texture;
+mod tile;
 pub mod trajectory;
 
 #[cfg(test)]

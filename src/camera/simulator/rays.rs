@@ -19,11 +19,26 @@ pub(super) struct Grid {
     pub(super) y: Vec<f32>,
 }
 
-/// What [`CullRect`] says of a tile: bounds of its rays in normalised coordinates.
+/// Bounds of a tile's rays in normalised coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct CullRect {
     pub(super) low: [f64; 2],
     pub(super) high: [f64; 2],
+}
+
+impl CullRect {
+    /// Contains no point yet.
+    pub(super) fn empty() -> Self {
+        Self { low: [f64::MAX; 2], high: [f64::MIN; 2] }
+    }
+
+    /// Grows to contain a point.
+    pub(super) fn include(&mut self, p: [f64; 2]) {
+        for k in 0..2 {
+            self.low[k] = self.low[k].min(p[k]);
+            self.high[k] = self.high[k].max(p[k]);
+        }
+    }
 }
 
 /// All rays of a camera.
@@ -54,16 +69,13 @@ impl Rays {
         let mut jacobians = Vec::with_capacity(tiles[0] * tiles[1]);
         for ty in 0..tiles[1] {
             for tx in 0..tiles[0] {
-                let mut rect = CullRect { low: [f64::MAX; 2], high: [f64::MIN; 2] };
+                let mut rect = CullRect::empty();
                 // The map is continuous and one to one: a tile's extremes lie on its border.
                 for i in 0..=TILE {
                     for (x, y) in [(i, 0), (i, TILE), (0, i), (TILE, i)] {
                         let at = (ty * TILE + y) * corners.stride + tx * TILE + x;
                         let p = [f64::from(corners.x[at]), f64::from(corners.y[at])];
-                        for k in 0..2 {
-                            rect.low[k] = rect.low[k].min(p[k]);
-                            rect.high[k] = rect.high[k].max(p[k]);
-                        }
+                        rect.include(p);
                     }
                 }
                 bounds.push(rect);
@@ -89,7 +101,7 @@ impl Grid {
         for row in 0..rows {
             for column in 0..columns {
                 let pixel = Vector2::new((column as f64 + offset).min(limit[0]), (row as f64 + offset).min(limit[1]));
-                let n = undistort(camera, &pixel).unwrap_or_default();
+                let n = camera.undistort(&pixel).unwrap_or_default();
                 grid.x.push(n.x as f32);
                 grid.y.push(n.y as f32);
             }
@@ -109,36 +121,11 @@ pub(super) fn check_lens(camera: &CameraModel) -> Result<(), String> {
             Vector2::new(-0.5, t * h - 0.5),
             Vector2::new(w - 0.5, t * h - 0.5),
         ] {
-            let back = undistort(camera, &pixel).and_then(|n| camera.distort(&n));
+            let back = camera.undistort(&pixel).and_then(|n| camera.distort(&n));
             if !back.is_some_and(|p| (p - pixel).norm() < 1e-6) {
                 return Err(format!("the lens folds over at pixel ({:.0}, {:.0})", pixel.x, pixel.y));
             }
         }
     }
     Ok(())
-}
-
-fn undistort(camera: &CameraModel, pixel: &Vector2<f64>) -> Option<Vector2<f64>> {
-    let target = Vector2::new((pixel.x - camera.cx) / camera.fx, (pixel.y - camera.cy) / camera.fy);
-    let [k1, k2, p1, p2, k3] = camera.distortion;
-    let mut n = target;
-    for _ in 0..30 {
-        let r2 = n.norm_squared();
-        let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
-        let slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3));
-        let x = n.x * radial + 2.0 * p1 * n.x * n.y + p2 * (r2 + 2.0 * n.x * n.x) - target.x;
-        let y = n.y * radial + p1 * (r2 + 2.0 * n.y * n.y) + 2.0 * p2 * n.x * n.y - target.y;
-        let a = radial + n.x * n.x * slope + 2.0 * p1 * n.y + 6.0 * p2 * n.x;
-        let b = n.x * n.y * slope + 2.0 * p1 * n.x + 2.0 * p2 * n.y;
-        let d = radial + n.y * n.y * slope + 6.0 * p1 * n.y + 2.0 * p2 * n.x;
-        let determinant = a * d - b * b;
-        if determinant <= 1e-9 {
-            return None;
-        }
-        n -= Vector2::new(d * x - b * y, a * y - b * x) / determinant;
-        if x.abs().max(y.abs()) < 1e-12 {
-            return Some(n);
-        }
-    }
-    None
 }

@@ -120,15 +120,15 @@ fn pure_rotation_and_standing_do_not_move() {
 #[test]
 fn no_movement_runs_into_furniture() {
     for seed in 1..5 {
+        let mut config = SimulatorConfig::ideal(Scenario::RoomTour);
+        config.seed = seed;
+        config.chessboard.enabled = true;
+        let plan = room::Plan { seed, texel_m: 0.1, rich: true, chessboard: &config.chessboard };
+        let (indoors, passage) = (room::furnished_room(&plan), room::corridor(&plan));
         for scenario in Scenario::ALL {
-            let mut config = SimulatorConfig::ideal(scenario);
-            config.seed = seed;
-            config.chessboard.enabled = true;
-            let plan = room::Plan { seed, texel_m: 0.05, rich: true, chessboard: &config.chessboard };
-            let scene = match scenario {
-                Scenario::Corridor => room::corridor(&plan),
-                _ => room::furnished_room(&plan),
-            };
+            let scene = if scenario == Scenario::Corridor { &passage } else { &indoors };
+            let mut config = config.clone();
+            config.scenario = scenario;
             let trajectory = super::super::Trajectory::new(&config, Some(0));
             for i in 0..900 {
                 let p = trajectory.pose_at_seconds(f64::from(i) * 0.1).translation;

@@ -4,8 +4,10 @@ use std::time::Duration;
 
 use super::super::{RECORDING_START_NS, SimulatorConfigError};
 use super::*;
+use crate::calibration::file::load_camera;
 use crate::camera::{FrameSource, Grab};
 use crate::frame::{Clock, PixelFormat, RawFrame};
+use crate::trajectory::{parse_timestamp, read_tum};
 
 #[test]
 fn lock_step_gives_every_frame_and_then_the_end() {
@@ -118,28 +120,22 @@ fn a_written_recording_is_what_was_rendered() {
     let mut simulator = simulator(&config);
     let written = simulator.write_recording(&path, 0.1).unwrap();
     assert_eq!(written.frames, 3);
-    let read = |name: &str| std::fs::read_to_string(path.join(name)).unwrap();
-    let (list, truth) = (read("rgb.txt"), read("groundtruth.txt"));
-    let lines = |text: &str| text.lines().filter(|l| !l.starts_with('#')).map(str::to_owned).collect::<Vec<_>>();
-    let (list, truth) = (lines(&list), lines(&truth));
-    assert_eq!((list.len(), truth.len()), (3, 3));
-    for (k, (entry, truth)) in list.iter().zip(&truth).enumerate() {
+    let list = std::fs::read_to_string(path.join("rgb.txt")).unwrap();
+    let truth = read_tum(&path.join("groundtruth.txt")).unwrap();
+    assert_eq!((list.lines().count(), truth.len()), (4, 3));
+    for (k, (entry, truth)) in list.lines().skip(1).zip(&truth).enumerate() {
         let (stamp, file) = entry.split_once(' ').unwrap();
-        let (seconds, nanoseconds) = stamp.split_once('.').unwrap();
-        let ns = seconds.parse::<i64>().unwrap() * 1_000_000_000 + nanoseconds.parse::<i64>().unwrap();
-        assert_eq!(ns, simulator.timestamp_ns(k as u64));
+        let timestamp_ns = parse_timestamp(stamp).unwrap();
+        assert_eq!((timestamp_ns, truth.timestamp_ns), (simulator.timestamp_ns(k as u64), timestamp_ns));
         let decoder = png::Decoder::new(std::io::BufReader::new(std::fs::File::open(path.join(file)).unwrap()));
         let mut reader = decoder.read_info().unwrap();
         let mut bytes = vec![0; 320 * 240];
         reader.next_frame(&mut bytes).unwrap();
         assert_eq!(bytes, picture(&mut simulator, k as u64).data);
-        let numbers: Vec<f64> = truth.split(' ').skip(1).map(|v| v.parse().unwrap()).collect();
-        let pose = simulator.trajectory().pose_at(ns);
-        let expected = pose.translation.iter().chain(pose.rotation.coords.iter());
-        assert!(truth.starts_with(stamp) && expected.zip(&numbers).all(|(a, b)| (a - b).abs() < 1e-8));
+        let (a, b) = (truth.world_from_camera, simulator.trajectory().pose_at(timestamp_ns));
+        assert!((a.translation - b.translation).norm() < 1e-8 && a.rotation.angle_to(&b.rotation) < 1e-7);
     }
-    let yaml = read("camera.yaml");
-    assert!(yaml.contains("width: 320\n") && yaml.contains("distortion: [-0.12, "), "{yaml}");
+    assert_eq!(&load_camera(&path.join("camera.yaml")).unwrap(), simulator.camera_model());
     assert!(simulator.write_recording(&path, 0.1).is_err(), "an older recording was overwritten");
 }
 

@@ -49,12 +49,11 @@ fn refine(picture: &GreyImage, start: Vector2<f64>, half: i32) -> Option<Vector2
     Some(corner)
 }
 
+/// Where a point of the world should be seen.
+type Predict<'a> = &'a dyn Fn(&Simulator, &Vector3<f64>) -> Option<Vector2<f64>>;
+
 /// Errors, px, of the corners found in frame `sequence` against `predict`.
-fn errors(
-    simulator: &mut Simulator,
-    sequence: u64,
-    predict: &dyn Fn(&Simulator, &Vector3<f64>) -> Option<Vector2<f64>>,
-) -> Vec<f64> {
+fn errors(simulator: &mut Simulator, sequence: u64, predict: Predict) -> Vec<f64> {
     let picture = picture(simulator, sequence);
     let board = simulator.chessboard().expect("a board").clone();
     let mut errors = Vec::new();
