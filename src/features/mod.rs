@@ -6,6 +6,7 @@ mod dispatch;
 pub mod fast;
 pub mod matching;
 pub mod susan;
+pub mod susan_large;
 
 use std::sync::Arc;
 
