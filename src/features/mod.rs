@@ -11,6 +11,7 @@ pub mod optical_flow;
 pub mod patch_sampling;
 pub mod stage;
 pub mod susan;
+pub mod susan_large;
 pub mod thumbnail;
 
 pub use config::{DetectorKind, FeaturesConfig};

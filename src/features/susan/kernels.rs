@@ -11,7 +11,7 @@ const BLOCK: usize = 32;
 
 simd_kernel! {
     /// `left[x]` is not 0 where at most `limit[x]` (up to 36) of the 36 neighbours differ by at most `difference[x]`.
-    pub(super) fn count_row(rows: &[&[u8]; 7], difference: &[u8], limit: &[u8], left: &mut [u8]) = count_row_body
+    pub(in crate::features) fn count_row(rows: &[&[u8]; 7], difference: &[u8], limit: &[u8], left: &mut [u8]) = count_row_body
 }
 
 #[inline(always)]

@@ -18,6 +18,7 @@ mod usan;
 use super::{Cell, CellGrid, Corner, CornerDetector};
 use crate::image::GreyImage;
 pub use config::{MAX_SUPPRESSION_PX, SusanConfig, SusanConfigError, SusanStrength};
+pub(super) use kernels::count_row as similar_counts;
 use kernels::{count_row, smooth_row, smooth_strengths};
 pub use usan::{MASK_AREA, MASK_RADIUS, Similarity, SusanResponse, Usan, WHOLE, usan};
 use usan::{Mask, area_in_rows};
