@@ -2,9 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use cairn::camera::simulator::{Scenario, Simulator, SimulatorConfig};
 use cairn::camera::Pacing;
-use cairn::features::{Feedback, FeatureStage, FeaturesConfig, FrameFeatures};
+use cairn::camera::simulator::{Scenario, Simulator, SimulatorConfig};
+use cairn::features::{FeatureStage, FeaturesConfig, Feedback, FrameFeatures};
 use cairn::geometry::Se3;
 use cairn::geometry::alignment::align;
 use cairn::geometry::frames::{Camera, World};
@@ -29,7 +29,8 @@ fn run(config: &SimulatorConfig, frames: u64, mut edit: impl FnMut(u64, &mut Gre
     let mut stage = FeatureStage::new(&FeaturesConfig::default());
     let worker = Box::new(InlineWorker::default());
     let mut reconstruction = Reconstruction::new(&ReconstructionConfig::default(), &camera, worker, true);
-    let (mut features, mut feedback, mut picture) = (FrameFeatures::default(), Feedback::default(), GreyImage::new(0, 0));
+    let (mut features, mut feedback, mut picture) =
+        (FrameFeatures::default(), Feedback::default(), GreyImage::new(0, 0));
     let (mut estimates, mut events, mut truth) = (Vec::new(), Vec::new(), Vec::new());
     for sequence in 0..frames {
         simulator.render(sequence, &mut picture);

@@ -51,9 +51,9 @@ struct Summary {
     landmarks: u32,
     resets: u64,
     /// From a frame's arrival to its published pose, ms.
-    latency_p50_ms: f64,
-    latency_p95_ms: f64,
-    latency_p99_ms: f64,
+    latency_p50_ms: Option<f64>,
+    latency_p95_ms: Option<f64>,
+    latency_p99_ms: Option<f64>,
     stages: StageLatencies,
     #[serde(flatten)]
     resources: Resources,
@@ -176,7 +176,7 @@ fn summarise(
     let figures = evaluation::evaluate(estimate, &reference).map(|outcome| outcome.figures).ok();
     let ate = figures.as_ref().and_then(|f| f.ate_m.as_ref()).map(|s| s.rmse);
     let path_m = figures.as_ref().map_or(0.0, |f| f.path_m);
-    let latency = status.latency.snapshot().percentiles();
+    let latency = status.latency.snapshot();
     Summary {
         frames: status.captured.get(),
         frames_dropped: status.dropped.get(),
@@ -190,9 +190,9 @@ fn summarise(
         keyframes: status.keyframes.get(),
         landmarks: status.map_size().0,
         resets: status.resets.get(),
-        latency_p50_ms: latency.p50_ms,
-        latency_p95_ms: latency.p95_ms,
-        latency_p99_ms: latency.p99_ms,
+        latency_p50_ms: latency.percentile_ms(0.50),
+        latency_p95_ms: latency.percentile_ms(0.95),
+        latency_p99_ms: latency.percentile_ms(0.99),
         stages: StageLatencies::of(status),
         resources,
         simulator,

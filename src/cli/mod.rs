@@ -1,9 +1,11 @@
 //! One file a subcommand: `Args` (clap) and `run(&Args) -> Result<ExitCode, CliError>`. Results on stdout, all else on stderr.
 
 pub mod command;
+pub mod demo;
 pub mod endpoint_args;
 pub mod evaluate;
 pub mod replay;
+pub mod run;
 mod session;
 pub mod simulate;
 pub mod watch;
@@ -59,9 +61,12 @@ pub struct Arguments {
 
 #[derive(Debug, clap::Subcommand)]
 enum Command {
+    Run(run::RunArgs),
+    Demo(demo::DemoArgs),
     Replay(replay::ReplayArgs),
     Watch(watch::WatchArgs),
     Evaluate(evaluate::EvaluateArgs),
+    Simulate(simulate::SimulateArgs),
     #[command(name = "command")]
     Send(command::CommandArgs),
 }
@@ -69,9 +74,12 @@ enum Command {
 /// Carries out the subcommand.
 pub fn run(arguments: &Arguments) -> Result<ExitCode, CliError> {
     match &arguments.command {
+        Command::Run(args) => run::run(args),
+        Command::Demo(args) => demo::run(args),
         Command::Replay(args) => replay::run(args),
         Command::Watch(args) => watch::run(args),
         Command::Evaluate(args) => evaluate::run(args),
+        Command::Simulate(args) => simulate::run(args),
         Command::Send(args) => command::run(args),
     }
 }

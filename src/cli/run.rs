@@ -28,7 +28,8 @@ pub fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
     let outputs = outputs(&config);
     session::check_outputs([&outputs.trajectory, &outputs.live_trajectory, &outputs.map, &outputs.overview])?;
     let (supply, calibration, size) = source(&config)?;
-    let (outlet, desk) = session::open_wire(&config, Clock::Monotonic, Some(size)).map_err(|e| session::wire_error(&e))?;
+    let (outlet, desk) =
+        session::open_wire(&config, Clock::Monotonic, Some(size)).map_err(|e| session::wire_error(&e))?;
     let parts = Parts {
         supply,
         calibration,

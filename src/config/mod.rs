@@ -15,6 +15,7 @@ use std::path::{Path, PathBuf};
 pub use error::ConfigError;
 pub use mount::{BodyFromCamera, MountConfig};
 
+use crate::camera::simulator::SimulatorConfig;
 use crate::camera::v4l2::V4l2Config;
 use crate::features::FeaturesConfig;
 use crate::publish::Limits;
@@ -32,6 +33,7 @@ pub struct Config {
     pub prefix: String,
     pub daemon: DaemonConfig,
     pub camera: V4l2Config,
+    pub simulator: SimulatorConfig,
     pub calibration: CalibrationConfig,
     pub features: FeaturesConfig,
     pub reconstruction: ReconstructionConfig,
@@ -47,6 +49,7 @@ impl Default for Config {
             prefix: "cairn".into(),
             daemon: DaemonConfig::default(),
             camera: V4l2Config::default(),
+            simulator: SimulatorConfig::default(),
             calibration: CalibrationConfig::default(),
             features: FeaturesConfig::default(),
             reconstruction: ReconstructionConfig::default(),
@@ -186,6 +189,7 @@ impl Config {
         let in_room = |room: &str, key: &str, reason: String| Invalid::new(format!("{room}.{key}"), reason);
         self.reconstruction.validate().map_err(|(key, _, reason)| in_room("reconstruction", key, reason))?;
         self.camera.validate().map_err(|(key, reason)| in_room("camera", key, reason))?;
+        self.simulator.validate().map_err(|e| in_room("simulator", e.key, e.reason))?;
         self.publish.validate()?;
         self.log.filter().map_err(|reason| Invalid::new("log.level", reason))?;
         self.mount.validate()

@@ -106,7 +106,7 @@ impl Snapshot {
         for (bucket, n) in self.counts.iter().enumerate() {
             seen += n;
             if seen >= rank {
-                return Some(middle_us(bucket) * 1e-3);
+                return Some(middle_us(bucket) / 1000.0);
             }
         }
         None
