@@ -1,4 +1,4 @@
-//! `[camera.simulator]`: what the simulated webcam shows, how it moves and what spoils its pictures.
+//! `[simulator]`: what the simulated webcam shows, how it moves and what spoils its pictures.
 //!
 //! Every key has a default, so an empty table is a webcam of ordinary quality that tours a room. Unknown keys are
 //! refused by serde, impossible values by [`SimulatorConfig::validate`].
@@ -243,7 +243,7 @@ config! {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("simulator.{key} = {value} {unit}: {reason}")]
 pub struct SimulatorConfigError {
-    /// Dotted key below `[camera.simulator]`.
+    /// Dotted key below `[simulator]`.
     pub key: &'static str,
     /// The offending value.
     pub value: String,
