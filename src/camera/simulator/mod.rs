@@ -19,6 +19,21 @@
 //! [`trajectory`]; `rays`, `cull`, `render`, `tile`, `texture`: the picture; `effects`, `occluder`: what spoils it;
 //! `export`: a recording on disk.
 //!
+//! # Cost
+//! Median CPU time of one thread for a frame of 640x480, release build, on one busy core of a 2-core AMD EPYC virtual
+//! machine; effects on `room_tour`, one at a time on top of the flawless camera (7.3 ms):
+//!
+//! | | ms |
+//! |---|---|
+//! | distortion, vignetting, exposure, noise, rolling shutter, occluder | below 0.5 each |
+//! | all of them | 7.7 (90 % of frames below 8.9) |
+//! | motion blur of 8 ms too | 8.9 (90 % below 15: a frame costs more the farther it streaks) |
+//! | `fast_rotation` with blur | 22 (90 % below 88) |
+//! | most faces in view: `desk_orbit`, default | 12.2 |
+//! | 1280x720, all | 27 |
+//!
+//! Start: 0.5 to 1 s and about 45 MB, mostly textures.
+//!
 //! Deliberately not here: physics, colour, transparency, reflections, cast shadows of moving things.
 
 pub mod config;

@@ -227,10 +227,10 @@ pub(super) fn corridor(plan: &Plan) -> Scene {
             ),
         }
         // A box on the other wall: fire extinguisher, cabinet, notice board.
-        let z = f.random.range(0.7, 1.3);
+        let z = f.random.range(0.3, 0.8);
         let style = if f.random.chance(0.5) { Style::Picture } else { Style::Front };
         let faces = Faces { front: style, sides: Style::Wood, top: Style::Wood };
-        f.place([x, -side * (half - 0.06), z], [0.5, 0.12, 0.5], PI - yaw, faces, 0.8);
+        f.place([x, -side * (half - 0.06), z], [0.6, 0.12, 0.6], PI - yaw, faces, 0.8);
     }
     // The far ends differ.
     f.place([0.5 * CORRIDOR[0] - 0.22, 0.4, 0.0], [0.7, 0.4, 1.2], -FRAC_PI_2, wood_front, 1.0);

@@ -4,8 +4,8 @@
 //! [`Canvas`] in perceptual grey without light. Every style has edges from half a metre down to a few texels, so that a
 //! wall shows corners from across the room and new ones from near.
 //!
-//! In a poor room (`rich` = false) walls, floor and ceiling are bare and everything else is pale: corners come from
-//! outlines and furniture only.
+//! In a poor room (`rich` = false) walls are bare but for a poster here and there, floor and ceiling are plain, and
+//! everything has half the contrast: corners come from outlines and furniture.
 
 use super::paint::{Area, Canvas, Noise, Shape, Tone};
 use super::random::Random;
@@ -67,52 +67,56 @@ impl Painter<'_> {
     pub(super) fn paint(&mut self, style: Style, size: [f64; 2], density: f64) -> Canvas {
         let mut c = Canvas::new(size, density, 128.0);
         let whole = Area::new(0.0, 0.0, size[0] as f32, size[1] as f32);
-        if !self.rich && self.paint_bare(style, &mut c) {
-            return c;
-        }
-        match style {
-            Style::Plaster => self.plaster(&mut c, whole, 14),
-            Style::Brick => self.brick(&mut c, whole),
-            Style::Wallpaper => self.wallpaper(&mut c, whole),
-            Style::Window => self.window(&mut c, whole),
-            Style::Door => self.door(&mut c, whole),
-            Style::Planks => self.planks(&mut c, whole),
-            Style::Tiles => self.tiles(&mut c, whole),
-            Style::Ceiling => self.ceiling(&mut c, whole),
-            Style::Wood => self.wood(&mut c, whole),
-            Style::Front => self.front(&mut c, whole),
-            Style::Books => self.books(&mut c, whole),
-            Style::Carton => self.carton(&mut c, whole),
-            Style::Fabric => self.fabric(&mut c, whole, 105.0, 35.0),
-            Style::Screen => self.screen(&mut c, whole),
-            Style::Keys => self.keys(&mut c, whole),
-            Style::Desktop => self.desktop(&mut c, whole),
-            Style::Foliage => self.foliage(&mut c, whole),
-            Style::Picture => self.picture(&mut c, whole),
-            Style::Ribs => self.ribs(&mut c, whole),
-            Style::Clothes => self.fabric(&mut c, whole, 90.0, 70.0),
-        }
-        if !self.rich {
-            let mean = c.texels.iter().map(|&t| u64::from(t)).sum::<u64>() as f32 / c.texels.len() as f32;
-            for t in &mut c.texels {
-                *t = (mean + 0.35 * (f32::from(*t) - mean)) as u8;
-            }
+        if self.rich {
+            self.paint_rich(style, &mut c, whole);
+        } else if !self.paint_bare(style, &mut c, whole) {
+            self.paint_rich(style, &mut c, whole);
+            pale(&mut c);
         }
         c
     }
 
-    /// Bare walls, floors and ceilings of a poor room; false for everything else.
-    fn paint_bare(&mut self, style: Style, c: &mut Canvas) -> bool {
-        let value = match style {
+    fn paint_rich(&mut self, style: Style, c: &mut Canvas, whole: Area) {
+        match style {
+            Style::Plaster => self.plaster(c, whole),
+            Style::Brick => self.brick(c, whole),
+            Style::Wallpaper => self.wallpaper(c, whole),
+            Style::Window => self.window(c, whole),
+            Style::Door => self.door(c, whole),
+            Style::Planks => self.planks(c, whole),
+            Style::Tiles => self.tiles(c, whole),
+            Style::Ceiling => self.ceiling(c, whole),
+            Style::Wood => self.wood(c, whole),
+            Style::Front => self.front(c, whole),
+            Style::Books => self.books(c, whole),
+            Style::Carton => self.carton(c, whole),
+            Style::Fabric => self.fabric(c, whole, 105.0, 35.0),
+            Style::Screen => self.screen(c, whole),
+            Style::Keys => self.keys(c, whole),
+            Style::Desktop => self.desktop(c, whole),
+            Style::Foliage => self.foliage(c, whole),
+            Style::Picture => self.picture(c, whole),
+            Style::Ribs => self.ribs(c, whole),
+            Style::Clothes => self.fabric(c, whole, 90.0, 70.0),
+        }
+    }
+
+    /// Walls, floors and ceilings of a poor room; false for everything else.
+    fn paint_bare(&mut self, style: Style, c: &mut Canvas, whole: Area) -> bool {
+        let (value, wall) = match style {
             Style::Plaster | Style::Wallpaper | Style::Window | Style::Door | Style::Brick => {
-                self.between(168.0, 186.0)
+                (self.between(168.0, 186.0), true)
             }
-            Style::Planks | Style::Tiles => 118.0,
-            Style::Ceiling => 195.0,
+            Style::Planks | Style::Tiles => (118.0, false),
+            Style::Ceiling => (195.0, false),
             _ => return false,
         };
-        c.texels.fill(value as u8);
-        c.noise(self.noise, &mut self.random, 1.6, [2.0, 2.0]);
+        self.fill(c, value, 3.2, [2.0, 2.0]);
+        if wall {
+            self.skirting(c, whole, value - 70.0);
+            self.sheets(c, whole, 6.0, [0.2, 0.5]);
+        }
+        pale(c);
         true
     }
 
@@ -125,24 +129,34 @@ impl Painter<'_> {
         c.noise(self.noise, &mut self.random, sigma, stretch);
     }
 
-    fn plaster(&mut self, c: &mut Canvas, a: Area, posters: usize) {
+    fn skirting(&mut self, c: &mut Canvas, a: Area, value: f32) {
+        c.rectangle(0.0, a.h - 0.08, a.w, 0.08, value);
+    }
+
+    /// Posters and pages of `sizes` metres, one for every `area` square metres.
+    fn sheets(&mut self, c: &mut Canvas, a: Area, area: f32, sizes: [f64; 2]) {
+        for _ in 0..((a.w * a.h / area).round() as usize).max(2) {
+            let mut side = || self.random.log_range(sizes[0], sizes[1]) as f32;
+            let (w, h) = (side(), side());
+            let (x, y) = (self.between(0.02, 0.98) * (a.w - w), self.between(0.1, 0.88) * (a.h - h));
+            self.sheet(c, Area::new(x.max(0.0), y.max(0.0), w, h));
+        }
+    }
+
+    fn plaster(&mut self, c: &mut Canvas, a: Area) {
         let base = self.between(150.0, 185.0);
         self.fill(c, base, 6.0, [2.0, 2.0]);
         c.noise(self.noise, &mut self.random, 3.0, [0.5, 0.5]);
-        // Skirting board and scuffs.
-        c.rectangle(0.0, a.h - 0.08, a.w, 0.08, base - 70.0);
-        for _ in 0..(a.w * a.h * 9.0) as usize {
+        self.skirting(c, a, base - 70.0);
+        // Scuffs and nail holes.
+        for _ in 0..(a.w * a.h * 16.0) as usize {
             let centre = [self.between(0.0, f64::from(a.w)), self.between(0.0, f64::from(a.h))];
             let r = self.random.log_range(0.004, 0.03) as f32;
-            let value = base + self.between(-60.0, 20.0);
+            let value = base + self.between(-80.0, 25.0);
             let angle = self.between(0.0, 3.1);
             c.shape(Shape::Rectangle { centre, half: [r, r * 0.5], angle }, value, 0.8);
         }
-        for _ in 0..posters {
-            let (w, h) = (self.random.log_range(0.15, 0.75) as f32, self.random.log_range(0.15, 0.75) as f32);
-            let (x, y) = (self.between(0.1, 0.95) * (a.w - w), self.between(0.12, 0.85) * (a.h - h));
-            self.sheet(c, Area::new(x.max(0.0), y.max(0.0), w, h));
-        }
+        self.sheets(c, a, 1.0, [0.15, 0.75]);
     }
 
     /// A poster, page, chart or photograph on something.
@@ -220,11 +234,7 @@ impl Painter<'_> {
             row += 1;
         }
         c.noise(self.noise, &mut self.random, 9.0, [1.0, 1.0]);
-        for _ in 0..4 {
-            let (w, h) = (self.between(0.25, 0.7), self.between(0.25, 0.7));
-            let (x, y) = (self.between(0.05, 0.95) * (a.w - w), self.between(0.15, 0.7) * (a.h - h));
-            self.sheet(c, Area::new(x.max(0.0), y.max(0.0), w, h));
-        }
+        self.sheets(c, a, 3.0, [0.25, 0.7]);
     }
 
     fn wallpaper(&mut self, c: &mut Canvas, a: Area) {
@@ -233,16 +243,12 @@ impl Painter<'_> {
         c.leaves(&mut self.random, a, [0.01, 0.22], Tone { mean: base, contrast: 38.0 }, 1.2);
         c.rectangle(0.0, a.h - 0.1, a.w, 0.1, 70.0);
         c.rectangle(0.0, 0.38 * a.h, a.w, 0.02, base - 60.0);
-        for _ in 0..7 {
-            let (w, h) = (self.random.log_range(0.2, 0.9) as f32, self.random.log_range(0.2, 0.7) as f32);
-            let (x, y) = (self.between(0.05, 0.95) * (a.w - w), self.between(0.1, 0.7) * (a.h - h));
-            self.sheet(c, Area::new(x.max(0.0), y.max(0.0), w, h));
-        }
+        self.sheets(c, a, 2.4, [0.2, 0.8]);
         c.noise(self.noise, &mut self.random, 4.0, [0.5, 0.5]);
     }
 
     fn window(&mut self, c: &mut Canvas, a: Area) {
-        self.plaster(c, a, 9);
+        self.plaster(c, a);
         for k in 0..((a.w / 3.0) as usize).max(1) {
             let (w, h) = (1.3f32.min(a.w * 0.6), 1.25f32.min(a.h * 0.5));
             let (x, y) = (a.w * (0.55 - 0.4 * k as f32).max(0.03), 0.18 * a.h);
@@ -264,7 +270,7 @@ impl Painter<'_> {
     }
 
     fn door(&mut self, c: &mut Canvas, a: Area) {
-        self.plaster(c, a, 8);
+        self.plaster(c, a);
         let mut x = 0.12 * a.w;
         for _ in 0..6 {
             if x + 0.95 > a.w {
@@ -359,5 +365,13 @@ impl Painter<'_> {
                 }
             }
         }
+    }
+}
+
+/// Halves the contrast.
+fn pale(c: &mut Canvas) {
+    let mean = c.texels.iter().map(|&t| u64::from(t)).sum::<u64>() as f32 / c.texels.len().max(1) as f32;
+    for t in &mut c.texels {
+        *t = (mean + 0.5 * (f32::from(*t) - mean)) as u8;
     }
 }
