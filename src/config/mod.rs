@@ -187,6 +187,7 @@ impl Config {
             return Err(Invalid::new("daemon.camera_retry_ms", "must be 100 to 60000"));
         }
         let in_room = |room: &str, key: &str, reason: String| Invalid::new(format!("{room}.{key}"), reason);
+        self.features.validate().map_err(|(key, _, reason)| in_room("features", key, reason))?;
         self.reconstruction.validate().map_err(|(key, _, reason)| in_room("reconstruction", key, reason))?;
         self.camera.validate().map_err(|(key, reason)| in_room("camera", key, reason))?;
         self.simulator.validate().map_err(|e| in_room("simulator", e.key, e.reason))?;
