@@ -60,7 +60,7 @@ pub struct SearchOptions {
 }
 
 /// Buffers of the search, kept between frames.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Search {
     candidates: Vec<Candidate>,
     per_cell: Vec<u32>,
@@ -80,6 +80,18 @@ const BORDER_PX: f64 = 8.0;
 const MIN_VIEW_COSINE: f64 = 0.5;
 /// A found patch must correlate at least this well with its template.
 const MIN_CORRELATION: f32 = 0.75;
+
+impl Default for Search {
+    fn default() -> Self {
+        Self {
+            candidates: Vec::with_capacity(4096),
+            per_cell: Vec::with_capacity(4096),
+            matches: Vec::with_capacity(1024),
+            missed: Vec::with_capacity(1024),
+            visible: 0,
+        }
+    }
+}
 
 impl Search {
     /// Projects `local` at `pose` and keeps up to `limit` visible ones, spread over the picture.

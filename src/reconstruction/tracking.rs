@@ -51,7 +51,7 @@ pub struct Frame<'a> {
 }
 
 /// Buffers of tracking, kept between frames.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Tracker {
     pub search: Search,
     pairs: Vec<PosePair>,
@@ -66,6 +66,8 @@ pub struct Tracker {
 
 /// Keyframes around the reference whose landmarks are looked for.
 const LOCAL_KEYFRAMES: usize = 20;
+/// Landmarks (counted once for each local keyframe) that there is room for at once.
+const LOCAL_ROOM: usize = 16_384;
 /// Bound tracks that a prediction by flow must rest on.
 const MIN_FLOW: usize = 10;
 /// A search without a good prediction looks in this many times the usual radius.
@@ -77,6 +79,21 @@ const FLOW_SIGMA_PX: f64 = 2.0;
 pub fn motion_since(frame: &Frame<'_>, pose: &Se3<Camera, World>) -> Option<CameraMotion> {
     let (before, dt) = frame.before.as_ref()?;
     Some(CameraMotion::over(&(*pose * before.inverse()), *dt))
+}
+
+impl Default for Tracker {
+    /// Room for what a large local map needs, so that a growing map does not allocate on the path of a pose.
+    fn default() -> Self {
+        Self {
+            search: Search::default(),
+            pairs: Vec::with_capacity(2048),
+            inlier: Vec::with_capacity(2048),
+            flow: Vec::with_capacity(2048),
+            local: Vec::with_capacity(LOCAL_ROOM),
+            local_of: None,
+            votes: Vec::with_capacity(1024),
+        }
+    }
 }
 
 impl Tracker {
