@@ -209,5 +209,5 @@ fn a_poor_room_has_far_fewer_edges() {
             .sum::<usize>()
     };
     let (rich, poor) = (edges(false), edges(true));
-    assert!(poor * 4 < rich, "{poor} edges in the poor room, {rich} in the rich one");
+    assert!(poor * 3 < rich, "{poor} edges in the poor room, {rich} in the rich one");
 }
