@@ -65,7 +65,7 @@ impl Similarity {
 
     /// c * [`WHOLE`] of all grey levels compared with the nucleus.
     #[inline(always)]
-    pub(super) fn of_nucleus(&self, nucleus: u8) -> &[u16; 256] {
+    pub(in crate::features) fn of_nucleus(&self, nucleus: u8) -> &[u16; 256] {
         self.table[255 - usize::from(nucleus)..].first_chunk().expect("255 + 256 entries lie in the table")
     }
 }
