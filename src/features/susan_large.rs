@@ -107,7 +107,7 @@ pub struct LargeSusanCounts {
 pub struct LargeSusanDetector {
     config: LargeSusanConfig,
     /// By threshold, filled when first needed.
-    similarities: Vec<Option<Similarity>>,
+    similarities: Vec<Option<(Similarity, Bound)>>,
     /// Area of each pixel times [`AREA_SCALE`], or [`LARGE`], or [`UNKNOWN`].
     areas: Vec<u16>,
     /// Brightness threshold of each pixel's cell; 0 = none.
@@ -126,6 +126,21 @@ struct FirstPassRows {
     difference: Vec<u8>,
     limit: Vec<u8>,
     left: Vec<u8>,
+}
+
+impl FirstPassRows {
+    /// Sets (difference, limit) of each pixel of row `y` by its threshold `t` (0 = none); where no corner is wanted,
+    /// so that nothing can be left.
+    fn fill(&mut self, t: &[u8], y: usize, cells: &CellGrid, rule: impl Fn(u8) -> Option<(u8, u8)>) {
+        let mut last = (0, (u8::MAX, 0));
+        for (x, &t) in t.iter().enumerate() {
+            if last.0 != t {
+                last = (t, rule(t).unwrap_or((u8::MAX, 0)));
+            }
+            let wanted = t != 0 && cells.index(x as f32, y as f32).is_some_and(|i| cells.cells[i].wanted);
+            (self.difference[x], self.limit[x]) = if wanted { last.1 } else { (u8::MAX, 0) };
+        }
+    }
 }
 
 impl LargeSusanDetector {
@@ -184,7 +199,12 @@ impl LargeSusanDetector {
                 };
                 let t = t.round().clamp(1.0, 255.0) as u8;
                 pixels.fill(t);
-                self.similarities[usize::from(t)].get_or_insert_with(|| Similarity::new(self.config.response, t));
+                let config = &self.config;
+                self.similarities[usize::from(t)].get_or_insert_with(|| {
+                    let similarity = Similarity::new(config.response, t);
+                    let bound = Bound::new(config, t, &similarity);
+                    (similarity, bound)
+                });
             }
         }
     }
@@ -203,42 +223,42 @@ impl LargeSusanDetector {
         }
         // sd < g leaves count + 1 < g * 37, the nucleus being one.
         let small_limit = ((self.config.small_mask_below * MASK_AREA as f32).ceil() as u8).saturating_sub(2);
+        let side = cells.cell_px.max(1);
         for y in r..image.height - r {
-            let t = &self.t[y * width..(y + 1) * width];
-            match scheme {
-                LargeSusanScheme::SinglePass => rows.left.copy_from_slice(t),
-                LargeSusanScheme::SmallMask => {
-                    for x in 0..width {
-                        // Where there is no threshold, everything is similar and nothing is left.
-                        rows.difference[x] = t[x].wrapping_sub(1);
-                        rows.limit[x] = if t[x] == 0 { 0 } else { small_limit };
+            if y == r || y % side == 0 {
+                // Thresholds and wishes change only from one row of cells to the next.
+                rows.fill(&self.t[y * width..(y + 1) * width], y, cells, |t| match scheme {
+                    LargeSusanScheme::SinglePass => Some((0, 1)),
+                    LargeSusanScheme::SmallMask => Some((t - 1, small_limit)),
+                    LargeSusanScheme::Bounded => {
+                        self.similarities[usize::from(t)].as_ref().map(|(_, bound)| (bound.difference, bound.windows()))
                     }
+                });
+            }
+            let FirstPassRows { difference, limit, left } = rows;
+            let inner = r..width - r;
+            match scheme {
+                LargeSusanScheme::SinglePass => left.copy_from_slice(limit),
+                LargeSusanScheme::SmallMask => {
                     let seven = std::array::from_fn(|i| image.row(y + i - MASK_RADIUS));
-                    similar_counts(&seven, &rows.difference, &rows.limit, &mut rows.left);
+                    similar_counts(&seven, difference, limit, left);
                 }
                 LargeSusanScheme::Bounded => {
-                    let mut bound = (0, Bound::NONE);
-                    for x in 0..width {
-                        if bound.0 != t[x] {
-                            let similarity = self.similarities[usize::from(t[x])].as_ref();
-                            bound = (t[x], similarity.map_or(Bound::NONE, |s| Bound::new(&self.config, t[x], s)));
-                        }
-                        (rows.difference[x], rows.limit[x]) = (bound.1.difference, bound.1.windows());
+                    let (difference, limit) = (&difference[inner.clone()], &limit[inner.clone()]);
+                    self.windows.bound_row(image, (r, y), difference, limit, &mut left[inner.clone()]);
+                    // What the bound excludes need not be measured as a neighbour either.
+                    let areas = &mut self.areas[y * width..(y + 1) * width][inner.clone()];
+                    for ((area, left), limit) in areas.iter_mut().zip(&left[inner.clone()]).zip(limit) {
+                        *area = if *left == 0 && *limit != 0 { LARGE } else { *area };
                     }
-                    let FirstPassRows { difference, limit, left } = rows;
-                    let [difference, limit] = [difference, limit].map(|row| &row[r..width - r]);
-                    self.windows.bound_row(image, (r, y), difference, limit, &mut left[r..width - r]);
                 }
             }
-            for x in r..width - r {
-                if !cells.index(x as f32, y as f32).is_some_and(|i| cells.cells[i].wanted) {
+            for (chunk, bytes) in left[inner].chunks(8).enumerate() {
+                if bytes.iter().fold(0, |any, b| any | b) == 0 {
                     continue;
                 }
-                if rows.left[x] != 0 {
-                    self.starts.push((y * width + x) as u32);
-                } else if scheme == LargeSusanScheme::Bounded {
-                    self.areas[y * width + x] = LARGE;
-                }
+                let first = y * width + r + 8 * chunk;
+                self.starts.extend((first..).zip(bytes).filter(|(_, left)| **left != 0).map(|(at, _)| at as u32));
             }
         }
     }
@@ -249,9 +269,9 @@ impl LargeSusanDetector {
             let (x, y, r) = (at % image.width, at / image.width, LARGE_RADIUS);
             let reached = x >= r && y >= r && x + r < image.width && y + r < image.height;
             self.areas[at] = match &self.similarities[usize::from(self.t[at])] {
-                Some(similarity) if reached => {
+                Some((similarity, bound)) if reached => {
                     self.counts.measured += 1;
-                    measure(image, (x, y), self.t[at], &self.config, similarity)
+                    measure(image, (x, y), bound, similarity)
                 }
                 _ => LARGE,
             };
@@ -338,27 +358,27 @@ impl CornerDetector for LargeSusanDetector {
     }
 }
 
-/// A pixel with `count` or more pixels of its mask within `difference` is no corner.
+/// When a pixel is no corner.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Bound {
+    /// With `count` or more pixels of its mask that differ by at most `difference`;
     difference: u8,
     count: u32,
+    /// with an area times [`WHOLE`] of this or more. `None`: the count is the area.
+    area: Option<u32>,
 }
 
 impl Bound {
-    /// Nothing is a corner.
-    const NONE: Self = Self { difference: u8::MAX, count: 0 };
-
-    /// `t` is not 0.
     fn new(config: &LargeSusanConfig, t: u8, similarity: &Similarity) -> Self {
         let limit = f64::from(config.geometric_threshold) * f64::from(LARGE_AREA);
         match config.response {
-            SusanResponse::Step => Self { difference: t - 1, count: limit.ceil() as u32 },
+            SusanResponse::Step => Self { difference: t.max(1) - 1, count: limit.ceil() as u32, area: None },
             SusanResponse::Exponential => {
                 // The area is at least count * c(difference).
                 let difference = (7 * u32::from(t) / 10) as u8;
                 let c = f64::from(similarity.at_difference(difference)) / f64::from(WHOLE);
-                Self { difference, count: (limit / c).ceil() as u32 }
+                let area = (limit * f64::from(WHOLE)).ceil() as u32;
+                Self { difference, count: (limit / c).ceil() as u32, area: Some(area) }
             }
         }
     }
@@ -369,27 +389,16 @@ impl Bound {
     }
 }
 
-/// Area of one pixel times [`AREA_SCALE`], or [`LARGE`] where it is not below g.
-fn measure(
-    image: &GreyImage,
-    (x, y): (usize, usize),
-    t: u8,
-    config: &LargeSusanConfig,
-    similarity: &Similarity,
-) -> u16 {
-    let bound = Bound::new(config, t, similarity);
+/// Area of one pixel times [`AREA_SCALE`], or [`LARGE`] where it is not below g. The mask lies in the picture.
+fn measure(image: &GreyImage, (x, y): (usize, usize), bound: &Bound, similarity: &Similarity) -> u16 {
     let count = count_similar(image, x, y, bound.difference);
     if count >= bound.count {
         return LARGE;
     }
-    match config.response {
-        SusanResponse::Step => (count * AREA_SCALE) as u16,
-        SusanResponse::Exponential => {
-            let limit =
-                (f64::from(config.geometric_threshold) * f64::from(LARGE_AREA) * f64::from(WHOLE)).ceil() as u32;
-            exact_area(image, x, y, similarity, limit)
-                .map_or(LARGE, |area| (area / (u32::from(WHOLE) / AREA_SCALE)) as u16)
-        }
+    match bound.area {
+        None => (count * AREA_SCALE) as u16,
+        Some(limit) => exact_area(image, x, y, similarity, limit)
+            .map_or(LARGE, |area| (area / (u32::from(WHOLE) / AREA_SCALE)) as u16),
     }
 }
 

@@ -53,7 +53,8 @@ fn perfect_corners_and_edges_have_the_digital_salient_degrees() {
     let of = |grey: &dyn Fn(i32, i32) -> u8, response| {
         let image = picture(60, 60, |x, y| grey(x - 30, y - 30));
         let config = LargeSusanConfig { geometric_threshold: 0.99, response, ..LargeSusanConfig::default() };
-        let area = measure(&image, (30, 30), 40, &config, &Similarity::new(response, 40));
+        let similarity = Similarity::new(response, 40);
+        let area = measure(&image, (30, 30), &Bound::new(&config, 40, &similarity), &similarity);
         f64::from(area) / f64::from(AREA_SCALE) / f64::from(LARGE_AREA)
     };
     for response in [SusanResponse::Step, SusanResponse::Exponential] {
