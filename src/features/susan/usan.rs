@@ -5,7 +5,7 @@
 //! 0..1, moments in pixels.
 //! Paper: Smith and Brady, "SUSAN - a new approach to low level image processing", IJCV 1997:
 //! step c = 1 where |I(r) - I(r0)| < t, exponential c = exp(-((I(r) - I(r0)) / t)^6).
-//! Cost: 12 ns an area, 40 ns a set of moments.
+//! Cost: 37 table look-ups an area; moments add three sums over 56 cells.
 //! It deliberately does not choose corners.
 
 use crate::features::dispatch::simd_kernel;

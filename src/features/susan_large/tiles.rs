@@ -6,7 +6,7 @@
 //! Where all of a 4x4 window is between c - d and c + d, its 16 pixels are similar to a nucleus of grey level c. The
 //! smallest and largest grey level of the window at every pixel cost a few vector operations; 64 windows lie side by
 //! side in the mask (1024 of its 1257 pixels), so 16 times the number of windows within the band is at most the area.
-//! Cost: 0.6 ms for 640x480 (AVX2). It deliberately knows no thresholds and no corners.
+//! Cost: 64 window comparisons a pixel, by vectors. It deliberately knows no thresholds and no corners.
 
 use super::LARGE_RADIUS;
 use crate::features::dispatch::simd_kernel;
