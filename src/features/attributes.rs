@@ -1,11 +1,11 @@
 //! What the method keeps of each corner: grey level, salient degree, direction.
 //!
-//! Purpose: the attributes that corners are matched by (see [`super::matching`]) and drawn with.
+//! Purpose: what corners can be compared by and drawn with.
 //! Input: grey picture, a corner's pixel, the similarity it was detected with. Output: [`Attributes`].
 //! The direction has two cases. The USAN lies to one side: from the nucleus to its centre of gravity, an angle. It lies
 //! on both sides alike (noise, or a thin line through the nucleus): the principal axis of its second moments,
 //! (1/2) atan2(2 mu_xy, mu_xx - mu_yy), known up to half a turn. Paper: Smith and Brady, SUSAN, IJCV 1997 (edge direction).
-//! Cost: 40 ns a corner.
+//! Cost: one USAN with its moments a corner.
 //! It deliberately does not do: the 41x41 mask (the small one measures the corner itself, not its surroundings).
 
 use std::f32::consts::{PI, TAU};

@@ -61,7 +61,7 @@ impl Descriptor {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Deserialize, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Orientation {
-    /// Not at all: fewer bits differ while the camera does not roll by more than about 15 degrees.
+    /// Not at all: for a camera that does not roll.
     Upright,
     /// By the direction to the patch's centre of brightness: survives any roll.
     #[default]

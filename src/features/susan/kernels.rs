@@ -1,6 +1,6 @@
 //! The vector loops of SUSAN: counting similar neighbours, smoothing.
 //!
-//! Input and output: rows of pixels. Cost: 0.15 ms a 640x480 picture for the counting, 0.03 ms for the smoothing (AVX2).
+//! Input and output: rows of pixels. Cost: below 0.2 ms a 640x480 picture for the counting (AVX2).
 //! They deliberately know no configuration and no cells: per pixel they get a difference and a limit.
 
 use super::usan::MASK_RADIUS;

@@ -7,7 +7,7 @@
 //! Output: corners at whole level-0 pixels in raster order; what the response means: [`SusanStrength`].
 //! Paper: Smith and Brady, "SUSAN - a new approach to low level image processing", IJCV 1997; step and exponential
 //! similarity, geometric threshold g, false corners told by the centre of gravity and by contiguity.
-//! Cost: about 1 ms for 640x480 with AVX2. A vector pass bounds each pixel's area from below by counting neighbours
+//! Cost: 1.9 ms of thread time for 640x480 at t = 20, 1.4 ms at 25 (AVX2, loaded machine). A vector pass bounds each pixel's area from below by counting neighbours
 //! whose difference is at most a: the area is at least count * c(a). Only what that bound leaves gets its exact area.
 //! It deliberately does not do: sub-pixel positions, scale, a limit on the number of corners.
 

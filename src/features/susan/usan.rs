@@ -5,7 +5,7 @@
 //! 0..1, moments in pixels.
 //! Paper: Smith and Brady, "SUSAN - a new approach to low level image processing", IJCV 1997:
 //! step c = 1 where |I(r) - I(r0)| < t, exponential c = exp(-((I(r) - I(r0)) / t)^6).
-//! Cost: 12 ns an area, 40 ns a set of moments.
+//! Cost: 37 table look-ups an area; moments add three sums over 56 cells.
 //! It deliberately does not choose corners.
 
 use crate::features::dispatch::simd_kernel;
@@ -65,7 +65,7 @@ impl Similarity {
 
     /// c * [`WHOLE`] of all grey levels compared with the nucleus.
     #[inline(always)]
-    pub(super) fn of_nucleus(&self, nucleus: u8) -> &[u16; 256] {
+    pub(in crate::features) fn of_nucleus(&self, nucleus: u8) -> &[u16; 256] {
         self.table[255 - usize::from(nucleus)..].first_chunk().expect("255 + 256 entries lie in the table")
     }
 }

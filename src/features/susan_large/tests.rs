@@ -53,7 +53,8 @@ fn perfect_corners_and_edges_have_the_digital_salient_degrees() {
     let of = |grey: &dyn Fn(i32, i32) -> u8, response| {
         let image = picture(60, 60, |x, y| grey(x - 30, y - 30));
         let config = LargeSusanConfig { geometric_threshold: 0.99, response, ..LargeSusanConfig::default() };
-        let area = measure(&image, (30, 30), 40, &config, &Similarity::new(response, 40));
+        let similarity = Similarity::new(response, 40);
+        let area = measure(&image, (30, 30), &Bound::new(&config, 40, &similarity), &similarity);
         f64::from(area) / f64::from(AREA_SCALE) / f64::from(LARGE_AREA)
     };
     for response in [SusanResponse::Step, SusanResponse::Exponential] {
@@ -70,13 +71,37 @@ fn two_passes_find_the_corners_of_the_single_pass_with_a_fifth_of_the_work() {
     for (width, height, seed) in [(280, 200, 1), (280, 200, 2), (320, 240, 3)] {
         let image = scene(width, height, seed);
         for response in [SusanResponse::Step, SusanResponse::Exponential] {
-            let two = LargeSusanConfig { response, ..LargeSusanConfig::default() };
-            let (single, all) = find(LargeSusanConfig { first_pass: None, ..two }, 40, &image);
-            let (double, some) = find(two, 40, &image);
+            let run = |scheme| find(LargeSusanConfig { response, scheme, ..LargeSusanConfig::default() }, 40, &image);
+            let (single, all) = run(LargeSusanScheme::SinglePass);
             assert!(single.len() >= 10, "seed {seed}: the scene has corners, {single:?}");
-            assert_eq!(single, double, "{width}x{height} seed {seed} {response:?}");
-            assert!(5 * some.measured <= all.measured, "measured {some:?} of {all:?}");
+            for scheme in [LargeSusanScheme::SmallMask, LargeSusanScheme::Bounded] {
+                let (double, some) = run(scheme);
+                assert_eq!(single, double, "{width}x{height} seed {seed} {response:?} {scheme:?}");
+                assert!(5 * some.measured <= all.measured, "{scheme:?}: measured {some:?} of {all:?}");
+            }
         }
+    }
+}
+
+/// Soft hills, steps and noise: what the small mask does not see everywhere.
+fn hills(width: usize, height: usize, seed: u64) -> GreyImage {
+    let phase = (seed % 1000) as f32 * 0.01;
+    picture(width, height, |x, y| {
+        let (fx, fy) = (x as f32, y as f32);
+        let hill = 60.0 * (0.09 * fx + phase).sin() * (0.11 * fy - phase).cos();
+        let step = if (x / 23 + y / 19) % 3 == 0 { 50.0 } else { 0.0 };
+        let noise = (x * 7919 + y * 104_729 + (seed % 97) as i32) * 31 % 11;
+        (110.0 + hill + step + noise as f32) as u8
+    })
+}
+
+#[test]
+fn the_small_mask_may_miss_corners_but_adds_none() {
+    for seed in 0..4 {
+        let image = hills(150, 120, seed * 77);
+        let run = |scheme| find(LargeSusanConfig { scheme, ..LargeSusanConfig::default() }, 30, &image).0;
+        let (single, double) = (run(LargeSusanScheme::SinglePass), run(LargeSusanScheme::SmallMask));
+        assert!(!double.is_empty() && double.iter().all(|c| single.contains(c)), "seed {seed}");
     }
 }
 
@@ -110,7 +135,7 @@ fn values_out_of_range_are_named_and_small_pictures_empty() {
     let base = LargeSusanConfig::default();
     let message = |config| LargeSusanDetector::new(config).expect_err("must be refused").to_string();
     assert!(message(LargeSusanConfig { geometric_threshold: 0.0, ..base }).contains("geometric_threshold is 0"));
-    assert!(message(LargeSusanConfig { first_pass: Some(f32::NAN), ..base }).contains("first_pass is NaN"));
+    assert!(message(LargeSusanConfig { small_mask_below: f32::NAN, ..base }).contains("small_mask_below is NaN"));
     assert!(message(LargeSusanConfig { suppression_px: 17, ..base }).contains("suppression_px is 17 px"));
     for (w, h) in [(0, 0), (40, 90), (90, 40), (41, 41)] {
         assert_eq!(find(base, 20, &picture(w, h, |_, _| 9)).0, []);
@@ -119,6 +144,28 @@ fn values_out_of_range_are_named_and_small_pictures_empty() {
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 48, ..ProptestConfig::default() })]
+
+    #[test]
+    fn the_bounded_scheme_is_the_single_pass_in_every_picture_and_cell(
+        seed in any::<u64>(), width in 41usize..130, height in 41usize..90, side in 8usize..70, t in 1u8..60,
+        exponential in any::<bool>(), g in 0.2f32..0.6, radius in 1usize..8, wanted in prop::collection::vec(any::<bool>(), 1..9),
+    ) {
+        let image = hills(width, height, seed);
+        let mut cells = CellGrid::new(width, height, side, f32::from(t));
+        for (i, cell) in cells.cells.iter_mut().enumerate() {
+            cell.wanted = wanted[i % wanted.len()];
+            cell.threshold = if i % 7 == 3 { f32::NAN } else { f32::from(t) + (i % 5) as f32 };
+        }
+        let response = if exponential { SusanResponse::Exponential } else { SusanResponse::Step };
+        let run = |scheme| {
+            let base = LargeSusanConfig::default();
+            let config = LargeSusanConfig { scheme, response, geometric_threshold: g, suppression_px: radius, ..base };
+            let mut out = Vec::new();
+            LargeSusanDetector::new(config).expect("valid").detect(&image, &cells, &mut out);
+            out
+        };
+        prop_assert_eq!(run(LargeSusanScheme::Bounded), run(LargeSusanScheme::SinglePass));
+    }
 
     #[test]
     fn counts_are_the_definition_and_the_wide_kernel_agrees(
