@@ -35,6 +35,7 @@ impl PlaneMotion {
 
 /// What a homography says about the motion.
 #[derive(Debug, Clone, PartialEq)]
+#[allow(clippy::large_enum_variant)] // a result that lives on the stack for a moment
 pub enum PlaneMotions {
     /// A rotation: no translation, or a plane at infinity. Nothing is known of the plane.
     Rotation(UnitQuaternion<f64>),
