@@ -6,11 +6,12 @@
 //! 2. The rotation explains the matches: standing still or turning on the spot, no map.
 //! 3. Scores of both models, truncated chi-square over both pictures (Mur-Artal, Montiel, Tardos: ORB-SLAM, 2015, eq.
 //!    2-3); `S_H / (S_H + S_E) > 0.45` chooses the homography: a plane, or little parallax.
-//! 4. Every motion of the chosen model is refined, and every match votes for it that it explains with a point in front of
-//!    both cameras. The winner must have enough points at enough parallax, and a clear margin over the runner-up: the
-//!    two motions that a plane leaves open are both returned, for a third view to choose.
+//! 4. Every motion of both models is refined over the matches that agree with it: near their epipolar line, and in front
+//!    of both cameras or too far for that to show. The one with most support must have enough points at enough parallax,
+//!    and stand out from the runner-up: two motions that are about as good, as a plane allows, are both returned, for a
+//!    third view to choose.
 //!
-//! Cost: about 3 ms for 300 matches. Not here: full adjustment (the caller's), more than two views.
+//! Cost: about 4 ms for 300 matches. Not here: full adjustment (the caller's), more than two views.
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
@@ -46,8 +47,13 @@ pub struct TwoViewOptions {
     pub min_off_rotation: f64,
     /// `S_H / (S_H + S_E)` above which the scene counts as a plane.
     pub homography_ratio: f64,
-    /// Votes of the runner-up as a share of the winner's: more is ambiguous.
-    pub max_runner_up: f64,
+    /// A runner-up with a larger share of the winner's votes (points in front of both cameras) *and* of its support
+    /// (how many matches fit, and how well) makes the pair ambiguous.
+    pub max_runner_up_votes: f64,
+    pub max_runner_up_support: f64,
+    /// Cameras that turned farther than this are not believed: they hardly share a view, but false matches often agree on
+    /// a half turn.
+    pub max_rotation_rad: f64,
     pub confidence: f64,
     pub max_iterations: usize,
     pub seed: u64,
@@ -63,7 +69,9 @@ impl TwoViewOptions {
             min_parallax_rad: 1f64.to_radians(),
             min_off_rotation: 0.1,
             homography_ratio: 0.45,
-            max_runner_up: 0.75,
+            max_runner_up_votes: 0.75,
+            max_runner_up_support: 0.95,
+            max_rotation_rad: std::f64::consts::FRAC_PI_2,
             confidence: 0.9999,
             max_iterations: 2000,
             seed: 1,
@@ -169,21 +177,17 @@ pub fn reconstruct_two_views(
         return Err(TwoViewFailure::NoModel);
     }
 
-    let mut motions: Vec<Se3<Second, First>> = Vec::new();
     let model = if ratio > options.homography_ratio { TwoViewModel::Homography } else { TwoViewModel::Essential };
-    if let (TwoViewModel::Homography, Some(h)) = (model, &plane) {
-        match decompose_homography(&h.forward, 1e-9) {
-            Some(PlaneMotions::Four(four)) => {
-                motions.extend(four.iter().map(|m| Se3::new(m.rotation, m.translation.normalize())));
-            }
-            Some(PlaneMotions::Rotation(r)) => return Err(TwoViewFailure::PureRotation { angle_rad: r.angle() }),
-            None => return Err(TwoViewFailure::NoModel),
-        }
-        // Matches beside the plane may have told the essential matrix more.
-        motions.extend(essential.as_ref().map(|e| e.second_from_first));
-    } else if let Some(parts) = essential.as_ref().and_then(|e| decompose(&e.essential)) {
+    // The motions of both models stand: a plane has a second motion that holds its points as well, and the search for
+    // the essential matrix may have ended in it.
+    let mut motions: Vec<Se3<Second, First>> = Vec::new();
+    if let Some(PlaneMotions::Four(four)) = plane.and_then(|h| decompose_homography(&h.forward, 1e-9)) {
+        motions.extend(four.iter().map(|m| Se3::new(m.rotation, m.translation.normalize())));
+    }
+    if let Some(parts) = essential.as_ref().and_then(|e| decompose(&e.essential)) {
         motions.extend(parts.candidates);
     }
+    motions.retain(|m| m.rotation.angle() <= options.max_rotation_rad);
     views.choose(&motions, model, ratio)
 }
 
@@ -193,6 +197,8 @@ struct Tally {
     points: Vec<Option<Vector3<f64>>>,
     inliers: Vec<bool>,
     votes: usize,
+    /// `sum 1 - r² / limit` over the inliers: how many there are and how well they fit.
+    support: f64,
     parallax: Vec<f64>,
 }
 
@@ -260,54 +266,62 @@ impl Views<'_> {
             points: vec![None; count],
             inliers: vec![false; count],
             votes: 0,
+            support: 0.0,
             parallax: vec![],
         };
         for (i, (x1, x2)) in self.matches().enumerate() {
+            let squared = sampson_squared(&e, &x1, &x2);
             // Written so that NaN fails.
-            if !(sampson_squared(&e, &x1, &x2) <= limit) {
+            if !(squared <= limit) {
                 continue;
             }
             let met = nearest_match(&e, &x1, &x2).and_then(|(y1, y2)| intersect(motion, &y1, &y2));
-            let Some(met) = met.filter(|m| m.parallax_rad > far) else {
-                tally.inliers[i] = true;
-                continue;
-            };
-            if met.depth1 > 0.0 && met.depth2 > 0.0 {
-                tally.points[i] = Some(met.point);
-                tally.inliers[i] = true;
-                tally.votes += 1;
-                tally.parallax.push(met.parallax_rad);
+            match met.filter(|m| m.parallax_rad > far) {
+                Some(met) if met.depth1 > 0.0 && met.depth2 > 0.0 => {
+                    tally.points[i] = Some(met.point);
+                    tally.votes += 1;
+                    tally.parallax.push(met.parallax_rad);
+                }
+                // Behind a camera.
+                Some(_) => continue,
+                // Too far to be placed.
+                None => {}
             }
+            tally.inliers[i] = true;
+            tally.support += 1.0 - squared / limit;
         }
         tally
     }
 
-    /// The motion refined over the matches that vote for it.
+    /// The motion refined over the matches that agree with it.
     fn refined(&self, tally: Tally) -> Tally {
-        let voters = tally.points.iter().zip(self.matches()).filter(|(p, _)| p.is_some()).map(|(_, m)| m);
-        let loss = Loss::Cauchy(2.0 * self.options.sigma);
-        let better = refine_motion(&tally.motion, voters, loss, &LmOptions::default()).map(|m| self.tally(&m));
-        better.filter(|b| b.votes >= tally.votes).unwrap_or(tally)
+        let agreeing = tally.inliers.iter().zip(self.matches()).filter(|(i, _)| **i).map(|(_, m)| m);
+        let loss = Loss::Cauchy(2.0 * CHI2_LINE.sqrt() * self.options.sigma);
+        let better = refine_motion(&tally.motion, agreeing, loss, &LmOptions::default()).map(|m| self.tally(&m));
+        better.filter(|b| b.support > tally.support).unwrap_or(tally)
     }
 
-    /// The motion with most votes, if it stands out.
+    /// The motion with most support, if it stands out.
     fn choose(
         &self,
         motions: &[Se3<Second, First>],
         model: TwoViewModel,
         homography_ratio: f64,
     ) -> Result<TwoViewReconstruction, TwoViewFailure> {
+        let rank = |tallies: &mut Vec<Tally>| tallies.sort_by(|a, b| b.support.total_cmp(&a.support));
         let mut tallies: Vec<Tally> = motions.iter().map(|m| self.tally(m)).collect();
-        tallies.sort_by_key(|t| std::cmp::Reverse(t.votes));
+        rank(&mut tallies);
         // Only motions near the best can still win.
-        let most = tallies.first().map_or(0, |t| t.votes);
-        let mut tallies: Vec<Tally> =
-            tallies.into_iter().map(|t| if 2 * t.votes >= most { self.refined(t) } else { t }).collect();
-        tallies.sort_by_key(|t| std::cmp::Reverse(t.votes));
+        let most = tallies.first().map_or(0.0, |t| t.support);
+        let refine = |t: Tally| if 2.0 * t.support >= most { self.refined(self.refined(t)) } else { t };
+        let mut tallies: Vec<Tally> = tallies.into_iter().map(refine).collect();
+        rank(&mut tallies);
         let mut rest = tallies.into_iter();
         let best = rest.next().ok_or(TwoViewFailure::NoModel)?;
         let runner_up = rest.find(|t| difference(&t.motion, &best.motion) > SAME_MOTION);
         let runner_up_votes = runner_up.as_ref().map_or(0, |t| t.votes);
+        let ratios =
+            runner_up.as_ref().map_or((0.0, 0.0), |t| (t.votes as f64 / best.votes as f64, t.support / best.support));
 
         let finish = |t: Tally, other: usize| {
             let mut parallax = t.parallax;
@@ -336,7 +350,9 @@ impl Views<'_> {
             });
         }
         match runner_up {
-            Some(other) if runner_up_votes as f64 > self.options.max_runner_up * votes as f64 => {
+            Some(other)
+                if ratios.0 > self.options.max_runner_up_votes && ratios.1 > self.options.max_runner_up_support =>
+            {
                 Err(TwoViewFailure::Ambiguous { best: Box::new(best), runner_up: Box::new(finish(other, votes)) })
             }
             _ => Ok(best),

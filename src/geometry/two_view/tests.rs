@@ -39,7 +39,7 @@ fn noisy_volumes_with_outliers_give_a_map() {
         assert!(r < 0.02 && t < 0.1, "seed {seed}: {r} {t}");
         let (recall, precision) = scene.recall_precision(&found.inliers);
         assert!(recall > 0.9 && precision > 0.9, "seed {seed}: {recall} {precision}");
-        assert!(found.votes_runner_up * 2 < found.votes, "seed {seed}: {} {}", found.votes, found.votes_runner_up);
+        assert!(found.votes_runner_up * 4 < found.votes * 3, "seed {seed}: {} {}", found.votes, found.votes_runner_up);
     }
 }
 
