@@ -77,6 +77,17 @@ impl TwoViewOptions {
             seed: 1,
         }
     }
+
+    /// The settings for one pair of pictures that a person chose, down to a dozen matches.
+    pub fn single_pair(sigma_px: f64, focal_px: f64) -> Self {
+        Self {
+            min_matches: 10,
+            min_points: 8,
+            min_parallax_rad: 0.5f64.to_radians(),
+            max_iterations: 10_000,
+            ..Self::new(sigma_px, focal_px)
+        }
+    }
 }
 
 /// Which model fits the scene.

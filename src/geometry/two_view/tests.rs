@@ -85,6 +85,20 @@ fn matches_beside_the_plane_decide_between_its_motions() {
     }
 }
 
+/// The study's own case: 18 pairs of one object.
+#[test]
+fn eighteen_pairs_give_a_map() {
+    for seed in 0..30 {
+        let mut random = Random::new(seed);
+        let scene = Scene::new(&mut random, Shape::Volume, 18, 1.5).noise(&mut random, 0.3).outliers(&mut random, 0.1);
+        let options = TwoViewOptions::single_pair(0.5, FOCAL);
+        let found = reconstruct_two_views(&scene.x1, &scene.x2, &options);
+        let found = found.unwrap_or_else(|e| panic!("seed {seed}: {e}"));
+        let (r, t) = scene.motion_error(&found.second_from_first);
+        assert!(r < 0.03 && t < 0.1, "seed {seed}: {r} {t}");
+    }
+}
+
 #[test]
 fn turning_and_standing_still_are_told() {
     for seed in 0..20 {
