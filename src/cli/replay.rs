@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use serde::Serialize;
-use tracing::warn;
+use tracing::{info, warn};
 
 use super::session::{self, Resources, SessionArgs, StageLatencies, StatusLine};
 use super::{CliError, exit_code};
@@ -53,8 +53,11 @@ struct Summary {
     mode: &'static str,
     /// Frames of the recording, as far as it was replayed.
     frames: u64,
+    /// Frames whose pose was known, and published, at once.
     tracked: u64,
     coverage_percent: f64,
+    /// Frames with a pose in the trajectory, those included that were solved afterwards; null if none was written.
+    in_trajectory: Option<u64>,
     dropped: u64,
     unreadable: u64,
     bad_timestamps: u64,
@@ -100,11 +103,20 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode, CliError> {
     let mut line = StatusLine::new();
     let mut show = |status: &Status| line.show(&progress(status, description.frames));
     let end = if args.lockstep {
-        let mut shown = Instant::now();
+        let (mut shown, mut logged) = (Instant::now(), Instant::now());
         daemon::lockstep::run(parts, &stop, &mut |status| {
             if shown.elapsed().as_millis() > 200 {
                 shown = Instant::now();
                 show(status);
+            }
+            if logged.elapsed().as_secs() >= 5 {
+                logged = Instant::now();
+                info!(
+                    frames = status.captured.get(),
+                    of = description.frames,
+                    tracked = status.tracked.get(),
+                    "progress"
+                );
             }
             true
         })
@@ -179,6 +191,7 @@ fn summarise(status: &Status, end: &End) -> Summary {
         frames,
         tracked: status.tracked.get(),
         coverage_percent: 100.0 * status.tracked.get() as f64 / frames.max(1) as f64,
+        in_trajectory: end.written.trajectory.map(|t| t.poses_written),
         dropped: status.dropped.get(),
         unreadable: status.unreadable.get() + status.corrupt.get() + status.wrong_size.get(),
         bad_timestamps: status.bad_timestamps.get(),
@@ -199,9 +212,13 @@ fn json(summary: &Summary) -> String {
 
 fn text(s: &Summary) -> String {
     let mut text = format!(
-        "{}, {}\n  {} frames, {} tracked, coverage {:.1} %\n",
+        "{}, {}\n  {} frames, {} tracked at once, coverage {:.1} %\n",
         s.recording, s.mode, s.frames, s.tracked, s.coverage_percent
     );
+    if let Some(poses) = s.in_trajectory {
+        text +=
+            &format!("  {poses} frames in the trajectory ({:.1} %)\n", 100.0 * poses as f64 / s.frames.max(1) as f64);
+    }
     let faults = [
         (s.dropped, "dropped because processing could not keep up"),
         (s.unreadable, "unreadable or of another size, skipped"),

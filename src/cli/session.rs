@@ -250,7 +250,7 @@ mod tests {
 
     fn end(cause: EndCause, failures: &[&str]) -> End {
         let failures = failures.iter().map(ToString::to_string).collect();
-        End { cause, map: FinalMap::default(), written: Written { files: Vec::new(), failures } }
+        End { cause, map: FinalMap::default(), written: Written { failures, ..Written::default() } }
     }
 
     #[test]

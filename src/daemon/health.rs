@@ -33,8 +33,9 @@ pub struct HealthWatch {
     stages: [StageHealth; STAGES],
     /// Faults that were events of the last second.
     events: u64,
-    /// Faults as last logged.
+    /// Faults that the log knows of as standing, and when each was last seen, ns.
     logged: u64,
+    last_seen_ns: [i64; 64],
     /// A file could not be written; stands until one can.
     pub save_failed: bool,
 }
@@ -100,6 +101,7 @@ impl HealthWatch {
             stages: [StageHealth::default(); STAGES],
             events: 0,
             logged: 0,
+            last_seen_ns: [0; 64],
             save_failed: false,
         }
     }
@@ -112,7 +114,7 @@ impl HealthWatch {
             self.second_began_ns = now_ns;
         }
         let errors = self.errors(now_ns);
-        self.log_faults(errors);
+        self.log_faults(errors, now_ns);
         self.health(now_ns, errors)
     }
 
@@ -220,9 +222,20 @@ impl HealthWatch {
         conditions.iter().filter(|(stands, _)| *stands).fold(self.events, |bits, (_, bit)| bits | bit)
     }
 
-    fn log_faults(&mut self, errors: u64) {
-        let (began, ended) = (errors & !self.logged, self.logged & !errors);
-        self.logged = errors;
+    /// A fault's beginning at once; its end when it has been away for a second, so that one that flickers is one record.
+    fn log_faults(&mut self, errors: u64, now_ns: i64) {
+        let mut recent = 0;
+        for (bit, seen_ns) in self.last_seen_ns.iter_mut().enumerate() {
+            if errors >> bit & 1 == 1 {
+                *seen_ns = now_ns;
+            }
+            if self.logged >> bit & 1 == 1 && now_ns - *seen_ns < SECOND_NS {
+                recent |= 1 << bit;
+            }
+        }
+        let standing = errors | recent;
+        let (began, ended) = (standing & !self.logged, self.logged & !standing);
+        self.logged = standing;
         for fault in error::names(began) {
             warn!(fault, "fault began");
         }
@@ -230,12 +243,19 @@ impl HealthWatch {
             info!(fault, "fault ended");
         }
         if began & error::STALLED_STAGE != 0 {
-            let now_ns = crate::frame::monotonic_ns();
             for heart in self.hearts() {
                 if let Some(silent) = heart.stalled(now_ns, self.stall_after) {
                     warn!(stage = heart.stage(), silent_ms = silent.as_millis() as u64, "stage has stalled");
                 }
             }
+        }
+    }
+
+    /// State of the last frame; but a robot whose pictures have stopped is no longer being tracked.
+    fn state(&self, errors: u64) -> TrackingState {
+        match self.status.state() {
+            TrackingState::Tracking if errors & (error::NO_CAMERA | error::NO_FRAMES) != 0 => TrackingState::Lost,
+            state => state,
         }
     }
 
@@ -275,7 +295,7 @@ impl HealthWatch {
             landmarks,
             reset_counter,
             map_id,
-            state: convert::state(s.state()),
+            state: convert::state(self.state(errors)),
             clock: convert::clock(self.clock),
             ..Health::default()
         }

@@ -258,3 +258,6 @@ fn reconstruct(
     status.reconstruction.rest();
     outcome.map(|()| map)
 }
+
+#[cfg(test)]
+mod tests;

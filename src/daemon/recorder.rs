@@ -105,10 +105,9 @@ impl Recorder {
     /// Writes all files that are asked for, each whole or not at all. What was written, and what could not be.
     pub fn write(&mut self, outputs: &Outputs, map: &FinalMap) -> Written {
         let mut written = Written::default();
-        let mut trajectory_map = None;
         if let (Some(path), Some(spool)) = (&outputs.trajectory, self.trajectory.as_mut()) {
             let outcome = spool.write_tum(path, &map.keyframe_poses);
-            trajectory_map = outcome.as_ref().ok().and_then(|summary| summary.map);
+            written.trajectory = outcome.as_ref().ok().copied();
             written.note(path, outcome.map(|summary| log_summary("trajectory", &summary)));
         }
         if let (Some(path), Some(spool)) = (&outputs.live_trajectory, self.live.as_mut()) {
@@ -119,7 +118,7 @@ impl Recorder {
         }
         if let Some(path) = &outputs.overview {
             // The largest map's trajectory is drawn only into its own map: two maps have nothing in common.
-            let belongs = trajectory_map == Some(map.snapshot.map);
+            let belongs = written.trajectory.is_some_and(|t| t.map == Some(map.snapshot.map));
             let poses = outputs.trajectory.as_deref().filter(|_| belongs).map(read_tum).and_then(Result::ok);
             let title = format!("map {} with {} landmarks", map.snapshot.map.0, map.snapshot.landmarks.len());
             let poses = poses.unwrap_or_default();
@@ -164,6 +163,8 @@ fn log_summary(what: &str, s: &TrajectorySummary) {
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Written {
     pub files: Vec<PathBuf>,
+    /// What is in the trajectory, if one was written.
+    pub trajectory: Option<TrajectorySummary>,
     /// One message a file that could not be written.
     pub failures: Vec<String>,
 }

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use crossbeam::channel::{Receiver, bounded};
+use crossbeam::channel::{Receiver, Sender, TryRecvError, bounded};
 use sd_notify::NotifyState;
 use tracing::{error, info, warn};
 
@@ -18,6 +18,7 @@ use super::{DaemonError, Parts, Request, TURN, Threads, start};
 use crate::frame::{Clock, monotonic_ns};
 use crate::messages::{CommandReply, command_kind, reply_code};
 use crate::publish::{self, CommandServer, HealthPublisher};
+use crate::telemetry::RateLimiter;
 
 /// The supervisor's part of the wire.
 pub struct Desk {
@@ -56,6 +57,8 @@ pub struct Tick<'a> {
 
 /// A stage that has not ended so long after it was told to is given up.
 const GIVE_UP: Duration = Duration::from_secs(3);
+/// The recorder has so long to write out what was handed to it.
+const WRITE_OUT: Duration = Duration::from_secs(20);
 /// A save that has not answered after this long is reported as failed.
 const SAVE_TIMEOUT: Duration = Duration::from_secs(30);
 
@@ -76,7 +79,8 @@ pub fn supervise(
     info!("running");
 
     let mut watch = HealthWatch::new(status.clone(), clock, stall_after, monotonic_ns());
-    let mut bench = Bench { desk, saves: Vec::new(), requests: threads.requests.clone(), faults: Default::default() };
+    let requests = threads.requests.clone();
+    let mut bench = Bench { desk, saves: Vec::new(), requests, faults: RateLimiter::default() };
     let mut stopped_at = None;
     loop {
         bench.turn(&mut watch);
@@ -96,26 +100,27 @@ pub fn supervise(
         // Short turns near the end, so that joining costs no whole turn.
         thread::sleep(if stopped_at.is_some() || threads.capture.is_finished() { TURN / 20 } else { TURN });
     }
-    drop(bench.requests);
-    Ok(wind_up(threads, &status, &outputs, stopped_at.is_some()))
+    drop(bench);
+    let deadline = stopped_at.unwrap_or_else(Instant::now) + GIVE_UP;
+    Ok(wind_up(threads, &status, &outputs, stopped_at.is_some(), deadline))
 }
 
 /// Joins what ends, writes the files, and says how it went.
-fn wind_up(threads: Threads, status: &Arc<Status>, outputs: &Outputs, stopped: bool) -> End {
+fn wind_up(threads: Threads, status: &Arc<Status>, outputs: &Outputs, stopped: bool, deadline: Instant) -> End {
     let Threads { capture, features, reconstruction, mapping, recorder, requests } = threads;
     drop(requests);
     let mut cause = if stopped { EndCause::Stopped } else { EndCause::SourceEnded };
-    match join(capture, "capture") {
+    match join(capture, "capture", deadline) {
         Ok(true) if !stopped => cause = EndCause::SourceFailed,
         Ok(_) => {}
         Err(broken) => cause = broken,
     }
-    if let Err(broken) = join(features, "features") {
+    if let Err(broken) = join(features, "features", deadline) {
         cause = broken;
     }
     let mut map = FinalMap::default();
     let mut whole = false;
-    match join(reconstruction, "reconstruction") {
+    match join(reconstruction, "reconstruction", deadline) {
         Ok(Ok(last)) => (map, whole) = (last, true),
         Ok(Err(reason)) => {
             status.refuse_calibration();
@@ -127,10 +132,12 @@ fn wind_up(threads: Threads, status: &Arc<Status>, outputs: &Outputs, stopped: b
     let mut written = Written::default();
     // Without reconstruction's last word nothing true can be written; older files stay as they are.
     if whole {
-        if join(mapping, "mapping").is_err() {
+        // Their queues are closed now; what is in them may take a slow disk a while.
+        let deadline = Instant::now() + WRITE_OUT;
+        if join(mapping, "mapping", deadline).is_err() {
             warn!("mapping thread ended badly");
         }
-        match join(recorder, "recorder") {
+        match join(recorder, "recorder", deadline) {
             Ok(mut recorder) => written = Recorder::write(&mut recorder, outputs, &map),
             Err(broken) => cause = broken,
         }
@@ -143,8 +150,7 @@ fn wind_up(threads: Threads, status: &Arc<Status>, outputs: &Outputs, stopped: b
 }
 
 /// Waits for a thread that is about to end; one that does not is left behind.
-fn join<T>(handle: JoinHandle<T>, stage: &'static str) -> Result<T, EndCause> {
-    let deadline = Instant::now() + GIVE_UP;
+fn join<T>(handle: JoinHandle<T>, stage: &'static str, deadline: Instant) -> Result<T, EndCause> {
     while !handle.is_finished() && Instant::now() < deadline {
         thread::sleep(Duration::from_millis(2));
     }
@@ -176,8 +182,8 @@ struct Save {
 struct Bench {
     desk: Option<Desk>,
     saves: Vec<Save>,
-    requests: crossbeam::channel::Sender<Request>,
-    faults: crate::telemetry::RateLimiter,
+    requests: Sender<Request>,
+    faults: RateLimiter,
 }
 
 impl Bench {
@@ -251,7 +257,7 @@ impl Bench {
         for save in std::mem::take(&mut self.saves) {
             let outcome = match save.outcome.try_recv() {
                 Ok(outcome) => outcome,
-                Err(crossbeam::channel::TryRecvError::Empty) if save.began.elapsed() < SAVE_TIMEOUT => {
+                Err(TryRecvError::Empty) if save.began.elapsed() < SAVE_TIMEOUT => {
                     self.saves.push(save);
                     continue;
                 }

@@ -161,7 +161,8 @@ pub struct Health {
     pub map_id: u32,
     /// Process id of the daemon.
     pub pid: u32,
-    /// [`super::STATE_INITIALIZING`], [`super::STATE_TRACKING`], [`super::STATE_LOST`] of the last frame.
+    /// [`super::STATE_INITIALIZING`], [`super::STATE_TRACKING`], [`super::STATE_LOST`] of the last frame;
+    /// lost, too, when pictures have stopped coming while tracking.
     pub state: u8,
     /// [`super::CLOCK_MONOTONIC`] or [`super::CLOCK_RECORDING`]: what the source's times count from.
     pub clock: u8,

@@ -1,0 +1,203 @@
+//! The daemon with real threads and a simulated camera, without the wire: how runs end, and that every frame is accounted for.
+
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use super::*;
+use crate::camera::simulator::{Scenario, Simulator, SimulatorConfig};
+use crate::camera::{FrameSource, Grab, Pacing, SourceDescription, SourceError};
+use crate::frame::Clock;
+
+/// What happens to a frame on its way.
+type Edit = Box<dyn FnMut(&mut RawFrame) -> Result<Grab, SourceError> + Send>;
+
+/// A simulator whose frames pass through somebody's hands.
+struct Edited {
+    simulator: Simulator,
+    edit: Edit,
+}
+
+impl FrameSource for Edited {
+    fn description(&self) -> &SourceDescription {
+        self.simulator.description()
+    }
+
+    fn grab(&mut self, slot: &mut RawFrame, timeout: Duration) -> Result<Grab, SourceError> {
+        match self.simulator.grab(slot, timeout)? {
+            Grab::Frame => (self.edit)(slot),
+            other => Ok(other),
+        }
+    }
+}
+
+/// A small, quick camera; `seconds` at 30 Hz.
+fn parts(seconds: f64, pacing: Pacing, folder: &Path, edit: Edit) -> Parts {
+    let mut simulation = SimulatorConfig::ideal(Scenario::HandHeld);
+    (simulation.width, simulation.height, simulation.duration_s, simulation.texel_mm) = (320, 240, seconds, 8.0);
+    let simulator = Simulator::new(&simulation, pacing).expect("simulator");
+    let calibration = Calibration { model: simulator.camera_model().clone(), origin: "simulator".into() };
+    let file = |name: &str| Some(folder.join(name));
+    Parts {
+        config: Config::default(),
+        supply: Supply::Once(Box::new(Edited { simulator, edit })),
+        calibration,
+        outlet: None,
+        outputs: Outputs {
+            trajectory: file("trajectory.txt"),
+            live_trajectory: file("live.txt"),
+            map: file("map.ply"),
+            overview: file("overview.png"),
+        },
+        spool_folder: None,
+        status: Arc::new(Status::default()),
+    }
+}
+
+fn untouched() -> Edit {
+    Box::new(|_| Ok(Grab::Frame))
+}
+
+/// Runs with threads for a minute at the most.
+fn run(parts: Parts) -> End {
+    let stop = AtomicBool::new(false);
+    supervise(parts, None, Clock::Recording, &stop, &mut |tick| tick.elapsed < Duration::from_secs(60)).expect("starts")
+}
+
+#[test]
+fn a_run_ends_with_its_source_and_every_frame_is_accounted_for() {
+    let folder = tempfile::tempdir().expect("folder");
+    // As fast as the simulator renders: the ring has to drop some, or not.
+    let parts = parts(3.0, Pacing::LockStep, folder.path(), untouched());
+    let status = parts.status.clone();
+    let end = run(parts);
+    assert_eq!(end.cause, EndCause::SourceEnded);
+    assert_eq!(status.captured.get(), 90);
+    assert_eq!(status.processed.get() + status.dropped.get(), 90);
+    assert_eq!(end.written.failures, Vec::<String>::new());
+    assert_eq!(end.written.files.len(), 4);
+    assert_eq!(status.records_lost.get(), 0);
+}
+
+#[test]
+fn a_stop_ends_an_endless_run_cleanly_and_writes_its_files() {
+    let folder = tempfile::tempdir().expect("folder");
+    let parts = parts(0.0, Pacing::RealTime, folder.path(), untouched());
+    let (status, stop) = (parts.status.clone(), AtomicBool::new(false));
+    let end = supervise(parts, None, Clock::Monotonic, &stop, &mut |tick| {
+        if tick.status.processed.get() >= 20 {
+            stop.store(true, Ordering::Relaxed);
+        }
+        tick.elapsed < Duration::from_secs(60)
+    })
+    .expect("starts");
+    assert_eq!(end.cause, EndCause::Stopped);
+    assert!(status.processed.get() >= 20);
+    assert_eq!(end.written.files.len(), 4, "{:?}", end.written.failures);
+}
+
+#[test]
+fn a_stage_that_panics_ends_the_run_and_is_named() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut frames = 0;
+    let edit: Edit = Box::new(move |_| {
+        frames += 1;
+        assert!(frames < 5, "the source's own fault, on purpose");
+        Ok(Grab::Frame)
+    });
+    let end = run(parts(3.0, Pacing::LockStep, folder.path(), edit));
+    assert_eq!(end.cause, EndCause::Broken("the capture stage panicked".into()));
+}
+
+#[test]
+fn a_stage_that_hangs_is_left_behind_when_the_run_is_stopped() {
+    let folder = tempfile::tempdir().expect("folder");
+    let edit: Edit = Box::new(|_| {
+        thread::sleep(Duration::from_secs(3600));
+        Ok(Grab::Frame)
+    });
+    let parts = parts(3.0, Pacing::LockStep, folder.path(), edit);
+    let stop = AtomicBool::new(false);
+    let begun = Duration::from_millis(500);
+    let end = supervise(parts, None, Clock::Recording, &stop, &mut |tick| tick.elapsed < begun).expect("starts");
+    assert_eq!(end.cause, EndCause::Broken("the capture stage hangs".into()));
+    assert_eq!(end.written.files.len(), 4, "what is known is written all the same: {:?}", end.written.failures);
+}
+
+#[test]
+fn a_source_that_breaks_ends_the_run_and_what_was_tracked_is_written() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut frames = 0;
+    let edit: Edit = Box::new(move |_| {
+        frames += 1;
+        match frames {
+            30 => Err(SourceError::Gone { path: "simulator".into(), reason: "unplugged".into() }),
+            _ => Ok(Grab::Frame),
+        }
+    });
+    let end = run(parts(3.0, Pacing::LockStep, folder.path(), edit));
+    assert_eq!(end.cause, EndCause::SourceFailed);
+    assert_eq!(end.written.files.len(), 4);
+}
+
+#[test]
+fn a_calibration_of_another_aspect_ends_the_run_and_names_both_sizes() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut parts = parts(1.0, Pacing::LockStep, folder.path(), untouched());
+    let m = parts.calibration.model.clone();
+    parts.calibration.model =
+        crate::geometry::CameraModel::new(640, 360, m.fx, m.fy, m.cx, m.cy, m.distortion).expect("model");
+    let End { cause, written, .. } = run(parts);
+    let EndCause::Calibration(reason) = cause else { panic!("{cause:?}") };
+    assert!(reason.contains("640x360") && reason.contains("320x240"), "{reason}");
+    assert_eq!(written.files.len(), 0, "no file of a run without a camera");
+}
+
+#[test]
+fn a_calibration_of_twice_the_resolution_is_scaled() {
+    let folder = tempfile::tempdir().expect("folder");
+    let parts = parts(1.0, Pacing::LockStep, folder.path(), untouched());
+    let twice = parts.calibration.model.scaled(640, 480).expect("same aspect");
+    let calibration = Calibration { model: twice, origin: "file".into() };
+    let fitted = calibration.fit(320, 240).expect("fits");
+    assert!((fitted.fx - parts.calibration.model.fx).abs() < 1e-9);
+    assert!((fitted.cx - parts.calibration.model.cx).abs() < 1e-9);
+}
+
+/// Lock-step over two seconds in which some frames are spoiled.
+fn lockstep_run(folder: &Path) -> (End, Arc<Status>) {
+    let mut frames = 0;
+    let edit: Edit = Box::new(move |slot| {
+        frames += 1;
+        match frames {
+            // Cut off; of another size; a time that goes back.
+            11 => slot.data.truncate(1000),
+            22 => (slot.width, slot.height, slot.stride) = (160, 120, 160),
+            33 => slot.timestamp_ns -= 100_000_000,
+            44 => return Ok(Grab::Skipped { reason: "cannot be read".into() }),
+            _ => {}
+        }
+        Ok(Grab::Frame)
+    });
+    let parts = parts(2.0, Pacing::LockStep, folder, edit);
+    let status = parts.status.clone();
+    let end = lockstep::run(parts, &AtomicBool::new(false), &mut |_| true).expect("starts");
+    (end, status)
+}
+
+#[test]
+fn lockstep_skips_what_is_spoiled_and_counts_it() {
+    let folder = tempfile::tempdir().expect("folder");
+    let (end, status) = lockstep_run(folder.path());
+    assert_eq!(end.cause, EndCause::SourceEnded);
+    let counts = [&status.corrupt, &status.wrong_size, &status.bad_timestamps, &status.unreadable].map(|c| c.get());
+    assert_eq!(counts, [1, 1, 1, 1]);
+    assert_eq!((status.captured.get(), status.processed.get()), (59, 56));
+}
+
+#[test]
+fn a_lockstep_run_can_be_stopped() {
+    let folder = tempfile::tempdir().expect("folder");
+    let parts = parts(2.0, Pacing::LockStep, folder.path(), untouched());
+    let end = lockstep::run(parts, &AtomicBool::new(false), &mut |status| status.captured.get() < 5).expect("starts");
+    assert_eq!(end.cause, EndCause::Stopped);
+}
