@@ -1,7 +1,7 @@
 //! From tracks alone to a first map.
 //!
 //! A reference frame is held while its tracks live. Once the flow that a rotation cannot explain is large enough, two-view
-//! geometry is tried (essential matrix or homography, [`two_view`]). Standing still and turning on the spot never pass: their
+//! geometry is tried (essential matrix or homography, [`two_view`](crate::geometry::two_view)). Standing still and turning on the spot never pass: their
 //! rotation-compensated flow stays at the noise. All frames in between are remembered by their tracks, so that their poses
 //! can be solved once there is a map.
 

@@ -80,7 +80,7 @@ pub struct KeyframeView {
     pub world_from_camera: Se3<World, Camera>,
 }
 
-/// The current map; buffers are reused by [`Reconstruction::snapshot`].
+/// The current map; buffers are reused by [`Reconstruction::snapshot`](super::Reconstruction::snapshot).
 #[derive(Debug, Clone, Default)]
 pub struct MapSnapshot {
     pub map: MapId,

@@ -10,7 +10,7 @@
 //!   Neither end ever waits for the other, except in [`Consumer::wait`], whose wait is bounded.
 //! - It knows no images, and it has no opinion on what a slot is: a `RawFrame` in the daemon, an integer in a test.
 //!
-//! The exchange itself is in [`exchange`]; `tests/ring_model.rs` compiles that same file against loom and walks through
+//! The exchange itself is in `exchange`; `tests/ring_model.rs` compiles that same file against loom and walks through
 //! every interleaving of both threads.
 
 mod atomics;
