@@ -29,8 +29,9 @@ pub struct Shutter {
 const MAX_READOUT_S: f64 = 0.04;
 /// Standard deviation of the readout time before anything is known, s.
 const PRIOR_SIGMA_S: f64 = 0.01;
-/// What the past counts after one more frame: 1,000 frames back it counts a third.
-const MEMORY: f64 = 0.999;
+/// What the past counts after one more frame: half after 23. Short, because frames that were tracked against a map made with
+/// another readout time agree with that one.
+const MEMORY: f64 = 0.97;
 
 impl Shutter {
     /// `estimate`: start at `readout_s` and learn; else it stays.
