@@ -36,6 +36,11 @@ impl Outlet {
         self.poses.publish(estimate, &self.conversion, frames_dropped).map(|_| ())
     }
 
+    /// Takes the next pose's memory in advance, so that publishing it allocates nothing.
+    pub fn prepare(&mut self) {
+        self.poses.prepare();
+    }
+
     /// The frame's grey picture, if anybody subscribes to it.
     pub fn frame(&mut self, features: &FrameFeatures) -> Result<(), PublishError> {
         let Some(picture) = features.pyramid.levels.first() else { return Ok(()) };

@@ -126,6 +126,9 @@ impl ReconstructStep {
         self.drain_events();
         self.recorder.record(Record::Published(estimate));
         self.publish_map();
+        if let Some(outlet) = self.outlet.as_mut() {
+            outlet.prepare();
+        }
         Ok(())
     }
 
