@@ -1,0 +1,144 @@
+//! The adjustment against known truth, and its Schur complement against the full system.
+
+use super::*;
+use nalgebra::UnitQuaternion;
+
+struct Random(u64);
+impl Random {
+    fn unit(&mut self) -> f64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        (self.0 >> 11) as f64 / (1u64 << 53) as f64 * 2.0 - 1.0
+    }
+    fn vector(&mut self) -> Vector3<f64> {
+        Vector3::new(self.unit(), self.unit(), self.unit())
+    }
+}
+
+/// A problem at its true solution.
+fn problem(seed: u64, cameras: usize, points: usize, noise_px: f64) -> BundleProblem {
+    let mut random = Random(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1);
+    let mut p = BundleProblem { focal_px: Vector2::new(500.0, 510.0), first: vec![0], ..BundleProblem::default() };
+    for i in 0..cameras {
+        let rotation = UnitQuaternion::from_scaled_axis(random.vector() * 0.1);
+        let centre = Vector3::new(i as f64 * 0.3, 0.0, 0.0) + random.vector() * 0.1;
+        p.cameras.push(BundleCamera { camera_from_world: Se3::new(rotation, -(rotation * centre)), fixed: i < 2 });
+    }
+    for _ in 0..points {
+        let point = Vector3::new(2.0 * random.unit(), 1.5 * random.unit(), 5.0 + 2.0 * random.unit());
+        for c in 0..cameras {
+            let q = p.cameras[c].camera_from_world.transform(&point);
+            let noise = Vector2::new(random.unit(), random.unit()) * noise_px / 500.0;
+            p.observations.push(BundleObservation {
+                camera: c as u32,
+                normalised: Vector2::new(q.x / q.z, q.y / q.z) + noise,
+                inv_sigma_px: 1.0,
+            });
+        }
+        p.points.push(point);
+        p.first.push(p.observations.len() as u32);
+    }
+    p
+}
+
+fn disturb(p: &mut BundleProblem, seed: u64) {
+    let mut random = Random(seed | 1);
+    for camera in p.cameras.iter_mut().filter(|c| !c.fixed) {
+        let (w, v) = (random.vector() * 0.02, random.vector() * 0.05);
+        camera.camera_from_world = camera.camera_from_world.perturb_left(&Vector6::new(w.x, w.y, w.z, v.x, v.y, v.z));
+    }
+    for point in &mut p.points {
+        *point += random.vector() * 0.1;
+    }
+}
+
+#[test]
+fn noiseless_problem_comes_back_to_the_truth() {
+    for seed in 1..6 {
+        let truth = problem(seed, 5, 60, 0.0);
+        let mut p = truth.clone();
+        disturb(&mut p, seed + 100);
+        let options = BundleOptions { steps: [30, 30], relative_gain: 0.0, ..BundleOptions::default() };
+        let report = p.adjust(&options);
+        assert!(report.final_cost < 1e-12, "seed {seed}: {report:?}");
+        for (a, b) in p.points.iter().zip(&truth.points) {
+            assert!((a - b).norm() < 1e-6, "seed {seed}");
+        }
+    }
+}
+
+#[test]
+fn outliers_are_named_and_the_rest_still_fits() {
+    for seed in 1..6 {
+        let mut p = problem(seed, 6, 80, 0.5);
+        let mut random = Random(seed);
+        let wrong: Vec<usize> = (0..p.observations.len()).step_by(17).collect();
+        for &k in &wrong {
+            p.observations[k].normalised += Vector2::new(0.1 + 0.05 * random.unit(), 0.1);
+        }
+        let truth = p.points.clone();
+        disturb(&mut p, seed + 7);
+        let report = p.adjust(&BundleOptions { steps: [15, 10], ..BundleOptions::default() });
+        assert!(wrong.iter().all(|&k| !p.inlier[k]), "seed {seed}");
+        assert!(report.outliers < wrong.len() + 5, "seed {seed}: {report:?}");
+        let mean = p.points.iter().zip(&truth).map(|(a, b)| (a - b).norm()).sum::<f64>() / truth.len() as f64;
+        assert!(mean < 0.03, "seed {seed}: points {mean} off");
+    }
+}
+
+#[test]
+fn schur_complement_gives_the_step_of_the_full_system() {
+    let mut p = problem(3, 4, 12, 1.0);
+    p.inlier = vec![true; p.observations.len()];
+    disturb(&mut p, 9);
+    let slot = [FIXED, FIXED, 0, 1];
+    let mut system = System {
+        camera_h: Vec::new(),
+        camera_g: Vec::new(),
+        point_h: Vec::new(),
+        point_g: Vec::new(),
+        cross: Vec::new(),
+        cost: 0.0,
+    };
+    p.linearise(&slot, 2, 1e9, &mut system);
+    let lambda = 1e-3;
+    let (cameras, points) = p.solve(&slot, 2, &system, lambda).unwrap();
+    // The same step from the numeric Jacobian of all parameters at once.
+    let n = 12 + 36;
+    let residuals = |x: &DVector<f64>| {
+        let mut q = p.clone();
+        for (c, s) in [(2, 0), (3, 1)] {
+            let d = x.fixed_rows::<6>(6 * s).into_owned();
+            q.cameras[c].camera_from_world = q.cameras[c].camera_from_world.perturb_left(&d);
+        }
+        for i in 0..12 {
+            q.points[i] += x.fixed_rows::<3>(12 + 3 * i);
+        }
+        let mut r = Vec::new();
+        for i in 0..12 {
+            for k in q.range(i) {
+                let (e, _) = q.residual(&q.points[i], &q.observations[k]).unwrap();
+                r.extend([e.x, e.y]);
+            }
+        }
+        DVector::from_vec(r)
+    };
+    let r0 = residuals(&DVector::zeros(n));
+    let mut j = DMatrix::zeros(r0.len(), n);
+    for c in 0..n {
+        let mut d = DVector::zeros(n);
+        d[c] = 1e-6;
+        let column = (residuals(&d) - residuals(&-&d)) / 2e-6;
+        j.set_column(c, &column);
+    }
+    let mut h = j.transpose() * &j;
+    for i in 0..n {
+        h[(i, i)] += lambda * h[(i, i)];
+    }
+    let full = h.cholesky().unwrap().solve(&-(j.transpose() * r0));
+    assert!((full.rows(0, 12) - cameras).norm() < 1e-5 * full.norm());
+    for i in 0..12 {
+        assert!((full.fixed_rows::<3>(12 + 3 * i) - points[i]).norm() < 1e-5 * full.norm());
+    }
+}
