@@ -21,7 +21,7 @@
 //!
 //! # How a pose comes about
 //! - Frame-to-frame tracks (optical flow on 8x8 patches, started from the motion of a blurred thumbnail) predict the pose.
-//! - Landmarks of the covisible keyframes are projected with it and aligned, to a hundredth of a pixel, against templates cut
+//! - Landmarks of the covisible keyframes are projected with it and aligned, to sub-pixel places, against templates cut
 //!   from the keyframe with the closest view. Templates belong to keyframes, so positions do not drift with the frames.
 //! - A robust motion-only adjustment over these gives pose and covariance; the covariance contains the landmarks' own.
 //! - Seeds (tracks without depth) become landmarks at keyframes, where their rays meet at a degree or more.
@@ -30,7 +30,7 @@
 //!
 //! # Invariants
 //! 1. [`messages`] and [`client`] build alone (`default-features = false, features = ["client"]`).
-//! 2. [`geometry`] knows nalgebra and faer only: no threads, IO, clock, logging, configuration, unseeded randomness.
+//! 2. [`geometry`] knows nalgebra only: no threads, IO, clock, logging, configuration, unseeded randomness.
 //! 3. [`ring`] knows no images; [`features`] knows no map; [`map`] knows no threads; [`reconstruction`] knows no V4L2, ring or
 //!    iceoryx2. ([`map`] uses one thing of [`features`]: the thumbnail that a keyframe keeps for relocalisation.)
 //! 4. Only [`daemon`] spawns threads. Every stage is also a plain step that a test calls without threads.

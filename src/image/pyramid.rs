@@ -12,7 +12,7 @@
 //! relation above stays exact.
 //!
 //! Filter: the mean is the whole filter. The wider [1 3 3 1] / 8 binomial, the next one that is symmetric about the
-//! same centres, was measured against it (see `filter` in the tests of `features::optical_flow`) and did not track
+//! same centres, was measured against it on recorded sequences and did not track
 //! better; it costs three times as much.
 //!
 //! Cost: W H bytes read, W H / 3 written; no allocation once every level has its size.

@@ -68,8 +68,6 @@ pub struct Search {
     pub matches: Vec<Match>,
     /// Looked for but not found in the last call.
     pub missed: Vec<LandmarkId>,
-    /// Landmarks that should be visible, before the limit.
-    pub visible: usize,
 }
 
 /// Cell of the selection grid, px: keeps the landmarks spread over the picture.
@@ -88,7 +86,6 @@ impl Default for Search {
             per_cell: Vec::with_capacity(4096),
             matches: Vec::with_capacity(1024),
             missed: Vec::with_capacity(1024),
-            visible: 0,
         }
     }
 }
@@ -122,7 +119,6 @@ impl Search {
             let rank = ratio * 16 + (landmark.observers.len() as u32).min(15);
             self.candidates.push(Candidate { landmark: id, point: landmark.position, pixel, camera_point, cell, rank });
         }
-        self.visible = self.candidates.len();
         if self.candidates.len() <= limit {
             return;
         }
