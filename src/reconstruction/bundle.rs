@@ -7,7 +7,7 @@
 //! Cost: for 10 free cameras and 1,500 points about 2 ms a step. Not here: intrinsics, rolling shutter, gauge (hold at
 //! least one camera fixed, or rely on the damping for the scale).
 
-use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, SMatrix, Vector2, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, SMatrix, SVector, Vector2, Vector3, Vector6};
 
 use super::pose_optimisation::{accumulate, jacobian_rows};
 use crate::geometry::Se3;
@@ -31,6 +31,29 @@ pub struct BundleObservation {
     pub inv_sigma_px: f64,
 }
 
+/// Numbers that all pictures share and that an adjustment may refine: see [`Shared`].
+pub const SHARED: usize = 5;
+pub type SharedVector = SVector<f64, SHARED>;
+pub type SharedMatrix = SMatrix<f64, SHARED, SHARED>;
+/// d normalised / d shared.
+pub type SharedJacobian = SMatrix<f64, 2, SHARED>;
+type Matrix6xS = SMatrix<f64, 6, SHARED>;
+type MatrixSx3 = SMatrix<f64, SHARED, 3>;
+
+/// Intrinsics refined with the rest: observation k is expected at `normalised + jacobians[k] * change`.
+#[derive(Debug, Clone)]
+pub struct Shared {
+    /// One for each observation.
+    pub jacobians: Vec<SharedJacobian>,
+    /// Against the intrinsics that the observations were made with; moved by the adjustment.
+    pub change: SharedVector,
+    /// What `change` is expected to be, and one over the variance of that (infinite would be: held).
+    pub expected: SharedVector,
+    pub information: SharedVector,
+    /// Set by the adjustment: information of `change`, everything else free, the prior left out.
+    pub found_information: SharedMatrix,
+}
+
 /// A bundle adjustment problem and, after [`adjust`](Self::adjust), its solution.
 #[derive(Debug, Clone, Default)]
 pub struct BundleProblem {
@@ -42,6 +65,8 @@ pub struct BundleProblem {
     /// `first[i]..first[i + 1]` are the observations of point i; one longer than `points`.
     pub first: Vec<u32>,
     pub observations: Vec<BundleObservation>,
+    /// `None`: the intrinsics are right as they are.
+    pub shared: Option<Shared>,
     /// Set by the adjustment: false = judged an outlier.
     pub inlier: Vec<bool>,
     /// Set by the adjustment: covariance of each point with the cameras held fixed, map units squared.
@@ -86,7 +111,19 @@ struct System {
     point_g: Vec<Vector3<f64>>,
     /// Camera-point block of each observation (zero for fixed cameras and outliers).
     cross: Vec<Matrix6x3>,
+    /// The same between cameras and shared numbers, shared numbers and points, and among the shared numbers.
+    camera_shared: Vec<Matrix6xS>,
+    shared_point: Vec<MatrixSx3>,
+    shared_h: SharedMatrix,
+    shared_g: SharedVector,
     cost: f64,
+}
+
+/// One step of everything.
+struct Step {
+    /// Stacked over the free cameras, then the shared numbers if there are any.
+    cameras: DVector<f64>,
+    points: Vec<Vector3<f64>>,
 }
 
 const FIXED: u32 = u32::MAX;
@@ -125,16 +162,19 @@ impl BundleProblem {
         report
     }
 
-    fn residual(&self, point: &Vector3<f64>, observation: &BundleObservation) -> Option<(Vector2<f64>, Vector3<f64>)> {
+    /// Residual of observation `k` of `point`, and the point in the camera's coordinates; `None` behind it.
+    fn residual(&self, point: &Vector3<f64>, k: usize) -> Option<(Vector2<f64>, Vector3<f64>)> {
+        let observation = &self.observations[k];
         let p = self.cameras[observation.camera as usize].camera_from_world.transform(point);
         if p.z < 1e-6 {
             return None;
         }
+        let seen = match &self.shared {
+            Some(shared) => observation.normalised + shared.jacobians[k] * shared.change,
+            None => observation.normalised,
+        };
         let (iz, s) = (1.0 / p.z, observation.inv_sigma_px);
-        let e = Vector2::new(
-            s * self.focal_px.x * (p.x * iz - observation.normalised.x),
-            s * self.focal_px.y * (p.y * iz - observation.normalised.y),
-        );
+        let e = Vector2::new(s * self.focal_px.x * (p.x * iz - seen.x), s * self.focal_px.y * (p.y * iz - seen.y));
         Some((e, p))
     }
 
@@ -143,11 +183,11 @@ impl BundleProblem {
     }
 
     fn cost(&self, delta2: f64) -> f64 {
-        let mut cost = 0.0;
+        let mut cost = self.shared.as_ref().map_or(0.0, Shared::prior_cost);
         for (i, point) in self.points.iter().enumerate() {
             for k in self.range(i) {
                 if self.inlier[k] {
-                    cost += match self.residual(point, &self.observations[k]) {
+                    cost += match self.residual(point, k) {
                         Some((e, _)) => huber(e.norm_squared(), delta2).0,
                         None => 100.0 * delta2,
                     };
@@ -166,17 +206,25 @@ impl BundleProblem {
         system.point_g.clear();
         system.cross.clear();
         system.cross.resize(self.observations.len(), Matrix6x3::zeros());
-        system.cost = 0.0;
+        system.camera_shared.clear();
+        system.shared_point.clear();
+        system.shared_h = SharedMatrix::zeros();
+        system.shared_g = SharedVector::zeros();
+        system.cost = self.shared.as_ref().map_or(0.0, Shared::prior_cost);
+        if self.shared.is_some() {
+            system.camera_shared.resize(free, Matrix6xS::zeros());
+        }
         let rotations: Vec<Matrix3<f64>> =
             self.cameras.iter().map(|c| *c.camera_from_world.rotation.to_rotation_matrix().matrix()).collect();
         for (i, point) in self.points.iter().enumerate() {
             let (mut h, mut g) = (Matrix3::zeros(), Vector3::zeros());
+            let mut with_shared = MatrixSx3::zeros();
             for k in self.range(i) {
                 if !self.inlier[k] {
                     continue;
                 }
                 let o = &self.observations[k];
-                let Some((e, p)) = self.residual(point, o) else {
+                let Some((e, p)) = self.residual(point, k) else {
                     system.cost += 100.0 * delta2;
                     continue;
                 };
@@ -195,6 +243,18 @@ impl BundleProblem {
                     g[c] += w * (px[c] * e.x + py[c] * e.y);
                 }
                 let s = slot[o.camera as usize];
+                if let Some(shared) = &self.shared {
+                    // d e / d shared: the observation moves, so the residual moves against it.
+                    let d = &shared.jacobians[k];
+                    let (dx, dy) = (d.row(0).transpose() * -fx, d.row(1).transpose() * -fy);
+                    system.shared_h += (dx * dx.transpose() + dy * dy.transpose()) * w;
+                    system.shared_g += (dx * e.x + dy * e.y) * w;
+                    with_shared += (dx * px + dy * py) * w;
+                    if s != FIXED {
+                        let (jx, jy) = (Vector6::from(jx), Vector6::from(jy));
+                        system.camera_shared[s as usize] += (jx * dx.transpose() + jy * dy.transpose()) * w;
+                    }
+                }
                 if s != FIXED {
                     let s = s as usize;
                     accumulate(&mut system.camera_h[s], &jx, &jy, w);
@@ -213,6 +273,9 @@ impl BundleProblem {
             h[(2, 1)] = h[(1, 2)];
             system.point_h.push(h);
             system.point_g.push(g);
+            if self.shared.is_some() {
+                system.shared_point.push(with_shared);
+            }
         }
     }
 
@@ -224,6 +287,10 @@ impl BundleProblem {
             point_h: Vec::new(),
             point_g: Vec::new(),
             cross: Vec::new(),
+            camera_shared: Vec::new(),
+            shared_point: Vec::new(),
+            shared_h: SharedMatrix::zeros(),
+            shared_g: SharedVector::zeros(),
             cost: 0.0,
         };
         self.linearise(slot, free, options.outlier_chi2, &mut system);
@@ -233,18 +300,22 @@ impl BundleProblem {
         let mut done = 0;
         while done < steps {
             done += 1;
-            let Some((camera_steps, point_steps)) = self.solve(slot, free, &system, lambda) else {
+            let Some(step) = self.solve(slot, free, &system, lambda) else {
                 lambda *= 10.0;
                 continue;
             };
             let (old_cameras, old_points) = (self.cameras.clone(), self.points.clone());
+            let old_change = self.shared.as_ref().map(|s| s.change);
             for (camera, &s) in self.cameras.iter_mut().zip(slot) {
                 if s != FIXED {
-                    let step = camera_steps.fixed_rows::<6>(6 * s as usize).into_owned();
+                    let step = step.cameras.fixed_rows::<6>(6 * s as usize).into_owned();
                     camera.camera_from_world = camera.camera_from_world.perturb_left(&step);
                 }
             }
-            for (point, step) in self.points.iter_mut().zip(&point_steps) {
+            if let Some(shared) = &mut self.shared {
+                shared.change += step.cameras.fixed_rows::<SHARED>(6 * free);
+            }
+            for (point, step) in self.points.iter_mut().zip(&step.points) {
                 *point += step;
             }
             let candidate = self.cost(options.outlier_chi2);
@@ -259,22 +330,35 @@ impl BundleProblem {
                 self.linearise(slot, free, options.outlier_chi2, &mut system);
             } else {
                 (self.cameras, self.points) = (old_cameras, old_points);
+                if let (Some(shared), Some(old)) = (&mut self.shared, old_change) {
+                    shared.change = old;
+                }
                 lambda = (lambda * 10.0).min(1e6);
+            }
+        }
+        if self.shared.is_some() {
+            self.linearise(slot, free, options.outlier_chi2, &mut system);
+            let found = self.shared_information(slot, free, &system);
+            if let (Some(shared), Some(found)) = (&mut self.shared, found) {
+                shared.found_information = found;
             }
         }
         (done, initial, cost)
     }
 
-    /// Steps of cameras (stacked) and points at this damping; `None` if the reduced system is not positive definite.
-    fn solve(
+    /// The reduced system of cameras (and shared numbers) at this damping, right-hand side, and the inverted point blocks.
+    /// The prior of the shared numbers is left out.
+    fn reduce(
         &self,
         slot: &[u32],
         free: usize,
         system: &System,
         lambda: f64,
-    ) -> Option<(DVector<f64>, Vec<Vector3<f64>>)> {
-        let mut s = DMatrix::<f64>::zeros(6 * free, 6 * free);
-        let mut g = DVector::<f64>::zeros(6 * free);
+    ) -> (DMatrix<f64>, DVector<f64>, Vec<Matrix3<f64>>) {
+        let shared = if self.shared.is_some() { SHARED } else { 0 };
+        let size = 6 * free + shared;
+        let mut s = DMatrix::<f64>::zeros(size, size);
+        let mut g = DVector::<f64>::zeros(size);
         for (i, (h, gradient)) in system.camera_h.iter().zip(&system.camera_g).enumerate() {
             for c in 0..6 {
                 for r in 0..=c {
@@ -283,6 +367,13 @@ impl BundleProblem {
                 s[(6 * i + c, 6 * i + c)] += lambda * h[(c, c)] + 1e-9;
                 g[6 * i + c] = -gradient[c];
             }
+        }
+        if shared > 0 {
+            for (i, block) in system.camera_shared.iter().enumerate() {
+                s.fixed_view_mut::<6, SHARED>(6 * i, 6 * free).copy_from(block);
+            }
+            s.fixed_view_mut::<SHARED, SHARED>(6 * free, 6 * free).copy_from(&system.shared_h);
+            g.fixed_rows_mut::<SHARED>(6 * free).copy_from(&-system.shared_g);
         }
         let mut inverses = Vec::with_capacity(self.points.len());
         for i in 0..self.points.len() {
@@ -310,38 +401,76 @@ impl BundleProblem {
                     let mut block = s.fixed_view_mut::<6, 6>(6 * sa as usize, 6 * sb as usize);
                     block -= y * system.cross[b].transpose();
                 }
+                if shared > 0 {
+                    let mut block = s.fixed_view_mut::<6, SHARED>(6 * sa as usize, 6 * free);
+                    block -= y * system.shared_point[i].transpose();
+                }
+            }
+            if shared > 0 {
+                let w = &system.shared_point[i];
+                let mut block = s.fixed_view_mut::<SHARED, SHARED>(6 * free, 6 * free);
+                block -= w * inverse * w.transpose();
+                let mut part = g.fixed_rows_mut::<SHARED>(6 * free);
+                part += w * rest;
             }
             inverses.push(inverse);
         }
-        for c in 0..6 * free {
+        for c in 0..size {
             for r in 0..c {
                 s[(c, r)] = s[(r, c)];
             }
         }
-        let camera_steps = if free == 0 { DVector::zeros(0) } else { s.cholesky()?.solve(&g) };
-        if !camera_steps.iter().all(|v| v.is_finite()) {
+        (s, g, inverses)
+    }
+
+    /// One step at this damping; `None` if the reduced system is not positive definite.
+    fn solve(&self, slot: &[u32], free: usize, system: &System, lambda: f64) -> Option<Step> {
+        let (mut s, mut g, inverses) = self.reduce(slot, free, system, lambda);
+        if let Some(shared) = &self.shared {
+            for i in 0..SHARED {
+                s[(6 * free + i, 6 * free + i)] += shared.information[i];
+                g[6 * free + i] += shared.information[i] * (shared.expected[i] - shared.change[i]);
+            }
+        }
+        let cameras = if g.is_empty() { g } else { s.cholesky()?.solve(&g) };
+        if !cameras.iter().all(|v| v.is_finite()) {
             return None;
         }
-        let mut point_steps = Vec::with_capacity(self.points.len());
+        let mut points = Vec::with_capacity(self.points.len());
         for i in 0..self.points.len() {
             let mut rest = -system.point_g[i];
             for k in self.range(i) {
                 let sk = slot[self.observations[k].camera as usize];
                 if sk != FIXED && self.inlier[k] {
-                    rest -= system.cross[k].transpose() * camera_steps.fixed_rows::<6>(6 * sk as usize);
+                    rest -= system.cross[k].transpose() * cameras.fixed_rows::<6>(6 * sk as usize);
                 }
             }
+            if self.shared.is_some() {
+                rest -= system.shared_point[i].transpose() * cameras.fixed_rows::<SHARED>(6 * free);
+            }
             let step = inverses[i] * rest;
-            point_steps.push(if step.iter().all(|v| v.is_finite()) { step } else { Vector3::zeros() });
+            points.push(if step.iter().all(|v| v.is_finite()) { step } else { Vector3::zeros() });
         }
-        Some((camera_steps, point_steps))
+        Some(Step { cameras, points })
+    }
+
+    /// Information of the shared numbers with cameras and points free (Schur complement), without their prior.
+    fn shared_information(&self, slot: &[u32], free: usize, system: &System) -> Option<SharedMatrix> {
+        let (s, _, _) = self.reduce(slot, free, system, 0.0);
+        let own: SharedMatrix = s.fixed_view::<SHARED, SHARED>(6 * free, 6 * free).into_owned();
+        if free == 0 {
+            return Some(own);
+        }
+        let cross = s.view((0, 6 * free), (6 * free, SHARED)).into_owned();
+        let solved = s.view((0, 0), (6 * free, 6 * free)).into_owned().cholesky()?.solve(&cross);
+        Some(own - cross.transpose() * solved)
     }
 
     fn judge_outliers(&mut self, limit: f64) {
         for i in 0..self.points.len() {
             for k in self.range(i) {
                 self.inlier[k] = self
-                    .residual(&self.points[i], &self.observations[k])
+                    .residual(&self.points[i], k)
                     .is_some_and(|(e, _)| e.norm_squared() <= limit);
             }
         }
@@ -353,7 +482,7 @@ impl BundleProblem {
             let mut h = Matrix3::zeros();
             for k in self.range(i).filter(|&k| self.inlier[k]) {
                 let o = &self.observations[k];
-                let Some((_, p)) = self.residual(point, o) else { continue };
+                let Some((_, p)) = self.residual(point, k) else { continue };
                 let (jx, jy) = jacobian_rows(&p, self.focal_px.x * o.inv_sigma_px, self.focal_px.y * o.inv_sigma_px);
                 let r = self.cameras[o.camera as usize].camera_from_world.rotation.to_rotation_matrix();
                 let x = r.matrix().transpose() * Vector3::new(jx[3], jx[4], jx[5]);
@@ -362,6 +491,13 @@ impl BundleProblem {
             }
             self.point_covariances.push(h.try_inverse().unwrap_or_else(|| Matrix3::from_element(f64::NAN)));
         }
+    }
+}
+
+impl Shared {
+    fn prior_cost(&self) -> f64 {
+        let off = self.change - self.expected;
+        off.component_mul(&off).dot(&self.information)
     }
 }
 

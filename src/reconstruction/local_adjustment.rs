@@ -6,11 +6,11 @@
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
-use super::bundle::{BundleCamera, BundleObservation, BundleOptions, BundleProblem, BundleReport};
+use super::bundle::{BundleCamera, BundleObservation, BundleOptions, BundleProblem, BundleReport, Shared, SharedJacobian, SharedMatrix, SharedVector};
 use super::config::ReconstructionConfig;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
-use crate::map::{KeyframeId, LandmarkId, Map};
+use crate::map::{KeyframeId, LandmarkId, Map, Observation};
 
 /// A piece of mapping work on a copy of a part of the map: a pure function of its input, so that it can run anywhere.
 #[derive(Debug)]
@@ -135,6 +135,29 @@ impl MappingJob {
         })
     }
 
+    /// Lets the adjustment refine the intrinsics as well.
+    pub fn refine_intrinsics(&mut self, map: &Map, camera: &CameraModel, expected: SharedVector, information: SharedVector) {
+        let mut jacobians = Vec::with_capacity(self.problem.observations.len());
+        for (i, &id) in self.landmarks.iter().enumerate() {
+            for k in self.problem.first[i] as usize..self.problem.first[i + 1] as usize {
+                let keyframe = self.keyframes[self.problem.observations[k].camera as usize];
+                let o = map.keyframe(keyframe).and_then(|k| k.observation(id));
+                jacobians.push(o.map_or_else(SharedJacobian::zeros, |o| intrinsics_jacobian(o, camera)));
+            }
+        }
+        self.problem.shared = Some(Shared {
+            jacobians,
+            change: SharedVector::zeros(),
+            expected,
+            information,
+            found_information: SharedMatrix::zeros(),
+        });
+    }
+
+    pub fn problem(&self) -> &BundleProblem {
+        &self.problem
+    }
+
     /// Bounded in iterations, not in time.
     pub fn run(mut self) -> MappingResult {
         let report = self.problem.adjust(&self.options);
@@ -142,7 +165,25 @@ impl MappingJob {
     }
 }
 
+/// How an observation's undistorted place answers to log focal length, principal point (px), k1, and readout time (s).
+fn intrinsics_jacobian(o: &Observation, camera: &CameraModel) -> SharedJacobian {
+    let (n, j) = (&o.normalised, &o.normalised_from_pixel);
+    let from_centre = Vector2::new(f64::from(o.pixel.x) - camera.cx, f64::from(o.pixel.y) - camera.cy);
+    let radial = Vector2::new(camera.fx * n.x, camera.fy * n.y) * n.norm_squared();
+    SharedJacobian::from_columns(&[
+        -(j * from_centre),
+        -j.column(0).into_owned(),
+        -j.column(1).into_owned(),
+        -(j * radial),
+        -o.displacement,
+    ])
+}
+
 impl MappingResult {
+    pub fn shared(&self) -> Option<&Shared> {
+        self.job.problem.shared.as_ref()
+    }
+
     /// Writes the result into the map. Returns `old_from_new`: how the newest adjusted keyframe's surroundings moved, to be
     /// multiplied to the right of a `camera_from_world` that was estimated meanwhile.
     pub fn merge(&self, map: &mut Map) -> Se3<World, World> {

@@ -354,6 +354,19 @@ impl Reconstruction {
         self.counters.resets += 1;
     }
 
+    pub fn probe_intrinsics(&mut self, prior: [f64; 5]) {
+        let Some(mut job) = MappingJob::whole(&self.map, &self.camera, self.shutter.readout_s, 15) else { return };
+        let info = bundle::SharedVector::from_iterator(prior.iter().map(|s| 1.0 / (s * s)));
+        job.refine_intrinsics(&self.map, &self.camera, bundle::SharedVector::zeros(), info);
+        let t = std::time::Instant::now();
+        let r = job.run();
+        let s = r.shared().unwrap();
+        let c = (s.found_information + bundle::SharedMatrix::from_diagonal(&info)).try_inverse().unwrap();
+        let o = s.found_information.try_inverse().map(|c| c.diagonal().map(|v| v.sqrt()));
+        println!("{:?} change {:?} sigma {:?} own {:?} {:?}", r.report, s.change.as_slice(), c.diagonal().map(|v| v.sqrt()).as_slice(), o, t.elapsed());
+        if std::env::var("MERGE").is_ok() { r.merge(&mut self.map); self.map.revision += 1; }
+    }
+
     /// Waits for the job under way, if any, and merges it. Nothing is adjusted beyond it.
     pub fn finish(&mut self) {
         self.merge_adjustment(true);
