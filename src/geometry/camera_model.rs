@@ -178,6 +178,18 @@ impl CameraModel {
         Some((pixel, Matrix2::new(self.fx * a, self.fx * b, self.fy * b, self.fy * c)))
     }
 
+    /// Undistorted normalised point of a pixel and d normalised / d pixel (2x2).
+    pub fn undistort_jacobian(&self, pixel: &Vector2<f64>) -> Option<(Vector2<f64>, Matrix2<f64>)> {
+        let n = self.undistort(pixel)?;
+        let (_, jacobian) = self.distort_jacobian(&n)?;
+        Some((n, jacobian.try_inverse()?))
+    }
+
+    /// The same lens with other focal lengths, pixels.
+    pub fn with_focal(&self, fx: f64, fy: f64) -> Result<Self, CameraModelError> {
+        Self::new(self.width, self.height, fx, fy, self.cx, self.cy, self.distortion)
+    }
+
     /// Mean focal length, pixels: turns normalised residuals into pixels.
     pub fn focal_px(&self) -> f64 {
         0.5 * (self.fx + self.fy)

@@ -103,6 +103,7 @@ pub struct BundleReport {
 type Matrix6x3 = SMatrix<f64, 6, 3>;
 
 /// Normal equations at one linearisation point.
+#[derive(Default)]
 struct System {
     /// Free cameras: own 6x6 block (upper triangle) and gradient.
     camera_h: Vec<Matrix6<f64>>,
@@ -133,23 +134,10 @@ impl BundleProblem {
     pub fn adjust(&mut self, options: &BundleOptions) -> BundleReport {
         self.inlier.clear();
         self.inlier.resize(self.observations.len(), true);
-        // Index of each camera among the free ones.
-        let mut free = 0u32;
-        let slot: Vec<u32> = self
-            .cameras
-            .iter()
-            .map(|c| {
-                if c.fixed {
-                    FIXED
-                } else {
-                    free += 1;
-                    free - 1
-                }
-            })
-            .collect();
+        let (slot, free) = self.slots();
         let mut report = BundleReport::default();
         for (pass, &steps) in options.steps.iter().enumerate() {
-            let (done, before, after) = self.minimise(&slot, free as usize, steps, options);
+            let (done, before, after) = self.minimise(&slot, free, steps, options);
             report.steps += done;
             if pass == 0 {
                 report.initial_cost = before;
@@ -160,6 +148,19 @@ impl BundleProblem {
         report.outliers = self.inlier.iter().filter(|ok| !**ok).count();
         self.fill_point_covariances();
         report
+    }
+
+    /// Index of each camera among the free ones (`FIXED` for the others), and how many are free.
+    fn slots(&self) -> (Vec<u32>, usize) {
+        let mut free = 0u32;
+        let slot = self.cameras.iter().map(|c| {
+            if c.fixed {
+                return FIXED;
+            }
+            free += 1;
+            free - 1
+        });
+        (slot.collect(), free as usize)
     }
 
     /// Residual of observation `k` of `point`, and the point in the camera's coordinates; `None` behind it.
@@ -281,18 +282,7 @@ impl BundleProblem {
 
     /// One pass of Levenberg-Marquardt: steps done, cost before, cost after.
     fn minimise(&mut self, slot: &[u32], free: usize, steps: usize, options: &BundleOptions) -> (usize, f64, f64) {
-        let mut system = System {
-            camera_h: Vec::new(),
-            camera_g: Vec::new(),
-            point_h: Vec::new(),
-            point_g: Vec::new(),
-            cross: Vec::new(),
-            camera_shared: Vec::new(),
-            shared_point: Vec::new(),
-            shared_h: SharedMatrix::zeros(),
-            shared_g: SharedVector::zeros(),
-            cost: 0.0,
-        };
+        let mut system = System::default();
         self.linearise(slot, free, options.outlier_chi2, &mut system);
         let initial = system.cost;
         let mut cost = initial;
@@ -466,6 +456,31 @@ impl BundleProblem {
         Some(own - cross.transpose() * solved)
     }
 
+    /// Standard deviation of the direction of camera `index`'s translation, rad, everything else free (the fixed cameras hold
+    /// the place, the length of this translation holds the scale); `None` for a fixed camera or a singular problem.
+    pub fn direction_sigma(&self, index: usize) -> Option<f64> {
+        let (slot, free) = self.slots();
+        let at = *slot.get(index).filter(|&&s| s != FIXED)? as usize * 6;
+        let mut system = System::default();
+        self.linearise(&slot, free, BundleOptions::default().outlier_chi2, &mut system);
+        let (mut s, _, _) = self.reduce(&slot, free, &system, 0.0);
+        let translation = self.cameras[index].camera_from_world.translation;
+        let length = translation.norm();
+        let along = translation / length;
+        // Infinitely sure of the length: far above any information, far below the loss of digits.
+        let sure = 1e6 * s.diagonal().max();
+        for r in 0..3 {
+            for c in 0..3 {
+                s[(at + 3 + r, at + 3 + c)] += sure * along[r] * along[c];
+            }
+        }
+        let mut unit = DMatrix::zeros(s.nrows(), 3);
+        unit.fixed_view_mut::<3, 3>(at + 3, 0).fill_with_identity();
+        let covariance: Matrix3<f64> = s.cholesky()?.solve(&unit).fixed_view::<3, 3>(at + 3, 0).into_owned();
+        let sigma = covariance.symmetric_eigenvalues().max().max(0.0).sqrt() / length;
+        sigma.is_finite().then_some(sigma)
+    }
+
     fn judge_outliers(&mut self, limit: f64) {
         for i in 0..self.points.len() {
             for k in self.range(i) {
@@ -495,6 +510,11 @@ impl BundleProblem {
 }
 
 impl Shared {
+    /// Information of the first of the shared numbers, the others held.
+    pub fn focal_information(&self) -> f64 {
+        self.found_information[(0, 0)]
+    }
+
     fn prior_cost(&self) -> f64 {
         let off = self.change - self.expected;
         off.component_mul(&off).dot(&self.information)

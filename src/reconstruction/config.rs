@@ -53,7 +53,7 @@ impl Default for ReconstructionConfig {
             sigma_px: 0.8,
             keyframe_share: 0.75,
             keyframe_parallax_deg: 3.0,
-            keyframe_gap_frames: 3,
+            keyframe_gap_frames: 2,
             min_parallax_deg: 1.0,
             readout_ms: 0.0,
             estimate_readout: true,
@@ -63,7 +63,7 @@ impl Default for ReconstructionConfig {
             merge_after_frames: 3,
             max_keyframes: 300,
             redundant_share: 0.9,
-            start_flow_px: 10.0,
+            start_flow_px: 5.0,
             start_landmarks: 50,
             lost_frames: 60,
         }

@@ -26,6 +26,22 @@ pub struct PendingFrame {
     pub tracks: Vec<(u64, Vector2<f32>)>,
 }
 
+impl PendingFrame {
+    pub fn of(features: &FrameFeatures) -> Self {
+        Self {
+            sequence: features.sequence,
+            timestamp_ns: features.timestamp_ns,
+            tracks: features.tracks.iter().map(|t| (t.id, t.position)).collect(),
+        }
+    }
+
+    /// Pixel of a track.
+    pub fn track(&self, id: u64) -> Option<Vector2<f32>> {
+        let i = self.tracks.binary_search_by_key(&id, |t| t.0).ok()?;
+        Some(self.tracks[i].1)
+    }
+}
+
 /// One corner of a first map.
 #[derive(Debug, Clone, Copy)]
 pub struct StartPoint {
@@ -36,11 +52,21 @@ pub struct StartPoint {
     pub point: Vector3<f64>,
 }
 
-/// A first map: two frames and points.
+/// A frame before the map that is kept with its picture.
+#[derive(Debug, Clone)]
+pub struct View {
+    pub frame: PendingFrame,
+    pub pyramid: Arc<Pyramid>,
+}
+
+/// A first map: the motion between two frames, points, and views in between to hold them together.
 #[derive(Debug)]
 pub struct Start {
-    pub first: PendingFrame,
-    pub first_pyramid: Arc<Pyramid>,
+    pub first: View,
+    /// Frames since the first one.
+    pub frames: u64,
+    /// In order of time; neither the first nor the newest frame is among them.
+    pub between: Vec<View>,
     pub second_from_first: Se3<Second, First>,
     pub points: Vec<StartPoint>,
 }
@@ -49,21 +75,54 @@ pub struct Start {
 const MAX_PENDING: usize = 900;
 /// Standard deviation of a track over the frames of a start, px.
 const START_SIGMA_PX: f64 = 1.0;
+/// Views kept between the reference and the newest frame; when there would be more every other one is dropped.
+const MAX_BETWEEN: usize = 8;
 /// The reference frame is given up below this many common tracks.
 const MIN_COMMON: usize = 60;
 
 /// Waits for a start.
 #[derive(Debug, Default)]
 pub struct Initialiser {
-    reference: Option<(PendingFrame, Arc<Pyramid>)>,
+    reference: Option<View>,
+    /// Views since the reference, every `stride`-th frame.
+    between: Vec<View>,
+    stride: u64,
+    since_reference: u64,
     /// All frames since the last reset that may still get a pose, the reference among them.
     pub pending: VecDeque<PendingFrame>,
 }
 
 impl Initialiser {
     pub fn clear(&mut self) {
-        self.reference = None;
+        self.set_reference(None);
         self.pending.clear();
+    }
+
+    fn set_reference(&mut self, reference: Option<View>) {
+        self.reference = reference;
+        self.between.clear();
+        self.stride = 1;
+        self.since_reference = 0;
+    }
+
+    /// Keeps every `stride`-th view; the stride doubles as often as there is no more room.
+    fn keep(&mut self, view: impl FnOnce() -> View) {
+        self.since_reference += 1;
+        if !self.since_reference.is_multiple_of(self.stride) {
+            return;
+        }
+        if self.between.len() == MAX_BETWEEN {
+            let mut n = 0;
+            self.between.retain(|_| {
+                n += 1;
+                n % 2 == 0
+            });
+            self.stride *= 2;
+            if !self.since_reference.is_multiple_of(self.stride) {
+                return;
+            }
+        }
+        self.between.push(view());
     }
 
     /// Takes a frame; `Some` when it makes a start together with the reference frame.
@@ -73,27 +132,34 @@ impl Initialiser {
         camera: &CameraModel,
         config: &ReconstructionConfig,
     ) -> Option<Start> {
-        let frame = PendingFrame {
-            sequence: features.sequence,
-            timestamp_ns: features.timestamp_ns,
-            tracks: features.tracks.iter().map(|t| (t.id, t.position)).collect(),
-        };
+        let frame = PendingFrame::of(features);
         self.pending.push_back(frame.clone());
         if self.pending.len() > MAX_PENDING {
             self.pending.pop_front();
         }
-        let Some((reference, pyramid)) = &self.reference else {
-            if frame.tracks.len() >= MIN_COMMON {
-                self.reference = Some((frame, features.pyramid.clone()));
-            }
-            return None;
-        };
-        let pairs = common(reference, &features.tracks, camera);
-        if pairs.len() < MIN_COMMON.max(reference.tracks.len() / 4) {
-            self.reference = (frame.tracks.len() >= MIN_COMMON).then(|| (frame, features.pyramid.clone()));
+        // A copy of its own: the frame's goes back to the pool.
+        let view = || View { frame, pyramid: Arc::new(Pyramid::clone(&features.pyramid)) };
+        let pairs = self.reference.as_ref().map(|r| common(&r.frame, &features.tracks, camera)).unwrap_or_default();
+        let needed = self.reference.as_ref().map_or(0, |r| MIN_COMMON.max(r.frame.tracks.len() / 4));
+        if self.reference.is_none() || pairs.len() < needed {
+            self.set_reference((features.tracks.len() >= MIN_COMMON).then(view));
             return None;
         }
-        if rotation_compensated_flow(&pairs, camera.focal_px()) < config.start_flow_px {
+        let start = self.attempt(features, &pairs, camera, config);
+        self.keep(view);
+        start
+    }
+
+    /// Two-view geometry between the reference and this frame.
+    fn attempt(
+        &self,
+        features: &FrameFeatures,
+        pairs: &[Pair],
+        camera: &CameraModel,
+        config: &ReconstructionConfig,
+    ) -> Option<Start> {
+        let reference = self.reference.as_ref()?;
+        if rotation_compensated_flow(pairs, camera.focal_px()) < config.start_flow_px {
             return None;
         }
         let first: Vec<Vector2<f64>> = pairs.iter().map(|p| p.first).collect();
@@ -118,7 +184,8 @@ impl Initialiser {
         }
         Some(Start {
             first: reference.clone(),
-            first_pyramid: pyramid.clone(),
+            frames: self.since_reference + 1,
+            between: self.between.clone(),
             second_from_first: solution.second_from_first,
             points,
         })
@@ -139,8 +206,7 @@ fn common(reference: &PendingFrame, tracks: &[Track], camera: &CameraModel) -> V
     tracks
         .iter()
         .filter_map(|t| {
-            let i = reference.tracks.binary_search_by_key(&t.id, |r| r.0).ok()?;
-            let first_pixel = reference.tracks[i].1;
+            let first_pixel = reference.track(t.id)?;
             Some(Pair {
                 track: t.id,
                 first_pixel,

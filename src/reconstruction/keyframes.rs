@@ -71,6 +71,8 @@ pub struct NewKeyframe<'a> {
     pub shutter: &'a Shutter,
 }
 
+/// The newest keyframes are not culled: the local adjustment still gains by them.
+const YOUNG_KEYFRAMES: u32 = 12;
 /// Radius within which a track and a found landmark are the same corner, px.
 const SAME_CORNER_PX: f32 = 2.0;
 /// A track that has left its landmark's found place by more than this has drifted, px.
@@ -85,15 +87,14 @@ pub fn observe(
     pixel: Vector2<f32>,
     inv_sigma_px: f64,
 ) -> Option<Observation> {
-    let normalised = camera.undistort(&pixel.cast())?;
-    let (_, jacobian) = camera.distort_jacobian(&normalised)?;
+    let (normalised, normalised_from_pixel) = camera.undistort_jacobian(&pixel.cast())?;
     Some(Observation {
         landmark,
         pixel,
         normalised,
         displacement: Vector2::zeros(),
         inv_sigma_px,
-        normalised_from_pixel: jacobian.try_inverse()?,
+        normalised_from_pixel,
     })
 }
 
@@ -380,8 +381,7 @@ pub fn cull_keyframes(
     let mut around = Vec::new();
     map.covisible(newest, 1, usize::MAX, &mut around);
     for (id, _) in around {
-        // The newest ones are still being connected.
-        if id.0 + 3 > newest.0 {
+        if id.0 + YOUNG_KEYFRAMES > newest.0 {
             continue;
         }
         let Some(keyframe) = map.keyframe(id) else { continue };

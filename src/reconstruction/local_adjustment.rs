@@ -154,10 +154,6 @@ impl MappingJob {
         });
     }
 
-    pub fn problem(&self) -> &BundleProblem {
-        &self.problem
-    }
-
     /// Bounded in iterations, not in time.
     pub fn run(mut self) -> MappingResult {
         let report = self.problem.adjust(&self.options);
@@ -230,6 +226,12 @@ impl MappingResult {
         }
         map.revision += 1;
         old_from_new
+    }
+
+    /// How surely the newest camera is placed against the oldest one: standard deviation of the direction of its translation
+    /// (rad), once the length of that translation is taken as the unit; infinite where it cannot be told.
+    pub fn direction_sigma(&self) -> f64 {
+        self.job.problem.direction_sigma(self.job.newest).unwrap_or(f64::INFINITY)
     }
 
     /// Landmarks of the job with at least two inlier observations.

@@ -7,6 +7,7 @@
 pub mod bindings;
 pub mod bundle;
 pub mod config;
+mod focal;
 mod estimate;
 pub mod initialise;
 pub mod keyframes;
@@ -26,6 +27,7 @@ pub use local_adjustment::{InlineWorker, MappingJob, MappingResult, MappingWorke
 pub use types::*;
 
 use bindings::Bindings;
+use focal::Focal;
 use initialise::Initialiser;
 use keyframes::{KeyframeInputs, NewKeyframe};
 use relocalise::{Guess, Relocaliser};
@@ -38,6 +40,10 @@ use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, Odom, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::map::{KeyframeId, LandmarkId, Map, MapId};
+
+/// Keyframes at which the whole map is adjusted first; then whenever it has grown by a third, up to the limit.
+const WHOLE_FIRST: usize = 5;
+const WHOLE_LIMIT: usize = 120;
 
 /// The frame that was tracked last.
 #[derive(Debug, Clone, Copy)]
@@ -73,6 +79,9 @@ pub struct Reconstruction {
     job_posted: Option<u64>,
     /// Newest keyframe that no adjustment has seen yet.
     unadjusted: Option<KeyframeId>,
+    /// Keyframes at which the whole map is adjusted next.
+    next_whole: usize,
+    focal: Focal,
     /// Pose of the frame just tracked, if it becomes a keyframe.
     pending: Option<Se3<Camera, World>>,
     events: Vec<TrajectoryEvent>,
@@ -113,6 +122,8 @@ impl Reconstruction {
             job_posted: None,
             unadjusted: None,
             pending: None,
+            next_whole: WHOLE_FIRST,
+            focal: Focal::new(camera),
             events: Vec::new(),
             counters: Counters::default(),
             inliers: Vec::with_capacity(1024),
@@ -279,8 +290,14 @@ impl Reconstruction {
             && self.job_posted.is_none()
         {
             self.unadjusted = None;
-            if let Some(job) = MappingJob::local(&self.map, newest, &self.camera, self.shutter.readout_s, &self.config)
-            {
+            let keyframes = self.map.keyframes.len();
+            let job = if keyframes >= self.next_whole && keyframes <= WHOLE_LIMIT {
+                self.next_whole = keyframes + keyframes / 3;
+                self.focal.whole_job(&self.map, &self.camera, self.shutter.readout_s)
+            } else {
+                MappingJob::local(&self.map, newest, &self.camera, self.shutter.readout_s, &self.config)
+            };
+            if let Some(job) = job {
                 self.worker.post(job);
                 self.job_posted = Some(self.frame);
             }
@@ -323,6 +340,7 @@ impl Reconstruction {
         self.job_posted = None;
         self.counters.adjustments += 1;
         let old_from_new = result.merge(&mut self.map);
+        self.focal.merge(&result, &mut self.map, &mut self.camera);
         if let Some(last) = &mut self.last {
             last.camera_from_world = last.camera_from_world * old_from_new;
         }
@@ -345,6 +363,7 @@ impl Reconstruction {
         self.tracker = Tracker::default();
         self.last = None;
         self.pending = None;
+        self.next_whole = WHOLE_FIRST;
         self.unadjusted = None;
         self.lost_frames = 0;
         self.odom_from_camera = Se3::identity();
@@ -352,19 +371,6 @@ impl Reconstruction {
         self.map_id = MapId(self.map_id.0 + 1);
         self.reset_counter += 1;
         self.counters.resets += 1;
-    }
-
-    pub fn probe_intrinsics(&mut self, prior: [f64; 5]) {
-        let Some(mut job) = MappingJob::whole(&self.map, &self.camera, self.shutter.readout_s, 15) else { return };
-        let info = bundle::SharedVector::from_iterator(prior.iter().map(|s| 1.0 / (s * s)));
-        job.refine_intrinsics(&self.map, &self.camera, bundle::SharedVector::zeros(), info);
-        let t = std::time::Instant::now();
-        let r = job.run();
-        let s = r.shared().unwrap();
-        let c = (s.found_information + bundle::SharedMatrix::from_diagonal(&info)).try_inverse().unwrap();
-        let o = s.found_information.try_inverse().map(|c| c.diagonal().map(|v| v.sqrt()));
-        println!("{:?} change {:?} sigma {:?} own {:?} {:?}", r.report, s.change.as_slice(), c.diagonal().map(|v| v.sqrt()).as_slice(), o, t.elapsed());
-        if std::env::var("MERGE").is_ok() { r.merge(&mut self.map); self.map.revision += 1; }
     }
 
     /// Waits for the job under way, if any, and merges it. Nothing is adjusted beyond it.
@@ -407,6 +413,11 @@ impl Reconstruction {
 
     pub fn state(&self) -> TrackingState {
         self.state
+    }
+
+    /// The camera as it is believed now: its focal length is refined from the motion.
+    pub fn camera(&self) -> &CameraModel {
+        &self.camera
     }
 
     /// Readout time of the camera's rolling shutter as it is believed now, s.

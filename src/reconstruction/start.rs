@@ -1,11 +1,9 @@
 //! The first map: from a two-view start to keyframes, landmarks, and poses of the frames before.
 
-use std::sync::Arc;
-
-use nalgebra::{Matrix3, Vector2};
+use nalgebra::{Matrix3, Vector2, Vector3};
 
 use super::bindings::Target;
-use super::initialise::{PendingFrame, Start};
+use super::initialise::{PendingFrame, Start, View};
 use super::keyframes::{observe, refine_point};
 use super::local_adjustment::MappingJob;
 use super::pose_optimisation::{PoseOptions, PosePair, optimise_pose};
@@ -15,11 +13,15 @@ use super::tracking::Frame;
 use super::types::{PoseEstimate, TrackingState, TrajectoryEvent};
 use super::{LastFrame, Reconstruction, Tracked};
 use crate::features::FrameFeatures;
-use crate::geometry::Se3;
+use crate::geometry::camera_motion::CameraMotion;
+use crate::geometry::{CameraModel, Se3};
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
-use crate::image::Pyramid;
-use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId};
+use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, Observation};
 
+/// Standard deviation of the direction of the first motion that a start may have, rad; the longer nothing better comes
+/// the more is allowed: this much more after so many frames.
+const MAX_DIRECTION_SIGMA: f64 = 0.012;
+const PATIENCE_FRAMES: f64 = 45.0;
 /// Steps of the first adjustment's passes.
 const START_STEPS: usize = 20;
 /// Standard deviation of a frame-to-frame track's position, px.
@@ -72,7 +74,7 @@ impl Reconstruction {
         }
     }
 
-    /// Two keyframes and their landmarks, adjusted; false if too little of it holds.
+    /// The first keyframes and their landmarks, adjusted; false if too little of it holds.
     fn build_map(&mut self, start: &Start, features: &FrameFeatures) -> bool {
         let mut depths: Vec<f64> = start.points.iter().map(|p| p.point.z).collect();
         depths.sort_unstable_by(f64::total_cmp);
@@ -80,31 +82,32 @@ impl Reconstruction {
         let scale = 1.0 / depths[depths.len() / 2];
         let second: Se3<Camera, World> =
             Se3::new(start.second_from_first.rotation, start.second_from_first.translation * scale);
-        let keyframe = |sequence, timestamp_ns, pose, pyramid: Arc<Pyramid>| Keyframe {
-            sequence,
-            timestamp_ns,
-            map: self.map_id,
-            camera_from_world: pose,
-            motion: None,
-            thumbnail: thumbnail_of(&pyramid),
-            pyramid,
-            observations: Vec::new(),
-            covisible: Vec::new(),
-        };
-        let a = keyframe(start.first.sequence, start.first.timestamp_ns, Se3::identity(), start.first_pyramid.clone());
-        let b = keyframe(features.sequence, features.timestamp_ns, second, features.pyramid.clone());
-        let (a, b) = (self.map.add_keyframe(a), self.map.add_keyframe(b));
+        let first = &start.first;
+        let a = self.add_view(first, Se3::identity());
+        // Ascending track id, for the views in between.
+        let mut points: Vec<(u64, Vector3<f64>)> = start.points.iter().map(|p| (p.track, p.point * scale)).collect();
+        points.sort_unstable_by_key(|p| p.0);
+        let mut views = vec![(a, &first.frame)];
+        let mut guess = Se3::identity();
+        for view in &start.between {
+            if let Some(pose) = self.solve_view(&view.frame, &points, &guess) {
+                guess = pose;
+                views.push((self.add_view(view, pose), &view.frame));
+            }
+        }
+        let newest = PendingFrame::of(features);
+        let b = self.add_view(&View { frame: newest.clone(), pyramid: features.pyramid.clone() }, second);
+        views.push((b, &newest));
         let inv_sigma = 1.0 / self.config.sigma_px;
-        for p in &start.points {
-            let none = LandmarkId::default();
-            let (Some(oa), Some(ob)) = (
-                observe(&self.camera, none, p.first_pixel, inv_sigma),
-                observe(&self.camera, none, p.second_pixel, inv_sigma),
-            ) else {
-                continue;
-            };
+        for &(track, point) in &points {
+            let seen: Vec<_> = views
+                .iter()
+                .filter_map(|&(k, frame)| {
+                    Some((k, observe(&self.camera, LandmarkId::default(), frame.track(track)?, inv_sigma)?))
+                })
+                .collect();
             let landmark = Landmark {
-                position: p.point * scale,
+                position: point,
                 covariance: Matrix3::from_element(f64::NAN),
                 observers: Vec::new(),
                 created_by: b,
@@ -112,15 +115,19 @@ impl Reconstruction {
                 found: 1,
                 disagreed: 0,
             };
-            let id = self.map.add_landmark(landmark, &[(a, oa), (b, ob)]);
-            self.bindings.set(p.track, Target::Landmark(id));
+            if seen.len() >= 2 {
+                let id = self.map.add_landmark(landmark, &seen);
+                self.bindings.set(track, Target::Landmark(id));
+            }
         }
-        if !self.adjust_whole() {
+        if self.adjust_whole().is_none() {
             return false;
         }
-        self.refine_second_view(a, b);
+        self.refine_views(a);
+        self.note_motion();
         self.reference = b;
-        if !self.adjust_whole() {
+        let Some(sigma) = self.adjust_whole() else { return false };
+        if sigma > MAX_DIRECTION_SIGMA * (1.0 + start.frames as f64 / PATIENCE_FRAMES) {
             return false;
         }
         let Some(k) = self.map.keyframe(b) else { return false };
@@ -132,56 +139,95 @@ impl Reconstruction {
         true
     }
 
-    /// Adjusts the whole (new, small) map at once; false if too few landmarks hold.
-    fn adjust_whole(&mut self) -> bool {
-        let Some(job) = MappingJob::whole(&self.map, &self.camera, self.shutter.readout_s, START_STEPS) else {
-            return false;
-        };
-        let result = job.run();
-        let supported = result.supported_landmarks();
-        result.merge(&mut self.map);
-        supported >= self.config.start_landmarks
+    fn add_view(&mut self, view: &View, camera_from_world: Se3<Camera, World>) -> KeyframeId {
+        self.map.add_keyframe(Keyframe {
+            sequence: view.frame.sequence,
+            timestamp_ns: view.frame.timestamp_ns,
+            map: self.map_id,
+            camera_from_world,
+            motion: None,
+            thumbnail: thumbnail_of(&view.pyramid),
+            pyramid: view.pyramid.clone(),
+            observations: Vec::new(),
+            covisible: Vec::new(),
+        })
     }
 
-    /// Replaces the tracked places in the second keyframe by alignment with the first one's templates: flow drifts.
-    fn refine_second_view(&mut self, a: KeyframeId, b: KeyframeId) {
+    /// Adjusts the whole (new, small) map at once: how surely the newest camera's direction from the first is known (rad), or
+    /// `None` if too few landmarks hold.
+    fn adjust_whole(&mut self) -> Option<f64> {
+        let result = MappingJob::whole(&self.map, &self.camera, self.shutter.readout_s, START_STEPS)?.run();
+        let supported = result.supported_landmarks();
+        let sigma = result.direction_sigma();
+        result.merge(&mut self.map);
+        (supported >= self.config.start_landmarks).then_some(sigma)
+    }
+
+    /// Replaces the tracked places in the later views by alignment with the first one's templates: flow drifts.
+    fn refine_views(&mut self, first: KeyframeId) {
         let options =
             SearchOptions { radius_px: REFINE_PX, coarse_levels: 0, limit: 0, sigma_px: self.config.sigma_px };
-        let ids: Vec<u32> = self.map.landmarks.iter().map(|(id, _)| id).collect();
+        let ids: Vec<LandmarkId> = self.map.landmarks.iter().map(|(id, _)| LandmarkId(id)).collect();
         for id in ids {
-            let landmark_id = LandmarkId(id);
-            let refined = (|| {
-                let landmark = self.map.landmark(landmark_id)?;
-                let (ka, kb) = (self.map.keyframe(a)?, self.map.keyframe(b)?);
-                let (oa, ob) = (ka.observation(landmark_id)?, kb.observation(landmark_id)?);
-                let (_, projection) =
-                    self.camera.project_jacobian(&kb.camera_from_world.transform(&landmark.position))?;
-                let rotation = kb.camera_from_world.rotation * ka.camera_from_world.rotation.inverse();
-                let depth = ka.camera_from_world.transform(&landmark.position).z;
-                let affine = affine_warp(&projection, &rotation, depth, &oa.normalised_from_pixel);
-                let found = align_template(ka, oa, &kb.pyramid, &affine, ob.pixel.cast(), &options)?;
-                observe(&self.camera, landmark_id, found.pixel, found.inv_sigma_px)
-            })();
-            let Some(new) = refined else {
-                self.map.remove_landmark(landmark_id);
-                continue;
-            };
-            if let Some(k) = self.map.keyframes.get_mut(b.0)
-                && let Ok(i) = k.observations.binary_search_by_key(&landmark_id, |o| o.landmark)
-            {
-                k.observations[i] = new;
+            let Some(landmark) = self.map.landmark(id) else { continue };
+            let observers = landmark.observers.clone();
+            let mut position = landmark.position;
+            for &k in observers.iter().filter(|k| **k != first) {
+                let refined = refine_in_view(&self.map, first, k, id, &self.camera, &options);
+                match (refined, self.map.keyframes.get_mut(k.0)) {
+                    (Some(new), Some(keyframe)) => {
+                        if let Ok(i) = keyframe.observations.binary_search_by_key(&id, |o| o.landmark) {
+                            keyframe.observations[i] = new;
+                        }
+                    }
+                    _ => self.map.remove_observation(k, id),
+                }
             }
             let seen: Vec<_> =
-                [a, b].iter().filter_map(|&k| Some((k, *self.map.keyframe(k)?.observation(landmark_id)?))).collect();
-            let Some(mut position) = self.map.landmark(landmark_id).map(|l| l.position) else { continue };
+                observers.iter().filter_map(|&k| Some((k, *self.map.keyframe(k)?.observation(id)?))).collect();
+            // With fewer than two views left the landmark is gone already.
             if let Some(covariance) =
                 refine_point(&self.map, &seen, &self.camera, self.shutter.readout_s, &mut position)
-                && let Some(l) = self.map.landmarks.get_mut(id)
+                && let Some(l) = self.map.landmarks.get_mut(id.0)
             {
                 l.position = position;
                 l.covariance = covariance;
             }
         }
+    }
+
+    /// How the camera moved at each view, from the views before and after: a rolling shutter shows it.
+    fn note_motion(&mut self) {
+        let poses: Vec<_> =
+            self.map.keyframes.iter().map(|(id, k)| (id, k.timestamp_ns, k.camera_from_world)).collect();
+        for (i, &(id, _, pose)) in poses.iter().enumerate() {
+            let (before, after) = (&poses[i.saturating_sub(1)], &poses[(i + 1).min(poses.len() - 1)]);
+            let dt = (after.1 - before.1) as f64 * 1e-9;
+            if dt <= 0.0 {
+                continue;
+            }
+            let motion = CameraMotion::over(&(after.2 * before.2.inverse()).relabel(), dt);
+            let Some(keyframe) = self.map.keyframes.get_mut(id) else { continue };
+            keyframe.motion = Some(motion);
+            for o in &mut keyframe.observations {
+                let Some(landmark) = self.map.landmarks.get(o.landmark.0) else { continue };
+                let p = pose.transform(&landmark.position);
+                if p.z > 1e-6 {
+                    o.displacement = self.shutter.displacement(&motion, &p, o.pixel.y);
+                }
+            }
+        }
+    }
+
+    /// Pose of a view in between from the tracks that are `points` (ascending track id, world coordinates).
+    fn solve_view(
+        &self,
+        frame: &PendingFrame,
+        points: &[(u64, Vector3<f64>)],
+        guess: &Se3<Camera, World>,
+    ) -> Option<Se3<Camera, World>> {
+        let position = |track| points.binary_search_by_key(&track, |p| p.0).ok().map(|i| points[i].1);
+        self.solve_pose(frame, guess, position)
     }
 
     /// Poses of the frames that came before the map, from the tracks that are landmarks now.
@@ -220,12 +266,24 @@ impl Reconstruction {
     }
 
     fn solve_pending(&self, frame: &PendingFrame, guess: &Se3<Camera, World>) -> Option<Se3<Camera, World>> {
+        self.solve_pose(frame, guess, |track| match self.bindings.get(track)? {
+            Target::Landmark(id) => Some(self.map.landmark(*id)?.position),
+            Target::Seed(_) => None,
+        })
+    }
+
+    /// Pose of a frame from its tracks whose `position` in the world is known.
+    fn solve_pose(
+        &self,
+        frame: &PendingFrame,
+        guess: &Se3<Camera, World>,
+        position: impl Fn(u64) -> Option<Vector3<f64>>,
+    ) -> Option<Se3<Camera, World>> {
         let mut pairs = Vec::new();
         for &(track, pixel) in &frame.tracks {
-            let Some(Target::Landmark(id)) = self.bindings.get(track) else { continue };
-            let Some(landmark) = self.map.landmark(*id) else { continue };
+            let Some(point) = position(track) else { continue };
             let Some(normalised) = self.camera.undistort(&pixel.cast()) else { continue };
-            pairs.push(PosePair { point: landmark.position, normalised, inv_sigma_px: 1.0 / TRACK_SIGMA_PX });
+            pairs.push(PosePair { point, normalised, inv_sigma_px: 1.0 / TRACK_SIGMA_PX });
         }
         let mut inlier = Vec::new();
         let focal = Vector2::new(self.camera.fx, self.camera.fy);
@@ -233,4 +291,24 @@ impl Reconstruction {
         (solution.inliers >= self.config.min_landmarks && 2 * solution.inliers >= pairs.len())
             .then_some(solution.camera_from_world)
     }
+}
+
+/// Where `id` is in keyframe `other`, by the template of keyframe `first`; both observe it already.
+fn refine_in_view(
+    map: &Map,
+    first: KeyframeId,
+    other: KeyframeId,
+    id: LandmarkId,
+    camera: &CameraModel,
+    options: &SearchOptions,
+) -> Option<Observation> {
+    let landmark = map.landmark(id)?;
+    let (ka, kb) = (map.keyframe(first)?, map.keyframe(other)?);
+    let (oa, ob) = (ka.observation(id)?, kb.observation(id)?);
+    let (_, projection) = camera.project_jacobian(&kb.camera_from_world.transform(&landmark.position))?;
+    let rotation = kb.camera_from_world.rotation * ka.camera_from_world.rotation.inverse();
+    let depth = ka.camera_from_world.transform(&landmark.position).z;
+    let affine = affine_warp(&projection, &rotation, depth, &oa.normalised_from_pixel);
+    let found = align_template(ka, oa, &kb.pyramid, &affine, ob.pixel.cast(), options)?;
+    observe(camera, id, found.pixel, found.inv_sigma_px)
 }

@@ -225,7 +225,7 @@ impl Tracker {
         if landmarks < config.min_landmarks {
             return None;
         }
-        let information = self.information(map, camera, &solution);
+        let information = self.information(frame, &solution);
         Some(Tracked {
             camera_from_world: solution.camera_from_world,
             information,
@@ -252,7 +252,9 @@ impl Tracker {
                 _ => Vector2::zeros(),
             };
             let normalised = m.normalised - m.displacement * shutter.readout_s;
-            self.pairs.push(PosePair { point: m.point, normalised, inv_sigma_px: m.inv_sigma_px });
+            let own = landmark_variance(frame, start, m, &p);
+            let inv_sigma_px = (m.inv_sigma_px.powi(-2) + 0.5 * (own.x + own.y)).sqrt().recip();
+            self.pairs.push(PosePair { point: m.point, normalised, inv_sigma_px });
         }
         let matched = self.pairs.len();
         for (id, pair) in &self.flow {
@@ -269,29 +271,36 @@ impl Tracker {
     }
 
     /// Information of the pose where every observation's covariance is `sigma^2 I + J_l P_l J_lᵀ`, P_l the landmark's own.
-    fn information(&self, map: &Map, camera: &CameraModel, solution: &PoseSolution) -> Matrix6<f64> {
+    fn information(&self, frame: &Frame<'_>, solution: &PoseSolution) -> Matrix6<f64> {
         let pose = &solution.camera_from_world;
-        let rotation = pose.rotation.to_rotation_matrix();
         let mut h = Matrix6::zeros();
         for m in self.search.matches.iter().filter(|m| m.inlier) {
-            let Some(landmark) = map.landmark(m.landmark) else { continue };
             let p = pose.transform(&m.point);
             if p.z < 1e-6 {
                 continue;
             }
-            let (jx, jy) = jacobian_rows(&p, camera.fx, camera.fy);
-            let (ax, ay) = (Vector3::new(jx[3], jx[4], jx[5]), Vector3::new(jy[3], jy[4], jy[5]));
-            let own = rotation.matrix() * landmark.covariance * rotation.matrix().transpose();
-            let sigma2 = 1.0 / (m.inv_sigma_px * m.inv_sigma_px);
-            let (vx, vy) = (ax.dot(&(own * ax)), ay.dot(&(own * ay)));
-            if !(vx.is_finite() && vy.is_finite()) {
-                continue;
-            }
+            let (jx, jy) = jacobian_rows(&p, frame.camera.fx, frame.camera.fy);
+            let sigma2 = m.inv_sigma_px.powi(-2);
+            let own = landmark_variance(frame, pose, m, &p);
             // The two rows are treated as independent: their cross term is small beside sigma^2.
-            let (wx, wy) = (1.0 / (sigma2 + vx), 1.0 / (sigma2 + vy));
+            let (wx, wy) = (1.0 / (sigma2 + own.x), 1.0 / (sigma2 + own.y));
             accumulate(&mut h, &jx.map(|v| v * wx.sqrt()), &jy.map(|v| v * wy.sqrt()), 1.0);
         }
         h.fill_lower_triangle_with_upper_triangle();
         h
     }
+}
+
+/// Variance of a match's place that comes from its landmark's own uncertainty, px^2 in x and y; `p`: the landmark in the
+/// coordinates of the camera at `pose`. Zero where it is not known.
+fn landmark_variance(frame: &Frame<'_>, pose: &Se3<Camera, World>, m: &Match, p: &Vector3<f64>) -> Vector2<f64> {
+    let Some(landmark) = frame.map.landmark(m.landmark).filter(|_| p.z > 1e-6) else { return Vector2::zeros() };
+    let (jx, jy) = jacobian_rows(p, frame.camera.fx, frame.camera.fy);
+    let world_from_camera = pose.rotation.inverse();
+    let variance = |j: &[f64; 6]| {
+        let a = world_from_camera * Vector3::new(j[3], j[4], j[5]);
+        a.dot(&(landmark.covariance * a))
+    };
+    let own = Vector2::new(variance(&jx), variance(&jy));
+    if own.iter().all(|v| v.is_finite() && *v >= 0.0) { own } else { Vector2::zeros() }
 }
