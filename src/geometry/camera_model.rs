@@ -185,11 +185,6 @@ impl CameraModel {
         Some((n, jacobian.try_inverse()?))
     }
 
-    /// The same lens with other focal lengths, pixels.
-    pub fn with_focal(&self, fx: f64, fy: f64) -> Result<Self, CameraModelError> {
-        Self::new(self.width, self.height, fx, fy, self.cx, self.cy, self.distortion)
-    }
-
     /// Mean focal length, pixels: turns normalised residuals into pixels.
     pub fn focal_px(&self) -> f64 {
         0.5 * (self.fx + self.fy)

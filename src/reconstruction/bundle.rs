@@ -4,7 +4,8 @@
 //! same, moved to a minimum of `sum rho(|e|^2)` with Huber's rho. Levenberg-Marquardt; for damped normal equations
 //! `[B E; Eᵀ C]` the reduced camera system is `S = B - E C⁻¹ Eᵀ` (Triggs et al. 2000, section 6.1), dense in f64, the 3x3
 //! blocks of C inverted in closed form. Two passes: outliers are taken out between them. Sequential: same input, same bits.
-//! Cost: for 10 free cameras and 1,500 points about 2 ms a step. Not here: intrinsics, rolling shutter, gauge (hold at
+//! Cost: for 10 free cameras and 1,500 points about 2 ms a step. Numbers that all pictures share (the
+//! intrinsics) can be unknowns as well: a border of the reduced system. Not here: rolling shutter, gauge (hold at
 //! least one camera fixed, or rely on the damping for the scale).
 
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, SMatrix, SVector, Vector2, Vector3, Vector6};
@@ -31,8 +32,9 @@ pub struct BundleObservation {
     pub inv_sigma_px: f64,
 }
 
-/// Numbers that all pictures share and that an adjustment may refine: see [`Shared`].
-pub const SHARED: usize = 5;
+/// Numbers that all pictures share and that an adjustment may refine (log focal length, principal point in px): see
+/// [`Shared`].
+pub const SHARED: usize = 3;
 pub type SharedVector = SVector<f64, SHARED>;
 pub type SharedMatrix = SMatrix<f64, SHARED, SHARED>;
 /// d normalised / d shared.
@@ -484,9 +486,7 @@ impl BundleProblem {
     fn judge_outliers(&mut self, limit: f64) {
         for i in 0..self.points.len() {
             for k in self.range(i) {
-                self.inlier[k] = self
-                    .residual(&self.points[i], k)
-                    .is_some_and(|(e, _)| e.norm_squared() <= limit);
+                self.inlier[k] = self.residual(&self.points[i], k).is_some_and(|(e, _)| e.norm_squared() <= limit);
             }
         }
     }
@@ -510,11 +510,6 @@ impl BundleProblem {
 }
 
 impl Shared {
-    /// Information of the first of the shared numbers, the others held.
-    pub fn focal_information(&self) -> f64 {
-        self.found_information[(0, 0)]
-    }
-
     fn prior_cost(&self) -> f64 {
         let off = self.change - self.expected;
         off.component_mul(&off).dot(&self.information)

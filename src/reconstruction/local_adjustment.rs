@@ -6,7 +6,10 @@
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
-use super::bundle::{BundleCamera, BundleObservation, BundleOptions, BundleProblem, BundleReport, Shared, SharedJacobian, SharedMatrix, SharedVector};
+use super::bundle::{
+    BundleCamera, BundleObservation, BundleOptions, BundleProblem, BundleReport, Shared, SharedJacobian, SharedMatrix,
+    SharedVector,
+};
 use super::config::ReconstructionConfig;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
@@ -136,7 +139,13 @@ impl MappingJob {
     }
 
     /// Lets the adjustment refine the intrinsics as well.
-    pub fn refine_intrinsics(&mut self, map: &Map, camera: &CameraModel, expected: SharedVector, information: SharedVector) {
+    pub fn refine_intrinsics(
+        &mut self,
+        map: &Map,
+        camera: &CameraModel,
+        expected: SharedVector,
+        information: SharedVector,
+    ) {
         let mut jacobians = Vec::with_capacity(self.problem.observations.len());
         for (i, &id) in self.landmarks.iter().enumerate() {
             for k in self.problem.first[i] as usize..self.problem.first[i + 1] as usize {
@@ -161,18 +170,11 @@ impl MappingJob {
     }
 }
 
-/// How an observation's undistorted place answers to log focal length, principal point (px), k1, and readout time (s).
+/// How an observation's undistorted place answers to log focal length and principal point (px).
 fn intrinsics_jacobian(o: &Observation, camera: &CameraModel) -> SharedJacobian {
-    let (n, j) = (&o.normalised, &o.normalised_from_pixel);
+    let j = &o.normalised_from_pixel;
     let from_centre = Vector2::new(f64::from(o.pixel.x) - camera.cx, f64::from(o.pixel.y) - camera.cy);
-    let radial = Vector2::new(camera.fx * n.x, camera.fy * n.y) * n.norm_squared();
-    SharedJacobian::from_columns(&[
-        -(j * from_centre),
-        -j.column(0).into_owned(),
-        -j.column(1).into_owned(),
-        -(j * radial),
-        -o.displacement,
-    ])
+    SharedJacobian::from_columns(&[-(j * from_centre), -j.column(0).into_owned(), -j.column(1).into_owned()])
 }
 
 impl MappingResult {

@@ -7,9 +7,9 @@
 pub mod bindings;
 pub mod bundle;
 pub mod config;
-mod focal;
 mod estimate;
 pub mod initialise;
+mod intrinsics;
 pub mod keyframes;
 pub mod local_adjustment;
 pub mod pose_optimisation;
@@ -27,8 +27,8 @@ pub use local_adjustment::{InlineWorker, MappingJob, MappingResult, MappingWorke
 pub use types::*;
 
 use bindings::Bindings;
-use focal::Focal;
 use initialise::Initialiser;
+use intrinsics::Intrinsics;
 use keyframes::{KeyframeInputs, NewKeyframe};
 use relocalise::{Guess, Relocaliser};
 use rolling_shutter::Shutter;
@@ -81,7 +81,7 @@ pub struct Reconstruction {
     unadjusted: Option<KeyframeId>,
     /// Keyframes at which the whole map is adjusted next.
     next_whole: usize,
-    focal: Focal,
+    intrinsics: Intrinsics,
     /// Pose of the frame just tracked, if it becomes a keyframe.
     pending: Option<Se3<Camera, World>>,
     events: Vec<TrajectoryEvent>,
@@ -123,7 +123,7 @@ impl Reconstruction {
             unadjusted: None,
             pending: None,
             next_whole: WHOLE_FIRST,
-            focal: Focal::new(camera),
+            intrinsics: Intrinsics::new(camera),
             events: Vec::new(),
             counters: Counters::default(),
             inliers: Vec::with_capacity(1024),
@@ -293,7 +293,7 @@ impl Reconstruction {
             let keyframes = self.map.keyframes.len();
             let job = if keyframes >= self.next_whole && keyframes <= WHOLE_LIMIT {
                 self.next_whole = keyframes + keyframes / 3;
-                self.focal.whole_job(&self.map, &self.camera, self.shutter.readout_s)
+                self.intrinsics.whole_job(&self.map, &self.camera, self.shutter.readout_s)
             } else {
                 MappingJob::local(&self.map, newest, &self.camera, self.shutter.readout_s, &self.config)
             };
@@ -340,7 +340,7 @@ impl Reconstruction {
         self.job_posted = None;
         self.counters.adjustments += 1;
         let old_from_new = result.merge(&mut self.map);
-        self.focal.merge(&result, &mut self.map, &mut self.camera);
+        self.intrinsics.merge(&result, &mut self.map, &mut self.camera);
         if let Some(last) = &mut self.last {
             last.camera_from_world = last.camera_from_world * old_from_new;
         }

@@ -14,8 +14,8 @@ use super::types::{PoseEstimate, TrackingState, TrajectoryEvent};
 use super::{LastFrame, Reconstruction, Tracked};
 use crate::features::FrameFeatures;
 use crate::geometry::camera_motion::CameraMotion;
-use crate::geometry::{CameraModel, Se3};
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
+use crate::geometry::{CameraModel, Se3};
 use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, Observation};
 
 /// Standard deviation of the direction of the first motion that a start may have, rad; the longer nothing better comes

@@ -87,58 +87,126 @@ fn outliers_are_named_and_the_rest_still_fits() {
     }
 }
 
+/// Lets the log focal length and the principal point move; `expected` and how surely, in the observations' own sigmas.
+fn shared(p: &BundleProblem, expected: SharedVector, information: f64) -> Shared {
+    let jacobian = |o: &BundleObservation| {
+        let px = Vector2::new(1.0 / p.focal_px.x, 1.0 / p.focal_px.y);
+        SharedJacobian::from_columns(&[-o.normalised, Vector2::new(-px.x, 0.0), Vector2::new(0.0, -px.y)])
+    };
+    Shared {
+        jacobians: p.observations.iter().map(jacobian).collect(),
+        change: SharedVector::zeros(),
+        expected,
+        information: SharedVector::from_element(information),
+        found_information: SharedMatrix::zeros(),
+    }
+}
+
+#[test]
+fn a_wrong_focal_length_is_found_with_the_rest_and_its_sigma_is_honest() {
+    let mut off = Vec::new();
+    for seed in 1..40 {
+        let mut p = problem(seed, 6, 80, 0.8);
+        for o in &mut p.observations {
+            o.normalised *= 1.03;
+            // Uniform noise of +-0.8 px.
+            o.inv_sigma_px = 3f64.sqrt() / 0.8;
+        }
+        p.shared = Some(shared(&p, SharedVector::zeros(), 1e-6));
+        disturb(&mut p, seed + 3);
+        p.adjust(&BundleOptions { steps: [20, 20], relative_gain: 0.0, ..BundleOptions::default() });
+        let found = p.shared.as_ref().unwrap();
+        let covariance = found.found_information.try_inverse().unwrap();
+        // 1 - change undoes 1.03.
+        let error = found.change[0] - (1.0 - 1.0 / 1.03);
+        assert!(error.abs() < 0.02, "seed {seed}: {error} off");
+        off.push(error * error / covariance[(0, 0)]);
+    }
+    let mean = off.iter().sum::<f64>() / off.len() as f64;
+    assert!((0.6..1.6).contains(&mean), "normalised squared error {mean}, expected 1");
+}
+
+#[test]
+fn a_sure_prior_holds_the_focal_length() {
+    let mut p = problem(5, 6, 80, 0.5);
+    let expected = SharedVector::new(0.02, 0.0, 0.0);
+    p.shared = Some(shared(&p, expected, 1e12));
+    p.adjust(&BundleOptions { steps: [20, 20], relative_gain: 0.0, ..BundleOptions::default() });
+    assert!((p.shared.unwrap().change - expected).norm() < 1e-4);
+}
+
 #[test]
 fn schur_complement_gives_the_step_of_the_full_system() {
-    let mut p = problem(3, 4, 12, 1.0);
-    p.inlier = vec![true; p.observations.len()];
-    disturb(&mut p, 9);
-    let slot = [FIXED, FIXED, 0, 1];
-    let mut system = System {
-        camera_h: Vec::new(),
-        camera_g: Vec::new(),
-        point_h: Vec::new(),
-        point_g: Vec::new(),
-        cross: Vec::new(),
-        cost: 0.0,
-    };
-    p.linearise(&slot, 2, 1e9, &mut system);
-    let lambda = 1e-3;
-    let (cameras, points) = p.solve(&slot, 2, &system, lambda).unwrap();
-    // The same step from the numeric Jacobian of all parameters at once.
-    let n = 12 + 36;
-    let residuals = |x: &DVector<f64>| {
-        let mut q = p.clone();
-        for (c, s) in [(2, 0), (3, 1)] {
-            let d = x.fixed_rows::<6>(6 * s).into_owned();
-            q.cameras[c].camera_from_world = q.cameras[c].camera_from_world.perturb_left(&d);
+    for intrinsics in [false, true] {
+        let mut p = problem(3, 4, 12, 1.0);
+        p.inlier = vec![true; p.observations.len()];
+        if intrinsics {
+            p.shared = Some(shared(&p, SharedVector::new(0.01, 2.0, -1.0), 30.0));
         }
-        for i in 0..12 {
-            q.points[i] += x.fixed_rows::<3>(12 + 3 * i);
-        }
-        let mut r = Vec::new();
-        for i in 0..12 {
-            for k in q.range(i) {
-                let (e, _) = q.residual(&q.points[i], &q.observations[k]).unwrap();
-                r.extend([e.x, e.y]);
+        disturb(&mut p, 9);
+        let slot = [FIXED, FIXED, 0, 1];
+        let mut system = System::default();
+        p.linearise(&slot, 2, 1e9, &mut system);
+        let lambda = 1e-3;
+        let step = p.solve(&slot, 2, &system, lambda).unwrap();
+        // The same step from the numeric Jacobian of all parameters at once: cameras, shared, points.
+        let at = step.cameras.len();
+        let n = at + 36;
+        let residuals = |x: &DVector<f64>| {
+            let mut q = p.clone();
+            for (c, s) in [(2, 0), (3, 1)] {
+                let d = x.fixed_rows::<6>(6 * s).into_owned();
+                q.cameras[c].camera_from_world = q.cameras[c].camera_from_world.perturb_left(&d);
             }
+            for i in 0..12 {
+                q.points[i] += x.fixed_rows::<3>(at + 3 * i);
+            }
+            let mut r = Vec::new();
+            if let Some(shared) = &mut q.shared {
+                shared.change += x.fixed_rows::<SHARED>(12);
+                let prior = (shared.change - shared.expected).component_mul(&shared.information.map(f64::sqrt));
+                r.extend(prior.iter());
+            }
+            for i in 0..12 {
+                for k in q.range(i) {
+                    let (e, _) = q.residual(&q.points[i], k).unwrap();
+                    r.extend([e.x, e.y]);
+                }
+            }
+            DVector::from_vec(r)
+        };
+        let r0 = residuals(&DVector::zeros(n));
+        let mut j = DMatrix::zeros(r0.len(), n);
+        for c in 0..n {
+            let mut d = DVector::zeros(n);
+            d[c] = 1e-6;
+            let column = (residuals(&d) - residuals(&-&d)) / 2e-6;
+            j.set_column(c, &column);
         }
-        DVector::from_vec(r)
-    };
-    let r0 = residuals(&DVector::zeros(n));
-    let mut j = DMatrix::zeros(r0.len(), n);
-    for c in 0..n {
-        let mut d = DVector::zeros(n);
-        d[c] = 1e-6;
-        let column = (residuals(&d) - residuals(&-&d)) / 2e-6;
-        j.set_column(c, &column);
+        let mut h = j.transpose() * &j;
+        for i in (0..12).chain(at..n) {
+            h[(i, i)] += lambda * h[(i, i)];
+        }
+        let full = h.cholesky().unwrap().solve(&-(j.transpose() * r0));
+        assert!((full.rows(0, at) - step.cameras).norm() < 1e-5 * full.norm(), "intrinsics {intrinsics}");
+        for i in 0..12 {
+            assert!((full.fixed_rows::<3>(at + 3 * i) - step.points[i]).norm() < 1e-5 * full.norm());
+        }
     }
-    let mut h = j.transpose() * &j;
-    for i in 0..n {
-        h[(i, i)] += lambda * h[(i, i)];
-    }
-    let full = h.cholesky().unwrap().solve(&-(j.transpose() * r0));
-    assert!((full.rows(0, 12) - cameras).norm() < 1e-5 * full.norm());
-    for i in 0..12 {
-        assert!((full.fixed_rows::<3>(12 + 3 * i) - points[i]).norm() < 1e-5 * full.norm());
+}
+
+#[test]
+fn direction_of_a_motion_is_the_surer_the_more_points_there_are() {
+    let sigma = |points| problem(4, 3, points, 0.0).inliers_all().direction_sigma(2).unwrap();
+    let (few, many) = (sigma(20), sigma(80));
+    assert!(many < 0.7 * few && few < 0.1, "{few} with 20 points, {many} with 80");
+    // A camera that is held has no uncertainty to tell.
+    assert!(problem(4, 3, 20, 0.0).inliers_all().direction_sigma(0).is_none());
+}
+
+impl BundleProblem {
+    fn inliers_all(mut self) -> Self {
+        self.inlier = vec![true; self.observations.len()];
+        self
     }
 }

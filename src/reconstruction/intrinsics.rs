@@ -1,0 +1,114 @@
+//! Intrinsics, refined from the motion itself.
+//!
+//! A calibration is never exact, and a nominal one (equal focal lengths, principal point in the middle, no distortion) is
+//! a guess: a focal length that is 3 % off bends the map. When the whole map is adjusted, the logarithm of the focal length and
+//! the principal point are unknowns too, with a prior around the calibrated values (Triggs et al. 2000, section 9.3 on
+//! inner constraints and priors). The adjustment's own information is far too sure of itself (neighbouring keyframes
+//! share the errors of their templates), so it counts only in part.
+//!
+//! Not here: distortion. On real sequences it traded against the focal length without end.
+
+use super::bundle::SharedVector;
+use super::local_adjustment::{MappingJob, MappingResult};
+use crate::geometry::CameraModel;
+use crate::map::Map;
+
+/// Standard deviation of a measured focal length, and of a nominal one, as a share of it.
+const CALIBRATED_FOCAL: f64 = 0.002;
+const NOMINAL_FOCAL: f64 = 0.05;
+/// Standard deviation of the principal point, as a share of the picture's width.
+const CALIBRATED_CENTRE: f64 = 1e-4;
+const NOMINAL_CENTRE: f64 = 0.0125;
+/// Share of the adjustment's information that is believed.
+const BELIEVED: f64 = 0.05;
+/// Levenberg-Marquardt steps of each pass.
+const STEPS: usize = 6;
+
+/// What is known about the camera beyond its map.
+#[derive(Debug, Clone)]
+pub struct Intrinsics {
+    /// As it was calibrated.
+    calibrated: CameraModel,
+    /// Standard deviations of log focal length and principal point (px) by the calibration alone.
+    sigma: SharedVector,
+    /// The same with what the map says.
+    pub refined_sigma: SharedVector,
+}
+
+impl Intrinsics {
+    pub fn new(camera: &CameraModel) -> Self {
+        let (focal, centre) =
+            if is_nominal(camera) { (NOMINAL_FOCAL, NOMINAL_CENTRE) } else { (CALIBRATED_FOCAL, CALIBRATED_CENTRE) };
+        let centre_px = centre * f64::from(camera.width);
+        let sigma = SharedVector::new(focal, centre_px, centre_px);
+        Self { calibrated: camera.clone(), sigma, refined_sigma: sigma }
+    }
+
+    /// Adjustment of the whole map and the intrinsics.
+    pub fn whole_job(&self, map: &Map, camera: &CameraModel, readout_s: f64) -> Option<MappingJob> {
+        let mut job = MappingJob::whole(map, camera, readout_s, STEPS)?;
+        let expected = SharedVector::new(
+            (self.calibrated.fx / camera.fx).ln(),
+            self.calibrated.cx - camera.cx,
+            self.calibrated.cy - camera.cy,
+        );
+        // Believing a part of the data is weighing the prior the more.
+        let information = self.sigma.map(|s| 1.0 / (BELIEVED * s * s));
+        job.refine_intrinsics(map, camera, expected, information);
+        Some(job)
+    }
+
+    /// Takes over what an adjustment found, here and in every observation of the map.
+    pub fn merge(&mut self, result: &MappingResult, map: &mut Map, camera: &mut CameraModel) {
+        let Some(shared) = result.shared() else { return };
+        let scale = shared.change[0].exp();
+        let refined = CameraModel::new(
+            camera.width,
+            camera.height,
+            camera.fx * scale,
+            camera.fy * scale,
+            camera.cx + shared.change[1],
+            camera.cy + shared.change[2],
+            camera.distortion,
+        );
+        let Ok(refined) = refined else { return };
+        let prior = self.sigma.map(|s| 1.0 / (s * s));
+        let information = shared.found_information * BELIEVED + super::bundle::SharedMatrix::from_diagonal(&prior);
+        if let Some(covariance) = information.try_inverse() {
+            self.refined_sigma = covariance.diagonal().map(|v| v.max(0.0).sqrt());
+        }
+        *camera = refined;
+        for (_, keyframe) in map.keyframes.iter_mut() {
+            for o in &mut keyframe.observations {
+                if let Some((normalised, normalised_from_pixel)) = camera.undistort_jacobian(&o.pixel.cast()) {
+                    o.normalised = normalised;
+                    o.normalised_from_pixel = normalised_from_pixel;
+                }
+            }
+        }
+    }
+}
+
+/// Numbers that nobody measured.
+fn is_nominal(camera: &CameraModel) -> bool {
+    let centred = |c: f64, size: u32| (c - 0.5 * f64::from(size)).abs() <= 0.5;
+    camera.fx == camera.fy
+        && centred(camera.cx, camera.width)
+        && centred(camera.cy, camera.height)
+        && camera.distortion == [0.0; 5]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn round_numbers_are_a_guess_and_measured_ones_are_not() {
+        let camera = |fx, fy, cx, k1| CameraModel::new(640, 480, fx, fy, cx, 240.0, [k1, 0.0, 0.0, 0.0, 0.0]).unwrap();
+        assert!(is_nominal(&camera(525.0, 525.0, 320.0, 0.0)));
+        assert!(is_nominal(&camera(525.0, 525.0, 319.5, 0.0)));
+        assert!(!is_nominal(&camera(517.3, 516.5, 320.0, 0.0)));
+        assert!(!is_nominal(&camera(525.0, 525.0, 318.6, 0.0)));
+        assert!(!is_nominal(&camera(525.0, 525.0, 320.0, 0.1)));
+    }
+}
