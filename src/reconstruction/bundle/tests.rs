@@ -104,7 +104,7 @@ fn shared(p: &BundleProblem, expected: SharedVector, information: f64) -> Shared
 
 #[test]
 fn a_wrong_focal_length_is_found_with_the_rest_and_its_sigma_is_honest() {
-    let mut off = Vec::new();
+    let (mut off, mut sum) = (Vec::new(), 0.0);
     for seed in 1..40 {
         let mut p = problem(seed, 6, 80, 0.8);
         for o in &mut p.observations {
@@ -119,9 +119,10 @@ fn a_wrong_focal_length_is_found_with_the_rest_and_its_sigma_is_honest() {
         let covariance = found.found_information.try_inverse().unwrap();
         // 1 - change undoes 1.03.
         let error = found.change[0] - (1.0 - 1.0 / 1.03);
-        assert!(error.abs() < 0.02, "seed {seed}: {error} off");
+        sum += error;
         off.push(error * error / covariance[(0, 0)]);
     }
+    assert!(sum.abs() / 39.0 < 5e-3, "{} off in the mean of the seeds 1 to 39", sum / 39.0);
     let mean = off.iter().sum::<f64>() / off.len() as f64;
     assert!((0.6..1.6).contains(&mean), "normalised squared error {mean}, expected 1");
 }
