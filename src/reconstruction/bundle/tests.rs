@@ -104,13 +104,14 @@ fn shared(p: &BundleProblem, expected: SharedVector, information: f64) -> Shared
 
 #[test]
 fn a_wrong_focal_length_is_found_with_the_rest_and_its_sigma_is_honest() {
-    let (mut off, mut sum) = (Vec::new(), 0.0);
+    let mut off = Vec::new();
     for seed in 1..40 {
-        let mut p = problem(seed, 6, 80, 0.8);
+        // Uniform noise of +-0.1 px. With eight times as much the estimate is half a percent long: noise in depth that
+        // the linearisation cannot see.
+        let mut p = problem(seed, 6, 80, 0.1);
         for o in &mut p.observations {
             o.normalised *= 1.03;
-            // Uniform noise of +-0.8 px.
-            o.inv_sigma_px = 3f64.sqrt() / 0.8;
+            o.inv_sigma_px = 3f64.sqrt() / 0.1;
         }
         p.shared = Some(shared(&p, SharedVector::zeros(), 1e-6));
         disturb(&mut p, seed + 3);
@@ -119,11 +120,9 @@ fn a_wrong_focal_length_is_found_with_the_rest_and_its_sigma_is_honest() {
         let covariance = found.found_information.try_inverse().unwrap();
         // 1 - change undoes 1.03.
         let error = found.change[0] - (1.0 - 1.0 / 1.03);
-        sum += error;
+        assert!(error.abs() < 2e-3, "seed {seed}: {error} off");
         off.push(error * error / covariance[(0, 0)]);
     }
-    // Noise in both pictures pulls a little towards the long end: 0.6 % here, below one sigma.
-    assert!(sum.abs() / 39.0 < 0.01, "{} off in the mean of the seeds 1 to 39", sum / 39.0);
     let mean = off.iter().sum::<f64>() / off.len() as f64;
     assert!((0.6..1.6).contains(&mean), "normalised squared error {mean}, expected 1");
 }
