@@ -388,6 +388,15 @@ impl Reconstruction {
         self.map.keyframes.iter().map(|(id, k)| (KeyframeId(id), k.camera_from_world.inverse())).collect()
     }
 
+    /// A keyframe of the current map, if it is there.
+    pub fn keyframe(&self, id: KeyframeId) -> Option<KeyframeView> {
+        self.map.keyframe(id).map(|k| KeyframeView {
+            id,
+            timestamp_ns: k.timestamp_ns,
+            world_from_camera: k.camera_from_world.inverse(),
+        })
+    }
+
     pub fn counters(&self) -> Counters {
         self.counters
     }
