@@ -28,7 +28,7 @@ pub use types::*;
 use bindings::Bindings;
 use initialise::Initialiser;
 use keyframes::{KeyframeInputs, NewKeyframe};
-use relocalise::{Guess, Relocaliser};
+use relocalise::Relocaliser;
 use rolling_shutter::Shutter;
 use search::Match;
 use tracking::{Frame, Tracked, Tracker};
@@ -38,6 +38,9 @@ use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, Odom, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::map::{KeyframeId, LandmarkId, Map, MapId};
+
+/// Frames farther apart tell nothing of the motion within one of them, and so nothing of a rolling shutter, s.
+const MAX_SHUTTER_STEP_S: f64 = 0.19;
 
 /// The frame that was tracked last.
 #[derive(Debug, Clone, Copy)]
@@ -81,7 +84,6 @@ pub struct Reconstruction {
     angles: Vec<f64>,
     relocaliser: Relocaliser,
     shutter: Shutter,
-    guesses: Vec<Guess>,
 }
 
 impl Reconstruction {
@@ -119,7 +121,6 @@ impl Reconstruction {
             angles: Vec::with_capacity(1024),
             relocaliser: Relocaliser::default(),
             shutter: Shutter::new(config.readout_ms * 1e-3, camera.height, config.estimate_readout),
-            guesses: Vec::new(),
         }
     }
 
@@ -145,10 +146,7 @@ impl Reconstruction {
         };
         let mut tracked = self.tracker.track(&frame, self.reference, &near.0[..near.1]);
         if tracked.is_none() {
-            self.guesses.clear();
-            let pyramid = &features.pyramid;
-            self.relocaliser.guess(&self.map, &self.camera, pyramid, self.reference, &mut self.guesses);
-            tracked = self.tracker.relocalise(&frame, &self.guesses);
+            tracked = self.relocaliser.place(&mut self.tracker, &frame, self.reference);
         }
         self.count_landmarks(tracked.is_some());
         match tracked {
@@ -161,7 +159,7 @@ impl Reconstruction {
     fn frame_before(&self, timestamp_ns: i64) -> Option<(Se3<Camera, World>, f64)> {
         let last = self.last.as_ref().filter(|_| self.lost_frames == 0)?;
         let dt = (timestamp_ns - last.timestamp_ns) as f64 * 1e-9;
-        (dt > 0.0 && dt < 0.2).then_some((last.camera_from_world, dt))
+        (dt > 0.0 && dt < MAX_SHUTTER_STEP_S).then_some((last.camera_from_world, dt))
     }
 
     /// Constant velocity, then the last pose.
@@ -217,7 +215,7 @@ impl Reconstruction {
             motion = (dt > 0.0).then_some((step, dt));
         }
         self.last = Some(LastFrame { timestamp_ns: features.timestamp_ns, camera_from_world: pose, motion });
-        if motion.is_some() {
+        if motion.is_some_and(|(_, dt)| dt < MAX_SHUTTER_STEP_S) {
             let readout_s = self.shutter.readout_s;
             let items = self.inliers.iter().map(|m| {
                 let seen = m.normalised - m.displacement * readout_s;
