@@ -37,12 +37,15 @@ pub struct KeyframeInputs {
 /// Whether a frame becomes a keyframe.
 pub fn wants_keyframe(inputs: &KeyframeInputs, config: &ReconstructionConfig) -> bool {
     let expected = inputs.reference_landmarks.min(config.landmarks_per_frame) as f64;
-    // A view that changes within two frames (fast turn, low frame rate) leaves no time to wait.
-    let urgent = (inputs.landmarks as f64) < config.keyframe_share * config.keyframe_share * expected;
+    // A view that changes within two frames (fast turn, low frame rate) leaves no time to wait; nor do the last landmarks.
+    let urgent = (inputs.landmarks as f64) < config.keyframe_share * config.keyframe_share * expected
+        || inputs.landmarks < 3 * config.min_landmarks && inputs.parallax_deg > config.min_parallax_deg;
     if inputs.frames_since_keyframe < config.keyframe_gap_frames && !urgent {
         return false;
     }
-    (inputs.landmarks as f64) < config.keyframe_share * expected || inputs.parallax_deg > config.keyframe_parallax_deg
+    urgent
+        || (inputs.landmarks as f64) < config.keyframe_share * expected
+        || inputs.parallax_deg > config.keyframe_parallax_deg
 }
 
 /// Median angle (degrees) between the rays to the matches from two centres.

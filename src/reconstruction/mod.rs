@@ -42,6 +42,12 @@ use crate::map::{KeyframeId, LandmarkId, Map, MapId};
 /// Frames farther apart tell nothing of the motion within one of them, and so nothing of a rolling shutter, s.
 const MAX_SHUTTER_STEP_S: f64 = 0.19;
 
+/// Share of the landmarks looked for that are seen. Below the first a frame is no keyframe, below the second it is looked for
+/// elsewhere too, and below the third it is lost: after a stretch of blur a few landmarks hold a pose that has slid away.
+const KEYFRAME_SHARE: f64 = 0.33;
+const WEAK_SHARE: f64 = 0.25;
+const LOST_SHARE: f64 = 0.1;
+
 /// The frame that was tracked last.
 #[derive(Debug, Clone, Copy)]
 struct LastFrame {
@@ -84,6 +90,8 @@ pub struct Reconstruction {
     angles: Vec<f64>,
     relocaliser: Relocaliser,
     shutter: Shutter,
+    /// How much angular (rad/s) and linear velocity (map units/s) changed from the frame before to this one.
+    last_change: (f64, f64),
 }
 
 impl Reconstruction {
@@ -121,6 +129,7 @@ impl Reconstruction {
             angles: Vec::with_capacity(1024),
             relocaliser: Relocaliser::default(),
             shutter: Shutter::new(config.readout_ms * 1e-3, camera.height, config.estimate_readout),
+            last_change: (f64::NAN, f64::NAN),
         }
     }
 
@@ -144,11 +153,18 @@ impl Reconstruction {
             motion: self.last.as_ref().and_then(|l| l.motion.as_ref()).map(|(m, dt)| CameraMotion::over(m, *dt)),
             shutter: &self.shutter,
         };
-        let mut tracked = self.tracker.track(&frame, self.reference, &near.0[..near.1]);
-        if tracked.is_none() {
-            tracked = self.relocaliser.place(&mut self.tracker, &frame, self.reference);
+        let near = &near.0[..near.1];
+        let mut tracked = self.tracker.track(&frame, self.reference, near);
+        if tracked.as_ref().is_none_or(|t| t.share() < WEAK_SHARE) {
+            let elsewhere = self.relocaliser.place(&mut self.tracker, &frame, self.reference);
+            tracked = match (tracked, elsewhere) {
+                (Some(weak), Some(other)) if other.landmarks > 2 * weak.landmarks => Some(other),
+                // The buffers hold the other attempt by now.
+                (Some(weak), _) if weak.share() >= LOST_SHARE => self.tracker.track(&frame, self.reference, near),
+                (_, other) => other,
+            };
         }
-        self.count_landmarks(tracked.is_some());
+        self.count_landmarks(tracked.as_ref());
         match tracked {
             Some(tracked) => self.accept(features, &tracked),
             None => self.lose(features),
@@ -174,11 +190,12 @@ impl Reconstruction {
         }
     }
 
-    fn count_landmarks(&mut self, tracked: bool) {
-        if !tracked {
-            return;
-        }
-        for m in &self.tracker.search.matches {
+    /// Notes for each landmark whether it was found. A frame that shows less than half of what should be there (blur, something
+    /// in front) speaks of itself and not of its landmarks: the map must not be thinned out by it.
+    fn count_landmarks(&mut self, tracked: Option<&Tracked>) {
+        let Some(tracked) = tracked else { return };
+        let telling = 2 * tracked.landmarks >= tracked.sought;
+        for m in self.tracker.search.matches.iter().filter(|m| m.inlier || telling) {
             if let Some(l) = self.map.landmarks.get_mut(m.landmark.0) {
                 l.sought += 1;
                 if m.inlier {
@@ -189,7 +206,7 @@ impl Reconstruction {
                 }
             }
         }
-        for id in &self.tracker.search.missed {
+        for id in self.tracker.search.missed.iter().filter(|_| telling) {
             if let Some(l) = self.map.landmarks.get_mut(id.0) {
                 l.sought += 1;
             }
@@ -207,6 +224,7 @@ impl Reconstruction {
         self.reference = self.tracker.best_reference(&self.map).unwrap_or(self.reference);
         self.inliers.clear();
         self.inliers.extend(self.tracker.inliers());
+        let before = self.last.as_ref().and_then(|l| l.motion).map(|(m, dt)| CameraMotion::over(&m, dt));
         let mut motion = None;
         if let Some(last) = &self.last {
             let dt = (features.timestamp_ns - last.timestamp_ns) as f64 * 1e-9;
@@ -214,6 +232,11 @@ impl Reconstruction {
             self.odom_from_camera = self.odom_from_camera * step.inverse();
             motion = (dt > 0.0).then_some((step, dt));
         }
+        let now = motion.map(|(m, dt)| CameraMotion::over(&m, dt));
+        self.last_change = match (before, now) {
+            (Some(a), Some(b)) => ((a.turn - b.turn).norm(), (a.shift - b.shift).norm()),
+            _ => (f64::NAN, f64::NAN),
+        };
         self.last = Some(LastFrame { timestamp_ns: features.timestamp_ns, camera_from_world: pose, motion });
         if motion.is_some_and(|(_, dt)| dt < MAX_SHUTTER_STEP_S) {
             let readout_s = self.shutter.readout_s;
@@ -223,7 +246,9 @@ impl Reconstruction {
             });
             self.shutter.learn(items, Vector2::new(self.camera.fx, self.camera.fy));
         }
-        let keyframe = self.decide_keyframe(&pose);
+        // A blurred or covered picture gives poor templates, and its pose rests on little.
+        let clear = tracked.share() >= KEYFRAME_SHARE;
+        let keyframe = clear && self.decide_keyframe(&pose);
         self.record_pose(features.timestamp_ns, &pose);
         self.pending = keyframe.then_some(pose);
         self.estimate_tracked(features, tracked, motion.as_ref(), keyframe)

@@ -35,6 +35,13 @@ pub struct Tracked {
     pub rms_px: f64,
 }
 
+impl Tracked {
+    /// Of the landmarks looked for, the share that was found and agrees.
+    pub fn share(&self) -> f64 {
+        self.landmarks as f64 / self.sought.max(1) as f64
+    }
+}
+
 /// Everything that one frame's tracking reads.
 #[derive(Clone, Copy)]
 pub struct Frame<'a> {
@@ -222,7 +229,9 @@ impl Tracker {
         }
         let landmarks = self.search.matches.iter().filter(|m| m.inlier).count();
         let sought = self.search.matches.len() + self.search.missed.len();
-        if landmarks < config.min_landmarks {
+        // A few that agree among many that were found and do not is chance.
+        let chance = landmarks < 3 * config.min_landmarks && 3 * landmarks < self.search.matches.len();
+        if landmarks < config.min_landmarks || chance {
             return None;
         }
         let information = self.information(map, camera, &solution);

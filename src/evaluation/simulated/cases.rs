@@ -68,11 +68,11 @@ pub fn cases(seed: u64) -> Vec<Case> {
             "pure_rotation",
             "turns on the spot from the first frame on",
             Scenario::PureRotation,
-            6.0,
+            4.0,
             60.0,
             Expectation::NoPose,
         ),
-        plain("standing", "never moves", Scenario::Standing, 4.0, 60.0, Expectation::NoPose),
+        plain("standing", "never moves", Scenario::Standing, 3.0, 60.0, Expectation::NoPose),
         plain(
             "move_then_rotate",
             "moves, then only turns, then moves again",
@@ -92,6 +92,10 @@ pub fn cases(seed: u64) -> Vec<Case> {
     ];
     if let Some(stand) = all.last_mut() {
         stand.stands_from_s = Some(13.0);
+    }
+    for case in all.iter_mut().skip(2) {
+        // Long stretches in which little happens.
+        case.config.rate_hz = 15.0;
     }
     let mut add = |name, what, scenario, short_s, long_s, expectation, edit: &dyn Fn(&mut SimulatorConfig)| {
         let mut case = plain(name, what, scenario, short_s, long_s, expectation);
@@ -120,7 +124,7 @@ pub fn cases(seed: u64) -> Vec<Case> {
         "occluder",
         "something covers 30 % of the picture",
         Scenario::HandHeld,
-        8.0,
+        7.0,
         60.0,
         limits(95.0, 1.0, 0, 10),
         &|c| {
@@ -129,7 +133,7 @@ pub fn cases(seed: u64) -> Vec<Case> {
             c.occluder.period_s = 5.0;
         },
     );
-    add("low_texture", "bare walls, pale furniture", Scenario::HandHeld, 8.0, 60.0, limits(90.0, 2.0, 0, 10), &|c| {
+    add("low_texture", "bare walls, pale furniture", Scenario::HandHeld, 7.0, 60.0, limits(90.0, 2.0, 0, 10), &|c| {
         c.low_texture = true;
     });
     add(
@@ -160,7 +164,7 @@ pub fn cases(seed: u64) -> Vec<Case> {
         "low_rate",
         "6 frames a second, hand-held, twice the speed",
         Scenario::HandHeld,
-        30.0,
+        20.0,
         60.0,
         limits(85.0, 1.5, 0, 15),
         &|c| {
@@ -180,8 +184,8 @@ pub fn cases(seed: u64) -> Vec<Case> {
             c.speed = 2.0;
         },
     );
-    add("orbit", "around a table, revisiting", Scenario::DeskOrbit, 8.0, 60.0, limits(95.0, 1.0, 0, 10), &|_| {});
-    add("tour", "laps of a room, revisiting", Scenario::RoomTour, 8.0, 90.0, limits(95.0, 1.0, 0, 10), &|_| {});
+    add("orbit", "around a table, revisiting", Scenario::DeskOrbit, 6.0, 60.0, limits(95.0, 1.0, 0, 10), &|_| {});
+    add("tour", "laps of a room, revisiting", Scenario::RoomTour, 6.0, 90.0, limits(95.0, 1.0, 0, 10), &|_| {});
     let mut dropped = plain(
         "dropped_frames",
         "two to four of five frames are missing",

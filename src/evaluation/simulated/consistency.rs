@@ -52,8 +52,8 @@ fn units_per_metre(records: &[Record], at: usize) -> Option<f64> {
     (square > 1e-6 && product > 0.0).then_some(product / square)
 }
 
-/// NEES of frame `at`; `None` if it has no pose, or nothing to measure the map's unit by.
-pub fn nees(records: &[Record], at: usize) -> Option<Nees> {
+/// Error `[w, v]` of frame `at` and its published covariance; `None` if it has no pose, or nothing to measure the map's unit by.
+pub fn error(records: &[Record], at: usize) -> Option<(Vector6<f64>, Matrix6<f64>)> {
     let record = records.get(at)?;
     let [estimate, truth] = relative(record)?;
     let scale = units_per_metre(records, at)?;
@@ -63,17 +63,17 @@ pub fn nees(records: &[Record], at: usize) -> Option<Nees> {
     let turn = r_true * r_estimate.inverse();
     let w = turn.scaled_axis();
     let v = t_true - turn * t_estimate;
-    of_error(&w, &v, &record.estimate.covariance)
+    Some((Vector6::new(w.x, w.y, w.z, v.x, v.y, v.z), record.estimate.covariance))
 }
 
 /// `e' P⁻¹ e` of an error `[w, v]` and its parts.
-fn of_error(w: &Vector3<f64>, v: &Vector3<f64>, covariance: &Matrix6<f64>) -> Option<Nees> {
-    let e = Vector6::new(w.x, w.y, w.z, v.x, v.y, v.z);
+fn nees(e: &Vector6<f64>, covariance: &Matrix6<f64>) -> Option<Nees> {
+    let (w, v) = (e.fixed_rows::<3>(0).into_owned(), e.fixed_rows::<3>(3).into_owned());
     let block = |i: usize| -> Matrix3<f64> { covariance.fixed_view::<3, 3>(i, i).into_owned() };
     Some(Nees {
         pose: e.dot(&covariance.cholesky()?.solve(&e)),
-        rotation: w.dot(&block(0).cholesky()?.solve(w)),
-        translation: v.dot(&block(3).cholesky()?.solve(v)),
+        rotation: w.dot(&block(0).cholesky()?.solve(&w)),
+        translation: v.dot(&block(3).cholesky()?.solve(&v)),
     })
 }
 
@@ -85,7 +85,7 @@ pub fn judge(records: &[Record]) -> Vec<Nees> {
         if record.timestamp_ns < next_ns {
             continue;
         }
-        if let Some(n) = nees(records, i) {
+        if let Some(n) = error(records, i).and_then(|(e, p)| nees(&e, &p)) {
             out.push(n);
             next_ns = record.timestamp_ns + (JUDGED_EVERY_S * 1e9) as i64;
         }
@@ -166,8 +166,7 @@ mod tests {
         let mut values = [Vec::new(), Vec::new(), Vec::new()];
         for _ in 0..500 {
             let e = a * Vector6::from_fn(|_, _| normal());
-            let part = |i: usize| e.fixed_rows::<3>(i).into_owned();
-            let n = of_error(&part(0), &part(3), &covariance).unwrap();
+            let n = nees(&e, &covariance).unwrap();
             for (list, value) in values.iter_mut().zip([n.pose, n.rotation, n.translation]) {
                 list.push(value);
             }

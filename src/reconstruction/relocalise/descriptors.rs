@@ -37,12 +37,12 @@ const THRESHOLD: u8 = 7;
 /// Keyframes whose descriptors are remembered: 0.7 MB.
 const REMEMBERED: usize = 32;
 /// Landmarks matched at the least before a pose is tried, and in agreement with it.
-const MIN_MATCHES: usize = 12;
-pub(super) const MIN_INLIERS: usize = 10;
+const MIN_MATCHES: usize = 15;
+const MIN_INLIERS: usize = 12;
 /// Largest distance of an inlier from its projection, level-0 px.
 const INLIER_PX: f64 = 5.0;
 /// Samples drawn for a pose at the most.
-const MAX_SAMPLES: usize = 400;
+const MAX_SAMPLES: usize = 200;
 
 /// Descriptors of one level and what they belong to.
 #[derive(Debug)]
@@ -156,6 +156,10 @@ impl DescriptorSearch {
             max_iterations: MAX_SAMPLES,
             confidence: 0.999,
             min_inliers: MIN_INLIERS,
+            min_iterations: 30,
+            // The search by projection refines anyway.
+            local_iterations: 1,
+            inner_samples: 0,
             seed,
             ..RansacOptions::new(INLIER_PX / camera.focal_px())
         };
