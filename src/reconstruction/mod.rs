@@ -150,7 +150,7 @@ impl Reconstruction {
             camera: &self.camera,
             config: &self.config,
             before: self.frame_before(features.timestamp_ns),
-            motion: self.last.as_ref().and_then(|l| l.motion.as_ref()).map(|(m, dt)| CameraMotion::over(m, *dt)),
+            motion: self.last_motion(),
             shutter: &self.shutter,
         };
         let near = &near.0[..near.1];
@@ -176,6 +176,12 @@ impl Reconstruction {
         let last = self.last.as_ref().filter(|_| self.lost_frames == 0)?;
         let dt = (timestamp_ns - last.timestamp_ns) as f64 * 1e-9;
         (dt > 0.0 && dt < MAX_SHUTTER_STEP_S).then_some((last.camera_from_world, dt))
+    }
+
+    /// How the camera moved at the last frame; nothing is known of that after frames that were lost.
+    fn last_motion(&self) -> Option<CameraMotion> {
+        let (motion, dt) = self.last.as_ref().filter(|_| self.lost_frames == 0)?.motion?;
+        Some(CameraMotion::over(&motion, dt))
     }
 
     /// Constant velocity, then the last pose.
@@ -215,22 +221,23 @@ impl Reconstruction {
 
     fn accept(&mut self, features: &FrameFeatures, tracked: &Tracked) -> PoseEstimate {
         let pose = tracked.camera_from_world;
-        if self.lost_frames > 0 {
+        let resumed = self.lost_frames > 0;
+        if resumed {
             self.counters.relocalisations += 1;
         }
+        let before = self.last_motion();
         self.lost_frames = 0;
         self.state = TrackingState::Tracking;
         self.counters.frames_tracked += 1;
         self.reference = self.tracker.best_reference(&self.map).unwrap_or(self.reference);
         self.inliers.clear();
         self.inliers.extend(self.tracker.inliers());
-        let before = self.last.as_ref().and_then(|l| l.motion).map(|(m, dt)| CameraMotion::over(&m, dt));
         let mut motion = None;
         if let Some(last) = &self.last {
             let dt = (features.timestamp_ns - last.timestamp_ns) as f64 * 1e-9;
             let step = (pose * last.camera_from_world.inverse()).relabel::<Camera, Camera>();
             self.odom_from_camera = self.odom_from_camera * step.inverse();
-            motion = (dt > 0.0).then_some((step, dt));
+            motion = (dt > 0.0 && !resumed).then_some((step, dt));
         }
         let now = motion.map(|(m, dt)| CameraMotion::over(&m, dt));
         self.last_change = match (before, now) {
@@ -247,7 +254,7 @@ impl Reconstruction {
             self.shutter.learn(items, Vector2::new(self.camera.fx, self.camera.fy));
         }
         // A blurred or covered picture gives poor templates, and its pose rests on little.
-        let clear = tracked.share() >= KEYFRAME_SHARE;
+        let clear = !resumed && tracked.share() >= KEYFRAME_SHARE;
         let keyframe = clear && self.decide_keyframe(&pose);
         self.record_pose(features.timestamp_ns, &pose);
         self.pending = keyframe.then_some(pose);
@@ -311,7 +318,7 @@ impl Reconstruction {
     }
 
     fn insert_keyframe(&mut self, features: &FrameFeatures, pose: Se3<Camera, World>, feedback: &mut Feedback) {
-        let motion = self.last.as_ref().and_then(|l| l.motion.as_ref()).map(|(m, dt)| CameraMotion::over(m, *dt));
+        let motion = self.last_motion();
         let new = NewKeyframe {
             features,
             camera_from_world: pose,
