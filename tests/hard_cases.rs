@@ -47,6 +47,27 @@ fn every_case_is_run_here() {
     }
 }
 
+/// Most of a lap around the table is missing; then the camera is back at a stretch that is mapped, some decimetres beside it.
+#[test]
+fn a_place_is_found_again_without_a_guess() {
+    let config = SimulatorConfig { seed: SEED, ..SimulatorConfig::everything(Scenario::DeskOrbit) };
+    let (before, jump, after) = (150, 660, 12);
+    let steps: Vec<u64> = (0..before + after).map(|i| if i + 1 == before { jump } else { 1 }).collect();
+    let what = Drive {
+        simulator: &config,
+        steps: &steps,
+        seconds: (before + jump as usize + after) as f64 / config.rate_hz,
+        features: &FeaturesConfig::default(),
+        reconstruction: &ReconstructionConfig::default(),
+    };
+    let folder = tempfile::tempdir().expect("a folder");
+    let run = drive(&what, &folder.path().join("trajectory.txt")).expect("a run");
+    assert!(run.records[before - 1].is_tracking(), "mapped before the jump");
+    let missed = run.records[before..].iter().position(|r| r.is_tracking());
+    assert!(missed.is_some_and(|frames| frames <= 3), "seed {SEED}: found again after {missed:?} frames");
+    assert_eq!(run.counters.resets, 0, "seed {SEED}: in the same map");
+}
+
 /// NEES of all judged frames of runs with every flaw on.
 fn errors_over(seeds: std::ops::Range<u64>, seconds: f64, rate_hz: f64) -> Vec<Nees> {
     let folder = tempfile::tempdir().expect("a folder");

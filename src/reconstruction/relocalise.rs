@@ -167,7 +167,41 @@ fn rotation_of(motion: &ImageMotion, camera: &CameraModel) -> UnitQuaternion<f64
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::map::{Keyframe, MapId};
     use nalgebra::Vector2;
+
+    #[test]
+    fn every_keyframe_gets_its_turn() {
+        let mut map = Map::default();
+        for sequence in 0..7 {
+            map.add_keyframe(Keyframe {
+                sequence,
+                timestamp_ns: 0,
+                map: MapId(0),
+                camera_from_world: Se3::identity(),
+                motion: None,
+                pyramid: std::sync::Arc::default(),
+                thumbnail: Thumbnail::default(),
+                observations: Vec::new(),
+                covisible: Vec::new(),
+            });
+        }
+        let (mut next, mut seen) = (0, Vec::new());
+        for _ in 0..4 {
+            in_turn(&map, &mut next, 2, &mut seen);
+        }
+        assert_eq!(seen.iter().map(|id| id.0).collect::<Vec<_>>(), [0, 1, 2, 3, 4, 5, 6, 0]);
+        in_turn(&Map::default(), &mut next, 2, &mut seen);
+        assert_eq!(seen.len(), 8, "an empty map has no turn");
+        let mut relocaliser = Relocaliser::default();
+        for _ in 0..20 {
+            relocaliser.choose_described(&map, KeyframeId(3));
+            let mut chosen = relocaliser.chosen.clone();
+            chosen.sort_unstable();
+            chosen.dedup();
+            assert_eq!(chosen.len(), relocaliser.chosen.len(), "none twice");
+        }
+    }
 
     #[test]
     fn a_picture_that_moved_right_was_turned_left() {
