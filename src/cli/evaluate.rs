@@ -2,6 +2,8 @@
 //!
 //! Figures go to stdout (text, `--json`, or the suite's Markdown table), notes and progress to stderr.
 
+mod simulated;
+
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -22,10 +24,10 @@ use crate::trajectory::{TrajectoryError, read_tum};
 #[derive(Debug, Clone, clap::Args)]
 pub struct EvaluateArgs {
     /// Estimated trajectory: TUM lines, "timestamp tx ty tz qx qy qz qw"
-    #[arg(required_unless_present = "suite", conflicts_with = "suite")]
+    #[arg(required_unless_present_any = ["suite", "simulator"], conflicts_with_all = ["suite", "simulator"])]
     pub estimate: Option<PathBuf>,
     /// Ground truth: a TUM file, or a sequence's folder with groundtruth.txt and rgb.txt
-    #[arg(required_unless_present = "suite", conflicts_with = "suite")]
+    #[arg(required_unless_present_any = ["suite", "simulator"], conflicts_with_all = ["suite", "simulator"])]
     pub ground_truth: Option<PathBuf>,
     /// List of frames ("timestamp filename" a line) instead of the rgb.txt beside the ground truth
     #[arg(long, value_name = "FILE", conflicts_with = "suite")]
@@ -39,6 +41,18 @@ pub struct EvaluateArgs {
     /// Replay these sequences' folders in lock-step, one after the other, and tabulate them
     #[arg(long, value_name = "DIR", num_args = 1..)]
     pub suite: Vec<PathBuf>,
+    /// Run the simulator's hard cases and tabulate them; fails when one misses its limits
+    #[arg(long, conflicts_with = "suite")]
+    pub simulator: bool,
+    /// The hard cases' long form: up to ten minutes each
+    #[arg(long, requires = "simulator")]
+    pub long: bool,
+    /// Only these of the hard cases
+    #[arg(long, value_name = "NAME", num_args = 1.., requires = "simulator")]
+    pub case: Vec<String>,
+    /// Run each hard case in so many rooms
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=100))]
+    pub seeds: u64,
     /// Folder for the suite's table, trajectories, logs and pictures
     #[arg(long, value_name = "DIR", default_value = "cairn-suite")]
     pub output: PathBuf,
@@ -59,6 +73,7 @@ pub struct EvaluateArgs {
 /// Runs the command.
 pub fn run(args: &EvaluateArgs) -> Result<ExitCode, CliError> {
     match (&args.estimate, &args.ground_truth) {
+        _ if args.simulator => simulated::run(args),
         (Some(estimate), Some(ground_truth)) if args.suite.is_empty() => judge_one(args, estimate, ground_truth),
         _ => run_suite(args),
     }

@@ -19,6 +19,7 @@ pub mod association;
 pub mod child;
 mod ground_truth;
 pub mod metrics;
+pub mod simulated;
 pub mod suite;
 
 #[cfg(test)]

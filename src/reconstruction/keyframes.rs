@@ -36,11 +36,16 @@ pub struct KeyframeInputs {
 
 /// Whether a frame becomes a keyframe.
 pub fn wants_keyframe(inputs: &KeyframeInputs, config: &ReconstructionConfig) -> bool {
-    if inputs.frames_since_keyframe < config.keyframe_gap_frames {
+    let expected = inputs.reference_landmarks.min(config.landmarks_per_frame) as f64;
+    // A view that changes within two frames (fast turn, low frame rate) leaves no time to wait; nor do the last landmarks.
+    let urgent = (inputs.landmarks as f64) < config.keyframe_share * config.keyframe_share * expected
+        || inputs.landmarks < 3 * config.min_landmarks && inputs.parallax_deg > config.min_parallax_deg;
+    if inputs.frames_since_keyframe < config.keyframe_gap_frames && !urgent {
         return false;
     }
-    let expected = inputs.reference_landmarks.min(config.landmarks_per_frame) as f64;
-    (inputs.landmarks as f64) < config.keyframe_share * expected || inputs.parallax_deg > config.keyframe_parallax_deg
+    urgent
+        || (inputs.landmarks as f64) < config.keyframe_share * expected
+        || inputs.parallax_deg > config.keyframe_parallax_deg
 }
 
 /// Median angle (degrees) between the rays to the matches from two centres.
@@ -451,7 +456,8 @@ mod tests {
         assert!(!wants_keyframe(&plenty, &config));
         assert!(wants_keyframe(&KeyframeInputs { landmarks: 80, ..plenty }, &config));
         assert!(wants_keyframe(&KeyframeInputs { parallax_deg: 10.0, ..plenty }, &config));
-        let soon = KeyframeInputs { frames_since_keyframe: config.keyframe_gap_frames - 1, landmarks: 20, ..plenty };
+        let soon = KeyframeInputs { frames_since_keyframe: config.keyframe_gap_frames - 1, landmarks: 110, ..plenty };
         assert!(!wants_keyframe(&soon, &config));
+        assert!(wants_keyframe(&KeyframeInputs { landmarks: 60, ..soon }, &config), "half of the view is gone already");
     }
 }

@@ -30,7 +30,7 @@ use bindings::Bindings;
 use initialise::Initialiser;
 use intrinsics::Intrinsics;
 use keyframes::{KeyframeInputs, NewKeyframe};
-use relocalise::{Guess, Relocaliser};
+use relocalise::Relocaliser;
 use rolling_shutter::Shutter;
 use search::Match;
 use tracking::{Frame, Tracked, Tracker};
@@ -44,6 +44,15 @@ use crate::map::{KeyframeId, LandmarkId, Map, MapId};
 /// Keyframes at which the whole map is adjusted first; then whenever it has grown by a third, up to the limit.
 const WHOLE_FIRST: usize = 5;
 const WHOLE_LIMIT: usize = 120;
+
+/// Frames farther apart tell nothing of the motion within one of them, and so nothing of a rolling shutter, s.
+const MAX_SHUTTER_STEP_S: f64 = 0.19;
+
+/// Share of the landmarks looked for that are seen. Below the first a frame is no keyframe, below the second it is looked for
+/// elsewhere too, and below the third it is lost: after a stretch of blur a few landmarks hold a pose that has slid away.
+const KEYFRAME_SHARE: f64 = 0.33;
+const WEAK_SHARE: f64 = 0.25;
+const LOST_SHARE: f64 = 0.1;
 
 /// The frame that was tracked last.
 #[derive(Debug, Clone, Copy)]
@@ -90,7 +99,8 @@ pub struct Reconstruction {
     angles: Vec<f64>,
     relocaliser: Relocaliser,
     shutter: Shutter,
-    guesses: Vec<Guess>,
+    /// How much angular (rad/s) and linear velocity (map units/s) changed from the frame before to this one.
+    last_change: (f64, f64),
 }
 
 impl Reconstruction {
@@ -130,7 +140,7 @@ impl Reconstruction {
             angles: Vec::with_capacity(1024),
             relocaliser: Relocaliser::default(),
             shutter: Shutter::new(config.readout_ms * 1e-3, camera.height, config.estimate_readout),
-            guesses: Vec::new(),
+            last_change: (f64::NAN, f64::NAN),
         }
     }
 
@@ -151,17 +161,21 @@ impl Reconstruction {
             camera: &self.camera,
             config: &self.config,
             before: self.frame_before(features.timestamp_ns),
-            motion: self.last.as_ref().and_then(|l| l.motion.as_ref()).map(|(m, dt)| CameraMotion::over(m, *dt)),
+            motion: self.last_motion(),
             shutter: &self.shutter,
         };
-        let mut tracked = self.tracker.track(&frame, self.reference, &near.0[..near.1]);
-        if tracked.is_none() {
-            self.guesses.clear();
-            let pyramid = &features.pyramid;
-            self.relocaliser.guess(&self.map, &self.camera, pyramid, self.reference, &mut self.guesses);
-            tracked = self.tracker.relocalise(&frame, &self.guesses);
+        let near = &near.0[..near.1];
+        let mut tracked = self.tracker.track(&frame, self.reference, near);
+        if tracked.as_ref().is_none_or(|t| t.share() < WEAK_SHARE) {
+            let elsewhere = self.relocaliser.place(&mut self.tracker, &frame, self.reference);
+            tracked = match (tracked, elsewhere) {
+                (Some(weak), Some(other)) if other.landmarks > 2 * weak.landmarks => Some(other),
+                // The buffers hold the other attempt by now.
+                (Some(weak), _) if weak.share() >= LOST_SHARE => self.tracker.track(&frame, self.reference, near),
+                (_, other) => other,
+            };
         }
-        self.count_landmarks(tracked.is_some());
+        self.count_landmarks(tracked.as_ref());
         match tracked {
             Some(tracked) => self.accept(features, &tracked),
             None => self.lose(features),
@@ -172,7 +186,13 @@ impl Reconstruction {
     fn frame_before(&self, timestamp_ns: i64) -> Option<(Se3<Camera, World>, f64)> {
         let last = self.last.as_ref().filter(|_| self.lost_frames == 0)?;
         let dt = (timestamp_ns - last.timestamp_ns) as f64 * 1e-9;
-        (dt > 0.0 && dt < 0.2).then_some((last.camera_from_world, dt))
+        (dt > 0.0 && dt < MAX_SHUTTER_STEP_S).then_some((last.camera_from_world, dt))
+    }
+
+    /// How the camera moved at the last frame; nothing is known of that after frames that were lost.
+    fn last_motion(&self) -> Option<CameraMotion> {
+        let (motion, dt) = self.last.as_ref().filter(|_| self.lost_frames == 0)?.motion?;
+        Some(CameraMotion::over(&motion, dt))
     }
 
     /// Constant velocity, then the last pose.
@@ -187,11 +207,12 @@ impl Reconstruction {
         }
     }
 
-    fn count_landmarks(&mut self, tracked: bool) {
-        if !tracked {
-            return;
-        }
-        for m in &self.tracker.search.matches {
+    /// Notes for each landmark whether it was found. A frame that shows less than half of what should be there (blur, something
+    /// in front) speaks of itself and not of its landmarks: the map must not be thinned out by it.
+    fn count_landmarks(&mut self, tracked: Option<&Tracked>) {
+        let Some(tracked) = tracked else { return };
+        let telling = 2 * tracked.landmarks >= tracked.sought;
+        for m in self.tracker.search.matches.iter().filter(|m| m.inlier || telling) {
             if let Some(l) = self.map.landmarks.get_mut(m.landmark.0) {
                 l.sought += 1;
                 if m.inlier {
@@ -202,7 +223,7 @@ impl Reconstruction {
                 }
             }
         }
-        for id in &self.tracker.search.missed {
+        for id in self.tracker.search.missed.iter().filter(|_| telling) {
             if let Some(l) = self.map.landmarks.get_mut(id.0) {
                 l.sought += 1;
             }
@@ -211,9 +232,11 @@ impl Reconstruction {
 
     fn accept(&mut self, features: &FrameFeatures, tracked: &Tracked) -> PoseEstimate {
         let pose = tracked.camera_from_world;
-        if self.lost_frames > 0 {
+        let resumed = self.lost_frames > 0;
+        if resumed {
             self.counters.relocalisations += 1;
         }
+        let before = self.last_motion();
         self.lost_frames = 0;
         self.state = TrackingState::Tracking;
         self.counters.frames_tracked += 1;
@@ -225,10 +248,15 @@ impl Reconstruction {
             let dt = (features.timestamp_ns - last.timestamp_ns) as f64 * 1e-9;
             let step = (pose * last.camera_from_world.inverse()).relabel::<Camera, Camera>();
             self.odom_from_camera = self.odom_from_camera * step.inverse();
-            motion = (dt > 0.0).then_some((step, dt));
+            motion = (dt > 0.0 && !resumed).then_some((step, dt));
         }
+        let now = motion.map(|(m, dt)| CameraMotion::over(&m, dt));
+        self.last_change = match (before, now) {
+            (Some(a), Some(b)) => ((a.turn - b.turn).norm(), (a.shift - b.shift).norm()),
+            _ => (f64::NAN, f64::NAN),
+        };
         self.last = Some(LastFrame { timestamp_ns: features.timestamp_ns, camera_from_world: pose, motion });
-        if motion.is_some() {
+        if motion.is_some_and(|(_, dt)| dt < MAX_SHUTTER_STEP_S) {
             let readout_s = self.shutter.readout_s;
             let items = self.inliers.iter().map(|m| {
                 let seen = m.normalised - m.displacement * readout_s;
@@ -236,7 +264,9 @@ impl Reconstruction {
             });
             self.shutter.learn(items, Vector2::new(self.camera.fx, self.camera.fy));
         }
-        let keyframe = self.decide_keyframe(&pose);
+        // A blurred or covered picture gives poor templates, and its pose rests on little.
+        let clear = !resumed && tracked.share() >= KEYFRAME_SHARE;
+        let keyframe = clear && self.decide_keyframe(&pose);
         self.record_pose(features.timestamp_ns, &pose);
         self.pending = keyframe.then_some(pose);
         self.estimate_tracked(features, tracked, motion.as_ref(), keyframe)
@@ -305,7 +335,7 @@ impl Reconstruction {
     }
 
     fn insert_keyframe(&mut self, features: &FrameFeatures, pose: Se3<Camera, World>, feedback: &mut Feedback) {
-        let motion = self.last.as_ref().and_then(|l| l.motion.as_ref()).map(|(m, dt)| CameraMotion::over(m, *dt));
+        let motion = self.last_motion();
         let new = NewKeyframe {
             features,
             camera_from_world: pose,
@@ -405,6 +435,15 @@ impl Reconstruction {
     /// Poses of the current map's keyframes, for the trajectory written at the end; those of maps before came as events.
     pub fn keyframe_poses(&self) -> Vec<(KeyframeId, Se3<World, Camera>)> {
         self.map.keyframes.iter().map(|(id, k)| (KeyframeId(id), k.camera_from_world.inverse())).collect()
+    }
+
+    /// A keyframe of the current map, if it is there.
+    pub fn keyframe(&self, id: KeyframeId) -> Option<KeyframeView> {
+        self.map.keyframe(id).map(|k| KeyframeView {
+            id,
+            timestamp_ns: k.timestamp_ns,
+            world_from_camera: k.camera_from_world.inverse(),
+        })
     }
 
     pub fn counters(&self) -> Counters {

@@ -1,17 +1,24 @@
 //! Where a frame might be when prediction has failed.
 //!
-//! Keyframes keep a blurred thumbnail. A lost frame's own is compared with a bounded number of them in each frame (the ones
-//! around the last known place first, then all others in turn); the most similar give guesses of the pose: the keyframe's,
-//! turned by the plane motion between the thumbnails (Klein & Murray 2008, section 5). The search by projection decides.
-//! Finds views near a keyframe. Not here: places seen from elsewhere, which need descriptors.
+//! Two ways, each bounded in every frame, the first that the search by projection confirms wins:
+//! - by descriptors ([`descriptors`]): a pose from the landmarks of a few keyframes, the ones around the last known place first,
+//!   then the ones whose thumbnails are most similar, then all others in turn;
+//! - by thumbnails: the most similar keyframes' poses, turned by the plane motion between the thumbnails (Klein & Murray 2008,
+//!   section 5), for pictures without corners that could be described (heavy blur).
+//!
+//! Not here: other maps. A map that was given up is gone; joining it when its place is seen again needs place recognition.
+
+mod descriptors;
 
 use nalgebra::{UnitQuaternion, Vector3};
 
+use super::tracking::{Frame, Tracked, Tracker};
 use crate::features::thumbnail::{ImageMotion, Thumbnail, ThumbnailAligner};
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::image::Pyramid;
 use crate::map::{KeyframeId, Map};
+use descriptors::DescriptorSearch;
 
 /// A pose to start a search from, and the keyframe whose surroundings are searched.
 #[derive(Debug, Clone, Copy)]
@@ -20,12 +27,20 @@ pub struct Guess {
     pub reference: KeyframeId,
 }
 
-/// Keyframes compared in one frame.
+/// Keyframes whose thumbnails are compared in one frame.
 const COMPARED: usize = 12;
-/// Guesses given in one frame.
-const GUESSES: usize = 3;
+/// Guesses from thumbnails in one frame.
+const GUESSES: usize = 2;
 /// Thumbnails that correlate less are of another place.
 const MIN_NCC: f32 = 0.6;
+/// Keyframes whose descriptors are matched in one frame: around the last place, by thumbnail, in turn.
+const MATCHED_NEAR: usize = 3;
+const MATCHED_SIMILAR: usize = 2;
+const MATCHED_IN_TURN: usize = 1;
+/// A pose with so many inliers needs no competitors.
+const PLENTY: usize = 30;
+/// Guesses from descriptors in one frame.
+const DESCRIPTOR_GUESSES: usize = 2;
 
 /// Buffers of relocalisation.
 #[derive(Debug, Default)]
@@ -34,35 +49,41 @@ pub struct Relocaliser {
     aligner: ThumbnailAligner,
     around: Vec<(KeyframeId, u32)>,
     chosen: Vec<KeyframeId>,
+    /// By thumbnail, the most similar first.
     ranked: Vec<(f32, Guess)>,
     /// Where the round over all keyframes goes on.
     next: usize,
+    descriptors: DescriptorSearch,
+    /// Where the round of descriptors goes on.
+    next_described: usize,
+    solved: Vec<(usize, Guess)>,
 }
 
 impl Relocaliser {
-    /// Adds up to three guesses for the frame with `pyramid` to `out`, the most similar first.
-    pub fn guess(
-        &mut self,
-        map: &Map,
-        camera: &CameraModel,
-        pyramid: &Pyramid,
-        last_reference: KeyframeId,
-        out: &mut Vec<Guess>,
-    ) {
+    /// Places a frame that prediction could not place, or does not.
+    pub fn place(&mut self, tracker: &mut Tracker, frame: &Frame<'_>, last_reference: KeyframeId) -> Option<Tracked> {
+        let Frame { features, map, camera, .. } = *frame;
+        let pyramid = &features.pyramid;
+        self.look(map, camera, pyramid, last_reference);
+        self.solve_described(map, camera, pyramid, last_reference, features.sequence);
+        let solved = self.solved.iter().take(DESCRIPTOR_GUESSES).map(|s| (s.1, true));
+        let similar = self.ranked.iter().take(GUESSES).map(|r| (r.1, false));
+        solved.chain(similar).find_map(|(guess, precise)| tracker.relocalise(frame, &guess, precise))
+    }
+
+    /// Compares thumbnails: the first step in every frame that has lost its place.
+    fn look(&mut self, map: &Map, camera: &CameraModel, pyramid: &Pyramid, last_reference: KeyframeId) {
         self.ranked.clear();
+        map.covisible(last_reference, 1, COMPARED / 2, &mut self.around);
         if !self.current.build(pyramid) || map.keyframes.is_empty() {
             return;
         }
-        map.covisible(last_reference, 1, COMPARED / 2, &mut self.around);
         self.chosen.clear();
         self.chosen.push(last_reference);
         self.chosen.extend(self.around.iter().map(|a| a.0));
         let total = map.keyframes.len();
         let round = COMPARED.saturating_sub(self.chosen.len()).min(total);
-        for (id, _) in map.keyframes.iter().chain(map.keyframes.iter()).skip(self.next % total).take(round) {
-            self.chosen.push(KeyframeId(id));
-        }
-        self.next = (self.next + round) % total;
+        in_turn(map, &mut self.next, round, &mut self.chosen);
         self.chosen.sort_unstable();
         self.chosen.dedup();
         for &id in &self.chosen {
@@ -76,8 +97,56 @@ impl Relocaliser {
             self.ranked.push((motion.ncc, guess));
         }
         self.ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
-        out.extend(self.ranked.iter().take(GUESSES).map(|r| r.1));
     }
+
+    /// Poses from descriptors, the best supported first, after [`look`](Self::look); `seed`: the frame's number.
+    fn solve_described(
+        &mut self,
+        map: &Map,
+        camera: &CameraModel,
+        pyramid: &Pyramid,
+        last_reference: KeyframeId,
+        seed: u64,
+    ) {
+        self.solved.clear();
+        self.choose_described(map, last_reference);
+        if self.descriptors.describe_frame(pyramid) {
+            for &id in &self.chosen {
+                let Some(solved) = self.descriptors.pose_from(map, camera, id, seed) else { continue };
+                self.solved.push(solved);
+                if solved.0 >= PLENTY {
+                    break;
+                }
+            }
+        }
+        self.solved.sort_by_key(|s| std::cmp::Reverse(s.0));
+    }
+
+    /// Which keyframes to match, the likeliest first, none twice.
+    fn choose_described(&mut self, map: &Map, last_reference: KeyframeId) {
+        self.chosen.clear();
+        let near = std::iter::once(last_reference).chain(self.around.iter().map(|a| a.0)).take(MATCHED_NEAR);
+        self.chosen.extend(near);
+        let similar = self.ranked.iter().map(|r| r.1.reference).filter(|id| !self.chosen.contains(id));
+        let similar: Vec<KeyframeId> = similar.take(MATCHED_SIMILAR).collect();
+        self.chosen.extend(similar);
+        in_turn(map, &mut self.next_described, MATCHED_IN_TURN.min(map.keyframes.len()), &mut self.chosen);
+        let in_turn = self.chosen.len().saturating_sub(MATCHED_IN_TURN);
+        if self.chosen.get(in_turn).is_some_and(|id| self.chosen[..in_turn].contains(id)) {
+            self.chosen.truncate(in_turn);
+        }
+    }
+}
+
+/// Adds the next `count` keyframes of a round over the whole map.
+fn in_turn(map: &Map, next: &mut usize, count: usize, out: &mut Vec<KeyframeId>) {
+    let total = map.keyframes.len();
+    if total == 0 {
+        return;
+    }
+    let round = map.keyframes.iter().chain(map.keyframes.iter()).skip(*next % total).take(count);
+    out.extend(round.map(|(id, _)| KeyframeId(id)));
+    *next = (*next + count) % total;
 }
 
 /// A keyframe's thumbnail; empty (like no other) for a picture too small for one.
@@ -98,7 +167,41 @@ fn rotation_of(motion: &ImageMotion, camera: &CameraModel) -> UnitQuaternion<f64
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::map::{Keyframe, MapId};
     use nalgebra::Vector2;
+
+    #[test]
+    fn every_keyframe_gets_its_turn() {
+        let mut map = Map::default();
+        for sequence in 0..7 {
+            map.add_keyframe(Keyframe {
+                sequence,
+                timestamp_ns: 0,
+                map: MapId(0),
+                camera_from_world: Se3::identity(),
+                motion: None,
+                pyramid: std::sync::Arc::default(),
+                thumbnail: Thumbnail::default(),
+                observations: Vec::new(),
+                covisible: Vec::new(),
+            });
+        }
+        let (mut next, mut seen) = (0, Vec::new());
+        for _ in 0..4 {
+            in_turn(&map, &mut next, 2, &mut seen);
+        }
+        assert_eq!(seen.iter().map(|id| id.0).collect::<Vec<_>>(), [0, 1, 2, 3, 4, 5, 6, 0]);
+        in_turn(&Map::default(), &mut next, 2, &mut seen);
+        assert_eq!(seen.len(), 8, "an empty map has no turn");
+        let mut relocaliser = Relocaliser::default();
+        for _ in 0..20 {
+            relocaliser.choose_described(&map, KeyframeId(3));
+            let mut chosen = relocaliser.chosen.clone();
+            chosen.sort_unstable();
+            chosen.dedup();
+            assert_eq!(chosen.len(), relocaliser.chosen.len(), "none twice");
+        }
+    }
 
     #[test]
     fn a_picture_that_moved_right_was_turned_left() {

@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
-use super::bindings::Target;
+use super::bindings::{Seed, Target};
 use super::initialise::{PendingFrame, Start, View};
 use super::keyframes::{observe, refine_point};
 use super::local_adjustment::MappingJob;
@@ -41,6 +41,13 @@ impl Reconstruction {
             return self.estimate_none(features);
         }
         self.solve_frames_before(features.sequence);
+        // What the start could not place waits for parallax from here on.
+        let newest = self.reference;
+        for track in &features.tracks {
+            if self.bindings.get(track.id).is_none() {
+                self.bindings.set(track.id, Target::Seed(Seed::new(newest, track.position)));
+            }
+        }
         self.state = TrackingState::Tracking;
         self.last_keyframe_frame = self.frame;
         self.counters.keyframes_made += 2;

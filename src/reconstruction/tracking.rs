@@ -35,6 +35,13 @@ pub struct Tracked {
     pub rms_px: f64,
 }
 
+impl Tracked {
+    /// Of the landmarks looked for, the share that was found and agrees.
+    pub fn share(&self) -> f64 {
+        self.landmarks as f64 / self.sought.max(1) as f64
+    }
+}
+
 /// Everything that one frame's tracking reads.
 #[derive(Clone, Copy)]
 pub struct Frame<'a> {
@@ -118,14 +125,14 @@ impl Tracker {
         by_flow.iter().chain(guesses).find_map(|guess| self.refine(frame, guess, WIDE * radius_px, 3))
     }
 
-    /// Places a frame at one of `guesses` anywhere in the map; asks for more landmarks, as nothing else speaks for it.
-    pub fn relocalise(&mut self, frame: &Frame<'_>, guesses: &[Guess]) -> Option<Tracked> {
+    /// Places a frame at a guess anywhere in the map; asks for more landmarks, as nothing else speaks for it. `precise`: the
+    /// guess is a pose solved from landmarks, not a neighbour's.
+    pub fn relocalise(&mut self, frame: &Frame<'_>, guess: &Guess, precise: bool) -> Option<Tracked> {
         self.flow.clear();
-        guesses.iter().find_map(|guess| {
-            self.refresh_local(frame.map, guess.reference);
-            self.refine(frame, &guess.camera_from_world, WIDE * frame.config.search_radius_px, 3)
-                .filter(|t| t.landmarks >= 2 * frame.config.min_landmarks && 3 * t.landmarks >= t.sought)
-        })
+        self.refresh_local(frame.map, guess.reference);
+        let (radius, coarse_levels) = if precise { (2.0, 1) } else { (WIDE, 3) };
+        self.refine(frame, &guess.camera_from_world, radius * frame.config.search_radius_px, coarse_levels)
+            .filter(|t| t.landmarks >= 2 * frame.config.min_landmarks && 3 * t.landmarks >= t.sought)
     }
 
     /// The keyframe that shares most landmarks with the frame just tracked (ties: the newer).
@@ -222,7 +229,9 @@ impl Tracker {
         }
         let landmarks = self.search.matches.iter().filter(|m| m.inlier).count();
         let sought = self.search.matches.len() + self.search.missed.len();
-        if landmarks < config.min_landmarks {
+        // A few that agree among many that were found and do not is chance.
+        let chance = landmarks < 3 * config.min_landmarks && 3 * landmarks < self.search.matches.len();
+        if landmarks < config.min_landmarks || chance {
             return None;
         }
         let information = self.information(frame, &solution);
