@@ -29,7 +29,10 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
     ("reconstruction", &["features", "geometry", "image", "map"]),
     // What comes out.
     ("trajectory", &["atomic_file", "geometry", "map", "reconstruction"]),
-    ("evaluation", &["atomic_file", "camera", "features", "geometry", "image", "plot", "reconstruction", "trajectory"]),
+    (
+        "evaluation",
+        &["atomic_file", "camera", "features", "frame", "geometry", "image", "plot", "reconstruction", "trajectory"],
+    ),
     ("plot", &["atomic_file", "evaluation", "geometry", "map", "reconstruction", "trajectory"]),
     ("publish", &["frame", "geometry", "image", "map", "messages", "reconstruction"]),
     // What holds it together.

@@ -48,11 +48,10 @@ const WHOLE_LIMIT: usize = 120;
 /// Frames farther apart tell nothing of the motion within one of them, and so nothing of a rolling shutter, s.
 const MAX_SHUTTER_STEP_S: f64 = 0.19;
 
-/// Share of the landmarks looked for that are seen. Below the first a frame is no keyframe, below the second it is looked for
-/// elsewhere too, and below the third it is lost: after a stretch of blur a few landmarks hold a pose that has slid away.
-const KEYFRAME_SHARE: f64 = 0.33;
+/// Share of the landmarks looked for that are seen: below the first a frame is looked for elsewhere too (after a stretch of blur
+/// a few landmarks can hold a pose that has slid away), below the second it is no keyframe.
 const WEAK_SHARE: f64 = 0.25;
-const LOST_SHARE: f64 = 0.1;
+const KEYFRAME_SHARE: f64 = 0.12;
 
 /// The frame that was tracked last.
 #[derive(Debug, Clone, Copy)]
@@ -171,8 +170,8 @@ impl Reconstruction {
             tracked = match (tracked, elsewhere) {
                 (Some(weak), Some(other)) if other.landmarks > 2 * weak.landmarks => Some(other),
                 // The buffers hold the other attempt by now.
-                (Some(weak), _) if weak.share() >= LOST_SHARE => self.tracker.track(&frame, self.reference, near),
-                (_, other) => other,
+                (Some(_), _) => self.tracker.track(&frame, self.reference, near),
+                (None, other) => other,
             };
         }
         self.count_landmarks(tracked.as_ref());

@@ -28,19 +28,19 @@ pub struct Guess {
 }
 
 /// Keyframes whose thumbnails are compared in one frame.
-const COMPARED: usize = 12;
+const COMPARED: usize = 6;
 /// Guesses from thumbnails in one frame.
-const GUESSES: usize = 2;
+const GUESSES: usize = 1;
 /// Thumbnails that correlate less are of another place.
 const MIN_NCC: f32 = 0.6;
 /// Keyframes whose descriptors are matched in one frame: around the last place, by thumbnail, in turn.
-const MATCHED_NEAR: usize = 3;
-const MATCHED_SIMILAR: usize = 2;
+const MATCHED_NEAR: usize = 2;
+const MATCHED_SIMILAR: usize = 1;
 const MATCHED_IN_TURN: usize = 1;
 /// A pose with so many inliers needs no competitors.
 const PLENTY: usize = 30;
 /// Guesses from descriptors in one frame.
-const DESCRIPTOR_GUESSES: usize = 2;
+const DESCRIPTOR_GUESSES: usize = 1;
 
 /// Buffers of relocalisation.
 #[derive(Debug, Default)]

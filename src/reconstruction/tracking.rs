@@ -230,7 +230,7 @@ impl Tracker {
         let landmarks = self.search.matches.iter().filter(|m| m.inlier).count();
         let sought = self.search.matches.len() + self.search.missed.len();
         // A few that agree among many that were found and do not is chance.
-        let chance = landmarks < 3 * config.min_landmarks && 3 * landmarks < self.search.matches.len();
+        let chance = landmarks < 2 * config.min_landmarks && 4 * landmarks < self.search.matches.len();
         if landmarks < config.min_landmarks || chance {
             return None;
         }

@@ -5,11 +5,11 @@
 //! Cost: rendering, 8 to 25 ms a frame of 640x480; then what the daemon itself costs.
 
 use std::path::Path;
-use std::time::Instant;
 
 use crate::camera::simulator::{Simulator, SimulatorConfig};
 use crate::camera::{Pacing, SourceError};
 use crate::features::{FeatureStage, FeaturesConfig, Feedback, FrameFeatures};
+use crate::frame::process_cpu_ns;
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 use crate::image::GreyImage;
@@ -45,7 +45,8 @@ pub struct Record {
     pub truth: Se3<World, Camera>,
     pub estimate: PoseEstimate,
     pub anchor: Option<Anchor>,
-    /// From the tracked corners to the pose, ms of wall time: for the table, never for a decision.
+    /// From the tracked corners to the pose, ms of CPU time (of the process, which should do nothing else): for the table, never
+    /// for a decision.
     pub track_ms: f64,
 }
 
@@ -112,9 +113,9 @@ pub fn drive(what: &Drive<'_>, trajectory: &Path) -> Result<Run, DriveError> {
         stage.step_grey(&picture, &mut features);
         features.sequence = frame;
         features.timestamp_ns = simulator.timestamp_ns(frame);
-        let began = Instant::now();
+        let began_ns = process_cpu_ns();
         let estimate = reconstruction.track(&features);
-        let track_ms = began.elapsed().as_secs_f64() * 1e3;
+        let track_ms = (process_cpu_ns() - began_ns) as f64 * 1e-6;
         let anchor = estimate.anchor.and_then(|id| reconstruction.keyframe(id)).map(|k| Anchor {
             world_from_camera: k.world_from_camera,
             truth: simulator.trajectory().pose_at(k.timestamp_ns),
@@ -127,7 +128,8 @@ pub fn drive(what: &Drive<'_>, trajectory: &Path) -> Result<Run, DriveError> {
             spool.record(&event)?;
         }
         let seconds = frame as f64 / what.simulator.rate_hz;
-        if sizes.last().is_none_or(|s| seconds - s.seconds >= SIZES_EVERY_S) {
+        frame += (*steps.next().unwrap_or(&1)).max(1);
+        if frame >= frames || sizes.last().is_none_or(|s| seconds - s.seconds >= SIZES_EVERY_S) {
             reconstruction.snapshot(&mut snapshot);
             sizes.push(Sizes {
                 seconds,
@@ -136,7 +138,6 @@ pub fn drive(what: &Drive<'_>, trajectory: &Path) -> Result<Run, DriveError> {
                 rss_mb: rss_mb().unwrap_or(f64::NAN),
             });
         }
-        frame += (*steps.next().unwrap_or(&1)).max(1);
     }
     reconstruction.finish();
     reconstruction.take_trajectory_events(&mut events);
