@@ -94,3 +94,5 @@ pub mod ring;
 pub mod telemetry;
 #[cfg(feature = "daemon")]
 pub mod trajectory;
+#[cfg(feature = "daemon")]
+pub mod workbench;

@@ -8,6 +8,7 @@ pub mod replay;
 pub mod run;
 mod session;
 pub mod simulate;
+pub mod twoview;
 pub mod watch;
 
 use std::fmt;
@@ -17,6 +18,8 @@ use std::process::ExitCode;
 pub mod exit_code {
     /// Something failed that no other code names; also a replay in which no frame was tracked.
     pub const FAILURE: u8 = 1;
+    /// The two pictures give no model or no pose: an outcome with a name, on stdout and in `twoview.json`.
+    pub const NO_MODEL: u8 = 3;
     /// The command line is wrong (EX_USAGE).
     pub const USAGE: u8 = 64;
     /// Input data is malformed (EX_DATAERR).
@@ -67,6 +70,8 @@ enum Command {
     Watch(watch::WatchArgs),
     Evaluate(evaluate::EvaluateArgs),
     Simulate(simulate::SimulateArgs),
+    #[command(name = "twoview")]
+    TwoView(twoview::TwoViewArgs),
     #[command(name = "command")]
     Send(command::CommandArgs),
 }
@@ -80,6 +85,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode, CliError> {
         Command::Watch(args) => watch::run(args),
         Command::Evaluate(args) => evaluate::run(args),
         Command::Simulate(args) => simulate::run(args),
+        Command::TwoView(args) => twoview::run(args),
         Command::Send(args) => command::run(args),
     }
 }

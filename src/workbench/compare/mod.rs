@@ -1,0 +1,1 @@
+//! Detectors and matchers compared on pairs of pictures.
