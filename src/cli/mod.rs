@@ -1,6 +1,7 @@
 //! One file a subcommand: `Args` (clap) and `run(&Args) -> Result<ExitCode, CliError>`. Results on stdout, all else on stderr.
 
 pub mod command;
+pub mod compare;
 pub mod demo;
 pub mod endpoint_args;
 pub mod evaluate;
@@ -72,6 +73,7 @@ enum Command {
     Simulate(simulate::SimulateArgs),
     #[command(name = "twoview")]
     TwoView(twoview::TwoViewArgs),
+    Compare(compare::CompareArgs),
     #[command(name = "command")]
     Send(command::CommandArgs),
 }
@@ -86,6 +88,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode, CliError> {
         Command::Evaluate(args) => evaluate::run(args),
         Command::Simulate(args) => simulate::run(args),
         Command::TwoView(args) => twoview::run(args),
+        Command::Compare(args) => compare::run(args),
         Command::Send(args) => command::run(args),
     }
 }

@@ -1,5 +1,7 @@
 //! `cairn twoview`: two pictures to a 3D plot, each step visible.
 
+mod drawing;
+
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -61,7 +63,8 @@ pub struct MethodArgs {
     pub seed: u64,
 }
 
-fn positive_px(text: &str) -> Result<f64, String> {
+/// Pixels that make sense as a standard deviation.
+pub fn positive_px(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(v) if (0.05..=20.0).contains(&v) => Ok(v),
         _ => Err("must be a number of pixels from 0.05 to 20".into()),
@@ -134,7 +137,7 @@ pub fn run(args: &TwoViewArgs) -> Result<ExitCode, CliError> {
     let options = args.method.options();
     let result = reconstruct(&first.grey, &second.grey, cameras.as_ref(), &options);
     print(&text(&result, &options, cameras.as_ref()))?;
-    write_files(args, &result, &options, [&first, &second])?;
+    write_files(args, &result, &options, [&first, &second], cameras.as_ref())?;
     Ok(if result.outcome.is_success() { ExitCode::SUCCESS } else { ExitCode::from(exit_code::NO_MODEL) })
 }
 
@@ -143,6 +146,7 @@ fn write_files(
     result: &TwoView,
     options: &Options,
     pictures: [&Picture; 2],
+    cameras: Option<&Cameras>,
 ) -> Result<(), CliError> {
     let cannot = |e: String| CliError::new(exit_code::CANNOT_CREATE, e);
     let names = pictures.map(|p| p.path.display().to_string());
@@ -154,7 +158,7 @@ fn write_files(
         report::write_ply(&args.output.join("points.ply"), &points, &solution.second_from_first)
             .map_err(|e| cannot(e.to_string()))?;
     }
-    Ok(())
+    drawing::write(&args.output, result, pictures, cameras).map_err(|e| cannot(e.to_string()))
 }
 
 /// The steps' numbers for a person.

@@ -55,6 +55,13 @@ pub struct Pair {
     pub size_px: [f64; 2],
 }
 
+impl Pair {
+    /// A match that came from elsewhere, of the picture's own scale.
+    pub fn given(index: usize, a: Vector2<f64>, b: Vector2<f64>) -> Self {
+        Self { a, b, first: index, second: Some(index), distance: 0.0, size_px: [1.0; 2] }
+    }
+}
+
 /// What of the matching can be chosen.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Matching {
