@@ -30,8 +30,10 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
     // What comes out.
     ("trajectory", &["atomic_file", "geometry", "map", "reconstruction"]),
     ("evaluation", &["atomic_file", "geometry", "plot", "trajectory"]),
-    ("plot", &["atomic_file", "evaluation", "geometry", "map", "reconstruction", "trajectory"]),
+    ("plot", &["atomic_file", "evaluation", "geometry", "image", "map", "reconstruction", "trajectory"]),
     ("publish", &["frame", "geometry", "image", "map", "messages", "reconstruction"]),
+    // The method on two pictures: what `features` and `geometry` can do, on files, outside the daemon. Nobody but `cli` knows it.
+    ("workbench", &["atomic_file", "calibration", "camera", "features", "frame", "geometry", "image", "trajectory"]),
     // What holds it together.
     ("config", &["camera", "features", "geometry", "publish", "reconstruction", "telemetry"]),
     (
@@ -74,6 +76,7 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
             "reconstruction",
             "telemetry",
             "trajectory",
+            "workbench",
         ],
     ),
 ];

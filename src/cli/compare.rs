@@ -55,6 +55,9 @@ pub struct CompareArgs {
     /// Seed of everything random
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
+    /// Score the best motion found even where it is no better than chance, as programs that always answer do
+    #[arg(long)]
+    pub always_answer: bool,
 }
 
 /// Runs the command.
@@ -81,6 +84,7 @@ pub fn run(args: &CompareArgs) -> Result<ExitCode, CliError> {
         sigma_px: args.sigma,
         guided: args.guided,
         seed: args.seed,
+        always_answer: args.always_answer,
     };
     let count = tasks.len();
     let result = compare(&tasks, &plan, |index, task| eprintln!("{} of {count}: {}", index + 1, task.name))

@@ -16,6 +16,10 @@ use crate::workbench::{
 };
 
 /// Two pictures to corners, matches, epipolar geometry, relative pose and points, each step in the open
+///
+/// Prints each step's numbers and writes corners_a.png, corners_b.png, matches.png, epipolar.png, twoview.json, and with a camera
+/// points.ply and scene.png. Without a camera it stops after F. Exit code 3: the pictures give no model or no pose; which of
+/// the reasons it was stands on the last line and as outcome in twoview.json.
 #[derive(Debug, Clone, clap::Args)]
 pub struct TwoViewArgs {
     /// First picture: JPEG, PNG, PGM or PPM
@@ -24,7 +28,7 @@ pub struct TwoViewArgs {
     /// Second picture
     #[arg(value_name = "B")]
     pub second: PathBuf,
-    /// Calibration of the camera
+    /// Calibration of the camera: a TOML of ours, a YAML of OpenCV, ROS, Kalibr or EuRoC, or the nine numbers of K as text
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
     /// Calibration of the second picture's camera, where it is another one
@@ -84,6 +88,7 @@ impl MethodArgs {
             sigma_px: self.sigma,
             guided: self.guided,
             seed: self.seed,
+            always_answer: false,
         }
     }
 }
@@ -99,24 +104,38 @@ pub fn picture_error(error: &PictureError) -> CliError {
 
 /// A calibration that fits the picture.
 fn load_camera(path: &Path, picture: &Picture) -> Result<CameraModel, CliError> {
+    let (width, height) = (picture.grey.width as u32, picture.grey.height as u32);
+    let config = |message: String| CliError::new(exit_code::CONFIG, message);
+    if let Some([fx, _, cx, _, fy, cy, ..]) = plain_matrix(path) {
+        return CameraModel::new(width, height, fx, fy, cx, cy, [0.0; 5])
+            .map_err(|e| config(format!("{}: {e}", path.display())));
+    }
     let camera = calibration::load_camera(path).map_err(|e| {
         let code = if path.exists() { exit_code::CONFIG } else { exit_code::NO_INPUT };
         CliError::new(code, e.to_string())
     })?;
-    let size = (picture.grey.width, picture.grey.height);
-    if (camera.width as usize, camera.height as usize) != size {
-        let message = format!(
-            "{}: is for pictures of {}x{} px, but {} has {}x{} px",
+    if (camera.width, camera.height) != (width, height) {
+        return Err(config(format!(
+            "{}: is for pictures of {}x{} px, but {} has {width}x{height} px",
             path.display(),
             camera.width,
             camera.height,
             picture.path.display(),
-            size.0,
-            size.1
-        );
-        return Err(CliError::new(exit_code::CONFIG, message));
+        )));
     }
     Ok(camera)
+}
+
+/// A text of nine numbers and nothing else is K, row by row, of the picture as it is.
+fn plain_matrix(path: &Path) -> Option<[f64; 9]> {
+    const LONGEST: u64 = 1000;
+    if !path.is_file() || std::fs::metadata(path).ok()?.len() > LONGEST {
+        return None;
+    }
+    let text = std::fs::read_to_string(path).ok()?;
+    let numbers: Vec<f64> = text.split_whitespace().map(|n| n.parse().ok()).collect::<Option<_>>()?;
+    let k: [f64; 9] = numbers.try_into().ok()?;
+    Some(k.map(|v| v / k[8]))
 }
 
 /// Runs the command.

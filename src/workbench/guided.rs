@@ -11,6 +11,8 @@ use nalgebra::{Matrix3, Vector2};
 
 use super::detect::Corners;
 use super::pairing::Pair;
+use crate::features::Corner;
+use crate::features::correlation::{CorrelationMatching, EpipolarCorrelator, EpipolarSearch};
 
 /// How a guided match is judged.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -87,4 +89,38 @@ pub fn match_along_lines(
         }
     }
     pairs
+}
+
+/// Matches by correlation along epipolar lines, of the first picture's corners at its own scale. `fundamental`: of the
+/// pictures' own pixels.
+pub fn correlate_along_lines(
+    corners: [&Corners; 2],
+    fundamental: &Matrix3<f64>,
+    rule: &CorrelationMatching,
+) -> Vec<Pair> {
+    let [Some(first), Some(second)] = corners.map(|c| c.scales.first()) else { return Vec::new() };
+    let Ok(mut correlator) = EpipolarCorrelator::new(*rule, EpipolarSearch::default()) else { return Vec::new() };
+    let (of, places): (Vec<usize>, Vec<Corner>) = corners[0]
+        .keypoints
+        .iter()
+        .enumerate()
+        .filter(|(_, k)| k.scale == 0)
+        .map(|(i, k)| (i, Corner { x: k.position.x as f32, y: k.position.y as f32, response: k.response }))
+        .unzip();
+    let mut found = Vec::new();
+    correlator.match_lines(&first.image, &second.image, fundamental, &places, &mut found);
+    found
+        .iter()
+        .map(|m| {
+            let i = of[m.first as usize];
+            Pair {
+                a: corners[0].keypoints[i].position,
+                b: m.position.cast::<f64>(),
+                first: i,
+                second: None,
+                distance: f64::from(m.distance),
+                size_px: [1.0; 2],
+            }
+        })
+        .collect()
 }

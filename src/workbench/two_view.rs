@@ -15,18 +15,24 @@ use nalgebra::{Matrix3, Vector2};
 
 use super::adjustment::Observation;
 use super::detect::{Corners, Detection, detect};
-use super::guided::{Guidance, match_along_lines};
-use super::pairing::{Matching, Pair, pair_corners};
-use super::pose::{LINE_SIGMAS, PoseInput, PoseSteps, median, pose_steps};
+use super::guided::{Guidance, correlate_along_lines, match_along_lines};
+use super::pairing::{Matcher, Matching, Pair, align_pairs, pair_corners};
+use super::pose::{LINE_SIGMAS, PoseInput, PoseSteps, median, noise, pose_steps};
 use crate::geometry::camera_model::CameraModel;
 use crate::geometry::epipolar::sampson_squared;
-use crate::geometry::fundamental::{Degeneracy, FundamentalEstimate, estimate_fundamental};
+use crate::geometry::fundamental::{Degeneracy, FundamentalEstimate, estimate_fundamental, refine_fundamental};
+use crate::geometry::least_squares::{LmOptions, Loss};
+use crate::geometry::point_set::Conditioning;
 use crate::geometry::ransac::RansacOptions;
 use crate::geometry::two_view::TwoViewFailure;
 use crate::image::GreyImage;
 
 /// Fewer matches are not tried: seven make an F, and one that nothing confirms.
 pub const MIN_MATCHES: usize = 8;
+/// No corner is placed better than this, pixels.
+const MIN_NOISE_PX: f64 = 0.1;
+/// Once the noise is known, an inlier lies within so many sigma of it.
+const INLIER_SIGMAS: f64 = 3.5;
 
 /// What can be chosen.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -38,6 +44,8 @@ pub struct Options {
     /// Match again along the epipolar lines.
     pub guided: bool,
     pub seed: u64,
+    /// Give the best motion found even where nothing makes it stand out from chance; the outcome stays what it is.
+    pub always_answer: bool,
 }
 
 /// The cameras of both pictures.
@@ -129,6 +137,8 @@ pub struct Epipolar {
     pub residuals_px: Vec<f64>,
     /// Median over the inliers, pixels.
     pub median_px: f64,
+    /// One sigma of the noise that the inliers show, pixels.
+    pub noise_px: f64,
 }
 
 /// Everything that came out.
@@ -300,8 +310,18 @@ impl Chain {
             corners.keypoints.iter().map(|k| place(&k.position)).collect()
         };
         let ideal = [places(&out.corners[0], cameras.map(|c| &c.a)), places(&out.corners[1], cameras.map(|c| &c.b))];
+        let both = [&out.corners[0], &out.corners[1]];
         let rule = Guidance { band_px: 2.0 * LINE_SIGMAS * options.sigma_px, ..Guidance::default() };
-        let found = match_along_lines([&out.corners[0], &out.corners[1]], [&ideal[0], &ideal[1]], &f, &rule);
+        let mut found = match options.matching.matcher {
+            Matcher::Descriptors => match_along_lines(both, [&ideal[0], &ideal[1]], &f, &rule),
+            _ => Vec::new(),
+        };
+        align_pairs(both[0], both[1], &mut found);
+        // A lens bends the lines; correlation follows straight ones.
+        let straight = |c: &Cameras| c.a.distortion == [0.0; 5] && c.b.distortion == [0.0; 5];
+        if cameras.is_none_or(straight) {
+            found.extend(correlate_along_lines(both, &f, &options.matching.correlation));
+        }
         // A corner that has a match keeps it unless that is no inlier.
         let inliers = out.inliers();
         let taken = |used: fn(&Pair) -> Option<usize>, count: usize| {
@@ -315,10 +335,15 @@ impl Chain {
         };
         let first = taken(|p| Some(p.first), ideal[0].len());
         let second = taken(|p| p.second, ideal[1].len());
-        let more = found.into_iter().filter(|p| !first[p.first] && p.second.is_none_or(|j| !second[j]));
-        let known: std::collections::BTreeSet<(usize, Option<usize>)> =
-            out.pairs.iter().map(|p| (p.first, p.second)).collect();
-        let more: Vec<Pair> = more.filter(|p| !known.contains(&(p.first, p.second))).collect();
+        let mut first = first;
+        let mut more = Vec::new();
+        for pair in found {
+            let free = !first[pair.first] && pair.second.is_none_or(|j| !second[j]);
+            if free && !out.pairs.iter().any(|p| p.first == pair.first && p.second == pair.second) {
+                first[pair.first] = true;
+                more.push(pair);
+            }
+        }
         let before = (out.pairs.clone(), out.ideal.clone(), out.epipolar.clone());
         out.pairs.extend(more);
         out.keep_undistortable(cameras);
@@ -331,16 +356,60 @@ impl Chain {
     }
 }
 
-/// F of the matches in `ideal` pixels.
+/// F of the matches in `ideal` pixels. The search runs with the noise that was asked for; the last refinement with the noise
+/// that the inliers show, so that what is a little off does not pull on what is exact.
 fn epipolar(out: &TwoView, options: &Options) -> Option<Epipolar> {
     let (u1, u2): (Vec<_>, Vec<_>) = out.ideal.iter().map(|[a, b]| (*a, *b)).unzip();
-    let ransac = RansacOptions { seed: options.seed, ..RansacOptions::thorough(LINE_SIGMAS * options.sigma_px) };
-    let estimate = estimate_fundamental(&u1, &u2, &ransac)?;
-    let residuals_px: Vec<f64> =
-        u1.iter().zip(&u2).map(|(a, b)| sampson_squared(&estimate.fundamental, a, b).sqrt()).collect();
+    let threshold = LINE_SIGMAS * options.sigma_px;
+    let ransac = RansacOptions { seed: options.seed, ..RansacOptions::thorough(threshold) };
+    let mut estimate = estimate_fundamental(&u1, &u2, &ransac)?;
+    let distances =
+        |f: &Matrix3<f64>| -> Vec<f64> { u1.iter().zip(&u2).map(|(a, b)| sampson_squared(f, a, b).sqrt()).collect() };
+    let mut residuals_px = distances(&estimate.fundamental);
+    let mut noise_px = noise(residuals_px.iter().zip(&estimate.inliers).filter(|(_, i)| **i).map(|(r, _)| *r));
+    for _ in 0..2 {
+        let sigma = noise_px.clamp(MIN_NOISE_PX, options.sigma_px);
+        let Some(better) = refined(&estimate.fundamental, &u1, &u2, &residuals_px, sigma) else { break };
+        let limit = threshold.min(INLIER_SIGMAS * sigma);
+        let moved = distances(&better);
+        let inliers: Vec<bool> = moved.iter().map(|r| *r <= limit).collect();
+        let count = inliers.iter().filter(|i| **i).count();
+        // A refinement that loses what the search had found went astray.
+        if 2 * count < estimate.inlier_count {
+            break;
+        }
+        noise_px = noise(moved.iter().zip(&inliers).filter(|(_, i)| **i).map(|(r, _)| *r));
+        (estimate.fundamental, estimate.inliers, estimate.inlier_count) = (better, inliers, count);
+        residuals_px = moved;
+    }
     let mut of_inliers: Vec<f64> =
         residuals_px.iter().zip(&estimate.inliers).filter(|(_, i)| **i).map(|(r, _)| *r).collect();
-    Some(Epipolar { median_px: median(&mut of_inliers), estimate, residuals_px })
+    Some(Epipolar { median_px: median(&mut of_inliers), noise_px, estimate, residuals_px })
+}
+
+/// F of least distance over what is within three sigma of `start`.
+fn refined(
+    start: &Matrix3<f64>,
+    u1: &[Vector2<f64>],
+    u2: &[Vector2<f64>],
+    residuals_px: &[f64],
+    sigma_px: f64,
+) -> Option<Matrix3<f64>> {
+    let conditioning = Conditioning::of(u1, u2)?;
+    let (to_first, to_second) = (conditioning.matrix1(), conditioning.matrix2());
+    let conditioned = to_second.try_inverse()?.transpose() * start * to_first.try_inverse()?;
+    let near: Vec<(Vector2<f64>, Vector2<f64>)> = (0..u1.len())
+        .filter(|i| residuals_px[*i] <= INLIER_SIGMAS * sigma_px)
+        .map(|i| (conditioning.first(&u1[i]), conditioning.second(&u2[i])))
+        .collect();
+    if near.len() < MIN_MATCHES {
+        return None;
+    }
+    let loss = Loss::Cauchy(2.0 * sigma_px * conditioning.scale);
+    let better = refine_fundamental(&conditioned, near.iter().copied(), loss, &LmOptions::default())?;
+    let f = to_second.transpose() * better * to_first;
+    let norm = f.norm();
+    (norm > 0.0 && norm.is_finite()).then(|| f / norm)
 }
 
 fn pose(out: &TwoView, cameras: &Cameras, options: &Options) -> PoseSteps {
@@ -363,6 +432,7 @@ fn pose(out: &TwoView, cameras: &Cameras, options: &Options) -> PoseSteps {
         fundamental: fundamental.as_ref(),
         sigma_px: options.sigma_px,
         seed: options.seed,
+        always_answer: options.always_answer,
     })
 }
 

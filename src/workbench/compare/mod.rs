@@ -33,6 +33,8 @@ pub struct Plan {
     pub sigma_px: f64,
     pub guided: bool,
     pub seed: u64,
+    /// As a program that always answers would: the best motion found, even where it is no better than chance.
+    pub always_answer: bool,
 }
 
 /// One way over all pairs. Medians are over the pairs that the figure exists for; errors count a pair without a pose as 180
@@ -79,6 +81,7 @@ impl Plan {
             sigma_px: self.sigma_px,
             guided: self.guided,
             seed: self.seed,
+            always_answer: self.always_answer,
         }
     }
 }
