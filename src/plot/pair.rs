@@ -121,7 +121,7 @@ pub fn write_links(path: &Path, pictures: [&GreyImage; 2], links: &[Link], headi
         for link in links.iter().filter(|l| l.inlier == inliers) {
             let ends = [sheet.place(0, &link.a), sheet.place(1, &link.b)];
             let (width, colour, opacity) =
-                if inliers { (1.6, palette::MATCH, opacity) } else { (0.7, palette::OUTLIER, 0.22) };
+                if inliers { (1.6, palette::MATCH, opacity) } else { (0.9, palette::OUTLIER, 0.45) };
             sheet.canvas.line(&ends, width, colour, opacity, None);
         }
     }

@@ -51,8 +51,8 @@ impl Projection {
         let centre = Vector3::from_fn(|k, _| ranges[k].centre());
         let radius = 0.5 * Vector3::from_fn(|k, _| ranges[k].width()).norm();
         // Onto axes right, down, away from the eye.
-        let turn = Rotation3::from_axis_angle(&Vector3::x_axis(), -ELEVATION)
-            * Rotation3::from_axis_angle(&Vector3::y_axis(), AZIMUTH);
+        let turn = Rotation3::from_axis_angle(&Vector3::x_axis(), ELEVATION)
+            * Rotation3::from_axis_angle(&Vector3::y_axis(), -AZIMUTH);
         let mut projection = Self { centre, radius, turn, scale: 1.0, middle: Vector2::zeros() };
         // The corners of the box fill the sheet.
         let corners: Vec<Vector2<f64>> = (0..8)

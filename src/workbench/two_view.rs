@@ -304,7 +304,12 @@ impl Chain {
 
     /// The guided round.
     fn guide(&mut self, out: &mut TwoView, cameras: Option<&Cameras>, options: &Options) {
-        let Some(f) = out.epipolar.as_ref().map(|e| e.estimate.fundamental) else { return };
+        let Some(estimate) = out.epipolar.as_ref().map(|e| &e.estimate) else { return };
+        // Lines that the matches left open would be confirmed by whatever was found along them.
+        if matches!(estimate.degeneracy, Degeneracy::Plane { .. } | Degeneracy::PureRotation { .. }) {
+            return;
+        }
+        let f = estimate.fundamental;
         let places = |corners: &Corners, camera: Option<&CameraModel>| -> Vec<Option<Vector2<f64>>> {
             let place = |p: &Vector2<f64>| camera.map_or(Some(*p), |c| ideal_pixel(c, p));
             corners.keypoints.iter().map(|k| place(&k.position)).collect()

@@ -51,8 +51,9 @@ pub struct Score {
     pub direction_error_deg: Option<f64>,
     /// Median Sampson distance of the annotated points from F, pixels.
     pub annotated_px: Option<f64>,
-    /// Largest angle of an epipolar line of an inlier with the rows, degrees; rectified pairs only.
+    /// Angle of the inliers' epipolar lines with the rows, degrees: median and largest; rectified pairs only.
     pub row_angle_deg: Option<f64>,
+    pub largest_row_angle_deg: Option<f64>,
     pub corners_ms: f64,
     pub matching_ms: f64,
     pub total_ms: f64,
@@ -71,6 +72,7 @@ pub fn score(task: &Task, way: Option<(Detector, Matcher)>, result: &TwoView, si
         (rotation, s.second_from_first.translation.angle(&t.translation).to_degrees())
     });
     let fundamental = result.epipolar.as_ref().map(|e| e.estimate.fundamental);
+    let row_angles = fundamental.filter(|_| truth.rectified).map(|f| row_angles_deg(&f, result, &inliers));
     let time = |step: &str| result.times.iter().filter(|(name, _)| *name == step).map(|(_, ms)| ms).sum();
     Score {
         pair: task.name.clone(),
@@ -95,7 +97,8 @@ pub fn score(task: &Task, way: Option<(Detector, Matcher)>, result: &TwoView, si
                 truth.annotated.iter().map(|[a, b]| sampson_squared(&f, a, b).sqrt()).collect();
             median(&mut distances)
         }),
-        row_angle_deg: fundamental.filter(|_| truth.rectified).map(|f| row_angle_deg(&f, result, &inliers)),
+        row_angle_deg: row_angles.map(|a| a.0),
+        largest_row_angle_deg: row_angles.map(|a| a.1),
         corners_ms: time("corners"),
         matching_ms: time("matches"),
         total_ms: result.total_ms(),
@@ -120,16 +123,17 @@ fn correct_matches(task: &Task, result: &TwoView) -> Option<Vec<bool>> {
     Some(result.ideal.iter().map(|[a, b]| near(sampson_squared(&f, a, b).sqrt())).collect())
 }
 
-/// Largest angle of the inliers' epipolar lines, in either picture, with the rows; degrees.
-fn row_angle_deg(f: &Matrix3<f64>, result: &TwoView, inliers: &[bool]) -> f64 {
-    let mut largest = 0.0f64;
+/// Angles of the inliers' epipolar lines, in either picture, with the rows, degrees: (median, largest).
+fn row_angles_deg(f: &Matrix3<f64>, result: &TwoView, inliers: &[bool]) -> (f64, f64) {
+    let mut angles = Vec::new();
     for ([a, b], _) in result.ideal.iter().zip(inliers).filter(|(_, i)| **i) {
         for line in [f * a.push(1.0), f.tr_mul(&b.push(1.0))] {
             // The line a x + b y + c = 0 runs along (b, -a).
-            largest = largest.max(line.x.abs().atan2(line.y.abs()).to_degrees());
+            angles.push(line.x.abs().atan2(line.y.abs()).to_degrees());
         }
     }
-    largest
+    let largest = angles.iter().copied().fold(0.0, f64::max);
+    (median(&mut angles), largest)
 }
 
 /// See the module. `None` when the homography has no inverse or the pictures share nothing.
