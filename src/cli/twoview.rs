@@ -9,8 +9,11 @@ use super::session::print;
 use super::{CliError, exit_code};
 use crate::calibration;
 use crate::geometry::CameraModel;
+use crate::workbench::compare::pairs::listed;
+use crate::workbench::pairing::Pair;
 use crate::workbench::pose::{CANDIDATES, FourMotions};
 use crate::workbench::report;
+use crate::workbench::two_view::reconstruct_from_pairs;
 use crate::workbench::{
     Cameras, Detection, Detector, Matcher, Matching, Options, Picture, PictureError, TwoView, reconstruct,
 };
@@ -37,6 +40,9 @@ pub struct TwoViewArgs {
     /// Folder for pictures, twoview.json and points.ply; made if it is not there
     #[arg(long, value_name = "DIR")]
     pub output: PathBuf,
+    /// Take the matches from a text, "xa ya xb yb" or "xa ya 1 xb yb 1" a line, instead of finding corners
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["detector", "matcher", "scales", "corners", "guided"])]
+    pub matches: Option<PathBuf>,
     #[command(flatten)]
     pub method: MethodArgs,
 }
@@ -154,7 +160,17 @@ pub fn run(args: &TwoViewArgs) -> Result<ExitCode, CliError> {
         CliError::new(exit_code::CANNOT_CREATE, format!("cannot make the folder {}: {e}", args.output.display()))
     })?;
     let options = args.method.options();
-    let result = reconstruct(&first.grey, &second.grey, cameras.as_ref(), &options);
+    let result = match &args.matches {
+        None => reconstruct(&first.grey, &second.grey, cameras.as_ref(), &options),
+        Some(path) => {
+            let listed = listed(path).map_err(|e| {
+                let code = if path.exists() { exit_code::DATA } else { exit_code::NO_INPUT };
+                CliError::new(code, e.to_string())
+            })?;
+            let pairs = listed.iter().enumerate().map(|(i, [a, b])| Pair::given(i, *a, *b)).collect();
+            reconstruct_from_pairs(pairs, cameras.as_ref(), &options)
+        }
+    };
     print(&text(&result, &options, cameras.as_ref()))?;
     write_files(args, &result, &options, [&first, &second], cameras.as_ref())?;
     Ok(if result.outcome.is_success() { ExitCode::SUCCESS } else { ExitCode::from(exit_code::NO_MODEL) })

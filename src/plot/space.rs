@@ -133,7 +133,7 @@ pub fn write_space(
     let mut shown: Vec<&Vector3<f64>> = points.iter().filter(|p| inside(p)).collect();
     // Far ones first, so that near ones cover them.
     shown.sort_by(|a, b| projection.depth(b).total_cmp(&projection.depth(a)));
-    let radius = (60.0 / (shown.len() as f32 + 1.0).sqrt()).clamp(2.6, 5.0);
+    let radius = (60.0 / (shown.len() as f32 + 1.0).sqrt()).clamp(3.4, 6.0);
     for p in &shown {
         let near = (0.5 - 0.5 * projection.depth(p)) as f32;
         let at = projection.place(p);

@@ -157,8 +157,11 @@ pub fn pose_steps(input: &PoseInput) -> PoseSteps {
 /// The motion that fits best, however badly. No better than chance where the judge found nothing: only for comparisons with
 /// programs that always answer.
 fn guess(input: &PoseInput, options: &EssentialOptions) -> Option<Se3<Second, First>> {
-    let ransac = RansacOptions { max_log10_false_alarms: f64::INFINITY, ..options.ransac };
-    estimate_essential(input.x1, input.x2, &EssentialOptions { ransac, ..*options }).map(|e| e.second_from_first)
+    [1.0, 2.0, 4.0].iter().find_map(|wider| {
+        let threshold = wider * options.ransac.threshold;
+        let ransac = RansacOptions { max_log10_false_alarms: f64::INFINITY, threshold, ..options.ransac };
+        estimate_essential(input.x1, input.x2, &EssentialOptions { ransac, ..*options }).map(|e| e.second_from_first)
+    })
 }
 
 /// K of a camera.

@@ -353,9 +353,12 @@ impl Chain {
         out.pairs.extend(more);
         out.keep_undistortable(cameras);
         out.epipolar = epipolar(out, options);
-        let count = |e: &Option<Epipolar>| e.as_ref().map_or(0, |e| e.estimate.inlier_count);
-        if count(&out.epipolar) < count(&before.2) {
-            (out.pairs, out.ideal, out.epipolar) = before;
+        match (&mut out.epipolar, &before.2) {
+            // What was looked for along lines is no evidence for them: the chance stays that of the first matching.
+            (Some(now), Some(first)) if now.estimate.inlier_count >= first.estimate.inlier_count => {
+                now.estimate.log10_false_alarms = first.estimate.log10_false_alarms;
+            }
+            _ => (out.pairs, out.ideal, out.epipolar) = before,
         }
         self.done("guided matches");
     }
