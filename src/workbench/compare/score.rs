@@ -51,7 +51,9 @@ pub struct Score {
     pub direction_error_deg: Option<f64>,
     /// Median Sampson distance of the annotated points from F, pixels.
     pub annotated_px: Option<f64>,
-    /// Angle of the inliers' epipolar lines with the rows, degrees: median and largest; rectified pairs only.
+    /// Angle of the inliers' epipolar lines with the rows, degrees; rectified pairs only: tilt of the whole bundle (median of
+    /// the signed angles), median and largest of each line's.
+    pub row_tilt_deg: Option<f64>,
     pub row_angle_deg: Option<f64>,
     pub largest_row_angle_deg: Option<f64>,
     pub corners_ms: f64,
@@ -97,8 +99,9 @@ pub fn score(task: &Task, way: Option<(Detector, Matcher)>, result: &TwoView, si
                 truth.annotated.iter().map(|[a, b]| sampson_squared(&f, a, b).sqrt()).collect();
             median(&mut distances)
         }),
-        row_angle_deg: row_angles.map(|a| a.0),
-        largest_row_angle_deg: row_angles.map(|a| a.1),
+        row_tilt_deg: row_angles.map(|a| a[0]),
+        row_angle_deg: row_angles.map(|a| a[1]),
+        largest_row_angle_deg: row_angles.map(|a| a[2]),
         corners_ms: time("corners"),
         matching_ms: time("matches"),
         total_ms: result.total_ms(),
@@ -123,17 +126,18 @@ fn correct_matches(task: &Task, result: &TwoView) -> Option<Vec<bool>> {
     Some(result.ideal.iter().map(|[a, b]| near(sampson_squared(&f, a, b).sqrt())).collect())
 }
 
-/// Angles of the inliers' epipolar lines, in either picture, with the rows, degrees: (median, largest).
-fn row_angles_deg(f: &Matrix3<f64>, result: &TwoView, inliers: &[bool]) -> (f64, f64) {
-    let mut angles = Vec::new();
+/// Angles of the inliers' epipolar lines, in either picture, with the rows, degrees: tilt (not negative), median, largest.
+fn row_angles_deg(f: &Matrix3<f64>, result: &TwoView, inliers: &[bool]) -> [f64; 3] {
+    let mut signed = Vec::new();
     for ([a, b], _) in result.ideal.iter().zip(inliers).filter(|(_, i)| **i) {
         for line in [f * a.push(1.0), f.tr_mul(&b.push(1.0))] {
-            // The line a x + b y + c = 0 runs along (b, -a).
-            angles.push(line.x.abs().atan2(line.y.abs()).to_degrees());
+            // The line a x + b y + c = 0 runs along (b, -a); which of both ways does not matter.
+            signed.push((-line.x * line.y.signum()).atan2(line.y.abs()).to_degrees());
         }
     }
+    let mut angles: Vec<f64> = signed.iter().map(|a| a.abs()).collect();
     let largest = angles.iter().copied().fold(0.0, f64::max);
-    (median(&mut angles), largest)
+    [median(&mut signed).abs(), median(&mut angles), largest]
 }
 
 /// See the module. `None` when the homography has no inverse or the pictures share nothing.

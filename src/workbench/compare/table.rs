@@ -50,7 +50,7 @@ pub fn summary(comparison: &Comparison) -> String {
 /// One row a pair and way.
 pub fn details(comparison: &Comparison) -> String {
     let mut out = String::from(
-        "| pair | detector | matcher | corners | repeatability % | matches | correct | inliers | outcome | rotation ° | direction ° | annotated px | row angle ° | ms |\n\
+        "| pair | detector | matcher | corners | repeatability % | matches | correct | inliers | outcome | rotation ° | direction ° | annotated px | tilt, row angle ° | ms |\n\
          |---|---|---|---:|---:|---:|---:|---:|---|---:|---:|---:|---:|---:|\n",
     );
     for s in &comparison.scores {
@@ -68,7 +68,7 @@ pub fn details(comparison: &Comparison) -> String {
             figure(s.rotation_error_deg, 2),
             figure(s.direction_error_deg, 2),
             figure(s.annotated_px, 2),
-            figure(s.row_angle_deg, 3),
+            s.row_tilt_deg.zip(s.row_angle_deg).map_or("–".into(), |(t, a)| format!("{t:.3}, {a:.3}")),
             s.total_ms,
         );
     }
