@@ -1,8 +1,9 @@
 //! Pictures, as PNG: what a run mapped, how it compares with the truth, what two pictures gave, and charts.
 //!
-//! Input: a map and a trajectory, an evaluation's outcome, or a pair's corners, matches, lines and points. Output: one PNG, whole or not at all. Equal lengths are equal in
-//! every view of space. Text is DejaVu Sans from inside the binary: no system font or graphics library is needed. The same
-//! input gives the same bytes. Cost: 50-150 ms and 10 MB a picture, at the end of a run only.
+//! Input: a map and a trajectory, an evaluation's outcome, or a pair's corners, matches, lines and points. Output: one PNG, whole
+//! or not at all. Equal lengths are equal in every orthogonal view of space. Text is DejaVu Sans from inside the binary: no system
+//! font or graphics library is needed. The same input gives the same bytes. Cost: 50-150 ms and 10 MB a picture, at the end of a
+//! run only.
 //!
 //! Deliberately not here: live views, interaction.
 

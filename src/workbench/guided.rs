@@ -2,10 +2,13 @@
 //! the only one along a line.
 //!
 //! Input: the corners of both pictures, where they are without the lens's distortion, and F of those places. Output: pairs
-//! whose second corner lies within a band of the first one's epipolar line, mutual nearest by their descriptors among
-//! those, with the ratio test among those. Cost: n m line distances, a descriptor comparison for the few within the band.
+//! - whose second corner lies within a band of the first one's epipolar line, mutual nearest by their descriptors among those,
+//!   with the ratio test among those ([`match_along_lines`]);
+//! - or whose second place, a corner or not, has the patch that correlates best along the line ([`correlate_along_lines`]: the
+//!   study's way).
 //!
-//! Deliberately not here: dense matching, correlation (`features::correlation`).
+//! Cost: n m line distances and a descriptor comparison for the few within the band; 40 us a corner for the correlation.
+//! Deliberately not here: estimating F again (`super::two_view`), lines that a lens bends.
 
 use nalgebra::{Matrix3, Vector2};
 

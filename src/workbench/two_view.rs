@@ -462,3 +462,6 @@ fn outcome_of(steps: &PoseSteps, matches: usize) -> Outcome {
         Err(other) => Outcome::NoPose { reason: other.to_string() },
     }
 }
+
+#[cfg(test)]
+mod tests;
