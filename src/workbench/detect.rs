@@ -28,7 +28,9 @@ const CELL_PX: usize = 32;
 /// Half the window that a corner is refined in, pixels of a scale.
 const REFINE_RADIUS: i32 = 3;
 /// A refined corner farther than this from where it was found is left there, pixels of a scale.
-const MAX_REFINE_PX: f64 = 1.5;
+const MAX_REFINE_PX: f64 = 2.5;
+/// The window moves along with the corner so often.
+const REFINE_ROUNDS: usize = 3;
 
 /// Which corner detector.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, clap::ValueEnum, serde::Serialize)]
@@ -206,9 +208,26 @@ fn strongest(corners: Vec<Corner>, image: &GreyImage, count: usize) -> Vec<Corne
     kept
 }
 
-/// The point that the gradients' lines around a corner pass nearest to: `sum w g gᵀ (x - p) = 0`. `None` where they do
-/// not meet (an edge), too far away or too near the picture's border.
+/// Moves a corner to where the gradients' lines around it meet; `None` where they do not, or too far away.
 fn refine(image: &GreyImage, start: Vector2<f64>) -> Option<Vector2<f64>> {
+    let mut at = start;
+    for _ in 0..REFINE_ROUNDS {
+        let next = meeting_point(image, at)?;
+        if !((next - start).norm() <= MAX_REFINE_PX) {
+            return None;
+        }
+        let moved = next.map(f64::round) != at.map(f64::round);
+        at = next;
+        if !moved {
+            break;
+        }
+    }
+    Some(at)
+}
+
+/// The point that the gradients' lines around a pixel pass nearest to: `sum w g gᵀ (x - p) = 0`. `None` where they do not
+/// meet (an edge), or too near the picture's border.
+fn meeting_point(image: &GreyImage, start: Vector2<f64>) -> Option<Vector2<f64>> {
     let (cx, cy) = (start.x.round() as i32, start.y.round() as i32);
     let reach = REFINE_RADIUS + 1;
     if cx < reach || cy < reach || cx + reach >= image.width as i32 || cy + reach >= image.height as i32 {
@@ -231,8 +250,7 @@ fn refine(image: &GreyImage, start: Vector2<f64>) -> Option<Vector2<f64>> {
     if !(determinant > 0.045 * trace * trace) {
         return None;
     }
-    let shift: Vector2<f64> = tensor.try_inverse()? * moment;
-    (shift.norm() <= MAX_REFINE_PX).then(|| Vector2::new(f64::from(cx), f64::from(cy)) + shift)
+    Some(Vector2::new(f64::from(cx), f64::from(cy)) + tensor.try_inverse()? * moment)
 }
 
 #[cfg(test)]
