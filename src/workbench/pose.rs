@@ -232,15 +232,16 @@ fn agreement(input: &PoseInput, motion: &Se3<Second, First>, threshold: f64) -> 
 
 /// Adjusts the motion with most support, twice, because a better motion has other inliers.
 fn solve(input: &PoseInput, motions: &[(&'static str, Se3<Second, First>)], threshold: f64) -> Option<Solution> {
-    let mut best: Option<(&'static str, Se3<Second, First>, Vec<bool>, f64)> = None;
-    for (origin, motion) in motions {
-        let (inliers, support) = agreement(input, motion, threshold);
-        // The judge's motion comes first and stays unless another is clearly better.
-        if best.as_ref().is_none_or(|b| support > 1.02 * b.3) {
-            best = Some((origin, *motion, inliers, support));
+    let tallies: Vec<(Vec<bool>, f64)> = motions.iter().map(|(_, m)| agreement(input, m, threshold)).collect();
+    // The judge's motion comes first and stays unless another is clearly better.
+    let mut best = 0;
+    for k in 1..tallies.len() {
+        if tallies[k].1 > 1.02 * tallies[best].1 {
+            best = k;
         }
     }
-    let (origin, start, mut inliers, _) = best?;
+    let (origin, start) = *motions.get(best)?;
+    let mut inliers = tallies.into_iter().nth(best)?.0;
     let linear = triangulated(input, &start, &inliers);
     let mut motion = start;
     let mut adjusted = None;

@@ -219,7 +219,7 @@ pub fn reconstruct_from_pairs(pairs: Vec<Pair>, cameras: Option<&Cameras>, optio
     };
     out.keep_undistortable(cameras);
     let options = Options { guided: false, ..*options };
-    let outcome = chain.from_matches(&mut out, cameras, &options);
+    let outcome = chain.continue_with_matches(&mut out, cameras, &options);
     out.outcome = outcome;
     out.times = chain.times;
     out
@@ -274,10 +274,10 @@ impl Chain {
         if identical {
             return Outcome::IdenticalPictures;
         }
-        self.from_matches(out, cameras, options)
+        self.continue_with_matches(out, cameras, options)
     }
 
-    fn from_matches(&mut self, out: &mut TwoView, cameras: Option<&Cameras>, options: &Options) -> Outcome {
+    fn continue_with_matches(&mut self, out: &mut TwoView, cameras: Option<&Cameras>, options: &Options) -> Outcome {
         let matches = out.pairs.len();
         if matches < MIN_MATCHES {
             return Outcome::TooFewMatches { matches, needed: MIN_MATCHES };
