@@ -49,6 +49,9 @@
 //!   left the feature thread before reconstruction knows that it is a keyframe.
 //! - A keyframe copies its frame's pyramid (0.4 MB, 30 us, after the pose is published) instead of holding it, so that the pool of
 //!   pyramids never allocates on the path of a pose.
+//! - A room more, [`workbench`]: the method step by step on two pictures from files (`cairn twoview`) and on many pairs with known
+//!   truth (`cairn compare`). It is no stage of the daemon, needs single pictures, calibrations and truth of several kinds, and
+//!   would otherwise put files and clocks into `features` and `geometry`; it knows these two, and only `cli` knows it.
 //!
 //! # Features
 //! `client` (wire types and subscriptions, iceoryx2 only) and `daemon` (default: everything).
@@ -94,3 +97,5 @@ pub mod ring;
 pub mod telemetry;
 #[cfg(feature = "daemon")]
 pub mod trajectory;
+#[cfg(feature = "daemon")]
+pub mod workbench;

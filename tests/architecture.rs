@@ -33,8 +33,10 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
         "evaluation",
         &["atomic_file", "camera", "features", "frame", "geometry", "image", "plot", "reconstruction", "trajectory"],
     ),
-    ("plot", &["atomic_file", "evaluation", "geometry", "map", "reconstruction", "trajectory"]),
+    ("plot", &["atomic_file", "evaluation", "geometry", "image", "map", "reconstruction", "trajectory"]),
     ("publish", &["frame", "geometry", "image", "map", "messages", "reconstruction"]),
+    // The method on two pictures: what `features` and `geometry` can do, on files, outside the daemon. Nobody but `cli` knows it.
+    ("workbench", &["atomic_file", "calibration", "camera", "features", "frame", "geometry", "image", "trajectory"]),
     // What holds it together.
     ("config", &["camera", "features", "geometry", "publish", "reconstruction", "telemetry"]),
     (
@@ -77,6 +79,7 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
             "reconstruction",
             "telemetry",
             "trajectory",
+            "workbench",
         ],
     ),
 ];

@@ -1,6 +1,7 @@
 //! One file a subcommand: `Args` (clap) and `run(&Args) -> Result<ExitCode, CliError>`. Results on stdout, all else on stderr.
 
 pub mod command;
+pub mod compare;
 pub mod demo;
 pub mod endpoint_args;
 pub mod evaluate;
@@ -8,6 +9,7 @@ pub mod replay;
 pub mod run;
 mod session;
 pub mod simulate;
+pub mod twoview;
 pub mod watch;
 
 use std::fmt;
@@ -17,6 +19,8 @@ use std::process::ExitCode;
 pub mod exit_code {
     /// Something failed that no other code names; also a replay in which no frame was tracked.
     pub const FAILURE: u8 = 1;
+    /// The two pictures give no model or no pose: an outcome with a name, on stdout and in `twoview.json`.
+    pub const NO_MODEL: u8 = 3;
     /// The command line is wrong (EX_USAGE).
     pub const USAGE: u8 = 64;
     /// Input data is malformed (EX_DATAERR).
@@ -67,6 +71,9 @@ enum Command {
     Watch(watch::WatchArgs),
     Evaluate(evaluate::EvaluateArgs),
     Simulate(simulate::SimulateArgs),
+    #[command(name = "twoview")]
+    TwoView(twoview::TwoViewArgs),
+    Compare(compare::CompareArgs),
     #[command(name = "command")]
     Send(command::CommandArgs),
 }
@@ -80,6 +87,8 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode, CliError> {
         Command::Watch(args) => watch::run(args),
         Command::Evaluate(args) => evaluate::run(args),
         Command::Simulate(args) => simulate::run(args),
+        Command::TwoView(args) => twoview::run(args),
+        Command::Compare(args) => compare::run(args),
         Command::Send(args) => command::run(args),
     }
 }

@@ -3,11 +3,13 @@
 //! Anything that is not finite is not drawn. Inside [`Canvas::clipped`] nothing is drawn outside a rectangle.
 
 use tiny_skia::{
-    Color, FillRule, LineCap, LineJoin, Mask, Paint, Path, PathBuilder, Pixmap, Rect, Stroke, StrokeDash, Transform,
+    Color, FillRule, FilterQuality, IntSize, LineCap, LineJoin, Mask, Paint, Path, PathBuilder, Pixmap, PixmapPaint,
+    Rect, Stroke, StrokeDash, Transform,
 };
 
 use super::text::Fonts;
 use super::{PlotError, palette};
+use crate::image::GreyImage;
 
 /// Pixels, y down.
 pub type Point = (f32, f32);
@@ -120,6 +122,28 @@ impl Canvas {
     pub fn rectangle(&mut self, area: &Area, colour: u32, opacity: f32) {
         if let Some(rect) = area.rect() {
             self.fill(&PathBuilder::from_rect(rect), colour, opacity, Transform::identity());
+        }
+    }
+
+    /// A grey picture, `zoom` pixels of the sheet a pixel of it, its top left border at (`left`, `top`).
+    pub fn picture(&mut self, image: &GreyImage, (left, top): Point, zoom: f32) {
+        let rgba = image.data.iter().flat_map(|g| [*g, *g, *g, 255]).collect();
+        let size = IntSize::from_wh(image.width as u32, image.height as u32);
+        if let Some(pixels) = size.and_then(|size| Pixmap::from_vec(rgba, size)) {
+            // Whole pixels stay sharp; a reduced picture is averaged.
+            let quality = if zoom >= 1.0 { FilterQuality::Nearest } else { FilterQuality::Bilinear };
+            let paint = PixmapPaint { quality, ..PixmapPaint::default() };
+            let place = Transform::from_row(zoom, 0.0, 0.0, zoom, left, top);
+            self.pixels.draw_pixmap(0, 0, pixels.as_ref(), &paint, place, self.clip.as_ref());
+        }
+    }
+
+    /// A circle's outline.
+    pub fn circle(&mut self, (x, y): Point, radius: f32, width: f32, colour: u32, opacity: f32) {
+        if let Some(path) = PathBuilder::from_circle(x, y, radius) {
+            let stroke = Stroke { width, ..Stroke::default() };
+            let paint = paint(colour, opacity);
+            self.pixels.stroke_path(&path, &paint, &stroke, Transform::identity(), self.clip.as_ref());
         }
     }
 

@@ -1,8 +1,9 @@
-//! Pictures of a run, as PNG: what it mapped, and how it compares with the truth.
+//! Pictures, as PNG: what a run mapped, how it compares with the truth, what two pictures gave, and charts.
 //!
-//! Input: a map and a trajectory, or an evaluation's outcome. Output: one PNG, whole or not at all. Equal lengths are equal in
-//! every view of space. Text is DejaVu Sans from inside the binary: no system font or graphics library is needed. The same
-//! input gives the same bytes. Cost: 50-150 ms and 10 MB a picture, at the end of a run only.
+//! Input: a map and a trajectory, an evaluation's outcome, or a pair's corners, matches, lines and points. Output: one PNG, whole
+//! or not at all. Equal lengths are equal in every orthogonal view of space. Text is DejaVu Sans from inside the binary: no system
+//! font or graphics library is needed. The same input gives the same bytes. Cost: 50-150 ms and 10 MB a picture, at the end of a
+//! run only.
 //!
 //! Deliberately not here: live views, interaction.
 
@@ -13,15 +14,23 @@ use crate::atomic_file::{WriteError, write_atomically};
 
 mod axes;
 mod canvas;
+mod chart;
 mod comparison;
 mod overview;
+mod pair;
+mod space;
 mod text;
 
 #[cfg(test)]
 mod tests;
 
+pub use chart::{Chart, write_chart};
 pub use comparison::write_comparison;
 pub use overview::write_overview;
+pub use pair::{
+    CornerMark, EpipolarMark, Link, MarkDirection, points_along, write_corners, write_epipolar_lines, write_links,
+};
+pub use space::{SpaceCamera, write_space};
 
 /// What a length in a picture is called. Lengths without a metric scale are never called metres.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -77,6 +86,13 @@ mod palette {
     pub const LANDMARK: u32 = 0x2f4b6b;
     pub const KEYFRAME: u32 = 0xf08a24;
     pub const START: u32 = 0x199e5b;
+    /// The method's colours: corners and cameras red, matches green, points blue.
+    pub const CORNER: u32 = 0xe02020;
+    pub const MATCH: u32 = 0x14b814;
+    pub const OUTLIER: u32 = 0xe0a020;
+    pub const POINT: u32 = 0x1d4fd8;
+    /// Told apart by colour-blind eyes too (Okabe & Ito).
+    pub const CATEGORIES: [u32; 7] = [0x0072b2, 0xe69f00, 0x009e73, 0xcc79a7, 0xd55e00, 0x56b4e9, 0xf0e442];
 
     /// From dark violet (0) over teal to yellow (1): ordered in lightness too, so it survives grey printing.
     pub fn sequential(t: f64) -> u32 {

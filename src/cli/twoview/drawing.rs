@@ -1,0 +1,135 @@
+//! The pictures of `cairn twoview`: corners, matches, epipolar lines, and the scene.
+//!
+//! `corners_a.png`, `corners_b.png`: corners in red with their directions. `matches.png`: matches in green, those that are
+//! no inliers thin. `epipolar.png`: some inliers and the lines of their partners. `scene.png`: points blue, cameras red.
+
+use std::path::Path;
+
+use nalgebra::{Vector2, Vector3};
+
+use crate::features::attributes::Direction;
+use crate::geometry::CameraModel;
+use crate::plot::{
+    CornerMark, EpipolarMark, Link, MarkDirection, PlotError, SpaceCamera, points_along, write_corners,
+    write_epipolar_lines, write_links, write_space,
+};
+use crate::workbench::detect::Corners;
+use crate::workbench::{Cameras, Picture, TwoView};
+
+/// Matches whose epipolar lines are drawn.
+const LINES: usize = 21;
+/// Points of a line, which a lens bends.
+const POINTS_OF_A_LINE: usize = 80;
+
+/// Draws everything that there is to draw.
+pub fn write(
+    folder: &Path,
+    result: &TwoView,
+    pictures: [&Picture; 2],
+    cameras: Option<&Cameras>,
+) -> Result<(), PlotError> {
+    for (k, file) in ["corners_a.png", "corners_b.png"].into_iter().enumerate() {
+        let marks = corner_marks(&result.corners[k]);
+        let heading = format!("{}: {} corners", pictures[k].name(), marks.len());
+        write_corners(&folder.join(file), &pictures[k].grey, &marks, &heading)?;
+    }
+    let inliers = result.inliers();
+    let both = pictures.map(|p| &p.grey);
+    let links: Vec<Link> =
+        result.pairs.iter().zip(&inliers).map(|(p, i)| Link { a: p.a, b: p.b, inlier: *i }).collect();
+    let count = inliers.iter().filter(|i| **i).count();
+    let heading = format!("{} matches, {count} inliers (green)", links.len());
+    write_links(&folder.join("matches.png"), both, &links, &heading)?;
+    if let Some(epipolar) = &result.epipolar {
+        let f = &epipolar.estimate.fundamental;
+        let marks: Vec<EpipolarMark> = spread(result, &inliers)
+            .into_iter()
+            .map(|i| {
+                let [a, b] = &result.ideal[i];
+                EpipolarMark {
+                    a: result.pairs[i].a,
+                    b: result.pairs[i].b,
+                    line_in_a: line(&f.tr_mul(&b.push(1.0)), pictures[0], cameras.map(|c| &c.a)),
+                    line_in_b: line(&(f * a.push(1.0)), pictures[1], cameras.map(|c| &c.b)),
+                }
+            })
+            .collect();
+        let heading =
+            format!("epipolar lines of {} inliers, median distance {:.2} px", marks.len(), epipolar.median_px);
+        write_epipolar_lines(&folder.join("epipolar.png"), both, &marks, &heading)?;
+    }
+    if let (Some(solution), Some(cameras)) = (result.pose.as_ref().and_then(|p| p.solution.as_ref()), cameras) {
+        let points: Vec<Vector3<f64>> = solution.points.iter().flatten().copied().collect();
+        let first_from_second = solution.second_from_first.inverse();
+        let views = [
+            space_camera("A", &cameras.a, Vector3::zeros(), |d| d),
+            space_camera("B", &cameras.b, first_from_second.translation, |d| first_from_second.rotation * d),
+        ];
+        let facts = format!(
+            "cameras A and B 1 baseline apart, turned by {:.2}°; adjusted to {:.2} px",
+            solution.second_from_first.rotation.angle().to_degrees(),
+            solution.adjusted.rms_after_px
+        );
+        let heading = format!("{} and {}", pictures[0].name(), pictures[1].name());
+        write_space(&folder.join("scene.png"), &points, &views, "baselines", &heading, &facts)?;
+    }
+    Ok(())
+}
+
+fn corner_marks(corners: &Corners) -> Vec<CornerMark> {
+    corners
+        .keypoints
+        .iter()
+        .map(|k| CornerMark {
+            at: k.position,
+            radius_px: 3.0 * k.size_px,
+            direction: k.attributes.and_then(|a| match a.direction {
+                Direction::Towards(angle) => Some(MarkDirection::Towards(f64::from(angle))),
+                Direction::Axis(angle) => Some(MarkDirection::Axis(f64::from(angle))),
+                Direction::Undefined => None,
+            }),
+        })
+        .collect()
+}
+
+/// Inliers far from each other in the first picture: each the farthest from those before it.
+fn spread(result: &TwoView, inliers: &[bool]) -> Vec<usize> {
+    let candidates: Vec<usize> = (0..inliers.len()).filter(|i| inliers[*i]).collect();
+    let at = |i: usize| result.pairs[i].a;
+    let Some(first) = candidates.first() else { return Vec::new() };
+    let mut chosen = vec![*first];
+    let mut distance: Vec<f64> = candidates.iter().map(|i| (at(*i) - at(*first)).norm()).collect();
+    while chosen.len() < LINES.min(candidates.len()) {
+        let Some(k) = (0..candidates.len()).max_by(|a, b| distance[*a].total_cmp(&distance[*b])) else { break };
+        chosen.push(candidates[k]);
+        for (d, i) in distance.iter_mut().zip(&candidates) {
+            *d = d.min((at(*i) - at(candidates[k])).norm());
+        }
+    }
+    chosen
+}
+
+/// A line of undistorted pixels as it appears in the picture.
+fn line(line: &Vector3<f64>, picture: &Picture, camera: Option<&CameraModel>) -> Vec<Vector2<f64>> {
+    let size = Vector2::new(picture.grey.width as f64, picture.grey.height as f64);
+    let half = Vector2::new(0.5, 0.5);
+    let Some(camera) = camera else { return points_along(line, -half, size - half, 2) };
+    // A lens may pull in what lies beyond the border without it.
+    let straight = points_along(line, -size, size * 2.0, 3 * POINTS_OF_A_LINE);
+    let bent =
+        |p: &Vector2<f64>| camera.distort(&Vector2::new((p.x - camera.cx) / camera.fx, (p.y - camera.cy) / camera.fy));
+    straight.iter().filter_map(bent).collect()
+}
+
+/// A camera's centre and the directions of its picture's corners, turned into the scene's axes.
+fn space_camera(
+    name: &str,
+    camera: &CameraModel,
+    centre: Vector3<f64>,
+    turn: impl Fn(Vector3<f64>) -> Vector3<f64>,
+) -> SpaceCamera {
+    let (w, h) = (f64::from(camera.width) - 1.0, f64::from(camera.height) - 1.0);
+    let corners = [(0.0, 0.0), (w, 0.0), (w, h), (0.0, h)]
+        .map(|(x, y)| turn(Vector3::new((x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0)));
+    SpaceCamera { name: name.into(), centre, corners }
+}

@@ -1,0 +1,467 @@
+//! The chain: two pictures to corners, matches, epipolar geometry, relative pose and points.
+//!
+//! Input: two grey pictures, the cameras if they are known, [`Options`]. Output: [`TwoView`]: everything that every step
+//! gave, with its time, and one [`Outcome`] that says how far the chain came and why it ended there.
+//! F is estimated on undistorted pixels (`K` times the undistorted normalised point) when cameras are given and on the
+//! pictures' own pixels otherwise; [`TwoView::undistorted`] says which. Points are undistorted, pictures never.
+//! A guided round matches again along the lines of the first F, and estimates F once more from the union.
+//! Every random draw comes from one seed: the same input gives the same numbers (times aside).
+//!
+//! Cost: 50 to 500 ms for 640x480. Deliberately not here: reading files, drawing, printing.
+
+use std::time::Instant;
+
+use nalgebra::{Matrix3, Vector2};
+
+use super::adjustment::Observation;
+use super::detect::{Corners, Detection, detect};
+use super::guided::{Guidance, correlate_along_lines, match_along_lines};
+use super::pairing::{Matcher, Matching, Pair, align_pairs, pair_corners};
+use super::pose::{LINE_SIGMAS, PoseInput, PoseSteps, median, noise, pose_steps};
+use crate::geometry::camera_model::CameraModel;
+use crate::geometry::epipolar::sampson_squared;
+use crate::geometry::fundamental::{Degeneracy, FundamentalEstimate, estimate_fundamental, refine_fundamental};
+use crate::geometry::least_squares::{LmOptions, Loss};
+use crate::geometry::point_set::Conditioning;
+use crate::geometry::ransac::RansacOptions;
+use crate::geometry::two_view::TwoViewFailure;
+use crate::image::GreyImage;
+
+/// Fewer matches are not tried: seven make an F, and one that nothing confirms.
+pub const MIN_MATCHES: usize = 8;
+/// No corner is placed better than this, pixels.
+const MIN_NOISE_PX: f64 = 0.1;
+/// Once the noise is known, an inlier lies within so many sigma of it.
+const INLIER_SIGMAS: f64 = 3.5;
+
+/// What can be chosen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Options {
+    pub detection: Detection,
+    pub matching: Matching,
+    /// One sigma of a corner's place, pixels; an inlier lies within 1.96 of it.
+    pub sigma_px: f64,
+    /// Match again along the epipolar lines.
+    pub guided: bool,
+    pub seed: u64,
+    /// Give the best motion found even where nothing makes it stand out from chance; the outcome stays what it is.
+    pub always_answer: bool,
+}
+
+/// The cameras of both pictures.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Cameras {
+    pub a: CameraModel,
+    pub b: CameraModel,
+}
+
+/// How far the chain came.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+#[serde(rename_all = "snake_case", tag = "name")]
+pub enum Outcome {
+    /// Pose and points.
+    Reconstructed,
+    /// Epipolar geometry; no camera was given, so no more can be had.
+    FundamentalOnly,
+    /// Both files show the very same pixels.
+    IdenticalPictures,
+    /// Hardly anything to see in one of the pictures.
+    TooFewCorners { first: usize, second: usize },
+    /// Hardly anything of one picture found in the other.
+    TooFewMatches { matches: usize, needed: usize },
+    /// No epipolar geometry stands out from chance.
+    NoModel { matches: usize },
+    /// A homography explains the matches and no camera says more: F is one of many.
+    Plane { on_plane: usize },
+    /// A rotation explains the matches: the camera turned and did not move. Without a camera, a guess by usual lenses.
+    PureRotation { angle_deg: Option<f64> },
+    /// The camera moved too little for how far away things are.
+    LowParallax { median_deg: f64 },
+    /// Two motions explain the matches equally well, as a plane allows.
+    Ambiguous,
+    /// Epipolar geometry, but no motion puts enough points in front of both cameras.
+    NoPose { reason: String },
+}
+
+impl Outcome {
+    /// Is there what was asked for?
+    pub fn is_success(&self) -> bool {
+        matches!(self, Self::Reconstructed | Self::FundamentalOnly)
+    }
+
+    /// One sentence.
+    pub fn sentence(&self) -> String {
+        match self {
+            Self::Reconstructed => "relative pose and points reconstructed".into(),
+            Self::FundamentalOnly => {
+                "stopped after F: without --camera the focal lengths are unknown, and with them angles and depths"
+                    .into()
+            }
+            Self::IdenticalPictures => "the two pictures are identical: nothing moved, so nothing can be said".into(),
+            Self::TooFewCorners { first, second } => {
+                format!("too few corners: {first} in the first picture, {second} in the second")
+            }
+            Self::TooFewMatches { matches, needed } => {
+                format!("too few matches: {matches}, at least {needed} are needed")
+            }
+            Self::NoModel { matches } => {
+                format!("no model: no epipolar geometry of {matches} matches stands out from chance")
+            }
+            Self::Plane { on_plane } => {
+                format!(
+                    "a plane: one homography explains {on_plane} matches, so F is one of many; a camera would tell more"
+                )
+            }
+            Self::PureRotation { angle_deg: Some(angle) } => {
+                format!("pure rotation: a turn of {angle:.2} degrees explains the matches, so there is no translation")
+            }
+            Self::PureRotation { angle_deg: None } => {
+                "pure rotation (by what usual lenses do): a turn explains the matches, so F is one of many".into()
+            }
+            Self::LowParallax { median_deg } => {
+                format!("low parallax: {median_deg:.3} degrees in the median, the camera moved too little")
+            }
+            Self::Ambiguous => {
+                "ambiguous: two motions explain the matches, as a plane allows; a third view would tell".into()
+            }
+            Self::NoPose { reason } => format!("no pose: {reason}"),
+        }
+    }
+}
+
+/// Epipolar geometry of the matches.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Epipolar {
+    pub estimate: FundamentalEstimate,
+    /// Sampson distance of each match, pixels; NaN for a pair of epipoles.
+    pub residuals_px: Vec<f64>,
+    /// Median over the inliers, pixels.
+    pub median_px: f64,
+    /// One sigma of the noise that the inliers show, pixels.
+    pub noise_px: f64,
+}
+
+/// Everything that came out.
+#[derive(Debug, Clone)]
+pub struct TwoView {
+    pub corners: [Corners; 2],
+    /// Matches, with a guided round those of both.
+    pub pairs: Vec<Pair>,
+    /// How many of them the first matching gave.
+    pub unguided: usize,
+    /// Matches left out because their pixel has no undistorted place under the camera's model.
+    pub outside_lens: usize,
+    /// Each match's places in undistorted pixels; the pictures' own pixels without cameras.
+    pub ideal: Vec<[Vector2<f64>; 2]>,
+    /// Whether `ideal` and F are in undistorted pixels.
+    pub undistorted: bool,
+    pub epipolar: Option<Epipolar>,
+    pub pose: Option<PoseSteps>,
+    pub outcome: Outcome,
+    /// Each step's name and milliseconds.
+    pub times: Vec<(&'static str, f64)>,
+}
+
+impl TwoView {
+    /// One a match: inlier of the pose if there is one, otherwise of F.
+    pub fn inliers(&self) -> Vec<bool> {
+        let pose = self.pose.as_ref().and_then(|p| p.solution.as_ref()).map(|s| s.inliers.clone());
+        pose.or_else(|| self.epipolar.as_ref().map(|e| e.estimate.inliers.clone()))
+            .unwrap_or_else(|| vec![false; self.pairs.len()])
+    }
+
+    /// Milliseconds of all steps.
+    pub fn total_ms(&self) -> f64 {
+        self.times.iter().map(|(_, ms)| ms).sum()
+    }
+}
+
+/// Runs the chain.
+pub fn reconstruct(first: &GreyImage, second: &GreyImage, cameras: Option<&Cameras>, options: &Options) -> TwoView {
+    let mut chain = Chain { times: Vec::new(), last: Instant::now() };
+    let corners = [detect(first, &options.detection), detect(second, &options.detection)];
+    chain.done("corners");
+    let pairs = pair_corners(&corners[0], &corners[1], &options.matching);
+    chain.done("matches");
+    let mut out = TwoView {
+        unguided: pairs.len(),
+        corners,
+        pairs,
+        outside_lens: 0,
+        ideal: Vec::new(),
+        undistorted: cameras.is_some(),
+        epipolar: None,
+        pose: None,
+        outcome: Outcome::IdenticalPictures,
+        times: Vec::new(),
+    };
+    out.keep_undistortable(cameras);
+    let outcome = chain.estimate(&mut out, first == second, cameras, options);
+    out.outcome = outcome;
+    out.times = chain.times;
+    out
+}
+
+/// Estimates from matches that came from elsewhere (a file's), without pictures; `size_px` of each is its uncertainty.
+pub fn reconstruct_from_pairs(pairs: Vec<Pair>, cameras: Option<&Cameras>, options: &Options) -> TwoView {
+    let mut chain = Chain { times: Vec::new(), last: Instant::now() };
+    let mut out = TwoView {
+        corners: [Corners::default(), Corners::default()],
+        unguided: pairs.len(),
+        pairs,
+        outside_lens: 0,
+        ideal: Vec::new(),
+        undistorted: cameras.is_some(),
+        epipolar: None,
+        pose: None,
+        outcome: Outcome::IdenticalPictures,
+        times: Vec::new(),
+    };
+    out.keep_undistortable(cameras);
+    let options = Options { guided: false, ..*options };
+    let outcome = chain.continue_with_matches(&mut out, cameras, &options);
+    out.outcome = outcome;
+    out.times = chain.times;
+    out
+}
+
+/// Undistorted pixel of a pixel.
+fn ideal_pixel(camera: &CameraModel, pixel: &Vector2<f64>) -> Option<Vector2<f64>> {
+    let n = camera.undistort(pixel)?;
+    Some(Vector2::new(camera.fx * n.x + camera.cx, camera.fy * n.y + camera.cy))
+}
+
+impl TwoView {
+    /// Drops the matches that the lens model does not reach and sets the places of the others.
+    fn keep_undistortable(&mut self, cameras: Option<&Cameras>) {
+        let ideal = |p: &Pair| match cameras {
+            Some(c) => Some([ideal_pixel(&c.a, &p.a)?, ideal_pixel(&c.b, &p.b)?]),
+            None => Some([p.a, p.b]),
+        };
+        let before = self.pairs.len();
+        let kept: Vec<(Pair, [Vector2<f64>; 2])> =
+            std::mem::take(&mut self.pairs).into_iter().filter_map(|p| ideal(&p).map(|i| (p, i))).collect();
+        (self.pairs, self.ideal) = kept.into_iter().unzip();
+        self.outside_lens += before - self.pairs.len();
+    }
+}
+
+/// The chain's clock and the steps after detection.
+struct Chain {
+    times: Vec<(&'static str, f64)>,
+    last: Instant,
+}
+
+impl Chain {
+    /// Notes the time since the last step's end.
+    fn done(&mut self, step: &'static str) {
+        let now = Instant::now();
+        self.times.push((step, (now - self.last).as_secs_f64() * 1e3));
+        self.last = now;
+    }
+
+    fn estimate(
+        &mut self,
+        out: &mut TwoView,
+        identical: bool,
+        cameras: Option<&Cameras>,
+        options: &Options,
+    ) -> Outcome {
+        let [first, second] = [&out.corners[0], &out.corners[1]].map(|c| c.keypoints.len());
+        if first.min(second) < MIN_MATCHES {
+            return Outcome::TooFewCorners { first, second };
+        }
+        if identical {
+            return Outcome::IdenticalPictures;
+        }
+        self.continue_with_matches(out, cameras, options)
+    }
+
+    fn continue_with_matches(&mut self, out: &mut TwoView, cameras: Option<&Cameras>, options: &Options) -> Outcome {
+        let matches = out.pairs.len();
+        if matches < MIN_MATCHES {
+            return Outcome::TooFewMatches { matches, needed: MIN_MATCHES };
+        }
+        out.epipolar = epipolar(out, options);
+        self.done("fundamental matrix");
+        if options.guided && out.epipolar.is_some() {
+            self.guide(out, cameras, options);
+        }
+        let Some(cameras) = cameras else {
+            return match out.epipolar.as_ref().map(|e| e.estimate.degeneracy) {
+                None => Outcome::NoModel { matches },
+                Some(Degeneracy::Plane { on_plane, .. }) => Outcome::Plane { on_plane },
+                Some(Degeneracy::PureRotation { .. }) => Outcome::PureRotation { angle_deg: None },
+                Some(_) => Outcome::FundamentalOnly,
+            };
+        };
+        let steps = pose(out, cameras, options);
+        self.done("pose and points");
+        let outcome = outcome_of(&steps, out.pairs.len());
+        out.pose = Some(steps);
+        outcome
+    }
+
+    /// The guided round.
+    fn guide(&mut self, out: &mut TwoView, cameras: Option<&Cameras>, options: &Options) {
+        let Some(estimate) = out.epipolar.as_ref().map(|e| &e.estimate) else { return };
+        // Lines that the matches left open would be confirmed by whatever was found along them.
+        if matches!(estimate.degeneracy, Degeneracy::Plane { .. } | Degeneracy::PureRotation { .. }) {
+            return;
+        }
+        let f = estimate.fundamental;
+        let places = |corners: &Corners, camera: Option<&CameraModel>| -> Vec<Option<Vector2<f64>>> {
+            let place = |p: &Vector2<f64>| camera.map_or(Some(*p), |c| ideal_pixel(c, p));
+            corners.keypoints.iter().map(|k| place(&k.position)).collect()
+        };
+        let ideal = [places(&out.corners[0], cameras.map(|c| &c.a)), places(&out.corners[1], cameras.map(|c| &c.b))];
+        let both = [&out.corners[0], &out.corners[1]];
+        let rule = Guidance { band_px: 2.0 * LINE_SIGMAS * options.sigma_px, ..Guidance::default() };
+        let mut found = match options.matching.matcher {
+            Matcher::Descriptors => match_along_lines(both, [&ideal[0], &ideal[1]], &f, &rule),
+            _ => Vec::new(),
+        };
+        align_pairs(both[0], both[1], &mut found);
+        // A lens bends the lines; correlation follows straight ones.
+        let straight = |c: &Cameras| c.a.distortion == [0.0; 5] && c.b.distortion == [0.0; 5];
+        if cameras.is_none_or(straight) {
+            found.extend(correlate_along_lines(both, &f, &options.matching.correlation));
+        }
+        // A corner that has a match keeps it unless that is no inlier.
+        let inliers = out.inliers();
+        let taken = |used: fn(&Pair) -> Option<usize>, count: usize| {
+            let mut taken = vec![false; count];
+            for (pair, inlier) in out.pairs.iter().zip(&inliers) {
+                if let (true, Some(slot)) = (*inlier, used(pair).and_then(|i| taken.get_mut(i))) {
+                    *slot = true;
+                }
+            }
+            taken
+        };
+        let first = taken(|p| Some(p.first), ideal[0].len());
+        let second = taken(|p| p.second, ideal[1].len());
+        let mut first = first;
+        let mut more = Vec::new();
+        for pair in found {
+            let free = !first[pair.first] && pair.second.is_none_or(|j| !second[j]);
+            if free && !out.pairs.iter().any(|p| p.first == pair.first && p.second == pair.second) {
+                first[pair.first] = true;
+                more.push(pair);
+            }
+        }
+        let before = (out.pairs.clone(), out.ideal.clone(), out.epipolar.clone());
+        out.pairs.extend(more);
+        out.keep_undistortable(cameras);
+        out.epipolar = epipolar(out, options);
+        match (&mut out.epipolar, &before.2) {
+            // What was looked for along lines is no evidence for them: the chance stays that of the first matching.
+            (Some(now), Some(first)) if now.estimate.inlier_count >= first.estimate.inlier_count => {
+                now.estimate.log10_false_alarms = first.estimate.log10_false_alarms;
+            }
+            _ => (out.pairs, out.ideal, out.epipolar) = before,
+        }
+        self.done("guided matches");
+    }
+}
+
+/// F of the matches in `ideal` pixels. The search runs with the noise that was asked for; the last refinement with the noise
+/// that the inliers show, so that what is a little off does not pull on what is exact.
+fn epipolar(out: &TwoView, options: &Options) -> Option<Epipolar> {
+    let (u1, u2): (Vec<_>, Vec<_>) = out.ideal.iter().map(|[a, b]| (*a, *b)).unzip();
+    let threshold = LINE_SIGMAS * options.sigma_px;
+    let ransac = RansacOptions { seed: options.seed, ..RansacOptions::thorough(threshold) };
+    let mut estimate = estimate_fundamental(&u1, &u2, &ransac)?;
+    let distances =
+        |f: &Matrix3<f64>| -> Vec<f64> { u1.iter().zip(&u2).map(|(a, b)| sampson_squared(f, a, b).sqrt()).collect() };
+    let mut residuals_px = distances(&estimate.fundamental);
+    let mut noise_px = noise(residuals_px.iter().zip(&estimate.inliers).filter(|(_, i)| **i).map(|(r, _)| *r));
+    for _ in 0..2 {
+        let sigma = noise_px.clamp(MIN_NOISE_PX, options.sigma_px);
+        let Some(better) = refined(&estimate.fundamental, &u1, &u2, &residuals_px, sigma) else { break };
+        let limit = threshold.min(INLIER_SIGMAS * sigma);
+        let moved = distances(&better);
+        let inliers: Vec<bool> = moved.iter().map(|r| *r <= limit).collect();
+        let count = inliers.iter().filter(|i| **i).count();
+        // A refinement that loses what the search had found went astray.
+        if 2 * count < estimate.inlier_count {
+            break;
+        }
+        noise_px = noise(moved.iter().zip(&inliers).filter(|(_, i)| **i).map(|(r, _)| *r));
+        (estimate.fundamental, estimate.inliers, estimate.inlier_count) = (better, inliers, count);
+        residuals_px = moved;
+    }
+    let mut of_inliers: Vec<f64> =
+        residuals_px.iter().zip(&estimate.inliers).filter(|(_, i)| **i).map(|(r, _)| *r).collect();
+    Some(Epipolar { median_px: median(&mut of_inliers), noise_px, estimate, residuals_px })
+}
+
+/// F of least distance over what is within three sigma of `start`.
+fn refined(
+    start: &Matrix3<f64>,
+    u1: &[Vector2<f64>],
+    u2: &[Vector2<f64>],
+    residuals_px: &[f64],
+    sigma_px: f64,
+) -> Option<Matrix3<f64>> {
+    let conditioning = Conditioning::of(u1, u2)?;
+    let (to_first, to_second) = (conditioning.matrix1(), conditioning.matrix2());
+    let conditioned = to_second.try_inverse()?.transpose() * start * to_first.try_inverse()?;
+    let near: Vec<(Vector2<f64>, Vector2<f64>)> = (0..u1.len())
+        .filter(|i| residuals_px[*i] <= INLIER_SIGMAS * sigma_px)
+        .map(|i| (conditioning.first(&u1[i]), conditioning.second(&u2[i])))
+        .collect();
+    if near.len() < MIN_MATCHES {
+        return None;
+    }
+    let loss = Loss::Cauchy(2.0 * sigma_px * conditioning.scale);
+    let better = refine_fundamental(&conditioned, near.iter().copied(), loss, &LmOptions::default())?;
+    let f = to_second.transpose() * better * to_first;
+    let norm = f.norm();
+    (norm > 0.0 && norm.is_finite()).then(|| f / norm)
+}
+
+fn pose(out: &TwoView, cameras: &Cameras, options: &Options) -> PoseSteps {
+    let normalised = |camera: &CameraModel, p: &Vector2<f64>| {
+        Vector2::new((p.x - camera.cx) / camera.fx, (p.y - camera.cy) / camera.fy)
+    };
+    let x1: Vec<_> = out.ideal.iter().map(|[a, _]| normalised(&cameras.a, a)).collect();
+    let x2: Vec<_> = out.ideal.iter().map(|[_, b]| normalised(&cameras.b, b)).collect();
+    let seen: Vec<Observation> = out
+        .pairs
+        .iter()
+        .map(|p| Observation { a: p.a, b: p.b, sigma_px: p.size_px.map(|s| s * options.sigma_px) })
+        .collect();
+    let fundamental: Option<Matrix3<f64>> = out.epipolar.as_ref().map(|e| e.estimate.fundamental);
+    pose_steps(&PoseInput {
+        cameras: [&cameras.a, &cameras.b],
+        x1: &x1,
+        x2: &x2,
+        seen: &seen,
+        fundamental: fundamental.as_ref(),
+        sigma_px: options.sigma_px,
+        seed: options.seed,
+        always_answer: options.always_answer,
+    })
+}
+
+fn outcome_of(steps: &PoseSteps, matches: usize) -> Outcome {
+    match &steps.judged {
+        Ok(_) if steps.solution.is_some() => Outcome::Reconstructed,
+        Ok(_) => Outcome::NoPose { reason: "the adjustment found no finite points".into() },
+        Err(TwoViewFailure::Ambiguous { .. }) => Outcome::Ambiguous,
+        Err(TwoViewFailure::NoModel) => Outcome::NoModel { matches },
+        Err(TwoViewFailure::TooFewMatches { count, needed }) => {
+            Outcome::TooFewMatches { matches: *count, needed: *needed }
+        }
+        Err(TwoViewFailure::PureRotation { angle_rad }) => {
+            Outcome::PureRotation { angle_deg: Some(angle_rad.to_degrees()) }
+        }
+        Err(TwoViewFailure::LowParallax { median_rad, .. }) => {
+            Outcome::LowParallax { median_deg: median_rad.to_degrees() }
+        }
+        Err(other) => Outcome::NoPose { reason: other.to_string() },
+    }
+}
+
+#[cfg(test)]
+mod tests;
