@@ -93,13 +93,32 @@ static TABLES: LazyLock<Box<Tables>> = LazyLock::new(|| Box::new(Tables::new()))
 /// Describes the surroundings of (`x`, `y`), pixels of `level`, at the nearest whole pixel.
 /// `None` within [`BORDER`] of the edge and for positions that are not numbers.
 pub fn describe(level: &GreyImage, x: f32, y: f32, orientation: Orientation) -> Option<Description> {
+    let direction = match orientation {
+        Orientation::Upright => Some(0),
+        Orientation::IntensityCentroid => None,
+    };
+    describe_towards(level, x, y, direction)
+}
+
+/// The same, turned by an angle that the caller knows (radians from x towards y, to the nearest 1 / 32 turn), such as the
+/// direction of a SUSAN corner.
+pub fn describe_turned(level: &GreyImage, x: f32, y: f32, angle_rad: f32) -> Option<Description> {
+    let steps = (angle_rad * (DIRECTIONS as f32 / std::f32::consts::TAU)).round();
+    if !steps.is_finite() {
+        return None;
+    }
+    describe_towards(level, x, y, Some(steps.rem_euclid(DIRECTIONS as f32) as usize % DIRECTIONS))
+}
+
+/// `direction`: number of the direction that the patch is turned by; `None`: that of its centre of brightness.
+fn describe_towards(level: &GreyImage, x: f32, y: f32, direction: Option<usize>) -> Option<Description> {
     let (x, y) = (x.round(), y.round());
     let inside = |v: f32, size: usize| v >= BORDER as f32 && v + BORDER as f32 <= size as f32 - 1.0;
     if !inside(x, level.width) || !inside(y, level.height) {
         return None;
     }
     let mut bits = [0; 4];
-    let direction = describe_patch(level, x as usize, y as usize, orientation, &TABLES, &mut bits);
+    let direction = describe_patch(level, x as usize, y as usize, direction, &TABLES, &mut bits);
     let angle_rad = direction as f32 * (std::f32::consts::TAU / DIRECTIONS as f32);
     Some(Description { descriptor: Descriptor(bits), angle_rad })
 }
@@ -117,9 +136,9 @@ pub fn describe_at_level(
 }
 
 simd_kernel! {
-    /// Smooths, finds the direction's number, compares. The caller keeps [`BORDER`].
+    /// Smooths, finds the direction's number where none is given, compares. The caller keeps [`BORDER`].
     fn describe_patch(
-        level: &GreyImage, x: usize, y: usize, orientation: Orientation, tables: &Tables, bits: &mut [u64; 4],
+        level: &GreyImage, x: usize, y: usize, direction: Option<usize>, tables: &Tables, bits: &mut [u64; 4],
     ) -> usize = describe_patch_body
 }
 
@@ -128,15 +147,12 @@ fn describe_patch_body(
     level: &GreyImage,
     x: usize,
     y: usize,
-    orientation: Orientation,
+    direction: Option<usize>,
     tables: &Tables,
     bits: &mut [u64; 4],
 ) -> usize {
     let patch = smooth(level, x, y);
-    let direction = match orientation {
-        Orientation::Upright => 0,
-        Orientation::IntensityCentroid => direction_of(&patch, tables),
-    };
+    let direction = direction.unwrap_or_else(|| direction_of(&patch, tables));
     // Flat, so that an index needs one masking instead of two checks.
     let mut flat = [0u8; 1024];
     for (to, row) in flat.chunks_exact_mut(PATCH).zip(&patch) {

@@ -3,6 +3,7 @@
 pub mod alignment;
 pub mod attributes;
 pub mod config;
+pub mod correlation;
 pub mod descriptor;
 mod dispatch;
 pub mod fast;
