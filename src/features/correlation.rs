@@ -44,7 +44,7 @@ pub struct CorrelationMatching {
 
 impl Default for CorrelationMatching {
     fn default() -> Self {
-        Self { patch_radius_px: 7, min_ncc: 0.8, max_ratio: 0.8, min_contrast: 4.0 }
+        Self { patch_radius_px: 7, min_ncc: 0.7, max_ratio: 0.7, min_contrast: 4.0 }
     }
 }
 

@@ -14,6 +14,7 @@
 //! Cost: 0.06 us a pixel measured (AVX2, hard step): for 640x480 16 ms in a single pass.
 //! It deliberately does not do: corners within 20 pixels of the edge, texture (a large mask fails there).
 
+mod lowest;
 mod tiles;
 
 use super::dispatch::simd_kernel;
@@ -110,10 +111,16 @@ pub struct LargeSusanDetector {
     similarities: Vec<Option<(Similarity, Bound)>>,
     /// Area of each pixel times [`AREA_SCALE`], or [`LARGE`], or [`UNKNOWN`].
     areas: Vec<u16>,
+    /// Least area that each pixel can have, in the same unit; 0 where no bound was asked for.
+    bounds: Vec<u16>,
+    /// Smallest area measured so far within the suppression radius of each pixel.
+    low: Vec<u16>,
     /// Brightness threshold of each pixel's cell; 0 = none.
     t: Vec<u8>,
     /// Pixels to start from, as indices.
     starts: Vec<u32>,
+    /// The same in the order in which they are measured.
+    order: Vec<u32>,
     found: Vec<u32>,
     rows: FirstPassRows,
     windows: Windows,
@@ -160,8 +167,11 @@ impl LargeSusanDetector {
             config,
             similarities: vec![None; 256],
             areas: Vec::new(),
+            bounds: Vec::new(),
+            low: Vec::new(),
             t: Vec::new(),
             starts: Vec::new(),
+            order: Vec::new(),
             found: Vec::new(),
             rows: FirstPassRows::default(),
             windows: Windows::default(),
@@ -247,9 +257,19 @@ impl LargeSusanDetector {
                     let (difference, limit) = (&difference[inner.clone()], &limit[inner.clone()]);
                     self.windows.bound_row(image, (r, y), difference, limit, &mut left[inner.clone()]);
                     // What the bound excludes need not be measured as a neighbour either.
-                    let areas = &mut self.areas[y * width..(y + 1) * width][inner.clone()];
-                    for ((area, left), limit) in areas.iter_mut().zip(&left[inner.clone()]).zip(limit) {
-                        *area = if *left == 0 && *limit != 0 { LARGE } else { *area };
+                    let pixels = y * width + r..(y + 1) * width - r;
+                    let areas = self.areas[pixels.clone()].iter_mut().zip(&mut self.bounds[pixels.clone()]);
+                    for (i, (area, bound)) in areas.enumerate() {
+                        let (left, limit) = (left[r + i], limit[i]);
+                        *area = if left == 0 && limit != 0 { LARGE } else { *area };
+                        // Windows that were found, each of WINDOW_AREA pixels.
+                        *bound = u16::from(limit - left) * (WINDOW_AREA * AREA_SCALE) as u16;
+                    }
+                    if self.config.response == SusanResponse::Exponential {
+                        for (bound, t) in self.bounds[pixels.clone()].iter_mut().zip(&self.t[pixels]) {
+                            let least = self.similarities[usize::from(*t)].as_ref().map_or(0, |(_, b)| b.least);
+                            *bound = (u32::from(*bound) * least / u32::from(WHOLE)) as u16;
+                        }
                     }
                 }
             }
@@ -289,6 +309,24 @@ impl LargeSusanDetector {
                 let areas = self.areas[begin..=begin + 2 * r].iter().zip(begin..);
                 areas.fold(true, |lowest, (&other, i)| lowest & !((other < area) | ((other == area) & (i < at))))
             })
+    }
+
+    /// The corners from the starts: measured all, then downhill from each that is the lowest of those near it.
+    fn descend_from_starts(&mut self, image: &GreyImage) {
+        let starts = std::mem::take(&mut self.starts);
+        for &at in &starts {
+            self.area(image, at as usize);
+        }
+        // So far only starts are measured: one with a smaller start as neighbour leaves the way down to that.
+        let mut found = std::mem::take(&mut self.found);
+        found.extend(starts.iter().filter(|&&at| self.is_lowest(image.width, at as usize)));
+        for at in &mut found {
+            *at = self.descend(image, *at as usize) as u32;
+        }
+        found.sort_unstable();
+        found.dedup();
+        self.found = found;
+        self.starts = starts;
     }
 
     /// Goes from pixel `at`, below g, to the smallest area of its neighbourhood, again and again.
@@ -331,23 +369,17 @@ impl CornerDetector for LargeSusanDetector {
         self.fill_thresholds(image, cells);
         self.areas.clear();
         self.areas.resize(image.data.len(), UNKNOWN);
+        if self.config.scheme == LargeSusanScheme::Bounded {
+            self.bounds.clear();
+            self.bounds.resize(image.data.len(), 0);
+        }
         self.first_pass(image, cells);
         self.counts.answered = self.starts.len();
         self.found.clear();
-        let starts = std::mem::take(&mut self.starts);
-        for &at in &starts {
-            self.area(image, at as usize);
+        match self.config.scheme {
+            LargeSusanScheme::Bounded => self.lowest_by_bounds(image),
+            LargeSusanScheme::SinglePass | LargeSusanScheme::SmallMask => self.descend_from_starts(image),
         }
-        // So far only starts are measured: one with a smaller start as neighbour leaves the way down to that.
-        let mut found = std::mem::take(&mut self.found);
-        found.extend(starts.iter().filter(|&&at| self.is_lowest(image.width, at as usize)));
-        for at in &mut found {
-            *at = self.descend(image, *at as usize) as u32;
-        }
-        self.found = found;
-        self.starts = starts;
-        self.found.sort_unstable();
-        self.found.dedup();
         for &at in &self.found {
             let (x, y) = ((at as usize % image.width) as f32, (at as usize / image.width) as f32);
             if cells.index(x, y).is_some_and(|i| cells.cells[i].wanted) {
@@ -366,19 +398,24 @@ struct Bound {
     count: u32,
     /// with an area times [`WHOLE`] of this or more. `None`: the count is the area.
     area: Option<u32>,
+    /// What a pixel that differs by at most `difference` adds to the area at least, times [`WHOLE`].
+    least: u32,
 }
 
 impl Bound {
     fn new(config: &LargeSusanConfig, t: u8, similarity: &Similarity) -> Self {
         let limit = f64::from(config.geometric_threshold) * f64::from(LARGE_AREA);
         match config.response {
-            SusanResponse::Step => Self { difference: t.max(1) - 1, count: limit.ceil() as u32, area: None },
+            SusanResponse::Step => {
+                Self { difference: t.max(1) - 1, count: limit.ceil() as u32, area: None, least: WHOLE.into() }
+            }
             SusanResponse::Exponential => {
                 // The area is at least count * c(difference).
                 let difference = (7 * u32::from(t) / 10) as u8;
-                let c = f64::from(similarity.at_difference(difference)) / f64::from(WHOLE);
+                let least = u32::from(similarity.at_difference(difference));
+                let c = f64::from(least) / f64::from(WHOLE);
                 let area = (limit * f64::from(WHOLE)).ceil() as u32;
-                Self { difference, count: (limit / c).ceil() as u32, area: Some(area) }
+                Self { difference, count: (limit / c).ceil() as u32, area: Some(area), least }
             }
         }
     }

@@ -17,7 +17,7 @@ use super::corners::whole_pixel;
 use super::patch::{Ground, correlate, normalise, padded_area};
 use super::{CorrelationError, CorrelationMatching};
 use crate::features::Corner;
-use crate::features::alignment::{AlignOptions, PatchTemplate, align};
+use crate::features::alignment::{AlignOptions, Template, align};
 use crate::features::matching::PointMatch;
 use crate::image::GreyImage;
 
@@ -160,7 +160,7 @@ impl EpipolarCorrelator {
         let corner = Vector2::new(corner.x, corner.y);
         let mut position = top + (corner - Vector2::new(x as f32, y as f32));
         if search.align
-            && let Some(template) = PatchTemplate::<16>::from_image(first, corner)
+            && let Some(template) = Template::from_image(first, corner)
             && let Ok(aligned) = align(&template, second, position, &AlignOptions::default())
             && (aligned.position - position).norm() <= AGREEMENT_PX
         {

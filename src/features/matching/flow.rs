@@ -42,7 +42,7 @@ pub struct FlowMatching {
 
 impl Default for FlowMatching {
     fn default() -> Self {
-        Self { coarsest_level: 4, max_return_px: 0.5, min_ncc: 0.8, min_thumbnail_ncc: 0.5, rounds: 3 }
+        Self { coarsest_level: 5, max_return_px: 0.5, min_ncc: 0.8, min_thumbnail_ncc: 0.5, rounds: 3 }
     }
 }
 
@@ -55,8 +55,7 @@ pub fn match_flow(
     out: &mut Vec<PointMatch>,
 ) {
     out.clear();
-    let (width, height) = first.size();
-    if first.size() != second.size() || width == 0 {
+    if first.size() != second.size() || first.size().0 == 0 {
         return;
     }
     let motion = picture_motion(first, second).filter(|m| m.ncc >= rule.min_thumbnail_ncc);
