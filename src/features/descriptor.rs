@@ -58,6 +58,12 @@ impl Descriptor {
 }
 
 /// How a patch is turned before it is compared with itself.
+///
+/// Measured (strongest 1000 FAST corners, at most 64 bits, ratio 0.8; right under the known homography, else inliers of a
+/// robust F): graffiti 143 matches, 83 % right by the centroid, 48 and 53 % upright, 115 and 74 % by the SUSAN direction
+/// ([`describe_turned`]); frames 15 apart 110 and 89 %, 145 and 92 %, 80 and 74 %; stereo 282 and 90 %, 441 and 90 %, 234
+/// and 88 %. So upright for a camera that is known not to roll, the centroid where nothing is known; SUSAN's direction, from 37
+/// pixels, loses to it everywhere.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Deserialize, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Orientation {

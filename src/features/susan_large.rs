@@ -8,19 +8,23 @@
 //! an edge 0.52. Paper: Smith and Brady, SUSAN, IJCV 1997; the two passes are the method's own.
 //! A corner is a pixel whose area is below g and the smallest within the suppression radius, of equals the first in raster
 //! order. [`LargeSusanScheme`]: the single pass; the method's two passes; and a first pass that bounds the area, which
-//! gives the single pass's corners always. The method's second pass starts at the pixels that the small mask answered to
+//! gives the single pass's corners always (`tiles`), with a second that measures only what can still decide (`lowest`). The method's second pass starts at the pixels that the small mask answered to
 //! and goes downhill from each, also over pixels that it did not answer to: what it finds is always a corner of the single
 //! pass, but it misses those that lie in soft shades, which seven pixels do not see.
-//! Cost: 0.06 us a pixel measured (AVX2, hard step): for 640x480 16 ms in a single pass.
+//! Cost: 0.06 us a pixel measured (AVX2, hard step): for 640x480 15 ms in a single pass. Bounded, at the study's t = 90 and
+//! over eight pictures of as many cameras and places, 5.5 times fewer instructions at 280x200 and 11 times at 640x480 (both
+//! with the same counting); at t = 20, where a fifth of a textured picture is below g, 2 to 3 times (`tests/bench/susan.rs`).
 //! It deliberately does not do: corners within 20 pixels of the edge, texture (a large mask fails there).
 
+mod counting;
 mod lowest;
 mod tiles;
 
-use super::dispatch::simd_kernel;
 use super::susan::{MASK_AREA, MASK_RADIUS, MAX_SUPPRESSION_PX, Similarity, SusanResponse, WHOLE, similar_counts};
 use super::{CellGrid, Corner, CornerDetector};
 use crate::image::GreyImage;
+use counting::count_similar;
+use lowest::record_bounds;
 use tiles::{WINDOW_AREA, Windows};
 
 /// Radius of the large mask, pixels; corners are at least this far from the picture's edge.
@@ -31,9 +35,6 @@ pub const LARGE_AREA: u32 = 1257;
 
 /// Rows and columns of the large mask.
 const SIDE: usize = 2 * LARGE_RADIUS + 1;
-
-/// A row of the mask padded to whole vectors.
-const LANES: usize = 48;
 
 /// Areas are kept in 1 / 32 pixel: 1257 of them fit 16 bits.
 const AREA_SCALE: u32 = 32;
@@ -258,13 +259,8 @@ impl LargeSusanDetector {
                     self.windows.bound_row(image, (r, y), difference, limit, &mut left[inner.clone()]);
                     // What the bound excludes need not be measured as a neighbour either.
                     let pixels = y * width + r..(y + 1) * width - r;
-                    let areas = self.areas[pixels.clone()].iter_mut().zip(&mut self.bounds[pixels.clone()]);
-                    for (i, (area, bound)) in areas.enumerate() {
-                        let (left, limit) = (left[r + i], limit[i]);
-                        *area = if left == 0 && limit != 0 { LARGE } else { *area };
-                        // Windows that were found, each of WINDOW_AREA pixels.
-                        *bound = u16::from(limit - left) * (WINDOW_AREA * AREA_SCALE) as u16;
-                    }
+                    let (areas, bounds) = (&mut self.areas[pixels.clone()], &mut self.bounds[pixels.clone()]);
+                    record_bounds(&left[inner.clone()], limit, (WINDOW_AREA * AREA_SCALE) as u16, areas, bounds);
                     if self.config.response == SusanResponse::Exponential {
                         for (bound, t) in self.bounds[pixels.clone()].iter_mut().zip(&self.t[pixels]) {
                             let least = self.similarities[usize::from(*t)].as_ref().map_or(0, |(_, b)| b.least);
@@ -428,7 +424,7 @@ impl Bound {
 
 /// Area of one pixel times [`AREA_SCALE`], or [`LARGE`] where it is not below g. The mask lies in the picture.
 fn measure(image: &GreyImage, (x, y): (usize, usize), bound: &Bound, similarity: &Similarity) -> u16 {
-    let count = count_similar(image, x, y, bound.difference);
+    let count = count_similar(image, (x, y), bound.difference);
     if count >= bound.count {
         return LARGE;
     }
@@ -452,57 +448,6 @@ const HALF_WIDTHS: [usize; SIDE] = {
     }
     half
 };
-
-/// 1 inside the mask, by row and lane.
-const INSIDE: [[u8; LANES]; SIDE] = {
-    let mut inside = [[0; LANES]; SIDE];
-    let mut row = 0;
-    while row < SIDE {
-        let mut lane = LARGE_RADIUS - HALF_WIDTHS[row];
-        while lane <= LARGE_RADIUS + HALF_WIDTHS[row] {
-            inside[row][lane] = 1;
-            lane += 1;
-        }
-        row += 1;
-    }
-    inside
-};
-
-/// Pixels of the large mask round (`x`, `y`) that differ from the nucleus by at most `difference`, the nucleus too.
-/// The mask lies in the picture.
-fn count_similar(image: &GreyImage, x: usize, y: usize, difference: u8) -> u32 {
-    let begin = (y - LARGE_RADIUS) * image.width + x - LARGE_RADIUS;
-    // The vectors reach a few pixels beyond the mask: at the end of the picture's last row there are none.
-    let end = begin + (SIDE - 1) * image.width + LANES;
-    match image.data.get(begin..end) {
-        Some(pixels) => count_in_vectors(pixels, image.width, difference),
-        None => {
-            let nucleus = image.at(x, y);
-            let row = |r: usize| &image.row(y + r - LARGE_RADIUS)[x - HALF_WIDTHS[r]..=x + HALF_WIDTHS[r]];
-            (0..SIDE).map(|r| row(r).iter().filter(|p| p.abs_diff(nucleus) <= difference).count() as u32).sum()
-        }
-    }
-}
-
-simd_kernel! {
-    /// As [`count_similar`]; `pixels` begins at the mask's upper left, rows are `stride` apart.
-    fn count_in_vectors(pixels: &[u8], stride: usize, difference: u8) -> u32 = count_in_vectors_body
-}
-
-#[inline(always)]
-fn count_in_vectors_body(pixels: &[u8], stride: usize, difference: u8) -> u32 {
-    let nucleus = pixels[LARGE_RADIUS * stride + LARGE_RADIUS];
-    let (low, high) = (nucleus.saturating_sub(difference), nucleus.saturating_add(difference));
-    // 41 rows: a byte a lane is enough.
-    let mut count = [0u8; LANES];
-    for (r, inside) in INSIDE.iter().enumerate() {
-        let Some(row) = pixels[r * stride..].first_chunk::<LANES>() else { return 0 };
-        for i in 0..LANES {
-            count[i] += u8::from(row[i].max(low).min(high) == row[i]) & inside[i];
-        }
-    }
-    count.iter().map(|&c| u32::from(c)).sum()
-}
 
 /// Sum of the similarities times [`WHOLE`]; `None` as soon as it reaches `limit`.
 fn exact_area(image: &GreyImage, x: usize, y: usize, similarity: &Similarity, limit: u32) -> Option<u32> {

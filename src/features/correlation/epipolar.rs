@@ -8,7 +8,7 @@
 //! back along `Fᵀ x2` must end at the corner. Its sub-pixel place is the top of the quadratic surface through the nine
 //! correlations about it (least squares), then the gain and bias invariant alignment of
 //! [`alignment`](crate::features::alignment) where that agrees.
-//! Cost: 8 ns a pixel tried (15x15, AVX2): 20 us a line of 700 px with a band of 1 px, twice with the way back.
+//! Cost: about 20 ns a pixel tried (15x15, AVX2): 50 us a line of 700 px with a band of 1.5 px, twice with the way back.
 //! It deliberately does not do: a smooth or ordered disparity (each corner is alone), turned patches.
 
 use nalgebra::{Matrix3, Vector2, Vector3};

@@ -12,6 +12,10 @@
 //! and only if each is the other's nearest and the second nearest is clearly farther.
 //! Three numbers tell few corners apart: of a hundred corners in a picture nearly all have a double somewhere. A window
 //! about the expected place, or few and strong corners, is what makes this matcher useful; it is there as the study's way.
+//! Measured (strongest 300 SUSAN corners, similarity at t = 20 to 30; right within 2 px or by the inliers of a robust F):
+//! over the whole picture 3 % right on graffiti, 44 % on a rectified stereo pair, and on a video's frames 5 apart a model in
+//! 2 of 8 pairs; in windows of 40 px 34 %, 49 % and 7 of 8 pairs with 72 % inliers. Narrower thresholds give fewer matches
+//! and few more right ones.
 //! Cost: 2 ns a comparison; n m comparisons without windows.
 //! It deliberately does not do: weighting of the attributes by more than their thresholds, geometry.
 

@@ -6,6 +6,9 @@
 //! at the corner. It starts from the motion between blurred thumbnails of the two pictures, where these are alike. What is
 //! lost there tries again from the motion of the nearest corners that were found, for a few rounds: so the matching grows
 //! from where it is easy into where the motion differs from the whole picture's.
+//! Measured (strongest 600 FAST corners): inliers of a robust F 98 % on frames 5 and 15 apart, 98 % on a rectified stereo pair
+//! (92 % within 2 px of the truth); of graffiti's views 148 corners, 74 % right, against 11 and 27 % without thumbnail levels
+//! and neighbours (coarsest level 2, no rounds).
 //! Cost: about 3 us a corner and round. Two pictures of different sizes have no flow: nothing is matched.
 //! It deliberately does not do: turns of more than about 20 degrees, changes of scale (the patches are not warped).
 

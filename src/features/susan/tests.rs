@@ -215,6 +215,57 @@ fn false_corner_rejection_drops_specks_and_lines_and_keeps_corners() {
     }
 }
 
+/// Corners of slanting squares through a lens, with noise: (near one of the true corners, elsewhere along the edges).
+fn right_and_false(config: SusanConfig, t: u8) -> (usize, usize) {
+    let (mut right, mut wrong) = (0, 0);
+    for (k, degrees) in [5.0f32, 17.0, 29.0, 41.0].into_iter().enumerate() {
+        let (sin, cos) = degrees.to_radians().sin_cos();
+        let image = picture(160, 160, |x, y| {
+            let (dx, dy) = (x as f32 - 80.0, y as f32 - 80.0);
+            let (u, v) = (cos * dx + sin * dy, cos * dy - sin * dx);
+            // Distance inside the square, blurred over a pixel and a half.
+            let inside = (45.0 - u.abs()).min(45.0 - v.abs());
+            let share = (0.5 + inside / 1.5).clamp(0.0, 1.0);
+            let h = (x as u32).wrapping_mul(0x9e37_79b1) ^ (y as u32).wrapping_mul(0x85eb_ca6b) ^ k as u32;
+            let noise = ((h ^ (h >> 15)).wrapping_mul(0x2c1b_3c6d) >> 24) as f32 / 32.0;
+            (50.0 + 130.0 * share + noise) as u8
+        });
+        let mut out = Vec::new();
+        SusanDetector::new(config).expect("valid").detect_all(&image, t, &mut out);
+        for c in out {
+            let true_corner = |s: f32, r: f32| {
+                let (u, v) = (45.0 * s, 45.0 * r);
+                let (x, y) = (80.0 + cos * u - sin * v, 80.0 + sin * u + cos * v);
+                (c.x - x).hypot(c.y - y) < 4.5
+            };
+            let near = [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)].into_iter().any(|(s, r)| true_corner(s, r));
+            if near { right += 1 } else { wrong += 1 }
+        }
+    }
+    (right, wrong)
+}
+
+#[test]
+fn rejecting_edges_leaves_the_corners_and_takes_false_ones() {
+    let base = SusanConfig::default();
+    let asks =
+        |min_centroid_px, contiguous, reject_edges| SusanConfig { min_centroid_px, contiguous, reject_edges, ..base };
+    let plain = right_and_false(asks(0.0, false, false), 20);
+    let paper = right_and_false(asks(1.0, true, false), 20);
+    let edges = right_and_false(base, 20);
+    let by_degree =
+        right_and_false(SusanConfig { strength: SusanStrength::SalientDegree, ..asks(0.0, false, false) }, 20);
+    let by_degree_paper =
+        right_and_false(SusanConfig { strength: SusanStrength::SalientDegree, ..asks(1.0, true, false) }, 20);
+    println!(
+        "right, false: plain {plain:?}, paper {paper:?}, edges {edges:?}; by degree {by_degree:?}, paper {by_degree_paper:?}"
+    );
+    assert!(
+        edges.0 >= 16 && edges.1 <= plain.1 && by_degree_paper.1 <= by_degree.1,
+        "{plain:?} {paper:?} {edges:?} {by_degree:?} {by_degree_paper:?}"
+    );
+}
+
 #[test]
 fn values_out_of_range_are_named() {
     let message = |config: SusanConfig| SusanDetector::new(config).expect_err("must be refused").to_string();

@@ -10,6 +10,7 @@
 //! Cost: a pixel measured is also written to the smallest areas of its neighbourhood, a few vector operations a row.
 
 use super::{LARGE, LargeSusanDetector, UNKNOWN};
+use crate::features::dispatch::simd_kernel;
 use crate::image::GreyImage;
 
 /// Bounds are sorted by this many of their leading bits.
@@ -28,15 +29,9 @@ impl LargeSusanDetector {
                 continue;
             }
             let area = self.area(image, at);
-            if area >= LARGE {
-                continue;
-            }
-            // Starts are at least LARGE_RADIUS > r pixels from the picture's edge.
-            let first = at - r * width - r;
-            for row in 0..=2 * r {
-                for low in &mut self.low[first + row * width..=first + row * width + 2 * r] {
-                    *low = area.min(*low);
-                }
+            if area < LARGE {
+                // Starts are at least LARGE_RADIUS > r pixels from the picture's edge.
+                lower(&mut self.low[at - r * width - r..], width, 2 * r + 1, area);
             }
         }
         for k in 0..self.starts.len() {
@@ -83,5 +78,68 @@ impl LargeSusanDetector {
             }
         }
         true
+    }
+}
+
+simd_kernel! {
+    /// Lowers a square of `side` x `side` areas to `area` where they are above it; rows are `stride` apart.
+    fn lower(low: &mut [u16], stride: usize, side: usize, area: u16) = lower_body
+}
+
+#[inline(always)]
+fn lower_body(low: &mut [u16], stride: usize, side: usize, area: u16) {
+    for row in low.chunks_mut(stride).take(side) {
+        for low in &mut row[..side] {
+            *low = area.min(*low);
+        }
+    }
+}
+
+simd_kernel! {
+    /// Sets the bounds to what the windows found add to the area at least (`window` each), and the areas to [`LARGE`] where
+    /// no window is missing, to [`UNKNOWN`] elsewhere.
+    pub(super) fn record_bounds(
+        left: &[u8], limit: &[u8], window: u16, areas: &mut [u16], bounds: &mut [u16],
+    ) = record_bounds_body
+}
+
+const _: () = assert!(LARGE == UNKNOWN - 1);
+
+#[inline(always)]
+fn record_bounds_body(left: &[u8], limit: &[u8], window: u16, areas: &mut [u16], bounds: &mut [u16]) {
+    let n = left.len();
+    let (limit, areas, bounds) = (&limit[..n], &mut areas[..n], &mut bounds[..n]);
+    for i in 0..n {
+        // A limit of 0: no corner is wanted here, and the pixel may still be asked for as a neighbour.
+        areas[i] = UNKNOWN - u16::from(u8::from(left[i] == 0) & u8::from(limit[i] != 0));
+        bounds[i] = u16::from(limit[i] - left[i]) * window;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #![proptest_config(ProptestConfig { cases: 48, ..ProptestConfig::default() })]
+
+        #[test]
+        fn the_wide_kernels_agree_with_their_scalar_twins(
+            values in prop::collection::vec(any::<u16>(), 50 * 44), area in any::<u16>(), side in 1usize..20,
+            windows in prop::collection::vec((0u8..64, 0u8..64), 60),
+        ) {
+            let (mut a, mut b) = (values.clone(), values.clone());
+            lower(&mut a, 50, side, area);
+            lower_body(&mut b, 50, side, area);
+            prop_assert_eq!(&a, &b);
+            let limit: Vec<u8> = windows.iter().map(|w| w.0.max(w.1)).collect();
+            let left: Vec<u8> = windows.iter().map(|w| w.0.min(w.1)).collect();
+            let (mut c, mut d) = (values.clone(), values);
+            record_bounds(&left, &limit, 512, &mut a, &mut c);
+            record_bounds_body(&left, &limit, 512, &mut b, &mut d);
+            prop_assert_eq!((a, c), (b, d));
+        }
     }
 }

@@ -20,12 +20,13 @@ pub(super) const WINDOW_AREA: u32 = 16;
 /// Windows side by side in the mask.
 const WINDOWS: usize = 64;
 
-/// Upper left pixels of the windows, relative to the mask's upper left.
-const OFFSETS: [[usize; 2]; WINDOWS] = {
-    let mut offsets = [[0; 2]; WINDOWS];
+/// The mask's bands of windows: first column of the first window and number of windows, for rows 4 k to 4 k + 3 from the
+/// mask's upper left.
+const BANDS: [[usize; 2]; 10] = {
+    let mut bands = [[0; 2]; 10];
     let (mut n, mut band) = (0, 0);
     while band < 10 {
-        // Rows 4 band .. 4 band + 3; the one farthest from the nucleus decides how wide the mask is in all of them.
+        // The row farthest from the nucleus decides how wide the mask is in all of them.
         let (top, bottom) = (WINDOW * band, WINDOW * band + WINDOW - 1);
         let farthest = if top < LARGE_RADIUS { LARGE_RADIUS - top } else { bottom - LARGE_RADIUS };
         let mut half = 0;
@@ -33,17 +34,17 @@ const OFFSETS: [[usize; 2]; WINDOWS] = {
             half += 1;
         }
         // Windows begin at multiples of four from the nucleus, so that an edge through it cuts none.
-        let mut left = LARGE_RADIUS - half / WINDOW * WINDOW;
-        while left + WINDOW <= LARGE_RADIUS + half + 1 {
-            offsets[n] = [left, top];
-            n += 1;
-            left += WINDOW;
-        }
+        let left = LARGE_RADIUS - half / WINDOW * WINDOW;
+        bands[band] = [left, (LARGE_RADIUS + half + 1 - left) / WINDOW];
+        n += bands[band][1];
         band += 1;
     }
     assert!(n == WINDOWS);
-    offsets
+    bands
 };
+
+/// What a row of blocks reaches over: the widest band and the block.
+const REACH: usize = 2 * LARGE_RADIUS + BLOCK;
 
 /// Pixels looked at together.
 const BLOCK: usize = 32;
@@ -92,7 +93,7 @@ impl Windows {
             block.1[..m].copy_from_slice(&difference[at..at + m]);
             block.2[..m].copy_from_slice(&enough[at..at + m]);
             // Windows of the pixels past the row's end may lie past the arrays' end: then they are looked at one by one.
-            let fits = begin + at + OFFSETS[WINDOWS - 1][1] * self.width + 2 * LARGE_RADIUS + BLOCK <= self.least.len();
+            let fits = begin + at + WINDOW * (BANDS.len() - 1) * self.width + REACH <= self.least.len();
             if fits {
                 bound_block(&self.least[begin + at..], &self.most[begin + at..], self.width, &mut block);
             } else {
@@ -121,14 +122,27 @@ fn bound_block_body(least: &[u8], most: &[u8], stride: usize, block: &mut Block)
         high[i] = nuclei[i].saturating_add(difference[i]);
     }
     let mut count = [0u8; BLOCK];
-    for [dx, dy] in OFFSETS {
-        let at = dy * stride + dx;
-        let (Some(least), Some(most)) = (least[at..].first_chunk::<BLOCK>(), most[at..].first_chunk::<BLOCK>()) else {
+    for (band, [left, windows]) in BANDS.into_iter().enumerate() {
+        let at = WINDOW * band * stride;
+        // One check a band, so that no window needs its own.
+        let (Some(least), Some(most)) = (least[at..].first_chunk::<REACH>(), most[at..].first_chunk::<REACH>()) else {
             return;
         };
+        for window in 0..windows {
+            let dx = left + WINDOW * window;
+            let (least, most) = (&least[dx..dx + BLOCK], &most[dx..dx + BLOCK]);
+            for i in 0..BLOCK {
+                // Both in the band: neither is changed by the limit it could pass.
+                count[i] += u8::from(least[i].max(low[i]) == least[i]) & u8::from(most[i].min(high[i]) == most[i]);
+            }
+        }
+        // Even areas are done after half of the bands.
+        let mut missing = 0;
         for i in 0..BLOCK {
-            // Both in the band: neither is changed by the limit it could pass.
-            count[i] += u8::from(least[i].max(low[i]) == least[i]) & u8::from(most[i].min(high[i]) == most[i]);
+            missing |= enough[i].saturating_sub(count[i]);
+        }
+        if missing == 0 {
+            break;
         }
     }
     for i in 0..BLOCK {
@@ -193,7 +207,10 @@ mod tests {
                 for (i, left) in left.iter().enumerate() {
                     let nucleus = image.at(LARGE_RADIUS + i, y);
                     let similar = |px: usize, py: usize| image.at(px, py).abs_diff(nucleus) <= difference;
-                    let within = OFFSETS.iter().filter(|[dx, dy]| {
+                    let offsets = BANDS.iter().enumerate().flat_map(|(band, &[left, windows])| {
+                        (0..windows).map(move |window| (left + 4 * window, 4 * band))
+                    });
+                    let within = offsets.filter(|(dx, dy)| {
                         (0..16).all(|k| similar(i + dx + k % 4, y - LARGE_RADIUS + dy + k / 4))
                     }).count() as u8;
                     let area = (0..41 * 41).filter(|k| {
