@@ -69,6 +69,7 @@ mod health;
 mod map;
 mod pose;
 pub mod services;
+mod transform;
 
 pub use command::{Command, CommandReply, TEXT_LEN, command_kind, reply_code};
 pub(crate) use endpoint::user_name;
@@ -77,6 +78,7 @@ pub use frame::FrameHeader;
 pub use health::{Health, STAGES, StageHealth, error, stage};
 pub use map::{Keyframe, KeyframesHeader, Landmark, MapHeader};
 pub use pose::Pose;
+pub use transform::Transform;
 
 /// A field of a wire struct, for documentation, bindings to other languages and tests.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
