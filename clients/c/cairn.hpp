@@ -27,7 +27,7 @@ namespace detail {
 inline std::uint64_t ns(Duration time) { return time.count() > 0 ? static_cast<std::uint64_t>(time.count()) : 0; }
 
 inline bool came(int outcome) {
-    if (outcome == CAIRN_FAILED)
+    if (outcome == CAIRN_ERROR)
         throw Error(cairn_error());
     return outcome == CAIRN_MESSAGE;
 }

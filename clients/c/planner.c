@@ -25,7 +25,7 @@ int main(int count, char **words) {
     cairn_pose pose;
     cairn_map map;
     int outcome = CAIRN_NOTHING;
-    while (left != 0 && (outcome = cairn_pose_wait(client, 1000000000, &pose)) != CAIRN_FAILED) {
+    while (left != 0 && (outcome = cairn_pose_wait(client, 1000000000, &pose)) != CAIRN_ERROR) {
         if (outcome == CAIRN_NOTHING) {
             fprintf(stderr, "no pose for a second: stop\n");
             continue;
@@ -46,8 +46,8 @@ int main(int count, char **words) {
         }
         left -= left > 0;
     }
-    if (outcome == CAIRN_FAILED)
+    if (outcome == CAIRN_ERROR)
         fprintf(stderr, "%s\n", cairn_error());
     cairn_close(client);
-    return outcome == CAIRN_FAILED;
+    return outcome == CAIRN_ERROR;
 }

@@ -3,7 +3,7 @@
 //! Built as a shared library by
 //! `cargo rustc --release --lib --crate-type cdylib --no-default-features --features c`.
 //!
-//! In: a handle, a timeout (ns), a place for the answer. Out: [`MESSAGE`], [`NOTHING`] or [`FAILED`]; the reason of the latter by
+//! In: a handle, a timeout (ns), a place for the answer. Out: [`MESSAGE`], [`NOTHING`] or [`ERROR`]; the reason of the latter by
 //! `cairn_error`. Poses and health are copied (424 and 392 bytes); map, keyframes and pictures are views of shared memory that
 //! must be released. A handle is used by one thread at a time; several handles may live in several threads.
 //!
@@ -30,7 +30,7 @@ pub const MESSAGE: i32 = 1;
 /// There was none in that time.
 pub const NOTHING: i32 = 0;
 /// It cannot work, and waiting will not help: see `cairn_error()`.
-pub const FAILED: i32 = -1;
+pub const ERROR: i32 = -1;
 
 thread_local! {
     static LAST_ERROR: RefCell<CString> = RefCell::default();
@@ -40,7 +40,7 @@ fn failed(reason: &str) -> i32 {
     // Messages have no zero bytes; one that had would be cut.
     let text = CString::new(reason.split('\0').next().unwrap_or_default()).unwrap_or_default();
     LAST_ERROR.with(|last| *last.borrow_mut() = text);
-    FAILED
+    ERROR
 }
 
 /// A connection to one daemon.
@@ -163,11 +163,7 @@ pub unsafe extern "C" fn cairn_close(client: *mut Handle) {
 ///
 /// # Safety
 /// `out` is null or may be written.
-unsafe fn hand_over<T, O>(
-    item: Result<Option<T>, ClientError>,
-    out: *mut O,
-    convert: impl FnOnce(T) -> O,
-) -> i32 {
+unsafe fn hand_over<T, O>(item: Result<Option<T>, ClientError>, out: *mut O, convert: impl FnOnce(T) -> O) -> i32 {
     if out.is_null() {
         return failed("there is no place for the answer: null");
     }
@@ -183,10 +179,7 @@ unsafe fn hand_over<T, O>(
 }
 
 /// The newest message if it has not been read yet, else the next one within `timeout`.
-fn newest<T: Topic>(
-    subscription: &mut Subscription<T>,
-    timeout: Duration,
-) -> Result<Option<T::Item>, ClientError> {
+fn newest<T: Topic>(subscription: &mut Subscription<T>, timeout: Duration) -> Result<Option<T::Item>, ClientError> {
     let mut newest = subscription.wait(timeout)?;
     // Of borrowed ones the queue holds a single message, and only so many may be held.
     while !T::BORROWS && newest.is_some() {
@@ -242,6 +235,23 @@ pub unsafe extern "C" fn cairn_pose_is_usable(pose: *const Pose, max_age_ns: u64
     unsafe { pose.as_ref() }.is_some_and(|pose| pose.is_usable(Duration::from_nanos(max_age_ns))).into()
 }
 
+/// The pose's covariance as a 6x6 matrix, 36 numbers, order x, y, z, rotation about x, y, z; in the body's axes, or (`in_map_axes` not
+/// 0) in the map's, as `nav_msgs/Odometry` and MAVLink want it.
+///
+/// # Safety
+/// `pose` may be read; `matrix` has room for 36 numbers.
+#[unsafe(no_mangle)] // SAFETY: as above
+pub unsafe extern "C" fn cairn_pose_covariance(pose: *const Pose, in_map_axes: i32, matrix: *mut f64) {
+    // SAFETY: null is looked at, and otherwise the caller promises that it may be read.
+    if let Some(pose) = unsafe { pose.as_ref() }
+        && !matrix.is_null()
+    {
+        let full = if in_map_axes == 0 { pose.covariance_matrix() } else { pose.covariance_in_map_axes() };
+        // SAFETY: not null, and the caller promises room for 36 numbers.
+        unsafe { core::ptr::copy_nonoverlapping(full.as_flattened().as_ptr(), matrix, 36) };
+    }
+}
+
 /// Health as it is sent, the newest, waiting for it if need be.
 ///
 /// # Safety
@@ -283,12 +293,8 @@ pub unsafe extern "C" fn cairn_map_release(map: *mut MapView) {
     {
         // SAFETY: as above.
         drop(unsafe { Box::from_raw(map.held) });
-        *map = MapView {
-            header: core::ptr::null(),
-            landmarks: core::ptr::null(),
-            count: 0,
-            held: core::ptr::null_mut(),
-        };
+        *map =
+            MapView { header: core::ptr::null(), landmarks: core::ptr::null(), count: 0, held: core::ptr::null_mut() };
     }
 }
 
@@ -366,12 +372,8 @@ pub unsafe extern "C" fn cairn_frame_release(frame: *mut FrameView) {
     {
         // SAFETY: as above.
         drop(unsafe { Box::from_raw(frame.held) });
-        *frame = FrameView {
-            header: core::ptr::null(),
-            pixels: core::ptr::null(),
-            size: 0,
-            held: core::ptr::null_mut(),
-        };
+        *frame =
+            FrameView { header: core::ptr::null(), pixels: core::ptr::null(), size: 0, held: core::ptr::null_mut() };
     }
 }
 

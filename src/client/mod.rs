@@ -49,8 +49,8 @@ pub use error::ClientError;
 pub use subscription::Subscription;
 pub use topics::{Frame, Frames, Healths, Keyframes, KeyframesSnapshot, Map, MapSnapshot, Poses, Slice, Topic};
 
-use crate::messages::{DEFAULT_PREFIX, Endpoint};
 use crate::messages::services::topic;
+use crate::messages::{DEFAULT_PREFIX, Endpoint};
 use link::Link;
 
 /// How often a client looks for a daemon that is not there.

@@ -17,8 +17,8 @@ use super::{CLOCK_MONOTONIC, Clock, NO_KEYFRAME, SCALE_UNKNOWN, STATE_INITIALIZI
 ///
 /// Positions in map units squared, angles in rad². It is relative to `anchor_keyframe`, scale removed: it says how well the
 /// pose is known within the map around it. An absolute one of a monocular map would be an artefact of where its origin
-/// lies. NaN means unknown, [`Pose::covariance_matrix`] unpacks it, [`Pose::covariance_in_map_axes`] turns it into the
-/// axes that `nav_msgs/Odometry` and MAVLink want.
+/// lies. NaN means unknown. The clients unpack it (`covariance_matrix`) and turn it into the axes that `nav_msgs/Odometry` and
+/// MAVLink want (`covariance_in_map_axes`).
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
 #[type_name("cairn.Pose.v1")]

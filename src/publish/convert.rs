@@ -128,13 +128,9 @@ pub fn from_wire(position: &[f64; 3], [x, y, z, w]: &[f64; 4]) -> Option<Se3<Map
 }
 
 /// The [`Conversion::map_from_world`] under which the body that is published at `was` would be published at `now`.
-pub fn place(
-    now: &Se3<Map, Body>,
-    was: &Se3<Map, Body>,
-    map_from_world: Option<Se3<Map, World>>,
-) -> Se3<Map, World> {
+pub fn place(now: &Se3<Map, Body>, was: &Se3<Map, Body>, map_from_world: Option<Se3<Map, World>>) -> Se3<Map, World> {
     let new_from_old: Se3<Map, Map> = *now * was.inverse();
-    new_from_old * map_from_world.unwrap_or(Se3::identity())
+    new_from_old * map_from_world.unwrap_or_default()
 }
 
 /// `clock` of the messages.
