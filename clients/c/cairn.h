@@ -309,8 +309,8 @@ typedef struct cairn_map_hold cairn_map_hold;
  *
  * Positions in map units squared, angles in rad². It is relative to `anchor_keyframe`, scale removed: it says how well the
  * pose is known within the map around it. An absolute one of a monocular map would be an artefact of where its origin
- * lies. NaN means unknown, cairn_pose.covariance_matrix unpacks it, cairn_pose.covariance_in_map_axes turns it into the
- * axes that `nav_msgs/Odometry` and MAVLink want.
+ * lies. NaN means unknown. The clients unpack it (`covariance_matrix`) and turn it into the axes that `nav_msgs/Odometry` and
+ * MAVLink want (`covariance_in_map_axes`).
  */
 typedef struct cairn_pose {
   /**
@@ -943,6 +943,17 @@ int32_t cairn_pose_wait(struct cairn_client *client,
  * `pose` is null or may be read.
  */
 int32_t cairn_pose_is_usable(const struct cairn_pose *pose, uint64_t max_age_ns);
+
+/**
+ * The pose's covariance as a 6x6 matrix, 36 numbers, order x, y, z, rotation about x, y, z; in the body's axes, or (`in_map_axes` not
+ * 0) in the map's, as `nav_msgs/Odometry` and MAVLink want it.
+ *
+ * # Safety
+ * `pose` may be read; `matrix` has room for 36 numbers.
+ */
+void cairn_pose_covariance(const struct cairn_pose *pose,
+                           int32_t in_map_axes,
+                           double *matrix);
 
 /**
  * Health as it is sent, the newest, waiting for it if need be.
