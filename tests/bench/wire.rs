@@ -51,25 +51,25 @@ fn measure() {
 
     let mut costs: Vec<i64> = (0..MESSAGES).map(|i| pose(&mut publisher, i)).collect();
     row("pose, no reader", &mut costs, None);
-    for (how, plain, ours) in [("woken", "bare", "poses"), ("polling", "bare-poll", "poses-poll")] {
-        let (plain, ours) = (Reader::start(plain, &root), Reader::start(ours, &root));
-        plain.wait_for(|| bare.0.dynamic_config().number_of_subscribers() > 0);
-        ours.wait_for(|| publisher.poses.subscribers() == 1);
-        let (mut plain_costs, mut our_costs) = (Vec::new(), Vec::new());
-        // Turn by turn, so that both meet the same load of the machine.
-        for sequence in 0..MESSAGES {
-            std::thread::sleep(PERIOD);
-            let start = Instant::now();
-            bare.1.send_copy(Bare { published_ns: monotonic_ns(), filler: [0; 52] }).expect("send");
-            bare.2.notify().expect("notify");
-            plain_costs.push(start.elapsed().as_nanos() as i64);
-            our_costs.push(pose(&mut publisher, sequence));
-        }
-        let (plain, ours) = (plain.result(), ours.result());
-        row(&format!("iceoryx2 alone, 424 bytes, {how}"), &mut plain_costs, Some(&plain));
-        row(&format!("pose, {how}"), &mut our_costs, Some(&ours));
-        ratio(&ours, &plain);
+    let (plain, ours) = (Reader::start("bare", &root), Reader::start("poses", &root));
+    plain.wait_for(|| bare.0.dynamic_config().number_of_subscribers() > 0);
+    ours.wait_for(|| publisher.poses.subscribers() == 1);
+    let (mut plain_costs, mut our_costs) = (Vec::new(), Vec::new());
+    // Turn by turn, so that both meet the same load of the machine.
+    for sequence in 0..MESSAGES {
+        plain_costs.push(bare_message(&bare));
+        our_costs.push(pose(&mut publisher, sequence));
     }
+    compared("woken", (plain, &mut plain_costs), (ours, &mut our_costs));
+    // One after the other: a machine of two cores has room for one that polls.
+    let mut plain = Reader::start("bare-poll", &root);
+    plain.wait_for(|| bare.0.dynamic_config().number_of_subscribers() > 0);
+    let mut plain_costs: Vec<i64> = (0..MESSAGES).map(|_| bare_message(&bare)).collect();
+    plain.wait_for_end();
+    let ours = Reader::start("poses-poll", &root);
+    ours.wait_for(|| publisher.poses.subscribers() == 1);
+    let mut our_costs: Vec<i64> = (0..MESSAGES).map(|i| pose(&mut publisher, i)).collect();
+    compared("polling", (plain, &mut plain_costs), (ours, &mut our_costs));
     crowds(&mut publisher, &root);
     maps(&endpoint, &mut publisher, &root);
     small_things(&mut publisher);
@@ -80,6 +80,22 @@ fn measure() {
     drop((publisher, bare));
     demo(&root);
     clean(&root, &name);
+}
+
+/// Publishes one message by iceoryx2 alone after a pause and returns what that cost, ns.
+fn bare_message((_, publisher, notifier): &BarePublisher) -> i64 {
+    std::thread::sleep(PERIOD);
+    let start = Instant::now();
+    publisher.send_copy(Bare { published_ns: monotonic_ns(), filler: [0; 52] }).expect("send");
+    notifier.notify().expect("notify");
+    start.elapsed().as_nanos() as i64
+}
+
+fn compared(how: &str, plain: (Reader, &mut Vec<i64>), ours: (Reader, &mut Vec<i64>)) {
+    let (plain_latency, our_latency) = (plain.0.result(), ours.0.result());
+    row(&format!("iceoryx2 alone, 424 bytes, {how}"), plain.1, Some(&plain_latency));
+    row(&format!("pose, {how}"), ours.1, Some(&our_latency));
+    ratio(&our_latency, &plain_latency);
 }
 
 /// Publishes one pose after a pause and returns what that cost, ns.
@@ -110,10 +126,12 @@ fn crowds(publisher: &mut Publisher, root: &Path) {
             drop(victim);
             // The median reader: the first one woken is not the last.
             results.sort_by(|a, b| a[0].total_cmp(&b[0]));
-            let lost: f64 = results.iter().map(|r| r[2]).sum();
+            let lost: u64 = results.iter().map(|r| r[2] as u64).sum();
             let what = format!("pose, {readers} readers{}", if stuck { ", one stuck" } else { "" });
             row(&what, &mut costs, results.get(results.len() / 2));
-            println!("    poses lost by the {} that run: {lost}", results.len());
+            if !results.is_empty() {
+                println!("    poses lost by the {} that run: {lost}", results.len());
+            }
             // What was killed is cleared away.
             std::thread::sleep(Duration::from_millis(1_100));
             publisher.health.publish(&Health::default()).expect("health");

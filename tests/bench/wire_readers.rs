@@ -68,6 +68,11 @@ impl Reader {
         assert!(status.expect("kill").success());
     }
 
+    /// Until it reads no more; its numbers wait.
+    pub fn wait_for_end(&mut self) {
+        let _ = self.child.wait();
+    }
+
     /// The numbers that the reader prints at its end.
     pub fn result(mut self) -> Vec<f64> {
         let mut line = String::new();
