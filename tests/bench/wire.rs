@@ -15,12 +15,12 @@ use cairn::client::{Client, monotonic_ns};
 use cairn::geometry::Se3;
 use cairn::map::{KeyframeId, LandmarkId, MapId};
 use cairn::messages::{Endpoint, Health};
-use cairn::publish::{Conversion, Limits, MapContext, Publisher};
+use cairn::publish::{Conversion, Limits, MapContext, Publisher, convert};
 use cairn::reconstruction::{KeyframeView, LandmarkView, MapSnapshot, PoseEstimate, TrackingState};
 use iceoryx2::prelude::*;
 use nalgebra::{Matrix6, Vector3};
 
-use wire_readers::{Bare, BareHeader, Reader, bare_node, bare_service, bare_slices, percentiles};
+use wire_readers::{Bare, Reader, bare_node, bare_service, bare_slices, percentiles};
 
 /// Messages of one measurement, 200 a second.
 const MESSAGES: u64 = 1_000;
@@ -142,10 +142,10 @@ fn crowds(publisher: &mut Publisher, root: &Path) {
 fn maps(endpoint: &Endpoint, publisher: &mut Publisher, root: &Path) {
     let node = bare_node(endpoint);
     let service = bare_slices(&node);
-    let plain = service.publisher_builder().initial_max_slice_len(LARGEST * 24).create().expect("publisher");
+    let plain = service.publisher_builder().initial_max_slice_len(LARGEST).create().expect("publisher");
     let events = node.service_builder(&"bare-map".try_into().expect("name")).event().open_or_create().expect("events");
     let notifier = events.notifier_builder().create().expect("notifier");
-    let bytes = vec![7u8; LARGEST * 24];
+    let map_from_optical = Conversion::default().map_from_optical();
     for landmarks in [1_000, 10_000, LARGEST] {
         let snapshot = snapshot(landmarks as u32);
         let (bare, ours) = (Reader::start("bare-map", root), Reader::start("map", root));
@@ -155,9 +155,9 @@ fn maps(endpoint: &Endpoint, publisher: &mut Publisher, root: &Path) {
         for _ in 0..MESSAGES / 10 {
             std::thread::sleep(PERIOD * 4);
             let start = Instant::now();
-            let mut sample = plain.loan_slice_uninit(landmarks * 24).expect("memory");
-            *sample.user_header_mut() = BareHeader { published_ns: 0 };
-            let mut sample = sample.write_from_slice(&bytes[..landmarks * 24]);
+            // Filled as ours is, so that both leave the caches alike.
+            let sample = plain.loan_slice_uninit(landmarks).expect("memory");
+            let mut sample = sample.write_from_fn(|i| convert::landmark(&snapshot.landmarks[i], &map_from_optical));
             sample.user_header_mut().published_ns = monotonic_ns();
             sample.send().expect("send");
             notifier.notify().expect("notify");

@@ -6,7 +6,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use cairn::client::{Client, monotonic_ns};
-use cairn::messages::Endpoint;
+use cairn::messages::{Endpoint, Landmark};
 use iceoryx2::prelude::*;
 
 use super::{MESSAGES, endpoint};
@@ -196,7 +196,8 @@ fn cpu_seconds() -> f64 {
 }
 
 pub type BareService = iceoryx2::service::port_factory::publish_subscribe::PortFactory<ipc::Service, Bare, ()>;
-pub type BareSlices = iceoryx2::service::port_factory::publish_subscribe::PortFactory<ipc::Service, [u8], BareHeader>;
+pub type BareSlices =
+    iceoryx2::service::port_factory::publish_subscribe::PortFactory<ipc::Service, [Landmark], BareHeader>;
 
 pub fn bare_node(endpoint: &Endpoint) -> Node<ipc::Service> {
     let node = NodeBuilder::new().config(endpoint.config()).signal_handling_mode(SignalHandlingMode::Disabled);
@@ -210,7 +211,7 @@ pub fn bare_service(node: &Node<ipc::Service>) -> BareService {
 
 pub fn bare_slices(node: &Node<ipc::Service>) -> BareSlices {
     let name = "bare-map".try_into().expect("name");
-    let service = node.service_builder(&name).publish_subscribe::<[u8]>().user_header::<BareHeader>();
+    let service = node.service_builder(&name).publish_subscribe::<[Landmark]>().user_header::<BareHeader>();
     service.open_or_create().expect("service")
 }
 
