@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use cairn::client::{Client, ClientError};
 use cairn::image::GreyImage;
-use cairn::messages::{Clock, Command, CommandReply, Health, State, Transform, command_kind, error, reply_code};
+use cairn::messages::{Clock, Command, CommandReply, Health, Pose, State, Transform, command_kind, error, reply_code};
 use cairn::publish::{Conversion, FrameStamp, MapContext, PublishError, Publisher};
 use iceoryx2::prelude::*;
 
@@ -52,6 +52,26 @@ fn the_latest_pose_stays_and_its_age_grows() {
         !poses.is_connected()
     });
     assert_eq!(poses.latest().unwrap().expect("the last pose of the daemon that went").sequence, 4);
+}
+
+/// What the helper process runs: its environment names the daemon.
+pub fn ask_for_the_latest() {
+    let pose = Pose::latest().expect("no error").expect("the pose of a daemon that is there");
+    let health = Health::latest().expect("no error").expect("its health");
+    assert_eq!(pose.run_id, health.run_id);
+    crate::support::until("a later pose has come", || {
+        let later = Pose::latest().expect("no error").expect("a pose");
+        later.sequence > pose.sequence && later.is_usable(Duration::from_secs(5))
+    });
+}
+
+#[test]
+fn the_latest_pose_is_one_line_away() {
+    let place = Place::new();
+    let _daemon = place.spawn(Role::Publisher);
+    next(&mut place.client().poses());
+    let asked = place.command(Role::Latest).output().expect("helper");
+    assert!(asked.status.success(), "{}", String::from_utf8_lossy(&asked.stderr));
 }
 
 #[test]

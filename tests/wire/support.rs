@@ -134,6 +134,8 @@ pub enum Role {
     Publisher,
     /// Reads poses.
     Subscriber,
+    /// Asks for the latest pose and health, one line of code each.
+    Latest,
     /// `cairn watch` with the arguments in the environment variable `CAIRN_TEST_WATCH`.
     Watch,
 }
@@ -143,6 +145,7 @@ impl Role {
         match self {
             Self::Publisher => "publisher",
             Self::Subscriber => "subscriber",
+            Self::Latest => "latest",
             Self::Watch => "watch",
         }
     }
@@ -196,6 +199,7 @@ fn helper() {
                 poses.wait(Duration::from_millis(100)).expect("wait");
             }
         }
+        "latest" => crate::delivery::ask_for_the_latest(),
         "watch" => crate::watching::watch(),
         other => panic!("no role {other}"),
     }
