@@ -8,7 +8,6 @@ pub mod bindings;
 pub mod bundle;
 pub mod config;
 mod estimate;
-mod focal;
 pub mod initialise;
 mod intrinsics;
 pub mod keyframes;
