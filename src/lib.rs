@@ -47,6 +47,7 @@
 //! # Where this house differs from its first plan
 //! - Corners are detected by the feature thread whenever cells are empty, not on keyframes only: a frame in live operation has
 //!   left the feature thread before reconstruction knows that it is a keyframe.
+//! - `client/c.rs` has unsafe code, too: C's pointers cannot be checked.
 //! - A keyframe copies its frame's pyramid (0.4 MB, 30 us, after the pose is published) instead of holding it, so that the pool of
 //!   pyramids never allocates on the path of a pose.
 //! - A room more, [`workbench`]: the method step by step on two pictures from files (`cairn twoview`) and on many pairs with known
@@ -54,7 +55,9 @@
 //!   would otherwise put files and clocks into `features` and `geometry`; it knows these two, and only `cli` knows it.
 //!
 //! # Features
-//! `client` (wire types and subscriptions, iceoryx2 only) and `daemon` (default: everything).
+//! `client` (wire types and subscriptions, iceoryx2 only), `c` (the same as a C library, for `--crate-type cdylib`) and `daemon` (default:
+//! everything). Planners in other languages live in `clients/`: header and examples for C and C++, a package for Python that talks to
+//! iceoryx2 itself. What the wire is stands in `src/messages/WIRE.md`, whose tables are made from the sources, as `cairn.h` is.
 
 #[cfg(feature = "client")]
 pub mod client;

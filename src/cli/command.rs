@@ -8,9 +8,9 @@ use std::time::Duration;
 use super::endpoint_args::EndpointArgs;
 use super::{CliError, exit_code};
 use crate::client::Client;
-use crate::messages::{CommandReply, reply_code};
+use crate::messages::{CommandReply, Transform, reply_code};
 
-/// Tell a running daemon to reset, or to save its trajectory or map
+/// Tell a running daemon to reset, to save its trajectory or map, or where the robot is
 #[derive(Debug, Clone, clap::Args)]
 pub struct CommandArgs {
     #[command(flatten)]
@@ -37,6 +37,18 @@ pub enum Action {
         /// File to write
         path: PathBuf,
     },
+    /// Say where the robot is now: poses and map are published accordingly from then on
+    SetPose {
+        /// Forward, map units
+        #[arg(allow_negative_numbers = true)]
+        x: f64,
+        /// To the left, map units
+        #[arg(allow_negative_numbers = true)]
+        y: f64,
+        /// Angle about the vertical, counter-clockwise from above, degrees
+        #[arg(allow_negative_numbers = true)]
+        yaw: f64,
+    },
 }
 
 /// Runs the subcommand.
@@ -47,6 +59,7 @@ pub fn run(args: &CommandArgs) -> Result<ExitCode, CliError> {
         Action::Reset => client.reset(timeout)?,
         Action::SaveTrajectory { path } => client.save_trajectory(&absolute(path)?, timeout)?,
         Action::SaveMap { path } => client.save_map(&absolute(path)?, timeout)?,
+        Action::SetPose { x, y, yaw } => client.set_pose(&Transform::level(*x, *y, yaw.to_radians()), timeout)?,
     };
     outcome(&reply)
 }

@@ -8,7 +8,7 @@ use iceoryx2::service::port_factory::client::ClientCreateError;
 
 use super::{Client, ClientError};
 use crate::messages::services::{MAX_COMMANDERS, topic};
-use crate::messages::{Command, CommandReply, TEXT_LEN, command_kind};
+use crate::messages::{Command, CommandReply, TEXT_LEN, Transform, command_kind};
 
 /// How often the answer is looked for: a command is rare, an event service of its own would cost more than it saves.
 const LOOK_FOR_REPLY: Duration = Duration::from_millis(2);
@@ -27,6 +27,20 @@ impl Client {
     /// Writes the sparse map (PLY). The daemon opens `path` as its own user: make it absolute.
     pub fn save_map(&self, path: &str, timeout: Duration) -> Result<CommandReply, ClientError> {
         self.command(with_path(command_kind::SAVE_MAP, path)?, timeout)
+    }
+
+    /// Loads a map and has the robot find itself in it. Whether a daemon can is in its reply
+    /// ([`crate::messages::reply_code::UNSUPPORTED`]).
+    pub fn load_map(&self, path: &str, timeout: Duration) -> Result<CommandReply, ClientError> {
+        self.command(with_path(command_kind::LOAD_MAP, path)?, timeout)
+    }
+
+    /// Says where the robot is now: from then on poses, map and keyframes are published in a map that is moved so that this
+    /// holds, and the reset counter has grown by one. The place is lost with the map (a reset, a daemon's restart). Lengths
+    /// are in map units; one camera's scale is not set by it.
+    pub fn set_pose(&self, map_from_body: &Transform, timeout: Duration) -> Result<CommandReply, ClientError> {
+        let Transform { position, orientation } = *map_from_body;
+        self.command(Command { position, orientation, ..Command::new(command_kind::SET_POSE) }, timeout)
     }
 
     /// Sends any command and waits for its reply. The reply may be a refusal: look at its code.

@@ -1,5 +1,16 @@
 //! A planner's side: typed subscriptions to a daemon, over iceoryx2 and nothing of ours but [`crate::messages`].
 //!
+//! The newest pose, in one line:
+//!
+//! ```no_run
+//! # fn main() -> Result<(), cairn::client::ClientError> {
+//! let pose = cairn::messages::Pose::latest()?.filter(|pose| pose.is_usable(std::time::Duration::from_millis(200)));
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! Every pose, asleep between two:
+//!
 //! ```no_run
 //! # fn main() -> Result<(), cairn::client::ClientError> {
 //! for pose in cairn::client::Client::connect("cairn")?.poses() {
@@ -20,8 +31,11 @@
 //! - A client never creates anything before the daemon has: it could lock the daemon's user out.
 //! - No signal handler is installed. No thread is started. All types are `Send`.
 
+#[cfg(feature = "c")]
+pub mod c;
 mod commander;
 mod error;
+mod latest;
 mod link;
 mod subscription;
 mod topics;
@@ -35,8 +49,8 @@ pub use error::ClientError;
 pub use subscription::Subscription;
 pub use topics::{Frame, Frames, Healths, Keyframes, KeyframesSnapshot, Map, MapSnapshot, Poses, Slice, Topic};
 
-use crate::messages::Endpoint;
 use crate::messages::services::topic;
+use crate::messages::{DEFAULT_PREFIX, Endpoint};
 use link::Link;
 
 /// How often a client looks for a daemon that is not there.
@@ -60,6 +74,12 @@ impl Client {
     /// waiting would not cure. CAIRN_IPC_ROOT and CAIRN_IPC_PREFIX are looked at ([`Endpoint::with_environment`]).
     pub fn connect(prefix: &str) -> Result<Self, ClientError> {
         Self::with_endpoint(Endpoint::new(prefix)?.with_environment()?)
+    }
+
+    /// The daemon that CAIRN_PREFIX names, `cairn` if it is not set or empty; otherwise as [`Self::connect`].
+    pub fn from_environment() -> Result<Self, ClientError> {
+        let prefix = std::env::var("CAIRN_PREFIX").ok().filter(|prefix| !prefix.is_empty());
+        Self::connect(prefix.as_deref().unwrap_or(DEFAULT_PREFIX))
     }
 
     /// As [`Self::connect`], regardless of the environment.

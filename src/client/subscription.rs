@@ -109,6 +109,15 @@ impl<T: Topic> Subscription<T> {
         Ok(self.latest.as_ref())
     }
 
+    /// As [`Self::latest`], but if this subscription has had no message at all and a daemon is there, it waits up to `timeout`
+    /// for the first: a late joiner's last pose, map or health comes within a tenth of a second.
+    pub fn latest_within(&mut self, timeout: Duration) -> Result<Option<&T::Item>, ClientError> {
+        if self.latest()?.is_none() && self.is_connected() {
+            self.latest = self.wait(timeout)?;
+        }
+        self.latest()
+    }
+
     /// The oldest message not read yet, waiting for it if need be; `None` after `timeout`, or earlier when a signal
     /// arrives. Sleeps; a message wakes it.
     pub fn wait(&mut self, timeout: Duration) -> Result<Option<T::Item>, ClientError> {

@@ -2,6 +2,7 @@
 
 use std::fmt;
 use std::ops::Deref;
+use std::sync::Arc;
 
 use iceoryx2::port::DegradationAction;
 use iceoryx2::port::ReceiveError;
@@ -34,24 +35,32 @@ pub type KeyframesSnapshot = Slice<Keyframe, KeyframesHeader>;
 /// A grey picture in shared memory, rows of [`FrameHeader::stride`] bytes.
 pub type Frame = Slice<u8, FrameHeader>;
 
-/// A message with many elements, borrowed from shared memory for as long as it lives. Never changes.
-pub struct Slice<T: ZeroCopySend + fmt::Debug + 'static, H: ZeroCopySend + fmt::Debug>(Sample<Ipc, [T], H>);
+/// A service's port, and the service: the port must be gone when the service is closed.
+type SlicePort<T, H> = Arc<(Subscriber<Ipc, [T], H>, PortFactory<Ipc, [T], H>)>;
 
-impl<T: ZeroCopySend + fmt::Debug, H: ZeroCopySend + fmt::Debug> Slice<T, H> {
+/// A message with many elements, borrowed from shared memory for as long as it lives. Never changes, also when its subscription
+/// has gone.
+pub struct Slice<T: ZeroCopySend + fmt::Debug + 'static, H: ZeroCopySend + fmt::Debug + 'static> {
+    sample: Sample<Ipc, [T], H>,
+    /// With the subscriber gone the publisher would take the memory back and write the next message into it (iceoryx2 0.10).
+    _port: SlicePort<T, H>,
+}
+
+impl<T: ZeroCopySend + fmt::Debug + 'static, H: ZeroCopySend + fmt::Debug + 'static> Slice<T, H> {
     /// What the elements are a picture of.
     pub fn header(&self) -> &H {
-        self.0.user_header()
+        self.sample.user_header()
     }
 }
 
-impl<T: ZeroCopySend + fmt::Debug, H: ZeroCopySend + fmt::Debug> Deref for Slice<T, H> {
+impl<T: ZeroCopySend + fmt::Debug + 'static, H: ZeroCopySend + fmt::Debug + 'static> Deref for Slice<T, H> {
     type Target = [T];
     fn deref(&self) -> &[T] {
-        self.0.payload()
+        self.sample.payload()
     }
 }
 
-impl<T: ZeroCopySend + fmt::Debug, H: ZeroCopySend + fmt::Debug> fmt::Debug for Slice<T, H> {
+impl<T: ZeroCopySend + fmt::Debug + 'static, H: ZeroCopySend + fmt::Debug + 'static> fmt::Debug for Slice<T, H> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Slice").field("header", self.header()).field("len", &self.len()).finish()
     }
@@ -107,7 +116,7 @@ macro_rules! topic {
             const BORROWS: bool = $borrows;
             type Item = $item;
             // The port before the service: it must be gone when the service is closed.
-            type Port = (Subscriber<Ipc, $payload, $header>, PortFactory<Ipc, $payload, $header>);
+            type Port = Arc<(Subscriber<Ipc, $payload, $header>, PortFactory<Ipc, $payload, $header>)>;
 
             fn open(node: &Node<Ipc>, name: &ServiceName) -> Result<Self::Port, OpenFailure> {
                 let service = node
@@ -127,22 +136,34 @@ macro_rules! topic {
                         }
                         e => OpenFailure::Port(e),
                     })?;
-                Ok((port, service))
+                Ok(Arc::new((port, service)))
             }
 
-            fn receive((port, _): &Self::Port) -> Result<Option<Self::Item>, ReceiveError> {
-                Ok(port.receive()?.map($from))
+            fn receive(port: &Self::Port) -> Result<Option<Self::Item>, ReceiveError> {
+                Ok(port.0.receive()?.map(|sample| $from(sample, port)))
             }
 
-            fn publishers((_, service): &Self::Port) -> usize {
-                service.dynamic_config().number_of_publishers()
+            fn publishers(port: &Self::Port) -> usize {
+                port.1.dynamic_config().number_of_publishers()
             }
 
-            fn max_held((_, service): &Self::Port) -> usize {
-                service.static_config().subscriber_max_borrowed_samples()
+            fn max_held(port: &Self::Port) -> usize {
+                port.1.static_config().subscriber_max_borrowed_samples()
             }
         }
     };
+}
+
+fn copied<T: ZeroCopySend + fmt::Debug + Copy, P>(sample: Sample<Ipc, T, ()>, _port: &P) -> T {
+    *sample.payload()
+}
+
+fn held<T, H>(sample: Sample<Ipc, [T], H>, port: &SlicePort<T, H>) -> Slice<T, H>
+where
+    T: ZeroCopySend + fmt::Debug + 'static,
+    H: ZeroCopySend + fmt::Debug + 'static,
+{
+    Slice { sample, _port: port.clone() }
 }
 
 /// Versioned name of an element's type; a plain byte has only iceoryx2's name.
@@ -167,21 +188,21 @@ impl WireName for u8 {
 
 topic!(
     /// [`Pose`], one a frame.
-    PoseTopic, topic::POSE, Pose, Pose, (), false, Pose, |s| *s.payload()
+    PoseTopic, topic::POSE, Pose, Pose, (), false, Pose, copied
 );
 topic!(
     /// [`Health`], at a steady rate.
-    HealthTopic, topic::HEALTH, Health, Health, (), false, Health, |s| *s.payload()
+    HealthTopic, topic::HEALTH, Health, Health, (), false, Health, copied
 );
 topic!(
     /// [`MapSnapshot`], at most twice a second.
-    MapTopic, topic::MAP, [Landmark], Landmark, MapHeader, true, MapSnapshot, Slice
+    MapTopic, topic::MAP, [Landmark], Landmark, MapHeader, true, MapSnapshot, held
 );
 topic!(
     /// [`KeyframesSnapshot`], with the map.
-    KeyframesTopic, topic::KEYFRAMES, [Keyframe], Keyframe, KeyframesHeader, true, KeyframesSnapshot, Slice
+    KeyframesTopic, topic::KEYFRAMES, [Keyframe], Keyframe, KeyframesHeader, true, KeyframesSnapshot, held
 );
 topic!(
     /// [`Frame`], while somebody subscribes.
-    FrameTopic, topic::FRAME, [u8], u8, FrameHeader, true, Frame, Slice
+    FrameTopic, topic::FRAME, [u8], u8, FrameHeader, true, Frame, held
 );

@@ -2,11 +2,26 @@
 
 use crate::config::MountConfig;
 use crate::features::FrameFeatures;
-use crate::frame::Clock;
+use crate::frame::{Clock, monotonic_ns};
+use crate::geometry::Se3;
+use crate::geometry::frames::{Body, World};
+use crate::map::MapId;
+use crate::messages::Pose;
+use crate::publish::convert::{self, Map};
 use crate::publish::{
     Conversion, FramePublisher, FrameStamp, MapContext, MapPublisher, PosePublisher, PublishError, ScaleEstimate,
 };
 use crate::reconstruction::{MapSnapshot, PoseEstimate};
+
+/// A pose that is older than this is not where the robot is now.
+const NOW_NS: i64 = 1_000_000_000;
+
+/// Where a planner has put a map.
+#[derive(Debug, Clone, Copy)]
+struct Placement {
+    map: MapId,
+    map_from_world: Se3<Map, World>,
+}
 
 /// Sends without ever waiting for a reader.
 #[derive(Debug)]
@@ -15,6 +30,9 @@ pub struct Outlet {
     map: MapPublisher,
     frames: FramePublisher,
     conversion: Conversion,
+    placement: Option<Placement>,
+    /// As published.
+    last: Option<Pose>,
 }
 
 impl Outlet {
@@ -26,14 +44,39 @@ impl Outlet {
         mount: &MountConfig,
         clock: Clock,
     ) -> Self {
-        let conversion =
-            Conversion { body_from_camera: mount.body_from_camera(), scale: ScaleEstimate::Unknown, clock };
-        Self { poses, map, frames, conversion }
+        let conversion = Conversion {
+            body_from_camera: mount.body_from_camera(),
+            scale: ScaleEstimate::Unknown,
+            clock,
+            map_from_world: None,
+        };
+        Self { poses, map, frames, conversion, placement: None, last: None }
     }
 
     /// One frame's pose, or its lack of one. `frames_dropped`: frames of this run that were never looked at.
     pub fn pose(&mut self, estimate: &PoseEstimate, frames_dropped: u64) -> Result<(), PublishError> {
-        self.poses.publish(estimate, &self.conversion, frames_dropped).map(|_| ())
+        self.turn_to(estimate.map);
+        self.last = None;
+        self.last = Some(self.poses.publish(estimate, &self.conversion, frames_dropped)?);
+        Ok(())
+    }
+
+    /// A placement holds for the map that it was said of.
+    fn turn_to(&mut self, map: MapId) {
+        self.conversion.map_from_world = self.placement.filter(|p| p.map == map).map(|p| p.map_from_world);
+    }
+
+    /// From now on poses, map and keyframes are published such that the robot's pose of now is this one. The error is a
+    /// person's: without a pose of now there is nothing to move.
+    pub fn set_pose(&mut self, map_from_body: &Se3<Map, Body>) -> Result<(), &'static str> {
+        let fresh = |pose: &&Pose| pose.is_tracking() && pose.age_ns(monotonic_ns()) < NOW_NS;
+        let last = self.last.as_ref().filter(fresh).ok_or("the robot has no pose in its map just now")?;
+        let was = convert::from_wire(&last.position, &last.orientation).ok_or("the last pose is not finite")?;
+        let map = MapId(last.map_id);
+        let map_from_world = convert::place(map_from_body, &was, self.conversion.map_from_world);
+        self.placement = Some(Placement { map, map_from_world });
+        self.turn_to(map);
+        Ok(())
     }
 
     /// Takes the next pose's memory in advance, so that publishing it allocates nothing.
@@ -60,6 +103,7 @@ impl Outlet {
 
     /// The map and its keyframes.
     pub fn map(&mut self, map: &MapSnapshot, context: &MapContext) -> Result<(), PublishError> {
+        self.turn_to(map.map);
         self.map.publish(map, &self.conversion, context)
     }
 }

@@ -14,7 +14,9 @@ use super::recorder::{FinalMap, Record, RecorderLink, SaveKind};
 use super::status::{Status, state_name};
 use crate::features::{Feedback, FrameFeatures};
 use crate::frame::monotonic_ns;
-use crate::geometry::CameraModel;
+use crate::geometry::frames::Body;
+use crate::geometry::{CameraModel, Se3};
+use crate::publish::convert::Map;
 use crate::publish::{MapContext, PublishError};
 use crate::reconstruction::{
     MapSnapshot, MappingWorker, PoseEstimate, Reconstruction, ReconstructionConfig, TrackingState, TrajectoryEvent,
@@ -53,6 +55,8 @@ pub enum Request {
     Reset { why: &'static str },
     /// Have a file written.
     Save { kind: SaveKind, path: std::path::PathBuf, reply: Sender<Result<String, String>> },
+    /// Publish such that the robot is here now.
+    SetPose { map_from_body: Se3<Map, Body>, reply: Sender<Result<String, String>> },
 }
 
 /// The reconstruction stage without its thread.
@@ -71,6 +75,8 @@ pub struct ReconstructStep {
     snapshot: MapSnapshot,
     last_state: Option<TrackingState>,
     last_resets: u32,
+    /// Times that a planner has put the map elsewhere: to its readers each is a reset.
+    placements: u32,
     last_frame: MapContext,
 }
 
@@ -98,6 +104,7 @@ impl ReconstructStep {
             snapshot: MapSnapshot::default(),
             last_state: None,
             last_resets: 0,
+            placements: 0,
             last_frame: MapContext::default(),
         }
     }
@@ -111,7 +118,8 @@ impl ReconstructStep {
         }
         let Some(reconstruction) = self.reconstruction.as_mut() else { return Ok(()) };
         let begin = Instant::now();
-        let estimate = reconstruction.track(features);
+        let mut estimate = reconstruction.track(features);
+        estimate.reset_counter = estimate.reset_counter.wrapping_add(self.placements);
         self.status.track.record(begin.elapsed());
         self.publish_pose(features, &estimate);
         self.account(features, &estimate);
@@ -246,6 +254,19 @@ impl ReconstructStep {
             Request::Save { kind, path, reply } => {
                 let map = Box::new(self.final_map());
                 self.recorder.save(kind, path, map, reply);
+            }
+            Request::SetPose { map_from_body, reply } => {
+                let moved = match self.outlet.as_mut() {
+                    Some(outlet) => outlet.set_pose(&map_from_body).map_err(String::from),
+                    None => Err("nothing is published".into()),
+                };
+                if moved.is_ok() {
+                    self.placements = self.placements.wrapping_add(1);
+                    info!("map put where a planner wants it");
+                }
+                let done = "poses, map and keyframes are published there from now on; files keep the map's own origin";
+                // Whoever asked may have gone.
+                let _ = reply.try_send(moved.map(|()| done.into()));
             }
         }
     }

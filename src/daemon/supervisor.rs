@@ -17,7 +17,7 @@ use super::status::Status;
 use super::{DaemonError, Parts, Request, TURN, Threads, start};
 use crate::frame::{Clock, monotonic_ns};
 use crate::messages::{CommandReply, command_kind, reply_code};
-use crate::publish::{self, CommandServer, HealthPublisher};
+use crate::publish::{self, CommandServer, HealthPublisher, convert};
 use crate::telemetry::RateLimiter;
 
 /// The supervisor's part of the wire.
@@ -171,11 +171,13 @@ fn notify(states: &[NotifyState<'_>]) {
     }
 }
 
-/// A save under way: the command that waits for it.
+/// A save (or another command that a stage carries out) under way: who waits for it.
 struct Save {
     request: publish::Request,
     outcome: Receiver<Result<String, String>>,
     began: Instant,
+    /// Its failure is a file that was not written.
+    writes: bool,
 }
 
 /// What the supervisor does ten times a second.
@@ -237,6 +239,7 @@ impl Bench {
             }
             command_kind::SAVE_TRAJECTORY => SaveKind::Trajectory,
             command_kind::SAVE_MAP => SaveKind::Map,
+            command_kind::SET_POSE => return self.set_pose(request),
             _ => {
                 request.refuse();
                 return;
@@ -248,7 +251,20 @@ impl Bench {
         };
         let (sender, outcome) = bounded(1);
         match self.requests.try_send(Request::Save { kind, path, reply: sender }) {
-            Ok(()) => self.saves.push(Save { request, outcome, began: Instant::now() }),
+            Ok(()) => self.saves.push(Save { request, outcome, began: Instant::now(), writes: true }),
+            Err(_) => reply(request, (reply_code::BUSY, "other requests are under way")),
+        }
+    }
+
+    fn set_pose(&mut self, request: publish::Request) {
+        let command = request.command();
+        let Some(map_from_body) = convert::from_wire(&command.position, &command.orientation) else {
+            let why = "position must be finite and orientation a unit quaternion (x, y, z, w)";
+            return reply(request, (reply_code::INVALID, why));
+        };
+        let (sender, outcome) = bounded(1);
+        match self.requests.try_send(Request::SetPose { map_from_body, reply: sender }) {
+            Ok(()) => self.saves.push(Save { request, outcome, began: Instant::now(), writes: false }),
             Err(_) => reply(request, (reply_code::BUSY, "other requests are under way")),
         }
     }
@@ -261,13 +277,15 @@ impl Bench {
                     self.saves.push(save);
                     continue;
                 }
-                Err(_) => Err("no answer from the stage that writes".into()),
+                Err(_) => Err("no answer from the stage that is asked".into()),
             };
-            watch.save_failed = outcome.is_err();
+            if save.writes {
+                watch.save_failed = outcome.is_err();
+            }
             match &outcome {
                 Ok(text) => reply(save.request, (reply_code::OK, text)),
                 Err(reason) => {
-                    warn!(reason, "file not written");
+                    warn!(reason, "command not carried out");
                     reply(save.request, (reply_code::FAILED, reason));
                 }
             }

@@ -1,39 +1,8 @@
-//! The wire: what the daemon puts into shared memory, field by field. Needs iceoryx2 and nothing of ours.
+#![doc = include_str!("WIRE.md")]
 //!
-//! | service | pattern | payload | user header |
-//! |---|---|---|---|
-//! | `PREFIX/pose` | publish/subscribe | [`Pose`], one a frame | |
-//! | `PREFIX/map` | publish/subscribe | slice of [`Landmark`], at most 2 Hz | [`MapHeader`] |
-//! | `PREFIX/keyframes` | publish/subscribe | slice of [`Keyframe`] | [`KeyframesHeader`] |
-//! | `PREFIX/health` | publish/subscribe | [`Health`], at a steady rate | |
-//! | `PREFIX/frame` | publish/subscribe | slice of `u8`, grey | [`FrameHeader`] |
-//! | `PREFIX/command` | request/response | [`Command`] -> [`CommandReply`] | |
-//!
-//! Each publish/subscribe service has an event service of the same name ([`services::EVENT_NEW`] and others), so that a
-//! planner sleeps until something comes. `PREFIX` is `cairn` unless chosen otherwise ([`Endpoint`]).
-//!
-//! # Layout and versions
-//! Every type is `#[repr(C)]`, little-endian as the machine is, of fixed size and without padding; names, offsets and
-//! sizes are asserted at compile time and readable as `FIELDS`. The type name carries a version (`cairn.Pose.v1`). A
-//! change of layout or meaning makes a new version; iceoryx2 then refuses to connect the two, and
-//! [`crate::client::ClientError::VersionMismatch`] says so. New values of an enumeration or new bits are no new version:
-//! readers keep unknown ones ([`State::Unknown`]).
-//!
-//! # Frames and units
-//! - *map* (the world): REP-103 axes (x forward, y left, z up). Its origin is the camera's centre at the map's first
-//!   keyframe and its axes are those of the robot's **body** at that moment, as told by the mount: "up" comes from the
-//!   mount and not from gravity.
-//! - *odom*: the same kind of axes; continuous within one (`run_id`, `reset_counter`), while the map pose jumps when a loop
-//!   is closed (REP-105).
-//! - *body*: REP-103 axes of the robot, from the camera by the configuration's `[mount]`. The mount's rotation is always
-//!   applied, its translation only where `scale` is [`SCALE_METRIC`]; before that the body's origin is the camera's centre.
-//! - Quaternions are (x, y, z, w), unit length, and rotate body vectors into map (or odom) vectors.
-//! - Lengths are in map units; they are metres only where `scale` is [`SCALE_METRIC`]. Angles are radians, times are ns.
-//! - NaN means unknown, [`UNKNOWN_NS`] a time that is not known, [`NO_KEYFRAME`] no keyframe.
-//!
-//! # Clocks
-//! `timestamp_ns` is the capture time in the clock that the field `clock` names; all other times are CLOCK_MONOTONIC, and
-//! [`Health::realtime_minus_monotonic_ns`] relates that to the time of day.
+//! # In Rust
+//! Layout is asserted at compile time and readable as `FIELDS` ([`Pose::FIELDS`]); names and queues are in [`services`]; [`Endpoint`] says
+//! which daemon is meant. This module needs iceoryx2 and nothing of ours.
 
 /// Checks a wire struct at compile time and lists its fields: offsets as written, no padding, nothing left out.
 macro_rules! layout {
@@ -69,6 +38,7 @@ mod health;
 mod map;
 mod pose;
 pub mod services;
+mod transform;
 
 pub use command::{Command, CommandReply, TEXT_LEN, command_kind, reply_code};
 pub(crate) use endpoint::user_name;
@@ -77,6 +47,7 @@ pub use frame::FrameHeader;
 pub use health::{Health, STAGES, StageHealth, error, stage};
 pub use map::{Keyframe, KeyframesHeader, Landmark, MapHeader};
 pub use pose::Pose;
+pub use transform::Transform;
 
 /// A field of a wire struct, for documentation, bindings to other languages and tests.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -2,6 +2,7 @@
 
 use iceoryx2::prelude::ZeroCopySend;
 
+use super::transform::rotation_matrix;
 use super::{CLOCK_MONOTONIC, Clock, NO_KEYFRAME, SCALE_UNKNOWN, STATE_INITIALIZING, Scale, State, UNKNOWN_NS};
 
 /// One frame's pose. Unless `state` is [`super::STATE_TRACKING`], everything that belongs to the pose is NaN or zero.
@@ -16,8 +17,8 @@ use super::{CLOCK_MONOTONIC, Clock, NO_KEYFRAME, SCALE_UNKNOWN, STATE_INITIALIZI
 ///
 /// Positions in map units squared, angles in rad². It is relative to `anchor_keyframe`, scale removed: it says how well the
 /// pose is known within the map around it. An absolute one of a monocular map would be an artefact of where its origin
-/// lies. NaN means unknown, [`Pose::covariance_matrix`] unpacks it, [`Pose::covariance_in_map_axes`] turns it into the
-/// axes that `nav_msgs/Odometry` and MAVLink want.
+/// lies. NaN means unknown. The clients unpack it (`covariance_matrix`) and turn it into the axes that `nav_msgs/Odometry` and
+/// MAVLink want (`covariance_in_map_axes`).
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
 #[type_name("cairn.Pose.v1")]
@@ -145,6 +146,12 @@ impl Pose {
         (self.anchor_keyframe != NO_KEYFRAME).then_some(self.anchor_keyframe)
     }
 
+    /// The times are those of a camera on this machine and not of a recording: `timestamp_ns` can be compared with other
+    /// sensors' CLOCK_MONOTONIC.
+    pub fn is_live(&self) -> bool {
+        self.clock() == Clock::Monotonic
+    }
+
     /// How long ago the frame arrived in the daemon, ns; `now_ns` is CLOCK_MONOTONIC (`client::monotonic_ns`).
     pub fn age_ns(&self, now_ns: i64) -> i64 {
         now_ns.saturating_sub(self.arrival_ns)
@@ -180,15 +187,6 @@ impl Pose {
         }
         full
     }
-}
-
-/// Rotation matrix, row by row, of a unit quaternion (x, y, z, w).
-fn rotation_matrix(&[x, y, z, w]: &[f64; 4]) -> [[f64; 3]; 3] {
-    [
-        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
-        [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
-        [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
-    ]
 }
 
 #[cfg(test)]

@@ -11,7 +11,9 @@
 //!                                           | 0     M   |
 //! ```
 //!
-//! The map's axes are the body's at the map's first keyframe, where `R = I`; its origin is the camera's centre there.
+//! The map's axes are the body's at the map's first keyframe, where `R = I`; its origin is the camera's centre there; unless a
+//! planner has said where the robot is ([`Conversion::map_from_world`], [`place`]): then poses, landmarks and keyframes go
+//! through one more rigid motion. Odometry, velocity and covariance (body axes) are the same in either.
 //!
 //! Covariance comes in as that of the left perturbation of `camera_from_world`, `R' = exp(w) R_cw`, `t' = exp(w) t_cw + v`.
 //! Then `R_wc' = R_wc exp(-w)` and the centre moves by `-R_wc v` to first order: the right tangent of `world_from_camera` is
@@ -20,7 +22,7 @@
 use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
 
 use crate::frame;
-use crate::geometry::frames::{Body, Camera};
+use crate::geometry::frames::{Body, Camera, World};
 use crate::geometry::{Se3, ros_from_optical};
 use crate::messages::{self, Keyframe, Landmark, NO_KEYFRAME, Pose};
 use crate::reconstruction::{KeyframeView, LandmarkView, PoseEstimate, TrackingState};
@@ -48,6 +50,10 @@ impl ScaleEstimate {
     }
 }
 
+/// Frame of the map as published: the world's, in REP-103 axes, moved to where a planner has put it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Map;
+
 /// What the messages need to know beyond the estimate itself.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Conversion {
@@ -56,6 +62,8 @@ pub struct Conversion {
     pub scale: ScaleEstimate,
     /// What the source's timestamps count from.
     pub clock: frame::Clock,
+    /// Where a planner has put the map; `None`: where it began. Both sides in REP-103 axes.
+    pub map_from_world: Option<Se3<Map, World>>,
 }
 
 impl Default for Conversion {
@@ -65,6 +73,7 @@ impl Default for Conversion {
             body_from_camera: Se3::new(ros_from_optical(), Vector3::zeros()),
             scale: ScaleEstimate::Unknown,
             clock: frame::Clock::Monotonic,
+            map_from_world: None,
         }
     }
 }
@@ -83,15 +92,45 @@ impl Conversion {
         }
     }
 
-    /// Position and quaternion of the body, in REP-103 axes, from `world_from_camera` (or `odom_from_camera`).
-    fn body<W>(&self, world_from_camera: &Se3<W, Camera>) -> ([f64; 3], [f64; 4]) {
+    /// The body in REP-103 axes, from `world_from_camera` (or `odom_from_camera`).
+    fn body<W>(&self, world_from_camera: &Se3<W, Camera>) -> Se3<W, Body> {
         let m = self.rotation();
         let rotation = m * world_from_camera.rotation * m.inverse();
-        let position = m * world_from_camera.translation - rotation * self.lever();
-        // One of the two quaternions of a rotation, always the same.
-        let q = if rotation.w < 0.0 { -rotation.coords } else { rotation.coords };
-        (position.into(), [q.x, q.y, q.z, q.w])
+        Se3::new(rotation, m * world_from_camera.translation - rotation * self.lever())
     }
+
+    /// The body in the map as published.
+    fn body_in_map(&self, world_from_camera: &Se3<World, Camera>) -> Se3<Map, Body> {
+        let world_from_body = self.body(world_from_camera);
+        self.map_from_world.map_or(world_from_body.relabel(), |map_from_world| map_from_world * world_from_body)
+    }
+
+    /// From the world's optical axes to the map as published.
+    pub fn map_from_optical(&self) -> Se3<Map, World> {
+        let turned: Se3<World, World> = Se3::new(self.rotation(), Vector3::zeros());
+        self.map_from_world.map_or(turned.relabel(), |map_from_world| map_from_world * turned)
+    }
+}
+
+/// Position and quaternion as on the wire.
+fn to_wire<W>(pose: &Se3<W, Body>) -> ([f64; 3], [f64; 4]) {
+    // One of the two quaternions of a rotation, always the same.
+    let q = if pose.rotation.w < 0.0 { -pose.rotation.coords } else { pose.rotation.coords };
+    (pose.translation.into(), [q.x, q.y, q.z, q.w])
+}
+
+/// The other way: `None` unless every number is finite and the quaternion is of unit length within a thousandth.
+pub fn from_wire(position: &[f64; 3], [x, y, z, w]: &[f64; 4]) -> Option<Se3<Map, Body>> {
+    let q = nalgebra::Quaternion::new(*w, *x, *y, *z);
+    let unit = (q.norm() - 1.0).abs() < 1e-3;
+    let pose = Se3::new(UnitQuaternion::new_normalize(q), Vector3::from(*position));
+    (unit && pose.is_finite()).then_some(pose)
+}
+
+/// The [`Conversion::map_from_world`] under which the body that is published at `was` would be published at `now`.
+pub fn place(now: &Se3<Map, Body>, was: &Se3<Map, Body>, map_from_world: Option<Se3<Map, World>>) -> Se3<Map, World> {
+    let new_from_old: Se3<Map, Map> = *now * was.inverse();
+    new_from_old * map_from_world.unwrap_or_default()
 }
 
 /// `clock` of the messages.
@@ -137,9 +176,9 @@ pub fn pose(estimate: &PoseEstimate, conversion: &Conversion) -> Pose {
         pose.state = messages::STATE_LOST;
         return pose;
     };
-    (pose.position, pose.orientation) = conversion.body(&world_from_camera);
+    (pose.position, pose.orientation) = to_wire(&conversion.body_in_map(&world_from_camera));
     if let Some(odom_from_camera) = estimate.odom_from_camera.filter(|p| p.is_finite()) {
-        (pose.odom_position, pose.odom_orientation) = conversion.body(&odom_from_camera);
+        (pose.odom_position, pose.odom_orientation) = to_wire(&conversion.body(&odom_from_camera));
     }
     pose.covariance = upper_triangle(&body_covariance(&estimate.covariance, conversion));
     let (m, lever) = (conversion.rotation(), conversion.lever());
@@ -179,9 +218,9 @@ fn upper_triangle(m: &Matrix6<f64>) -> [f64; 21] {
     packed
 }
 
-/// A landmark in the map's axes; `rotation` is [`Conversion::rotation`].
-pub fn landmark(landmark: &LandmarkView, rotation: &UnitQuaternion<f64>) -> Landmark {
-    let p = rotation * landmark.position_world;
+/// A landmark in the map as published; `map_from_optical` is [`Conversion::map_from_optical`].
+pub fn landmark(landmark: &LandmarkView, map_from_optical: &Se3<Map, World>) -> Landmark {
+    let p = map_from_optical.transform(&landmark.position_world);
     Landmark {
         id: landmark.id.0,
         observations: landmark.observations,
@@ -192,6 +231,6 @@ pub fn landmark(landmark: &LandmarkView, rotation: &UnitQuaternion<f64>) -> Land
 
 /// A keyframe as the pose of the body.
 pub fn keyframe(keyframe: &KeyframeView, conversion: &Conversion) -> Keyframe {
-    let (position, orientation) = conversion.body(&keyframe.world_from_camera);
+    let (position, orientation) = to_wire(&conversion.body_in_map(&keyframe.world_from_camera));
     Keyframe { timestamp_ns: keyframe.timestamp_ns, position, orientation, id: keyframe.id.0, reserved: 0 }
 }

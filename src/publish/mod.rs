@@ -283,8 +283,8 @@ impl MapPublisher {
             clock: convert::clock(conversion.clock),
             reserved: [0; 2],
         };
-        let rotation = conversion.rotation();
-        self.map.send_with(header, landmarks, |l| convert::landmark(l, &rotation))?;
+        let map_from_optical = conversion.map_from_optical();
+        self.map.send_with(header, landmarks, |l| convert::landmark(l, &map_from_optical))?;
 
         let keyframes = newest(&snapshot.keyframes, self.limits.keyframes);
         let header = || KeyframesHeader {

@@ -77,7 +77,7 @@ fn a_robot_that_drives_level_stays_level_though_its_camera_looks_down() {
     close(pose.position, [2.0, 0.0, 0.0]);
     close(pose.orientation, [0.0, 0.0, 0.0, 1.0]);
     let view = LandmarkView { id: LandmarkId(9), position_world: 4.0 * forward, sigma: 0.1, observations: 5 };
-    let landmark = convert::landmark(&view, &conversion.rotation());
+    let landmark = convert::landmark(&view, &conversion.map_from_optical());
     assert_eq!((landmark.id, landmark.observations), (9, 5));
     close(landmark.position.map(|v| (f64::from(v) * 1e6).round() / 1e6), [4.0, 0.0, 0.0]);
 }
@@ -201,6 +201,55 @@ fn a_keyframe_is_the_pose_of_the_body() {
     let pose = convert::pose(&estimate(at), &Conversion::default());
     assert_eq!((keyframe.id, keyframe.timestamp_ns), (4, 5));
     assert_eq!((keyframe.position, keyframe.orientation), (pose.position, pose.orientation));
+}
+
+/// A quaternion (x, y, z, w) and its negative are the same rotation.
+fn near(got: [f64; 4], want: [f64; 4]) -> bool {
+    let dot: f64 = got.iter().zip(&want).map(|(a, b)| a * b).sum();
+    (dot.abs() - 1.0).abs() < 1e-12
+}
+
+#[test]
+fn a_planner_that_says_where_the_robot_is_moves_pose_landmarks_and_keyframes_alike() {
+    let at = Se3::new(rotation(Vector3::y(), -0.4), Vector3::new(1.0, 2.0, 3.0));
+    let mut conversion = Conversion::default();
+    let was = convert::pose(&estimate(at), &conversion);
+    let (position, orientation) = ([10.0, 20.0, 0.5], [0.0, 0.0, 0.6, 0.8]);
+    for _ in 0..2 {
+        // The second time from where the first one has put it.
+        let published = convert::pose(&estimate(at), &conversion);
+        let from = convert::from_wire(&published.position, &published.orientation).expect("tracked");
+        let to = convert::from_wire(&position, &orientation).expect("a pose");
+        conversion.map_from_world = Some(convert::place(&to, &from, conversion.map_from_world));
+        let pose = convert::pose(&estimate(at), &conversion);
+        close(pose.position.map(|v| (v * 1e9).round() * 1e-9), position);
+        assert!(near(pose.orientation, orientation), "{:?}", pose.orientation);
+        assert_eq!((pose.odom_position, pose.odom_orientation), (was.odom_position, was.odom_orientation));
+        assert_eq!(pose.covariance, was.covariance, "in the body's axes");
+        let keyframe = KeyframeView { id: KeyframeId(4), timestamp_ns: 5, world_from_camera: at };
+        assert_eq!(convert::keyframe(&keyframe, &conversion).position, pose.position);
+        // A landmark one unit ahead of the camera is one unit ahead of the body.
+        let view = LandmarkView {
+            id: LandmarkId(9),
+            position_world: at.transform(&Vector3::new(0.0, 0.0, 1.0)),
+            sigma: 0.1,
+            observations: 5,
+        };
+        let landmark = convert::landmark(&view, &conversion.map_from_optical());
+        let ahead = [10.0 + 0.28, 20.0 + 0.96, 0.5]; // cos and sin of twice atan2(0.6, 0.8)
+        for (got, want) in landmark.position.iter().zip(ahead) {
+            assert!((f64::from(*got) - want).abs() < 1e-5, "{landmark:?}");
+        }
+    }
+}
+
+#[test]
+fn a_place_that_is_none_is_refused() {
+    assert!(convert::from_wire(&[0.0; 3], &[0.0, 0.0, 0.0, 1.0]).is_some());
+    for bad in [[0.0; 4], [0.0, 0.0, 0.0, 2.0], [f64::NAN, 0.0, 0.0, 1.0], [f64::INFINITY, 0.0, 0.0, 0.0]] {
+        assert!(convert::from_wire(&[0.0; 3], &bad).is_none(), "{bad:?}");
+    }
+    assert!(convert::from_wire(&[0.0, f64::NAN, 0.0], &[0.0, 0.0, 0.0, 1.0]).is_none());
 }
 
 #[test]

@@ -1,45 +1,38 @@
 //! What the wire costs: `cargo bench --bench wire`.
 //!
-//! Between two processes on this machine: the cost of publishing, the time from publishing to a woken reader, shared
-//! memory, and the CPU of a reader that sleeps. Beside it, in the same run, iceoryx2 alone with a message of the same size,
-//! so that the ratio holds on any machine.
+//! Between processes on this machine: the cost of publishing, the time from publishing to the reader, woken by the event or
+//! polling, with readers that are stuck, shared memory, the CPU of a reader that sleeps, and the way of a simulated camera's frame
+//! from its arrival in the daemon to the planner. Beside it, turn by turn in the same run, iceoryx2 alone with messages of the
+//! same size, so that the ratios hold on any machine.
 
-use std::io::{BufRead, BufReader};
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+mod wire_readers;
+
+use std::path::Path;
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use cairn::client::{Client, monotonic_ns};
 use cairn::geometry::Se3;
 use cairn::map::{KeyframeId, LandmarkId, MapId};
 use cairn::messages::{Endpoint, Health};
-use cairn::publish::{Conversion, Limits, MapContext, Publisher};
+use cairn::publish::{Conversion, Limits, MapContext, Publisher, convert};
 use cairn::reconstruction::{KeyframeView, LandmarkView, MapSnapshot, PoseEstimate, TrackingState};
 use iceoryx2::prelude::*;
 use nalgebra::{Matrix6, Vector3};
 
-const ROLE: &str = "CAIRN_BENCH_ROLE";
-const ROOT: &str = "CAIRN_BENCH_ROOT";
+use wire_readers::{Bare, Reader, bare_node, bare_service, bare_slices, percentiles};
+
 /// Messages of one measurement, 200 a second.
 const MESSAGES: u64 = 1_000;
 const PERIOD: Duration = Duration::from_millis(5);
-/// Readers end by themselves after this time.
-const LIFE: Duration = Duration::from_secs(60);
-
-/// As large as a pose.
-#[derive(Debug, Clone, Copy, ZeroCopySend)]
-#[repr(C)]
-#[type_name("bench.Bare.v1")]
-struct Bare {
-    published_ns: i64,
-    filler: [u64; 52],
-}
-const _: () = assert!(size_of::<Bare>() == size_of::<cairn::messages::Pose>());
+/// Landmarks of the largest map.
+const LARGEST: usize = 100_000;
+/// Length of the run with the simulator.
+const DEMO: Duration = Duration::from_secs(8);
 
 fn main() {
-    match (std::env::var(ROLE), std::env::var_os(ROOT)) {
-        (Ok(role), Some(root)) => play(&role, &PathBuf::from(root)),
-        _ => measure(),
+    if !wire_readers::played_a_role() {
+        measure();
     }
 }
 
@@ -47,68 +40,142 @@ fn measure() {
     let name = format!("cb{}", std::process::id());
     let root = Path::new("/tmp").join(&name);
     let endpoint = endpoint(&root);
-    println!("{} messages at {} Hz, medians and 99th percentiles in us", MESSAGES, 1.0 / PERIOD.as_secs_f64());
+    println!("{MESSAGES} messages at {} Hz; medians and 99th percentiles in us", 1.0 / PERIOD.as_secs_f64());
 
     let bare = bare_publisher(&endpoint);
     let mut publisher = Publisher::open(&endpoint, &Limits::default()).expect("publisher");
-    println!("shared memory after opening: {}", shared_memory(&name));
-    let pose = |publisher: &mut Publisher, sequence: u64| {
-        publisher.poses.prepare();
-        let estimate = estimate(sequence);
-        std::thread::sleep(PERIOD);
-        let start = Instant::now();
-        publisher.poses.publish(&estimate, &Conversion::default(), 0).expect("pose");
-        start.elapsed().as_nanos() as i64
-    };
-    let mut costs: Vec<i64> = (0..MESSAGES).map(|i| pose(&mut publisher, i)).collect();
-    row("pose, no reader", &mut costs, (f64::NAN, f64::NAN));
+    println!("shared memory after opening with the default limits: {}", shared_memory(&name));
+    drop(publisher);
+    publisher =
+        Publisher::open(&endpoint, &Limits { landmarks: LARGEST, ..Limits::default() }).expect("a large publisher");
 
-    // Turn by turn, so that both meet the same load of the machine.
+    let mut costs: Vec<i64> = (0..MESSAGES).map(|i| pose(&mut publisher, i)).collect();
+    row("pose, no reader", &mut costs, None);
     let (plain, ours) = (Reader::start("bare", &root), Reader::start("poses", &root));
     plain.wait_for(|| bare.0.dynamic_config().number_of_subscribers() > 0);
     ours.wait_for(|| publisher.poses.subscribers() == 1);
     let (mut plain_costs, mut our_costs) = (Vec::new(), Vec::new());
+    // Turn by turn, so that both meet the same load of the machine.
     for sequence in 0..MESSAGES {
-        std::thread::sleep(PERIOD);
-        let start = Instant::now();
-        bare.1.send_copy(Bare { published_ns: monotonic_ns(), filler: [0; 52] }).expect("send");
-        bare.2.notify().expect("notify");
-        plain_costs.push(start.elapsed().as_nanos() as i64);
+        plain_costs.push(bare_message(&bare));
         our_costs.push(pose(&mut publisher, sequence));
     }
-    let (plain, ours) = (plain.result(), ours.result());
-    row("iceoryx2 alone, 424 bytes", &mut plain_costs, plain);
-    row("pose, 1 reader", &mut our_costs, ours);
-    println!("    ratio of the medians to the reader: {:.2}", ours.0 / plain.0);
+    compared("woken", (plain, &mut plain_costs), (ours, &mut our_costs));
+    // One after the other: a machine of two cores has room for one that polls.
+    let mut plain = Reader::start("bare-poll", &root);
+    plain.wait_for(|| bare.0.dynamic_config().number_of_subscribers() > 0);
+    let mut plain_costs: Vec<i64> = (0..MESSAGES).map(|_| bare_message(&bare)).collect();
+    plain.wait_for_end();
+    let ours = Reader::start("poses-poll", &root);
+    ours.wait_for(|| publisher.poses.subscribers() == 1);
+    let mut our_costs: Vec<i64> = (0..MESSAGES).map(|i| pose(&mut publisher, i)).collect();
+    compared("polling", (plain, &mut plain_costs), (ours, &mut our_costs));
+    crowds(&mut publisher, &root);
+    maps(&endpoint, &mut publisher, &root);
+    small_things(&mut publisher);
 
-    for readers in [4, 8] {
-        let all: Vec<Reader> = (0..readers).map(|_| Reader::start("poses", &root)).collect();
-        all[0].wait_for(|| {
+    let reader = Reader::start("idle", &root);
+    println!("CPU of a reader while nothing comes: {:.3} %", reader.result()[0]);
+    println!("shared memory at the end, maps of {LARGEST}: {}", shared_memory(&name));
+    drop((publisher, bare));
+    demo(&root);
+    clean(&root, &name);
+}
+
+/// Publishes one message by iceoryx2 alone after a pause and returns what that cost, ns.
+fn bare_message((_, publisher, notifier): &BarePublisher) -> i64 {
+    std::thread::sleep(PERIOD);
+    let start = Instant::now();
+    publisher.send_copy(Bare { published_ns: monotonic_ns(), filler: [0; 52] }).expect("send");
+    notifier.notify().expect("notify");
+    start.elapsed().as_nanos() as i64
+}
+
+fn compared(how: &str, plain: (Reader, &mut Vec<i64>), ours: (Reader, &mut Vec<i64>)) {
+    let (plain_latency, our_latency) = (plain.0.result(), ours.0.result());
+    row(&format!("iceoryx2 alone, 424 bytes, {how}"), plain.1, Some(&plain_latency));
+    row(&format!("pose, {how}"), ours.1, Some(&our_latency));
+    ratio(&our_latency, &plain_latency);
+}
+
+/// Publishes one pose after a pause and returns what that cost, ns.
+fn pose(publisher: &mut Publisher, sequence: u64) -> i64 {
+    publisher.poses.prepare();
+    let estimate = estimate(sequence);
+    std::thread::sleep(PERIOD);
+    let start = Instant::now();
+    publisher.poses.publish(&estimate, &Conversion::default(), 0).expect("pose");
+    start.elapsed().as_nanos() as i64
+}
+
+/// Several readers, one of them stopped in its tracks: what the others lose, and what the daemon pays.
+fn crowds(publisher: &mut Publisher, root: &Path) {
+    for readers in [1, 4, 8] {
+        for stuck in [false, true] {
+            let mut all: Vec<Reader> = (0..readers).map(|_| Reader::start("poses", root)).collect();
+            all[0].wait_for(|| {
+                publisher.health.publish(&Health::default()).expect("health");
+                publisher.poses.subscribers() == readers
+            });
+            let victim = if stuck { all.pop() } else { None };
+            if let Some(victim) = &victim {
+                victim.stop();
+            }
+            let mut costs: Vec<i64> = (0..MESSAGES).map(|i| pose(publisher, i)).collect();
+            let mut results: Vec<Vec<f64>> = all.into_iter().map(Reader::result).collect();
+            drop(victim);
+            // The median reader: the first one woken is not the last.
+            results.sort_by(|a, b| a[0].total_cmp(&b[0]));
+            let lost: u64 = results.iter().map(|r| r[2] as u64).sum();
+            let what = format!("pose, {readers} readers{}", if stuck { ", one stuck" } else { "" });
+            row(&what, &mut costs, results.get(results.len() / 2));
+            if !results.is_empty() {
+                println!("    poses lost by the {} that run: {lost}", results.len());
+            }
+            // What was killed is cleared away.
+            std::thread::sleep(Duration::from_millis(1_100));
             publisher.health.publish(&Health::default()).expect("health");
-            publisher.poses.subscribers() == readers
-        });
-        let mut costs: Vec<i64> = (0..MESSAGES).map(|i| pose(&mut publisher, i)).collect();
-        // The median reader: the first one woken is not the last.
-        let mut latencies: Vec<(f64, f64)> = all.into_iter().map(Reader::result).collect();
-        latencies.sort_by(|a, b| a.0.total_cmp(&b.0));
-        row(&format!("pose, {readers} readers"), &mut costs, latencies[readers / 2]);
-        std::thread::sleep(Duration::from_millis(50));
+        }
     }
+}
 
-    for landmarks in [1_000, 10_000, 20_000] {
-        let snapshot = snapshot(landmarks);
-        let reader = Reader::start("map", &root);
+fn maps(endpoint: &Endpoint, publisher: &mut Publisher, root: &Path) {
+    let node = bare_node(endpoint);
+    let service = bare_slices(&node);
+    let plain = service.publisher_builder().initial_max_slice_len(LARGEST).create().expect("publisher");
+    let events = node.service_builder(&"bare-map".try_into().expect("name")).event().open_or_create().expect("events");
+    let notifier = events.notifier_builder().create().expect("notifier");
+    let map_from_optical = Conversion::default().map_from_optical();
+    for landmarks in [1_000, 10_000, LARGEST] {
+        let snapshot = snapshot(landmarks as u32);
+        let (bare, ours) = (Reader::start("bare-map", root), Reader::start("map", root));
+        bare.wait_for(|| service.dynamic_config().number_of_subscribers() == 1);
         std::thread::sleep(Duration::from_millis(300));
-        let mut costs = Vec::new();
+        let (mut plain_costs, mut costs) = (Vec::new(), Vec::new());
         for _ in 0..MESSAGES / 10 {
+            std::thread::sleep(PERIOD * 4);
+            let start = Instant::now();
+            // Filled as ours is, so that both leave the caches alike.
+            let sample = plain.loan_slice_uninit(landmarks).expect("memory");
+            let mut sample = sample.write_from_fn(|i| convert::landmark(&snapshot.landmarks[i], &map_from_optical));
+            sample.user_header_mut().published_ns = monotonic_ns();
+            sample.send().expect("send");
+            notifier.notify().expect("notify");
+            plain_costs.push(start.elapsed().as_nanos() as i64);
             std::thread::sleep(PERIOD * 4);
             let start = Instant::now();
             publisher.map.publish(&snapshot, &Conversion::default(), &MapContext::default()).expect("map");
             costs.push(start.elapsed().as_nanos() as i64);
         }
-        row(&format!("map of {landmarks} landmarks"), &mut costs, reader.result());
+        let (bare, ours) = (bare.result(), ours.result());
+        row(&format!("iceoryx2 alone, {} kB", landmarks * 24 / 1000), &mut plain_costs, Some(&bare));
+        row(&format!("map of {landmarks} landmarks"), &mut costs, Some(&ours));
+        ratio(&ours, &bare);
+        std::thread::sleep(Duration::from_millis(300));
     }
+}
 
+fn small_things(publisher: &mut Publisher) {
     let mut costs: Vec<i64> = (0..100)
         .map(|_| {
             let start = Instant::now();
@@ -116,7 +183,7 @@ fn measure() {
             start.elapsed().as_nanos() as i64
         })
         .collect();
-    row("health, no reader", &mut costs, (f64::NAN, f64::NAN));
+    row("health, no reader", &mut costs, None);
     let mut costs: Vec<i64> = (0..1000)
         .map(|_| {
             let start = Instant::now();
@@ -124,29 +191,52 @@ fn measure() {
             start.elapsed().as_nanos() as i64
         })
         .collect();
-    row("polling for commands", &mut costs, (f64::NAN, f64::NAN));
+    row("polling for commands", &mut costs, None);
+}
 
-    let reader = Reader::start("idle", &root);
-    println!("CPU of a reader while nothing comes: {:.3} %", reader.result().0);
-    println!("shared memory at the end: {}", shared_memory(&name));
-    drop((publisher, bare));
-    let _ = std::fs::remove_dir_all(&root);
-    for entry in std::fs::read_dir("/dev/shm").expect("/dev/shm").flatten() {
-        if entry.file_name().to_string_lossy().starts_with(&name) {
-            let _ = std::fs::remove_file(entry.path());
+/// The whole way of a simulated camera's frames, to a planner in this process.
+fn demo(root: &Path) {
+    let name = root.file_name().expect("name").to_string_lossy().into_owned();
+    let output = root.join("demo");
+    let mut daemon = Command::new(env!("CARGO_BIN_EXE_cairn"))
+        .args(["demo", "--log", "error", "--seconds", &DEMO.as_secs().to_string(), "--output"])
+        .arg(&output)
+        .env("CAIRN_PREFIX", "bench")
+        .env("CAIRN_IPC_ROOT", root)
+        .env("CAIRN_IPC_PREFIX", format!("{name}_"))
+        .stdout(Stdio::null())
+        .spawn()
+        .expect("cairn demo");
+    let mut poses = Client::with_endpoint(endpoint(root)).expect("client").poses();
+    let (mut whole, mut wire, mut tracked) = (Vec::new(), Vec::new(), 0);
+    let end = Instant::now() + DEMO + Duration::from_secs(20);
+    while Instant::now() < end && daemon.try_wait().expect("wait").is_none() {
+        if let Some(pose) = poses.wait(Duration::from_millis(200)).expect("wait") {
+            let now = monotonic_ns();
+            whole.push(now - pose.arrival_ns);
+            wire.push(now - pose.published_ns);
+            tracked += u32::from(pose.is_tracking());
         }
+    }
+    let _ = daemon.kill();
+    let _ = daemon.wait();
+    let ((p50, p99), (w50, w99)) = (percentiles(&mut whole), percentiles(&mut wire));
+    println!("cairn demo, {} poses, {tracked} tracked:", whole.len());
+    println!("    frame's arrival in the daemon to its pose in the planner {p50:7.0} {p99:7.0}");
+    println!("    of which from publishing                                 {w50:7.1} {w99:7.1}");
+}
+
+fn row(what: &str, costs: &mut [i64], latency: Option<&Vec<f64>>) {
+    let (p50, p99) = percentiles(costs);
+    print!("{what:36} publishing {p50:7.1} {p99:7.1}");
+    match latency {
+        Some(l) => println!("   to the reader {:7.1} {:7.1}", l[0], l[1]),
+        None => println!(),
     }
 }
 
-fn row(what: &str, costs: &mut [i64], latency: (f64, f64)) {
-    let (p50, p99) = percentiles(costs);
-    println!("{what:28} publishing {p50:7.1} {p99:7.1}   to the reader {:7.1} {:7.1}", latency.0, latency.1);
-}
-
-fn percentiles(ns: &mut [i64]) -> (f64, f64) {
-    ns.sort_unstable();
-    let at = |p: f64| ns.get(((ns.len() as f64 - 1.0) * p) as usize).map_or(f64::NAN, |v| *v as f64 * 1e-3);
-    (at(0.5), at(0.99))
+fn ratio(ours: &[f64], plain: &[f64]) {
+    println!("    ratio to the reader: median {:.2}, 99th percentile {:.2}", ours[0] / plain[0], ours[1] / plain[1]);
 }
 
 /// Apparent and resident size of this bench's objects in /dev/shm.
@@ -158,45 +248,12 @@ fn shared_memory(name: &str) -> String {
     format!("{n} objects, {:.1} MB reserved, {:.2} MB in use", apparent as f64 * 1e-6, resident as f64 * 1e-6)
 }
 
-/// A reader in another process; killed when dropped.
-struct Reader {
-    child: Child,
-}
-
-impl Reader {
-    fn start(role: &str, root: &Path) -> Self {
-        let child = Command::new(std::env::current_exe().expect("own path"))
-            .env(ROLE, role)
-            .env(ROOT, root)
-            .stdout(Stdio::piped())
-            .spawn()
-            .expect("reader");
-        Self { child }
-    }
-
-    fn wait_for(&self, mut there: impl FnMut() -> bool) {
-        let start = Instant::now();
-        while !there() {
-            assert!(start.elapsed() < Duration::from_secs(10), "the reader does not come");
-            std::thread::sleep(Duration::from_millis(5));
+fn clean(root: &Path, name: &str) {
+    let _ = std::fs::remove_dir_all(root);
+    for entry in std::fs::read_dir("/dev/shm").expect("/dev/shm").flatten() {
+        if entry.file_name().to_string_lossy().starts_with(name) {
+            let _ = std::fs::remove_file(entry.path());
         }
-        // Its listener comes after its subscriber.
-        std::thread::sleep(Duration::from_millis(100));
-    }
-
-    /// Two numbers that the reader prints at its end.
-    fn result(mut self) -> (f64, f64) {
-        let mut line = String::new();
-        BufReader::new(self.child.stdout.take().expect("stdout")).read_line(&mut line).expect("line");
-        let mut numbers = line.split_whitespace().map(|n| n.parse().expect("number"));
-        (numbers.next().expect("median"), numbers.next().expect("tail"))
-    }
-}
-
-impl Drop for Reader {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
     }
 }
 
@@ -206,71 +263,8 @@ fn endpoint(root: &Path) -> Endpoint {
     endpoint.and_then(|e| e.with_ipc_prefix(&format!("{name}_"))).expect("endpoint")
 }
 
-/// What a reader process does: reads until it has enough or nothing comes any more, and prints its latencies.
-fn play(role: &str, root: &Path) {
-    let client = Client::with_endpoint(endpoint(root)).expect("client");
-    let mut latencies = Vec::new();
-    let end = Instant::now() + LIFE;
-    let silence = Duration::from_millis(600);
-    let more = |latencies: &[i64]| Instant::now() < end && latencies.len() < MESSAGES as usize;
-    match role {
-        "bare" => read_bare(&endpoint(root), &mut latencies),
-        "poses" => {
-            let mut poses = client.poses();
-            while more(&latencies) {
-                match poses.wait(silence).expect("wait") {
-                    Some(pose) => latencies.push(monotonic_ns() - pose.published_ns),
-                    None if latencies.is_empty() => {}
-                    None => break,
-                }
-            }
-            latencies.drain(..latencies.len().min(10));
-        }
-        "map" => {
-            let mut map = client.map();
-            while more(&latencies) {
-                match map.wait(silence).expect("wait") {
-                    Some(map) => latencies.push(monotonic_ns() - map.header().published_ns),
-                    None if latencies.is_empty() => {}
-                    None => break,
-                }
-            }
-            // What was there before belongs to another measurement.
-            latencies.drain(..latencies.len().min(1));
-        }
-        _ => {
-            let mut poses = client.poses();
-            let _ = poses.wait(silence);
-            let (cpu, wall) = (cpu_seconds(), Instant::now());
-            let _ = poses.wait(Duration::from_secs(5));
-            println!("{} 0", 100.0 * (cpu_seconds() - cpu) / wall.elapsed().as_secs_f64());
-            return;
-        }
-    }
-    let (p50, p99) = percentiles(&mut latencies);
-    println!("{p50} {p99}");
-}
-
-/// CPU time of this process, seconds (clock ticks are 10 ms).
-fn cpu_seconds() -> f64 {
-    let stat = std::fs::read_to_string("/proc/self/schedstat").expect("schedstat");
-    stat.split_whitespace().next().and_then(|ns| ns.parse::<f64>().ok()).expect("ns") * 1e-9
-}
-
-type BareService = iceoryx2::service::port_factory::publish_subscribe::PortFactory<ipc::Service, Bare, ()>;
-
-fn bare_node(endpoint: &Endpoint) -> Node<ipc::Service> {
-    let node = NodeBuilder::new().config(endpoint.config()).signal_handling_mode(SignalHandlingMode::Disabled);
-    node.create::<ipc::Service>().expect("node")
-}
-
-fn bare_service(node: &Node<ipc::Service>) -> BareService {
-    let name = "bare".try_into().expect("name");
-    node.service_builder(&name).publish_subscribe::<Bare>().open_or_create().expect("service")
-}
-
 type BarePublisher = (
-    BareService,
+    wire_readers::BareService,
     iceoryx2::port::publisher::Publisher<ipc::Service, Bare, ()>,
     iceoryx2::port::notifier::Notifier<ipc::Service>,
 );
@@ -282,27 +276,6 @@ fn bare_publisher(endpoint: &Endpoint) -> BarePublisher {
     let events = node.service_builder(&"bare".try_into().expect("name")).event().open_or_create().expect("events");
     let notifier = events.notifier_builder().create().expect("notifier");
     (service, publisher, notifier)
-}
-
-fn read_bare(endpoint: &Endpoint, latencies: &mut Vec<i64>) {
-    let node = bare_node(endpoint);
-    let events = node.service_builder(&"bare".try_into().expect("name")).event().open_or_create().expect("events");
-    let listener = events.listener_builder().create().expect("listener");
-    let service = bare_service(&node);
-    let subscriber = service.subscriber_builder().create().expect("subscriber");
-    let end = Instant::now() + LIFE;
-    let mut heard = Instant::now();
-    while Instant::now() < end && latencies.len() < MESSAGES as usize {
-        listener.timed_wait(|_| (), Duration::from_millis(600)).expect("wait");
-        while let Some(sample) = subscriber.receive().expect("receive") {
-            latencies.push(monotonic_ns() - sample.published_ns);
-            heard = Instant::now();
-        }
-        if !latencies.is_empty() && heard.elapsed() > Duration::from_millis(500) {
-            break;
-        }
-    }
-    latencies.drain(..latencies.len().min(10));
 }
 
 fn estimate(sequence: u64) -> PoseEstimate {

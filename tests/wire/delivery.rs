@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use cairn::client::{Client, ClientError};
 use cairn::image::GreyImage;
-use cairn::messages::{Command, CommandReply, Health, State, command_kind, error, reply_code};
+use cairn::messages::{Clock, Command, CommandReply, Health, Pose, State, Transform, command_kind, error, reply_code};
 use cairn::publish::{Conversion, FrameStamp, MapContext, PublishError, Publisher};
 use iceoryx2::prelude::*;
 
@@ -52,6 +52,26 @@ fn the_latest_pose_stays_and_its_age_grows() {
         !poses.is_connected()
     });
     assert_eq!(poses.latest().unwrap().expect("the last pose of the daemon that went").sequence, 4);
+}
+
+/// What the helper process runs: its environment names the daemon.
+pub fn ask_for_the_latest() {
+    let pose = Pose::latest().expect("no error").expect("the pose of a daemon that is there");
+    let health = Health::latest().expect("no error").expect("its health");
+    assert_eq!(pose.run_id, health.run_id);
+    crate::support::until("a later pose has come", || {
+        let later = Pose::latest().expect("no error").expect("a pose");
+        later.sequence > pose.sequence && later.is_usable(Duration::from_secs(5))
+    });
+}
+
+#[test]
+fn the_latest_pose_is_one_line_away() {
+    let place = Place::new();
+    let _daemon = place.spawn(Role::Publisher);
+    next(&mut place.client().poses());
+    let asked = place.command(Role::Latest).output().expect("helper");
+    assert!(asked.status.success(), "{}", String::from_utf8_lossy(&asked.stderr));
 }
 
 #[test]
@@ -124,6 +144,23 @@ fn the_map_is_a_slice_and_says_what_was_left_out() {
 }
 
 #[test]
+fn a_map_that_outlives_its_subscription_does_not_change() {
+    let place = Place::new();
+    let mut publisher = place.publisher();
+    let mut subscription = place.client().map();
+    connect(&mut subscription);
+    publisher.map.publish(&snapshot(1, 50), &Conversion::default(), &MapContext::default()).unwrap();
+    let map = next(&mut subscription);
+    let seen = |map: &cairn::client::MapSnapshot| (map.header().revision, map.header().count, map.to_vec());
+    let before = seen(&map);
+    drop(subscription);
+    for revision in 2..40 {
+        publisher.map.publish(&snapshot(revision, 7), &Conversion::default(), &MapContext::default()).unwrap();
+    }
+    assert_eq!(seen(&map), before);
+}
+
+#[test]
 fn pictures_are_sent_only_while_somebody_wants_them() {
     let place = Place::new();
     let mut publisher = place.publisher();
@@ -141,7 +178,43 @@ fn pictures_are_sent_only_while_somebody_wants_them() {
     let too_large = publisher.frames.publish(&GreyImage::new(65, 48), &stamp);
     assert!(matches!(too_large, Err(PublishError::FrameTooLarge { bytes: 3120, limit: 3072 })), "{too_large:?}");
     drop(frames);
+    assert!(publisher.frames.publish(&image, &stamp).unwrap(), "a picture that is held keeps its subscriber");
+    drop(frame);
     assert!(!publisher.frames.publish(&image, &stamp).unwrap(), "nobody subscribes any more");
+}
+
+#[test]
+fn a_recordings_clock_is_told_from_a_cameras() {
+    let place = Place::new();
+    let mut publisher = place.publisher();
+    let (mut poses, mut map) = (place.client().poses(), place.client().map());
+    connect(&mut poses);
+    connect(&mut map);
+    let recorded = Conversion { clock: cairn::frame::Clock::Recording, ..Conversion::default() };
+    for conversion in [Conversion::default(), recorded] {
+        publisher.poses.publish(&estimate(1), &conversion, 0).unwrap();
+        publisher.map.publish(&snapshot(1, 5), &conversion, &MapContext::default()).unwrap();
+        let pose = next(&mut poses);
+        let live = conversion.clock == cairn::frame::Clock::Monotonic;
+        assert_eq!((pose.is_live(), pose.latency_capture_ns != cairn::messages::UNKNOWN_NS), (live, live));
+        assert_eq!(Clock::from_wire(next(&mut map).header().clock) == Clock::Monotonic, live);
+        // Freshness does not depend on a recording's time.
+        assert!(pose.is_usable(Duration::from_secs(5)) && !pose.is_usable(Duration::ZERO));
+    }
+}
+
+#[test]
+fn two_daemons_are_told_apart_by_prefix() {
+    let place = Place::new();
+    let mut left = place.publisher();
+    let mut right = Publisher::open(&place.endpoint_of("other"), &small()).expect("another prefix");
+    let mut poses = [place.client().poses(), Client::with_endpoint(place.endpoint_of("other")).unwrap().poses()];
+    poses.iter_mut().for_each(connect);
+    left.poses.publish(&estimate(1), &Conversion::default(), 0).unwrap();
+    right.poses.publish(&estimate(2), &Conversion::default(), 0).unwrap();
+    let [one, two] = &mut poses;
+    assert_eq!((next(one).sequence, next(two).sequence), (1, 2));
+    assert!(one.wait(NOW).unwrap().is_none() && two.wait(NOW).unwrap().is_none());
 }
 
 #[test]
@@ -170,17 +243,24 @@ fn commands_are_carried_out_and_answered() {
     let place = Place::new();
     let mut publisher = place.publisher();
     let endpoint = place.endpoint();
+    let here = Transform { position: [1.0, -2.0, 3.0], orientation: [0.0, 0.0, 0.6, 0.8] };
     let sender = std::thread::spawn(move || {
         let client = Client::with_endpoint(endpoint).unwrap();
+        assert!(client.set_pose(&here, crate::support::PATIENCE).unwrap().is_ok());
         let reset = client.reset(crate::support::PATIENCE).unwrap();
         let save = client.save_map("/tmp/map.ply", crate::support::PATIENCE).unwrap();
         (reset, save)
     });
     let mut seen = Vec::new();
+    let mut place_told = None;
     crate::support::until("two commands have come", || {
         publisher
             .commands
             .poll_commands(|command| {
+                if command.kind == command_kind::SET_POSE {
+                    place_told = Some(Transform { position: command.position, orientation: command.orientation });
+                    return CommandReply::default();
+                }
                 seen.push((command.kind, command.path().unwrap().to_string()));
                 match command.kind {
                     command_kind::RESET => CommandReply::default(),
@@ -193,6 +273,7 @@ fn commands_are_carried_out_and_answered() {
     let (reset, save) = sender.join().unwrap();
     assert_eq!(seen, [(command_kind::RESET, String::new()), (command_kind::SAVE_MAP, "/tmp/map.ply".into())]);
     assert!(reset.is_ok());
+    assert_eq!(place_told, Some(here));
     assert_eq!((save.code, save.message()), (reply_code::FAILED, "disk full"));
 }
 
@@ -266,6 +347,26 @@ fn another_version_is_told_so_on_both_sides() {
 
     let error = Publisher::open(&endpoint, &small()).expect_err("another version");
     assert!(matches!(&error, PublishError::Incompatible { pids, .. } if *pids == [std::process::id()]), "{error}");
+}
+
+#[test]
+fn another_version_of_iceoryx2_is_told_so() {
+    let place = Place::new();
+    let _publisher = place.publisher();
+    let services = std::fs::read_dir(place.root().join("services")).unwrap().flatten();
+    for path in services.map(|entry| entry.path()) {
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert!(text.contains("minor = 10"), "{text}");
+        // Read-only, so it is made anew.
+        std::fs::remove_file(&path).unwrap();
+        std::fs::write(&path, text.replace("minor = 10", "minor = 99")).unwrap();
+        std::fs::set_permissions(&path, std::os::unix::fs::PermissionsExt::from_mode(0o400)).unwrap();
+    }
+    let error = place.client().poses().try_next().expect_err("another iceoryx2");
+    assert!(matches!(error, ClientError::IpcVersionMismatch { .. }), "{error}");
+    assert!(error.to_string().contains("robot/pose") && error.to_string().contains("same"), "{error}");
+    let error = place.client().reset(NOW).expect_err("another iceoryx2");
+    assert!(matches!(error, ClientError::IpcVersionMismatch { .. }), "{error}");
 }
 
 #[test]

@@ -39,6 +39,11 @@ impl Place {
         endpoint(&self.root)
     }
 
+    /// Another daemon's services in the same place.
+    pub fn endpoint_of(&self, prefix: &str) -> Endpoint {
+        named_endpoint(prefix, &self.root)
+    }
+
     pub fn root(&self) -> &Path {
         &self.root
     }
@@ -97,8 +102,12 @@ impl Drop for Place {
 }
 
 pub fn endpoint(root: &Path) -> Endpoint {
+    named_endpoint("robot", root)
+}
+
+fn named_endpoint(prefix: &str, root: &Path) -> Endpoint {
     let name = root.file_name().expect("name").to_string_lossy();
-    Endpoint::new("robot")
+    Endpoint::new(prefix)
         .and_then(|e| e.with_root(root))
         .and_then(|e| e.with_ipc_prefix(&format!("{name}_")))
         .expect("endpoint")
@@ -125,6 +134,8 @@ pub enum Role {
     Publisher,
     /// Reads poses.
     Subscriber,
+    /// Asks for the latest pose and health, one line of code each.
+    Latest,
     /// `cairn watch` with the arguments in the environment variable `CAIRN_TEST_WATCH`.
     Watch,
 }
@@ -134,6 +145,7 @@ impl Role {
         match self {
             Self::Publisher => "publisher",
             Self::Subscriber => "subscriber",
+            Self::Latest => "latest",
             Self::Watch => "watch",
         }
     }
@@ -187,6 +199,7 @@ fn helper() {
                 poses.wait(Duration::from_millis(100)).expect("wait");
             }
         }
+        "latest" => crate::delivery::ask_for_the_latest(),
         "watch" => crate::watching::watch(),
         other => panic!("no role {other}"),
     }

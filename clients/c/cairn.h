@@ -1,0 +1,1181 @@
+/* Cairn for C and C++: messages as they are in shared memory, and a small client (libcairn.so).
+ * Made from the Rust sources by `CAIRN_WRITE=1 cargo test --test layout`; do not edit.
+ *
+ *     cairn_client *client = cairn_connect(NULL);
+ *     cairn_pose pose;
+ *     while (client && cairn_pose_wait(client, 1000000000, &pose) != CAIRN_ERROR)
+ *         drive(cairn_pose_is_usable(&pose, 200000000) ? &pose : NULL);
+ *     fprintf(stderr, "%s\n", cairn_error());
+ *
+ * Services, units, frames, rates and failures: src/messages/WIRE.md. Licence: MIT OR Apache-2.0. */
+
+
+#ifndef CAIRN_H
+#define CAIRN_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+/**
+ * Stands where a time or duration in ns is not known.
+ */
+#define CAIRN_UNKNOWN_NS INT64_MIN
+
+/**
+ * Stands where there is no keyframe.
+ */
+#define CAIRN_NO_KEYFRAME UINT32_MAX
+
+/**
+ * `state`: no map yet, no pose.
+ */
+#define CAIRN_STATE_INITIALIZING 0
+
+/**
+ * `state`: the pose rests on landmarks that were seen in this frame.
+ */
+#define CAIRN_STATE_TRACKING 1
+
+/**
+ * `state`: there was a map and this frame could not be placed in it; no pose.
+ */
+#define CAIRN_STATE_LOST 2
+
+/**
+ * `scale`: lengths are arbitrary (one camera alone); only ratios mean something.
+ */
+#define CAIRN_SCALE_UNKNOWN 0
+
+/**
+ * `scale`: lengths are meant to be metres, with the relative uncertainty `scale_sigma`.
+ */
+#define CAIRN_SCALE_ESTIMATED 1
+
+/**
+ * `scale`: lengths are metres, the mount's translation is applied, `scale_sigma` says how well.
+ */
+#define CAIRN_SCALE_METRIC 2
+
+/**
+ * `clock`: `timestamp_ns` is CLOCK_MONOTONIC of this machine.
+ */
+#define CAIRN_CLOCK_MONOTONIC 0
+
+/**
+ * `clock`: `timestamp_ns` is a recording's own time.
+ */
+#define CAIRN_CLOCK_RECORDING 1
+
+/**
+ * Bytes of a path or message at most.
+ */
+#define CAIRN_TEXT_LEN 512
+
+/**
+ * Drop the map and start over.
+ */
+#define CAIRN_COMMAND_RESET 1
+
+/**
+ * Write the trajectory so far to `path` (TUM format).
+ */
+#define CAIRN_COMMAND_SAVE_TRAJECTORY 2
+
+/**
+ * Write the sparse map to `path` (PLY).
+ */
+#define CAIRN_COMMAND_SAVE_MAP 3
+
+/**
+ * Load a map from `path` and find the robot in it.
+ */
+#define CAIRN_COMMAND_LOAD_MAP 4
+
+/**
+ * The body is at `position`, `orientation` of the map now.
+ */
+#define CAIRN_COMMAND_SET_POSE 5
+
+/**
+ * Done.
+ */
+#define CAIRN_REPLY_OK 0
+
+/**
+ * The daemon does not know this kind of command (it is older), or cannot do it.
+ */
+#define CAIRN_REPLY_UNSUPPORTED 1
+
+/**
+ * The command makes no sense as it is: path missing or not UTF-8, pose not finite.
+ */
+#define CAIRN_REPLY_INVALID 2
+
+/**
+ * It was tried and failed; the message says why.
+ */
+#define CAIRN_REPLY_FAILED 3
+
+/**
+ * Not now: another one of its kind is under way.
+ */
+#define CAIRN_REPLY_BUSY 4
+
+/**
+ * Number of stages.
+ */
+#define CAIRN_STAGES 6
+
+/**
+ * No camera is there, or it cannot be opened.
+ */
+#define CAIRN_ERROR_NO_CAMERA (1 << 0)
+
+/**
+ * The source is open and gives no frames.
+ */
+#define CAIRN_ERROR_NO_FRAMES (1 << 1)
+
+/**
+ * No keypoint was found in the last frame: black, white, covered or badly out of focus.
+ */
+#define CAIRN_ERROR_NO_FEATURES (1 << 2)
+
+/**
+ * So few keypoints or landmarks that tracking may be lost soon.
+ */
+#define CAIRN_ERROR_LOW_FEATURES (1 << 3)
+
+/**
+ * Frames were dropped lately because the pipeline could not keep up.
+ */
+#define CAIRN_ERROR_DROPPED_FRAMES (1 << 4)
+
+/**
+ * Frames lately could not be decoded.
+ */
+#define CAIRN_ERROR_CORRUPT_FRAMES (1 << 5)
+
+/**
+ * Calibration is missing, is of another picture size, or does not fit what is seen.
+ */
+#define CAIRN_ERROR_BAD_CALIBRATION (1 << 6)
+
+/**
+ * Frames lately had a time that repeats, goes back or jumps.
+ */
+#define CAIRN_ERROR_BAD_TIMESTAMP (1 << 7)
+
+/**
+ * A stage has shown no sign of life for longer than its limit; see cairn_stage_health.heartbeat_age_ns.
+ */
+#define CAIRN_ERROR_STALLED_STAGE (1 << 8)
+
+/**
+ * Map adjustments come later than configured.
+ */
+#define CAIRN_ERROR_MAPPING_LATE (1 << 9)
+
+/**
+ * There was a map and tracking is lost.
+ */
+#define CAIRN_ERROR_LOST (1 << 10)
+
+/**
+ * A file could not be written (trajectory, map).
+ */
+#define CAIRN_ERROR_SAVE_FAILED (1 << 11)
+
+/**
+ * Messages lately could not be sent.
+ */
+#define CAIRN_ERROR_PUBLISH_FAILED (1 << 12)
+
+/**
+ * Frames from the source into the ring.
+ */
+#define CAIRN_STAGE_CAPTURE 0
+
+/**
+ * Decoding, pyramid, corners, tracks.
+ */
+#define CAIRN_STAGE_FEATURES 1
+
+/**
+ * Pose of the frame.
+ */
+#define CAIRN_STAGE_TRACKING 2
+
+/**
+ * Keyframes, landmarks, adjustment.
+ */
+#define CAIRN_STAGE_MAPPING 3
+
+/**
+ * Messages into shared memory.
+ */
+#define CAIRN_STAGE_PUBLISHING 4
+
+/**
+ * A whole frame, from its arrival to its published pose.
+ */
+#define CAIRN_STAGE_END_TO_END 5
+
+/**
+ * Event: a publisher has come.
+ */
+#define CAIRN_EVENT_CREATED 1
+
+/**
+ * Event: the publisher has left.
+ */
+#define CAIRN_EVENT_DROPPED 2
+
+/**
+ * Event: the publisher died without leaving, and its remains were cleared away.
+ */
+#define CAIRN_EVENT_DEAD 3
+
+/**
+ * Event: there is a new message.
+ */
+#define CAIRN_EVENT_NEW 4
+
+/**
+ * Largest event id of a service, with room for later ones.
+ */
+#define CAIRN_EVENT_MAX 15
+
+/**
+ * Subscribers of a service at most.
+ */
+#define CAIRN_MAX_SUBSCRIBERS 8
+
+/**
+ * Processes that can send commands at once.
+ */
+#define CAIRN_MAX_COMMANDERS 8
+
+/**
+ * Grows when a function of this header changes or goes; compare it with `cairn_abi_version()`.
+ */
+#define CAIRN_ABI_VERSION 1
+
+/**
+ * There is a message, and it is where it was to be put.
+ */
+#define CAIRN_MESSAGE 1
+
+/**
+ * There was none in that time.
+ */
+#define CAIRN_NOTHING 0
+
+/**
+ * It cannot work, and waiting will not help: see `cairn_error()`.
+ */
+#define CAIRN_ERROR -1
+
+/**
+ * Keeps a picture in shared memory.
+ */
+typedef struct cairn_frame_hold cairn_frame_hold;
+
+/**
+ * A connection to one daemon.
+ */
+typedef struct cairn_client cairn_client;
+
+/**
+ * Keeps keyframes in shared memory.
+ */
+typedef struct cairn_keyframes_hold cairn_keyframes_hold;
+
+/**
+ * Keeps a map in shared memory.
+ */
+typedef struct cairn_map_hold cairn_map_hold;
+
+/**
+ * One frame's pose. Unless `state` is CAIRN_STATE_TRACKING, everything that belongs to the pose is NaN or zero.
+ *
+ * # Covariance
+ * `covariance` is the upper triangle, row by row, of the symmetric 6x6 matrix in the order x, y, z, rotation about x, y, z,
+ * for a small error of the **body**, in the body's own axes (right tangent):
+ *
+ * ```text
+ * position_true = position + R · e[0..3]        R_true = R · exp(e[3..6])        covariance = E[e eᵀ]
+ * ```
+ *
+ * Positions in map units squared, angles in rad². It is relative to `anchor_keyframe`, scale removed: it says how well the
+ * pose is known within the map around it. An absolute one of a monocular map would be an artefact of where its origin
+ * lies. NaN means unknown. The clients unpack it (`covariance_matrix`) and turn it into the axes that `nav_msgs/Odometry` and
+ * MAVLink want (`covariance_in_map_axes`).
+ */
+typedef struct cairn_pose {
+  /**
+   * Another value at every start of the daemon: ids, counters and frames of two runs are unrelated.
+   */
+  uint64_t run_id;
+  /**
+   * Counts every frame that the source saw, dropped ones too; 0 is the first.
+   */
+  uint64_t sequence;
+  /**
+   * Capture time in the source's clock (`clock`), ns.
+   */
+  int64_t timestamp_ns;
+  /**
+   * CLOCK_MONOTONIC when the frame arrived in the daemon, ns.
+   */
+  int64_t arrival_ns;
+  /**
+   * CLOCK_MONOTONIC when this message was sent, ns.
+   */
+  int64_t published_ns;
+  /**
+   * From arrival to sending, ns.
+   */
+  int64_t latency_arrival_ns;
+  /**
+   * From capture to sending, ns; CAIRN_UNKNOWN_NS unless `clock` is CLOCK_MONOTONIC. Some drivers stamp slightly in the
+   * future, so it can be negative.
+   */
+  int64_t latency_capture_ns;
+  /**
+   * Frames of this run that were never looked at because a later one was there already.
+   */
+  uint64_t frames_dropped;
+  /**
+   * Map pose: the body's origin in the map, map units.
+   */
+  double position[3];
+  /**
+   * Map pose: `map_from_body`, quaternion (x, y, z, w).
+   */
+  double orientation[4];
+  /**
+   * Odom pose: the body's origin in odom, map units.
+   */
+  double odom_position[3];
+  /**
+   * Odom pose: `odom_from_body`, quaternion (x, y, z, w).
+   */
+  double odom_orientation[4];
+  /**
+   * Upper triangle of the 6x6 covariance, see above.
+   */
+  double covariance[21];
+  /**
+   * Velocity of the body's origin in the body's axes, map units/s.
+   */
+  double linear_velocity[3];
+  /**
+   * Angular velocity in the body's axes, rad/s.
+   */
+  double angular_velocity[3];
+  /**
+   * 0 (none) to 1 (as good as it gets).
+   */
+  float quality;
+  /**
+   * Relative standard deviation of the scale (0.02: a length of 1 is known to 0.02); NaN unless it is estimated.
+   */
+  float scale_sigma;
+  /**
+   * Landmarks seen in this frame that the pose rests on.
+   */
+  uint32_t landmarks;
+  /**
+   * Landmarks that were looked for in this frame.
+   */
+  uint32_t landmarks_sought;
+  /**
+   * Grows with every reset and re-initialisation: poses across a change are unrelated.
+   */
+  uint32_t reset_counter;
+  /**
+   * The map that the pose is in.
+   */
+  uint32_t map_id;
+  /**
+   * Keyframe that the covariance is relative to; CAIRN_NO_KEYFRAME if there is none.
+   */
+  uint32_t anchor_keyframe;
+  /**
+   * CAIRN_STATE_INITIALIZING, CAIRN_STATE_TRACKING, CAIRN_STATE_LOST.
+   */
+  uint8_t state;
+  /**
+   * CAIRN_SCALE_UNKNOWN, CAIRN_SCALE_ESTIMATED, CAIRN_SCALE_METRIC.
+   */
+  uint8_t scale;
+  /**
+   * CAIRN_CLOCK_MONOTONIC, CAIRN_CLOCK_RECORDING.
+   */
+  uint8_t clock;
+  /**
+   * 1 if this frame becomes a keyframe, else 0.
+   */
+  uint8_t keyframe;
+} cairn_pose;
+
+/**
+ * One stage of the pipeline over the last interval between two health messages (or longer, as the daemon chooses).
+ */
+typedef struct cairn_stage_health {
+  /**
+   * Steps since the start.
+   */
+  uint64_t steps;
+  /**
+   * Time since the stage's last sign of life, ns; CAIRN_UNKNOWN_NS if it is not under watch.
+   */
+  int64_t heartbeat_age_ns;
+  /**
+   * Median duration of a step, ms; NaN if there was none.
+   */
+  float p50_ms;
+  /**
+   * 95 of 100 steps were not longer, ms; NaN if there was none.
+   */
+  float p95_ms;
+  /**
+   * 99 of 100 steps were not longer, ms; NaN if there was none.
+   */
+  float p99_ms;
+  /**
+   * Steps a second; NaN = unknown.
+   */
+  float rate_hz;
+} cairn_stage_health;
+
+/**
+ * The daemon's health. Counters count from its start.
+ */
+typedef struct cairn_health {
+  /**
+   * Another value at every start of the daemon.
+   */
+  uint64_t run_id;
+  /**
+   * Counts health messages of this run.
+   */
+  uint64_t sequence;
+  /**
+   * CLOCK_MONOTONIC when this message was sent, ns.
+   */
+  int64_t published_ns;
+  /**
+   * Time since the start, ns.
+   */
+  int64_t uptime_ns;
+  /**
+   * CLOCK_REALTIME minus CLOCK_MONOTONIC, ns: add it to a monotonic time to get the time of day.
+   */
+  int64_t realtime_minus_monotonic_ns;
+  /**
+   * Faults that stand now: bits of error.
+   */
+  uint64_t errors;
+  /**
+   * Frames that arrived from the source.
+   */
+  uint64_t frames_captured;
+  /**
+   * Frames never looked at because a later one was there already.
+   */
+  uint64_t frames_dropped;
+  /**
+   * Frames that could not be decoded.
+   */
+  uint64_t frames_corrupt;
+  /**
+   * Frames with a pose.
+   */
+  uint64_t frames_tracked;
+  /**
+   * Keyframes made.
+   */
+  uint64_t keyframes_made;
+  /**
+   * Landmarks made.
+   */
+  uint64_t landmarks_made;
+  /**
+   * Map adjustments merged.
+   */
+  uint64_t adjustments;
+  /**
+   * Map adjustments that came later than configured.
+   */
+  uint64_t adjustments_late;
+  /**
+   * Resets and re-initialisations.
+   */
+  uint64_t resets;
+  /**
+   * Times that a lost robot was found again in its map.
+   */
+  uint64_t relocalisations;
+  /**
+   * Time since the last frame arrived, ns; CAIRN_UNKNOWN_NS if there was none.
+   */
+  int64_t frame_age_ns;
+  /**
+   * Time since the last frame with a pose arrived, ns; CAIRN_UNKNOWN_NS if there was none.
+   */
+  int64_t pose_age_ns;
+  /**
+   * By stage.
+   */
+  struct cairn_stage_health stages[CAIRN_STAGES];
+  /**
+   * Keyframes in the current map.
+   */
+  uint32_t keyframes;
+  /**
+   * Landmarks in the current map.
+   */
+  uint32_t landmarks;
+  /**
+   * As in cairn_pose.reset_counter.
+   */
+  uint32_t reset_counter;
+  /**
+   * As in cairn_pose.map_id.
+   */
+  uint32_t map_id;
+  /**
+   * Process id of the daemon.
+   */
+  uint32_t pid;
+  /**
+   * CAIRN_STATE_INITIALIZING, CAIRN_STATE_TRACKING, CAIRN_STATE_LOST of the last frame;
+   * lost, too, when pictures have stopped coming while tracking.
+   */
+  uint8_t state;
+  /**
+   * CAIRN_CLOCK_MONOTONIC or CAIRN_CLOCK_RECORDING: what the source's times count from.
+   */
+  uint8_t clock;
+  /**
+   * Zero.
+   */
+  uint8_t reserved[2];
+  /**
+   * Version of the daemon, UTF-8, zero-padded.
+   */
+  uint8_t version[32];
+} cairn_health;
+
+/**
+ * What a map message is a picture of.
+ */
+typedef struct cairn_map_header {
+  /**
+   * Another value at every start of the daemon.
+   */
+  uint64_t run_id;
+  /**
+   * Grows with every change of the map.
+   */
+  uint64_t revision;
+  /**
+   * Capture time of the newest frame that the map knows of, in the source's clock (`clock`), ns.
+   */
+  int64_t timestamp_ns;
+  /**
+   * CLOCK_MONOTONIC when this message was sent, ns.
+   */
+  int64_t published_ns;
+  /**
+   * Landmarks in this message.
+   */
+  uint32_t count;
+  /**
+   * Landmarks in the map; if larger than `count`, the oldest ones were left out.
+   */
+  uint32_t total;
+  /**
+   * As in cairn_pose.map_id.
+   */
+  uint32_t map_id;
+  /**
+   * As in cairn_pose.reset_counter.
+   */
+  uint32_t reset_counter;
+  /**
+   * Relative standard deviation of the scale; NaN unless it is estimated.
+   */
+  float scale_sigma;
+  /**
+   * CAIRN_SCALE_UNKNOWN, CAIRN_SCALE_ESTIMATED, CAIRN_SCALE_METRIC.
+   */
+  uint8_t scale;
+  /**
+   * CAIRN_CLOCK_MONOTONIC, CAIRN_CLOCK_RECORDING.
+   */
+  uint8_t clock;
+  /**
+   * Zero.
+   */
+  uint8_t reserved[2];
+} cairn_map_header;
+
+/**
+ * One point of the sparse map; `PREFIX/map` carries a slice of them, ascending `id`.
+ */
+typedef struct cairn_landmark {
+  /**
+   * Never reused within a run.
+   */
+  uint32_t id;
+  /**
+   * Keyframes that observe it.
+   */
+  uint32_t observations;
+  /**
+   * In the map (REP-103 axes), map units.
+   */
+  float position[3];
+  /**
+   * Standard deviation along the line of sight, map units; NaN = unknown.
+   */
+  float sigma;
+} cairn_landmark;
+
+/**
+ * A map in shared memory; never changes. Two may be held at a time.
+ */
+typedef struct cairn_map {
+  /**
+   * What the landmarks are a picture of.
+   */
+  const struct cairn_map_header *header;
+  /**
+   * `count` landmarks.
+   */
+  const struct cairn_landmark *landmarks;
+  size_t count;
+  /**
+   * For `cairn_map_release`.
+   */
+  struct cairn_map_hold *held;
+} cairn_map;
+
+/**
+ * What a keyframes message is a picture of; the same revision as the map message that was sent with it.
+ */
+typedef struct cairn_keyframes_header {
+  /**
+   * Another value at every start of the daemon.
+   */
+  uint64_t run_id;
+  /**
+   * Grows with every change of the map.
+   */
+  uint64_t revision;
+  /**
+   * Capture time of the newest frame that the map knows of, in the source's clock (`clock`), ns.
+   */
+  int64_t timestamp_ns;
+  /**
+   * CLOCK_MONOTONIC when this message was sent, ns.
+   */
+  int64_t published_ns;
+  /**
+   * Keyframes in this message.
+   */
+  uint32_t count;
+  /**
+   * Keyframes in the map; if larger than `count`, the oldest ones were left out.
+   */
+  uint32_t total;
+  /**
+   * As in cairn_pose.map_id.
+   */
+  uint32_t map_id;
+  /**
+   * As in cairn_pose.reset_counter.
+   */
+  uint32_t reset_counter;
+  /**
+   * Relative standard deviation of the scale; NaN unless it is estimated.
+   */
+  float scale_sigma;
+  /**
+   * CAIRN_SCALE_UNKNOWN, CAIRN_SCALE_ESTIMATED, CAIRN_SCALE_METRIC.
+   */
+  uint8_t scale;
+  /**
+   * CAIRN_CLOCK_MONOTONIC, CAIRN_CLOCK_RECORDING.
+   */
+  uint8_t clock;
+  /**
+   * Zero.
+   */
+  uint8_t reserved[2];
+} cairn_keyframes_header;
+
+/**
+ * One keyframe; `PREFIX/keyframes` carries a slice of them, ascending `id`.
+ */
+typedef struct cairn_keyframe {
+  /**
+   * Capture time in the source's clock, ns.
+   */
+  int64_t timestamp_ns;
+  /**
+   * The body's origin in the map, map units.
+   */
+  double position[3];
+  /**
+   * `map_from_body`, quaternion (x, y, z, w).
+   */
+  double orientation[4];
+  /**
+   * Never reused within a run.
+   */
+  uint32_t id;
+  /**
+   * Zero.
+   */
+  uint32_t reserved;
+} cairn_keyframe;
+
+/**
+ * The keyframes in shared memory; never change. Two may be held at a time.
+ */
+typedef struct cairn_keyframes {
+  /**
+   * What the keyframes are a picture of.
+   */
+  const struct cairn_keyframes_header *header;
+  /**
+   * `count` keyframes.
+   */
+  const struct cairn_keyframe *keyframes;
+  size_t count;
+  /**
+   * For `cairn_keyframes_release`.
+   */
+  struct cairn_keyframes_hold *held;
+} cairn_keyframes;
+
+/**
+ * Describes the bytes of a `PREFIX/frame` message: rows of `stride` bytes, top left first, one byte a pixel. The picture
+ * is as the camera gave it, lens distortion included.
+ */
+typedef struct cairn_frame_header {
+  /**
+   * Another value at every start of the daemon.
+   */
+  uint64_t run_id;
+  /**
+   * As in cairn_pose.sequence of the same frame.
+   */
+  uint64_t sequence;
+  /**
+   * Capture time in the source's clock (`clock`), ns.
+   */
+  int64_t timestamp_ns;
+  /**
+   * CLOCK_MONOTONIC when the frame arrived in the daemon, ns.
+   */
+  int64_t arrival_ns;
+  /**
+   * Pixels.
+   */
+  uint32_t width;
+  /**
+   * Pixels.
+   */
+  uint32_t height;
+  /**
+   * Bytes from one row to the next, at least `width`.
+   */
+  uint32_t stride;
+  /**
+   * CAIRN_CLOCK_MONOTONIC, CAIRN_CLOCK_RECORDING.
+   */
+  uint8_t clock;
+  /**
+   * Zero.
+   */
+  uint8_t reserved[3];
+} cairn_frame_header;
+
+/**
+ * A grey picture in shared memory; never changes. Two may be held at a time.
+ */
+typedef struct cairn_frame {
+  /**
+   * Size, stride and time of the picture.
+   */
+  const struct cairn_frame_header *header;
+  /**
+   * Rows of `header->stride` bytes, `size` bytes in all.
+   */
+  const uint8_t *pixels;
+  size_t size;
+  /**
+   * For `cairn_frame_release`.
+   */
+  struct cairn_frame_hold *held;
+} cairn_frame;
+
+/**
+ * A request to the daemon.
+ */
+typedef struct cairn_command {
+  /**
+   * Of command_kind.
+   */
+  uint32_t kind;
+  /**
+   * Bytes of `path` that are used.
+   */
+  uint32_t path_len;
+  /**
+   * UTF-8; the daemon opens it as its own user, so it should be absolute.
+   */
+  uint8_t path[CAIRN_TEXT_LEN];
+  /**
+   * For command_kind.CAIRN_COMMAND_SET_POSE: the body in the map, map units.
+   */
+  double position[3];
+  /**
+   * For command_kind.CAIRN_COMMAND_SET_POSE: `map_from_body`, quaternion (x, y, z, w).
+   */
+  double orientation[4];
+} cairn_command;
+
+/**
+ * What became of a cairn_command.
+ */
+typedef struct cairn_command_reply {
+  /**
+   * Of reply_code.
+   */
+  uint32_t code;
+  /**
+   * Bytes of `message` that are used.
+   */
+  uint32_t message_len;
+  /**
+   * For a person, UTF-8.
+   */
+  uint8_t message[CAIRN_TEXT_LEN];
+} cairn_command_reply;
+
+
+
+
+
+
+
+
+
+
+
+#ifdef __cplusplus
+extern "C" {
+#endif // __cplusplus
+
+/**
+ * `ABI_VERSION` of the library.
+ */
+uint32_t cairn_abi_version(void);
+
+/**
+ * CLOCK_MONOTONIC now, ns.
+ */
+int64_t cairn_monotonic_ns(void);
+
+/**
+ * Why the last call of this thread failed, and what to do about it. Valid until the thread's next failure; never null.
+ */
+const char *cairn_error(void);
+
+/**
+ * The daemon with this prefix, which need not run yet; null: the one that CAIRN_PREFIX names, or "cairn". Returns null on
+ * failure.
+ *
+ * # Safety
+ * `prefix` is null or a string that ends in a zero.
+ */
+struct cairn_client *cairn_connect(const char *prefix);
+
+/**
+ * Ends a connection. Views taken from it stay valid until they are released.
+ *
+ * # Safety
+ * `client` is null or comes from `cairn_connect`, and is not used any more.
+ */
+void cairn_close(struct cairn_client *client);
+
+/**
+ * The newest pose, without waiting; the same one again while no newer has come (look at `cairn_pose_is_usable`). A client that
+ * has had none yet waits up to 0.4 s for the last pose of a daemon that is there.
+ *
+ * # Safety
+ * `client` comes from `cairn_connect`; `pose` may be written.
+ */
+int32_t cairn_pose_latest(struct cairn_client *client,
+                          struct cairn_pose *pose);
+
+/**
+ * The oldest pose that has not been read, waiting for it if need be: every pose in order. Ends early, with `CAIRN_NOTHING`, when
+ * a signal comes.
+ *
+ * # Safety
+ * `client` comes from `cairn_connect`; `pose` may be written.
+ */
+int32_t cairn_pose_wait(struct cairn_client *client,
+                        uint64_t timeout_ns,
+                        struct cairn_pose *pose);
+
+/**
+ * 1 if the robot may act on this pose: it was tracked, and its frame arrived no longer than `max_age_ns` ago; else 0.
+ *
+ * # Safety
+ * `pose` is null or may be read.
+ */
+int32_t cairn_pose_is_usable(const struct cairn_pose *pose, uint64_t max_age_ns);
+
+/**
+ * The pose's covariance as a 6x6 matrix, 36 numbers, order x, y, z, rotation about x, y, z; in the body's axes, or (`in_map_axes` not
+ * 0) in the map's, as `nav_msgs/Odometry` and MAVLink want it.
+ *
+ * # Safety
+ * `pose` may be read; `matrix` has room for 36 numbers.
+ */
+void cairn_pose_covariance(const struct cairn_pose *pose,
+                           int32_t in_map_axes,
+                           double *matrix);
+
+/**
+ * Health as it is sent, the newest, waiting for it if need be.
+ *
+ * # Safety
+ * `client` comes from `cairn_connect`; `health` may be written.
+ */
+int32_t cairn_health_wait(struct cairn_client *client, uint64_t timeout_ns, struct cairn_health *health);
+
+/**
+ * The next map that has not been read, waiting for it if need be; the first call gives the current one. Release it with
+ * `cairn_map_release`.
+ *
+ * # Safety
+ * `client` comes from `cairn_connect`; `map` may be written.
+ */
+int32_t cairn_map_wait(struct cairn_client *client, uint64_t timeout_ns, struct cairn_map *map);
+
+/**
+ * Gives a map back; the view is empty then. Null and empty views are left alone.
+ *
+ * # Safety
+ * `map` is null or was filled by `cairn_map_wait`, and is zeroed or unchanged since.
+ */
+void cairn_map_release(struct cairn_map *map);
+
+/**
+ * The next keyframes that have not been read, waiting for them if need be. Release them with `cairn_keyframes_release`.
+ *
+ * # Safety
+ * `client` comes from `cairn_connect`; `keyframes` may be written.
+ */
+int32_t cairn_keyframes_wait(struct cairn_client *client, uint64_t timeout_ns, struct cairn_keyframes *keyframes);
+
+/**
+ * Gives keyframes back; the view is empty then. Null and empty views are left alone.
+ *
+ * # Safety
+ * `keyframes` is null or was filled by `cairn_keyframes_wait`, and is zeroed or unchanged since.
+ */
+void cairn_keyframes_release(struct cairn_keyframes *keyframes);
+
+/**
+ * The next picture, waiting for it if need be. From the first call until `cairn_close` or `cairn_frames_stop` the daemon makes a
+ * copy of every picture for this client. Release it with `cairn_frame_release`.
+ *
+ * # Safety
+ * `client` comes from `cairn_connect`; `frame` may be written.
+ */
+int32_t cairn_frame_wait(struct cairn_client *client,
+                         uint64_t timeout_ns,
+                         struct cairn_frame *frame);
+
+/**
+ * Gives a picture back; the view is empty then. Null and empty views are left alone.
+ *
+ * # Safety
+ * `frame` is null or was filled by `cairn_frame_wait`, and is zeroed or unchanged since.
+ */
+void cairn_frame_release(struct cairn_frame *frame);
+
+/**
+ * No more pictures are wanted.
+ *
+ * # Safety
+ * `client` is null or comes from `cairn_connect`.
+ */
+void cairn_frames_stop(struct cairn_client *client);
+
+/**
+ * Sends a command and waits for its reply, which may be a refusal: look at `reply->code`. Zero `command` before it is filled in.
+ *
+ * # Safety
+ * `client` comes from `cairn_connect`; `command` may be read and `reply` written.
+ */
+int32_t cairn_send_command(struct cairn_client *client,
+                           const struct cairn_command *command,
+                           uint64_t timeout_ns,
+                           struct cairn_command_reply *reply);
+
+#ifdef __cplusplus
+}  // extern "C"
+#endif  // __cplusplus
+
+#endif  /* CAIRN_H */
+
+/* Names that iceoryx2 compares when two processes meet. */
+#define CAIRN_POSE_TYPE "cairn.Pose.v1"
+#define CAIRN_HEALTH_TYPE "cairn.Health.v1"
+#define CAIRN_STAGE_HEALTH_TYPE "cairn.StageHealth.v1"
+#define CAIRN_LANDMARK_TYPE "cairn.Landmark.v1"
+#define CAIRN_MAP_HEADER_TYPE "cairn.MapHeader.v1"
+#define CAIRN_KEYFRAME_TYPE "cairn.Keyframe.v1"
+#define CAIRN_KEYFRAMES_HEADER_TYPE "cairn.KeyframesHeader.v1"
+#define CAIRN_FRAME_HEADER_TYPE "cairn.FrameHeader.v1"
+#define CAIRN_COMMAND_TYPE "cairn.Command.v1"
+#define CAIRN_COMMAND_REPLY_TYPE "cairn.CommandReply.v1"
+
+/* The layout, checked wherever this file is included. */
+#ifdef __cplusplus
+#define CAIRN_ASSERT(fact) static_assert(fact, #fact)
+#else
+#define CAIRN_ASSERT(fact) _Static_assert(fact, #fact)
+#endif
+CAIRN_ASSERT(sizeof(cairn_pose) == 424);
+CAIRN_ASSERT(offsetof(cairn_pose, run_id) == 0 && sizeof(((cairn_pose *)0)->run_id) == 8);
+CAIRN_ASSERT(offsetof(cairn_pose, sequence) == 8 && sizeof(((cairn_pose *)0)->sequence) == 8);
+CAIRN_ASSERT(offsetof(cairn_pose, timestamp_ns) == 16 && sizeof(((cairn_pose *)0)->timestamp_ns) == 8);
+CAIRN_ASSERT(offsetof(cairn_pose, arrival_ns) == 24 && sizeof(((cairn_pose *)0)->arrival_ns) == 8);
+CAIRN_ASSERT(offsetof(cairn_pose, published_ns) == 32 && sizeof(((cairn_pose *)0)->published_ns) == 8);
+CAIRN_ASSERT(offsetof(cairn_pose, latency_arrival_ns) == 40 && sizeof(((cairn_pose *)0)->latency_arrival_ns) == 8);
+CAIRN_ASSERT(offsetof(cairn_pose, latency_capture_ns) == 48 && sizeof(((cairn_pose *)0)->latency_capture_ns) == 8);
+CAIRN_ASSERT(offsetof(cairn_pose, frames_dropped) == 56 && sizeof(((cairn_pose *)0)->frames_dropped) == 8);
+CAIRN_ASSERT(offsetof(cairn_pose, position) == 64 && sizeof(((cairn_pose *)0)->position) == 24);
+CAIRN_ASSERT(offsetof(cairn_pose, orientation) == 88 && sizeof(((cairn_pose *)0)->orientation) == 32);
+CAIRN_ASSERT(offsetof(cairn_pose, odom_position) == 120 && sizeof(((cairn_pose *)0)->odom_position) == 24);
+CAIRN_ASSERT(offsetof(cairn_pose, odom_orientation) == 144 && sizeof(((cairn_pose *)0)->odom_orientation) == 32);
+CAIRN_ASSERT(offsetof(cairn_pose, covariance) == 176 && sizeof(((cairn_pose *)0)->covariance) == 168);
+CAIRN_ASSERT(offsetof(cairn_pose, linear_velocity) == 344 && sizeof(((cairn_pose *)0)->linear_velocity) == 24);
+CAIRN_ASSERT(offsetof(cairn_pose, angular_velocity) == 368 && sizeof(((cairn_pose *)0)->angular_velocity) == 24);
+CAIRN_ASSERT(offsetof(cairn_pose, quality) == 392 && sizeof(((cairn_pose *)0)->quality) == 4);
+CAIRN_ASSERT(offsetof(cairn_pose, scale_sigma) == 396 && sizeof(((cairn_pose *)0)->scale_sigma) == 4);
+CAIRN_ASSERT(offsetof(cairn_pose, landmarks) == 400 && sizeof(((cairn_pose *)0)->landmarks) == 4);
+CAIRN_ASSERT(offsetof(cairn_pose, landmarks_sought) == 404 && sizeof(((cairn_pose *)0)->landmarks_sought) == 4);
+CAIRN_ASSERT(offsetof(cairn_pose, reset_counter) == 408 && sizeof(((cairn_pose *)0)->reset_counter) == 4);
+CAIRN_ASSERT(offsetof(cairn_pose, map_id) == 412 && sizeof(((cairn_pose *)0)->map_id) == 4);
+CAIRN_ASSERT(offsetof(cairn_pose, anchor_keyframe) == 416 && sizeof(((cairn_pose *)0)->anchor_keyframe) == 4);
+CAIRN_ASSERT(offsetof(cairn_pose, state) == 420 && sizeof(((cairn_pose *)0)->state) == 1);
+CAIRN_ASSERT(offsetof(cairn_pose, scale) == 421 && sizeof(((cairn_pose *)0)->scale) == 1);
+CAIRN_ASSERT(offsetof(cairn_pose, clock) == 422 && sizeof(((cairn_pose *)0)->clock) == 1);
+CAIRN_ASSERT(offsetof(cairn_pose, keyframe) == 423 && sizeof(((cairn_pose *)0)->keyframe) == 1);
+CAIRN_ASSERT(sizeof(cairn_health) == 392);
+CAIRN_ASSERT(offsetof(cairn_health, run_id) == 0 && sizeof(((cairn_health *)0)->run_id) == 8);
+CAIRN_ASSERT(offsetof(cairn_health, sequence) == 8 && sizeof(((cairn_health *)0)->sequence) == 8);
+CAIRN_ASSERT(offsetof(cairn_health, published_ns) == 16 && sizeof(((cairn_health *)0)->published_ns) == 8);
+CAIRN_ASSERT(offsetof(cairn_health, uptime_ns) == 24 && sizeof(((cairn_health *)0)->uptime_ns) == 8);
+CAIRN_ASSERT(offsetof(cairn_health, realtime_minus_monotonic_ns) == 32 && sizeof(((cairn_health *)0)->realtime_minus_monotonic_ns) == 8);
+CAIRN_ASSERT(offsetof(cairn_health, errors) == 40 && sizeof(((cairn_health *)0)->errors) == 8);
+CAIRN_ASSERT(offsetof(cairn_health, frames_captured) == 48 && sizeof(((cairn_health *)0)->frames_captured) == 8);
+CAIRN_ASSERT(offsetof(cairn_health, frames_dropped) == 56 && sizeof(((cairn_health *)0)->frames_dropped) == 8);
+CAIRN_ASSERT(offsetof(cairn_health, frames_corrupt) == 64 && sizeof(((cairn_health *)0)->frames_corrupt) == 8);
+CAIRN_ASSERT(offsetof(cairn_health, frames_tracked) == 72 && sizeof(((cairn_health *)0)->frames_tracked) == 8);
+CAIRN_ASSERT(offsetof(cairn_health, keyframes_made) == 80 && sizeof(((cairn_health *)0)->keyframes_made) == 8);
+CAIRN_ASSERT(offsetof(cairn_health, landmarks_made) == 88 && sizeof(((cairn_health *)0)->landmarks_made) == 8);
+CAIRN_ASSERT(offsetof(cairn_health, adjustments) == 96 && sizeof(((cairn_health *)0)->adjustments) == 8);
+CAIRN_ASSERT(offsetof(cairn_health, adjustments_late) == 104 && sizeof(((cairn_health *)0)->adjustments_late) == 8);
+CAIRN_ASSERT(offsetof(cairn_health, resets) == 112 && sizeof(((cairn_health *)0)->resets) == 8);
+CAIRN_ASSERT(offsetof(cairn_health, relocalisations) == 120 && sizeof(((cairn_health *)0)->relocalisations) == 8);
+CAIRN_ASSERT(offsetof(cairn_health, frame_age_ns) == 128 && sizeof(((cairn_health *)0)->frame_age_ns) == 8);
+CAIRN_ASSERT(offsetof(cairn_health, pose_age_ns) == 136 && sizeof(((cairn_health *)0)->pose_age_ns) == 8);
+CAIRN_ASSERT(offsetof(cairn_health, stages) == 144 && sizeof(((cairn_health *)0)->stages) == 192);
+CAIRN_ASSERT(offsetof(cairn_health, keyframes) == 336 && sizeof(((cairn_health *)0)->keyframes) == 4);
+CAIRN_ASSERT(offsetof(cairn_health, landmarks) == 340 && sizeof(((cairn_health *)0)->landmarks) == 4);
+CAIRN_ASSERT(offsetof(cairn_health, reset_counter) == 344 && sizeof(((cairn_health *)0)->reset_counter) == 4);
+CAIRN_ASSERT(offsetof(cairn_health, map_id) == 348 && sizeof(((cairn_health *)0)->map_id) == 4);
+CAIRN_ASSERT(offsetof(cairn_health, pid) == 352 && sizeof(((cairn_health *)0)->pid) == 4);
+CAIRN_ASSERT(offsetof(cairn_health, state) == 356 && sizeof(((cairn_health *)0)->state) == 1);
+CAIRN_ASSERT(offsetof(cairn_health, clock) == 357 && sizeof(((cairn_health *)0)->clock) == 1);
+CAIRN_ASSERT(offsetof(cairn_health, reserved) == 358 && sizeof(((cairn_health *)0)->reserved) == 2);
+CAIRN_ASSERT(offsetof(cairn_health, version) == 360 && sizeof(((cairn_health *)0)->version) == 32);
+CAIRN_ASSERT(sizeof(cairn_stage_health) == 32);
+CAIRN_ASSERT(offsetof(cairn_stage_health, steps) == 0 && sizeof(((cairn_stage_health *)0)->steps) == 8);
+CAIRN_ASSERT(offsetof(cairn_stage_health, heartbeat_age_ns) == 8 && sizeof(((cairn_stage_health *)0)->heartbeat_age_ns) == 8);
+CAIRN_ASSERT(offsetof(cairn_stage_health, p50_ms) == 16 && sizeof(((cairn_stage_health *)0)->p50_ms) == 4);
+CAIRN_ASSERT(offsetof(cairn_stage_health, p95_ms) == 20 && sizeof(((cairn_stage_health *)0)->p95_ms) == 4);
+CAIRN_ASSERT(offsetof(cairn_stage_health, p99_ms) == 24 && sizeof(((cairn_stage_health *)0)->p99_ms) == 4);
+CAIRN_ASSERT(offsetof(cairn_stage_health, rate_hz) == 28 && sizeof(((cairn_stage_health *)0)->rate_hz) == 4);
+CAIRN_ASSERT(sizeof(cairn_landmark) == 24);
+CAIRN_ASSERT(offsetof(cairn_landmark, id) == 0 && sizeof(((cairn_landmark *)0)->id) == 4);
+CAIRN_ASSERT(offsetof(cairn_landmark, observations) == 4 && sizeof(((cairn_landmark *)0)->observations) == 4);
+CAIRN_ASSERT(offsetof(cairn_landmark, position) == 8 && sizeof(((cairn_landmark *)0)->position) == 12);
+CAIRN_ASSERT(offsetof(cairn_landmark, sigma) == 20 && sizeof(((cairn_landmark *)0)->sigma) == 4);
+CAIRN_ASSERT(sizeof(cairn_map_header) == 56);
+CAIRN_ASSERT(offsetof(cairn_map_header, run_id) == 0 && sizeof(((cairn_map_header *)0)->run_id) == 8);
+CAIRN_ASSERT(offsetof(cairn_map_header, revision) == 8 && sizeof(((cairn_map_header *)0)->revision) == 8);
+CAIRN_ASSERT(offsetof(cairn_map_header, timestamp_ns) == 16 && sizeof(((cairn_map_header *)0)->timestamp_ns) == 8);
+CAIRN_ASSERT(offsetof(cairn_map_header, published_ns) == 24 && sizeof(((cairn_map_header *)0)->published_ns) == 8);
+CAIRN_ASSERT(offsetof(cairn_map_header, count) == 32 && sizeof(((cairn_map_header *)0)->count) == 4);
+CAIRN_ASSERT(offsetof(cairn_map_header, total) == 36 && sizeof(((cairn_map_header *)0)->total) == 4);
+CAIRN_ASSERT(offsetof(cairn_map_header, map_id) == 40 && sizeof(((cairn_map_header *)0)->map_id) == 4);
+CAIRN_ASSERT(offsetof(cairn_map_header, reset_counter) == 44 && sizeof(((cairn_map_header *)0)->reset_counter) == 4);
+CAIRN_ASSERT(offsetof(cairn_map_header, scale_sigma) == 48 && sizeof(((cairn_map_header *)0)->scale_sigma) == 4);
+CAIRN_ASSERT(offsetof(cairn_map_header, scale) == 52 && sizeof(((cairn_map_header *)0)->scale) == 1);
+CAIRN_ASSERT(offsetof(cairn_map_header, clock) == 53 && sizeof(((cairn_map_header *)0)->clock) == 1);
+CAIRN_ASSERT(offsetof(cairn_map_header, reserved) == 54 && sizeof(((cairn_map_header *)0)->reserved) == 2);
+CAIRN_ASSERT(sizeof(cairn_keyframe) == 72);
+CAIRN_ASSERT(offsetof(cairn_keyframe, timestamp_ns) == 0 && sizeof(((cairn_keyframe *)0)->timestamp_ns) == 8);
+CAIRN_ASSERT(offsetof(cairn_keyframe, position) == 8 && sizeof(((cairn_keyframe *)0)->position) == 24);
+CAIRN_ASSERT(offsetof(cairn_keyframe, orientation) == 32 && sizeof(((cairn_keyframe *)0)->orientation) == 32);
+CAIRN_ASSERT(offsetof(cairn_keyframe, id) == 64 && sizeof(((cairn_keyframe *)0)->id) == 4);
+CAIRN_ASSERT(offsetof(cairn_keyframe, reserved) == 68 && sizeof(((cairn_keyframe *)0)->reserved) == 4);
+CAIRN_ASSERT(sizeof(cairn_keyframes_header) == 56);
+CAIRN_ASSERT(offsetof(cairn_keyframes_header, run_id) == 0 && sizeof(((cairn_keyframes_header *)0)->run_id) == 8);
+CAIRN_ASSERT(offsetof(cairn_keyframes_header, revision) == 8 && sizeof(((cairn_keyframes_header *)0)->revision) == 8);
+CAIRN_ASSERT(offsetof(cairn_keyframes_header, timestamp_ns) == 16 && sizeof(((cairn_keyframes_header *)0)->timestamp_ns) == 8);
+CAIRN_ASSERT(offsetof(cairn_keyframes_header, published_ns) == 24 && sizeof(((cairn_keyframes_header *)0)->published_ns) == 8);
+CAIRN_ASSERT(offsetof(cairn_keyframes_header, count) == 32 && sizeof(((cairn_keyframes_header *)0)->count) == 4);
+CAIRN_ASSERT(offsetof(cairn_keyframes_header, total) == 36 && sizeof(((cairn_keyframes_header *)0)->total) == 4);
+CAIRN_ASSERT(offsetof(cairn_keyframes_header, map_id) == 40 && sizeof(((cairn_keyframes_header *)0)->map_id) == 4);
+CAIRN_ASSERT(offsetof(cairn_keyframes_header, reset_counter) == 44 && sizeof(((cairn_keyframes_header *)0)->reset_counter) == 4);
+CAIRN_ASSERT(offsetof(cairn_keyframes_header, scale_sigma) == 48 && sizeof(((cairn_keyframes_header *)0)->scale_sigma) == 4);
+CAIRN_ASSERT(offsetof(cairn_keyframes_header, scale) == 52 && sizeof(((cairn_keyframes_header *)0)->scale) == 1);
+CAIRN_ASSERT(offsetof(cairn_keyframes_header, clock) == 53 && sizeof(((cairn_keyframes_header *)0)->clock) == 1);
+CAIRN_ASSERT(offsetof(cairn_keyframes_header, reserved) == 54 && sizeof(((cairn_keyframes_header *)0)->reserved) == 2);
+CAIRN_ASSERT(sizeof(cairn_frame_header) == 48);
+CAIRN_ASSERT(offsetof(cairn_frame_header, run_id) == 0 && sizeof(((cairn_frame_header *)0)->run_id) == 8);
+CAIRN_ASSERT(offsetof(cairn_frame_header, sequence) == 8 && sizeof(((cairn_frame_header *)0)->sequence) == 8);
+CAIRN_ASSERT(offsetof(cairn_frame_header, timestamp_ns) == 16 && sizeof(((cairn_frame_header *)0)->timestamp_ns) == 8);
+CAIRN_ASSERT(offsetof(cairn_frame_header, arrival_ns) == 24 && sizeof(((cairn_frame_header *)0)->arrival_ns) == 8);
+CAIRN_ASSERT(offsetof(cairn_frame_header, width) == 32 && sizeof(((cairn_frame_header *)0)->width) == 4);
+CAIRN_ASSERT(offsetof(cairn_frame_header, height) == 36 && sizeof(((cairn_frame_header *)0)->height) == 4);
+CAIRN_ASSERT(offsetof(cairn_frame_header, stride) == 40 && sizeof(((cairn_frame_header *)0)->stride) == 4);
+CAIRN_ASSERT(offsetof(cairn_frame_header, clock) == 44 && sizeof(((cairn_frame_header *)0)->clock) == 1);
+CAIRN_ASSERT(offsetof(cairn_frame_header, reserved) == 45 && sizeof(((cairn_frame_header *)0)->reserved) == 3);
+CAIRN_ASSERT(sizeof(cairn_command) == 576);
+CAIRN_ASSERT(offsetof(cairn_command, kind) == 0 && sizeof(((cairn_command *)0)->kind) == 4);
+CAIRN_ASSERT(offsetof(cairn_command, path_len) == 4 && sizeof(((cairn_command *)0)->path_len) == 4);
+CAIRN_ASSERT(offsetof(cairn_command, path) == 8 && sizeof(((cairn_command *)0)->path) == 512);
+CAIRN_ASSERT(offsetof(cairn_command, position) == 520 && sizeof(((cairn_command *)0)->position) == 24);
+CAIRN_ASSERT(offsetof(cairn_command, orientation) == 544 && sizeof(((cairn_command *)0)->orientation) == 32);
+CAIRN_ASSERT(sizeof(cairn_command_reply) == 520);
+CAIRN_ASSERT(offsetof(cairn_command_reply, code) == 0 && sizeof(((cairn_command_reply *)0)->code) == 4);
+CAIRN_ASSERT(offsetof(cairn_command_reply, message_len) == 4 && sizeof(((cairn_command_reply *)0)->message_len) == 4);
+CAIRN_ASSERT(offsetof(cairn_command_reply, message) == 8 && sizeof(((cairn_command_reply *)0)->message) == 512);
+#undef CAIRN_ASSERT

@@ -1,0 +1,135 @@
+// Cairn for C++17: cairn.h with owners and exceptions. Nothing to link but libcairn.so. Licence: MIT OR Apache-2.0.
+#ifndef CAIRN_HPP
+#define CAIRN_HPP
+
+#include <chrono>
+#include <memory>
+#include <optional>
+#include <stdexcept>
+#include <string>
+#include <utility>
+
+#include "cairn.h"
+
+namespace cairn {
+
+using Duration = std::chrono::nanoseconds;
+using Pose = cairn_pose;
+using Health = cairn_health;
+using Landmark = cairn_landmark;
+
+// Waiting would not cure it; what() names reason and cure.
+struct Error : std::runtime_error {
+    using std::runtime_error::runtime_error;
+};
+
+namespace detail {
+inline std::uint64_t ns(Duration time) { return time.count() > 0 ? static_cast<std::uint64_t>(time.count()) : 0; }
+
+inline bool came(int outcome) {
+    if (outcome == CAIRN_ERROR)
+        throw Error(cairn_error());
+    return outcome == CAIRN_MESSAGE;
+}
+
+// A view of shared memory that is given back at its end. Two of a kind may be held at a time.
+template <typename View, void (*RELEASE)(View *)> class Held {
+  public:
+    explicit Held(View view) : view_(view) {}
+    Held(Held &&other) noexcept : view_(std::exchange(other.view_, View{})) {}
+    Held &operator=(Held &&other) noexcept {
+        std::swap(view_, other.view_);
+        return *this;
+    }
+    Held(const Held &) = delete;
+    Held &operator=(const Held &) = delete;
+    ~Held() { RELEASE(&view_); }
+    const View *operator->() const { return &view_; }
+    const View &operator*() const { return view_; }
+
+  private:
+    View view_;
+};
+} // namespace detail
+
+// A map: header, landmarks, count.
+struct Map : detail::Held<cairn_map, cairn_map_release> {
+    using Held::Held;
+    const Landmark *begin() const { return (*this)->landmarks; }
+    const Landmark *end() const { return (*this)->landmarks + (*this)->count; }
+};
+// Keyframes: header, keyframes, count.
+struct Keyframes : detail::Held<cairn_keyframes, cairn_keyframes_release> {
+    using Held::Held;
+    const cairn_keyframe *begin() const { return (*this)->keyframes; }
+    const cairn_keyframe *end() const { return (*this)->keyframes + (*this)->count; }
+};
+// A grey picture: header, pixels, size.
+using Frame = detail::Held<cairn_frame, cairn_frame_release>;
+
+// The robot may act on this pose: tracked, and its frame arrived no longer than max_age ago.
+inline bool usable(const Pose &pose, Duration max_age) {
+    return cairn_pose_is_usable(&pose, detail::ns(max_age)) != 0;
+}
+
+// A connection to one daemon, which need not run yet. One thread at a time.
+class Client {
+  public:
+    // Without a prefix: what CAIRN_PREFIX names, or "cairn".
+    explicit Client(const char *prefix = nullptr) : client_(cairn_connect(prefix)) {
+        if (cairn_abi_version() != CAIRN_ABI_VERSION)
+            throw Error("libcairn.so and cairn.h are of different versions");
+        if (!client_)
+            throw Error(cairn_error());
+    }
+
+    // Every pose in order; empty when none has come in that time.
+    std::optional<Pose> pose(Duration timeout) {
+        Pose pose;
+        return detail::came(cairn_pose_wait(client_.get(), detail::ns(timeout), &pose)) ? std::optional(pose) : std::nullopt;
+    }
+    // The newest pose there is, the same one again while no newer has come.
+    std::optional<Pose> latest_pose() {
+        Pose pose;
+        return detail::came(cairn_pose_latest(client_.get(), &pose)) ? std::optional(pose) : std::nullopt;
+    }
+    std::optional<Health> health(Duration timeout) {
+        Health health;
+        return detail::came(cairn_health_wait(client_.get(), detail::ns(timeout), &health)) ? std::optional(health)
+                                                                                           : std::nullopt;
+    }
+    // The next map that was not read yet, where it lies in shared memory.
+    std::optional<Map> map(Duration timeout) { return view<Map>(cairn_map_wait, timeout); }
+    std::optional<Keyframes> keyframes(Duration timeout) { return view<Keyframes>(cairn_keyframes_wait, timeout); }
+    std::optional<Frame> frame(Duration timeout) { return view<Frame>(cairn_frame_wait, timeout); }
+
+    // Throws only if there is no answer; a refusal is an answer.
+    cairn_command_reply command(const cairn_command &command, Duration timeout) {
+        cairn_command_reply reply;
+        detail::came(cairn_send_command(client_.get(), &command, detail::ns(timeout), &reply));
+        return reply;
+    }
+    cairn_command_reply reset(Duration timeout) {
+        cairn_command what{};
+        what.kind = CAIRN_COMMAND_RESET;
+        return command(what, timeout);
+    }
+
+  private:
+    template <typename Owner, typename View>
+    std::optional<Owner> view(std::int32_t (*wait)(cairn_client *, std::uint64_t, View *), Duration timeout) {
+        View view{};
+        if (!detail::came(wait(client_.get(), detail::ns(timeout), &view)))
+            return std::nullopt;
+        return std::optional<Owner>(std::in_place, view);
+    }
+
+    struct Close {
+        void operator()(cairn_client *client) const { cairn_close(client); }
+    };
+    std::unique_ptr<cairn_client, Close> client_;
+};
+
+} // namespace cairn
+
+#endif

@@ -1,0 +1,193 @@
+"""The messages as they lie in shared memory: ctypes twins of `src/messages`.
+
+Fields, units and frames: src/messages/WIRE.md. A test holds every offset against `clients/c/cairn.h`, which is made from the Rust
+sources.
+"""
+
+import ctypes as c
+
+UNKNOWN_NS = -(2**63)
+NO_KEYFRAME = 2**32 - 1
+TEXT_LEN = 512
+
+STATES = ("INITIALIZING", "TRACKING", "LOST")
+SCALES = ("UNKNOWN", "ESTIMATED", "METRIC")
+CLOCKS = ("MONOTONIC", "RECORDING")
+ERRORS = (
+    "NO_CAMERA",
+    "NO_FRAMES",
+    "NO_FEATURES",
+    "LOW_FEATURES",
+    "DROPPED_FRAMES",
+    "CORRUPT_FRAMES",
+    "BAD_CALIBRATION",
+    "BAD_TIMESTAMP",
+    "STALLED_STAGE",
+    "MAPPING_LATE",
+    "LOST",
+    "SAVE_FAILED",
+    "PUBLISH_FAILED",
+)
+STAGES = ("capture", "features", "tracking", "mapping", "publishing", "end_to_end")
+
+COMMANDS = {"RESET": 1, "SAVE_TRAJECTORY": 2, "SAVE_MAP": 3, "LOAD_MAP": 4, "SET_POSE": 5}
+REPLIES = ("OK", "UNSUPPORTED", "INVALID", "FAILED", "BUSY")
+
+
+def word(words, value):
+    """A value of a newer daemon is UNKNOWN, and not taken for a good one."""
+    return words[value] if value < len(words) else "UNKNOWN"
+
+
+class _Message(c.Structure):
+    @classmethod
+    def type_name(cls):
+        """What iceoryx2 compares when two processes meet."""
+        return f"cairn.{cls.__name__}.v1"
+
+
+class Pose(_Message):
+    _fields_ = [
+        ("run_id", c.c_uint64),
+        ("sequence", c.c_uint64),
+        ("timestamp_ns", c.c_int64),
+        ("arrival_ns", c.c_int64),
+        ("published_ns", c.c_int64),
+        ("latency_arrival_ns", c.c_int64),
+        ("latency_capture_ns", c.c_int64),
+        ("frames_dropped", c.c_uint64),
+        ("position", c.c_double * 3),
+        ("orientation", c.c_double * 4),
+        ("odom_position", c.c_double * 3),
+        ("odom_orientation", c.c_double * 4),
+        ("covariance", c.c_double * 21),
+        ("linear_velocity", c.c_double * 3),
+        ("angular_velocity", c.c_double * 3),
+        ("quality", c.c_float),
+        ("scale_sigma", c.c_float),
+        ("landmarks", c.c_uint32),
+        ("landmarks_sought", c.c_uint32),
+        ("reset_counter", c.c_uint32),
+        ("map_id", c.c_uint32),
+        ("anchor_keyframe", c.c_uint32),
+        ("state", c.c_uint8),
+        ("scale", c.c_uint8),
+        ("clock", c.c_uint8),
+        ("keyframe", c.c_uint8),
+    ]
+
+
+class StageHealth(_Message):
+    _fields_ = [
+        ("steps", c.c_uint64),
+        ("heartbeat_age_ns", c.c_int64),
+        ("p50_ms", c.c_float),
+        ("p95_ms", c.c_float),
+        ("p99_ms", c.c_float),
+        ("rate_hz", c.c_float),
+    ]
+
+
+class Health(_Message):
+    _fields_ = [
+        ("run_id", c.c_uint64),
+        ("sequence", c.c_uint64),
+        ("published_ns", c.c_int64),
+        ("uptime_ns", c.c_int64),
+        ("realtime_minus_monotonic_ns", c.c_int64),
+        ("errors", c.c_uint64),
+        ("frames_captured", c.c_uint64),
+        ("frames_dropped", c.c_uint64),
+        ("frames_corrupt", c.c_uint64),
+        ("frames_tracked", c.c_uint64),
+        ("keyframes_made", c.c_uint64),
+        ("landmarks_made", c.c_uint64),
+        ("adjustments", c.c_uint64),
+        ("adjustments_late", c.c_uint64),
+        ("resets", c.c_uint64),
+        ("relocalisations", c.c_uint64),
+        ("frame_age_ns", c.c_int64),
+        ("pose_age_ns", c.c_int64),
+        ("stages", StageHealth * len(STAGES)),
+        ("keyframes", c.c_uint32),
+        ("landmarks", c.c_uint32),
+        ("reset_counter", c.c_uint32),
+        ("map_id", c.c_uint32),
+        ("pid", c.c_uint32),
+        ("state", c.c_uint8),
+        ("clock", c.c_uint8),
+        ("reserved", c.c_uint8 * 2),
+        ("version", c.c_uint8 * 32),
+    ]
+
+
+class Landmark(_Message):
+    _fields_ = [
+        ("id", c.c_uint32),
+        ("observations", c.c_uint32),
+        ("position", c.c_float * 3),
+        ("sigma", c.c_float),
+    ]
+
+
+class MapHeader(_Message):
+    _fields_ = [
+        ("run_id", c.c_uint64),
+        ("revision", c.c_uint64),
+        ("timestamp_ns", c.c_int64),
+        ("published_ns", c.c_int64),
+        ("count", c.c_uint32),
+        ("total", c.c_uint32),
+        ("map_id", c.c_uint32),
+        ("reset_counter", c.c_uint32),
+        ("scale_sigma", c.c_float),
+        ("scale", c.c_uint8),
+        ("clock", c.c_uint8),
+        ("reserved", c.c_uint8 * 2),
+    ]
+
+
+class Keyframe(_Message):
+    _fields_ = [
+        ("timestamp_ns", c.c_int64),
+        ("position", c.c_double * 3),
+        ("orientation", c.c_double * 4),
+        ("id", c.c_uint32),
+        ("reserved", c.c_uint32),
+    ]
+
+
+class KeyframesHeader(_Message):
+    _fields_ = MapHeader._fields_
+
+
+class FrameHeader(_Message):
+    _fields_ = [
+        ("run_id", c.c_uint64),
+        ("sequence", c.c_uint64),
+        ("timestamp_ns", c.c_int64),
+        ("arrival_ns", c.c_int64),
+        ("width", c.c_uint32),
+        ("height", c.c_uint32),
+        ("stride", c.c_uint32),
+        ("clock", c.c_uint8),
+        ("reserved", c.c_uint8 * 3),
+    ]
+
+
+class Command(_Message):
+    _fields_ = [
+        ("kind", c.c_uint32),
+        ("path_len", c.c_uint32),
+        ("path", c.c_uint8 * TEXT_LEN),
+        ("position", c.c_double * 3),
+        ("orientation", c.c_double * 4),
+    ]
+
+
+class CommandReply(_Message):
+    _fields_ = [
+        ("code", c.c_uint32),
+        ("message_len", c.c_uint32),
+        ("message", c.c_uint8 * TEXT_LEN),
+    ]

@@ -1,0 +1,245 @@
+"""What subscriptions yield: messages with numpy arrays and words in them."""
+
+import ctypes
+import math
+import time
+
+import numpy as np
+
+from . import messages as m
+
+LANDMARK = np.dtype([("id", "<u4"), ("observations", "<u4"), ("position", "<f4", 3), ("sigma", "<f4")])
+KEYFRAME = np.dtype(
+    [("timestamp_ns", "<i8"), ("position", "<f8", 3), ("orientation", "<f8", 4), ("id", "<u4"), ("reserved", "<u4")]
+)
+
+
+def rotation_matrix(orientation):
+    """3x3 of a unit quaternion (x, y, z, w)."""
+    x, y, z, w = orientation
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+class Value:
+    """One message. Its fields have the wire's names (src/messages/WIRE.md); arrays are numpy's, times not known are None."""
+
+    __slots__ = ("raw", "__weakref__")
+
+    def __init__(self, raw):
+        self.raw = raw
+
+    def __getattr__(self, name):
+        if name == "raw":  # not yet there, while an instance is being copied
+            raise AttributeError(name)
+        value = getattr(self.raw, name)
+        if isinstance(value, ctypes.Array):
+            return np.ctypeslib.as_array(value)
+        return None if value == m.UNKNOWN_NS else value
+
+    @property
+    def clock(self):
+        """MONOTONIC: `timestamp_ns` is a camera's, comparable with time.monotonic_ns(); RECORDING: a recording's own time."""
+        return m.word(m.CLOCKS, self.raw.clock)
+
+    @property
+    def live(self):
+        """Not a recording's time."""
+        return self.clock == "MONOTONIC"
+
+    @property
+    def scale(self):
+        """UNKNOWN (lengths are arbitrary), ESTIMATED (meant to be metres), METRIC (metres)."""
+        return m.word(m.SCALES, self.raw.scale)
+
+    @property
+    def state(self):
+        """INITIALIZING, TRACKING, LOST, or UNKNOWN for one of a newer daemon."""
+        return m.word(m.STATES, self.raw.state)
+
+    def __repr__(self):
+        return f"<{type(self).__name__} {self.sequence} {self.state}>"
+
+
+class Pose(Value):
+    """One frame's pose. Unless `tracking`, everything that belongs to the pose is NaN or zero."""
+
+    __slots__ = ()
+
+    @property
+    def tracking(self):
+        """There is a pose in this message."""
+        return self.raw.state == 1
+
+    @property
+    def age(self):
+        """Seconds since the frame arrived in the daemon."""
+        return (time.monotonic_ns() - self.raw.arrival_ns) * 1e-9
+
+    def usable(self, max_age=0.2):
+        """The robot may act on it: it was tracked, and its frame arrived no longer than `max_age` seconds ago."""
+        return self.tracking and self.age <= max_age
+
+    @property
+    def anchor_keyframe(self):
+        """Keyframe that the covariance is relative to, or None."""
+        return None if self.raw.anchor_keyframe == m.NO_KEYFRAME else self.raw.anchor_keyframe
+
+    @property
+    def yaw(self):
+        """Angle about the vertical in the map, counter-clockwise from above, rad."""
+        x, y, z, w = self.raw.orientation
+        return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+    @property
+    def map_from_body(self):
+        """4x4: points of the robot's body into the map."""
+        return _matrix(self.raw.position, self.raw.orientation)
+
+    @property
+    def odom_from_body(self):
+        """4x4: points of the robot's body into odom, which never jumps within one `reset_counter`."""
+        return _matrix(self.raw.odom_position, self.raw.odom_orientation)
+
+    @property
+    def map_from_odom(self):
+        """4x4, as REP-105 wants it."""
+        return self.map_from_body @ np.linalg.inv(self.odom_from_body)
+
+    @property
+    def covariance(self):
+        """6x6: x, y, z, rotation about x, y, z, in the body's axes; NaN = unknown."""
+        full = np.empty((6, 6))
+        rows, columns = np.triu_indices(6)
+        full[rows, columns] = full[columns, rows] = self.raw.covariance
+        return full
+
+    @property
+    def covariance_in_map_axes(self):
+        """6x6 along the map's axes, as nav_msgs/Odometry and MAVLink's ODOMETRY define theirs."""
+        turn = np.zeros((6, 6))
+        turn[:3, :3] = turn[3:, 3:] = rotation_matrix(self.raw.orientation)
+        return turn @ self.covariance @ turn.T
+
+
+def _matrix(position, orientation):
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation_matrix(orientation)
+    matrix[:3, 3] = position
+    return matrix
+
+
+class Health(Value):
+    """How the daemon is."""
+
+    __slots__ = ()
+
+    @property
+    def errors(self):
+        """Faults that stand now, as words."""
+        bits = self.raw.errors
+        known = [name for bit, name in enumerate(m.ERRORS) if bits >> bit & 1]
+        return known + ["UNKNOWN"] * (bits >> len(m.ERRORS) != 0)
+
+    @property
+    def stages(self):
+        """By name: steps, heartbeat_age_ns, p50_ms, p95_ms, p99_ms, rate_hz."""
+        return dict(zip(m.STAGES, self.raw.stages))
+
+    @property
+    def version(self):
+        """Of the daemon."""
+        return bytes(self.raw.version).split(b"\0")[0].decode("utf-8", "replace")
+
+    @property
+    def age(self):
+        """Seconds since it was sent."""
+        return (time.monotonic_ns() - self.raw.published_ns) * 1e-9
+
+
+class _Slice(Value):
+    """Elements in shared memory, held as long as this object or an array of it lives. Never changes."""
+
+    __slots__ = ("elements",)
+
+    def __init__(self, sample, port, header, dtype):
+        count = sample.header.number_of_elements
+        # iceoryx2's own Slice.as_memory_view does not keep the sample: this buffer does, and numpy keeps the buffer.
+        size = count * dtype.itemsize
+        buffer = (ctypes.c_uint8 * size).from_address(sample.payload_ptr) if size else bytes(0)
+        if size:
+            # The subscriber too: without it the publisher takes the memory back and writes the next message into it.
+            buffer.held = (sample, port)
+        self.elements = np.frombuffer(buffer, dtype)
+        self.elements.flags.writeable = False
+        super().__init__(header.from_buffer_copy(ctypes.string_at(sample.user_header_ptr, ctypes.sizeof(header))))
+
+    def __len__(self):
+        return len(self.elements)
+
+    def copy(self):
+        """The elements, apart from shared memory."""
+        return self.elements.copy()
+
+
+class Map(_Slice):
+    """The sparse map as it was at one moment."""
+
+    __slots__ = ()
+
+    def __init__(self, sample, port):
+        super().__init__(sample, port, m.MapHeader, LANDMARK)
+
+    points = property(lambda self: self.elements["position"], doc="(N, 3) float32, map units: a view.")
+    ids = property(lambda self: self.elements["id"], doc="(N,) never reused within a run.")
+    observations = property(lambda self: self.elements["observations"], doc="(N,) keyframes that see it.")
+    sigma = property(lambda self: self.elements["sigma"], doc="(N,) along the line of sight, map units; NaN = unknown.")
+
+    def __array__(self, dtype=None, copy=None):
+        points = self.points if dtype is None else self.points.astype(dtype)
+        return points.copy() if copy else points
+
+    def __repr__(self):
+        return f"<Map {self.map_id} revision {self.revision}: {len(self)} of {self.total} landmarks>"
+
+
+class Keyframes(_Slice):
+    """The keyframes as they were at one moment."""
+
+    __slots__ = ()
+
+    def __init__(self, sample, port):
+        super().__init__(sample, port, m.KeyframesHeader, KEYFRAME)
+
+    positions = property(lambda self: self.elements["position"], doc="(N, 3), map units: a view.")
+    orientations = property(lambda self: self.elements["orientation"], doc="(N, 4) quaternions x, y, z, w: a view.")
+    ids = property(lambda self: self.elements["id"], doc="(N,) never reused within a run.")
+    timestamps_ns = property(lambda self: self.elements["timestamp_ns"], doc="(N,) in the source's clock.")
+
+    def __repr__(self):
+        return f"<Keyframes of map {self.map_id} revision {self.revision}: {len(self)} of {self.total}>"
+
+
+class Frame(_Slice):
+    """A grey picture as the camera gave it, lens distortion included."""
+
+    __slots__ = ()
+
+    def __init__(self, sample, port):
+        super().__init__(sample, port, m.FrameHeader, np.dtype("u1"))
+
+    @property
+    def image(self):
+        """(H, W) uint8: a view."""
+        height, width, stride = self.raw.height, self.raw.width, self.raw.stride
+        if stride < width or stride * height > len(self.elements):
+            raise ValueError(f"a picture of {width}x{height} px, stride {stride}, in {len(self.elements)} bytes")
+        return self.elements[: stride * height].reshape(height, stride)[:, :width]
+
+    def __repr__(self):
+        return f"<Frame {self.sequence} {self.width}x{self.height}>"
