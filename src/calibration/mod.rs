@@ -1,5 +1,6 @@
 //! Cameras' calibrations: how they come in from files and go out to them.
 
+pub mod chessboard;
 pub mod file;
 mod yaml;
 
