@@ -2,6 +2,7 @@
 
 pub mod chessboard;
 pub mod file;
+pub mod foreign;
 mod yaml;
 
 pub use file::{CalibrationError, CalibrationFile, load_camera, save_camera};

@@ -20,6 +20,10 @@ const RIM_SHARE: f64 = 0.6;
 const NEW_RIM_SHARE: f64 = 0.7;
 /// Share of the cells that a board needs.
 const MIN_SHARE: f64 = 0.75;
+/// Distance of a corner from where its neighbours put it, in sides of a square.
+pub const MAX_MISFIT: f64 = 0.25;
+/// Fewer corners are no board.
+const MIN_FOUND: usize = 9;
 /// Two-fold amplitude of a predicted corner, as a share of the others' contrast.
 const MIN_AMPLITUDE: f64 = 0.08;
 
@@ -68,6 +72,8 @@ struct Sheet<'a> {
     corners: &'a [XCorner],
     /// Places that were predicted and found.
     extra: Vec<((i32, i32), Vector2<f64>)>,
+    /// Cells whose corner does not stand in line with its neighbours.
+    dropped: Vec<(i32, i32)>,
 }
 
 impl Sheet<'_> {
@@ -76,7 +82,8 @@ impl Sheet<'_> {
         if !inside {
             return None;
         }
-        let found = self.grid.get(cell).and_then(|n| self.corners.get(n)).map(|c| c.at);
+        let found = if self.dropped.contains(&cell) { None } else { self.grid.get(cell) };
+        let found = found.and_then(|n| self.corners.get(n)).map(|c| c.at);
         found.or_else(|| self.extra.iter().find(|(c, _)| *c == cell).map(|(_, at)| *at))
     }
 
@@ -122,8 +129,9 @@ impl Sheet<'_> {
 pub fn fit(grid: Grid, map: &SaddleMap, corners: &[XCorner], pattern: &Pattern) -> Option<Fit> {
     let low = (grid.filled.iter().map(|c| c.0).min()?, grid.filled.iter().map(|c| c.1).min()?);
     let high = (grid.filled.iter().map(|c| c.0).max()?, grid.filled.iter().map(|c| c.1).max()?);
-    let mut sheet = Sheet { low, high, grid: &grid, corners, extra: Vec::new() };
+    let mut sheet = Sheet { low, high, grid: &grid, corners, extra: Vec::new(), dropped: Vec::new() };
     trim(&mut sheet, pattern);
+    straighten(&mut sheet);
     let contrast = {
         let mut all: Vec<f32> =
             grid.filled.iter().filter_map(|c| corners.get(grid.get(*c)?)).map(|c| c.contrast).collect();
@@ -137,7 +145,7 @@ pub fn fit(grid: Grid, map: &SaddleMap, corners: &[XCorner], pattern: &Pattern) 
         .flat_map(|j| (sheet.low.0..=sheet.high.0).map(move |i| (i, j)))
         .filter(|c| sheet.place(*c).is_some())
         .count();
-    if (found as f64) < MIN_SHARE * total as f64 || size.iter().any(|n| *n < 2) {
+    if (found as f64) < MIN_SHARE * total as f64 || size.iter().any(|n| *n < 3) || found < MIN_FOUND {
         return None;
     }
     order(&sheet, pattern)
@@ -164,6 +172,51 @@ fn trim(sheet: &mut Sheet, pattern: &Pattern) {
             .min_by(|a, b| a.0.total_cmp(&b.0));
         match weakest {
             Some((share, side)) if share < RIM_SHARE && size[side / 2] > 2 => sheet.move_side(side, -1),
+            _ => return,
+        }
+    }
+}
+
+/// How far a cell's corner stands from where its neighbours put it, in sides of a square: the median of what straight lines and
+/// parallelograms through it say. `None` with fewer than two of them.
+pub fn misfit(place: &impl Fn((i32, i32)) -> Option<Vector2<f64>>, (i, j): (i32, i32)) -> Option<f64> {
+    let here = place((i, j))?;
+    let mut said: Vec<f64> = Vec::new();
+    let mut say = |predicted: Vector2<f64>, side: f64| said.push((predicted - here).norm() / side.max(1.0));
+    for (di, dj) in [(1, 0), (0, 1)] {
+        let at = |n: i32| place((i + n * di, j + n * dj));
+        if let (Some(a), Some(b)) = (at(-1), at(1)) {
+            say(0.5 * (a + b), 0.5 * (b - a).norm());
+        }
+        for sign in [1, -1] {
+            if let (Some(a), Some(b), None) = (at(sign), at(2 * sign), at(-sign)) {
+                say(2.0 * a - b, (b - a).norm());
+            }
+        }
+    }
+    for (di, dj) in [(1, 1), (1, -1), (-1, 1), (-1, -1)] {
+        if let (Some(a), Some(b), Some(c)) = (place((i + di, j)), place((i, j + dj)), place((i + di, j + dj))) {
+            say(a + b - c, 0.5 * ((a - c).norm() + (b - c).norm()));
+        }
+    }
+    if said.len() < 2 {
+        return None;
+    }
+    said.sort_by(f64::total_cmp);
+    Some(said[said.len() / 2])
+}
+
+/// Drops corners that are out of line, the worst first.
+fn straighten(sheet: &mut Sheet) {
+    for _ in 0..sheet.grid.filled.len() / 4 {
+        let worst = sheet
+            .grid
+            .filled
+            .iter()
+            .filter_map(|cell| Some((misfit(&|c| sheet.place(c), *cell)?, *cell)))
+            .max_by(|a, b| a.0.total_cmp(&b.0));
+        match worst {
+            Some((off, cell)) if off > MAX_MISFIT => sheet.dropped.push(cell),
             _ => return,
         }
     }

@@ -8,9 +8,9 @@
 //!
 //! Cost: 4 us a corner with a window of 15 pixels.
 
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
-use super::ordering::Fit;
+use super::ordering::{Fit, MAX_MISFIT, misfit};
 use super::{Board, BoardCorner, Pattern};
 use crate::image::GreyImage;
 
@@ -45,17 +45,42 @@ pub fn refine(picture: &GreyImage, fit: &Fit, level: usize, pattern: &Pattern) -
             spacing_px = spacing_px.min(side);
         
             let radius = (WINDOW_SHARE * side).clamp(WINDOW_RANGE.0, WINDOW_RANGE.1);
-            let Some((pixel, steepness)) = settle(picture, at, radius, (0.25 * side).max(1.0)) else { continue };
-            slope.push(steepness);
+            let reach = (0.3 * side).max(1.5);
+            // A wide window holds more edge and less noise; a narrow one holds where the picture is smeared.
+            let found = [1.0, 0.7]
+                .into_iter()
+                .find_map(|share| settle(picture, at, (share * radius).max(2.5), reach))
+                .or_else(|| quadratic(picture, at, (0.45 * side).clamp(2.0, 8.0), reach).map(|p| (p, 0.0)));
+            let Some((pixel, width)) = found else { continue };
+            slope.push(width);
             corners.push(BoardCorner { column: column as u32, row: row as u32, pixel });
         }
     }
+    drop_misfits(&mut corners);
     if (corners.len() as f64) < 0.75 * pattern.count() as f64 {
         return None;
     }
     slope.sort_by(f64::total_cmp);
     let blur_px = slope.get(slope.len() / 2).copied().unwrap_or(0.0);
     Some(Board { complete: corners.len() == pattern.count(), corners, spacing_px, blur_px })
+}
+
+/// Drops corners that ended out of line with their neighbours, the worst first.
+fn drop_misfits(corners: &mut Vec<BoardCorner>) {
+    for _ in 0..corners.len() / 4 {
+        let place = |(i, j): (i32, i32)| {
+            corners.iter().find(|c| (c.column as i32, c.row as i32) == (i, j)).map(|c| c.pixel)
+        };
+        let worst = corners
+            .iter()
+            .enumerate()
+            .filter_map(|(n, c)| Some((misfit(&place, (c.column as i32, c.row as i32))?, n)))
+            .max_by(|a, b| a.0.total_cmp(&b.0));
+        match worst {
+            Some((off, n)) if off > MAX_MISFIT => drop(corners.remove(n)),
+            _ => return,
+        }
+    }
 }
 
 /// The corner near `start`, if it stays within `reach`; and the width of its edges, one sigma, pixels.
@@ -76,14 +101,52 @@ fn settle(picture: &GreyImage, start: Vector2<f64>, radius: f64, reach: f64) -> 
     Some((at, width))
 }
 
-fn step(picture: &GreyImage, at: Vector2<f64>, radius: f64) -> Option<(Vector2<f64>, f64)> {
-    let (w, h) = (picture.width, picture.height);
+/// Saddle of the quadratic that fits the grey values best: for what is so blurred or so small that there are no edges left.
+fn quadratic(picture: &GreyImage, start: Vector2<f64>, radius: f64, reach: f64) -> Option<Vector2<f64>> {
+    let mut at = start;
+    for _ in 0..4 {
+        let (x0, x1, y0, y1) = window(picture, at, radius)?;
+        let (mut a, mut b) = (SMatrix::<f64, 6, 6>::zeros(), SVector::<f64, 6>::zeros());
+        for y in y0..=y1 {
+            let dy = y as f64 - at.y;
+            for (x, value) in picture.row(y).iter().enumerate().take(x1 + 1).skip(x0) {
+                let dx = x as f64 - at.x;
+                let weight = 1.0 - (dx * dx + dy * dy) / (radius * radius);
+                if weight > 0.0 {
+                    let row = SVector::from([1.0, dx, dy, dx * dx, dx * dy, dy * dy]);
+                    a += row * row.transpose() * weight;
+                    b += row * (weight * f64::from(*value));
+                }
+            }
+        }
+        let c = a.cholesky()?.solve(&b);
+        let (xx, xy, yy) = (2.0 * c[3], c[4], 2.0 * c[5]);
+        let det = xx * yy - xy * xy;
+        if !(det < 0.0) {
+            return None;
+        }
+        let move_by = Vector2::new(-(yy * c[1] - xy * c[2]), -(xx * c[2] - xy * c[1])) / det;
+        at += move_by;
+        if !((at - start).norm() <= reach) {
+            return None;
+        }
+        if move_by.norm() < 0.01 {
+            break;
+        }
+    }
+    Some(at)
+}
+
+/// Pixels around a place whose neighbours are all in the picture: x from and to, y from and to.
+fn window(picture: &GreyImage, at: Vector2<f64>, radius: f64) -> Option<(usize, usize, usize, usize)> {
     let low = |v: f64| (v - radius).ceil().max(1.0) as usize;
     let high = |v: f64, size: usize| (v + radius).floor().min(size as f64 - 2.0).max(0.0) as usize;
-    let (x0, x1, y0, y1) = (low(at.x), high(at.x, w), low(at.y), high(at.y, h));
-    if x1 < x0 + 2 || y1 < y0 + 2 {
-        return None;
-    }
+    let (x0, x1, y0, y1) = (low(at.x), high(at.x, picture.width), low(at.y), high(at.y, picture.height));
+    (x1 >= x0 + 2 && y1 >= y0 + 2).then_some((x0, x1, y0, y1))
+}
+
+fn step(picture: &GreyImage, at: Vector2<f64>, radius: f64) -> Option<(Vector2<f64>, f64)> {
+    let (x0, x1, y0, y1) = window(picture, at, radius)?;
     let inverse = 1.0 / (radius * radius);
     let (mut a, mut b, mut c, mut u, mut v) = (0.0f64, 0.0f64, 0.0f64, 0.0f64, 0.0f64);
     let (mut darkest, mut brightest, mut steepest) = (255u8, 0u8, 0.0f64);

@@ -86,15 +86,15 @@ fn exact_points_give_the_exact_camera() {
 #[test]
 fn twenty_one_views_give_the_focal_length_within_a_thousandth_and_honest_deviations() {
     // Noise of 0.1 px a coordinate: what the detector has on rendered pictures at its worst.
-    let (mut within, mut of, mut square) = (0, 0, 0.0);
-    let mut each = [0; PARAMETERS];
+    let (mut within, mut of, mut square) = (0u32, 0u32, 0.0);
+    let mut each = [0usize; PARAMETERS];
     for seed in 0..100 {
         let solved = calibrate(&views(1000 + seed, 21, 0.1), SIZE, Distortion::Full).expect("calibrated");
         let sigmas = solved.sigmas();
         for i in 0..PARAMETERS {
             let inside = (solved.intrinsics[i] - TRUTH[i]).abs() < sigmas[i];
             each[i] += usize::from(inside);
-            within += usize::from(inside);
+            within += u32::from(inside);
             of += 1;
         }
         square += ((solved.intrinsics[0] - TRUTH[0]) / TRUTH[0]).powi(2);
