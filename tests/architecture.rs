@@ -30,7 +30,7 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
     // What comes out.
     ("trajectory", &["atomic_file", "geometry", "map", "reconstruction"]),
     ("evaluation", &["atomic_file", "geometry", "plot", "trajectory"]),
-    ("plot", &["atomic_file", "evaluation", "geometry", "map", "reconstruction", "trajectory"]),
+    ("plot", &["atomic_file", "evaluation", "geometry", "image", "map", "reconstruction", "trajectory"]),
     ("publish", &["frame", "geometry", "image", "map", "messages", "reconstruction"]),
     // What holds it together.
     ("config", &["camera", "features", "geometry", "publish", "reconstruction", "telemetry"]),

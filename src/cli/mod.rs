@@ -1,7 +1,10 @@
 //! One file a subcommand: `Args` (clap) and `run(&Args) -> Result<ExitCode, CliError>`. Results on stdout, all else on stderr.
 
+mod camera_calibration;
+pub mod calibrate;
 pub mod command;
 pub mod demo;
+pub mod doctor;
 pub mod endpoint_args;
 pub mod evaluate;
 pub mod replay;
@@ -65,6 +68,8 @@ enum Command {
     Demo(demo::DemoArgs),
     Replay(replay::ReplayArgs),
     Watch(watch::WatchArgs),
+    Calibrate(calibrate::CalibrateArgs),
+    Doctor(doctor::DoctorArgs),
     Evaluate(evaluate::EvaluateArgs),
     Simulate(simulate::SimulateArgs),
     #[command(name = "command")]
@@ -78,6 +83,8 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode, CliError> {
         Command::Demo(args) => demo::run(args),
         Command::Replay(args) => replay::run(args),
         Command::Watch(args) => watch::run(args),
+        Command::Calibrate(args) => calibrate::run(args),
+        Command::Doctor(args) => doctor::run(args),
         Command::Evaluate(args) => evaluate::run(args),
         Command::Simulate(args) => simulate::run(args),
         Command::Send(args) => command::run(args),

@@ -1,4 +1,4 @@
-//! Pictures of a run, as PNG: what it mapped, and how it compares with the truth.
+//! Pictures of a run, as PNG: what it mapped, how it compares with the truth, and what a calibration rests on.
 //!
 //! Input: a map and a trajectory, or an evaluation's outcome. Output: one PNG, whole or not at all. Equal lengths are equal in
 //! every view of space. Text is DejaVu Sans from inside the binary: no system font or graphics library is needed. The same
@@ -12,6 +12,7 @@ use std::path::Path;
 use crate::atomic_file::{WriteError, write_atomically};
 
 mod axes;
+mod calibration;
 mod canvas;
 mod comparison;
 mod overview;
@@ -20,6 +21,7 @@ mod text;
 #[cfg(test)]
 mod tests;
 
+pub use calibration::{CornerMark, write_coverage, write_view};
 pub use comparison::write_comparison;
 pub use overview::write_overview;
 
