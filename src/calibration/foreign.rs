@@ -245,7 +245,7 @@ mod tests {
             (format!("{size}-517.3 516.5 318.6 255.3"), "camera:2: fx = -517.3 px: must be greater than 0"),
             ("# size_px 640 x\n517.3 516.5 318.6 255.3".into(), "camera:1: size_px[1] = x px"),
             ("<?xml version=\"1.0\"?>\n<opencv_storage>\n<image_width>640\n</opencv_storage>".into(), "camera:4: "),
-            ("<a><image_width>640</image_width></a>".into(), "camera_matrix.data is missing"),
+            ("<a><image_width>640</image_width></a>".into(), "image_height is missing"),
         ] {
             let message = read(&text, Format::Tum).expect_err("refused").to_string();
             assert!(message.contains(expected), "{text}: {message}");

@@ -3,7 +3,7 @@
 //! Input: a solved calibration, the pixels that its corners cover, the picture's size. Output: [`Needs`](Need), each naming a view that is
 //! missing; none means that the set is good. The thresholds are those of practice: corners in the outer 15 % at
 //! each side (distortion is largest there), tilts of 15 degrees about both axes (without tilt focal length and distance cannot be told apart),
-//! ten views, a focal length known to 0.3 %.
+//! ten views, a focal length known to 0.2 %.
 
 use std::fmt;
 
@@ -22,7 +22,7 @@ const TILT_DEG: f64 = 15.0;
 /// Share of the coverage cells with corners.
 const MIN_COVERED: f64 = 0.55;
 /// Standard deviation of a focal length as a share of it, and of the principal point as a share of the longer side.
-const MAX_FOCAL_SIGMA: f64 = 0.003;
+const MAX_FOCAL_SIGMA: f64 = 0.002;
 const MAX_CENTRE_SIGMA: f64 = 0.003;
 
 /// Something that more or other views would bring.
