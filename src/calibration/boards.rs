@@ -56,16 +56,25 @@ pub fn solve(
     let mut solved = calibrate(&plane, size, distortion)?;
     let mut camera = model(&solved, size)?;
     let mut without_k3 = false;
-    if distortion == Distortion::Full && !camera.covers_picture() {
+    if distortion == Distortion::Full && !covers(&camera) {
         let simpler = calibrate(&plane, size, Distortion::RadialTangential)?;
         let simpler_camera = model(&simpler, size)?;
-        if simpler_camera.covers_picture() {
+        // Only where k3 says nothing; a wide lens that needs it may well fold in the last pixels of a corner.
+        if covers(&simpler_camera) && simpler.rms_px < 1.01 * solved.rms_px {
             (solved, camera, without_k3) = (simpler, simpler_camera, true);
         }
     }
     let pixels = plane.iter().zip(&solved.views).filter(|(_, v)| v.used).flat_map(|(p, _)| &p.pixels);
-    let verdict = judge(&solved, pixels, size, camera.covers_picture());
+    let verdict = judge(&solved, pixels, size, covers(&camera));
     Ok(Calibrated { camera, verdict, pattern: *pattern, without_k3, solved })
+}
+
+/// Can the picture be undistorted, but for the outermost 5 % of its diagonals?
+fn covers(camera: &CameraModel) -> bool {
+    let (w, h) = (f64::from(camera.width) - 1.0, f64::from(camera.height) - 1.0);
+    [(0.05, 0.05), (0.95, 0.05), (0.05, 0.95), (0.95, 0.95)]
+        .into_iter()
+        .all(|(x, y)| camera.undistort(&Vector2::new(x * w, y * h)).is_some())
 }
 
 fn model(solved: &PlaneCalibration, (width, height): (u32, u32)) -> Result<CameraModel, PlaneCalibrationError> {

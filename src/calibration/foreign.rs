@@ -164,7 +164,8 @@ pub(super) fn parse_tum(text: &str, path: &str, size: Option<(u32, u32)>) -> Res
     let [width, height] = given.or(stated).ok_or_else(|| CalibrationError::Missing {
         path: path.into(),
         key: "size_px".into(),
-        reason: "TUM's numbers do not say the pictures' size: give --size, or a comment line '# size_px 640 480'".into(),
+        reason: "TUM's numbers do not say the pictures' size: give --size, or a comment line '# size_px 640 480'"
+            .into(),
     })?;
     let one = |i: usize, key: &str| field(key, values[i].0, values[i].1, vec![values[i].2]);
     let intrinsics = [one(0, "fx"), one(1, "fy"), one(2, "cx"), one(3, "cy")];
@@ -184,12 +185,11 @@ pub(super) struct XmlEntry {
 /// The elements of an OpenCV XML that hold text, keys below the root.
 pub(super) fn read_xml(text: &str, path: &str) -> Result<Vec<XmlEntry>, CalibrationError> {
     let options = roxmltree::ParsingOptions { nodes_limit: 100_000, ..Default::default() };
-    let document =
-        roxmltree::Document::parse_with_options(text, options).map_err(|e| CalibrationError::Syntax {
-            path: path.into(),
-            line: e.pos().row as usize,
-            reason: e.to_string(),
-        })?;
+    let document = roxmltree::Document::parse_with_options(text, options).map_err(|e| CalibrationError::Syntax {
+        path: path.into(),
+        line: e.pos().row as usize,
+        reason: e.to_string(),
+    })?;
     let mut entries = Vec::new();
     for node in document.root_element().descendants().filter(roxmltree::Node::is_element) {
         let Some(text) = node.text().filter(|t| !t.trim().is_empty()) else { continue };
@@ -213,15 +213,8 @@ mod tests {
     use proptest::prelude::*;
     use proptest::test_runner::RngSeed;
 
-    const ALL: [Format; 7] = [
-        Format::Cairn,
-        Format::Ros,
-        Format::Opencv,
-        Format::OpencvXml,
-        Format::Kalibr,
-        Format::Euroc,
-        Format::Tum,
-    ];
+    const ALL: [Format; 7] =
+        [Format::Cairn, Format::Ros, Format::Opencv, Format::OpencvXml, Format::Kalibr, Format::Euroc, Format::Tum];
 
     fn read(text: &str, format: Format) -> Result<CameraModel, CalibrationError> {
         CalibrationFile::parse(text, "camera", format == Format::Cairn).map(|f| f.camera)

@@ -136,7 +136,9 @@ pub fn find(
                 let found = Found {
                     camera,
                     scaled_from: (own != size).then_some(own),
-                    unix_s: number("calibrated_unix_s").and_then(toml::Value::as_integer).and_then(|s| u64::try_from(s).ok()),
+                    unix_s: number("calibrated_unix_s")
+                        .and_then(toml::Value::as_integer)
+                        .and_then(|s| u64::try_from(s).ok()),
                     fx_sigma_px: number("fx_sigma_px").and_then(toml::Value::as_float),
                     path,
                 };
@@ -222,7 +224,12 @@ mod tests {
         let path = save(&folders, &me, &file(&me.to_string(), (640, 480), 512.0)).expect("saved");
         assert_eq!(path, folders[1].join("046d_0825_A_B_C-640x480.toml"));
         assert_eq!(find(&folders, &me, (640, 480)).0.map(|f| f.camera.fx), Some(512.0));
-        assert!(save(&folders[..1], &me, &file("x:y", (640, 480), 512.0)).expect_err("blocked").to_string().contains("file"));
+        assert!(
+            save(&folders[..1], &me, &file("x:y", (640, 480), 512.0))
+                .expect_err("blocked")
+                .to_string()
+                .contains("file")
+        );
     }
 
     #[test]

@@ -60,7 +60,9 @@ impl Need {
             Self::TurnSideways(_) => "tilt the board: its left or right side nearer to the camera".into(),
             Self::TiltForward(_) => "tilt the board: its upper or lower side nearer to the camera".into(),
             Self::Precision(_) => "more views, tilted, near and filling the picture".into(),
-            Self::Distortion => "bring the board to the corners of the picture: the distortion there is not known".into(),
+            Self::Distortion => {
+                "bring the board to the corners of the picture: the distortion there is not known".into()
+            }
         }
     }
 }

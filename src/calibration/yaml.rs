@@ -27,13 +27,8 @@ const MAX_LIST_LINES: usize = 64;
 
 /// Names that OpenCV's programs have used over the years.
 const CAMERA_MATRIX: [&str; 4] = ["camera_matrix.data", "Camera_Matrix.data", "cameraMatrix.data", "K.data"];
-const COEFFICIENTS: [&str; 5] = [
-    "distortion_coefficients.data",
-    "Distortion_Coefficients.data",
-    "distCoeffs.data",
-    "dist_coeffs.data",
-    "D.data",
-];
+const COEFFICIENTS: [&str; 5] =
+    ["distortion_coefficients.data", "Distortion_Coefficients.data", "distCoeffs.data", "dist_coeffs.data", "D.data"];
 
 /// One `key: value`.
 #[derive(Debug, Clone, PartialEq)]

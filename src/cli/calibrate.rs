@@ -181,7 +181,9 @@ fn save(args: &CalibrateArgs, calibrated: &Calibrated, identity: Option<&CameraI
     }
     if let Some(identity) = identity {
         match store::save(&store::state_folders(), identity, &file) {
-            Ok(path) => session::print(&format!("wrote {} (found by `cairn run` for camera {identity})\n", path.display()))?,
+            Ok(path) => {
+                session::print(&format!("wrote {} (found by `cairn run` for camera {identity})\n", path.display()))?
+            }
             Err(error) if args.output.is_none() => {
                 return Err(CliError::new(exit_code::CANNOT_CREATE, error.to_string()));
             }

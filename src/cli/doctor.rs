@@ -134,7 +134,9 @@ fn one_camera(report: &mut Report, camera: &CameraInfo, config: &Config) {
     let file = &config.calibration.file;
     if !file.as_os_str().is_empty() {
         match crate::calibration::load_camera(file) {
-            Ok(c) => report.good(&format!("calibration {} for {}x{} px (configured)", file.display(), c.width, c.height)),
+            Ok(c) => {
+                report.good(&format!("calibration {} for {}x{} px (configured)", file.display(), c.width, c.height))
+            }
             Err(error) => report.bad(&error.to_string(), "correct calibration.file, or leave it empty"),
         }
         return;
@@ -152,7 +154,8 @@ fn one_camera(report: &mut Report, camera: &CameraInfo, config: &Config) {
         }
         None => {
             let size = format!("{}x{} px", config.camera.width_px, config.camera.height_px);
-            let next = format!("calibrate it, one minute: `cairn calibrate --camera {path} --pattern 9x6 --square 0.025`");
+            let next =
+                format!("calibrate it, one minute: `cairn calibrate --camera {path} --pattern 9x6 --square 0.025`");
             report.note(&format!("{path}: no calibration for {size}"));
             report.next.push(next);
         }
@@ -175,7 +178,8 @@ fn shared_memory(report: &mut Report) {
     match rustix::fs::statvfs("/dev/shm") {
         Ok(stat) => {
             let free = stat.f_bavail.saturating_mul(stat.f_frsize);
-            let line = format!("/dev/shm: {} MB free of {} MB", free >> 20, stat.f_blocks.saturating_mul(stat.f_frsize) >> 20);
+            let line =
+                format!("/dev/shm: {} MB free of {} MB", free >> 20, stat.f_blocks.saturating_mul(stat.f_frsize) >> 20);
             if free < SHM_NEEDED {
                 let next = "make room: `ls -l /dev/shm`, or `sudo mount -o remount,size=256M /dev/shm`";
                 report.bad(&format!("{line}, {} MB are needed", SHM_NEEDED >> 20), next);
@@ -196,7 +200,10 @@ fn wire(report: &mut Report) {
         Err(_) => report.good("/tmp/iceoryx2 does not exist yet: made at the first start"),
         Ok(owner) if Some(owner) == own => report.good("/tmp/iceoryx2 belongs to this user"),
         Ok(owner) => report.bad(
-            &format!("/tmp/iceoryx2 belongs to user {owner}, this is user {}", own.map_or("?".into(), |u| u.to_string())),
+            &format!(
+                "/tmp/iceoryx2 belongs to user {owner}, this is user {}",
+                own.map_or("?".into(), |u| u.to_string())
+            ),
             "run daemon and planners as one user, or remove /tmp/iceoryx2 while nothing runs",
         ),
     }
@@ -205,7 +212,8 @@ fn wire(report: &mut Report) {
 fn folders(report: &mut Report) {
     report.title("calibrations are kept in");
     for folder in store::search_folders() {
-        let count = std::fs::read_dir(&folder).map(|d| d.flatten().filter(|e| e.path().extension().is_some_and(|x| x == "toml")).count());
+        let count = std::fs::read_dir(&folder)
+            .map(|d| d.flatten().filter(|e| e.path().extension().is_some_and(|x| x == "toml")).count());
         match count {
             Ok(count) => report.good(&format!("{}: {count} files", folder.display())),
             Err(_) => report.note(&format!("{}: not there", folder.display())),

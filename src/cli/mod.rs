@@ -1,7 +1,7 @@
 //! One file a subcommand: `Args` (clap) and `run(&Args) -> Result<ExitCode, CliError>`. Results on stdout, all else on stderr.
 
-mod camera_calibration;
 pub mod calibrate;
+mod camera_calibration;
 pub mod command;
 pub mod demo;
 pub mod doctor;

@@ -78,7 +78,11 @@ pub fn write_coverage(
     let frame = [(0.5, 0.5), (w - 0.5, 0.5), (w - 0.5, h - 0.5), (0.5, h - 0.5), (0.5, 0.5)];
     canvas.line(&frame, 1.0, palette::FRAME, 1.0, None);
     let style = TextStyle::new(13.0, palette::INK, Anchor::Left);
-    canvas.text(&format!("corners of all views; dark: exact, yellow: residual of {full:.2} px"), (8.0, h + 18.0), style);
+    canvas.text(
+        &format!("corners of all views; dark: exact, yellow: residual of {full:.2} px"),
+        (8.0, h + 18.0),
+        style,
+    );
     for (n, line) in lines.iter().enumerate() {
         canvas.text(line, (8.0, h + 36.0 + 18.0 * n as f32), TextStyle::new(13.0, palette::MUTED, Anchor::Left));
     }

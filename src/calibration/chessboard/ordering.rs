@@ -178,11 +178,12 @@ fn trim(sheet: &mut Sheet, pattern: &Pattern) {
 }
 
 /// How far a cell's corner stands from where its neighbours put it, in sides of a square: the median of what straight lines and
-/// parallelograms through it say. `None` with fewer than two of them.
-pub fn misfit(place: &impl Fn((i32, i32)) -> Option<Vector2<f64>>, (i, j): (i32, i32)) -> Option<f64> {
+/// parallelograms through it say; and where that is. `None` with fewer than two of them.
+pub fn misfit(place: &impl Fn((i32, i32)) -> Option<Vector2<f64>>, (i, j): (i32, i32)) -> Option<(f64, Vector2<f64>)> {
     let here = place((i, j))?;
-    let mut said: Vec<f64> = Vec::new();
-    let mut say = |predicted: Vector2<f64>, side: f64| said.push((predicted - here).norm() / side.max(1.0));
+    let mut said: Vec<(f64, Vector2<f64>)> = Vec::new();
+    let mut say =
+        |predicted: Vector2<f64>, side: f64| said.push(((predicted - here).norm() / side.max(1.0), predicted));
     for (di, dj) in [(1, 0), (0, 1)] {
         let at = |n: i32| place((i + n * di, j + n * dj));
         if let (Some(a), Some(b)) = (at(-1), at(1)) {
@@ -202,8 +203,13 @@ pub fn misfit(place: &impl Fn((i32, i32)) -> Option<Vector2<f64>>, (i, j): (i32,
     if said.len() < 2 {
         return None;
     }
-    said.sort_by(f64::total_cmp);
-    Some(said[said.len() / 2])
+    said.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let middle = |axis: usize| {
+        let mut values: Vec<f64> = said.iter().map(|(_, p)| p[axis]).collect();
+        values.sort_by(f64::total_cmp);
+        values[values.len() / 2]
+    };
+    Some((said[said.len() / 2].0, Vector2::new(middle(0), middle(1))))
 }
 
 /// Drops corners that are out of line, the worst first.
@@ -213,7 +219,7 @@ fn straighten(sheet: &mut Sheet) {
             .grid
             .filled
             .iter()
-            .filter_map(|cell| Some((misfit(&|c| sheet.place(c), *cell)?, *cell)))
+            .filter_map(|cell| Some((misfit(&|c| sheet.place(c), *cell)?.0, *cell)))
             .max_by(|a, b| a.0.total_cmp(&b.0));
         match worst {
             Some((off, cell)) if off > MAX_MISFIT => sheet.dropped.push(cell),
@@ -277,13 +283,7 @@ fn fill_holes(sheet: &mut Sheet, map: &SaddleMap, contrast: f64) {
 }
 
 /// The corner of an empty cell, by what its neighbours `from` predict and the saddle map shows.
-fn look(
-    sheet: &Sheet,
-    map: &SaddleMap,
-    contrast: f64,
-    cell: (i32, i32),
-    from: &[(i32, i32)],
-) -> Option<Vector2<f64>> {
+fn look(sheet: &Sheet, map: &SaddleMap, contrast: f64, cell: (i32, i32), from: &[(i32, i32)]) -> Option<Vector2<f64>> {
     let place = |c| sheet.place(c);
     let mut sum = Vector2::zeros();
     let mut count = 0.0;
@@ -409,7 +409,9 @@ fn order(sheet: &Sheet, pattern: &Pattern) -> Option<Fit> {
         let fits = (cells.columns, cells.rows) == (pattern.columns as usize, pattern.rows as usize);
         let black = cells.colour() <= 0.0;
         let first = cells.at.iter().flatten().next().map_or(f64::INFINITY, |(p, _)| p.x + p.y);
-        if best.as_ref().is_none_or(|(f, b, d, _)| (fits, black) > (*f, *b) || ((fits, black) == (*f, *b) && first < *d))
+        if best
+            .as_ref()
+            .is_none_or(|(f, b, d, _)| (fits, black) > (*f, *b) || ((fits, black) == (*f, *b) && first < *d))
         {
             best = Some((fits, black, first, cells.clone()));
         }

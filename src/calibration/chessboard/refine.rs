@@ -37,13 +37,12 @@ pub fn refine(picture: &GreyImage, fit: &Fit, level: usize, pattern: &Pattern) -
                 fit.place(column, row + 1),
                 row.checked_sub(1).and_then(|r| fit.place(column, r)),
             ];
-            let side =
-                neighbours.into_iter().flatten().map(|n| (base(n) - at).norm()).fold(f64::INFINITY, f64::min);
+            let side = neighbours.into_iter().flatten().map(|n| (base(n) - at).norm()).fold(f64::INFINITY, f64::min);
             if !side.is_finite() {
                 continue;
             }
             spacing_px = spacing_px.min(side);
-        
+
             let radius = (WINDOW_SHARE * side).clamp(WINDOW_RANGE.0, WINDOW_RANGE.1);
             let reach = (0.3 * side).max(1.5);
             // A wide window holds more edge and less noise; a narrow one holds where the picture is smeared.
@@ -56,7 +55,7 @@ pub fn refine(picture: &GreyImage, fit: &Fit, level: usize, pattern: &Pattern) -
             corners.push(BoardCorner { column: column as u32, row: row as u32, pixel });
         }
     }
-    drop_misfits(&mut corners);
+    straighten(picture, &mut corners);
     if (corners.len() as f64) < 0.75 * pattern.count() as f64 {
         return None;
     }
@@ -65,20 +64,36 @@ pub fn refine(picture: &GreyImage, fit: &Fit, level: usize, pattern: &Pattern) -
     Some(Board { complete: corners.len() == pattern.count(), corners, spacing_px, blur_px })
 }
 
-/// Drops corners that ended out of line with their neighbours, the worst first.
-fn drop_misfits(corners: &mut Vec<BoardCorner>) {
-    for _ in 0..corners.len() / 4 {
-        let place = |(i, j): (i32, i32)| {
-            corners.iter().find(|c| (c.column as i32, c.row as i32) == (i, j)).map(|c| c.pixel)
-        };
+/// Looks again for corners that ended out of line with their neighbours, where those put them, with a narrow window; drops what
+/// is still out of line. The worst first.
+fn straighten(picture: &GreyImage, corners: &mut Vec<BoardCorner>) {
+    let mut tried: Vec<(u32, u32)> = Vec::new();
+    for _ in 0..corners.len() / 2 {
+        let place =
+            |(i, j): (i32, i32)| corners.iter().find(|c| (c.column as i32, c.row as i32) == (i, j)).map(|c| c.pixel);
         let worst = corners
             .iter()
             .enumerate()
             .filter_map(|(n, c)| Some((misfit(&place, (c.column as i32, c.row as i32))?, n)))
-            .max_by(|a, b| a.0.total_cmp(&b.0));
-        match worst {
-            Some((off, n)) if off > MAX_MISFIT => drop(corners.remove(n)),
-            _ => return,
+            .max_by(|a, b| a.0.0.total_cmp(&b.0.0));
+        let Some(((off, predicted), n)) = worst else { return };
+        if off <= MAX_MISFIT {
+            return;
+        }
+        let corner = corners[n];
+        let side = (corner.pixel - predicted).norm() / off;
+        let again = (!tried.contains(&(corner.column, corner.row)))
+            .then(|| {
+                let reach = (0.2 * side).max(1.0);
+                settle(picture, predicted, (0.3 * side).clamp(2.5, 8.0), reach)
+                    .map(|(p, _)| p)
+                    .or_else(|| quadratic(picture, predicted, (0.4 * side).clamp(2.0, 8.0), reach))
+            })
+            .flatten();
+        tried.push((corner.column, corner.row));
+        match again {
+            Some(pixel) => corners[n].pixel = pixel,
+            None => drop(corners.remove(n)),
         }
     }
 }

@@ -57,10 +57,8 @@ impl SaddleMap {
             let (a, b, c, d, e) = (&a[..w], &b[..w], &c[..w], &d[..w], &e[..w]);
             let row = &mut self.row[2..w + 2];
             for x in 0..w {
-                let sum = u16::from(a[x])
-                    + u16::from(e[x])
-                    + 4 * (u16::from(b[x]) + u16::from(d[x]))
-                    + 6 * u16::from(c[x]);
+                let sum =
+                    u16::from(a[x]) + u16::from(e[x]) + 4 * (u16::from(b[x]) + u16::from(d[x])) + 6 * u16::from(c[x]);
                 row[x] = f32::from(sum) * (1.0 / 16.0);
             }
             let (first, last) = (self.row[2], self.row[w + 1]);

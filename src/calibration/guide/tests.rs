@@ -12,8 +12,8 @@ fn sweep() -> SimulatorConfig {
     (config.width, config.height) = (480, 360);
     config.chessboard.enabled = true;
     config.texel_mm = 4.0;
-    config.speed = 0.2;
-    config.rate_hz = 5.0;
+    config.speed = 0.1;
+    config.rate_hz = 4.0;
     config
 }
 
@@ -25,7 +25,7 @@ fn a_sweep_before_the_simulated_board_ends_by_itself_with_the_true_camera() {
     let mut guide = Guide::new(pattern, Distortion::RadialTangential);
     let (mut slot, mut picture, mut decoder) = (RawFrame::default(), GreyImage::default(), Decoder::default());
     let mut frames = 0;
-    while frames < 700 && !guide.is_done() {
+    while frames < 900 && !guide.is_done() {
         assert_eq!(source.grab(&mut slot, Duration::ZERO).expect("frame"), Grab::Frame);
         decoder.decode(&slot, &mut picture).expect("decoded");
         guide.step(&picture, slot.timestamp_ns);

@@ -25,7 +25,7 @@ use crate::image::decode::Decoder;
 /// Longest wait for a frame: how late Ctrl-C is seen.
 const TURN: Duration = Duration::from_millis(100);
 /// Speed of the simulated sweep against its own: somebody who holds a board does not wave it.
-const SWEEP_SPEED: f64 = 0.2;
+const SWEEP_SPEED: f64 = 0.1;
 /// Without a single frame for so long the camera is given up, s.
 const SILENCE_S: i64 = 10;
 
@@ -88,7 +88,11 @@ pub fn run(args: &CalibrateArgs, pattern: &Pattern) -> Result<ExitCode, CliError
     line.clear();
     eprintln!("{why} after {} views", guide.views().len());
     let Some(calibrated) = guide.solution() else {
-        let message = format!("{why}: {} views are too few to calibrate from; {}", guide.views().len(), guide.advice(Seen::NoBoard));
+        let message = format!(
+            "{why}: {} views are too few to calibrate from; {}",
+            guide.views().len(),
+            guide.advice(Seen::NoBoard)
+        );
         return Err(CliError::new(exit_code::DATA, message));
     };
     session::print(&format!("{}{}", calibrated.table(), calibrated.words()))?;
@@ -98,9 +102,8 @@ pub fn run(args: &CalibrateArgs, pattern: &Pattern) -> Result<ExitCode, CliError
             .map(|(n, v)| BoardView { name: format!("view {}", n + 1), board: v.board.clone() })
             .collect();
         let size = (calibrated.camera.width, calibrated.camera.height);
-        let picture_of = |n: usize, out: &mut GreyImage| {
-            guide.views().get(n).map(|v| out.clone_from(&v.picture)).is_some()
-        };
+        let picture_of =
+            |n: usize, out: &mut GreyImage| guide.views().get(n).map(|v| out.clone_from(&v.picture)).is_some();
         let files = report::write(&folder, &views, calibrated, size, picture_of)?;
         session::print(&format!("wrote {files} pictures in {}\n", folder.display()))?;
     }
@@ -121,7 +124,7 @@ fn open(
     if name == "simulator" {
         let simulated = &mut config.simulator;
         simulated.scenario = Scenario::CalibrationSweep;
-        simulated.speed *= SWEEP_SPEED;
+        simulated.speed = (simulated.speed * SWEEP_SPEED).max(0.1);
         simulated.chessboard.enabled = true;
         (simulated.chessboard.columns, simulated.chessboard.rows) = (pattern.columns, pattern.rows);
         simulated.chessboard.square_m = pattern.square_m;

@@ -33,7 +33,8 @@ pub fn write(
             .map(|(c, (residual, used))| CornerMark { pixel: c.pixel, residual: *residual, used: *used && solved.used })
             .collect();
         if n < MAX_PICTURES && picture_of(n, &mut picture) {
-            let name = Path::new(&view.name).file_name().map_or(view.name.clone(), |f| f.to_string_lossy().into_owned());
+            let name =
+                Path::new(&view.name).file_name().map_or(view.name.clone(), |f| f.to_string_lossy().into_owned());
             let state = if solved.used { "" } else { ", left out" };
             let title = format!("{name}: {:.3} px RMS{state}", solved.rms_px);
             let path = folder.join(format!("view-{:03}.png", n + 1));

@@ -2,8 +2,8 @@
 
 use super::*;
 use crate::calibration::load_camera;
-use crate::camera::simulator::{Scenario, Simulator, SimulatorConfig};
 use crate::camera::Pacing;
+use crate::camera::simulator::{Scenario, Simulator, SimulatorConfig};
 use crate::image::GreyImage;
 use clap::Parser;
 
@@ -29,10 +29,18 @@ fn save_png(path: &Path, picture: &GreyImage) {
 fn a_calibration_goes_through_every_format_and_back() {
     let dir = tempfile::tempdir().expect("folder");
     let at = |name: &str| dir.path().join(name).display().to_string();
-    std::fs::write(at("a.txt"), "# size_px 640 480\n517.3 516.5 318.6 255.3 0.26 -0.95 -0.005 0.003 0.0\n").expect("written");
+    std::fs::write(at("a.txt"), "# size_px 640 480\n517.3 516.5 318.6 255.3 0.26 -0.95 -0.005 0.003 0.0\n")
+        .expect("written");
     let original = load_camera(Path::new(&at("a.txt"))).expect("read");
-    let steps = [("a.txt", "cairn", "b.toml"), ("b.toml", "ros", "c.yaml"), ("c.yaml", "opencv", "d.yml"),
-        ("d.yml", "opencv-xml", "e.xml"), ("e.xml", "kalibr", "f.yaml"), ("f.yaml", "euroc", "g.yaml"), ("g.yaml", "tum", "h.txt")];
+    let steps = [
+        ("a.txt", "cairn", "b.toml"),
+        ("b.toml", "ros", "c.yaml"),
+        ("c.yaml", "opencv", "d.yml"),
+        ("d.yml", "opencv-xml", "e.xml"),
+        ("e.xml", "kalibr", "f.yaml"),
+        ("f.yaml", "euroc", "g.yaml"),
+        ("g.yaml", "tum", "h.txt"),
+    ];
     for (from, format, to) in steps {
         run(&args(&format!("x --convert {} --format {format} --output {}", at(from), at(to)))).expect("converted");
         assert_eq!(load_camera(Path::new(&at(to))).expect("read"), original, "{to}");

@@ -154,8 +154,7 @@ struct Normal {
 fn linearise(views: &[View], used: &[bool], masks: &[Vec<bool>], state: &State, loss: Loss) -> Option<Normal> {
     let mut normal = Normal { intrinsics: Matrix9::zeros(), gradient: Intrinsics::zeros(), blocks: Vec::new() };
     for (index, view) in views.iter().enumerate().filter(|(k, _)| used[*k]) {
-        let mut block =
-            Block { index, cross: Matrix96::zeros(), pose: Matrix6::zeros(), gradient: Vector6::zeros() };
+        let mut block = Block { index, cross: Matrix96::zeros(), pose: Matrix6::zeros(), gradient: Vector6::zeros() };
         for ((plane, seen), keep) in view.plane.iter().zip(&view.pixels).zip(&masks[index]) {
             if !*keep {
                 continue;
@@ -250,7 +249,8 @@ fn solve(normal: &Normal, damping: f64, free: &[bool; PARAMETERS]) -> Option<(In
 }
 
 fn moved_pose(pose: &Pose, delta: &Vector6<f64>) -> Pose {
-    let turn = UnitQuaternion::from_scaled_axis(delta.fixed_rows::<3>(0).into_owned()).to_rotation_matrix().into_inner();
+    let turn =
+        UnitQuaternion::from_scaled_axis(delta.fixed_rows::<3>(0).into_owned()).to_rotation_matrix().into_inner();
     Pose { rotation: turn * pose.rotation, translation: turn * pose.translation + delta.fixed_rows::<3>(3) }
 }
 

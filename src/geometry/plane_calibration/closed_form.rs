@@ -19,7 +19,8 @@ pub fn candidates(homographies: &[Option<Matrix3<f64>>], (width, height): (u32, 
     // Pixels from the middle in picture sizes: entries of B of like magnitude.
     let scale = 1.0 / longer;
     let normal = Matrix3::new(scale, 0.0, -middle.x * scale, 0.0, scale, -middle.y * scale, 0.0, 0.0, 1.0);
-    let normalised: Vec<Matrix3<f64>> = homographies.iter().flatten().map(|h| normal * h).map(|h| h / h.norm()).collect();
+    let normalised: Vec<Matrix3<f64>> =
+        homographies.iter().flatten().map(|h| normal * h).map(|h| h / h.norm()).collect();
     let back = |[fx, fy, cx, cy]: [f64; 4]| [fx * longer, fy * longer, cx * longer + middle.x, cy * longer + middle.y];
     let plausible = |c: &[f64; 4]| {
         let focal = |f: f64| (0.15..=15.0).contains(&f);

@@ -19,7 +19,7 @@ pub mod closed_form;
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
 
-pub use adjust::{Intrinsics, PARAMETERS, PARAMETER_NAMES};
+pub use adjust::{Intrinsics, PARAMETER_NAMES, PARAMETERS};
 
 use super::least_squares::Loss;
 use adjust::{Pose, State};

@@ -51,7 +51,8 @@ fn derivatives_are_those_of_differences() {
         let (mut up, mut down) = (k, k);
         up[i] += h;
         down[i] -= h;
-        let numeric = (adjust::project(&up, &p).expect("in front") - adjust::project(&down, &p).expect("in front")) / (2.0 * h);
+        let numeric =
+            (adjust::project(&up, &p).expect("in front") - adjust::project(&down, &p).expect("in front")) / (2.0 * h);
         for axis in 0..2 {
             let error = (by_camera[axis][i] - numeric[axis]).abs();
             assert!(error < 1e-5 * numeric.norm().max(1.0), "{}: {error}", PARAMETER_NAMES[i]);
@@ -66,7 +67,12 @@ fn derivatives_are_those_of_differences() {
         };
         let numeric = (moved(1e-6) - moved(-1e-6)) / 2e-6;
         for axis in 0..2 {
-            assert!((by_pose[axis][i] - numeric[axis]).abs() < 1e-4, "pose {i}: {} {}", by_pose[axis][i], numeric[axis]);
+            assert!(
+                (by_pose[axis][i] - numeric[axis]).abs() < 1e-4,
+                "pose {i}: {} {}",
+                by_pose[axis][i],
+                numeric[axis]
+            );
         }
     }
 }
