@@ -10,7 +10,7 @@
 use nalgebra::Vector2;
 
 use super::grid::Grid;
-use super::profile::{XCorner, two_fold};
+use super::profile::{XCorner, margin, two_fold};
 use super::saddle::SaddleMap;
 use super::{Pattern, SIDE_RANGE};
 
@@ -24,6 +24,8 @@ const MIN_SHARE: f64 = 0.75;
 pub const MAX_MISFIT: f64 = 0.25;
 /// Fewer corners are no board.
 const MIN_FOUND: usize = 9;
+/// Least margin between bright and dark sectors of a predicted corner, as a share of the others' contrast.
+const MIN_MARGIN: f64 = 0.04;
 /// Two-fold amplitude of a predicted corner, as a share of the others' contrast.
 const MIN_AMPLITUDE: f64 = 0.08;
 
@@ -325,7 +327,8 @@ fn look(sheet: &Sheet, map: &SaddleMap, contrast: f64, cell: (i32, i32), from: &
     let radius = (0.3 * side).clamp(2.0, 4.0) as f32;
     let (amplitude, phase) = two_fold(map, at, radius)?;
     let agrees = (2.0 * (phase - bright)).cos() > 0.4;
-    (agrees && amplitude > MIN_AMPLITUDE * contrast).then_some(at)
+    let clear = margin(map, at, radius, phase)? > MIN_MARGIN * contrast;
+    (agrees && clear && amplitude > MIN_AMPLITUDE * contrast).then_some(at)
 }
 
 fn nearest_known(sheet: &Sheet, cell: (i32, i32)) -> Option<(i32, i32)> {

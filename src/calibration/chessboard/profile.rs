@@ -148,3 +148,17 @@ pub fn two_fold(map: &SaddleMap, at: Vector2<f64>, radius: f32) -> Option<(f64, 
     }
     Some((re.hypot(im) * 2.0 / SAMPLES as f64, 0.5 * im.atan2(re)))
 }
+
+/// How far the darker of the two bright sectors is above the brighter of the two dark ones, grey levels, when the bright ones lie
+/// along `bright`. At the rim of a board, where one square meets the paper, this is below zero.
+pub fn margin(map: &SaddleMap, at: Vector2<f64>, radius: f32, bright: f64) -> Option<f64> {
+    let mut means = [0.0f64; 4];
+    for (sector, mean) in means.iter_mut().enumerate() {
+        for spread in [-0.3, 0.0, 0.3] {
+            let angle = bright + sector as f64 * std::f64::consts::FRAC_PI_2 + spread;
+            let (x, y) = (at.x as f32 + radius * angle.cos() as f32, at.y as f32 + radius * angle.sin() as f32);
+            *mean += f64::from(map.sample(x, y)?) / 3.0;
+        }
+    }
+    Some(means[0].min(means[2]) - means[1].max(means[3]))
+}
