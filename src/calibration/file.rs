@@ -1,7 +1,7 @@
-//! Calibration files: four dialects in, ours out.
+//! Calibration files: the field's dialects in, ours out.
 //!
-//! Input: a path. `*.toml` is our own format; everything else is read as one of the YAML dialects that the field uses
-//! (listed in the module `yaml`). Output: a checked [`CameraModel`], pixels and OpenCV's order `k1 k2 p1 p2 k3`, or an error with file,
+//! Input: a path. `*.toml` is our own format; everything else is read as what its text looks like: OpenCV's XML, TUM's plain
+//! numbers ([`foreign`]), or one of the YAML dialects that the field uses (listed in the module `yaml`). Output: a checked [`CameraModel`], pixels and OpenCV's order `k1 k2 p1 p2 k3`, or an error with file,
 //! line, key, value, unit and reason. Our format:
 //!
 //! ```toml
@@ -14,6 +14,7 @@
 //! distortion = [0.262383, -0.953104, -0.005358, 0.002628, 1.163314] # k1 k2 p1 p2 k3
 //! ```
 //!
+//! The coefficients may also stand as `k1`, `k2`, `p1`, `p2`, `k3` of their own, or both ways if they are the same.
 //! Other keys (standard deviations, residual, date ...) are kept as they are and written back. Beyond what
 //! [`CameraModel::new`] refuses, numbers are refused that no webcam has and that a wrong unit or a swapped key gives: a
 //! principal point outside the picture, a focal length under a tenth of its longer side or over twenty times that.
@@ -21,7 +22,7 @@
 //! Not here: calibrating; lens models other than pinhole with radial-tangential distortion (refused by name); scaling a
 //! calibration to another picture size.
 
-use super::yaml;
+use super::{foreign, yaml};
 use crate::atomic_file::write_atomically;
 use crate::geometry::CameraModel;
 use std::io::{Read, Write};
@@ -72,6 +73,11 @@ pub fn save_camera(path: &Path, camera: &CameraModel) -> Result<(), CalibrationE
 impl CalibrationFile {
     /// Reads a calibration file of any dialect.
     pub fn load(path: &Path) -> Result<Self, CalibrationError> {
+        Self::load_sized(path, None)
+    }
+
+    /// The same; `size` is the pictures' for a file that does not say it.
+    pub fn load_sized(path: &Path, size: Option<(u32, u32)>) -> Result<Self, CalibrationError> {
         let name = path.display().to_string();
         let unreadable = |reason: String| CalibrationError::File { path: name.clone(), reason };
         let metadata = std::fs::metadata(path).map_err(|e| unreadable(e.to_string()))?;
@@ -86,16 +92,32 @@ impl CalibrationFile {
             return Err(unreadable(format!("is longer than {MAX_FILE_BYTES} bytes, so it is no calibration")));
         }
         let text = String::from_utf8(bytes).map_err(|_| unreadable("is not UTF-8 text".into()))?;
-        Self::parse(&text, &name, path.extension().is_some_and(|e| e.eq_ignore_ascii_case("toml")))
+        Self::parse_sized(&text, &name, path.extension().is_some_and(|e| e.eq_ignore_ascii_case("toml")), size)
     }
 
     /// Reads a calibration from text; `path` is for messages.
     pub fn parse(text: &str, path: &str, is_toml: bool) -> Result<Self, CalibrationError> {
+        Self::parse_sized(text, path, is_toml, None)
+    }
+
+    /// The same; `size` is the pictures' for a text that does not say it.
+    pub fn parse_sized(
+        text: &str,
+        path: &str,
+        is_toml: bool,
+        size: Option<(u32, u32)>,
+    ) -> Result<Self, CalibrationError> {
         let text = text.strip_prefix('\u{feff}').unwrap_or(text);
         if is_toml {
             return parse_toml(text, path);
         }
-        let camera = yaml::parse(text, path)?;
+        let camera = if text.trim_start().starts_with('<') {
+            yaml::parse_xml(text, path)?
+        } else if foreign::is_plain_numbers(text) {
+            foreign::parse_tum(text, path, size)?
+        } else {
+            yaml::parse(text, path)?
+        };
         Ok(Self { camera, other: toml::Table::new() })
     }
 
@@ -111,14 +133,15 @@ impl CalibrationFile {
         let c = &self.camera;
         let [k1, k2, p1, p2, k3] = c.distortion;
         let mut other = self.other.clone();
-        other.retain(|key, _| !OWN_KEYS.contains(&key));
+        other.retain(|key, _| !OWN_KEYS.contains(&key) && !COEFFICIENTS.contains(&key));
         let rest = toml::to_string(&other)?;
         Ok(format!(
             "# Pinhole camera with radial-tangential distortion. Pixel (0, 0) is the centre of the first pixel.\n\
              width_px = {}\nheight_px = {}\n\
              fx_px = {:?}\nfy_px = {:?}\ncx_px = {:?}\ncy_px = {:?}\n\
-             # k1 k2 p1 p2 k3, OpenCV's order\n\
-             distortion = [{k1:?}, {k2:?}, {p1:?}, {p2:?}, {k3:?}]\n{rest}",
+             # OpenCV's order; once as a list, once by name\n\
+             distortion = [{k1:?}, {k2:?}, {p1:?}, {p2:?}, {k3:?}]\n\
+             k1 = {k1:?}\nk2 = {k2:?}\np1 = {p1:?}\np2 = {p2:?}\nk3 = {k3:?}\n{rest}",
             c.width, c.height, c.fx, c.fy, c.cx, c.cy
         ))
     }
@@ -126,6 +149,9 @@ impl CalibrationFile {
 
 /// The camera's keys of our TOML.
 const OWN_KEYS: [&str; 7] = ["width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px", "distortion"];
+
+/// The distortion's keys when each has its own.
+const COEFFICIENTS: [&str; 5] = ["k1", "k2", "p1", "p2", "k3"];
 
 fn parse_toml(text: &str, path: &str) -> Result<CalibrationFile, CalibrationError> {
     let mut table: toml::Table = toml::from_str(text).map_err(|e: toml::de::Error| CalibrationError::Syntax {
@@ -147,21 +173,51 @@ fn parse_toml(text: &str, path: &str) -> Result<CalibrationFile, CalibrationErro
         let field = Field { path: path.into(), key: key.into(), line, text: value.to_string(), numbers: Vec::new() };
         match numbers {
             Some(numbers) => Ok(Field { numbers, ..field }),
+            None if COEFFICIENTS.contains(&key) => Err(field.wrong("", "must be a number")),
             None if key == "distortion" => Err(field.wrong("", "must be a list of numbers")),
             None => Err(field.wrong("px", "must be a number")),
         }
     };
+    let missing = |key: &str| CalibrationError::Missing {
+        path: path.into(),
+        key: key.into(),
+        reason: format!("a calibration needs {}", OWN_KEYS.join(", ")),
+    };
     let mut take = |key: &'static str| match table.remove(key) {
         Some(value) => field(key, value),
-        None => Err(CalibrationError::Missing {
-            path: path.into(),
-            key: key.into(),
-            reason: format!("a calibration needs {}", OWN_KEYS.join(", ")),
-        }),
+        None => Err(missing(key)),
     };
     let [width, height] = [take("width_px")?, take("height_px")?];
     let intrinsics = [take("fx_px")?, take("fy_px")?, take("cx_px")?, take("cy_px")?];
-    let camera = camera([&width, &height], &intrinsics, &take("distortion")?)?;
+    let mut named = Vec::new();
+    for key in COEFFICIENTS {
+        if let Some(value) = table.remove(key) {
+            named.push((key, field(key, value)?));
+        }
+    }
+    let list = match table.remove("distortion") {
+        Some(value) => Some(field("distortion", value)?),
+        None => None,
+    };
+    let distortion = match list {
+        Some(list) => {
+            // Said twice: then the same.
+            for (key, one) in &named {
+                let at = COEFFICIENTS.iter().position(|k| k == key).unwrap_or(0);
+                if one.numbers != [list.numbers.get(at).copied().unwrap_or(0.0)] {
+                    return Err(one.wrong("", format!("differs from the list `distortion` on line {}", list.line)));
+                }
+            }
+            list
+        }
+        None if named.is_empty() => return Err(missing("distortion")),
+        None => {
+            let value = |key| named.iter().find(|(k, _)| *k == key).map_or(&[0.0][..], |(_, f)| &f.numbers);
+            let numbers: Vec<f64> = COEFFICIENTS.iter().flat_map(|key| value(*key).iter().copied()).collect();
+            Field { numbers, key: "k1 k2 p1 p2 k3".into(), ..named[0].1.clone() }
+        }
+    };
+    let camera = camera([&width, &height], &intrinsics, &distortion)?;
     Ok(CalibrationFile { camera, other: table })
 }
 

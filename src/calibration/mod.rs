@@ -1,6 +1,16 @@
-//! Cameras' calibrations: how they come in from files and go out to them.
+//! Cameras' calibrations: made from views of a chessboard, read and written, found again.
+//!
+//! `chessboard` finds the board in a picture; `boards` makes a camera of many of them, with `verdict` on what is missing; `guide`
+//! does both live. `file`, `yaml` and `foreign` are the formats, `store` is where calibrations lie, `pattern_sheet` prints the board.
 
+pub mod boards;
+pub mod chessboard;
 pub mod file;
+pub mod foreign;
+pub mod guide;
+pub mod pattern_sheet;
+pub mod store;
+pub mod verdict;
 mod yaml;
 
 pub use file::{CalibrationError, CalibrationFile, load_camera, save_camera};

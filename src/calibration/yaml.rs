@@ -25,6 +25,11 @@ const MAX_DEPTH: usize = 4;
 /// A list of so many lines was never closed.
 const MAX_LIST_LINES: usize = 64;
 
+/// Names that OpenCV's programs have used over the years.
+const CAMERA_MATRIX: [&str; 4] = ["camera_matrix.data", "Camera_Matrix.data", "cameraMatrix.data", "K.data"];
+const COEFFICIENTS: [&str; 5] =
+    ["distortion_coefficients.data", "Distortion_Coefficients.data", "distCoeffs.data", "dist_coeffs.data", "D.data"];
+
 /// One `key: value`.
 #[derive(Debug, Clone, PartialEq)]
 struct Entry {
@@ -56,11 +61,20 @@ pub(super) fn parse(text: &str, path: &str) -> Result<CameraModel, CalibrationEr
         file.asl("", "distortion_coefficients")
     } else if has("cam0.intrinsics") {
         file.asl("cam0.", "distortion_coeffs")
-    } else if has("camera_matrix.data") {
+    } else if CAMERA_MATRIX.iter().any(|key| has(key)) {
         file.ros()
     } else {
         file.plain()
     }
+}
+
+/// Reads the camera of an OpenCV XML: the same keys as its YAML.
+pub(super) fn parse_xml(text: &str, path: &str) -> Result<CameraModel, CalibrationError> {
+    let entries: Vec<Entry> = super::foreign::read_xml(text, path)?
+        .into_iter()
+        .map(|e| Entry { key: e.key, line: e.line, value: Value::List(e.words) })
+        .collect();
+    Dialect { path, entries: &entries }.ros()
 }
 
 struct Dialect<'a> {
@@ -93,13 +107,22 @@ impl Dialect<'_> {
     fn ros(&self) -> Result<CameraModel, CalibrationError> {
         let need = "image_width, image_height, camera_matrix and distortion_coefficients are needed";
         self.expect_model("distortion_model", &["plumb_bob"])?;
-        let size = [self.numbers("image_width", need)?, self.numbers("image_height", need)?];
-        let matrix = self.numbers("camera_matrix.data", need)?;
+        let size = [
+            self.numbers(self.known(&["image_width", "image_Width"]), need)?,
+            self.numbers(self.known(&["image_height", "image_Height"]), need)?,
+        ];
+        let matrix = self.numbers(self.known(&CAMERA_MATRIX), need)?;
         let intrinsics = parts(&matrix, [0, 4, 2, 5], 9)?;
         if [1, 3, 6, 7].iter().any(|i| matrix.numbers[*i] != 0.0) || matrix.numbers[8] != 1.0 {
             return Err(matrix.wrong("px", "must be [fx, 0, cx, 0, fy, cy, 0, 0, 1]: skew is not handled"));
         }
-        camera([&size[0], &size[1]], &intrinsics, &self.numbers("distortion_coefficients.data", need)?)
+        camera([&size[0], &size[1]], &intrinsics, &self.numbers(self.known(&COEFFICIENTS), need)?)
+    }
+
+    /// The first of several names that is there, else the first.
+    fn known(&self, names: &[&'static str]) -> &'static str {
+        let there = names.iter().find(|name| self.entries.iter().any(|e| e.key == **name));
+        there.or(names.first()).copied().unwrap_or_default()
     }
 
     /// The numbers of a key that must be there once.

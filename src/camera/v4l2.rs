@@ -25,6 +25,7 @@
 
 pub mod capture;
 pub mod device;
+pub mod identity;
 pub mod negotiate;
 
 use super::{FrameSource, Grab, SourceDescription, SourceError};

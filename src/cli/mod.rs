@@ -1,8 +1,11 @@
 //! One file a subcommand: `Args` (clap) and `run(&Args) -> Result<ExitCode, CliError>`. Results on stdout, all else on stderr.
 
+pub mod calibrate;
+mod camera_calibration;
 pub mod command;
 pub mod compare;
 pub mod demo;
+pub mod doctor;
 pub mod endpoint_args;
 pub mod evaluate;
 pub mod replay;
@@ -69,6 +72,8 @@ enum Command {
     Demo(demo::DemoArgs),
     Replay(replay::ReplayArgs),
     Watch(watch::WatchArgs),
+    Calibrate(calibrate::CalibrateArgs),
+    Doctor(doctor::DoctorArgs),
     Evaluate(evaluate::EvaluateArgs),
     Simulate(simulate::SimulateArgs),
     #[command(name = "twoview")]
@@ -85,6 +90,8 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode, CliError> {
         Command::Demo(args) => demo::run(args),
         Command::Replay(args) => replay::run(args),
         Command::Watch(args) => watch::run(args),
+        Command::Calibrate(args) => calibrate::run(args),
+        Command::Doctor(args) => doctor::run(args),
         Command::Evaluate(args) => evaluate::run(args),
         Command::Simulate(args) => simulate::run(args),
         Command::TwoView(args) => twoview::run(args),

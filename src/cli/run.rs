@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::session::{self, SessionArgs};
-use super::{CliError, exit_code};
+use super::{CliError, camera_calibration, exit_code};
 use crate::calibration::load_camera;
 use crate::camera::simulator::Simulator;
 use crate::camera::v4l2::V4l2Camera;
@@ -58,16 +58,17 @@ fn source(config: &Config) -> Result<(Supply, Calibration, (u32, u32)), CliError
         }
         SourceKind::Camera => {
             let path = &config.calibration.file;
-            if path.as_os_str().is_empty() {
-                let message = "calibration.file is not set: without the camera's calibration there is no pose";
-                return Err(CliError::new(exit_code::CONFIG, message));
-            }
-            let model = load_camera(path).map_err(|e| CliError::new(exit_code::CONFIG, e.to_string()))?;
+            let (model, origin) = if path.as_os_str().is_empty() {
+                camera_calibration::of_config(&config.camera)?
+            } else {
+                let model = load_camera(path).map_err(|e| CliError::new(exit_code::CONFIG, e.to_string()))?;
+                (model, path.display().to_string())
+            };
             let camera = config.camera.clone();
             let open: Opener =
                 Box::new(move || V4l2Camera::open(&camera).map(|camera| Box::new(camera) as Box<dyn FrameSource>));
             let longest_pause = Duration::from_millis(config.daemon.camera_retry_ms);
-            let calibration = Calibration { model, origin: path.display().to_string() };
+            let calibration = Calibration { model, origin };
             let size = (config.camera.width_px, config.camera.height_px);
             Ok((Supply::Camera { open, longest_pause }, calibration, size))
         }

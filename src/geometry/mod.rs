@@ -19,6 +19,7 @@ pub mod homography_decomposition;
 pub mod least_squares;
 pub mod null_space;
 pub mod p3p;
+pub mod plane_calibration;
 pub mod pnp;
 pub mod point_set;
 pub mod polynomial;

@@ -115,6 +115,19 @@ impl Canvas {
         self.clip = outer;
     }
 
+    /// A grey picture with its top left pixel at (left, top); what does not fit is left out.
+    pub fn grey(&mut self, picture: &GreyImage, left: usize, top: usize) {
+        let (width, height) = (self.pixels.width() as usize, self.pixels.height() as usize);
+        let data = self.pixels.data_mut();
+        for y in 0..picture.height.min(height.saturating_sub(top)) {
+            for (x, value) in picture.row(y).iter().enumerate().take(width.saturating_sub(left)) {
+                let at = 4 * ((y + top) * width + x + left);
+                data[at..at + 3].fill(*value);
+                data[at + 3] = 255;
+            }
+        }
+    }
+
     fn fill(&mut self, path: &Path, colour: u32, opacity: f32, transform: Transform) {
         self.pixels.fill_path(path, &paint(colour, opacity), FillRule::Winding, transform, self.clip.as_ref());
     }

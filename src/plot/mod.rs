@@ -1,4 +1,5 @@
-//! Pictures, as PNG: what a run mapped, how it compares with the truth, what two pictures gave, and charts.
+//! Pictures, as PNG: what a run mapped, how it compares with the truth, what two pictures gave, what a calibration rests on, and
+//! charts.
 //!
 //! Input: a map and a trajectory, an evaluation's outcome, or a pair's corners, matches, lines and points. Output: one PNG, whole
 //! or not at all. Equal lengths are equal in every orthogonal view of space. Text is DejaVu Sans from inside the binary: no system
@@ -13,6 +14,7 @@ use std::path::Path;
 use crate::atomic_file::{WriteError, write_atomically};
 
 mod axes;
+mod calibration;
 mod canvas;
 mod chart;
 mod comparison;
@@ -24,6 +26,7 @@ mod text;
 #[cfg(test)]
 mod tests;
 
+pub use calibration::{BoardCorner, write_coverage, write_view};
 pub use chart::{Chart, write_chart};
 pub use comparison::write_comparison;
 pub use overview::write_overview;

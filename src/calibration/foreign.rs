@@ -1,0 +1,294 @@
+//! Calibrations in the formats of others: out as text, and in from XML and plain numbers (the YAML ones: `yaml`).
+//!
+//! | format | written by, read by | size | distortion |
+//! |---|---|---|---|
+//! | `ros` | `camera_info` YAML of ROS | yes | `plumb_bob`, k1 k2 p1 p2 k3 |
+//! | `opencv` | OpenCV's `FileStorage`, YAML | yes | k1 k2 p1 p2 k3 |
+//! | `opencv-xml` | the same as XML | yes | k1 k2 p1 p2 k3 |
+//! | `kalibr` | Kalibr's camchain | yes | `radtan`, k1 k2 p1 p2 |
+//! | `euroc` | EuRoC's / ASL's `sensor.yaml` | yes | `radial-tangential`, k1 k2 p1 p2 |
+//! | `tum` | TUM's `fx fy cx cy d0 d1 d2 d3 d4` | in a comment of ours | k1 k2 p1 p2 k3 |
+//!
+//! Numbers are written with as many digits as bring the very same number back. What a format cannot say is refused, not rounded away:
+//! a k3 in Kalibr's or EuRoC's. Rectification and projection of a ROS file are those of a single camera. Not here: extrinsics, time
+//! offsets, other lens models.
+
+use super::file::{CalibrationError, Field, camera};
+use crate::geometry::CameraModel;
+
+/// A way to write a camera down.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum Format {
+    /// Our TOML
+    Cairn,
+    /// ROS camera_info YAML
+    Ros,
+    /// OpenCV FileStorage YAML
+    Opencv,
+    /// OpenCV FileStorage XML
+    OpencvXml,
+    /// Kalibr camchain YAML
+    Kalibr,
+    /// EuRoC / ASL sensor.yaml
+    Euroc,
+    /// TUM's plain numbers
+    Tum,
+}
+
+/// The camera as text of a format other than ours; `path` is for messages.
+pub fn write(camera: &CameraModel, format: Format, path: &str) -> Result<String, CalibrationError> {
+    let c = camera;
+    let [k1, k2, p1, p2, k3] = c.distortion;
+    let (w, h, fx, fy, cx, cy) = (c.width, c.height, c.fx, c.fy, c.cx, c.cy);
+    let matrix = format!("{fx:?}, 0.0, {cx:?}, 0.0, {fy:?}, {cy:?}, 0.0, 0.0, 1.0");
+    let five = format!("{k1:?}, {k2:?}, {p1:?}, {p2:?}, {k3:?}");
+    let four = |name: &str| {
+        if k3 == 0.0 {
+            return Ok(format!("{k1:?}, {k2:?}, {p1:?}, {p2:?}"));
+        }
+        Err(CalibrationError::File {
+            path: path.into(),
+            reason: format!(
+                "k3 = {k3}: {name} has k1 k2 p1 p2 only; calibrate with --distortion radial-tangential for a camera without k3"
+            ),
+        })
+    };
+    Ok(match format {
+        Format::Cairn => super::CalibrationFile { camera: camera.clone(), other: toml::Table::new() }
+            .to_toml()
+            .map_err(|e| CalibrationError::File { path: path.into(), reason: e.to_string() })?,
+        Format::Ros => format!(
+            "image_width: {w}\nimage_height: {h}\ncamera_name: camera\n\
+             camera_matrix:\n  rows: 3\n  cols: 3\n  data: [{matrix}]\n\
+             distortion_model: plumb_bob\n\
+             distortion_coefficients:\n  rows: 1\n  cols: 5\n  data: [{five}]\n\
+             rectification_matrix:\n  rows: 3\n  cols: 3\n  data: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]\n\
+             projection_matrix:\n  rows: 3\n  cols: 4\n  \
+             data: [{fx:?}, 0.0, {cx:?}, 0.0, 0.0, {fy:?}, {cy:?}, 0.0, 0.0, 0.0, 1.0, 0.0]\n"
+        ),
+        Format::Opencv => format!(
+            "%YAML:1.0\n---\nimage_width: {w}\nimage_height: {h}\n\
+             camera_matrix: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: [ {matrix} ]\n\
+             distortion_coefficients: !!opencv-matrix\n   rows: 1\n   cols: 5\n   dt: d\n   data: [ {five} ]\n"
+        ),
+        Format::OpencvXml => {
+            let data = |list: &str| list.replace(',', "");
+            format!(
+                "<?xml version=\"1.0\"?>\n<opencv_storage>\n<image_width>{w}</image_width>\n<image_height>{h}</image_height>\n\
+                 <camera_matrix type_id=\"opencv-matrix\">\n  <rows>3</rows>\n  <cols>3</cols>\n  <dt>d</dt>\n  \
+                 <data>\n    {}</data></camera_matrix>\n\
+                 <distortion_coefficients type_id=\"opencv-matrix\">\n  <rows>1</rows>\n  <cols>5</cols>\n  <dt>d</dt>\n  \
+                 <data>\n    {}</data></distortion_coefficients>\n</opencv_storage>\n",
+                data(&matrix),
+                data(&five)
+            )
+        }
+        Format::Kalibr => format!(
+            "cam0:\n  camera_model: pinhole\n  intrinsics: [{fx:?}, {fy:?}, {cx:?}, {cy:?}]\n  \
+             distortion_model: radtan\n  distortion_coeffs: [{}]\n  resolution: [{w}, {h}]\n",
+            four("Kalibr's radtan")?
+        ),
+        Format::Euroc => format!(
+            "sensor_type: camera\nresolution: [{w}, {h}]\ncamera_model: pinhole\n\
+             intrinsics: [{fx:?}, {fy:?}, {cx:?}, {cy:?}] #fu, fv, cu, cv\n\
+             distortion_model: radial-tangential\ndistortion_coefficients: [{}]\n",
+            four("EuRoC's radial-tangential")?
+        ),
+        Format::Tum => format!(
+            "# fx fy cx cy d0 d1 d2 d3 d4 (k1 k2 p1 p2 k3)\n# size_px {w} {h}\n\
+             {fx:?} {fy:?} {cx:?} {cy:?} {k1:?} {k2:?} {p1:?} {p2:?} {k3:?}\n"
+        ),
+    })
+}
+
+/// Is this nothing but numbers and `#` comments?
+pub(super) fn is_plain_numbers(text: &str) -> bool {
+    let mut any = false;
+    for token in text.lines().map(without_comment).flat_map(tokens) {
+        any = true;
+        if token.parse::<f64>().is_err() {
+            return false;
+        }
+    }
+    any
+}
+
+fn without_comment(line: &str) -> &str {
+    line.split('#').next().unwrap_or_default()
+}
+
+fn tokens(line: &str) -> impl Iterator<Item = &str> {
+    line.split([' ', '\t', ',', ';']).filter(|t| !t.is_empty())
+}
+
+/// TUM's numbers: fx fy cx cy and none, four or five coefficients. `size`: of the pictures, if the text does not say.
+pub(super) fn parse_tum(text: &str, path: &str, size: Option<(u32, u32)>) -> Result<CameraModel, CalibrationError> {
+    let field = |key: &str, line: usize, text: &str, numbers: Vec<f64>| Field {
+        path: path.into(),
+        key: key.into(),
+        line,
+        text: text.into(),
+        numbers,
+    };
+    let mut values: Vec<(usize, &str, f64)> = Vec::new();
+    let mut stated = None;
+    for (index, line) in text.lines().enumerate() {
+        if let Some(rest) = line.trim().strip_prefix('#').map(str::trim).and_then(|l| l.strip_prefix("size_px")) {
+            let mut parts = tokens(rest);
+            let mut side = |key: &str| {
+                let text = parts.next().unwrap_or_default();
+                let number = text.parse::<f64>().ok().into_iter().collect();
+                field(key, index + 1, text, number)
+            };
+            stated = Some([side("size_px[0]"), side("size_px[1]")]);
+        }
+        for token in tokens(without_comment(line)) {
+            let number = token.parse::<f64>().map_err(|_| CalibrationError::Syntax {
+                path: path.into(),
+                line: index + 1,
+                reason: format!("'{token}' is no number"),
+            })?;
+            values.push((index + 1, token, number));
+        }
+    }
+    if ![4, 8, 9].contains(&values.len()) {
+        return Err(CalibrationError::Syntax {
+            path: path.into(),
+            line: values.last().map_or(1, |v| v.0),
+            reason: format!("must be fx fy cx cy and k1 k2 p1 p2 k3 (4, 8 or 9 numbers), not {} numbers", values.len()),
+        });
+    }
+    let given = size.map(|(w, h)| {
+        [("--size width", w), ("--size height", h)].map(|(key, v)| field(key, 1, &v.to_string(), vec![f64::from(v)]))
+    });
+    let [width, height] = given.or(stated).ok_or_else(|| CalibrationError::Missing {
+        path: path.into(),
+        key: "size_px".into(),
+        reason: "TUM's numbers do not say the pictures' size: give --size, or a comment line '# size_px 640 480'"
+            .into(),
+    })?;
+    let one = |i: usize, key: &str| field(key, values[i].0, values[i].1, vec![values[i].2]);
+    let intrinsics = [one(0, "fx"), one(1, "fy"), one(2, "cx"), one(3, "cy")];
+    let rest: Vec<f64> = if values.len() == 4 { vec![0.0; 5] } else { values[4..].iter().map(|v| v.2).collect() };
+    let line = values.get(4).map_or(1, |v| v.0);
+    let text = rest.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
+    camera([&width, &height], &intrinsics, &field("k1 k2 p1 p2 k3", line, &text, rest))
+}
+
+/// One element of an OpenCV XML: dotted key, line, words.
+pub(super) struct XmlEntry {
+    pub key: String,
+    pub line: usize,
+    pub words: Vec<String>,
+}
+
+/// The elements of an OpenCV XML that hold text, keys below the root.
+pub(super) fn read_xml(text: &str, path: &str) -> Result<Vec<XmlEntry>, CalibrationError> {
+    let options = roxmltree::ParsingOptions { nodes_limit: 100_000, ..Default::default() };
+    let document = roxmltree::Document::parse_with_options(text, options).map_err(|e| CalibrationError::Syntax {
+        path: path.into(),
+        line: e.pos().row as usize,
+        reason: e.to_string(),
+    })?;
+    let mut entries = Vec::new();
+    for node in document.root_element().descendants().filter(roxmltree::Node::is_element) {
+        let Some(text) = node.text().filter(|t| !t.trim().is_empty()) else { continue };
+        let mut key: Vec<&str> =
+            node.ancestors().filter(roxmltree::Node::is_element).map(|n| n.tag_name().name()).take(8).collect();
+        key.pop();
+        key.reverse();
+        entries.push(XmlEntry {
+            key: key.join("."),
+            line: document.text_pos_at(node.range().start).row as usize,
+            words: text.split_whitespace().map(String::from).collect(),
+        });
+    }
+    Ok(entries)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::calibration::CalibrationFile;
+    use proptest::prelude::*;
+    use proptest::test_runner::RngSeed;
+
+    const ALL: [Format; 7] =
+        [Format::Cairn, Format::Ros, Format::Opencv, Format::OpencvXml, Format::Kalibr, Format::Euroc, Format::Tum];
+
+    fn read(text: &str, format: Format) -> Result<CameraModel, CalibrationError> {
+        CalibrationFile::parse(text, "camera", format == Format::Cairn).map(|f| f.camera)
+    }
+
+    #[test]
+    fn a_k3_is_not_lost_silently() {
+        let camera = CameraModel::new(640, 480, 500.0, 501.0, 320.0, 240.0, [0.1, 0.0, 0.0, 0.0, 0.2]).unwrap();
+        for format in [Format::Kalibr, Format::Euroc] {
+            let message = write(&camera, format, "out.yaml").expect_err("refused").to_string();
+            assert!(message.contains("k3 = 0.2") && message.contains("out.yaml"), "{message}");
+        }
+    }
+
+    #[test]
+    fn what_is_missing_or_wrong_is_named_with_its_line() {
+        let size = "# size_px 640 480\n";
+        for (text, expected) in [
+            ("517.3 516.5 318.6 255.3".to_string(), "size_px is missing: TUM's numbers"),
+            (format!("{size}517.3 516.5 318.6"), "camera:2: must be fx fy cx cy"),
+            (format!("{size}-517.3 516.5 318.6 255.3"), "camera:2: fx = -517.3 px: must be greater than 0"),
+            ("# size_px 640 x\n517.3 516.5 318.6 255.3".into(), "camera:1: size_px[1] = x px"),
+            ("<?xml version=\"1.0\"?>\n<opencv_storage>\n<image_width>640\n</opencv_storage>".into(), "camera:4: "),
+            ("<a><image_width>640</image_width></a>".into(), "image_height is missing"),
+        ] {
+            let message = read(&text, Format::Tum).expect_err("refused").to_string();
+            assert!(message.contains(expected), "{text}: {message}");
+        }
+        let given = CalibrationFile::parse_sized("517.3 516.5 318.6 255.3", "camera", false, Some((640, 480)));
+        assert_eq!(given.expect("valid").camera.distortion, [0.0; 5]);
+    }
+
+    #[test]
+    fn names_of_old_opencv_samples_are_known() {
+        let text = "<opencv_storage><image_Width>640</image_Width>\n<image_Height>480</image_Height><Camera_Matrix><data>\n\
+                    500. 0. 320. 0. 501. 240. 0. 0. 1.</data></Camera_Matrix>\n<Distortion_Coefficients><data>\n\
+                    -1.e-01 0. 0. 0. 0.</data></Distortion_Coefficients></opencv_storage>";
+        let camera = read(text, Format::OpencvXml).expect("valid");
+        assert_eq!((camera.fy, camera.distortion[0]), (501.0, -0.1));
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { cases: 400, rng_seed: RngSeed::Fixed(11), failure_persistence: None, ..ProptestConfig::default() })]
+
+        #[test]
+        fn every_format_brings_the_very_same_numbers_back(
+            width in 16u32..4_000, height in 16u32..4_000, f in 0.2f64..10.0, c in 0.0f64..1.0, k in prop::array::uniform5(-2.0f64..2.0),
+        ) {
+            let side = f64::from(width.max(height));
+            for format in ALL {
+                let mut k = k;
+                if matches!(format, Format::Kalibr | Format::Euroc) {
+                    k[4] = 0.0;
+                }
+                let camera = CameraModel::new(width, height, f * side, f * side * 1.01, c * f64::from(width), c * f64::from(height), k).unwrap();
+                let text = write(&camera, format, "x").unwrap();
+                prop_assert_eq!(&read(&text, format).unwrap(), &camera, "{:?}:\n{}", format, text);
+            }
+        }
+
+        #[test]
+        fn damaged_files_are_read_or_refused_with_their_name(
+            which in 0usize..7, at in 0usize..700, cut in 0usize..40, put in "[\\[\\]:,.# \n\t'\"!|>e0-9é<>/&-]{0,12}",
+        ) {
+            let camera = CameraModel::new(640, 480, 517.3, 516.5, 318.6, 255.3, [0.26, -0.95, -0.005, 0.003, 0.0]).unwrap();
+            let text = write(&camera, ALL[which], "x").unwrap();
+            let chars: Vec<char> = text.chars().collect();
+            let at = at.min(chars.len());
+            let after = (at + cut).min(chars.len());
+            let damaged: String = chars[..at].iter().copied().chain(put.chars()).chain(chars[after..].iter().copied()).collect();
+            match read(&damaged, ALL[which]) {
+                Ok(camera) => prop_assert!(camera.fx > 0.0 && camera.distortion.iter().all(|k| k.is_finite())),
+                Err(error) => prop_assert!(error.to_string().starts_with("camera"), "{error}"),
+            }
+        }
+    }
+}

@@ -1,0 +1,245 @@
+//! Calibrations by camera: where they lie, and which belongs to the camera at hand.
+//!
+//! Input: what a camera says of itself (USB vendor:product and, if it has one, its serial number) and the size of its pictures. Output:
+//! the calibration of that camera at that size; else one at another size of the same aspect, scaled; else nothing. Files are
+//! `*.toml` of ours with a key `camera = "046d:0825"` or `"046d:0825:SERIAL"`, whatever their names.
+//!
+//! A file without a serial number is for every camera of its kind (lenses of one kind differ by a percent or so; the file with the
+//! serial comes first). A file with another serial number is another camera's, and not used.
+//!
+//! Folders, in this order: `$STATE_DIRECTORY/cameras` (what systemd gives a service), `$XDG_STATE_HOME/cairn/cameras` or
+//! `~/.local/state/cairn/cameras`, `/var/lib/cairn/cameras`; then `/etc/cairn/cameras` and `config/cameras` for files that were
+//! put there by hand. The first of them that can be written takes new ones.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use super::{CalibrationError, CalibrationFile};
+use crate::geometry::CameraModel;
+
+/// Files of a folder that are looked at.
+const MAX_FILES: usize = 500;
+
+/// Which camera it is.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct CameraIdentity {
+    /// `vendor:product` of USB, four hexadecimal digits each; `card:NAME` for a camera that is not on USB.
+    pub model: String,
+    pub serial: Option<String>,
+}
+
+impl CameraIdentity {
+    /// Characters that stand in no file name or key become `_`.
+    pub fn new(model: &str, serial: Option<&str>) -> Self {
+        let clean = |text: &str| -> String {
+            let keep = |c: char| c.is_ascii_alphanumeric() || matches!(c, '.' | '-' | '_');
+            text.trim().chars().take(64).map(|c| if keep(c) { c } else { '_' }).collect()
+        };
+        let model = match model.split_once(':') {
+            Some((a, b)) => format!("{}:{}", clean(a), clean(b)),
+            None => clean(model),
+        };
+        Self { model, serial: serial.map(clean).filter(|s| !s.is_empty()) }
+    }
+
+    /// `vendor:product` or `vendor:product:serial`.
+    pub fn parse(text: &str) -> Option<Self> {
+        let mut parts = text.splitn(3, ':');
+        let (vendor, product) = (parts.next()?, parts.next()?);
+        Some(Self::new(&format!("{vendor}:{product}"), parts.next()))
+    }
+
+    /// Name of its file for pictures of a size.
+    pub fn file_name(&self, (width, height): (u32, u32)) -> String {
+        format!("{}-{width}x{height}.toml", self.to_string().replace(':', "_"))
+    }
+}
+
+impl fmt::Display for CameraIdentity {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match &self.serial {
+            Some(serial) => write!(f, "{}:{serial}", self.model),
+            None => f.write_str(&self.model),
+        }
+    }
+}
+
+/// A calibration that was found.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Found {
+    pub path: PathBuf,
+    /// For the size that was asked for.
+    pub camera: CameraModel,
+    /// The size that was calibrated, if it was another.
+    pub scaled_from: Option<(u32, u32)>,
+    /// Seconds since 1970 when it was made, if the file says so.
+    pub unix_s: Option<u64>,
+    /// Standard deviation of fx at the calibrated size, pixels, if the file says so.
+    pub fx_sigma_px: Option<f64>,
+}
+
+/// Folders with calibrations that may be written, the first choice first.
+pub fn state_folders() -> Vec<PathBuf> {
+    folders_of(|key| std::env::var_os(key).map(|v| v.to_string_lossy().into_owned()).filter(|v| !v.is_empty()))
+}
+
+fn folders_of(variable: impl Fn(&str) -> Option<String>) -> Vec<PathBuf> {
+    let mut folders: Vec<PathBuf> = Vec::new();
+    // systemd lists several with colons.
+    folders.extend(variable("STATE_DIRECTORY").and_then(|v| Some(Path::new(v.split(':').next()?).join("cameras"))));
+    let home = variable("HOME").map(|home| Path::new(&home).join(".local/state"));
+    folders.extend(variable("XDG_STATE_HOME").map(PathBuf::from).or(home).map(|d| d.join("cairn/cameras")));
+    folders.push("/var/lib/cairn/cameras".into());
+    folders
+}
+
+/// All folders in which a calibration is looked for.
+pub fn search_folders() -> Vec<PathBuf> {
+    let mut folders = state_folders();
+    folders.extend(["/etc/cairn/cameras".into(), "config/cameras".into()]);
+    folders
+}
+
+/// The calibration of a camera for pictures of a size. Files that cannot be read are skipped; what is wrong with them is in the second part.
+pub fn find(
+    folders: &[PathBuf],
+    identity: &CameraIdentity,
+    size: (u32, u32),
+) -> (Option<Found>, Vec<CalibrationError>) {
+    let mut faults = Vec::new();
+    // Own serial, exact size, calibrated width: larger is better.
+    let mut best: Option<((bool, bool, u32), Found)> = None;
+    for folder in folders {
+        for path in files(folder) {
+            let file = match CalibrationFile::load(&path) {
+                Ok(file) => file,
+                Err(error) => {
+                    faults.push(error);
+                    continue;
+                }
+            };
+            let Some(owner) = file.other.get("camera").and_then(|v| v.as_str()).and_then(CameraIdentity::parse) else {
+                continue;
+            };
+            let other_serial = owner.serial.is_some() && owner.serial != identity.serial;
+            if owner.model != identity.model || other_serial {
+                continue;
+            }
+            let own = (file.camera.width, file.camera.height);
+            let Ok(camera) = (if own == size { Ok(file.camera.clone()) } else { file.camera.scaled(size.0, size.1) })
+            else {
+                continue;
+            };
+            let rank = (owner.serial.is_some(), own == size, own.0);
+            if best.as_ref().is_none_or(|(r, _)| rank > *r) {
+                let number = |key: &str| file.other.get(key);
+                let found = Found {
+                    camera,
+                    scaled_from: (own != size).then_some(own),
+                    unix_s: number("calibrated_unix_s")
+                        .and_then(toml::Value::as_integer)
+                        .and_then(|s| u64::try_from(s).ok()),
+                    fx_sigma_px: number("fx_sigma_px").and_then(toml::Value::as_float),
+                    path,
+                };
+                best = Some((rank, found));
+            }
+        }
+    }
+    (best.map(|(_, found)| found), faults)
+}
+
+/// `*.toml` of a folder, by name.
+fn files(folder: &Path) -> Vec<PathBuf> {
+    let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
+    let is_toml = |path: &PathBuf| path.extension().is_some_and(|e| e == "toml");
+    let mut files: Vec<PathBuf> = entries.flatten().map(|e| e.path()).filter(is_toml).take(MAX_FILES).collect();
+    files.sort();
+    files
+}
+
+/// Saves a calibration into the first folder that can be written; where it lies now. The error tells of the first folder.
+pub fn save(
+    folders: &[PathBuf],
+    identity: &CameraIdentity,
+    file: &CalibrationFile,
+) -> Result<PathBuf, CalibrationError> {
+    let mut first = None;
+    for folder in folders {
+        let path = folder.join(identity.file_name((file.camera.width, file.camera.height)));
+        let saved = std::fs::create_dir_all(folder)
+            .map_err(|e| CalibrationError::File { path: folder.display().to_string(), reason: e.to_string() })
+            .and_then(|()| file.save(&path));
+        match saved {
+            Ok(()) => return Ok(path),
+            Err(error) => first = first.or(Some(error)),
+        }
+    }
+    Err(first.unwrap_or(CalibrationError::File { path: "cameras".into(), reason: "no folder to save to".into() }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn file(camera: &str, (width, height): (u32, u32), fx: f64) -> CalibrationFile {
+        let (w, h) = (f64::from(width), f64::from(height));
+        let camera_model = CameraModel::new(width, height, fx, fx, w / 2.0, h / 2.0, [0.0; 5]).expect("valid");
+        let mut other = toml::Table::new();
+        other.insert("camera".into(), camera.into());
+        CalibrationFile { camera: camera_model, other }
+    }
+
+    #[test]
+    fn the_own_camera_comes_before_its_kind_and_the_own_size_before_a_scaled_one() {
+        let dir = tempfile::tempdir().expect("folder");
+        let folders = [dir.path().join("none"), dir.path().to_path_buf()];
+        let put = |name: &str, f: CalibrationFile| f.save(&dir.path().join(name)).expect("saved");
+        let me = CameraIdentity::parse("046d:0825:ABC").expect("valid");
+        let fx = |size| find(&folders, &me, size).0.map(|f| (f.camera.fx, f.scaled_from));
+        assert_eq!(fx((640, 480)), None);
+        put("a.toml", file("1234:5678", (640, 480), 100.0));
+        put("b.toml", file("046d:0825:XYZ", (640, 480), 200.0));
+        assert_eq!(fx((640, 480)), None, "another camera's");
+        put("c.toml", file("046d:0825", (1280, 960), 1000.0));
+        assert_eq!(fx((640, 480)), Some((500.0, Some((1280, 960)))));
+        assert_eq!(fx((640, 360)), None, "cropped, nobody knows where");
+        put("d.toml", file("046d:0825", (640, 480), 510.0));
+        assert_eq!(fx((640, 480)), Some((510.0, None)));
+        put("e.toml", file("046d:0825:ABC", (1280, 960), 1040.0));
+        assert_eq!(fx((640, 480)), Some((520.0, Some((1280, 960)))));
+        std::fs::write(dir.path().join("f.toml"), "fx_px = \n").expect("written");
+        let (found, faults) = find(&folders, &me, (640, 480));
+        assert!(found.is_some() && faults.len() == 1 && faults[0].to_string().contains("f.toml:1"), "{faults:?}");
+    }
+
+    #[test]
+    fn what_was_saved_is_found_again_in_the_first_folder_that_can_be_written() {
+        let dir = tempfile::tempdir().expect("folder");
+        let blocked = dir.path().join("file");
+        std::fs::write(&blocked, "").expect("written");
+        let folders = [blocked.join("cameras"), dir.path().join("state/cameras")];
+        let me = CameraIdentity::new("046d:0825", Some("A B/C"));
+        assert_eq!(me.to_string(), "046d:0825:A_B_C");
+        let path = save(&folders, &me, &file(&me.to_string(), (640, 480), 512.0)).expect("saved");
+        assert_eq!(path, folders[1].join("046d_0825_A_B_C-640x480.toml"));
+        assert_eq!(find(&folders, &me, (640, 480)).0.map(|f| f.camera.fx), Some(512.0));
+        assert!(
+            save(&folders[..1], &me, &file("x:y", (640, 480), 512.0))
+                .expect_err("blocked")
+                .to_string()
+                .contains("file")
+        );
+    }
+
+    #[test]
+    fn folders_follow_systemd_and_xdg() {
+        let with = |pairs: &'static [(&str, &str)]| {
+            folders_of(move |key| pairs.iter().find(|(k, _)| *k == key).map(|(_, v)| v.to_string()))
+        };
+        assert_eq!(with(&[("STATE_DIRECTORY", "/var/lib/cairn:/x")])[0], Path::new("/var/lib/cairn/cameras"));
+        assert_eq!(with(&[("XDG_STATE_HOME", "/s"), ("HOME", "/h")])[0], Path::new("/s/cairn/cameras"));
+        assert_eq!(with(&[("HOME", "/h")])[0], Path::new("/h/.local/state/cairn/cameras"));
+        assert_eq!(with(&[]), [Path::new("/var/lib/cairn/cameras")]);
+    }
+}

@@ -1,0 +1,105 @@
+//! Calibration from picture files.
+
+use std::path::Path;
+use std::process::ExitCode;
+
+use super::{CalibrateArgs, report, report_folder, save};
+use crate::calibration::boards::{BoardView, solve};
+use crate::calibration::chessboard::{Detector, Pattern, Sighting};
+use crate::cli::session::{self, StatusLine};
+use crate::cli::{CliError, exit_code};
+use crate::frame::{PixelFormat, RawFrame};
+use crate::image::GreyImage;
+use crate::image::decode::Decoder;
+
+/// A picture is at most so long, bytes.
+const MAX_BYTES: u64 = 64 << 20;
+
+/// Reads and decodes one picture.
+pub fn read(path: &Path, decoder: &mut Decoder, picture: &mut GreyImage) -> Result<(), String> {
+    let length = std::fs::metadata(path).map_err(|e| e.to_string())?.len();
+    if length > MAX_BYTES {
+        return Err(format!("is longer than {MAX_BYTES} bytes"));
+    }
+    let data = std::fs::read(path).map_err(|e| e.to_string())?;
+    // Which of the two it is the bytes say.
+    let raw = RawFrame { format: PixelFormat::Jpeg, data, ..RawFrame::default() };
+    decoder.decode(&raw, picture).map_err(|e| e.to_string())
+}
+
+pub fn run(args: &CalibrateArgs, pattern: &Pattern) -> Result<ExitCode, CliError> {
+    session::check_outputs([&args.output])?;
+    let (mut detector, mut decoder, mut picture) = (Detector::default(), Decoder::default(), GreyImage::default());
+    let mut views = Vec::new();
+    let mut paths = Vec::new();
+    let mut size = None;
+    let mut other_sizes: Vec<(u32, u32)> = Vec::new();
+    let mut line = StatusLine::new();
+    for (n, path) in args.pictures.iter().enumerate() {
+        line.show(&format!("{}/{} {}", n + 1, args.pictures.len(), path.display()));
+        let name = path.display().to_string();
+        let mut skip = |reason: &str| {
+            line.clear();
+            eprintln!("{name}: {reason}, skipped");
+        };
+        if let Err(reason) = read(path, &mut decoder, &mut picture) {
+            if !path.exists() {
+                return Err(CliError::new(exit_code::NO_INPUT, format!("{name}: {reason}")));
+            }
+            skip(&reason);
+            continue;
+        }
+        let own = (picture.width as u32, picture.height as u32);
+        if let Some((w, h)) = size.filter(|s| *s != own) {
+            skip(&format!("{}x{} px, the first picture has {w}x{h} px", own.0, own.1));
+            continue;
+        }
+        match detector.detect(&picture, pattern) {
+            Sighting::Board(board) => {
+                size = Some(own);
+                if !board.complete {
+                    eprintln!("{name}: {} of {} corners seen", board.corners.len(), pattern.count());
+                }
+                views.push(BoardView { name, board });
+                paths.push(path.clone());
+            }
+            Sighting::OtherSize(columns, rows) => {
+                other_sizes.push((columns, rows));
+                skip(&format!(
+                    "a board of {columns}x{rows} inner corners was seen, {}x{} was asked for",
+                    pattern.columns, pattern.rows
+                ));
+            }
+            Sighting::Nothing => skip("no board seen"),
+        }
+    }
+    line.clear();
+    let summary = format!("{} of {} pictures show the board\n", views.len(), args.pictures.len());
+    let Some(size) = size else {
+        let hint = match other_sizes.first() {
+            Some((c, r)) => format!(
+                ": a board of {c}x{r} inner corners was seen, {}x{} was asked for (count the corners between the squares; or is a part of it hidden?)",
+                pattern.columns, pattern.rows
+            ),
+            None => String::new(),
+        };
+        return Err(CliError::new(exit_code::DATA, format!("no picture shows the board{hint}")));
+    };
+    let calibrated = solve(&views, pattern, size, args.distortion.into())
+        .map_err(|e| CliError::new(exit_code::DATA, format!("{}{e}", summary)))?;
+    let mut text = summary;
+    for (view, solved) in views.iter().zip(&calibrated.solved.views) {
+        let left_out = if solved.used { "" } else { "  LEFT OUT: does not fit the others" };
+        text += &format!("  {:.3} px  {}{left_out}\n", solved.rms_px, view.name);
+    }
+    text += &calibrated.table();
+    text += &calibrated.words();
+    session::print(&text)?;
+    save(args, &calibrated, None)?;
+    if let Some(folder) = report_folder(args) {
+        let picture_of = |n: usize, out: &mut GreyImage| read(&paths[n], &mut Decoder::default(), out).is_ok();
+        let files = report::write(&folder, &views, &calibrated, size, picture_of)?;
+        session::print(&format!("wrote {files} pictures in {}\n", folder.display()))?;
+    }
+    Ok(ExitCode::SUCCESS)
+}

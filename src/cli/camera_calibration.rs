@@ -1,0 +1,73 @@
+//! The calibration that belongs to the camera at hand, by its identity: for `run` and `doctor`.
+
+use std::path::Path;
+
+use super::{CliError, exit_code};
+use crate::calibration::store::{self, CameraIdentity, Found};
+use crate::camera::v4l2::identity::identity;
+use crate::camera::v4l2::{CameraInfo, V4l2Config, list_cameras};
+use crate::geometry::CameraModel;
+
+/// Who a camera is.
+pub fn identify(camera: &CameraInfo) -> CameraIdentity {
+    identity(&camera.path, &camera.card)
+}
+
+/// The camera that a configuration means: the one it names, or the first that sends something usable.
+pub fn configured(config: &V4l2Config) -> Result<CameraInfo, String> {
+    let wanted = std::fs::canonicalize(&config.device);
+    let mut reasons = Vec::new();
+    for camera in list_cameras() {
+        match camera {
+            Ok(camera) if config.device == "auto" && camera.offers.is_empty() => {}
+            Ok(camera) if config.device == "auto" => return Ok(camera),
+            Ok(camera) => {
+                if wanted.as_deref().is_ok_and(|w| w == camera.path) || Path::new(&config.device) == camera.path {
+                    return Ok(camera);
+                }
+            }
+            Err(error) => reasons.push(error.to_string()),
+        }
+    }
+    let why = if reasons.is_empty() { String::new() } else { format!(" ({})", reasons.join("; ")) };
+    Err(match config.device.as_str() {
+        "auto" => format!("there is no camera{why}"),
+        device => format!("{device} is no camera{why}"),
+    })
+}
+
+/// Its stored calibration for pictures of a size; unreadable files are mentioned in the log.
+pub fn stored(identity: &CameraIdentity, size: (u32, u32)) -> Option<Found> {
+    let (found, faults) = store::find(&store::search_folders(), identity, size);
+    for fault in faults {
+        tracing::warn!(%fault, "calibration cannot be read, skipped");
+    }
+    found
+}
+
+/// Camera model and origin for a configuration that names no calibration file.
+pub fn of_config(config: &V4l2Config) -> Result<(CameraModel, String), CliError> {
+    let refuse = |message: String| Err(CliError::new(exit_code::CONFIG, message));
+    let camera = match configured(config) {
+        Ok(camera) => camera,
+        Err(reason) => {
+            return refuse(format!(
+                "calibration.file is not set, and whose calibration to look for is not known: {reason}"
+            ));
+        }
+    };
+    let identity = identify(&camera);
+    match stored(&identity, (config.width_px, config.height_px)) {
+        Some(found) => {
+            let path = found.path.display().to_string();
+            tracing::info!(camera = %identity, calibration = path, scaled_from = ?found.scaled_from, "stored calibration used");
+            Ok((found.camera, path))
+        }
+        None => refuse(format!(
+            "calibration.file is not set and there is no stored calibration of camera {identity} ({}): \
+             `cairn calibrate --camera {}` makes one in a minute",
+            camera.card,
+            camera.path.display()
+        )),
+    }
+}
