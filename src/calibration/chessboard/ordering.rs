@@ -242,7 +242,7 @@ fn complete(sheet: &mut Sheet, map: &SaddleMap, contrast: f64, pattern: &Pattern
             let grown = sides(grown[0], grown[1]);
             grown[0] <= wanted[0] && grown[1] <= wanted[1]
         };
-        let mut best: Option<(usize, Vec<((i32, i32), Vector2<f64>)>)> = None;
+        let (mut best_side, mut best) = (0, Vec::<((i32, i32), Vector2<f64>)>::new());
         for side in (0..4).filter(|side| may_grow(side / 2)) {
             let inward = [(1, 0), (-1, 0), (0, 1), (0, -1)][side];
             let rim = sheet.rim(side, 1);
@@ -253,13 +253,14 @@ fn complete(sheet: &mut Sheet, map: &SaddleMap, contrast: f64, pattern: &Pattern
                     Some((*cell, look(sheet, map, contrast, *cell, &[from])?))
                 })
                 .collect();
-            if found.len() as f64 >= NEW_RIM_SHARE * rim.len() as f64
-                && best.as_ref().is_none_or(|(_, b)| b.len() < found.len())
-            {
-                best = Some((side, found));
+            if found.len() as f64 >= NEW_RIM_SHARE * rim.len() as f64 && best.len() < found.len() {
+                (best_side, best) = (side, found);
             }
         }
-        let Some((side, found)) = best else { return };
+        let (side, found) = (best_side, best);
+        if found.is_empty() {
+            return;
+        }
         sheet.move_side(side, 1);
         sheet.extra.extend(found);
         fill_holes(sheet, map, contrast);

@@ -30,7 +30,11 @@ pub fn write(
             .corners
             .iter()
             .zip(solved.residuals.iter().zip(&solved.used_points))
-            .map(|(c, (residual, used))| BoardCorner { pixel: c.pixel, residual: *residual, used: *used && solved.used })
+            .map(|(c, (residual, used))| BoardCorner {
+                pixel: c.pixel,
+                residual: *residual,
+                used: *used && solved.used,
+            })
             .collect();
         if n < MAX_PICTURES && picture_of(n, &mut picture) {
             let name =

@@ -71,7 +71,7 @@ fn nees(e: &Vector6<f64>, covariance: &Matrix6<f64>) -> Option<Nees> {
     let (w, v) = (e.fixed_rows::<3>(0).into_owned(), e.fixed_rows::<3>(3).into_owned());
     let block = |i: usize| -> Matrix3<f64> { covariance.fixed_view::<3, 3>(i, i).into_owned() };
     Some(Nees {
-        pose: e.dot(&covariance.cholesky()?.solve(&e)),
+        pose: e.dot(&covariance.cholesky()?.solve(e)),
         rotation: w.dot(&block(0).cholesky()?.solve(&w)),
         translation: v.dot(&block(3).cholesky()?.solve(&v)),
     })

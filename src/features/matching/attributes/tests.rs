@@ -102,8 +102,8 @@ proptest! {
         let rule = AttributeMatching { max_ratio, max_direction_rad: 1.0, ..RULE };
         let clear = |a: &Attributes, from: &[Attributes], i: usize| {
             let d = rule.distance(a, &from[i]);
-            let others = from.iter().enumerate().filter(|(j, _)| *j != i).filter_map(|(_, b)| rule.distance(a, b));
-            others.fold(true, |ok, other| ok && d.is_some_and(|d| d < max_ratio * other))
+            let mut others = from.iter().enumerate().filter(|(j, _)| *j != i).filter_map(|(_, b)| rule.distance(a, b));
+            others.all(|other| d.is_some_and(|d| d < max_ratio * other))
         };
         let mut plain = Vec::new();
         for (i, a) in first.iter().enumerate() {
