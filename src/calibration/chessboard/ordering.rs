@@ -3,7 +3,7 @@
 //! Input: a [`Grid`] with its corners and the level's saddle map. Output: a [`Fit`]: a full rectangle of places, some perhaps empty.
 //! - Rims beyond the pattern's size that are mostly empty are cut off: something beside the board looked like a corner.
 //! - Empty cells, and whole rows that are missing at the rim, are looked for where their neighbours predict them, with a weaker
-//!   test: only the two-fold pattern of the right colouring must be there.
+//!   test: the two-fold pattern of the right colouring must be there, all four sectors on their side.
 //! - The first corner: columns go right of rows as seen from the front (a board is never seen from behind); among the turns that are left, the
 //!   one whose first corner has its outer square black; among those the one nearest to the picture's upper left.
 
