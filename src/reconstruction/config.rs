@@ -24,6 +24,8 @@ pub struct ReconstructionConfig {
     pub readout_ms: f64,
     /// Learn the readout time from the pictures, starting at `readout_ms`.
     pub estimate_readout: bool,
+    /// Refine focal length and principal point from the motion, around the calibration and as far as that is uncertain.
+    pub refine_intrinsics: bool,
     /// Keyframes that a local adjustment moves, at the most. 2..=40.
     pub adjusted_keyframes: usize,
     /// Keyframes that hold a local adjustment in place, at the most. 0..=80.
@@ -57,6 +59,7 @@ impl Default for ReconstructionConfig {
             min_parallax_deg: 1.0,
             readout_ms: 0.0,
             estimate_readout: true,
+            refine_intrinsics: true,
             adjusted_keyframes: 10,
             fixed_keyframes: 20,
             adjustment_steps: 5,

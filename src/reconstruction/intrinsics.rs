@@ -44,9 +44,12 @@ impl Intrinsics {
         Self { calibrated: camera.clone(), sigma, refined_sigma: sigma }
     }
 
-    /// Adjustment of the whole map and the intrinsics.
-    pub fn whole_job(&self, map: &Map, camera: &CameraModel, readout_s: f64) -> Option<MappingJob> {
+    /// Adjustment of the whole map, and with `refine` of the intrinsics.
+    pub fn whole_job(&self, map: &Map, camera: &CameraModel, readout_s: f64, refine: bool) -> Option<MappingJob> {
         let mut job = MappingJob::whole(map, camera, readout_s, STEPS)?;
+        if !refine {
+            return Some(job);
+        }
         let expected = SharedVector::new(
             (self.calibrated.fx / camera.fx).ln(),
             self.calibrated.cx - camera.cx,

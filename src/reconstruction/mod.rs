@@ -322,7 +322,12 @@ impl Reconstruction {
             let keyframes = self.map.keyframes.len();
             let job = if keyframes >= self.next_whole && keyframes <= WHOLE_LIMIT {
                 self.next_whole = keyframes + keyframes / 3;
-                self.intrinsics.whole_job(&self.map, &self.camera, self.shutter.readout_s)
+                self.intrinsics.whole_job(
+                    &self.map,
+                    &self.camera,
+                    self.shutter.readout_s,
+                    self.config.refine_intrinsics,
+                )
             } else {
                 MappingJob::local(&self.map, newest, &self.camera, self.shutter.readout_s, &self.config)
             };
