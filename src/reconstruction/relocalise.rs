@@ -1,7 +1,7 @@
 //! Where a frame might be when prediction has failed.
 //!
 //! Two ways, each bounded in every frame, the first that the search by projection confirms wins:
-//! - by descriptors ([`descriptors`]): a pose from the landmarks of a few keyframes, the ones around the last known place first,
+//! - by descriptors (`descriptors`): a pose from the landmarks of a few keyframes, the ones around the last known place first,
 //!   then the ones whose thumbnails are most similar, then all others in turn;
 //! - by thumbnails: the most similar keyframes' poses, turned by the plane motion between the thumbnails (Klein & Murray 2008,
 //!   section 5), for pictures without corners that could be described (heavy blur).
