@@ -115,7 +115,7 @@ fn told(errors: &[Nees]) -> Consistency {
 
 #[test]
 fn the_covariance_is_of_the_errors_size() {
-    let pose = told(&errors_over(41..42, 6.0, 30.0));
+    let pose = told(&errors_over(41..42, 8.0, 10.0));
     assert!(pose.mean < 3.0 * 6.0 && pose.mean > 6.0 / 6.0, "seed 41: mean NEES {} instead of about 6", pose.mean);
 }
 

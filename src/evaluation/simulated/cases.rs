@@ -77,7 +77,7 @@ pub fn cases(seed: u64) -> Vec<Case> {
             "move_then_rotate",
             "moves, then only turns, then moves again",
             Scenario::MoveThenRotate,
-            16.0,
+            15.0,
             60.0,
             limits(97.0, 1.0, 0, 5),
         ),
@@ -153,7 +153,7 @@ pub fn cases(seed: u64) -> Vec<Case> {
         "fast_rotation",
         "bursts of 200 to 300 degrees a second, blurred",
         Scenario::FastRotation,
-        9.0,
+        8.0,
         60.0,
         limits(85.0, 2.0, 0, 30),
         &|c| {
@@ -184,8 +184,8 @@ pub fn cases(seed: u64) -> Vec<Case> {
             c.speed = 2.0;
         },
     );
-    add("orbit", "around a table, revisiting", Scenario::DeskOrbit, 6.0, 60.0, limits(95.0, 1.0, 0, 10), &|_| {});
-    add("tour", "laps of a room, revisiting", Scenario::RoomTour, 6.0, 90.0, limits(95.0, 1.0, 0, 10), &|_| {});
+    add("orbit", "around a table, revisiting", Scenario::DeskOrbit, 5.0, 60.0, limits(95.0, 1.0, 0, 10), &|_| {});
+    add("tour", "laps of a room, revisiting", Scenario::RoomTour, 5.0, 90.0, limits(95.0, 1.0, 0, 10), &|_| {});
     let mut dropped = plain(
         "dropped_frames",
         "two to four of five frames are missing",

@@ -131,7 +131,7 @@ impl Consistency {
     }
 }
 
-/// Quantile of chi-square by Wilson and Hilferty's cube (1931); `z`: the same quantile of the normal distribution. Within 1 %
+/// Quantile of chi-square by Wilson and Hilferty's cube (1931); `z`: the same quantile of the normal distribution. Within 3 %
 /// from three degrees of freedom on.
 pub fn chi2_quantile(degrees_of_freedom: f64, z: f64) -> f64 {
     let a = 2.0 / (9.0 * degrees_of_freedom);
@@ -148,7 +148,7 @@ mod tests {
             [(3.0, 1.959_964, 9.348), (6.0, 1.959_964, 14.449), (6.0, -1.959_964, 1.237), (60.0, 1.644_854, 79.082)]
         {
             let found = chi2_quantile(d, z);
-            assert!((found - table).abs() < 0.02 * table, "{d} degrees of freedom: {found} instead of {table}");
+            assert!((found - table).abs() < 0.03 * table, "{d} degrees of freedom: {found} instead of {table}");
         }
     }
 
