@@ -40,6 +40,8 @@ use saddle::SaddleMap;
 pub const SIDE_RANGE: (u32, u32) = (3, 30);
 /// Pyramid levels in the order in which they are searched.
 const LEVELS: [usize; 4] = [1, 0, 2, 3];
+/// Fewer corners in a grid that is not the pattern say nothing about a board.
+const MIN_OTHER: usize = 16;
 /// No level smaller than this is searched, pixels.
 const MIN_SIDE: usize = 60;
 
@@ -149,6 +151,9 @@ impl Detector {
         }
         let Some((fit, level)) = best else { return Sighting::Nothing };
         if !fit.is_pattern(pattern) {
+            if fit.found() < MIN_OTHER {
+                return Sighting::Nothing;
+            }
             let (a, b) = fit.size();
             return Sighting::OtherSize(a.max(b), a.min(b));
         }
