@@ -19,7 +19,7 @@ fn main() -> ExitCode {
     match cli::run(&arguments) {
         Ok(code) => code,
         Err(error) => {
-            telemetry::say(&format!("cairn: {error}"));
+            telemetry::say_error(&format!("cairn: {error}"));
             ExitCode::from(error.code)
         }
     }

@@ -9,7 +9,7 @@
 //!
 //! Folders, in this order: `$STATE_DIRECTORY/cameras` (what systemd gives a service), `$XDG_STATE_HOME/cairn/cameras` or
 //! `~/.local/state/cairn/cameras`, `/var/lib/cairn/cameras`; then `/etc/cairn/cameras` and `config/cameras` for files that were
-//! put there by hand. The first of them that can be written takes new ones.
+//! put there by hand, and `/usr/share/cairn/cameras` for those that a package brings. The first of them that can be written takes new ones.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -96,7 +96,7 @@ fn folders_of(variable: impl Fn(&str) -> Option<String>) -> Vec<PathBuf> {
 /// All folders in which a calibration is looked for.
 pub fn search_folders() -> Vec<PathBuf> {
     let mut folders = state_folders();
-    folders.extend(["/etc/cairn/cameras".into(), "config/cameras".into()]);
+    folders.extend(["/etc/cairn/cameras", "config/cameras", "/usr/share/cairn/cameras"].map(PathBuf::from));
     folders
 }
 

@@ -1,40 +1,48 @@
 //! What the daemon says about itself: structured logs, counters, latency histograms, heartbeats.
 //!
-//! - Logs go to stderr by `tracing`: human text on a terminal, one JSON object a line elsewhere (journald, pipes). The
-//!   facts of a record are its fields; its message is a constant that can be searched for.
+//! - Logs go out by `tracing`: human text on a terminal, fields of the journal where stderr is connected to it (a service), one JSON
+//!   object a line elsewhere (pipes, files). The facts of a record are its fields; its message is a constant that can be
+//!   searched for. `EVENTS.md` beside this file lists the warnings and errors, with what to do.
 //! - Everything a stage touches per frame ([`Counter`], [`Histogram`], [`Heartbeat`]) is a relaxed atomic of fixed size:
 //!   a few nanoseconds, no lock, no allocation. The supervisor reads them once a second.
-//! - A fault that repeats is logged through a [`RateLimiter`]: at once the first time, then once a second with a count.
+//! - A fault that repeats is logged through a [`RateLimiter`]: at once the first time, then once a second with a count. Whatever
+//!   storms all the same is held back and counted ([`report_suppressed`]).
 //!
 //! It spawns no thread and knows no stage: stages name themselves.
 
 mod heartbeat;
 mod histogram;
+mod journal;
 mod rate_limiter;
+mod storm;
 
 use std::io::{IsTerminal, Write};
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use tracing_subscriber::EnvFilter;
 use tracing_subscriber::fmt::MakeWriter;
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
+use tracing_subscriber::{EnvFilter, Registry, reload};
 
 pub use heartbeat::Heartbeat;
 pub use histogram::{Histogram, Percentiles, Snapshot};
 pub use rate_limiter::RateLimiter;
+pub use storm::report_suppressed;
 
 /// How log records look.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Deserialize, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LogFormat {
-    /// Human on a terminal, JSON elsewhere.
+    /// Human on a terminal, the journal where stderr is connected to it, JSON elsewhere.
     #[default]
     Auto,
     /// Text for a person.
     Human,
     /// One JSON object a line.
     Json,
+    /// Fields of systemd's journal.
+    Journal,
 }
 
 /// `[log]` of the configuration.
@@ -67,37 +75,49 @@ impl LogConfig {
     }
 }
 
+/// Changes the filter of the running process.
+static FILTER: OnceLock<reload::Handle<EnvFilter, Registry>> = OnceLock::new();
+
 /// Starts logging for this process. Later calls change nothing (tests start several daemons in one process).
 pub fn init(config: &LogConfig) -> Result<(), String> {
-    let filter = config.filter()?;
+    let (filter, handle) = reload::Layer::new(config.filter()?);
     let terminal = std::io::stderr().is_terminal();
-    let json = match config.format {
-        LogFormat::Auto => !terminal,
-        LogFormat::Human => false,
-        LogFormat::Json => true,
+    let (format, why) = match config.format {
+        LogFormat::Auto if terminal => (LogFormat::Human, None),
+        LogFormat::Auto if journal::is_stderr() => (LogFormat::Journal, None),
+        LogFormat::Auto => (LogFormat::Json, None),
+        LogFormat::Journal if journal::layer().is_err() => (LogFormat::Json, journal::layer().err()),
+        format => (format, None),
     };
-    let registry = tracing_subscriber::registry().with(filter);
-    // A record that cannot be written (stderr closed) is lost; it must neither panic nor end the robot's daemon.
-    let outcome = if json {
-        let layer = tracing_subscriber::fmt::layer()
-            .json()
-            .flatten_event(true)
-            .with_current_span(false)
-            .with_span_list(false)
-            .log_internal_errors(false)
-            .with_writer(Stderr);
-        registry.with(layer).try_init()
-    } else {
-        let layer = tracing_subscriber::fmt::layer()
-            .with_ansi(terminal)
-            .with_target(false)
-            .log_internal_errors(false)
-            .with_writer(Stderr);
-        registry.with(layer).try_init()
+    let registry = tracing_subscriber::registry().with(filter).with(storm::StormGuard);
+    let json = || {
+        let layer = tracing_subscriber::fmt::layer().json().flatten_event(true).with_current_span(false);
+        layer.with_span_list(false).log_internal_errors(false).with_writer(Stderr)
+    };
+    // A record that cannot be written (stderr closed, no journal) is lost; it must neither panic nor end the robot's daemon.
+    let outcome = match (format, journal::layer()) {
+        (LogFormat::Journal, Ok(layer)) => registry.with(layer).try_init(),
+        (LogFormat::Human, _) => {
+            let layer = tracing_subscriber::fmt::layer().with_ansi(terminal).with_target(false);
+            registry.with(layer.log_internal_errors(false).with_writer(Stderr)).try_init()
+        }
+        _ => registry.with(json()).try_init(),
     };
     // `Err` means that a subscriber is there already, which is what was wanted.
-    drop(outcome);
+    if outcome.is_ok() {
+        let _ = FILTER.set(handle);
+    }
+    if let Some(error) = why {
+        tracing::warn!(%error, "no journal, JSON on stderr instead");
+    }
     Ok(())
+}
+
+/// Another level from now on, for a process that logs already.
+pub fn set_level(config: &LogConfig) -> Result<(), String> {
+    let filter = config.filter()?;
+    let handle = FILTER.get().ok_or("logging was not started by this program")?;
+    handle.reload(filter).map_err(|e| e.to_string())
 }
 
 /// Makes a panic a record like any other, with thread and place as fields.
@@ -130,6 +150,13 @@ impl<'a> MakeWriter<'a> for Stderr {
 /// Writes a line to stderr for a person at a terminal; a closed stderr is no fault of the program's.
 pub fn say(line: &str) {
     let _ = writeln!(std::io::stderr().lock(), "{line}");
+}
+
+/// The same for the reason why the program ends. In the journal it is an error, which a line of text is not by itself.
+pub fn say_error(line: &str) {
+    // systemd takes a number in angle brackets off a line's head for its priority.
+    let priority = if journal::is_stderr() { "<3>" } else { "" };
+    say(&format!("{priority}{line}"));
 }
 
 /// Counts events; relaxed, because nothing is ordered by a statistic.

@@ -1,0 +1,149 @@
+//! Keeps a storm of warnings out of the log, whatever its source: of one kind (one place in the code) [`BURST`] warnings and
+//! errors in [`WINDOW`] are written, the rest is counted, and [`report_suppressed`] says how many there were.
+//!
+//! A [`RateLimiter`](super::RateLimiter) at the place itself makes one record of many equal events, with their sum; this
+//! layer is for all the places that have none, in libraries too. Info and below pass: there is one second of health a second,
+//! and a replay at thirty times real time makes keyframes that somebody may want to read.
+//!
+//! Cost: one lock and one look into a small table for a warning, nothing for anything else.
+
+use std::collections::HashMap;
+use std::fmt::{Debug, Write as _};
+use std::sync::{Mutex, OnceLock, PoisonError};
+use std::time::{Duration, Instant};
+
+use tracing::callsite::Identifier;
+use tracing::field::{Field, Visit};
+use tracing::{Event, Level, Subscriber};
+use tracing_subscriber::layer::{Context, Layer};
+
+/// Records of one kind that are written in one window.
+const BURST: u32 = 20;
+/// Length of a window.
+const WINDOW: Duration = Duration::from_secs(10);
+/// Characters of a suppressed record's message that are repeated in the report.
+const MAX_MESSAGE: usize = 120;
+
+/// One kind of record in its present window.
+#[derive(Debug)]
+struct Bucket {
+    began: Instant,
+    written: u32,
+    held: u64,
+    message: String,
+}
+
+/// All kinds that ever warned: as many as there are places in the code at the most.
+#[derive(Debug, Default)]
+struct Buckets(HashMap<Identifier, Bucket>);
+
+impl Buckets {
+    /// Whether a record of this kind is written at `now`; `message` is asked for only where one is held back.
+    fn allow(&mut self, kind: Identifier, now: Instant, message: impl FnOnce() -> String) -> bool {
+        let fresh = || Bucket { began: now, written: 0, held: 0, message: String::new() };
+        let bucket = self.0.entry(kind).or_insert_with(fresh);
+        // With held records the window stays until they are reported.
+        if bucket.held == 0 && now.saturating_duration_since(bucket.began) >= WINDOW {
+            (bucket.began, bucket.written) = (now, 0);
+        }
+        if bucket.written < BURST && bucket.held == 0 {
+            bucket.written += 1;
+            return true;
+        }
+        if bucket.held == 0 {
+            bucket.message = message();
+        }
+        bucket.held += 1;
+        false
+    }
+
+    /// What was held back in windows that are over at `now` (`all`: in all of them): how many, and of which message.
+    fn take(&mut self, now: Instant, all: bool) -> Vec<(u64, String)> {
+        let mut taken = Vec::new();
+        for bucket in self.0.values_mut() {
+            if bucket.held > 0 && (all || now.saturating_duration_since(bucket.began) >= WINDOW) {
+                taken.push((std::mem::take(&mut bucket.held), std::mem::take(&mut bucket.message)));
+                (bucket.began, bucket.written) = (now, 0);
+            }
+        }
+        taken
+    }
+}
+
+fn buckets() -> &'static Mutex<Buckets> {
+    static BUCKETS: OnceLock<Mutex<Buckets>> = OnceLock::new();
+    BUCKETS.get_or_init(Mutex::default)
+}
+
+/// The layer.
+pub(super) struct StormGuard;
+
+impl<S: Subscriber> Layer<S> for StormGuard {
+    fn event_enabled(&self, event: &Event<'_>, _: Context<'_, S>) -> bool {
+        if *event.metadata().level() > Level::WARN {
+            return true;
+        }
+        let mut buckets = buckets().lock().unwrap_or_else(PoisonError::into_inner);
+        buckets.allow(event.metadata().callsite(), Instant::now(), || {
+            let mut message = Message(String::new());
+            event.record(&mut message);
+            message.0
+        })
+    }
+}
+
+/// Takes the message out of an event's fields.
+struct Message(String);
+
+impl Visit for Message {
+    fn record_debug(&mut self, field: &Field, value: &dyn Debug) {
+        if field.name() == "message" {
+            let _ = write!(self.0, "{value:?}");
+            self.0 = self.0.chars().take(MAX_MESSAGE).collect();
+        }
+    }
+}
+
+/// Logs what was held back in windows that are over; to be called now and then, and at the end with `all`.
+pub fn report_suppressed(all: bool) {
+    let taken = buckets().lock().unwrap_or_else(PoisonError::into_inner).take(Instant::now(), all);
+    for (suppressed, event) in taken {
+        tracing::warn!(suppressed, event, "records suppressed");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_storm_is_written_in_part_and_every_record_of_it_is_counted() {
+        let kind = |n: usize| {
+            // Two kinds: any two places in the code.
+            let a = tracing::callsite!(name: "a", kind: tracing::metadata::Kind::EVENT, fields: message);
+            let b = tracing::callsite!(name: "b", kind: tracing::metadata::Kind::EVENT, fields: message);
+            let all: [&dyn tracing::Callsite; 2] = [a, b];
+            all[n].metadata().callsite()
+        };
+        let (start, ms) = (Instant::now(), Duration::from_millis);
+        let mut buckets = Buckets::default();
+        let (mut written, mut reported) = (0, 0);
+        // 100 a second for 30 seconds, looked at ten times a second.
+        for i in 0..3000 {
+            let now = start + ms(10) * i;
+            written += u64::from(buckets.allow(kind(0), now, || "frame cannot be read".into()));
+            assert!(i % 1000 != 0 || buckets.allow(kind(1), now, String::new), "another kind is another matter");
+            if i % 10 == 0 {
+                for (held, message) in buckets.take(now, false) {
+                    assert_eq!(message, "frame cannot be read");
+                    reported += held;
+                }
+            }
+        }
+        assert_eq!(written, 3 * u64::from(BURST), "one burst a window");
+        reported += buckets.take(start + ms(30_000), true).iter().map(|(held, _)| held).sum::<u64>();
+        assert_eq!(written + reported, 3000);
+        assert!(buckets.take(start + ms(90_000), true).is_empty(), "reported once");
+        assert!(buckets.allow(kind(0), start + ms(90_000), String::new), "the storm is over");
+    }
+}
