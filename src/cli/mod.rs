@@ -8,6 +8,7 @@ pub mod demo;
 pub mod doctor;
 pub mod endpoint_args;
 pub mod evaluate;
+mod reload;
 pub mod replay;
 pub mod run;
 mod session;

@@ -5,6 +5,7 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::Duration;
 
+use super::reload::Reloader;
 use super::session::{self, SessionArgs};
 use super::{CliError, camera_calibration, exit_code};
 use crate::calibration::load_camera;
@@ -15,7 +16,7 @@ use crate::config::{Config, SourceKind};
 use crate::daemon::{self, Calibration, Opener, Outputs, Parts, Status, Supply};
 use crate::frame::Clock;
 
-/// Runs the daemon until SIGTERM or SIGINT
+/// Runs the daemon until SIGTERM or SIGINT; SIGHUP reads the configuration again
 #[derive(Debug, clap::Args)]
 pub struct RunArgs {
     #[command(flatten)]
@@ -24,6 +25,7 @@ pub struct RunArgs {
 
 pub fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
     let config = args.session.open(false)?;
+    let mut reloader = Reloader::new(&args.session, &config)?;
     let stop = session::stop_flag()?;
     let outputs = outputs(&config);
     session::check_outputs([&outputs.trajectory, &outputs.live_trajectory, &outputs.map, &outputs.overview])?;
@@ -39,8 +41,11 @@ pub fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
         status: Arc::new(Status::default()),
         config,
     };
-    let end = daemon::supervise(parts, Some(desk), Clock::Monotonic, &stop, &mut |_| true)
-        .map_err(|e| CliError::new(exit_code::CANNOT_CREATE, e.to_string()))?;
+    let end = daemon::supervise(parts, Some(desk), Clock::Monotonic, &stop, &mut |_| {
+        reloader.turn();
+        true
+    })
+    .map_err(|e| CliError::new(exit_code::CANNOT_CREATE, e.to_string()))?;
     session::judge(&end)?;
     Ok(ExitCode::SUCCESS)
 }

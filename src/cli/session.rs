@@ -34,19 +34,26 @@ impl SessionArgs {
     /// The configuration with the command line's changes, and logging started. `interactive`: a status line will be shown
     /// on a terminal, so only warnings are logged there unless more is asked for.
     pub fn open(&self, interactive: bool) -> Result<Config, CliError> {
+        let (mut config, origin) = self.read()?;
+        if self.log.is_none() && interactive && io::stderr().is_terminal() {
+            config.log.level = "warn".into();
+        }
+        telemetry::init(&config.log).map_err(|reason| CliError::new(exit_code::USAGE, format!("--log: {reason}")))?;
+        tracing::info!(configuration = origin, prefix = config.prefix, version = env!("CARGO_PKG_VERSION"), "starting");
+        Ok(config)
+    }
+
+    /// The configuration with the command line's changes, and where it came from.
+    pub fn read(&self) -> Result<(Config, String), CliError> {
         let (mut config, origin) = config::find(self.config.as_deref()).map_err(|e| config_error(&e))?;
         if let Some(prefix) = &self.prefix {
             config.prefix.clone_from(prefix);
         }
-        match &self.log {
-            Some(level) => config.log.level.clone_from(level),
-            None if interactive && io::stderr().is_terminal() => config.log.level = "warn".into(),
-            None => {}
+        if let Some(level) = &self.log {
+            config.log.level.clone_from(level);
         }
         config.validate().map_err(|e| CliError::new(exit_code::USAGE, format!("{}: {}", e.key, e.reason)))?;
-        telemetry::init(&config.log).map_err(|reason| CliError::new(exit_code::USAGE, format!("--log: {reason}")))?;
-        tracing::info!(configuration = origin, prefix = config.prefix, version = env!("CARGO_PKG_VERSION"), "starting");
-        Ok(config)
+        Ok((config, origin))
     }
 }
 
@@ -90,6 +97,7 @@ pub fn wire_error(error: &PublishError) -> CliError {
 
 /// What a run's end means to a script: nothing lost, or the first thing that was.
 pub fn judge(end: &End) -> Result<(), CliError> {
+    telemetry::report_suppressed(true);
     match &end.cause {
         EndCause::SourceEnded | EndCause::Stopped => {}
         EndCause::SourceFailed => {

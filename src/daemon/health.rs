@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use tracing::{info, warn};
 
+use super::advice::advice;
 use super::status::{Status, state_name};
 use crate::frame::Clock;
 use crate::messages::{Health, STAGES, StageHealth, UNKNOWN_NS, error, stage};
@@ -237,7 +238,7 @@ impl HealthWatch {
         let (began, ended) = (standing & !self.logged, self.logged & !standing);
         self.logged = standing;
         for fault in error::names(began) {
-            warn!(fault, "fault began");
+            warn!(fault, advice = advice(fault), "fault began");
         }
         for fault in error::names(ended) {
             info!(fault, "fault ended");

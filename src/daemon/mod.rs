@@ -14,6 +14,8 @@
 //! - Every wait is bounded by [`TURN`], so a stop is seen by every thread within that, and each thread says once a turn that it lives.
 //! - A thread that panics ends the daemon with an error, so that a service manager starts it anew.
 
+mod advice;
+mod announce;
 mod capture;
 mod feature;
 mod health;
@@ -33,6 +35,7 @@ use std::time::{Duration, Instant};
 
 use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
 
+pub use advice::advice;
 pub use capture::{Captured, Opener, Supply};
 pub use outlet::Outlet;
 pub use reconstruct::{Calibration, Request};

@@ -203,8 +203,7 @@ impl ReconstructStep {
         }
         if self.last_state != Some(e.state) {
             let from = self.last_state.map_or("none", state_name);
-            let to = state_name(e.state);
-            info!(sequence, timestamp_ns, map, from, to, landmarks = e.landmarks, "state");
+            info!(sequence, timestamp_ns, map, from, state = state_name(e.state), landmarks = e.landmarks, "state");
             self.last_state = Some(e.state);
         }
         let Some(reconstruction) = &self.reconstruction else { return };

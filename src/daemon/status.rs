@@ -234,8 +234,8 @@ impl Status {
 /// A state's name as logged and printed.
 pub fn state_name(state: TrackingState) -> &'static str {
     match state {
-        TrackingState::Initializing => "initializing",
-        TrackingState::Tracking => "tracking",
-        TrackingState::Lost => "lost",
+        TrackingState::Initializing => "INITIALIZING",
+        TrackingState::Tracking => "TRACKING",
+        TrackingState::Lost => "LOST",
     }
 }

@@ -11,14 +11,15 @@ use crossbeam::channel::{Receiver, Sender, TryRecvError, bounded};
 use sd_notify::NotifyState;
 use tracing::{error, info, warn};
 
+use super::announce::{Announcer, notify};
 use super::health::HealthWatch;
 use super::recorder::{FinalMap, Outputs, Recorder, SaveKind, Written};
 use super::status::Status;
 use super::{DaemonError, Parts, Request, TURN, Threads, start};
 use crate::frame::{Clock, monotonic_ns};
-use crate::messages::{CommandReply, command_kind, reply_code};
+use crate::messages::{CommandReply, Health, command_kind, reply_code};
 use crate::publish::{self, CommandServer, HealthPublisher, convert};
-use crate::telemetry::RateLimiter;
+use crate::telemetry::{RateLimiter, report_suppressed};
 
 /// The supervisor's part of the wire.
 pub struct Desk {
@@ -75,16 +76,17 @@ pub fn supervise(
     let stall_after = Duration::from_millis(parts.config.daemon.stall_after_ms);
     let began = Instant::now();
     let threads = start(parts)?;
-    notify(&[NotifyState::Ready]);
-    info!("running");
 
     let mut watch = HealthWatch::new(status.clone(), clock, stall_after, monotonic_ns());
     let requests = threads.requests.clone();
     let mut bench = Bench { desk, saves: Vec::new(), requests, faults: RateLimiter::default() };
+    let mut announcer = Announcer::default();
     let mut stopped_at = None;
     loop {
-        bench.turn(&mut watch);
+        let health = bench.turn(&mut watch);
         let elapsed = began.elapsed();
+        announcer.turn(&health, elapsed);
+        report_suppressed(false);
         let wanted = !stop.load(Ordering::Relaxed) && go_on(&Tick { status: &status, elapsed });
         if !wanted && stopped_at.is_none() {
             info!(after_ms = elapsed.as_millis() as u64, "stopping");
@@ -164,13 +166,6 @@ fn join<T>(handle: JoinHandle<T>, stage: &'static str, deadline: Instant) -> Res
     })
 }
 
-/// Tells the service manager; without one it does nothing.
-fn notify(states: &[NotifyState<'_>]) {
-    if let Err(error) = sd_notify::notify(states) {
-        warn!(%error, "service manager cannot be told");
-    }
-}
-
 /// A save (or another command that a stage carries out) under way: who waits for it.
 struct Save {
     request: publish::Request,
@@ -189,13 +184,14 @@ struct Bench {
 }
 
 impl Bench {
-    fn turn(&mut self, watch: &mut HealthWatch) {
+    /// The health that was published.
+    fn turn(&mut self, watch: &mut HealthWatch) -> Health {
         let now_ns = monotonic_ns();
         let health = watch.tick(now_ns);
         if watch.all_alive(now_ns) {
             notify(&[NotifyState::Watchdog]);
         }
-        let Some(desk) = self.desk.as_mut() else { return };
+        let Some(desk) = self.desk.as_mut() else { return health };
         if let Err(error) = desk.health.publish(&health)
             && let Some(messages) = self.faults.event(now_ns)
         {
@@ -203,6 +199,7 @@ impl Bench {
         }
         self.take_commands();
         self.answer_saves(watch);
+        health
     }
 
     fn take_commands(&mut self) {

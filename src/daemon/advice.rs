@@ -1,0 +1,36 @@
+//! What to do about a fault: one line for each name of [`error::names`](crate::messages::error::names), in the log and in `cairn doctor`.
+
+/// What somebody at the robot can do about a fault of this name.
+pub fn advice(fault: &str) -> &'static str {
+    match fault {
+        "NO_CAMERA" => "plug the camera in; `cairn doctor` says what keeps it closed. It is found again by itself",
+        "NO_FRAMES" => "the camera is open and silent: plug it in anew, into another port or without a hub",
+        "NO_FEATURES" => "the picture is empty: uncover the lens, give it light, focus it",
+        "LOW_FEATURES" => "too little to see: more light, a wider lens, or away from the bare wall; tracking may be lost soon",
+        "DROPPED_FRAMES" => "the machine is too slow: lower camera.rate_hz or the picture's size, or stop what else runs",
+        "CORRUPT_FRAMES" => "a bad cable or a full USB bus: another cable, another port, or a smaller picture",
+        "BAD_CALIBRATION" => "calibrate this camera at this size: `cairn calibrate --camera auto`",
+        "BAD_TIMESTAMP" => "the driver's clock jumps: another camera or kernel, if it does not stay rare",
+        "STALLED_STAGE" => "a stage hangs, the record that follows names it; the watchdog starts the daemon anew",
+        "MAPPING_LATE" => "the map is adjusted too late: lower reconstruction.adjusted_keyframes",
+        "LOST" => "go back to where the camera has been; after reconstruction.lost_frames a new map begins",
+        "SAVE_FAILED" => "look at free space and permissions of the file that the record before names",
+        "PUBLISH_FAILED" => "look at free space of /dev/shm: `cairn doctor`",
+        _ => "a fault of a newer version: `cairn doctor` of that version knows it",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages::error;
+
+    #[test]
+    fn every_fault_has_its_own_advice() {
+        let names: Vec<_> = error::names((1 << 13) - 1).collect();
+        assert!(names.len() >= 13 && !names.contains(&"UNKNOWN"), "{names:?}");
+        for name in &names {
+            assert_ne!(advice(name), advice("UNKNOWN"), "{name}");
+        }
+    }
+}
