@@ -113,7 +113,8 @@ mod tests {
     #[test]
     fn keys_that_need_a_restart_are_named_and_the_running_values_stay() {
         let file = tempfile::NamedTempFile::new().expect("file");
-        std::fs::write(file.path(), "[camera]\nwidth_px = 320\n[simulator.noise]\nread_sigma = 3.0\n").expect("written");
+        std::fs::write(file.path(), "[camera]\nwidth_px = 320\n[simulator.noise]\nread_sigma = 3.0\n")
+            .expect("written");
         let mut reloader = reloader(file.path());
         let (config, _) = reloader.args.read().expect("valid");
         let later = reloader.apply(config).expect("applied");

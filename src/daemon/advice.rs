@@ -6,8 +6,12 @@ pub fn advice(fault: &str) -> &'static str {
         "NO_CAMERA" => "plug the camera in; `cairn doctor` says what keeps it closed. It is found again by itself",
         "NO_FRAMES" => "the camera is open and silent: plug it in anew, into another port or without a hub",
         "NO_FEATURES" => "the picture is empty: uncover the lens, give it light, focus it",
-        "LOW_FEATURES" => "too little to see: more light, a wider lens, or away from the bare wall; tracking may be lost soon",
-        "DROPPED_FRAMES" => "the machine is too slow: lower camera.rate_hz or the picture's size, or stop what else runs",
+        "LOW_FEATURES" => {
+            "too little to see: more light, a wider lens, or away from the bare wall; tracking may be lost soon"
+        }
+        "DROPPED_FRAMES" => {
+            "the machine is too slow: lower camera.rate_hz or the picture's size, or stop what else runs"
+        }
         "CORRUPT_FRAMES" => "a bad cable or a full USB bus: another cable, another port, or a smaller picture",
         "BAD_CALIBRATION" => "calibrate this camera at this size: `cairn calibrate --camera auto`",
         "BAD_TIMESTAMP" => "the driver's clock jumps: another camera or kernel, if it does not stay rare",

@@ -197,6 +197,48 @@ mod tests {
         assert!(config.filter().is_ok());
     }
 
+    /// Messages of `warn!` and `error!` in a source: the last string of each call.
+    fn messages(source: &str) -> Vec<String> {
+        let code = source.split("#[cfg(test)]").next().unwrap_or(source);
+        let mut found = Vec::new();
+        for call in ["warn!(", "error!("] {
+            for (at, _) in code.match_indices(call) {
+                let Some(end) = code[at..].find(");") else { continue };
+                let Some(text) = code[at..at + end].trim_end().strip_suffix('"') else { continue };
+                let Some(begin) = text.rfind('"') else { continue };
+                found.push(text[begin + 1..].to_owned());
+            }
+        }
+        found
+    }
+
+    #[test]
+    fn every_warning_and_error_is_listed_with_what_to_do() {
+        let mut folders = vec![std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("src")];
+        let (listed, mut count) = (include_str!("EVENTS.md"), 0);
+        while let Some(folder) = folders.pop() {
+            for entry in std::fs::read_dir(folder).expect("folder") {
+                let path = entry.expect("entry").path();
+                if path.is_dir() {
+                    folders.push(path);
+                } else if path.extension().is_some_and(|e| e == "rs") {
+                    for message in messages(&std::fs::read_to_string(&path).expect("source")) {
+                        count += 1;
+                        assert!(
+                            listed.contains(&format!("`{message}`")),
+                            "{}: `{message}` is not in EVENTS.md",
+                            path.display()
+                        );
+                    }
+                }
+            }
+        }
+        assert!(count > 20, "only {count} found");
+        for fault in crate::messages::error::names((1 << 13) - 1) {
+            assert!(listed.contains(&format!("| {fault} |")), "{fault}");
+        }
+    }
+
     #[test]
     fn starting_twice_is_harmless() {
         let config = LogConfig { level: "error".into(), ..Default::default() };

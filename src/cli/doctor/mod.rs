@@ -1,4 +1,15 @@
 //! `cairn doctor`: what this machine has, what is missing, and what to do next.
+//!
+//! It looks at files and at /proc, asks systemd about the unit, hears what a running daemon of this user reports, and where none
+//! runs opens the camera as the daemon would and counts pictures for a second. Each check is split: something that fetches, and
+//! something that judges what was fetched, so that every fault is tested without having it.
+//!
+//! It changes nothing, and what it opens it closes again.
+
+mod probe;
+mod processes;
+mod service;
+mod wire;
 
 use std::fmt::Write as _;
 use std::os::unix::fs::MetadataExt;
@@ -7,22 +18,25 @@ use std::process::ExitCode;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use super::camera_calibration::{identify, stored};
+use super::endpoint_args::EndpointArgs;
 use super::{CliError, exit_code, session};
 use crate::calibration::store;
 use crate::camera::v4l2::{CameraInfo, list_cameras};
 use crate::config::{self, Config, SourceKind};
+use crate::messages::effective_uid;
 
-/// Shared memory that a daemon of default size takes, with room to spare, bytes.
-const SHM_NEEDED: u64 = 64 << 20;
 /// Offers of a camera that are shown.
 const MAX_OFFERS: usize = 24;
 
-/// Check cameras, calibrations, configuration and shared memory, and say what to do next
+/// Check service, cameras, calibrations, configuration and shared memory, and say what to do next
 #[derive(Debug, clap::Args)]
 pub struct DoctorArgs {
     /// Configuration file [default: /etc/cairn/cairn.toml if it exists]
     #[arg(long, value_name = "FILE")]
     pub config: Option<std::path::PathBuf>,
+    /// First part of the services' names [default: the configuration's]
+    #[arg(long, env = "CAIRN_PREFIX", value_name = "PREFIX")]
+    pub prefix: Option<String>,
 }
 
 /// The report as it grows.
@@ -55,9 +69,22 @@ impl Report {
 pub fn run(args: &DoctorArgs) -> Result<ExitCode, CliError> {
     let mut report = Report::default();
     let config = configuration(&mut report, args);
+    let prefix = args.prefix.clone().unwrap_or_else(|| config.prefix.clone());
+    let endpoint = EndpointArgs { prefix }.endpoint()?;
+    let (proc, us) = (Path::new("/proc"), effective_uid());
+    let passwd = std::fs::read_to_string("/etc/passwd").unwrap_or_default();
+    let name_of = |uid: u32| wire::user_of(&passwd, uid).map_or_else(|| uid.to_string(), str::to_owned);
+
+    report.title("service");
+    service::judge_unit(&mut report, service::unit().as_deref());
+    let running = processes::daemons(proc);
+    service::daemons(&mut report, &running, us, &name_of);
+    let heard = service::reported(&mut report, &endpoint);
+
     cameras(&mut report, &config);
-    shared_memory(&mut report);
-    wire(&mut report);
+    try_camera(&mut report, &config, heard);
+    wire::shared_memory(&mut report, !running.is_empty());
+    wire::root(&mut report, &endpoint.root(), us, wire::user_id(&passwd, "cairn"), &name_of);
     folders(&mut report);
     report.title("next");
     let next = std::mem::take(&mut report.next);
@@ -110,6 +137,22 @@ fn cameras(report: &mut Report, config: &Config) {
     if usable == 0 && needs_camera {
         let next = "plug a USB webcam in (or try the simulator: `cairn demo`)";
         report.bad("no camera that sends GREY, YUYV or MJPEG", next);
+    }
+}
+
+/// Opens the camera, unless a daemon that can be heard has it: that one has said what it sees.
+fn try_camera(report: &mut Report, config: &Config, heard: bool) {
+    let meant = list_cameras().into_iter().flatten().find(|c| probe::is_meant(&config.camera, &c.path));
+    let Some(camera) = meant.filter(|c| config.daemon.source == SourceKind::Camera && !c.offers.is_empty()) else {
+        return;
+    };
+    let holders = processes::holders(Path::new("/proc"), &camera.path);
+    let device = camera.path.display().to_string();
+    if let Some(daemon) = holders.0.iter().find(|p| p.name == "cairn") {
+        return report.good(&format!("{device} is used by a daemon (pid {})", daemon.pid));
+    }
+    if !heard {
+        probe::judge(report, &device, &probe::try_camera(&config.camera), &holders);
     }
 }
 
@@ -173,42 +216,6 @@ fn age(unix_s: Option<u64>) -> String {
     }
 }
 
-fn shared_memory(report: &mut Report) {
-    report.title("shared memory");
-    match rustix::fs::statvfs("/dev/shm") {
-        Ok(stat) => {
-            let free = stat.f_bavail.saturating_mul(stat.f_frsize);
-            let line =
-                format!("/dev/shm: {} MB free of {} MB", free >> 20, stat.f_blocks.saturating_mul(stat.f_frsize) >> 20);
-            if free < SHM_NEEDED {
-                let next = "make room: `ls -l /dev/shm`, or `sudo mount -o remount,size=256M /dev/shm`";
-                report.bad(&format!("{line}, {} MB are needed", SHM_NEEDED >> 20), next);
-            } else {
-                report.good(&line);
-            }
-        }
-        Err(error) => report.bad(&format!("/dev/shm: {error}"), "mount a tmpfs on /dev/shm"),
-    }
-}
-
-/// Files of the wire that another user owns keep this user from connecting.
-fn wire(report: &mut Report) {
-    report.title("iceoryx2");
-    let root = Path::new("/tmp/iceoryx2");
-    let own = std::fs::metadata("/proc/self").map(|m| m.uid()).ok();
-    match std::fs::metadata(root).map(|m| m.uid()) {
-        Err(_) => report.good("/tmp/iceoryx2 does not exist yet: made at the first start"),
-        Ok(owner) if Some(owner) == own => report.good("/tmp/iceoryx2 belongs to this user"),
-        Ok(owner) => report.bad(
-            &format!(
-                "/tmp/iceoryx2 belongs to user {owner}, this is user {}",
-                own.map_or("?".into(), |u| u.to_string())
-            ),
-            "run daemon and planners as one user, or remove /tmp/iceoryx2 while nothing runs",
-        ),
-    }
-}
-
 fn folders(report: &mut Report) {
     report.title("calibrations are kept in");
     for folder in store::search_folders() {
@@ -231,7 +238,7 @@ mod tests {
         let file = dir.path().join("cairn.toml");
         std::fs::write(&file, "[camera]\nwidth = 3\n").expect("written");
         let mut report = Report::default();
-        configuration(&mut report, &DoctorArgs { config: Some(file) });
+        configuration(&mut report, &DoctorArgs { config: Some(file), prefix: None });
         assert_eq!((report.problems, report.next.len()), (1, 1));
         assert!(report.text.contains("cairn.toml:2"), "{}", report.text);
     }
