@@ -1,0 +1,97 @@
+//! What a distribution installs: that its parts name the same paths, users and folders, and how little the service may do.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+fn text(path: &str) -> String {
+    fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(path)).unwrap_or_else(|e| panic!("{path}: {e}"))
+}
+
+/// Values of a key of the unit.
+fn unit(key: &str) -> Vec<String> {
+    let text = text("systemd/cairn.service");
+    let lines = text.lines().filter_map(|line| line.strip_prefix(key)?.strip_prefix('='));
+    lines.map(str::to_owned).collect()
+}
+
+fn metadata() -> toml::Table {
+    let manifest: toml::Table = text("Cargo.toml").parse().expect("Cargo.toml");
+    let deb = &manifest["package"]["metadata"]["deb"];
+    deb.as_table().expect("metadata").clone()
+}
+
+/// Source and destination of what the package installs.
+fn assets() -> Vec<(String, String)> {
+    let metadata = metadata();
+    let assets = metadata["assets"].as_array().expect("assets").iter();
+    let word = |asset: &toml::Value, key: &str| asset[key].as_str().expect("text").to_owned();
+    assets.map(|asset| (word(asset, "source"), word(asset, "dest"))).collect()
+}
+
+#[test]
+fn the_unit_starts_the_binary_that_the_package_installs() {
+    let (_, folder) = assets().into_iter().find(|(source, _)| source == "target/release/cairn").expect("binary");
+    assert_eq!(unit("ExecStart"), [format!("/{folder}cairn run")]);
+    assert!(unit("ExecReload")[0].contains("-HUP"));
+}
+
+#[test]
+fn every_file_of_the_package_exists_and_the_configuration_is_kept_on_upgrades() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    for (source, _) in assets().iter().filter(|(source, _)| !source.starts_with("target/")) {
+        let path = root.join(source.trim_end_matches('*'));
+        assert!(path.exists(), "{source}");
+    }
+    let metadata = metadata();
+    let kept: Vec<_> =
+        metadata["conf-files"].as_array().expect("conf-files").iter().filter_map(|f| f.as_str()).collect();
+    assert_eq!(kept, ["/etc/cairn/cairn.toml"]);
+    assert!(assets().contains(&("config/cairn.toml".into(), "etc/cairn/cairn.toml".into())));
+    // What the package brings is where calibrations are looked for.
+    let brought = assets().iter().any(|(_, to)| to == "usr/share/cairn/cameras/");
+    assert!(brought && cairn::calibration::store::search_folders().contains(&"/usr/share/cairn/cameras".into()));
+}
+
+#[test]
+fn user_folder_and_state_are_the_same_everywhere() {
+    assert_eq!((unit("User"), unit("Group")), (vec!["cairn".into()], vec!["cairn".into()]));
+    assert_eq!(unit("StateDirectory"), ["cairn"]);
+    let users = text("systemd/cairn.sysusers");
+    assert!(users.lines().any(|l| l.starts_with("u cairn ") && l.ends_with("/var/lib/cairn")), "{users}");
+    assert!(users.lines().any(|l| l == "m cairn video"), "{users}");
+    assert_eq!(unit("SupplementaryGroups"), ["video"]);
+    // iceoryx2's folder: made for the user alone, bound into the unit, never aged.
+    let root = cairn::messages::Endpoint::default().root();
+    let root = root.to_str().expect("text").trim_end_matches('/').to_owned();
+    assert_eq!(unit("BindPaths"), [root.clone()]);
+    let folders = text("systemd/cairn.tmpfiles");
+    for line in [format!("d {root} 0750 cairn cairn -"), format!("x {root}"), format!("x {root}/*")] {
+        assert!(folders.lines().any(|l| l == line), "{line} is not in {folders}");
+    }
+}
+
+#[test]
+fn the_service_exposes_little_and_every_relaxation_is_explained() {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("systemd/cairn.service");
+    let Ok(output) = Command::new("systemd-analyze").args(["security", "--offline=true"]).arg(&file).output() else {
+        println!("skipped: no systemd-analyze here");
+        return;
+    };
+    let report = String::from_utf8_lossy(&output.stdout);
+    let Some(level) = report.lines().find_map(|l| l.split("exposure level for cairn.service: ").nth(1)) else {
+        // Before systemd 250 there is no --offline.
+        println!("skipped: systemd-analyze says nothing: {}", String::from_utf8_lossy(&output.stderr));
+        return;
+    };
+    let level: f64 = level.split_whitespace().next().and_then(|n| n.parse().ok()).expect("a number");
+    assert!(level < 2.0, "exposure {level}\n{report}");
+    // What the report marks as open is written about in a comment of the unit, or set on purpose.
+    let unit = text("systemd/cairn.service");
+    let comments: String = unit.lines().filter(|l| l.starts_with('#')).collect();
+    for line in report.lines().filter(|l| l.starts_with('✗')) {
+        let name = line.trim_start_matches('✗').trim().split(['=', '/', ' ']).next().unwrap_or("");
+        let explained = comments.contains(name) || unit.lines().any(|l| l.starts_with(&format!("{name}=")));
+        assert!(explained, "{name} is open and the unit does not say why: {line}");
+    }
+}
