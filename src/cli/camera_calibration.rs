@@ -47,13 +47,15 @@ pub fn stored(identity: &CameraIdentity, size: (u32, u32)) -> Option<Found> {
 
 /// Camera model and origin for a configuration that names no calibration file.
 pub fn of_config(config: &V4l2Config) -> Result<(CameraModel, String), CliError> {
-    let refuse = |message: String| Err(CliError::new(exit_code::CONFIG, message));
+    let refuse = |code: u8, message: String| Err(CliError::new(code, message));
     let camera = match configured(config) {
         Ok(camera) => camera,
+        // No fault of the configuration: with the camera plugged in the same start succeeds, so a service manager may try again.
         Err(reason) => {
-            return refuse(format!(
-                "calibration.file is not set, and whose calibration to look for is not known: {reason}"
-            ));
+            return refuse(
+                exit_code::UNAVAILABLE,
+                format!("calibration.file is not set, and whose calibration to look for is not known: {reason}"),
+            );
         }
     };
     let identity = identify(&camera);
@@ -63,11 +65,14 @@ pub fn of_config(config: &V4l2Config) -> Result<(CameraModel, String), CliError>
             tracing::info!(camera = %identity, calibration = path, scaled_from = ?found.scaled_from, "stored calibration used");
             Ok((found.camera, path))
         }
-        None => refuse(format!(
-            "calibration.file is not set and there is no stored calibration of camera {identity} ({}): \
-             `cairn calibrate --camera {}` makes one in a minute",
-            camera.card,
-            camera.path.display()
-        )),
+        None => refuse(
+            exit_code::CONFIG,
+            format!(
+                "calibration.file is not set and there is no stored calibration of camera {identity} ({}): \
+                 `cairn calibrate --camera {}` makes one in a minute",
+                camera.card,
+                camera.path.display()
+            ),
+        ),
     }
 }

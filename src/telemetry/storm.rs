@@ -146,4 +146,54 @@ mod tests {
         assert!(buckets.take(start + ms(90_000), true).is_empty(), "reported once");
         assert!(buckets.allow(kind(0), start + ms(90_000), String::new), "the storm is over");
     }
+
+    /// Counts records by message, and sums their `suppressed`.
+    #[derive(Clone, Default)]
+    struct Seen(std::sync::Arc<Mutex<(u64, u64)>>);
+
+    struct Fields {
+        ours: bool,
+        suppressed: Option<u64>,
+    }
+
+    impl Visit for Fields {
+        fn record_debug(&mut self, _: &Field, value: &dyn Debug) {
+            self.ours |= format!("{value:?}").contains("the storm of this test");
+        }
+        fn record_u64(&mut self, field: &Field, value: u64) {
+            self.suppressed = self.suppressed.or((field.name() == "suppressed").then_some(value));
+        }
+    }
+
+    impl<S: Subscriber> Layer<S> for Seen {
+        fn on_event(&self, event: &Event<'_>, _: Context<'_, S>) {
+            let mut fields = Fields { ours: false, suppressed: None };
+            event.record(&mut fields);
+            let mut seen = self.0.lock().expect("whole");
+            match fields.suppressed {
+                Some(n) if fields.ours => seen.1 += n,
+                None if fields.ours => seen.0 += 1,
+                _ => {}
+            }
+        }
+    }
+
+    #[test]
+    fn the_layer_holds_warnings_back_and_lets_information_pass() {
+        use tracing_subscriber::layer::SubscriberExt;
+        let seen = Seen::default();
+        let subscriber = tracing_subscriber::registry().with(StormGuard).with(seen.clone());
+        tracing::subscriber::with_default(subscriber, || {
+            for _ in 0..50 {
+                tracing::info!("the storm of this test, as information");
+            }
+            assert_eq!(*seen.0.lock().expect("whole"), (50, 0));
+            for _ in 0..50 {
+                tracing::error!("the storm of this test");
+            }
+            assert_eq!(*seen.0.lock().expect("whole"), (50 + u64::from(BURST), 0));
+            report_suppressed(true);
+        });
+        assert_eq!(*seen.0.lock().expect("whole"), (50 + u64::from(BURST), 50 - u64::from(BURST)));
+    }
 }
