@@ -49,6 +49,10 @@ type MatrixSx3 = SMatrix<f64, SHARED, 3>;
 pub struct Shared {
     /// One for each observation.
     pub jacobians: Vec<SharedJacobian>,
+    /// Residuals are measured in pixels of the focal length that is being found, `exp(change[0])` times `focal_px`, and answer to it
+    /// without linearisation: needed where it may change by much, because in pixels of the old one every error shrinks as the
+    /// focal length grows.
+    pub in_new_pixels: bool,
     /// Against the intrinsics that the observations were made with; moved by the adjustment.
     pub change: SharedVector,
     /// What `change` is expected to be, and one over the variance of that (infinite would be: held).
@@ -174,13 +178,24 @@ impl BundleProblem {
         if p.z < 1e-6 {
             return None;
         }
+        let (iz, s) = (1.0 / p.z, observation.inv_sigma_px);
         let seen = match &self.shared {
+            Some(shared) if shared.in_new_pixels => {
+                let seen = observation.normalised + shared.jacobians[k] * shared.without_focal();
+                let scale = shared.focal_scale();
+                let (x, y) = (scale * p.x * iz - seen.x, scale * p.y * iz - seen.y);
+                return Some((Vector2::new(s * self.focal_px.x * x, s * self.focal_px.y * y), p));
+            }
             Some(shared) => observation.normalised + shared.jacobians[k] * shared.change,
             None => observation.normalised,
         };
-        let (iz, s) = (1.0 / p.z, observation.inv_sigma_px);
         let e = Vector2::new(s * self.focal_px.x * (p.x * iz - seen.x), s * self.focal_px.y * (p.y * iz - seen.y));
         Some((e, p))
+    }
+
+    /// Focal length of the residuals in units of `focal_px`; exactly 1 unless they are in new pixels.
+    fn focal_scale(&self) -> f64 {
+        self.shared.as_ref().filter(|s| s.in_new_pixels).map_or(1.0, Shared::focal_scale)
     }
 
     fn range(&self, point: usize) -> std::ops::Range<usize> {
@@ -219,6 +234,8 @@ impl BundleProblem {
         if self.shared.is_some() {
             system.camera_shared.resize(free, Matrix6xS::zeros());
         }
+        // Pixels that a step on the plane z = 1 is.
+        let scale = self.focal_scale();
         let rotations: Vec<Matrix3<f64>> =
             self.cameras.iter().map(|c| *c.camera_from_world.rotation.to_rotation_matrix().matrix()).collect();
         for (i, point) in self.points.iter().enumerate() {
@@ -236,7 +253,7 @@ impl BundleProblem {
                 let (rho, w) = huber(e.norm_squared(), delta2);
                 system.cost += rho;
                 let (fx, fy) = (self.focal_px.x * o.inv_sigma_px, self.focal_px.y * o.inv_sigma_px);
-                let (jx, jy) = jacobian_rows(&p, fx, fy);
+                let (jx, jy) = jacobian_rows(&p, fx * scale, fy * scale);
                 // d e / d point = d e / d translation * R.
                 let r = &rotations[o.camera as usize];
                 let px = r.row(0) * jx[3] + r.row(2) * jx[5];
@@ -251,7 +268,10 @@ impl BundleProblem {
                 if let Some(shared) = &self.shared {
                     // d e / d shared: the observation moves, so the residual moves against it.
                     let d = &shared.jacobians[k];
-                    let (dx, dy) = (d.row(0).transpose() * -fx, d.row(1).transpose() * -fy);
+                    let (mut dx, mut dy) = (d.row(0).transpose() * -fx, d.row(1).transpose() * -fy);
+                    if shared.in_new_pixels {
+                        (dx[0], dy[0]) = (fx * scale * p.x / p.z, fy * scale * p.y / p.z);
+                    }
                     system.shared_h += (dx * dx.transpose() + dy * dy.transpose()) * w;
                     system.shared_g += (dx * e.x + dy * e.y) * w;
                     with_shared += (dx * px + dy * py) * w;
@@ -458,6 +478,14 @@ impl BundleProblem {
 }
 
 impl Shared {
+    fn focal_scale(&self) -> f64 {
+        self.change[0].exp()
+    }
+
+    fn without_focal(&self) -> SharedVector {
+        SharedVector::new(0.0, self.change[1], self.change[2])
+    }
+
     fn prior_cost(&self) -> f64 {
         let off = self.change - self.expected;
         off.component_mul(&off).dot(&self.information)

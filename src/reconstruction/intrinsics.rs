@@ -24,9 +24,21 @@ const BELIEVED: f64 = 0.05;
 /// Levenberg-Marquardt steps of each pass.
 const STEPS: usize = 6;
 
+/// How well the intrinsics that reconstruction begins with are known.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum LensPrior {
+    /// They were measured, or somebody wrote down round numbers (told from the numbers themselves).
+    #[default]
+    Calibrated,
+    /// They are a guess: standard deviations of log focal length, and of the principal point as a share of the picture's width.
+    Guess { focal: f64, centre: f64 },
+}
+
 /// What is known about the camera beyond its map.
 #[derive(Debug, Clone)]
 pub struct Intrinsics {
+    /// Nobody has calibrated this camera.
+    pub guessed: bool,
     /// As it was calibrated.
     calibrated: CameraModel,
     /// Standard deviations of log focal length and principal point (px) by the calibration alone.
@@ -36,35 +48,45 @@ pub struct Intrinsics {
 }
 
 impl Intrinsics {
-    pub fn new(camera: &CameraModel) -> Self {
-        let (focal, centre) =
-            if is_nominal(camera) { (NOMINAL_FOCAL, NOMINAL_CENTRE) } else { (CALIBRATED_FOCAL, CALIBRATED_CENTRE) };
+    pub fn new(camera: &CameraModel, prior: LensPrior) -> Self {
+        let (focal, centre) = match prior {
+            LensPrior::Guess { focal, centre } => (focal, centre),
+            LensPrior::Calibrated if is_nominal(camera) => (NOMINAL_FOCAL, NOMINAL_CENTRE),
+            LensPrior::Calibrated => (CALIBRATED_FOCAL, CALIBRATED_CENTRE),
+        };
         let centre_px = centre * f64::from(camera.width);
         let sigma = SharedVector::new(focal, centre_px, centre_px);
-        Self { calibrated: camera.clone(), sigma, refined_sigma: sigma }
+        let guessed = prior != LensPrior::Calibrated;
+        Self { guessed, calibrated: camera.clone(), sigma, refined_sigma: sigma }
     }
 
     /// Adjustment of the whole map, and with `refine` of the intrinsics.
     pub fn whole_job(&self, map: &Map, camera: &CameraModel, readout_s: f64, refine: bool) -> Option<MappingJob> {
         let mut job = MappingJob::whole(map, camera, readout_s, STEPS)?;
-        if !refine {
-            return Some(job);
+        if refine {
+            self.refine(&mut job, map, camera);
         }
+        Some(job)
+    }
+
+    /// Makes the intrinsics unknowns of an adjustment.
+    pub fn refine(&self, job: &mut MappingJob, map: &Map, camera: &CameraModel) {
         let expected = SharedVector::new(
             (self.calibrated.fx / camera.fx).ln(),
             self.calibrated.cx - camera.cx,
             self.calibrated.cy - camera.cy,
         );
         // Believing a part of the data is weighing the prior the more.
-        let information = self.sigma.map(|s| 1.0 / (BELIEVED * s * s));
-        job.refine_intrinsics(map, camera, expected, information);
-        Some(job)
+        let believed = if self.guessed { guess_believed() } else { BELIEVED };
+        let information = self.sigma.map(|s| 1.0 / (believed * s * s));
+        job.refine_intrinsics(map, camera, expected, information, self.guessed || std::env::var("NEWPX").is_ok());
     }
 
     /// Takes over what an adjustment found, here and in every observation of the map.
     pub fn merge(&mut self, result: &MappingResult, map: &mut Map, camera: &mut CameraModel) {
         let Some(shared) = result.shared() else { return };
         let scale = shared.change[0].exp();
+        let believed = if self.guessed { guess_believed() } else { BELIEVED };
         let refined = CameraModel::new(
             camera.width,
             camera.height,
@@ -76,7 +98,7 @@ impl Intrinsics {
         );
         let Ok(refined) = refined else { return };
         let prior = self.sigma.map(|s| 1.0 / (s * s));
-        let information = shared.found_information * BELIEVED + super::bundle::SharedMatrix::from_diagonal(&prior);
+        let information = shared.found_information * believed + super::bundle::SharedMatrix::from_diagonal(&prior);
         if let Some(covariance) = information.try_inverse() {
             self.refined_sigma = covariance.diagonal().map(|v| v.max(0.0).sqrt());
         }
@@ -90,6 +112,10 @@ impl Intrinsics {
             }
         }
     }
+}
+
+fn guess_believed() -> f64 {
+    std::env::var("BEL").ok().and_then(|v| v.parse().ok()).unwrap_or(BELIEVED)
 }
 
 /// Numbers that nobody measured.

@@ -145,6 +145,7 @@ impl MappingJob {
         camera: &CameraModel,
         expected: SharedVector,
         information: SharedVector,
+        in_new_pixels: bool,
     ) {
         let mut jacobians = Vec::with_capacity(self.problem.observations.len());
         for (i, &id) in self.landmarks.iter().enumerate() {
@@ -156,6 +157,7 @@ impl MappingJob {
         }
         self.problem.shared = Some(Shared {
             jacobians,
+            in_new_pixels,
             change: SharedVector::zeros(),
             expected,
             information,

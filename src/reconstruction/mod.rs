@@ -29,6 +29,7 @@ pub use types::*;
 use bindings::Bindings;
 use initialise::Initialiser;
 use intrinsics::Intrinsics;
+pub use intrinsics::LensPrior;
 use keyframes::{KeyframeInputs, NewKeyframe};
 use relocalise::Relocaliser;
 use rolling_shutter::Shutter;
@@ -110,6 +111,17 @@ impl Reconstruction {
         worker: Box<dyn MappingWorker>,
         lockstep: bool,
     ) -> Self {
+        Self::with_lens(config, camera, LensPrior::Calibrated, worker, lockstep)
+    }
+
+    /// The same with a camera whose intrinsics may be a guess.
+    pub fn with_lens(
+        config: &ReconstructionConfig,
+        camera: &CameraModel,
+        prior: LensPrior,
+        worker: Box<dyn MappingWorker>,
+        lockstep: bool,
+    ) -> Self {
         Self {
             config: config.clone(),
             camera: camera.clone(),
@@ -132,7 +144,7 @@ impl Reconstruction {
             unadjusted: None,
             pending: None,
             next_whole: WHOLE_FIRST,
-            intrinsics: Intrinsics::new(camera),
+            intrinsics: Intrinsics::new(camera, prior),
             events: Vec::new(),
             counters: Counters::default(),
             inliers: Vec::with_capacity(1024),
@@ -321,7 +333,7 @@ impl Reconstruction {
             self.unadjusted = None;
             let keyframes = self.map.keyframes.len();
             let job = if keyframes >= self.next_whole && keyframes <= WHOLE_LIMIT {
-                self.next_whole = keyframes + keyframes / 3;
+                self.next_whole = if self.intrinsics.guessed { keyframes + (keyframes / 6).max(2) } else { keyframes + keyframes / 3 };
                 self.intrinsics.whole_job(
                     &self.map,
                     &self.camera,
@@ -375,6 +387,11 @@ impl Reconstruction {
         self.counters.adjustments += 1;
         let old_from_new = result.merge(&mut self.map);
         self.intrinsics.merge(&result, &mut self.map, &mut self.camera);
+        if std::env::var("VI").is_ok() && result.shared().is_some() {
+            let c = &self.camera;
+            let s = &self.intrinsics.refined_sigma;
+            println!("frame {} kf {} f {:.1} cx {:.1} cy {:.1} sigma {:.4} {:.1} {:.1}", self.frame, self.map.keyframes.len(), c.fx, c.cx, c.cy, s[0], s[1], s[2]);
+        }
         if let Some(last) = &mut self.last {
             last.camera_from_world = last.camera_from_world * old_from_new;
         }
@@ -461,6 +478,11 @@ impl Reconstruction {
     /// The camera as it is believed now: its focal length is refined from the motion.
     pub fn camera(&self) -> &CameraModel {
         &self.camera
+    }
+
+    /// Standard deviations of log focal length and principal point (px).
+    pub fn lens_sigma(&self) -> [f64; 3] {
+        self.intrinsics.refined_sigma.into()
     }
 
     /// Readout time of the camera's rolling shutter as it is believed now, s.

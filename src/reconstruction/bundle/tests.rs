@@ -95,6 +95,7 @@ fn shared(p: &BundleProblem, expected: SharedVector, information: f64) -> Shared
     };
     Shared {
         jacobians: p.observations.iter().map(jacobian).collect(),
+        in_new_pixels: false,
         change: SharedVector::zeros(),
         expected,
         information: SharedVector::from_element(information),

@@ -6,10 +6,14 @@ use nalgebra::{DMatrix, Matrix3, Vector3};
 
 use super::{BundleOptions, BundleProblem, FIXED, SHARED, SharedMatrix, System, jacobian_rows};
 
+/// Relative damping that holds what nothing holds (the scale, a point that one camera sees) while information is marginalised:
+/// far below what any of it costs, far above the loss of digits.
+const GAUGE_DAMPING: f64 = 1e-9;
+
 impl BundleProblem {
     /// Information of the shared numbers with cameras and points free (Schur complement), without their prior.
     pub(super) fn shared_information(&self, slot: &[u32], free: usize, system: &System) -> Option<SharedMatrix> {
-        let (s, _, _) = self.reduce(slot, free, system, 0.0);
+        let (s, _, _) = self.reduce(slot, free, system, GAUGE_DAMPING);
         let own: SharedMatrix = s.fixed_view::<SHARED, SHARED>(6 * free, 6 * free).into_owned();
         if free == 0 {
             return Some(own);
@@ -46,12 +50,13 @@ impl BundleProblem {
 
     pub(super) fn fill_point_covariances(&mut self) {
         self.point_covariances.clear();
+        let focal_px = self.focal_px * self.focal_scale();
         for (i, point) in self.points.iter().enumerate() {
             let mut h = Matrix3::zeros();
             for k in self.range(i).filter(|&k| self.inlier[k]) {
                 let o = &self.observations[k];
                 let Some((_, p)) = self.residual(point, k) else { continue };
-                let (jx, jy) = jacobian_rows(&p, self.focal_px.x * o.inv_sigma_px, self.focal_px.y * o.inv_sigma_px);
+                let (jx, jy) = jacobian_rows(&p, focal_px.x * o.inv_sigma_px, focal_px.y * o.inv_sigma_px);
                 let r = self.cameras[o.camera as usize].camera_from_world.rotation.to_rotation_matrix();
                 let x = r.matrix().transpose() * Vector3::new(jx[3], jx[4], jx[5]);
                 let y = r.matrix().transpose() * Vector3::new(jy[3], jy[4], jy[5]);
