@@ -34,9 +34,9 @@ pub struct BundleObservation {
     pub inv_sigma_px: f64,
 }
 
-/// Numbers that all pictures share and that an adjustment may refine (log focal length, principal point in px): see
-/// [`Shared`].
-pub const SHARED: usize = 3;
+/// Numbers that all pictures share and that an adjustment may refine (log focal length, principal point in px, the first radial
+/// coefficient): see [`Shared`].
+pub const SHARED: usize = 4;
 pub type SharedVector = SVector<f64, SHARED>;
 pub type SharedMatrix = SMatrix<f64, SHARED, SHARED>;
 /// d normalised / d shared.
@@ -49,6 +49,8 @@ type MatrixSx3 = SMatrix<f64, SHARED, 3>;
 pub struct Shared {
     /// One for each observation.
     pub jacobians: Vec<SharedJacobian>,
+    /// So many of the numbers, from the first on, are unknowns; the others stay.
+    pub active: usize,
     /// Residuals are measured in pixels of the focal length that is being found, `exp(change[0])` times `focal_px`, and answer to it
     /// without linearisation: needed where it may change by much, because in pixels of the old one every error shrinks as the
     /// focal length grows.
@@ -327,7 +329,8 @@ impl BundleProblem {
                 }
             }
             if let Some(shared) = &mut self.shared {
-                shared.change += step.cameras.fixed_rows::<SHARED>(6 * free);
+                let mut change = shared.change.rows_mut(0, shared.active);
+                change += step.cameras.rows(6 * free, shared.active);
             }
             for (point, step) in self.points.iter_mut().zip(&step.points) {
                 *point += step;
@@ -369,7 +372,7 @@ impl BundleProblem {
         system: &System,
         lambda: f64,
     ) -> (DMatrix<f64>, DVector<f64>, Vec<Matrix3<f64>>) {
-        let shared = if self.shared.is_some() { SHARED } else { 0 };
+        let shared = self.shared.as_ref().map_or(0, |s| s.active);
         let size = 6 * free + shared;
         let mut s = DMatrix::<f64>::zeros(size, size);
         let mut g = DVector::<f64>::zeros(size);
@@ -384,10 +387,11 @@ impl BundleProblem {
         }
         if shared > 0 {
             for (i, block) in system.camera_shared.iter().enumerate() {
-                s.fixed_view_mut::<6, SHARED>(6 * i, 6 * free).copy_from(block);
+                s.view_mut((6 * i, 6 * free), (6, shared)).copy_from(&block.columns(0, shared));
             }
-            s.fixed_view_mut::<SHARED, SHARED>(6 * free, 6 * free).copy_from(&system.shared_h);
-            g.fixed_rows_mut::<SHARED>(6 * free).copy_from(&-system.shared_g);
+            let own = system.shared_h.view((0, 0), (shared, shared));
+            s.view_mut((6 * free, 6 * free), (shared, shared)).copy_from(&own);
+            g.rows_mut(6 * free, shared).copy_from(&-system.shared_g.rows(0, shared));
         }
         let mut inverses = Vec::with_capacity(self.points.len());
         for i in 0..self.points.len() {
@@ -416,16 +420,18 @@ impl BundleProblem {
                     block -= y * system.cross[b].transpose();
                 }
                 if shared > 0 {
-                    let mut block = s.fixed_view_mut::<6, SHARED>(6 * sa as usize, 6 * free);
-                    block -= y * system.shared_point[i].transpose();
+                    let border = y * system.shared_point[i].transpose();
+                    let mut block = s.view_mut((6 * sa as usize, 6 * free), (6, shared));
+                    block -= border.columns(0, shared);
                 }
             }
             if shared > 0 {
                 let w = &system.shared_point[i];
-                let mut block = s.fixed_view_mut::<SHARED, SHARED>(6 * free, 6 * free);
-                block -= w * inverse * w.transpose();
-                let mut part = g.fixed_rows_mut::<SHARED>(6 * free);
-                part += w * rest;
+                let own = w * inverse * w.transpose();
+                let mut block = s.view_mut((6 * free, 6 * free), (shared, shared));
+                block -= own.view((0, 0), (shared, shared));
+                let mut part = g.rows_mut(6 * free, shared);
+                part += (w * rest).rows(0, shared);
             }
             inverses.push(inverse);
         }
@@ -441,7 +447,7 @@ impl BundleProblem {
     fn solve(&self, slot: &[u32], free: usize, system: &System, lambda: f64) -> Option<Step> {
         let (mut s, mut g, inverses) = self.reduce(slot, free, system, lambda);
         if let Some(shared) = &self.shared {
-            for i in 0..SHARED {
+            for i in 0..shared.active {
                 s[(6 * free + i, 6 * free + i)] += shared.information[i];
                 g[6 * free + i] += shared.information[i] * (shared.expected[i] - shared.change[i]);
             }
@@ -450,6 +456,11 @@ impl BundleProblem {
         if !cameras.iter().all(|v| v.is_finite()) {
             return None;
         }
+        let change = self.shared.as_ref().map(|shared| {
+            let mut change = SharedVector::zeros();
+            change.rows_mut(0, shared.active).copy_from(&cameras.rows(6 * free, shared.active));
+            change
+        });
         let mut points = Vec::with_capacity(self.points.len());
         for i in 0..self.points.len() {
             let mut rest = -system.point_g[i];
@@ -459,8 +470,8 @@ impl BundleProblem {
                     rest -= system.cross[k].transpose() * cameras.fixed_rows::<6>(6 * sk as usize);
                 }
             }
-            if self.shared.is_some() {
-                rest -= system.shared_point[i].transpose() * cameras.fixed_rows::<SHARED>(6 * free);
+            if let Some(change) = &change {
+                rest -= system.shared_point[i].transpose() * change;
             }
             let step = inverses[i] * rest;
             points.push(if step.iter().all(|v| v.is_finite()) { step } else { Vector3::zeros() });
@@ -483,7 +494,7 @@ impl Shared {
     }
 
     fn without_focal(&self) -> SharedVector {
-        SharedVector::new(0.0, self.change[1], self.change[2])
+        SharedVector::new(0.0, self.change[1], self.change[2], self.change[3])
     }
 
     fn prior_cost(&self) -> f64 {

@@ -55,7 +55,8 @@ impl Intrinsics {
             LensPrior::Calibrated => (CALIBRATED_FOCAL, CALIBRATED_CENTRE),
         };
         let centre_px = centre * f64::from(camera.width);
-        let sigma = SharedVector::new(focal, centre_px, centre_px);
+        let k1s: f64 = std::env::var("K1").ok().and_then(|v| v.parse().ok()).unwrap_or(0.1);
+        let sigma = SharedVector::new(focal, centre_px, centre_px, k1s);
         let guessed = prior != LensPrior::Calibrated;
         Self { guessed, calibrated: camera.clone(), sigma, refined_sigma: sigma }
     }
@@ -75,6 +76,7 @@ impl Intrinsics {
             (self.calibrated.fx / camera.fx).ln(),
             self.calibrated.cx - camera.cx,
             self.calibrated.cy - camera.cy,
+            self.calibrated.distortion[0] - camera.distortion[0],
         );
         // Believing a part of the data is weighing the prior the more.
         let believed = if self.guessed { guess_believed() } else { BELIEVED };
@@ -87,6 +89,8 @@ impl Intrinsics {
         let Some(shared) = result.shared() else { return };
         let scale = shared.change[0].exp();
         let believed = if self.guessed { guess_believed() } else { BELIEVED };
+        let mut distortion = camera.distortion;
+        distortion[0] += shared.change[3];
         let refined = CameraModel::new(
             camera.width,
             camera.height,
@@ -94,9 +98,13 @@ impl Intrinsics {
             camera.fy * scale,
             camera.cx + shared.change[1],
             camera.cy + shared.change[2],
-            camera.distortion,
+            distortion,
         );
         let Ok(refined) = refined else { return };
+        if self.guessed && !refined.covers_picture() {
+            if std::env::var("VI").is_ok() { println!("REFUSED {refined:?}"); }
+            return;
+        }
         let prior = self.sigma.map(|s| 1.0 / (s * s));
         let information = shared.found_information * believed + super::bundle::SharedMatrix::from_diagonal(&prior);
         if let Some(covariance) = information.try_inverse() {

@@ -7,7 +7,7 @@
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 use super::bundle::{
-    BundleCamera, BundleObservation, BundleOptions, BundleProblem, BundleReport, Shared, SharedJacobian, SharedMatrix,
+    BundleCamera, BundleObservation, BundleOptions, BundleProblem, BundleReport, SHARED, Shared, SharedJacobian, SharedMatrix,
     SharedVector,
 };
 use super::config::ReconstructionConfig;
@@ -145,7 +145,7 @@ impl MappingJob {
         camera: &CameraModel,
         expected: SharedVector,
         information: SharedVector,
-        in_new_pixels: bool,
+        guessed: bool,
     ) {
         let mut jacobians = Vec::with_capacity(self.problem.observations.len());
         for (i, &id) in self.landmarks.iter().enumerate() {
@@ -157,7 +157,8 @@ impl MappingJob {
         }
         self.problem.shared = Some(Shared {
             jacobians,
-            in_new_pixels,
+            active: if guessed { SHARED } else { SHARED - 1 },
+            in_new_pixels: guessed,
             change: SharedVector::zeros(),
             expected,
             information,
@@ -172,11 +173,19 @@ impl MappingJob {
     }
 }
 
-/// How an observation's undistorted place answers to log focal length and principal point (px).
+/// How an observation's undistorted place answers to log focal length, principal point (px) and k1 (Brown's model:
+/// the distorted place moves by `n |n|²`).
 fn intrinsics_jacobian(o: &Observation, camera: &CameraModel) -> SharedJacobian {
     let j = &o.normalised_from_pixel;
     let from_centre = Vector2::new(f64::from(o.pixel.x) - camera.cx, f64::from(o.pixel.y) - camera.cy);
-    SharedJacobian::from_columns(&[-(j * from_centre), -j.column(0).into_owned(), -j.column(1).into_owned()])
+    let n = &o.normalised;
+    let outward = Vector2::new(camera.fx * n.x, camera.fy * n.y) * n.norm_squared();
+    SharedJacobian::from_columns(&[
+        -(j * from_centre),
+        -j.column(0).into_owned(),
+        -j.column(1).into_owned(),
+        -(j * outward),
+    ])
 }
 
 impl MappingResult {

@@ -390,7 +390,7 @@ impl Reconstruction {
         if std::env::var("VI").is_ok() && result.shared().is_some() {
             let c = &self.camera;
             let s = &self.intrinsics.refined_sigma;
-            println!("frame {} kf {} f {:.1} cx {:.1} cy {:.1} sigma {:.4} {:.1} {:.1}", self.frame, self.map.keyframes.len(), c.fx, c.cx, c.cy, s[0], s[1], s[2]);
+            println!("frame {} kf {} f {:.1} cx {:.1} cy {:.1} k1 {:.3} sigma {:.4} {:.1} {:.1} {:.3}", self.frame, self.map.keyframes.len(), c.fx, c.cx, c.cy, c.distortion[0], s[0], s[1], s[2], s[3]);
         }
         if let Some(last) = &mut self.last {
             last.camera_from_world = last.camera_from_world * old_from_new;
@@ -481,7 +481,7 @@ impl Reconstruction {
     }
 
     /// Standard deviations of log focal length and principal point (px).
-    pub fn lens_sigma(&self) -> [f64; 3] {
+    pub fn lens_sigma(&self) -> [f64; 4] {
         self.intrinsics.refined_sigma.into()
     }
 

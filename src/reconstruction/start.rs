@@ -175,7 +175,7 @@ impl Reconstruction {
         if std::env::var("VI").is_ok() && result.shared().is_some() {
             let c = &self.camera;
             let s = &self.intrinsics.refined_sigma;
-            println!("start {} kf {} f {:.1} cx {:.1} cy {:.1} sigma {:.4} {:.1} {:.1} cost {:.1} -> {:.1}", self.frame, self.map.keyframes.len(), c.fx, c.cx, c.cy, s[0], s[1], s[2], result.report.initial_cost, result.report.final_cost);
+            println!("start {} kf {} f {:.1} cx {:.1} cy {:.1} k1 {:.3} sigma {:.4} {:.1} {:.1} {:.3} cost {:.1} -> {:.1}", self.frame, self.map.keyframes.len(), c.fx, c.cx, c.cy, c.distortion[0], s[0], s[1], s[2], s[3], result.report.initial_cost, result.report.final_cost);
         }
         (supported >= self.config.start_landmarks).then_some(sigma)
     }

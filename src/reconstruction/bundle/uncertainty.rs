@@ -4,7 +4,7 @@
 
 use nalgebra::{DMatrix, Matrix3, Vector3};
 
-use super::{BundleOptions, BundleProblem, FIXED, SHARED, SharedMatrix, System, jacobian_rows};
+use super::{BundleOptions, BundleProblem, FIXED, SharedMatrix, System, jacobian_rows};
 
 /// Relative damping that holds what nothing holds (the scale, a point that one camera sees) while information is marginalised:
 /// far below what any of it costs, far above the loss of digits.
@@ -14,13 +14,16 @@ impl BundleProblem {
     /// Information of the shared numbers with cameras and points free (Schur complement), without their prior.
     pub(super) fn shared_information(&self, slot: &[u32], free: usize, system: &System) -> Option<SharedMatrix> {
         let (s, _, _) = self.reduce(slot, free, system, GAUGE_DAMPING);
-        let own: SharedMatrix = s.fixed_view::<SHARED, SHARED>(6 * free, 6 * free).into_owned();
-        if free == 0 {
-            return Some(own);
+        let active = s.nrows() - 6 * free;
+        let mut own = s.view((6 * free, 6 * free), (active, active)).into_owned();
+        if free > 0 {
+            let cross = s.view((0, 6 * free), (6 * free, active)).into_owned();
+            let solved = s.view((0, 0), (6 * free, 6 * free)).into_owned().cholesky()?.solve(&cross);
+            own -= cross.transpose() * solved;
         }
-        let cross = s.view((0, 6 * free), (6 * free, SHARED)).into_owned();
-        let solved = s.view((0, 0), (6 * free, 6 * free)).into_owned().cholesky()?.solve(&cross);
-        Some(own - cross.transpose() * solved)
+        let mut all = SharedMatrix::zeros();
+        all.view_mut((0, 0), (active, active)).copy_from(&own);
+        Some(all)
     }
 
     /// Standard deviation of the direction of camera `index`'s translation, rad, everything else free (the fixed cameras hold
