@@ -36,7 +36,7 @@ pub struct BundleObservation {
 
 /// Numbers that all pictures share and that an adjustment may refine (log focal length, principal point in px, the first radial
 /// coefficient): see [`Shared`].
-pub const SHARED: usize = 4;
+pub const SHARED: usize = 7;
 pub type SharedVector = SVector<f64, SHARED>;
 pub type SharedMatrix = SMatrix<f64, SHARED, SHARED>;
 /// d normalised / d shared.
@@ -494,7 +494,9 @@ impl Shared {
     }
 
     fn without_focal(&self) -> SharedVector {
-        SharedVector::new(0.0, self.change[1], self.change[2], self.change[3])
+        let mut change = self.change;
+        change[0] = 0.0;
+        change
     }
 
     fn prior_cost(&self) -> f64 {

@@ -56,7 +56,9 @@ impl Intrinsics {
         };
         let centre_px = centre * f64::from(camera.width);
         let k1s: f64 = std::env::var("K1").ok().and_then(|v| v.parse().ok()).unwrap_or(0.1);
-        let sigma = SharedVector::new(focal, centre_px, centre_px, k1s);
+        let ev = |k: &str, d: f64| -> f64 { std::env::var(k).ok().and_then(|v| v.parse().ok()).unwrap_or(d) };
+        let (k2s, ps) = (ev("K2", 0.05), ev("PS", 0.002));
+        let sigma = SharedVector::from([focal, centre_px, centre_px, k1s, k2s, ps, ps]);
         let guessed = prior != LensPrior::Calibrated;
         Self { guessed, calibrated: camera.clone(), sigma, refined_sigma: sigma }
     }
@@ -72,12 +74,16 @@ impl Intrinsics {
 
     /// Makes the intrinsics unknowns of an adjustment.
     pub fn refine(&self, job: &mut MappingJob, map: &Map, camera: &CameraModel) {
-        let expected = SharedVector::new(
+        let off = |i: usize| self.calibrated.distortion[i] - camera.distortion[i];
+        let expected = SharedVector::from([
             (self.calibrated.fx / camera.fx).ln(),
             self.calibrated.cx - camera.cx,
             self.calibrated.cy - camera.cy,
-            self.calibrated.distortion[0] - camera.distortion[0],
-        );
+            off(0),
+            off(1),
+            off(2),
+            off(3),
+        ]);
         // Believing a part of the data is weighing the prior the more.
         let believed = if self.guessed { guess_believed() } else { BELIEVED };
         let information = self.sigma.map(|s| 1.0 / (believed * s * s));
@@ -90,7 +96,9 @@ impl Intrinsics {
         let scale = shared.change[0].exp();
         let believed = if self.guessed { guess_believed() } else { BELIEVED };
         let mut distortion = camera.distortion;
-        distortion[0] += shared.change[3];
+        for i in 0..4 {
+            distortion[i] += shared.change[3 + i];
+        }
         let refined = CameraModel::new(
             camera.width,
             camera.height,

@@ -157,7 +157,7 @@ impl MappingJob {
         }
         self.problem.shared = Some(Shared {
             jacobians,
-            active: if guessed { SHARED } else { SHARED - 1 },
+            active: if guessed { SHARED } else { 3 },
             in_new_pixels: guessed,
             change: SharedVector::zeros(),
             expected,
@@ -179,12 +179,16 @@ fn intrinsics_jacobian(o: &Observation, camera: &CameraModel) -> SharedJacobian 
     let j = &o.normalised_from_pixel;
     let from_centre = Vector2::new(f64::from(o.pixel.x) - camera.cx, f64::from(o.pixel.y) - camera.cy);
     let n = &o.normalised;
-    let outward = Vector2::new(camera.fx * n.x, camera.fy * n.y) * n.norm_squared();
+    let px = |x: f64, y: f64| Vector2::new(camera.fx * x, camera.fy * y);
+    let (s, xy) = (n.norm_squared(), n.x * n.y);
     SharedJacobian::from_columns(&[
         -(j * from_centre),
         -j.column(0).into_owned(),
         -j.column(1).into_owned(),
-        -(j * outward),
+        -(j * px(n.x * s, n.y * s)),
+        -(j * px(n.x * s * s, n.y * s * s)),
+        -(j * px(2.0 * xy, s + 2.0 * n.y * n.y)),
+        -(j * px(s + 2.0 * n.x * n.x, 2.0 * xy)),
     ])
 }
 

@@ -481,7 +481,7 @@ impl Reconstruction {
     }
 
     /// Standard deviations of log focal length and principal point (px).
-    pub fn lens_sigma(&self) -> [f64; 4] {
+    pub fn lens_sigma(&self) -> [f64; 7] {
         self.intrinsics.refined_sigma.into()
     }
 
