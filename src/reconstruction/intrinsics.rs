@@ -21,6 +21,12 @@ const CALIBRATED_CENTRE: f64 = 1e-4;
 const NOMINAL_CENTRE: f64 = 0.0125;
 /// Share of the adjustment's information that is believed.
 const BELIEVED: f64 = 0.05;
+/// A map is begun anew when the logarithm of the focal length has changed by more since its beginning, with a standard deviation
+/// below the second, at most so many times.
+const RESTART_CHANGE: f64 = 0.22;
+const RESTART_SIGMA: f64 = 0.15;
+const MAX_RESTARTS: u32 = 4;
+const NEXT_MAP_WIDENING: f64 = 2.0;
 /// Levenberg-Marquardt steps of each pass.
 const STEPS: usize = 6;
 
@@ -45,6 +51,9 @@ pub struct Intrinsics {
     sigma: SharedVector,
     /// The same with what the map says.
     pub refined_sigma: SharedVector,
+    /// Focal length (px) with which the present map was begun, and maps given up because theirs was too far off.
+    begun_with: f64,
+    restarts: u32,
 }
 
 impl Intrinsics {
@@ -57,10 +66,10 @@ impl Intrinsics {
         let centre_px = centre * f64::from(camera.width);
         let k1s: f64 = std::env::var("K1").ok().and_then(|v| v.parse().ok()).unwrap_or(0.1);
         let ev = |k: &str, d: f64| -> f64 { std::env::var(k).ok().and_then(|v| v.parse().ok()).unwrap_or(d) };
-        let (k2s, ps) = (ev("K2", 0.05), ev("PS", 0.002));
+        let (k2s, ps) = (ev("K2", 0.1), ev("PS", 0.003));
         let sigma = SharedVector::from([focal, centre_px, centre_px, k1s, k2s, ps, ps]);
         let guessed = prior != LensPrior::Calibrated;
-        Self { guessed, calibrated: camera.clone(), sigma, refined_sigma: sigma }
+        Self { guessed, begun_with: camera.fx, restarts: 0, calibrated: camera.clone(), sigma, refined_sigma: sigma }
     }
 
     /// Adjustment of the whole map, and with `refine` of the intrinsics.
@@ -70,6 +79,31 @@ impl Intrinsics {
             self.refine(&mut job, map, camera);
         }
         Some(job)
+    }
+
+    /// A map that was begun with a focal length far from what it has shown by now: its landmarks were chosen and its outliers judged
+    /// with the wrong one, so a new map with the better one is worth more.
+    pub fn wants_restart(&self, camera: &CameraModel) -> bool {
+        self.guessed
+            && self.restarts < MAX_RESTARTS
+            && self.refined_sigma[0] < RESTART_SIGMA
+            && (camera.fx / self.begun_with).ln().abs() > RESTART_CHANGE
+    }
+
+    /// The map ends: what it taught about a guessed lens is the next one's prior, less surely, because the errors of its
+    /// landmarks were common to all of it.
+    pub fn end_map(&mut self, camera: &CameraModel) {
+        if !self.guessed {
+            return;
+        }
+        if (camera.fx / self.begun_with).ln().abs() > RESTART_CHANGE {
+            self.restarts += 1;
+        }
+        self.begun_with = camera.fx;
+        let widened = self.refined_sigma * NEXT_MAP_WIDENING;
+        self.sigma = self.sigma.zip_map(&widened, f64::min);
+        self.refined_sigma = self.sigma;
+        self.calibrated = camera.clone();
     }
 
     /// Makes the intrinsics unknowns of an adjustment.

@@ -395,6 +395,9 @@ impl Reconstruction {
         if let Some(last) = &mut self.last {
             last.camera_from_world = last.camera_from_world * old_from_new;
         }
+        if !now && self.intrinsics.wants_restart(&self.camera) {
+            self.reset();
+        }
     }
 
     /// Drops the map and starts over at the next frame.
@@ -408,6 +411,7 @@ impl Reconstruction {
                 world_from_camera: k.camera_from_world.inverse(),
             });
         }
+        self.intrinsics.end_map(&self.camera);
         self.map.clear();
         self.initialiser.clear();
         self.bindings.clear();
