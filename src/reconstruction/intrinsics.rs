@@ -25,6 +25,8 @@ const BELIEVED: f64 = 0.05;
 /// below the second, at most so many times.
 const RESTART_CHANGE: f64 = 0.22;
 const RESTART_SIGMA: f64 = 0.15;
+const EAGER_KEYFRAMES: usize = 30;
+const EAGER_SIGMA: f64 = 0.02;
 const MAX_RESTARTS: u32 = 4;
 const NEXT_MAP_WIDENING: f64 = 2.0;
 /// Levenberg-Marquardt steps of each pass.
@@ -79,6 +81,16 @@ impl Intrinsics {
             self.refine(&mut job, map, camera);
         }
         Some(job)
+    }
+
+    /// Keyframes at which the whole map is to be adjusted again: when it has grown by a third, or, while a guessed lens is not known
+    /// well, at every keyframe of a small map and every sixth of a larger one.
+    pub fn next_whole(&self, keyframes: usize) -> usize {
+        match keyframes {
+            n if !self.guessed => n + n / 3,
+            n if n < EAGER_KEYFRAMES && self.refined_sigma[0] > EAGER_SIGMA => 0,
+            n => n + (n / 6).max(2),
+        }
     }
 
     /// A map that was begun with a focal length far from what it has shown by now: its landmarks were chosen and its outliers judged

@@ -193,6 +193,11 @@ fn intrinsics_jacobian(o: &Observation, camera: &CameraModel) -> SharedJacobian 
 }
 
 impl MappingResult {
+    /// Observations that were adjusted, outliers among them.
+    pub fn observations(&self) -> usize {
+        self.job.problem.observations.len()
+    }
+
     pub fn shared(&self) -> Option<&Shared> {
         self.job.problem.shared.as_ref()
     }

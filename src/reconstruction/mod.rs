@@ -333,7 +333,7 @@ impl Reconstruction {
             self.unadjusted = None;
             let keyframes = self.map.keyframes.len();
             let job = if keyframes >= self.next_whole && keyframes <= WHOLE_LIMIT {
-                self.next_whole = if self.intrinsics.guessed { keyframes + (keyframes / 6).max(2) } else { keyframes + keyframes / 3 };
+                self.next_whole = self.intrinsics.next_whole(keyframes);
                 self.intrinsics.whole_job(
                     &self.map,
                     &self.camera,
@@ -390,7 +390,7 @@ impl Reconstruction {
         if std::env::var("VI").is_ok() && result.shared().is_some() {
             let c = &self.camera;
             let s = &self.intrinsics.refined_sigma;
-            println!("frame {} kf {} f {:.1} cx {:.1} cy {:.1} k1 {:.3} sigma {:.4} {:.1} {:.1} {:.3}", self.frame, self.map.keyframes.len(), c.fx, c.cx, c.cy, c.distortion[0], s[0], s[1], s[2], s[3]);
+            println!("frame {} kf {} f {:.1} cx {:.1} cy {:.1} k1 {:.3} sigma {:.4} {:.1} {:.1} {:.3}", self.frame, self.map.keyframes.len(), c.fx, c.cx, c.cy, c.distortion[0], s[0], s[1], s[2], s[3]); println!("frame cost/obs {:.3} outliers {:.4} obs {}", result.report.final_cost / result.observations() as f64, result.report.outliers as f64 / result.observations() as f64, result.observations());
         }
         if let Some(last) = &mut self.last {
             last.camera_from_world = last.camera_from_world * old_from_new;
