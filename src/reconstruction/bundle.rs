@@ -34,9 +34,11 @@ pub struct BundleObservation {
     pub inv_sigma_px: f64,
 }
 
-/// Numbers that all pictures share and that an adjustment may refine (log focal length, principal point in px, the first radial
-/// coefficient): see [`Shared`].
+/// Numbers that all pictures share and that an adjustment may refine (log focal length, principal point in px, k1 k2 p1 p2): see
+/// [`Shared`].
 pub const SHARED: usize = 7;
+/// The first of them: all that is refined of a lens that was calibrated.
+pub const CALIBRATED_SHARED: usize = 3;
 pub type SharedVector = SVector<f64, SHARED>;
 pub type SharedMatrix = SMatrix<f64, SHARED, SHARED>;
 /// d normalised / d shared.

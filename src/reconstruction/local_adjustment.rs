@@ -7,7 +7,7 @@
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 use super::bundle::{
-    BundleCamera, BundleObservation, BundleOptions, BundleProblem, BundleReport, SHARED, Shared, SharedJacobian, SharedMatrix,
+    BundleCamera, BundleObservation, BundleOptions, BundleProblem, BundleReport, CALIBRATED_SHARED, SHARED, Shared, SharedJacobian, SharedMatrix,
     SharedVector,
 };
 use super::config::ReconstructionConfig;
@@ -138,7 +138,7 @@ impl MappingJob {
         })
     }
 
-    /// Lets the adjustment refine the intrinsics as well.
+    /// Lets the adjustment refine the intrinsics as well; of a `guessed` lens all of them, whatever the change.
     pub fn refine_intrinsics(
         &mut self,
         map: &Map,
@@ -157,7 +157,7 @@ impl MappingJob {
         }
         self.problem.shared = Some(Shared {
             jacobians,
-            active: if guessed { SHARED } else { 3 },
+            active: if guessed { SHARED } else { CALIBRATED_SHARED },
             in_new_pixels: guessed,
             change: SharedVector::zeros(),
             expected,
@@ -173,8 +173,8 @@ impl MappingJob {
     }
 }
 
-/// How an observation's undistorted place answers to log focal length, principal point (px) and k1 (Brown's model:
-/// the distorted place moves by `n |n|²`).
+/// How an observation's undistorted place answers to log focal length, principal point (px) and k1 k2 p1 p2: by
+/// Brown's model the distorted place moves by `n |n|²`, `n |n|⁴`, and the tangential terms.
 fn intrinsics_jacobian(o: &Observation, camera: &CameraModel) -> SharedJacobian {
     let j = &o.normalised_from_pixel;
     let from_centre = Vector2::new(f64::from(o.pixel.x) - camera.cx, f64::from(o.pixel.y) - camera.cy);
@@ -193,11 +193,6 @@ fn intrinsics_jacobian(o: &Observation, camera: &CameraModel) -> SharedJacobian 
 }
 
 impl MappingResult {
-    /// Observations that were adjusted, outliers among them.
-    pub fn observations(&self) -> usize {
-        self.job.problem.observations.len()
-    }
-
     pub fn shared(&self) -> Option<&Shared> {
         self.job.problem.shared.as_ref()
     }

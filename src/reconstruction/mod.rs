@@ -23,13 +23,13 @@ pub mod types;
 use nalgebra::{Vector2, Vector3};
 
 pub use config::ReconstructionConfig;
+pub use intrinsics::{FOUND_SIGMA, LensEstimate, LensKnowledge, LensPrior};
 pub use local_adjustment::{InlineWorker, MappingJob, MappingResult, MappingWorker};
 pub use types::*;
 
 use bindings::Bindings;
 use initialise::Initialiser;
 use intrinsics::Intrinsics;
-pub use intrinsics::LensPrior;
 use keyframes::{KeyframeInputs, NewKeyframe};
 use relocalise::Relocaliser;
 use rolling_shutter::Shutter;
@@ -387,11 +387,6 @@ impl Reconstruction {
         self.counters.adjustments += 1;
         let old_from_new = result.merge(&mut self.map);
         self.intrinsics.merge(&result, &mut self.map, &mut self.camera);
-        if std::env::var("VI").is_ok() && result.shared().is_some() {
-            let c = &self.camera;
-            let s = &self.intrinsics.refined_sigma;
-            println!("frame {} kf {} f {:.1} cx {:.1} cy {:.1} k1 {:.3} sigma {:.4} {:.1} {:.1} {:.3}", self.frame, self.map.keyframes.len(), c.fx, c.cx, c.cy, c.distortion[0], s[0], s[1], s[2], s[3]); println!("frame cost/obs {:.3} outliers {:.4} obs {}", result.report.final_cost / result.observations() as f64, result.report.outliers as f64 / result.observations() as f64, result.observations());
-        }
         if let Some(last) = &mut self.last {
             last.camera_from_world = last.camera_from_world * old_from_new;
         }
@@ -484,9 +479,9 @@ impl Reconstruction {
         &self.camera
     }
 
-    /// Standard deviations of log focal length and principal point (px).
-    pub fn lens_sigma(&self) -> [f64; 7] {
-        self.intrinsics.refined_sigma.into()
+    /// The lens as it is believed now, and how surely.
+    pub fn lens(&self) -> LensEstimate {
+        self.intrinsics.estimate(&self.camera)
     }
 
     /// Readout time of the camera's rolling shutter as it is believed now, s.

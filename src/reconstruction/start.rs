@@ -163,20 +163,10 @@ impl Reconstruction {
     /// Adjusts the whole (new, small) map at once: how surely the newest camera's direction from the first is known (rad), or
     /// `None` if too few landmarks hold.
     fn adjust_whole(&mut self) -> Option<f64> {
-        let mut job = MappingJob::whole(&self.map, &self.camera, self.shutter.readout_s, START_STEPS)?;
-        if self.intrinsics.guessed && std::env::var("STARTREF").is_ok() {
-            self.intrinsics.refine(&mut job, &self.map, &self.camera);
-        }
-        let result = job.run();
+        let result = MappingJob::whole(&self.map, &self.camera, self.shutter.readout_s, START_STEPS)?.run();
         let supported = result.supported_landmarks();
         let sigma = result.direction_sigma();
         result.merge(&mut self.map);
-        self.intrinsics.merge(&result, &mut self.map, &mut self.camera);
-        if std::env::var("VI").is_ok() && result.shared().is_some() {
-            let c = &self.camera;
-            let s = &self.intrinsics.refined_sigma;
-            println!("start {} kf {} f {:.1} cx {:.1} cy {:.1} k1 {:.3} sigma {:.4} {:.1} {:.1} {:.3} cost {:.1} -> {:.1}", self.frame, self.map.keyframes.len(), c.fx, c.cx, c.cy, c.distortion[0], s[0], s[1], s[2], s[3], result.report.initial_cost, result.report.final_cost);
-        }
         (supported >= self.config.start_landmarks).then_some(sigma)
     }
 

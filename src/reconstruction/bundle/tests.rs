@@ -95,6 +95,7 @@ fn shared(p: &BundleProblem, expected: SharedVector, information: f64) -> Shared
     };
     Shared {
         jacobians: p.observations.iter().map(jacobian).collect(),
+        active: CALIBRATED_SHARED,
         in_new_pixels: false,
         change: SharedVector::zeros(),
         expected,
