@@ -66,6 +66,20 @@ pub enum LensPrior {
 impl LensPrior {
     /// A camera of which nothing is known but that webcams see some 60 degrees.
     pub const UNKNOWN: Self = Self::Guess { focal: 0.25, centre: 0.025 };
+
+    /// An estimate of an earlier run, with the standard deviations that were published with it: never surer than the floor of what the
+    /// model leaves out, and never less sure than knowing nothing.
+    pub fn kept(focal_sigma: f64, centre: f64) -> Self {
+        Self::Guess { focal: focal_sigma.clamp(MODEL_FLOOR, 0.25), centre: centre.clamp(0.002, 0.025) }
+    }
+}
+
+/// A camera of which nothing is known but an angle of view across the longer side of its pictures, degrees; `None` if there is no such camera.
+pub fn guessed_camera(width: u32, height: u32, view_deg: f64) -> Option<CameraModel> {
+    let half = 0.5 * f64::from(width.max(height));
+    let focal = half / (0.5 * view_deg).to_radians().tan();
+    let middle = |size: u32| 0.5 * f64::from(size) - 0.5;
+    CameraModel::new(width, height, focal, focal, middle(width), middle(height), [0.0; 5]).ok()
 }
 
 /// Where the intrinsics in use come from.
@@ -292,7 +306,10 @@ mod tests {
     fn a_guess_is_said_to_be_one_until_its_sigma_has_shrunk() {
         let camera = camera(554.0, 554.0, 320.0, 0.0);
         let mut lens = Intrinsics::new(&camera, LensPrior::UNKNOWN);
-        assert_eq!((lens.estimate(&camera).knowledge, lens.estimate(&camera).focal_sigma), (LensKnowledge::Guessed, 0.25));
+        assert_eq!(
+            (lens.estimate(&camera).knowledge, lens.estimate(&camera).focal_sigma),
+            (LensKnowledge::Guessed, 0.25)
+        );
         lens.refined_sigma[0] = 0.01;
         let found = lens.estimate(&camera);
         assert_eq!(found.knowledge, LensKnowledge::Estimated);

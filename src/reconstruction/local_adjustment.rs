@@ -7,8 +7,8 @@
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 use super::bundle::{
-    BundleCamera, BundleObservation, BundleOptions, BundleProblem, BundleReport, CALIBRATED_SHARED, SHARED, Shared, SharedJacobian, SharedMatrix,
-    SharedVector,
+    BundleCamera, BundleObservation, BundleOptions, BundleProblem, BundleReport, CALIBRATED_SHARED, SHARED, Shared,
+    SharedJacobian, SharedMatrix, SharedVector,
 };
 use super::config::ReconstructionConfig;
 use crate::geometry::frames::{Camera, World};

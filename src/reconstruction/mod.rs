@@ -23,7 +23,7 @@ pub mod types;
 use nalgebra::{Vector2, Vector3};
 
 pub use config::ReconstructionConfig;
-pub use intrinsics::{FOUND_SIGMA, LensEstimate, LensKnowledge, LensPrior};
+pub use intrinsics::{FOUND_SIGMA, LensEstimate, LensKnowledge, LensPrior, guessed_camera};
 pub use local_adjustment::{InlineWorker, MappingJob, MappingResult, MappingWorker};
 pub use types::*;
 
