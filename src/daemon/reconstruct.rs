@@ -254,10 +254,6 @@ impl ReconstructStep {
     /// when it was last kept.
     fn note_lens(&mut self, share: f64) {
         let Some(reconstruction) = &self.reconstruction else { return };
-        // A calibration is refined by next to nothing: once is enough.
-        if self.lens == Some(LensKnowledge::Calibrated) {
-            return;
-        }
         let lens = reconstruction.lens();
         self.status.set_lens(&lens);
         if self.lens != Some(lens.knowledge) {
