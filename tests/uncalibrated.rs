@@ -37,9 +37,9 @@ fn found(config: &SimulatorConfig, seconds: f64) -> LensEstimate {
         features.sequence = sequence;
         features.timestamp_ns = simulator.timestamp_ns(sequence);
         let pose = reconstruction.track(&features);
+        let said = reconstruction.lens().knowledge;
         reconstruction.map(&features, &mut feedback);
         stage.feedback(&feedback);
-        let said = reconstruction.lens().knowledge;
         assert!(pose.quality <= 0.5 || said != LensKnowledge::Guessed, "a guessed lens gives no good pose: {pose:?}");
     }
     reconstruction.finish();
