@@ -30,6 +30,8 @@
 //! - Local bundle adjustment runs in the mapping worker on a copy of the map's part, and is merged after a published pose, at
 //!   a fixed number of frames later in lock-step (waiting if need be), whenever it is done when live. Whenever a map of up to
 //!   120 keyframes has grown by a third the whole of it is adjusted instead, and the intrinsics with it.
+//! - A camera without a calibration begins with a guess; its lens (distortion included) is refined the same way, at every keyframe of
+//!   a small map, and health says how surely it is known. What was found is kept for the next start, by `cli`.
 //! - A frame that prediction cannot place is looked for at once by thumbnails and descriptors (P3P) in a bounded number of keyframes.
 //!
 //! # Invariants

@@ -67,6 +67,22 @@
 #define CAIRN_CLOCK_RECORDING 1
 
 /**
+ * `intrinsics`: of a calibration, refined around it.
+ */
+#define CAIRN_INTRINSICS_CALIBRATED 0
+
+/**
+ * `intrinsics`: the camera is not calibrated; found from its motion, as surely as `focal_sigma` says.
+ */
+#define CAIRN_INTRINSICS_ESTIMATED 1
+
+/**
+ * `intrinsics`: the camera is not calibrated, and its motion has not shown the focal length so far: angles, depths and the shape of
+ * the map may be off by `focal_sigma`.
+ */
+#define CAIRN_INTRINSICS_GUESSED 2
+
+/**
  * Bytes of a path or message at most.
  */
 #define CAIRN_TEXT_LEN 512
@@ -190,6 +206,11 @@
  * Messages lately could not be sent.
  */
 #define CAIRN_ERROR_PUBLISH_FAILED (1 << 12)
+
+/**
+ * The lens is a guess: nobody calibrated the camera, and its motion has not shown the focal length so far.
+ */
+#define CAIRN_ERROR_UNCALIBRATED (1 << 13)
 
 /**
  * Frames from the source into the ring.
@@ -560,13 +581,34 @@ typedef struct cairn_health {
    */
   uint8_t clock;
   /**
+   * CAIRN_INTRINSICS_CALIBRATED, CAIRN_INTRINSICS_ESTIMATED, CAIRN_INTRINSICS_GUESSED: where focal length and
+   * principal point come from.
+   */
+  uint8_t intrinsics;
+  /**
    * Zero.
    */
-  uint8_t reserved[2];
+  uint8_t reserved;
   /**
    * Version of the daemon, UTF-8, zero-padded.
    */
   uint8_t version[32];
+  /**
+   * Focal lengths fx and fy in use, px; NaN before the first frame.
+   */
+  float focal_px[2];
+  /**
+   * Principal point in use, px; NaN before the first frame.
+   */
+  float centre_px[2];
+  /**
+   * Standard deviation of the focal length, as a share of it; NaN before the first frame.
+   */
+  float focal_sigma;
+  /**
+   * Standard deviation of the principal point, the larger of both coordinates, px; NaN before the first frame.
+   */
+  float centre_sigma_px;
 } cairn_health;
 
 /**
@@ -1042,7 +1084,7 @@ int32_t cairn_send_command(struct cairn_client *client,
 
 /* Names that iceoryx2 compares when two processes meet. */
 #define CAIRN_POSE_TYPE "cairn.Pose.v1"
-#define CAIRN_HEALTH_TYPE "cairn.Health.v1"
+#define CAIRN_HEALTH_TYPE "cairn.Health.v2"
 #define CAIRN_STAGE_HEALTH_TYPE "cairn.StageHealth.v1"
 #define CAIRN_LANDMARK_TYPE "cairn.Landmark.v1"
 #define CAIRN_MAP_HEADER_TYPE "cairn.MapHeader.v1"
@@ -1085,7 +1127,7 @@ CAIRN_ASSERT(offsetof(cairn_pose, state) == 420 && sizeof(((cairn_pose *)0)->sta
 CAIRN_ASSERT(offsetof(cairn_pose, scale) == 421 && sizeof(((cairn_pose *)0)->scale) == 1);
 CAIRN_ASSERT(offsetof(cairn_pose, clock) == 422 && sizeof(((cairn_pose *)0)->clock) == 1);
 CAIRN_ASSERT(offsetof(cairn_pose, keyframe) == 423 && sizeof(((cairn_pose *)0)->keyframe) == 1);
-CAIRN_ASSERT(sizeof(cairn_health) == 392);
+CAIRN_ASSERT(sizeof(cairn_health) == 416);
 CAIRN_ASSERT(offsetof(cairn_health, run_id) == 0 && sizeof(((cairn_health *)0)->run_id) == 8);
 CAIRN_ASSERT(offsetof(cairn_health, sequence) == 8 && sizeof(((cairn_health *)0)->sequence) == 8);
 CAIRN_ASSERT(offsetof(cairn_health, published_ns) == 16 && sizeof(((cairn_health *)0)->published_ns) == 8);
@@ -1112,8 +1154,13 @@ CAIRN_ASSERT(offsetof(cairn_health, map_id) == 348 && sizeof(((cairn_health *)0)
 CAIRN_ASSERT(offsetof(cairn_health, pid) == 352 && sizeof(((cairn_health *)0)->pid) == 4);
 CAIRN_ASSERT(offsetof(cairn_health, state) == 356 && sizeof(((cairn_health *)0)->state) == 1);
 CAIRN_ASSERT(offsetof(cairn_health, clock) == 357 && sizeof(((cairn_health *)0)->clock) == 1);
-CAIRN_ASSERT(offsetof(cairn_health, reserved) == 358 && sizeof(((cairn_health *)0)->reserved) == 2);
+CAIRN_ASSERT(offsetof(cairn_health, intrinsics) == 358 && sizeof(((cairn_health *)0)->intrinsics) == 1);
+CAIRN_ASSERT(offsetof(cairn_health, reserved) == 359 && sizeof(((cairn_health *)0)->reserved) == 1);
 CAIRN_ASSERT(offsetof(cairn_health, version) == 360 && sizeof(((cairn_health *)0)->version) == 32);
+CAIRN_ASSERT(offsetof(cairn_health, focal_px) == 392 && sizeof(((cairn_health *)0)->focal_px) == 8);
+CAIRN_ASSERT(offsetof(cairn_health, centre_px) == 400 && sizeof(((cairn_health *)0)->centre_px) == 8);
+CAIRN_ASSERT(offsetof(cairn_health, focal_sigma) == 408 && sizeof(((cairn_health *)0)->focal_sigma) == 4);
+CAIRN_ASSERT(offsetof(cairn_health, centre_sigma_px) == 412 && sizeof(((cairn_health *)0)->centre_sigma_px) == 4);
 CAIRN_ASSERT(sizeof(cairn_stage_health) == 32);
 CAIRN_ASSERT(offsetof(cairn_stage_health, steps) == 0 && sizeof(((cairn_stage_health *)0)->steps) == 8);
 CAIRN_ASSERT(offsetof(cairn_stage_health, heartbeat_age_ns) == 8 && sizeof(((cairn_stage_health *)0)->heartbeat_age_ns) == 8);

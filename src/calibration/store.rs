@@ -7,6 +7,9 @@
 //! A file without a serial number is for every camera of its kind (lenses of one kind differ by a percent or so; the file with the
 //! serial comes first). A file with another serial number is another camera's, and not used.
 //!
+//! What the daemon found out about an uncalibrated lens by itself lies in a file of its own beside them (`...-WxH.estimated.toml`, key
+//! `estimated = true`): [`find`] passes it over, [`find_estimate`] finds it, and nothing that a person put there is ever overwritten by it.
+//!
 //! Folders, in this order: `$STATE_DIRECTORY/cameras` (what systemd gives a service), `$XDG_STATE_HOME/cairn/cameras` or
 //! `~/.local/state/cairn/cameras`, `/var/lib/cairn/cameras`; then `/etc/cairn/cameras` and `config/cameras` for files that were
 //! put there by hand, and `/usr/share/cairn/cameras` for those that a package brings. The first of them that can be written takes new ones.
@@ -121,6 +124,9 @@ pub fn find(
             let Some(owner) = file.other.get("camera").and_then(|v| v.as_str()).and_then(CameraIdentity::parse) else {
                 continue;
             };
+            if is_estimate(&file) {
+                continue;
+            }
             let other_serial = owner.serial.is_some() && owner.serial != identity.serial;
             if owner.model != identity.model || other_serial {
                 continue;
@@ -149,6 +155,64 @@ pub fn find(
     (best.map(|(_, found)| found), faults)
 }
 
+/// What motion has shown about a lens that nobody calibrated.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Estimate {
+    pub camera: CameraModel,
+    /// Standard deviation of the focal length, as a share of it.
+    pub focal_sigma: f64,
+    /// Standard deviation of the principal point, px.
+    pub centre_sigma_px: f64,
+}
+
+/// The estimate that was kept of a camera for pictures of a size, and where it lies. Files that cannot be read or say impossible
+/// things are passed over: the daemon wrote them, and finds out anew.
+pub fn find_estimate(folders: &[PathBuf], identity: &CameraIdentity, size: (u32, u32)) -> Option<(Estimate, PathBuf)> {
+    let mut best: Option<(Estimate, PathBuf)> = None;
+    for path in folders.iter().flat_map(|folder| files(folder)) {
+        let Ok(file) = CalibrationFile::load(&path) else { continue };
+        let owner = file.other.get("camera").and_then(|v| v.as_str()).and_then(CameraIdentity::parse);
+        if !is_estimate(&file) || owner.as_ref() != Some(identity) {
+            continue;
+        }
+        let number = |key: &str| file.other.get(key).and_then(toml::Value::as_float).filter(|v| *v > 0.0 && *v < 1e4);
+        let (Some(fx_sigma_px), Some(cx_sigma_px)) = (number("fx_sigma_px"), number("cx_sigma_px")) else { continue };
+        let Ok(camera) = file.camera.scaled(size.0, size.1) else { continue };
+        let estimate = Estimate {
+            focal_sigma: fx_sigma_px / file.camera.fx,
+            centre_sigma_px: cx_sigma_px * f64::from(size.0) / f64::from(file.camera.width),
+            camera,
+        };
+        if best.as_ref().is_none_or(|(b, _)| estimate.focal_sigma < b.focal_sigma) {
+            best = Some((estimate, path));
+        }
+    }
+    best
+}
+
+/// Keeps an estimate for the next start, in the first folder that can be written.
+pub fn save_estimate(
+    folders: &[PathBuf],
+    identity: &CameraIdentity,
+    estimate: &Estimate,
+    unix_s: u64,
+) -> Result<PathBuf, CalibrationError> {
+    let c = &estimate.camera;
+    let mut other = toml::Table::new();
+    other.insert("camera".into(), identity.to_string().into());
+    other.insert("estimated".into(), true.into());
+    other.insert("fx_sigma_px".into(), (estimate.focal_sigma * c.fx).into());
+    other.insert("cx_sigma_px".into(), estimate.centre_sigma_px.into());
+    other.insert("calibrated_unix_s".into(), i64::try_from(unix_s).unwrap_or(i64::MAX).into());
+    let name = identity.file_name((c.width, c.height)).replace(".toml", ".estimated.toml");
+    save_as(folders, &name, &CalibrationFile { camera: c.clone(), other })
+}
+
+/// The daemon's own finding, not a person's.
+fn is_estimate(file: &CalibrationFile) -> bool {
+    file.other.get("estimated").and_then(toml::Value::as_bool) == Some(true)
+}
+
 /// `*.toml` of a folder, by name.
 fn files(folder: &Path) -> Vec<PathBuf> {
     let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
@@ -164,9 +228,21 @@ pub fn save(
     identity: &CameraIdentity,
     file: &CalibrationFile,
 ) -> Result<PathBuf, CalibrationError> {
+    save_as(folders, &identity.file_name((file.camera.width, file.camera.height)), file)
+}
+
+fn save_as(folders: &[PathBuf], name: &str, file: &CalibrationFile) -> Result<PathBuf, CalibrationError> {
     let mut first = None;
     for folder in folders {
-        let path = folder.join(identity.file_name((file.camera.width, file.camera.height)));
+        let path = folder.join(name);
+        // A person may have put anything under any name.
+        let taken =
+            is_estimate(file) && path.exists() && !CalibrationFile::load(&path).is_ok_and(|old| is_estimate(&old));
+        if taken {
+            let reason = "is there already and no estimate of the daemon's: not overwritten".into();
+            first = first.or(Some(CalibrationError::File { path: path.display().to_string(), reason }));
+            continue;
+        }
         let saved = std::fs::create_dir_all(folder)
             .map_err(|e| CalibrationError::File { path: folder.display().to_string(), reason: e.to_string() })
             .and_then(|()| file.save(&path));
@@ -230,6 +306,34 @@ mod tests {
                 .to_string()
                 .contains("file")
         );
+    }
+
+    #[test]
+    fn an_estimate_is_kept_for_the_next_start_and_is_never_taken_for_a_calibration() {
+        let dir = tempfile::tempdir().expect("folder");
+        let folders = [dir.path().to_path_buf()];
+        let me = CameraIdentity::parse("046d:0825:ABC").expect("valid");
+        let camera =
+            CameraModel::new(640, 480, 531.25, 530.5, 318.0, 243.0, [0.1, -0.2, 1e-3, 0.0, 0.0]).expect("valid");
+        let estimate = Estimate { camera, focal_sigma: 0.04, centre_sigma_px: 6.0 };
+        let path = save_estimate(&folders, &me, &estimate, 1_700_000_000).expect("saved");
+        assert_eq!(path, dir.path().join("046d_0825_ABC-640x480.estimated.toml"));
+        let (found, at) = find_estimate(&folders, &me, (640, 480)).expect("found");
+        assert_eq!((&found.camera, &at), (&estimate.camera, &path));
+        assert!((found.focal_sigma - 0.04).abs() < 1e-12 && found.centre_sigma_px == 6.0);
+        let (small, _) = find_estimate(&folders, &me, (320, 240)).expect("scaled");
+        assert_eq!((small.camera.fx, small.centre_sigma_px), (265.625, 3.0));
+        assert_eq!(find(&folders, &me, (640, 480)).0, None, "an estimate is no calibration");
+        let twin = CameraIdentity::parse("046d:0825:XYZ").expect("valid");
+        assert!(find_estimate(&folders, &twin, (640, 480)).is_none(), "another camera's");
+        save(&folders, &me, &file("046d:0825:ABC", (640, 480), 512.0)).expect("saved");
+        save_estimate(&folders, &me, &estimate, 1_700_000_001).expect("its own file");
+        assert_eq!(find(&folders, &me, (640, 480)).0.map(|f| f.camera.fx), Some(512.0), "untouched");
+        std::fs::write(&path, "fx_px = 1\n").expect("written by hand");
+        let refused = save_estimate(&folders, &me, &estimate, 1_700_000_002).expect_err("a person's file");
+        assert!(refused.to_string().contains("not overwritten"), "{refused}");
+        assert_eq!(std::fs::read_to_string(&path).expect("there"), "fx_px = 1\n");
+        assert!(find_estimate(&folders, &me, (640, 480)).is_none());
     }
 
     #[test]

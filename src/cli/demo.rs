@@ -81,7 +81,7 @@ pub fn run(args: &DemoArgs) -> Result<ExitCode, CliError> {
         rate_hz: config.simulator.rate_hz,
         frames: simulator.description().frames.unwrap_or(0),
     };
-    let calibration = Calibration { model: simulator.camera_model().clone(), origin: name.clone() };
+    let calibration = Calibration::known(simulator.camera_model().clone(), name.clone());
     let (outlet, desk) = session::open_wire(&config, Clock::Monotonic, size).map_err(|e| session::wire_error(&e))?;
     let status = Arc::new(Status::default());
     let parts = Parts {
@@ -91,6 +91,7 @@ pub fn run(args: &DemoArgs) -> Result<ExitCode, CliError> {
         outlet: Some(outlet),
         outputs: outputs.clone(),
         spool_folder: None,
+        keep_lens: None,
         status: status.clone(),
     };
     let cpu_before_ns = process_cpu_ns();

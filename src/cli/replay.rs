@@ -9,12 +9,14 @@ use serde::Serialize;
 use tracing::{info, warn};
 
 use super::session::{self, Resources, SessionArgs, StageLatencies, StatusLine};
-use super::{CliError, exit_code};
+use super::{CliError, camera_calibration, exit_code};
 use crate::calibration::load_camera;
 use crate::camera::recording::OwnCalibration;
 use crate::camera::{FrameSource, Pacing, Recording};
+use crate::config::Config;
 use crate::daemon::{self, Calibration, End, Outputs, Parts, Status, Supply, state_name};
 use crate::frame::process_cpu_ns;
+use crate::reconstruction::LensKnowledge;
 
 /// Replays a recording: prints a summary, writes trajectory, map and pictures
 #[derive(Debug, clap::Args)]
@@ -27,6 +29,9 @@ pub struct ReplayArgs {
     /// Camera calibration: ours (TOML) or a YAML with fx fy cx cy and distortion [default: DIR/camera.yaml]
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
+    /// As if there were no calibration: the lens is estimated from the motion. So it is, too, where DIR has no camera.yaml
+    #[arg(long, conflicts_with = "camera")]
+    pub uncalibrated: bool,
     /// Write every tracked frame as the map knows it at the end (TUM format)
     #[arg(long, value_name = "OUT")]
     pub trajectory: Option<PathBuf>,
@@ -68,8 +73,30 @@ struct Summary {
     elapsed_s: f64,
     #[serde(flatten)]
     resources: Resources,
+    intrinsics: IntrinsicsSummary,
     stages: StageLatencies,
     files: Vec<PathBuf>,
+}
+
+/// The lens at the end, and how surely it is known.
+#[derive(Debug, Clone, Copy, Serialize)]
+struct IntrinsicsSummary {
+    /// `calibrated`, `estimated` (from the motion) or `guessed` (the motion did not show it).
+    knowledge: &'static str,
+    fx_px: f32,
+    fy_px: f32,
+    cx_px: f32,
+    cy_px: f32,
+    /// Standard deviation of the focal length, as a share of it.
+    focal_sigma: f32,
+    centre_sigma_px: f32,
+}
+
+impl IntrinsicsSummary {
+    fn of(status: &Status) -> Self {
+        let (knowledge, [fx_px, fy_px, cx_px, cy_px, focal_sigma, centre_sigma_px]) = status.lens();
+        Self { knowledge: knowledge.name(), fx_px, fy_px, cx_px, cy_px, focal_sigma, centre_sigma_px }
+    }
 }
 
 pub fn run(args: &ReplayArgs) -> Result<ExitCode, CliError> {
@@ -83,11 +110,12 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode, CliError> {
     };
     session::check_outputs([&outputs.trajectory, &outputs.live_trajectory, &outputs.map, &outputs.overview])?;
     let pacing = if args.lockstep { Pacing::LockStep } else { Pacing::RealTime };
-    let own = if args.camera.is_some() { OwnCalibration::Ignore } else { OwnCalibration::Read };
+    let uncalibrated = args.uncalibrated || config.calibration.ignore;
+    let own = if args.camera.is_some() || uncalibrated { OwnCalibration::Ignore } else { OwnCalibration::Read };
     let recording =
         Recording::open_with(&args.dir, pacing, own).map_err(|e| CliError::new(exit_code::NO_INPUT, e.to_string()))?;
     let description = recording.description().clone();
-    let calibration = calibration(args, &recording)?;
+    let calibration = calibration(args, &config, &recording)?;
 
     let status = Arc::new(Status::default());
     let mut parts = Parts {
@@ -97,6 +125,7 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode, CliError> {
         outlet: None,
         outputs,
         spool_folder: None,
+        keep_lens: None,
         status: status.clone(),
     };
     let (began, cpu_before_ns) = (Instant::now(), process_cpu_ns());
@@ -155,18 +184,19 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode, CliError> {
 }
 
 /// The camera that was named, else the recording's own.
-fn calibration(args: &ReplayArgs, recording: &Recording) -> Result<Calibration, CliError> {
+fn calibration(args: &ReplayArgs, config: &Config, recording: &Recording) -> Result<Calibration, CliError> {
     if let Some(path) = &args.camera {
         let model = load_camera(path).map_err(|e| CliError::new(exit_code::NO_INPUT, e.to_string()))?;
-        return Ok(Calibration { model, origin: path.display().to_string() });
+        return Ok(Calibration::known(model, path.display().to_string()));
     }
     match &recording.description().camera {
-        Some(model) => {
-            Ok(Calibration { model: model.clone(), origin: args.dir.join("camera.yaml").display().to_string() })
-        }
+        Some(model) => Ok(Calibration::known(model.clone(), args.dir.join("camera.yaml").display().to_string())),
         None => {
-            let message = format!("{}: no camera.yaml; name a calibration with --camera", args.dir.display());
-            Err(CliError::new(exit_code::NO_INPUT, message))
+            let view_deg = config.calibration.supposed_view_deg;
+            // A stand-in where the first frame has still to tell the size: `Calibration::fit` makes it fit.
+            let size = recording.description().size.unwrap_or((640, 480));
+            warn!(dir = %args.dir.display(), view_deg, "no calibration (camera.yaml or --camera): the lens is a guess");
+            camera_calibration::guess(size, view_deg)
         }
     }
 }
@@ -201,6 +231,7 @@ fn summarise(status: &Status, end: &End) -> Summary {
         relocalisations: status.relocalisations.get(),
         elapsed_s: 0.0,
         resources: Resources { cpu_ms_per_frame: 0.0, peak_rss_mb: 0.0 },
+        intrinsics: IntrinsicsSummary::of(status),
         stages: StageLatencies::of(status),
         files: end.written.files.clone(),
     }
@@ -231,6 +262,18 @@ fn text(s: &Summary) -> String {
         "  {} landmarks in the map, {} keyframes made, {} resets\n  {:.1} s, CPU {:.2} ms a frame, peak memory {:.0} MB\n",
         s.landmarks, s.keyframes, s.resets, s.elapsed_s, s.resources.cpu_ms_per_frame, s.resources.peak_rss_mb
     );
+    let lens = &s.intrinsics;
+    if lens.knowledge != LensKnowledge::Calibrated.name() {
+        let said = match lens.knowledge == LensKnowledge::Estimated.name() {
+            true => "not calibrated; found from the motion",
+            false => "not calibrated, and the motion did not show it: a guess",
+        };
+        let (f, percent) = (lens.fx_px, 100.0 * lens.focal_sigma);
+        text += &format!(
+            "  lens {said}: focal length {f:.1} px +- {percent:.0} %, centre {:.1} {:.1} px\n",
+            lens.cx_px, lens.cy_px
+        );
+    }
     text += &s.stages.table();
     for file in &s.files {
         text += &format!("wrote {}\n", file.display());

@@ -13,7 +13,7 @@ use crate::camera::simulator::Simulator;
 use crate::camera::v4l2::V4l2Camera;
 use crate::camera::{FrameSource, Pacing};
 use crate::config::{Config, SourceKind};
-use crate::daemon::{self, Calibration, Opener, Outputs, Parts, Status, Supply};
+use crate::daemon::{self, Calibration, KeepLens, Opener, Outputs, Parts, Status, Supply};
 use crate::frame::Clock;
 
 /// Runs the daemon until SIGTERM or SIGINT; SIGHUP reads the configuration again
@@ -29,7 +29,7 @@ pub fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
     let stop = session::stop_flag()?;
     let outputs = outputs(&config);
     session::check_outputs([&outputs.trajectory, &outputs.live_trajectory, &outputs.map, &outputs.overview])?;
-    let (supply, calibration, size) = source(&config)?;
+    let Source { supply, calibration, keep_lens, size } = source(&config)?;
     let (outlet, desk) =
         session::open_wire(&config, Clock::Monotonic, Some(size)).map_err(|e| session::wire_error(&e))?;
     let parts = Parts {
@@ -38,6 +38,7 @@ pub fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
         outlet: Some(outlet),
         outputs,
         spool_folder: Some(spool_folder()),
+        keep_lens,
         status: Arc::new(Status::default()),
         config,
     };
@@ -50,32 +51,44 @@ pub fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// The configured source, the camera model that belongs to it, and the size of picture that is expected.
-fn source(config: &Config) -> Result<(Supply, Calibration, (u32, u32)), CliError> {
+/// Where frames come from.
+struct Source {
+    supply: Supply,
+    /// The camera model that belongs to it.
+    calibration: Calibration,
+    keep_lens: Option<KeepLens>,
+    /// The size of picture that is expected.
+    size: (u32, u32),
+}
+
+fn source(config: &Config) -> Result<Source, CliError> {
+    let ignore = config.calibration.ignore;
     match config.daemon.source {
         SourceKind::Simulator => {
             let simulator = Simulator::new(&config.simulator, Pacing::RealTime)
                 .map_err(|e| CliError::new(exit_code::CONFIG, e.to_string()))?;
-            let origin = simulator.description().name.clone();
-            let calibration = Calibration { model: simulator.camera_model().clone(), origin };
             let size = (config.simulator.width, config.simulator.height);
-            Ok((Supply::Once(Box::new(simulator)), calibration, size))
+            let calibration = if ignore {
+                camera_calibration::guess(size, config.calibration.supposed_view_deg)?
+            } else {
+                Calibration::known(simulator.camera_model().clone(), simulator.description().name.clone())
+            };
+            Ok(Source { supply: Supply::Once(Box::new(simulator)), calibration, keep_lens: None, size })
         }
         SourceKind::Camera => {
             let path = &config.calibration.file;
-            let (model, origin) = if path.as_os_str().is_empty() {
-                camera_calibration::of_config(&config.camera)?
+            let (calibration, keep_lens) = if path.as_os_str().is_empty() || ignore {
+                camera_calibration::of_config(config)?
             } else {
                 let model = load_camera(path).map_err(|e| CliError::new(exit_code::CONFIG, e.to_string()))?;
-                (model, path.display().to_string())
+                (Calibration::known(model, path.display().to_string()), None)
             };
             let camera = config.camera.clone();
             let open: Opener =
                 Box::new(move || V4l2Camera::open(&camera).map(|camera| Box::new(camera) as Box<dyn FrameSource>));
             let longest_pause = Duration::from_millis(config.daemon.camera_retry_ms);
-            let calibration = Calibration { model, origin };
             let size = (config.camera.width_px, config.camera.height_px);
-            Ok((Supply::Camera { open, longest_pause }, calibration, size))
+            Ok(Source { supply: Supply::Camera { open, longest_pause }, calibration, keep_lens, size })
         }
     }
 }

@@ -92,11 +92,23 @@ impl Default for DaemonConfig {
 }
 
 /// `[calibration]`: the camera's lens.
-#[derive(Debug, Clone, Default, PartialEq, Eq, serde::Deserialize, serde::Serialize)]
+#[derive(Debug, Clone, PartialEq, serde::Deserialize, serde::Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct CalibrationConfig {
     /// Our TOML, or a YAML with `width height fx fy cx cy distortion`; relative to where the daemon is started.
     pub file: PathBuf,
+    /// Start as if there were no calibration, whatever there is: the lens is estimated from the motion.
+    pub ignore: bool,
+    /// Angle of view across the longer side that a camera without a calibration is supposed to have, degrees. 20.0..=120.0.
+    pub supposed_view_deg: f64,
+    /// Keep what the motion has shown about an uncalibrated lens for the next start.
+    pub keep_estimate: bool,
+}
+
+impl Default for CalibrationConfig {
+    fn default() -> Self {
+        Self { file: PathBuf::new(), ignore: false, supposed_view_deg: 60.0, keep_estimate: true }
+    }
 }
 
 /// `[publish]`: memory that is reserved for messages.
@@ -185,6 +197,9 @@ impl Config {
         }
         if !(100..=60_000).contains(&d.camera_retry_ms) {
             return Err(Invalid::new("daemon.camera_retry_ms", "must be 100 to 60000"));
+        }
+        if !(20.0..=120.0).contains(&self.calibration.supposed_view_deg) {
+            return Err(Invalid::new("calibration.supposed_view_deg", "must be 20 to 120 degrees"));
         }
         let in_room = |room: &str, key: &str, reason: String| Invalid::new(format!("{room}.{key}"), reason);
         self.features.validate().map_err(|(key, _, reason)| in_room("features", key, reason))?;

@@ -13,7 +13,7 @@ use super::status::{Status, state_name};
 use crate::frame::Clock;
 use crate::messages::{Health, STAGES, StageHealth, UNKNOWN_NS, error, stage};
 use crate::publish::convert;
-use crate::reconstruction::TrackingState;
+use crate::reconstruction::{LensKnowledge, TrackingState};
 use crate::telemetry::{Counter, Heartbeat, Percentiles, Snapshot};
 
 /// A source that is open and gives nothing for so long has a fault, ns.
@@ -216,6 +216,7 @@ impl HealthWatch {
             (state == TrackingState::Tracking && s.landmarks_tracked() < FEW, error::LOW_FEATURES),
             (seen_any && s.points_followed() < FEW, error::LOW_FEATURES),
             (s.calibration_refused(), error::BAD_CALIBRATION),
+            (s.lens().0 == LensKnowledge::Guessed, error::UNCALIBRATED),
             (!self.all_alive(now_ns), error::STALLED_STAGE),
             (state == TrackingState::Lost, error::LOST),
             (self.save_failed, error::SAVE_FAILED),
@@ -277,8 +278,14 @@ impl HealthWatch {
                 stage.heartbeat_age_ns = heart.age_ns(now_ns).unwrap_or(UNKNOWN_NS);
             }
         }
+        let (knowledge, [fx, fy, cx, cy, focal_sigma, centre_sigma_px]) = s.lens();
         Health {
             errors,
+            intrinsics: convert::intrinsics(knowledge),
+            focal_px: [fx, fy],
+            centre_px: [cx, cy],
+            focal_sigma,
+            centre_sigma_px,
             frames_captured: s.captured.get(),
             frames_dropped: s.dropped.get(),
             frames_corrupt: s.corrupt.get() + s.unreadable.get(),

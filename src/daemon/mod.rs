@@ -39,7 +39,7 @@ pub use advice::advice;
 pub use capture::{Captured, Opener, Supply};
 pub use outlet::Outlet;
 pub use reconstruct::{Calibration, Request};
-pub use recorder::{FinalMap, Outputs, SaveKind, Written};
+pub use recorder::{FinalMap, KeepLens, Outputs, SaveKind, Written};
 pub use status::{Status, state_name};
 pub use supervisor::{Desk, End, EndCause, Tick, supervise};
 
@@ -69,6 +69,8 @@ pub struct Parts {
     pub outputs: Outputs,
     /// Folder for the spool of a trajectory that only a later command may ask for; `None`: no such commands.
     pub spool_folder: Option<PathBuf>,
+    /// Keeps what is learnt about an uncalibrated lens; `None`: nobody does.
+    pub keep_lens: Option<KeepLens>,
     pub status: Arc<Status>,
 }
 
@@ -103,8 +105,8 @@ pub(super) struct Threads {
 
 /// Starts all threads. They end when the source ends, or when [`Status::request_stop`] is called.
 pub(super) fn start(parts: Parts) -> Result<Threads, DaemonError> {
-    let Parts { config, supply, calibration, outlet, outputs, spool_folder, status } = parts;
-    let recorder = Recorder::new(&outputs, spool_folder.as_deref(), status.clone())?;
+    let Parts { config, supply, calibration, outlet, outputs, spool_folder, keep_lens, status } = parts;
+    let recorder = Recorder::new(&outputs, spool_folder.as_deref(), status.clone())?.keeping(keep_lens);
     let (orders, order_queue) = bounded::<Order>(RECORD_QUEUE);
     let recorder = spawn("cairn-recorder", move || serve(recorder, &order_queue))?;
 

@@ -19,7 +19,8 @@ use crate::geometry::{CameraModel, Se3};
 use crate::publish::convert::Map;
 use crate::publish::{MapContext, PublishError};
 use crate::reconstruction::{
-    MapSnapshot, MappingWorker, PoseEstimate, Reconstruction, ReconstructionConfig, TrackingState, TrajectoryEvent,
+    LensKnowledge, LensPrior, MapSnapshot, MappingWorker, PoseEstimate, Reconstruction, ReconstructionConfig,
+    TrackingState, TrajectoryEvent, guessed_camera,
 };
 use crate::telemetry::RateLimiter;
 
@@ -28,14 +29,32 @@ use crate::telemetry::RateLimiter;
 pub struct Calibration {
     pub model: CameraModel,
     pub origin: String,
+    /// How well it is known.
+    pub prior: LensPrior,
 }
 
 impl Calibration {
+    /// Of somebody who measured it or says so.
+    pub fn known(model: CameraModel, origin: String) -> Self {
+        Self { model, origin, prior: LensPrior::Calibrated }
+    }
+
+    /// Nobody knows: an angle of view, degrees, to begin with.
+    pub fn guessed((width, height): (u32, u32), view_deg: f64) -> Option<Self> {
+        let model = guessed_camera(width, height, view_deg)?;
+        Some(Self { model, origin: format!("none: {view_deg} degrees are supposed"), prior: LensPrior::UNKNOWN })
+    }
+
     /// The model for pictures of this size: the same, or scaled if only the resolution differs.
     pub fn fit(&self, width: u32, height: u32) -> Result<CameraModel, String> {
         let (from_width, from_height) = (self.model.width, self.model.height);
         if (from_width, from_height) == (width, height) {
             return Ok(self.model.clone());
+        }
+        if self.prior == LensPrior::UNKNOWN {
+            let longer = f64::from(from_width.max(from_height));
+            let view_deg = 2.0 * (0.5 * longer / self.model.fx).atan().to_degrees();
+            return guessed_camera(width, height, view_deg).ok_or_else(|| format!("no camera has {width}x{height} px"));
         }
         let scaled = self.model.scaled(width, height).map_err(|e| {
             format!(
@@ -47,6 +66,9 @@ impl Calibration {
         Ok(scaled)
     }
 }
+
+/// A lens is kept again when its focal length is known this much better than what was kept, as a share of the standard deviation.
+const KEEP_AGAIN: f64 = 0.8;
 
 /// What may be asked of the stage between two frames.
 #[derive(Debug)]
@@ -78,6 +100,9 @@ pub struct ReconstructStep {
     /// Times that a planner has put the map elsewhere: to its readers each is a reset.
     placements: u32,
     last_frame: MapContext,
+    /// What is said of the lens, and how surely it was known when it was last handed over to be kept.
+    lens: Option<LensKnowledge>,
+    kept_sigma: f64,
 }
 
 impl ReconstructStep {
@@ -106,6 +131,8 @@ impl ReconstructStep {
             last_resets: 0,
             placements: 0,
             last_frame: MapContext::default(),
+            lens: None,
+            kept_sigma: f64::INFINITY,
         }
     }
 
@@ -131,6 +158,7 @@ impl ReconstructStep {
         self.status.mapping.record(begin.elapsed());
         self.last_frame = MapContext { timestamp_ns: estimate.timestamp_ns, reset_counter: estimate.reset_counter };
         self.log_changes(&estimate);
+        self.note_lens(KEEP_AGAIN);
         self.drain_events();
         self.recorder.record(Record::Published(estimate));
         self.publish_map();
@@ -156,8 +184,12 @@ impl ReconstructStep {
             origin = self.calibration.origin,
             "camera model"
         );
+        if self.calibration.prior != LensPrior::Calibrated {
+            warn!("the camera is not calibrated: focal length and distortion are estimated from its motion");
+        }
         if let Some(worker) = self.worker.take() {
-            self.reconstruction = Some(Reconstruction::new(&self.config, &camera, worker, self.lockstep));
+            let prior = self.calibration.prior;
+            self.reconstruction = Some(Reconstruction::with_lens(&self.config, &camera, prior, worker, self.lockstep));
         }
         Ok(())
     }
@@ -214,6 +246,23 @@ impl ReconstructStep {
             info!(sequence, timestamp_ns, map, keyframes, landmarks_made, landmarks = e.landmarks, "keyframe");
         } else {
             debug!(sequence, landmarks = e.landmarks, sought = e.landmarks_sought, quality = e.quality, "frame");
+        }
+    }
+
+    /// What is believed of the lens, for health and log; and for the next start, if it is found and less than `share` as uncertain as
+    /// when it was last kept.
+    fn note_lens(&mut self, share: f64) {
+        let Some(reconstruction) = &self.reconstruction else { return };
+        let lens = reconstruction.lens();
+        self.status.set_lens(&lens);
+        if self.lens != Some(lens.knowledge) {
+            let (from, to) = (self.lens.map_or("none", LensKnowledge::name), lens.knowledge.name());
+            info!(from, to, fx_px = lens.camera.fx, focal_sigma = lens.focal_sigma, "lens");
+            self.lens = Some(lens.knowledge);
+        }
+        if lens.knowledge == LensKnowledge::Estimated && lens.focal_sigma < share * self.kept_sigma {
+            self.kept_sigma = lens.focal_sigma;
+            self.recorder.record(Record::Lens(Box::new(lens)));
         }
     }
 
@@ -284,6 +333,8 @@ impl ReconstructStep {
         if let Some(reconstruction) = self.reconstruction.as_mut() {
             reconstruction.finish();
         }
+        self.kept_sigma = f64::INFINITY;
+        self.note_lens(1.0);
         self.drain_events();
         let map = self.final_map();
         if let Some(reconstruction) = &self.reconstruction {

@@ -17,7 +17,7 @@ use crate::geometry::frames::{Camera, World};
 use crate::map::KeyframeId;
 use crate::map::export::write_ply;
 use crate::plot::{LengthUnit, write_overview};
-use crate::reconstruction::{MapSnapshot, PoseEstimate, TrajectoryEvent};
+use crate::reconstruction::{LensEstimate, MapSnapshot, PoseEstimate, TrajectoryEvent};
 use crate::telemetry::RateLimiter;
 use crate::trajectory::{LiveTrajectory, TrajectoryError, TrajectorySpool, TrajectorySummary, read_tum};
 
@@ -43,7 +43,12 @@ pub struct FinalMap {
 pub enum Record {
     Event(TrajectoryEvent),
     Published(PoseEstimate),
+    /// The lens is better known than what was kept of it.
+    Lens(Box<LensEstimate>),
 }
+
+/// Keeps what was learnt about a lens for the next start: where it lies now, or why not.
+pub type KeepLens = Box<dyn FnMut(&LensEstimate) -> Result<String, String> + Send>;
 
 /// A file that a command asks for while the daemon runs.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -61,10 +66,10 @@ pub enum Order {
 }
 
 /// Owns the spools.
-#[derive(Debug)]
 pub struct Recorder {
     trajectory: Option<TrajectorySpool>,
     live: Option<LiveTrajectory>,
+    keep_lens: Option<KeepLens>,
     faults: RateLimiter,
     status: Arc<Status>,
 }
@@ -85,7 +90,13 @@ impl Recorder {
             Some(path) => Some(LiveTrajectory::create(&folder(path))?),
             None => None,
         };
-        Ok(Self { trajectory, live, faults: RateLimiter::default(), status })
+        Ok(Self { trajectory, live, keep_lens: None, faults: RateLimiter::default(), status })
+    }
+
+    /// With somebody who keeps what is learnt about the lens.
+    pub fn keeping(mut self, keep_lens: Option<KeepLens>) -> Self {
+        self.keep_lens = keep_lens;
+        self
     }
 
     /// Takes one record.
@@ -93,6 +104,14 @@ impl Recorder {
         let outcome = match record {
             Record::Event(event) => self.trajectory.as_mut().map_or(Ok(()), |spool| spool.record(event)),
             Record::Published(estimate) => self.live.as_mut().map_or(Ok(()), |spool| spool.record(estimate)),
+            Record::Lens(lens) => {
+                match self.keep_lens.as_mut().map(|keep| keep(lens)) {
+                    Some(Ok(path)) => info!(path, fx_px = lens.camera.fx, focal_sigma = lens.focal_sigma, "lens kept"),
+                    Some(Err(reason)) => warn!(reason, "lens not kept for the next start"),
+                    None => {}
+                }
+                Ok(())
+            }
         };
         if let Err(error) = outcome {
             self.status.records_lost.add(1);

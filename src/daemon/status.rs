@@ -3,7 +3,7 @@
 
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU32, Ordering};
 
-use crate::reconstruction::{Counters, MapSnapshot, PoseEstimate, TrackingState};
+use crate::reconstruction::{Counters, LensEstimate, LensKnowledge, MapSnapshot, PoseEstimate, TrackingState};
 use crate::telemetry::{Counter, Heartbeat, Histogram};
 
 /// State and statistics of one run.
@@ -74,6 +74,10 @@ pub struct Status {
     /// CLOCK_MONOTONIC of the arrival of the last frame, and of the last with a pose, ns; 0 before the first.
     last_arrival_ns: AtomicI64,
     last_pose_arrival_ns: AtomicI64,
+    /// 0 calibrated, 1 estimated, 2 guessed.
+    lens_knowledge: AtomicU8,
+    /// Bits of: fx fy cx cy, standard deviations of the focal length (share) and the principal point (px).
+    lens: [AtomicU32; 6],
     stop: AtomicBool,
 }
 
@@ -120,6 +124,8 @@ impl Default for Status {
             points_followed: AtomicU32::new(0),
             last_arrival_ns: AtomicI64::new(0),
             last_pose_arrival_ns: AtomicI64::new(0),
+            lens_knowledge: AtomicU8::new(0),
+            lens: [const { AtomicU32::new(f32::NAN.to_bits()) }; 6],
             stop: AtomicBool::new(false),
         }
     }
@@ -188,6 +194,32 @@ impl Status {
         if estimate.state == TrackingState::Tracking {
             self.last_pose_arrival_ns.store(estimate.arrival_ns, Ordering::Relaxed);
         }
+    }
+
+    /// Takes over how the lens is believed to be. Readers may see half of a change; the next health message has all of it.
+    pub fn set_lens(&self, lens: &LensEstimate) {
+        let (c, [sx, sy]) = (&lens.camera, lens.centre_sigma_px);
+        let numbers = [c.fx, c.fy, c.cx, c.cy, lens.focal_sigma, sx.max(sy)];
+        for (slot, number) in self.lens.iter().zip(numbers) {
+            slot.store((number as f32).to_bits(), Ordering::Relaxed);
+        }
+        let knowledge = match lens.knowledge {
+            LensKnowledge::Calibrated => 0,
+            LensKnowledge::Estimated => 1,
+            LensKnowledge::Guessed => 2,
+        };
+        self.lens_knowledge.store(knowledge, Ordering::Relaxed);
+    }
+
+    /// Where the lens comes from, and fx fy cx cy (px), standard deviations of focal length (share) and principal point (px); NaN
+    /// before the first frame.
+    pub fn lens(&self) -> (LensKnowledge, [f32; 6]) {
+        let knowledge = match self.lens_knowledge.load(Ordering::Relaxed) {
+            0 => LensKnowledge::Calibrated,
+            1 => LensKnowledge::Estimated,
+            _ => LensKnowledge::Guessed,
+        };
+        (knowledge, std::array::from_fn(|i| f32::from_bits(self.lens[i].load(Ordering::Relaxed))))
     }
 
     /// Landmarks and keyframes of the map, as of its last snapshot.

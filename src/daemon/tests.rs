@@ -35,7 +35,7 @@ fn parts(seconds: f64, pacing: Pacing, folder: &Path, edit: Edit) -> Parts {
     let mut simulation = SimulatorConfig::ideal(Scenario::HandHeld);
     (simulation.width, simulation.height, simulation.duration_s, simulation.texel_mm) = (320, 240, seconds, 8.0);
     let simulator = Simulator::new(&simulation, pacing).expect("simulator");
-    let calibration = Calibration { model: simulator.camera_model().clone(), origin: "simulator".into() };
+    let calibration = Calibration::known(simulator.camera_model().clone(), "simulator".into());
     let file = |name: &str| Some(folder.join(name));
     Parts {
         config: Config::default(),
@@ -49,6 +49,7 @@ fn parts(seconds: f64, pacing: Pacing, folder: &Path, edit: Edit) -> Parts {
             overview: file("overview.png"),
         },
         spool_folder: None,
+        keep_lens: None,
         status: Arc::new(Status::default()),
     }
 }
@@ -157,7 +158,7 @@ fn a_calibration_of_twice_the_resolution_is_scaled() {
     let folder = tempfile::tempdir().expect("folder");
     let parts = parts(1.0, Pacing::LockStep, folder.path(), untouched());
     let twice = parts.calibration.model.scaled(640, 480).expect("same aspect");
-    let calibration = Calibration { model: twice, origin: "file".into() };
+    let calibration = Calibration::known(twice, "file".into());
     let fitted = calibration.fit(320, 240).expect("fits");
     assert!((fitted.fx - parts.calibration.model.fx).abs() < 1e-9);
     assert!((fitted.cx - parts.calibration.model.cx).abs() < 1e-9);

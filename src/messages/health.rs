@@ -2,7 +2,7 @@
 
 use iceoryx2::prelude::ZeroCopySend;
 
-use super::{CLOCK_MONOTONIC, Clock, STATE_INITIALIZING, State, UNKNOWN_NS};
+use super::{CLOCK_MONOTONIC, Clock, INTRINSICS_CALIBRATED, Intrinsics, STATE_INITIALIZING, State, UNKNOWN_NS};
 
 /// Bits of [`Health::errors`]; a bit stands as long as its fault lasts.
 pub mod error {
@@ -32,8 +32,10 @@ pub mod error {
     pub const SAVE_FAILED: u64 = 1 << 11;
     /// Messages lately could not be sent.
     pub const PUBLISH_FAILED: u64 = 1 << 12;
+    /// The lens is a guess: nobody calibrated the camera, and its motion has not shown the focal length so far.
+    pub const UNCALIBRATED: u64 = 1 << 13;
 
-    const NAMES: [(u64, &str); 13] = [
+    const NAMES: [(u64, &str); 14] = [
         (NO_CAMERA, "NO_CAMERA"),
         (NO_FRAMES, "NO_FRAMES"),
         (NO_FEATURES, "NO_FEATURES"),
@@ -47,6 +49,7 @@ pub mod error {
         (LOST, "LOST"),
         (SAVE_FAILED, "SAVE_FAILED"),
         (PUBLISH_FAILED, "PUBLISH_FAILED"),
+        (UNCALIBRATED, "UNCALIBRATED"),
     ];
 
     /// Names of the bits that are set; bits of a newer daemon together are `UNKNOWN`.
@@ -111,7 +114,7 @@ impl Default for StageHealth {
 /// The daemon's health. Counters count from its start.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
-#[type_name("cairn.Health.v1")]
+#[type_name("cairn.Health.v2")]
 pub struct Health {
     /// Another value at every start of the daemon.
     pub run_id: u64,
@@ -166,18 +169,30 @@ pub struct Health {
     pub state: u8,
     /// [`super::CLOCK_MONOTONIC`] or [`super::CLOCK_RECORDING`]: what the source's times count from.
     pub clock: u8,
+    /// [`super::INTRINSICS_CALIBRATED`], [`super::INTRINSICS_ESTIMATED`], [`super::INTRINSICS_GUESSED`]: where focal length and
+    /// principal point come from.
+    pub intrinsics: u8,
     /// Zero.
-    pub reserved: [u8; 2],
+    pub reserved: u8,
     /// Version of the daemon, UTF-8, zero-padded.
     pub version: [u8; 32],
+    /// Focal lengths fx and fy in use, px; NaN before the first frame.
+    pub focal_px: [f32; 2],
+    /// Principal point in use, px; NaN before the first frame.
+    pub centre_px: [f32; 2],
+    /// Standard deviation of the focal length, as a share of it; NaN before the first frame.
+    pub focal_sigma: f32,
+    /// Standard deviation of the principal point, the larger of both coordinates, px; NaN before the first frame.
+    pub centre_sigma_px: f32,
 }
 
-layout!(Health, "cairn.Health.v1", 392, {
+layout!(Health, "cairn.Health.v2", 416, {
     run_id @ 0, sequence @ 8, published_ns @ 16, uptime_ns @ 24, realtime_minus_monotonic_ns @ 32, errors @ 40,
     frames_captured @ 48, frames_dropped @ 56, frames_corrupt @ 64, frames_tracked @ 72, keyframes_made @ 80,
     landmarks_made @ 88, adjustments @ 96, adjustments_late @ 104, resets @ 112, relocalisations @ 120,
     frame_age_ns @ 128, pose_age_ns @ 136, stages @ 144, keyframes @ 336, landmarks @ 340, reset_counter @ 344,
-    map_id @ 348, pid @ 352, state @ 356, clock @ 357, reserved @ 358, version @ 360,
+    map_id @ 348, pid @ 352, state @ 356, clock @ 357, intrinsics @ 358, reserved @ 359, version @ 360, focal_px @ 392,
+    centre_px @ 400, focal_sigma @ 408, centre_sigma_px @ 412,
 });
 
 impl Default for Health {
@@ -210,8 +225,13 @@ impl Default for Health {
             pid: 0,
             state: STATE_INITIALIZING,
             clock: CLOCK_MONOTONIC,
-            reserved: [0; 2],
+            intrinsics: INTRINSICS_CALIBRATED,
+            reserved: 0,
             version: [0; 32],
+            focal_px: [f32::NAN; 2],
+            centre_px: [f32::NAN; 2],
+            focal_sigma: f32::NAN,
+            centre_sigma_px: f32::NAN,
         }
     }
 }
@@ -225,6 +245,11 @@ impl Health {
     /// `clock` as a type.
     pub fn clock(&self) -> Clock {
         Clock::from_wire(self.clock)
+    }
+
+    /// `intrinsics` as a type.
+    pub fn intrinsics(&self) -> Intrinsics {
+        Intrinsics::from_wire(self.intrinsics)
     }
 
     /// Version of the daemon.

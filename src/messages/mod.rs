@@ -87,6 +87,14 @@ pub const CLOCK_MONOTONIC: u8 = 0;
 /// `clock`: `timestamp_ns` is a recording's own time.
 pub const CLOCK_RECORDING: u8 = 1;
 
+/// `intrinsics`: of a calibration, refined around it.
+pub const INTRINSICS_CALIBRATED: u8 = 0;
+/// `intrinsics`: the camera is not calibrated; found from its motion, as surely as `focal_sigma` says.
+pub const INTRINSICS_ESTIMATED: u8 = 1;
+/// `intrinsics`: the camera is not calibrated, and its motion has not shown the focal length so far: angles, depths and the shape of
+/// the map may be off by `focal_sigma`.
+pub const INTRINSICS_GUESSED: u8 = 2;
+
 /// `state` as a type; a value from a newer daemon is kept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum State {
@@ -179,6 +187,40 @@ impl Clock {
     }
 }
 
+/// `intrinsics` as a type; a value from a newer daemon is kept.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Intrinsics {
+    /// Of a calibration.
+    Calibrated,
+    /// Found from the motion.
+    Estimated,
+    /// A guess.
+    Guessed,
+    Unknown(u8),
+}
+
+impl Intrinsics {
+    /// From the wire.
+    pub fn from_wire(value: u8) -> Self {
+        match value {
+            INTRINSICS_CALIBRATED => Self::Calibrated,
+            INTRINSICS_ESTIMATED => Self::Estimated,
+            INTRINSICS_GUESSED => Self::Guessed,
+            other => Self::Unknown(other),
+        }
+    }
+
+    /// `CALIBRATED`, `ESTIMATED`, `GUESSED`, `UNKNOWN`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Calibrated => "CALIBRATED",
+            Self::Estimated => "ESTIMATED",
+            Self::Guessed => "GUESSED",
+            Self::Unknown(_) => "UNKNOWN",
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -192,7 +234,8 @@ mod tests {
                 assert_eq!(seen.type_name().to_string(), <$type>::TYPE_NAME);
                 assert_eq!(seen.size(), core::mem::size_of::<$type>());
                 assert!(<$type>::TYPE_NAME.starts_with("cairn."));
-                assert!(<$type>::TYPE_NAME.ends_with(".v1"));
+                let version = <$type>::TYPE_NAME.rsplit_once(".v").map(|(_, v)| v.parse::<u32>());
+                assert!(matches!(version, Some(Ok(1..))), "{}", <$type>::TYPE_NAME);
             )+};
         }
         check!(Pose, Health, Landmark, MapHeader, Keyframe, KeyframesHeader, FrameHeader, Command, CommandReply);
@@ -203,6 +246,7 @@ mod tests {
         assert_eq!(State::from_wire(77), State::Unknown(77));
         assert_eq!(Scale::from_wire(9), Scale::Unknown(9));
         assert_eq!(Clock::from_wire(9), Clock::Unknown(9));
+        assert_eq!(Intrinsics::from_wire(9), Intrinsics::Unknown(9));
         let pose = Pose { state: 77, ..Pose::default() };
         assert!(!pose.is_tracking());
     }

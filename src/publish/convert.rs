@@ -25,7 +25,7 @@ use crate::frame;
 use crate::geometry::frames::{Body, Camera, World};
 use crate::geometry::{Se3, ros_from_optical};
 use crate::messages::{self, Keyframe, Landmark, NO_KEYFRAME, Pose};
-use crate::reconstruction::{KeyframeView, LandmarkView, PoseEstimate, TrackingState};
+use crate::reconstruction::{KeyframeView, LandmarkView, LensKnowledge, PoseEstimate, TrackingState};
 
 /// What is known of the length of a map unit.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -138,6 +138,15 @@ pub fn clock(clock: frame::Clock) -> u8 {
     match clock {
         frame::Clock::Monotonic => messages::CLOCK_MONOTONIC,
         frame::Clock::Recording => messages::CLOCK_RECORDING,
+    }
+}
+
+/// `intrinsics` of the messages.
+pub fn intrinsics(knowledge: LensKnowledge) -> u8 {
+    match knowledge {
+        LensKnowledge::Calibrated => messages::INTRINSICS_CALIBRATED,
+        LensKnowledge::Estimated => messages::INTRINSICS_ESTIMATED,
+        LensKnowledge::Guessed => messages::INTRINSICS_GUESSED,
     }
 }
 

@@ -34,9 +34,11 @@ pub struct BundleObservation {
     pub inv_sigma_px: f64,
 }
 
-/// Numbers that all pictures share and that an adjustment may refine (log focal length, principal point in px): see
+/// Numbers that all pictures share and that an adjustment may refine (log focal length, principal point in px, k1 k2 p1 p2): see
 /// [`Shared`].
-pub const SHARED: usize = 3;
+pub const SHARED: usize = 7;
+/// The first of them: all that is refined of a lens that was calibrated.
+pub const CALIBRATED_SHARED: usize = 3;
 pub type SharedVector = SVector<f64, SHARED>;
 pub type SharedMatrix = SMatrix<f64, SHARED, SHARED>;
 /// d normalised / d shared.
@@ -49,6 +51,12 @@ type MatrixSx3 = SMatrix<f64, SHARED, 3>;
 pub struct Shared {
     /// One for each observation.
     pub jacobians: Vec<SharedJacobian>,
+    /// So many of the numbers, from the first on, are unknowns; the others stay.
+    pub active: usize,
+    /// Residuals are measured in pixels of the focal length that is being found, `exp(change[0])` times `focal_px`, and answer to it
+    /// without linearisation: needed where it may change by much, because in pixels of the old one every error shrinks as the
+    /// focal length grows.
+    pub in_new_pixels: bool,
     /// Against the intrinsics that the observations were made with; moved by the adjustment.
     pub change: SharedVector,
     /// What `change` is expected to be, and one over the variance of that (infinite would be: held).
@@ -174,13 +182,24 @@ impl BundleProblem {
         if p.z < 1e-6 {
             return None;
         }
+        let (iz, s) = (1.0 / p.z, observation.inv_sigma_px);
         let seen = match &self.shared {
+            Some(shared) if shared.in_new_pixels => {
+                let seen = observation.normalised + shared.jacobians[k] * shared.without_focal();
+                let scale = shared.focal_scale();
+                let (x, y) = (scale * p.x * iz - seen.x, scale * p.y * iz - seen.y);
+                return Some((Vector2::new(s * self.focal_px.x * x, s * self.focal_px.y * y), p));
+            }
             Some(shared) => observation.normalised + shared.jacobians[k] * shared.change,
             None => observation.normalised,
         };
-        let (iz, s) = (1.0 / p.z, observation.inv_sigma_px);
         let e = Vector2::new(s * self.focal_px.x * (p.x * iz - seen.x), s * self.focal_px.y * (p.y * iz - seen.y));
         Some((e, p))
+    }
+
+    /// Focal length of the residuals in units of `focal_px`; exactly 1 unless they are in new pixels.
+    fn focal_scale(&self) -> f64 {
+        self.shared.as_ref().filter(|s| s.in_new_pixels).map_or(1.0, Shared::focal_scale)
     }
 
     fn range(&self, point: usize) -> std::ops::Range<usize> {
@@ -219,6 +238,8 @@ impl BundleProblem {
         if self.shared.is_some() {
             system.camera_shared.resize(free, Matrix6xS::zeros());
         }
+        // Pixels that a step on the plane z = 1 is.
+        let scale = self.focal_scale();
         let rotations: Vec<Matrix3<f64>> =
             self.cameras.iter().map(|c| *c.camera_from_world.rotation.to_rotation_matrix().matrix()).collect();
         for (i, point) in self.points.iter().enumerate() {
@@ -236,7 +257,7 @@ impl BundleProblem {
                 let (rho, w) = huber(e.norm_squared(), delta2);
                 system.cost += rho;
                 let (fx, fy) = (self.focal_px.x * o.inv_sigma_px, self.focal_px.y * o.inv_sigma_px);
-                let (jx, jy) = jacobian_rows(&p, fx, fy);
+                let (jx, jy) = jacobian_rows(&p, fx * scale, fy * scale);
                 // d e / d point = d e / d translation * R.
                 let r = &rotations[o.camera as usize];
                 let px = r.row(0) * jx[3] + r.row(2) * jx[5];
@@ -251,7 +272,10 @@ impl BundleProblem {
                 if let Some(shared) = &self.shared {
                     // d e / d shared: the observation moves, so the residual moves against it.
                     let d = &shared.jacobians[k];
-                    let (dx, dy) = (d.row(0).transpose() * -fx, d.row(1).transpose() * -fy);
+                    let (mut dx, mut dy) = (d.row(0).transpose() * -fx, d.row(1).transpose() * -fy);
+                    if shared.in_new_pixels {
+                        (dx[0], dy[0]) = (fx * scale * p.x / p.z, fy * scale * p.y / p.z);
+                    }
                     system.shared_h += (dx * dx.transpose() + dy * dy.transpose()) * w;
                     system.shared_g += (dx * e.x + dy * e.y) * w;
                     with_shared += (dx * px + dy * py) * w;
@@ -307,7 +331,8 @@ impl BundleProblem {
                 }
             }
             if let Some(shared) = &mut self.shared {
-                shared.change += step.cameras.fixed_rows::<SHARED>(6 * free);
+                let mut change = shared.change.rows_mut(0, shared.active);
+                change += step.cameras.rows(6 * free, shared.active);
             }
             for (point, step) in self.points.iter_mut().zip(&step.points) {
                 *point += step;
@@ -349,7 +374,7 @@ impl BundleProblem {
         system: &System,
         lambda: f64,
     ) -> (DMatrix<f64>, DVector<f64>, Vec<Matrix3<f64>>) {
-        let shared = if self.shared.is_some() { SHARED } else { 0 };
+        let shared = self.shared.as_ref().map_or(0, |s| s.active);
         let size = 6 * free + shared;
         let mut s = DMatrix::<f64>::zeros(size, size);
         let mut g = DVector::<f64>::zeros(size);
@@ -364,10 +389,11 @@ impl BundleProblem {
         }
         if shared > 0 {
             for (i, block) in system.camera_shared.iter().enumerate() {
-                s.fixed_view_mut::<6, SHARED>(6 * i, 6 * free).copy_from(block);
+                s.view_mut((6 * i, 6 * free), (6, shared)).copy_from(&block.columns(0, shared));
             }
-            s.fixed_view_mut::<SHARED, SHARED>(6 * free, 6 * free).copy_from(&system.shared_h);
-            g.fixed_rows_mut::<SHARED>(6 * free).copy_from(&-system.shared_g);
+            let own = system.shared_h.view((0, 0), (shared, shared));
+            s.view_mut((6 * free, 6 * free), (shared, shared)).copy_from(&own);
+            g.rows_mut(6 * free, shared).copy_from(&-system.shared_g.rows(0, shared));
         }
         let mut inverses = Vec::with_capacity(self.points.len());
         for i in 0..self.points.len() {
@@ -396,16 +422,18 @@ impl BundleProblem {
                     block -= y * system.cross[b].transpose();
                 }
                 if shared > 0 {
-                    let mut block = s.fixed_view_mut::<6, SHARED>(6 * sa as usize, 6 * free);
-                    block -= y * system.shared_point[i].transpose();
+                    let border = y * system.shared_point[i].transpose();
+                    let mut block = s.view_mut((6 * sa as usize, 6 * free), (6, shared));
+                    block -= border.columns(0, shared);
                 }
             }
             if shared > 0 {
                 let w = &system.shared_point[i];
-                let mut block = s.fixed_view_mut::<SHARED, SHARED>(6 * free, 6 * free);
-                block -= w * inverse * w.transpose();
-                let mut part = g.fixed_rows_mut::<SHARED>(6 * free);
-                part += w * rest;
+                let own = w * inverse * w.transpose();
+                let mut block = s.view_mut((6 * free, 6 * free), (shared, shared));
+                block -= own.view((0, 0), (shared, shared));
+                let mut part = g.rows_mut(6 * free, shared);
+                part += (w * rest).rows(0, shared);
             }
             inverses.push(inverse);
         }
@@ -421,7 +449,7 @@ impl BundleProblem {
     fn solve(&self, slot: &[u32], free: usize, system: &System, lambda: f64) -> Option<Step> {
         let (mut s, mut g, inverses) = self.reduce(slot, free, system, lambda);
         if let Some(shared) = &self.shared {
-            for i in 0..SHARED {
+            for i in 0..shared.active {
                 s[(6 * free + i, 6 * free + i)] += shared.information[i];
                 g[6 * free + i] += shared.information[i] * (shared.expected[i] - shared.change[i]);
             }
@@ -430,6 +458,11 @@ impl BundleProblem {
         if !cameras.iter().all(|v| v.is_finite()) {
             return None;
         }
+        let change = self.shared.as_ref().map(|shared| {
+            let mut change = SharedVector::zeros();
+            change.rows_mut(0, shared.active).copy_from(&cameras.rows(6 * free, shared.active));
+            change
+        });
         let mut points = Vec::with_capacity(self.points.len());
         for i in 0..self.points.len() {
             let mut rest = -system.point_g[i];
@@ -439,8 +472,8 @@ impl BundleProblem {
                     rest -= system.cross[k].transpose() * cameras.fixed_rows::<6>(6 * sk as usize);
                 }
             }
-            if self.shared.is_some() {
-                rest -= system.shared_point[i].transpose() * cameras.fixed_rows::<SHARED>(6 * free);
+            if let Some(change) = &change {
+                rest -= system.shared_point[i].transpose() * change;
             }
             let step = inverses[i] * rest;
             points.push(if step.iter().all(|v| v.is_finite()) { step } else { Vector3::zeros() });
@@ -458,6 +491,16 @@ impl BundleProblem {
 }
 
 impl Shared {
+    fn focal_scale(&self) -> f64 {
+        self.change[0].exp()
+    }
+
+    fn without_focal(&self) -> SharedVector {
+        let mut change = self.change;
+        change[0] = 0.0;
+        change
+    }
+
     fn prior_cost(&self) -> f64 {
         let off = self.change - self.expected;
         off.component_mul(&off).dot(&self.information)

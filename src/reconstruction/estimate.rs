@@ -58,7 +58,7 @@ impl Reconstruction {
             linear_velocity: linear,
             landmarks: tracked.landmarks as u32,
             landmarks_sought: tracked.sought as u32,
-            quality: quality(tracked),
+            quality: quality(tracked) * self.lens_quality(),
             keyframe,
             ..self.estimate_none(features)
         }
@@ -91,7 +91,14 @@ const READOUT_IN_TRANSLATION: f64 = 0.15;
 /// On all of it, so that the mean of the normalised error squared is what it should be and not only its bulk.
 const TAILS: f64 = 2.0;
 
+/// Factor on the quality of a pose while the lens is a guess: angles and depths are off by as much as the focal length is.
+const GUESSED_LENS_QUALITY: f32 = 0.5;
+
 impl Reconstruction {
+    fn lens_quality(&self) -> f32 {
+        if self.intrinsics.is_found() { 1.0 } else { GUESSED_LENS_QUALITY }
+    }
+
     fn doubt(&self, tracked: &Tracked, angular: &Vector3<f64>, linear: &Vector3<f64>) -> Doubt {
         // Unknown right after a start: a guess that does not flatter.
         let or = |v: f64, unknown: f64| if v.is_finite() { v } else { unknown };

@@ -1,14 +1,23 @@
 //! Intrinsics, refined from the motion itself.
 //!
-//! A calibration is never exact, and a nominal one (equal focal lengths, principal point in the middle, no distortion) is
-//! a guess: a focal length that is 3 % off bends the map. When the whole map is adjusted, the logarithm of the focal length and
-//! the principal point are unknowns too, with a prior around the calibrated values (Triggs et al. 2000, section 9.3 on
-//! inner constraints and priors). The adjustment's own information is far too sure of itself (neighbouring keyframes
-//! share the errors of their templates), so it counts only in part.
+//! A calibration is never exact, a nominal one (equal focal lengths, principal point in the middle, no distortion) is a guess, and a
+//! camera that nobody has calibrated starts with nothing but a usual angle of view. When the whole map is adjusted, the
+//! logarithm of the focal length and the principal point are unknowns too, with a prior around what was known before (Triggs et al.
+//! 2000, section 9.3 on inner constraints and priors); for a lens that is a guess k1, k2, p1 and p2 as well. The adjustment's own
+//! information is far too sure of itself (neighbouring keyframes share the errors of their templates), so it counts only in part.
 //!
-//! Not here: distortion. On real sequences it traded against the focal length without end.
+//! A guessed lens differs in three more ways. Residuals are measured in pixels of the focal length that is being found (in pixels of the
+//! old one every error shrinks as the focal length grows, and it grows without end). The whole of a small map is adjusted
+//! at every keyframe. And a map that was begun with a focal length far from what it has shown since is begun anew.
+//!
+//! **What is said of it.** The published standard deviation is [`TAILS`] times the adjustment's, with [`MODEL_FLOOR`] added for what
+//! this lens model leaves out, and never above the prior's. A focal length counts as found from the motion ([`LensKnowledge::Estimated`])
+//! while that is at most [`FOUND_SIGMA`], and as not observable so far otherwise: without rotation it does not shrink at all, because
+//! every focal length then fits with depths of its own.
+//!
+//! Not here: distortion of a lens that was calibrated; k3 and wide-angle models; finding a focal length without translation.
 
-use super::bundle::SharedVector;
+use super::bundle::{SharedMatrix, SharedVector};
 use super::local_adjustment::{MappingJob, MappingResult};
 use crate::geometry::CameraModel;
 use crate::map::Map;
@@ -19,66 +28,221 @@ const NOMINAL_FOCAL: f64 = 0.05;
 /// Standard deviation of the principal point, as a share of the picture's width.
 const CALIBRATED_CENTRE: f64 = 1e-4;
 const NOMINAL_CENTRE: f64 = 0.0125;
+/// Standard deviations of k1, k2, and p1 and p2 of a lens that nobody has measured.
+const GUESSED_DISTORTION: [f64; 4] = [0.1, 0.1, 0.003, 0.003];
 /// Share of the adjustment's information that is believed.
 const BELIEVED: f64 = 0.05;
 /// Levenberg-Marquardt steps of each pass.
 const STEPS: usize = 6;
 
+/// On the standard deviations of a guessed lens, so that errors of simulated and recorded sequences stay within two of them.
+const TAILS: f64 = 1.5;
+/// What rolling shutter and distortion beyond k1 k2 p1 p2 may cost in focal length, as a share of it.
+const MODEL_FLOOR: f64 = 0.03;
+/// Largest published standard deviation of log focal length at which it counts as found.
+pub const FOUND_SIGMA: f64 = 0.08;
+
+/// A map is begun anew when log focal length has changed by more than this since its beginning, with a standard deviation below the
+/// second number, at most so many times.
+const RESTART_CHANGE: f64 = 0.22;
+const RESTART_SIGMA: f64 = 0.15;
+const MAX_RESTARTS: u32 = 4;
+/// The next map's prior is so many times less sure than the map that ended: the errors of its landmarks were common to all of it.
+const NEXT_MAP_WIDENING: f64 = 2.0;
+/// A guessed lens is adjusted at every keyframe below so many of them, as long as it is less sure than this.
+const EAGER_KEYFRAMES: usize = 30;
+const EAGER_SIGMA: f64 = 0.02;
+
+/// How well the intrinsics that reconstruction begins with are known.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum LensPrior {
+    /// They were measured, or somebody wrote down round numbers (told from the numbers themselves).
+    #[default]
+    Calibrated,
+    /// They are a guess: standard deviations of log focal length, and of the principal point as a share of the picture's width.
+    Guess { focal: f64, centre: f64 },
+}
+
+impl LensPrior {
+    /// A camera of which nothing is known but that webcams see some 60 degrees.
+    pub const UNKNOWN: Self = Self::Guess { focal: 0.25, centre: 0.025 };
+
+    /// An estimate of an earlier run, with the standard deviations that were published with it: never surer than the floor of what the
+    /// model leaves out, and never less sure than knowing nothing.
+    pub fn kept(focal_sigma: f64, centre: f64) -> Self {
+        Self::Guess { focal: focal_sigma.clamp(MODEL_FLOOR, 0.25), centre: centre.clamp(0.002, 0.025) }
+    }
+}
+
+/// A camera of which nothing is known but an angle of view across the longer side of its pictures, degrees; `None` if there is no such camera.
+pub fn guessed_camera(width: u32, height: u32, view_deg: f64) -> Option<CameraModel> {
+    let half = 0.5 * f64::from(width.max(height));
+    let focal = half / (0.5 * view_deg).to_radians().tan();
+    let middle = |size: u32| 0.5 * f64::from(size) - 0.5;
+    CameraModel::new(width, height, focal, focal, middle(width), middle(height), [0.0; 5]).ok()
+}
+
+/// Where the intrinsics in use come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum LensKnowledge {
+    /// A calibration (refined around it).
+    #[default]
+    Calibrated,
+    /// Found from the motion, as surely as the standard deviation says.
+    Estimated,
+    /// A guess: the motion has not shown the focal length so far.
+    Guessed,
+}
+
+impl LensKnowledge {
+    /// As logged and printed.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Calibrated => "calibrated",
+            Self::Estimated => "estimated",
+            Self::Guessed => "guessed",
+        }
+    }
+}
+
+/// The lens as it is believed now.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LensEstimate {
+    pub knowledge: LensKnowledge,
+    pub camera: CameraModel,
+    /// Standard deviation of the focal length, as a share of it.
+    pub focal_sigma: f64,
+    /// Standard deviation of each coordinate of the principal point, px.
+    pub centre_sigma_px: [f64; 2],
+}
+
 /// What is known about the camera beyond its map.
 #[derive(Debug, Clone)]
 pub struct Intrinsics {
-    /// As it was calibrated.
-    calibrated: CameraModel,
-    /// Standard deviations of log focal length and principal point (px) by the calibration alone.
+    /// Nobody has calibrated this camera.
+    pub guessed: bool,
+    /// As it was calibrated, guessed, or found with the map before.
+    expected: CameraModel,
+    /// Standard deviations (log focal length, principal point in px, distortion) without the present map.
     sigma: SharedVector,
     /// The same with what the map says.
-    pub refined_sigma: SharedVector,
+    refined_sigma: SharedVector,
+    /// Focal length (px) with which the present map was begun, and maps given up because theirs was too far off.
+    begun_with: f64,
+    restarts: u32,
 }
 
 impl Intrinsics {
-    pub fn new(camera: &CameraModel) -> Self {
-        let (focal, centre) =
-            if is_nominal(camera) { (NOMINAL_FOCAL, NOMINAL_CENTRE) } else { (CALIBRATED_FOCAL, CALIBRATED_CENTRE) };
+    pub fn new(camera: &CameraModel, prior: LensPrior) -> Self {
+        let (focal, centre) = match prior {
+            LensPrior::Guess { focal, centre } => (focal, centre),
+            LensPrior::Calibrated if is_nominal(camera) => (NOMINAL_FOCAL, NOMINAL_CENTRE),
+            LensPrior::Calibrated => (CALIBRATED_FOCAL, CALIBRATED_CENTRE),
+        };
         let centre_px = centre * f64::from(camera.width);
-        let sigma = SharedVector::new(focal, centre_px, centre_px);
-        Self { calibrated: camera.clone(), sigma, refined_sigma: sigma }
+        let [k1, k2, p1, p2] = GUESSED_DISTORTION;
+        let sigma = SharedVector::from([focal, centre_px, centre_px, k1, k2, p1, p2]);
+        Self {
+            guessed: prior != LensPrior::Calibrated,
+            expected: camera.clone(),
+            sigma,
+            refined_sigma: sigma,
+            begun_with: camera.fx,
+            restarts: 0,
+        }
+    }
+
+    /// What may be said of the lens.
+    pub fn estimate(&self, camera: &CameraModel) -> LensEstimate {
+        let knowledge = match self.guessed {
+            false => LensKnowledge::Calibrated,
+            true if self.is_found() => LensKnowledge::Estimated,
+            true => LensKnowledge::Guessed,
+        };
+        LensEstimate {
+            knowledge,
+            camera: camera.clone(),
+            focal_sigma: self.published_sigma(0, MODEL_FLOOR),
+            centre_sigma_px: [self.published_sigma(1, 0.0), self.published_sigma(2, 0.0)],
+        }
+    }
+
+    /// Calibrated, or found from the motion.
+    pub fn is_found(&self) -> bool {
+        !self.guessed || self.published_sigma(0, MODEL_FLOOR) <= FOUND_SIGMA
+    }
+
+    fn published_sigma(&self, index: usize, floor: f64) -> f64 {
+        match self.guessed {
+            true => (TAILS * self.refined_sigma[index]).hypot(floor).min(self.sigma[index].max(floor)),
+            false => self.refined_sigma[index],
+        }
     }
 
     /// Adjustment of the whole map, and with `refine` of the intrinsics.
     pub fn whole_job(&self, map: &Map, camera: &CameraModel, readout_s: f64, refine: bool) -> Option<MappingJob> {
         let mut job = MappingJob::whole(map, camera, readout_s, STEPS)?;
-        if !refine {
-            return Some(job);
+        if refine || self.guessed {
+            let off = |i: usize| self.expected.distortion[i] - camera.distortion[i];
+            let expected = SharedVector::from([
+                (self.expected.fx / camera.fx).ln(),
+                self.expected.cx - camera.cx,
+                self.expected.cy - camera.cy,
+                off(0),
+                off(1),
+                off(2),
+                off(3),
+            ]);
+            // Believing a part of the data is weighing the prior the more.
+            let information = self.sigma.map(|s| 1.0 / (BELIEVED * s * s));
+            job.refine_intrinsics(map, camera, expected, information, self.guessed);
         }
-        let expected = SharedVector::new(
-            (self.calibrated.fx / camera.fx).ln(),
-            self.calibrated.cx - camera.cx,
-            self.calibrated.cy - camera.cy,
-        );
-        // Believing a part of the data is weighing the prior the more.
-        let information = self.sigma.map(|s| 1.0 / (BELIEVED * s * s));
-        job.refine_intrinsics(map, camera, expected, information);
         Some(job)
+    }
+
+    /// Keyframes at which the whole map is to be adjusted again: when it has grown by a third; a guessed lens at every keyframe of a
+    /// small map and when a larger one has grown by a sixth.
+    pub fn next_whole(&self, keyframes: usize) -> usize {
+        match keyframes {
+            n if !self.guessed => n + n / 3,
+            n if n < EAGER_KEYFRAMES && self.refined_sigma[0] > EAGER_SIGMA => 0,
+            n => n + (n / 6).max(2),
+        }
+    }
+
+    /// A map that was begun with a focal length far from what it has shown by now: its landmarks were chosen and its outliers judged
+    /// with the wrong one, so a new map with the better one is worth more.
+    pub fn wants_restart(&self, camera: &CameraModel) -> bool {
+        self.guessed
+            && self.restarts < MAX_RESTARTS
+            && self.refined_sigma[0] < RESTART_SIGMA
+            && self.has_moved_far(camera)
+    }
+
+    fn has_moved_far(&self, camera: &CameraModel) -> bool {
+        (camera.fx / self.begun_with).ln().abs() > RESTART_CHANGE
+    }
+
+    /// The map ends: what it taught about a guessed lens is the next one's prior, less surely.
+    pub fn end_map(&mut self, camera: &CameraModel) {
+        if !self.guessed {
+            return;
+        }
+        self.restarts += u32::from(self.has_moved_far(camera));
+        self.begun_with = camera.fx;
+        self.expected = camera.clone();
+        self.sigma = self.sigma.zip_map(&(self.refined_sigma * NEXT_MAP_WIDENING), f64::min);
+        self.refined_sigma = self.sigma;
     }
 
     /// Takes over what an adjustment found, here and in every observation of the map.
     pub fn merge(&mut self, result: &MappingResult, map: &mut Map, camera: &mut CameraModel) {
         let Some(shared) = result.shared() else { return };
-        let scale = shared.change[0].exp();
-        let refined = CameraModel::new(
-            camera.width,
-            camera.height,
-            camera.fx * scale,
-            camera.fy * scale,
-            camera.cx + shared.change[1],
-            camera.cy + shared.change[2],
-            camera.distortion,
-        );
-        let Ok(refined) = refined else { return };
+        let Some(refined) = changed(camera, &shared.change, self.guessed) else { return };
         let prior = self.sigma.map(|s| 1.0 / (s * s));
-        let information = shared.found_information * BELIEVED + super::bundle::SharedMatrix::from_diagonal(&prior);
+        let information = shared.found_information * BELIEVED + SharedMatrix::from_diagonal(&prior);
         if let Some(covariance) = information.try_inverse() {
-            self.refined_sigma = covariance.diagonal().map(|v| v.max(0.0).sqrt());
+            self.refined_sigma = covariance.diagonal().map(|v| v.max(0.0).sqrt()).zip_map(&self.sigma, f64::min);
         }
         *camera = refined;
         for (_, keyframe) in map.keyframes.iter_mut() {
@@ -90,6 +254,26 @@ impl Intrinsics {
             }
         }
     }
+}
+
+/// The camera with a change of the shared numbers. A distortion under which a part of the picture would see nothing is not taken
+/// over; `None` if no camera comes of it.
+fn changed(camera: &CameraModel, change: &SharedVector, guessed: bool) -> Option<CameraModel> {
+    let scale = change[0].exp();
+    let with = |distortion: [f64; 5]| {
+        let (fx, fy) = (camera.fx * scale, camera.fy * scale);
+        let (cx, cy) = (camera.cx + change[1], camera.cy + change[2]);
+        CameraModel::new(camera.width, camera.height, fx, fy, cx, cy, distortion).ok()
+    };
+    if !guessed {
+        return with(camera.distortion);
+    }
+    let mut distortion = camera.distortion;
+    for (d, change) in distortion.iter_mut().zip(change.iter().skip(3)) {
+        *d += change;
+    }
+    let covers = |c: &CameraModel| c.covers_picture();
+    with(distortion).filter(covers).or_else(|| with(camera.distortion).filter(covers))
 }
 
 /// Numbers that nobody measured.
@@ -105,13 +289,56 @@ fn is_nominal(camera: &CameraModel) -> bool {
 mod tests {
     use super::*;
 
+    fn camera(fx: f64, fy: f64, cx: f64, k1: f64) -> CameraModel {
+        CameraModel::new(640, 480, fx, fy, cx, 240.0, [k1, 0.0, 0.0, 0.0, 0.0]).expect("valid")
+    }
+
     #[test]
     fn round_numbers_are_a_guess_and_measured_ones_are_not() {
-        let camera = |fx, fy, cx, k1| CameraModel::new(640, 480, fx, fy, cx, 240.0, [k1, 0.0, 0.0, 0.0, 0.0]).unwrap();
         assert!(is_nominal(&camera(525.0, 525.0, 320.0, 0.0)));
         assert!(is_nominal(&camera(525.0, 525.0, 319.5, 0.0)));
         assert!(!is_nominal(&camera(517.3, 516.5, 320.0, 0.0)));
         assert!(!is_nominal(&camera(525.0, 525.0, 318.6, 0.0)));
         assert!(!is_nominal(&camera(525.0, 525.0, 320.0, 0.1)));
+    }
+
+    #[test]
+    fn a_guess_is_said_to_be_one_until_its_sigma_has_shrunk() {
+        let camera = camera(554.0, 554.0, 320.0, 0.0);
+        let mut lens = Intrinsics::new(&camera, LensPrior::UNKNOWN);
+        assert_eq!(
+            (lens.estimate(&camera).knowledge, lens.estimate(&camera).focal_sigma),
+            (LensKnowledge::Guessed, 0.25)
+        );
+        lens.refined_sigma[0] = 0.01;
+        let found = lens.estimate(&camera);
+        assert_eq!(found.knowledge, LensKnowledge::Estimated);
+        assert!((MODEL_FLOOR..0.05).contains(&found.focal_sigma));
+        let measured = Intrinsics::new(&camera, LensPrior::Calibrated).estimate(&camera);
+        assert_eq!(measured.knowledge, LensKnowledge::Calibrated);
+    }
+
+    #[test]
+    fn what_a_map_taught_outlives_it_but_is_believed_less() {
+        let mut camera = camera(554.0, 554.0, 320.0, 0.0);
+        let mut lens = Intrinsics::new(&camera, LensPrior::UNKNOWN);
+        lens.refined_sigma[0] = 0.02;
+        camera.fx = 400.0;
+        assert!(lens.wants_restart(&camera));
+        lens.end_map(&camera);
+        assert!(!lens.wants_restart(&camera), "the next map begins with the better one");
+        assert_eq!((lens.sigma[0], lens.expected.fx, lens.restarts), (0.04, 400.0, 1));
+    }
+
+    #[test]
+    fn a_distortion_that_folds_the_picture_is_not_taken_over() {
+        let camera = camera(320.0, 320.0, 320.0, 0.0);
+        let mut change = SharedVector::zeros();
+        (change[0], change[3]) = (0.1, -0.5);
+        let refined = changed(&camera, &change, true).expect("a camera");
+        assert_eq!(refined.distortion[0], 0.0);
+        assert!((refined.fx - 320.0 * 0.1f64.exp()).abs() < 1e-9);
+        change[3] = -0.05;
+        assert_eq!(changed(&camera, &change, true).map(|c| c.distortion[0]), Some(-0.05));
     }
 }

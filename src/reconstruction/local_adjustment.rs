@@ -7,8 +7,8 @@
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 use super::bundle::{
-    BundleCamera, BundleObservation, BundleOptions, BundleProblem, BundleReport, Shared, SharedJacobian, SharedMatrix,
-    SharedVector,
+    BundleCamera, BundleObservation, BundleOptions, BundleProblem, BundleReport, CALIBRATED_SHARED, SHARED, Shared,
+    SharedJacobian, SharedMatrix, SharedVector,
 };
 use super::config::ReconstructionConfig;
 use crate::geometry::frames::{Camera, World};
@@ -138,13 +138,14 @@ impl MappingJob {
         })
     }
 
-    /// Lets the adjustment refine the intrinsics as well.
+    /// Lets the adjustment refine the intrinsics as well; of a `guessed` lens all of them, whatever the change.
     pub fn refine_intrinsics(
         &mut self,
         map: &Map,
         camera: &CameraModel,
         expected: SharedVector,
         information: SharedVector,
+        guessed: bool,
     ) {
         let mut jacobians = Vec::with_capacity(self.problem.observations.len());
         for (i, &id) in self.landmarks.iter().enumerate() {
@@ -156,6 +157,8 @@ impl MappingJob {
         }
         self.problem.shared = Some(Shared {
             jacobians,
+            active: if guessed { SHARED } else { CALIBRATED_SHARED },
+            in_new_pixels: guessed,
             change: SharedVector::zeros(),
             expected,
             information,
@@ -170,11 +173,23 @@ impl MappingJob {
     }
 }
 
-/// How an observation's undistorted place answers to log focal length and principal point (px).
+/// How an observation's undistorted place answers to log focal length, principal point (px) and k1 k2 p1 p2: by
+/// Brown's model the distorted place moves by `n |n|²`, `n |n|⁴`, and the tangential terms.
 fn intrinsics_jacobian(o: &Observation, camera: &CameraModel) -> SharedJacobian {
     let j = &o.normalised_from_pixel;
     let from_centre = Vector2::new(f64::from(o.pixel.x) - camera.cx, f64::from(o.pixel.y) - camera.cy);
-    SharedJacobian::from_columns(&[-(j * from_centre), -j.column(0).into_owned(), -j.column(1).into_owned()])
+    let n = &o.normalised;
+    let px = |x: f64, y: f64| Vector2::new(camera.fx * x, camera.fy * y);
+    let (s, xy) = (n.norm_squared(), n.x * n.y);
+    SharedJacobian::from_columns(&[
+        -(j * from_centre),
+        -j.column(0).into_owned(),
+        -j.column(1).into_owned(),
+        -(j * px(n.x * s, n.y * s)),
+        -(j * px(n.x * s * s, n.y * s * s)),
+        -(j * px(2.0 * xy, s + 2.0 * n.y * n.y)),
+        -(j * px(s + 2.0 * n.x * n.x, 2.0 * xy)),
+    ])
 }
 
 impl MappingResult {

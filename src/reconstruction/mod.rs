@@ -23,6 +23,7 @@ pub mod types;
 use nalgebra::{Vector2, Vector3};
 
 pub use config::ReconstructionConfig;
+pub use intrinsics::{FOUND_SIGMA, LensEstimate, LensKnowledge, LensPrior, guessed_camera};
 pub use local_adjustment::{InlineWorker, MappingJob, MappingResult, MappingWorker};
 pub use types::*;
 
@@ -110,6 +111,17 @@ impl Reconstruction {
         worker: Box<dyn MappingWorker>,
         lockstep: bool,
     ) -> Self {
+        Self::with_lens(config, camera, LensPrior::Calibrated, worker, lockstep)
+    }
+
+    /// The same with a camera whose intrinsics may be a guess.
+    pub fn with_lens(
+        config: &ReconstructionConfig,
+        camera: &CameraModel,
+        prior: LensPrior,
+        worker: Box<dyn MappingWorker>,
+        lockstep: bool,
+    ) -> Self {
         Self {
             config: config.clone(),
             camera: camera.clone(),
@@ -132,7 +144,7 @@ impl Reconstruction {
             unadjusted: None,
             pending: None,
             next_whole: WHOLE_FIRST,
-            intrinsics: Intrinsics::new(camera),
+            intrinsics: Intrinsics::new(camera, prior),
             events: Vec::new(),
             counters: Counters::default(),
             inliers: Vec::with_capacity(1024),
@@ -321,7 +333,7 @@ impl Reconstruction {
             self.unadjusted = None;
             let keyframes = self.map.keyframes.len();
             let job = if keyframes >= self.next_whole && keyframes <= WHOLE_LIMIT {
-                self.next_whole = keyframes + keyframes / 3;
+                self.next_whole = self.intrinsics.next_whole(keyframes);
                 self.intrinsics.whole_job(
                     &self.map,
                     &self.camera,
@@ -378,6 +390,9 @@ impl Reconstruction {
         if let Some(last) = &mut self.last {
             last.camera_from_world = last.camera_from_world * old_from_new;
         }
+        if !now && self.intrinsics.wants_restart(&self.camera) {
+            self.reset();
+        }
     }
 
     /// Drops the map and starts over at the next frame.
@@ -391,6 +406,7 @@ impl Reconstruction {
                 world_from_camera: k.camera_from_world.inverse(),
             });
         }
+        self.intrinsics.end_map(&self.camera);
         self.map.clear();
         self.initialiser.clear();
         self.bindings.clear();
@@ -461,6 +477,11 @@ impl Reconstruction {
     /// The camera as it is believed now: its focal length is refined from the motion.
     pub fn camera(&self) -> &CameraModel {
         &self.camera
+    }
+
+    /// The lens as it is believed now, and how surely.
+    pub fn lens(&self) -> LensEstimate {
+        self.intrinsics.estimate(&self.camera)
     }
 
     /// Readout time of the camera's rolling shutter as it is believed now, s.

@@ -13,6 +13,7 @@ TEXT_LEN = 512
 STATES = ("INITIALIZING", "TRACKING", "LOST")
 SCALES = ("UNKNOWN", "ESTIMATED", "METRIC")
 CLOCKS = ("MONOTONIC", "RECORDING")
+INTRINSICS = ("CALIBRATED", "ESTIMATED", "GUESSED")
 ERRORS = (
     "NO_CAMERA",
     "NO_FRAMES",
@@ -27,6 +28,7 @@ ERRORS = (
     "LOST",
     "SAVE_FAILED",
     "PUBLISH_FAILED",
+    "UNCALIBRATED",
 )
 STAGES = ("capture", "features", "tracking", "mapping", "publishing", "end_to_end")
 
@@ -40,10 +42,12 @@ def word(words, value):
 
 
 class _Message(c.Structure):
+    VERSION = 1
+
     @classmethod
     def type_name(cls):
         """What iceoryx2 compares when two processes meet."""
-        return f"cairn.{cls.__name__}.v1"
+        return f"cairn.{cls.__name__}.v{cls.VERSION}"
 
 
 class Pose(_Message):
@@ -89,6 +93,7 @@ class StageHealth(_Message):
 
 
 class Health(_Message):
+    VERSION = 2
     _fields_ = [
         ("run_id", c.c_uint64),
         ("sequence", c.c_uint64),
@@ -116,8 +121,13 @@ class Health(_Message):
         ("pid", c.c_uint32),
         ("state", c.c_uint8),
         ("clock", c.c_uint8),
-        ("reserved", c.c_uint8 * 2),
+        ("intrinsics", c.c_uint8),
+        ("reserved", c.c_uint8),
         ("version", c.c_uint8 * 32),
+        ("focal_px", c.c_float * 2),
+        ("centre_px", c.c_float * 2),
+        ("focal_sigma", c.c_float),
+        ("centre_sigma_px", c.c_float),
     ]
 
 

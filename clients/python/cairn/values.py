@@ -152,6 +152,11 @@ class Health(Value):
         return dict(zip(m.STAGES, self.raw.stages))
 
     @property
+    def intrinsics(self):
+        """CALIBRATED, ESTIMATED (from the motion) or GUESSED, or UNKNOWN for one of a newer daemon; how surely: `focal_sigma`."""
+        return m.word(m.INTRINSICS, self.raw.intrinsics)
+
+    @property
     def version(self):
         """Of the daemon."""
         return bytes(self.raw.version).split(b"\0")[0].decode("utf-8", "replace")

@@ -5,7 +5,9 @@ use std::fmt::Write;
 use serde::Serialize;
 
 use crate::client::MapSnapshot;
-use crate::messages::{Clock, Health, MapHeader, NO_KEYFRAME, Pose, Scale, State, UNKNOWN_NS, error, stage};
+use crate::messages::{
+    Clock, Health, Intrinsics, MapHeader, NO_KEYFRAME, Pose, Scale, State, UNKNOWN_NS, error, stage,
+};
 
 /// A message that can be printed on one line.
 pub trait Render {
@@ -155,17 +157,29 @@ impl Render for Health {
             .field("pid", self.pid)
             .field("state", self.state().name())
             .field("clock", self.clock().name())
+            .field("intrinsics", self.intrinsics().name())
             .field("version", self.version())
+            .field("focal_px", self.focal_px)
+            .field("centre_px", self.centre_px)
+            .field("focal_sigma", self.focal_sigma)
+            .field("centre_sigma_px", self.centre_sigma_px)
             .end()
     }
 
     fn text(&self) -> String {
         let errors: Vec<_> = error::names(self.errors).collect();
         let errors = if errors.is_empty() { "no errors".into() } else { errors.join(" ") };
+        let lens = match self.intrinsics() {
+            Intrinsics::Calibrated => String::new(),
+            other => {
+                let (name, sigma) = (other.name(), 100.0 * self.focal_sigma);
+                format!("lens {name} f {:.0} px +- {sigma:.0} %  ", self.focal_px[0])
+            }
+        };
         let slow = self.stages.get(stage::END_TO_END).map_or(f32::NAN, |s| s.p95_ms);
         format!(
             "up {:.0} s  {:12}  frames {} (dropped {}, corrupt {}, tracked {})  keyframes {}  landmarks {}  \
-             p95 {slow:.1} ms  resets {}  {errors}",
+             p95 {slow:.1} ms  resets {}  {lens}{errors}",
             self.uptime_ns as f64 * 1e-9,
             self.state().name(),
             self.frames_captured,

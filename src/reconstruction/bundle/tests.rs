@@ -88,13 +88,27 @@ fn outliers_are_named_and_the_rest_still_fits() {
 }
 
 /// Lets the log focal length and the principal point move; `expected` and how surely, in the observations' own sigmas.
+fn few(first: [f64; 3]) -> SharedVector {
+    let mut v = SharedVector::zeros();
+    v.rows_mut(0, 3).copy_from_slice(&first);
+    v
+}
+
 fn shared(p: &BundleProblem, expected: SharedVector, information: f64) -> Shared {
     let jacobian = |o: &BundleObservation| {
         let px = Vector2::new(1.0 / p.focal_px.x, 1.0 / p.focal_px.y);
-        SharedJacobian::from_columns(&[-o.normalised, Vector2::new(-px.x, 0.0), Vector2::new(0.0, -px.y)])
+        let mut j = SharedJacobian::zeros();
+        j.set_column(0, &-o.normalised);
+        j.set_column(1, &Vector2::new(-px.x, 0.0));
+        j.set_column(2, &Vector2::new(0.0, -px.y));
+        let n = &o.normalised;
+        j.set_column(3, &(-n * n.norm_squared()));
+        j
     };
     Shared {
         jacobians: p.observations.iter().map(jacobian).collect(),
+        active: CALIBRATED_SHARED,
+        in_new_pixels: false,
         change: SharedVector::zeros(),
         expected,
         information: SharedVector::from_element(information),
@@ -117,7 +131,8 @@ fn a_wrong_focal_length_is_found_with_the_rest_and_its_sigma_is_honest() {
         disturb(&mut p, seed + 3);
         p.adjust(&BundleOptions { steps: [20, 20], relative_gain: 0.0, ..BundleOptions::default() });
         let found = p.shared.as_ref().unwrap();
-        let covariance = found.found_information.try_inverse().unwrap();
+        let information = found.found_information.fixed_view::<3, 3>(0, 0).into_owned();
+        let covariance = information.try_inverse().unwrap();
         // 1 - change undoes 1.03.
         let error = found.change[0] - (1.0 - 1.0 / 1.03);
         assert!(error.abs() < 2e-3, "seed {seed}: {error} off");
@@ -128,9 +143,25 @@ fn a_wrong_focal_length_is_found_with_the_rest_and_its_sigma_is_honest() {
 }
 
 #[test]
+fn a_focal_length_that_is_far_off_is_found_without_a_pull_towards_long_ones() {
+    for (seed, factor) in (1..8).flat_map(|seed| [(seed, 0.6), (seed, 1.6)]) {
+        let mut p = problem(seed, 6, 80, 0.3);
+        for o in &mut p.observations {
+            o.normalised *= factor;
+        }
+        let mut lens = shared(&p, SharedVector::zeros(), 1e-6);
+        lens.in_new_pixels = true;
+        p.shared = Some(lens);
+        p.adjust(&BundleOptions { steps: [60, 60], relative_gain: 0.0, outlier_chi2: 1e6 });
+        let found = p.shared.as_ref().map_or(0.0, |s| s.change[0].exp());
+        assert!((found / factor - 1.0).abs() < 0.03, "seed {seed}: {found}, true {factor}");
+    }
+}
+
+#[test]
 fn a_sure_prior_holds_the_focal_length() {
     let mut p = problem(5, 6, 80, 0.5);
-    let expected = SharedVector::new(0.02, 0.0, 0.0);
+    let expected = few([0.02, 0.0, 0.0]);
     p.shared = Some(shared(&p, expected, 1e12));
     p.adjust(&BundleOptions { steps: [20, 20], relative_gain: 0.0, ..BundleOptions::default() });
     assert!((p.shared.unwrap().change - expected).norm() < 1e-4);
@@ -138,11 +169,18 @@ fn a_sure_prior_holds_the_focal_length() {
 
 #[test]
 fn schur_complement_gives_the_step_of_the_full_system() {
-    for intrinsics in [false, true] {
+    // Intrinsics fixed, refined, and of a guessed lens: more numbers, and residuals in pixels of the new focal length.
+    for unknowns in [0, CALIBRATED_SHARED, 4] {
+        let (intrinsics, guessed) = (unknowns > 0, unknowns > CALIBRATED_SHARED);
         let mut p = problem(3, 4, 12, 1.0);
         p.inlier = vec![true; p.observations.len()];
         if intrinsics {
-            p.shared = Some(shared(&p, SharedVector::new(0.01, 2.0, -1.0), 30.0));
+            let mut shared = shared(&p, few([0.01, 2.0, -1.0]), 30.0);
+            (shared.active, shared.in_new_pixels) = (unknowns, guessed);
+            if guessed {
+                shared.change = few([0.2, 1.0, 3.0]);
+            }
+            p.shared = Some(shared);
         }
         disturb(&mut p, 9);
         let slot = [FIXED, FIXED, 0, 1];
@@ -164,9 +202,11 @@ fn schur_complement_gives_the_step_of_the_full_system() {
             }
             let mut r = Vec::new();
             if let Some(shared) = &mut q.shared {
-                shared.change += x.fixed_rows::<SHARED>(12);
+                for i in 0..unknowns {
+                    shared.change[i] += x[12 + i];
+                }
                 let prior = (shared.change - shared.expected).component_mul(&shared.information.map(f64::sqrt));
-                r.extend(prior.iter());
+                r.extend(prior.iter().take(unknowns));
             }
             for i in 0..12 {
                 for k in q.range(i) {

@@ -4,19 +4,33 @@
 
 use nalgebra::{DMatrix, Matrix3, Vector3};
 
-use super::{BundleOptions, BundleProblem, FIXED, SHARED, SharedMatrix, System, jacobian_rows};
+use super::{BundleOptions, BundleProblem, FIXED, SharedMatrix, System, jacobian_rows};
+
+/// Relative damping that holds what nothing holds (the scale, a point that one camera sees) while information is marginalised:
+/// far below what any of it costs, far above the loss of digits.
+const GAUGE_DAMPING: [f64; 3] = [1e-9, 1e-7, 1e-5];
 
 impl BundleProblem {
     /// Information of the shared numbers with cameras and points free (Schur complement), without their prior.
     pub(super) fn shared_information(&self, slot: &[u32], free: usize, system: &System) -> Option<SharedMatrix> {
-        let (s, _, _) = self.reduce(slot, free, system, 0.0);
-        let own: SharedMatrix = s.fixed_view::<SHARED, SHARED>(6 * free, 6 * free).into_owned();
-        if free == 0 {
-            return Some(own);
+        GAUGE_DAMPING.iter().find_map(|&damping| self.shared_information_at(slot, free, system, damping))
+    }
+
+    fn shared_information_at(&self, slot: &[u32], free: usize, system: &System, damping: f64) -> Option<SharedMatrix> {
+        let (s, _, _) = self.reduce(slot, free, system, damping);
+        let active = s.nrows() - 6 * free;
+        let mut own = s.view((6 * free, 6 * free), (active, active)).into_owned();
+        if free > 0 {
+            let cross = s.view((0, 6 * free), (6 * free, active)).into_owned();
+            let solved = s.view((0, 0), (6 * free, 6 * free)).into_owned().cholesky()?.solve(&cross);
+            own -= cross.transpose() * solved;
         }
-        let cross = s.view((0, 6 * free), (6 * free, SHARED)).into_owned();
-        let solved = s.view((0, 0), (6 * free, 6 * free)).into_owned().cholesky()?.solve(&cross);
-        Some(own - cross.transpose() * solved)
+        if !(own.diagonal().min() >= 0.0 && own.clone().symmetric_eigenvalues().min() > -1e-6 * own.diagonal().max()) {
+            return None;
+        }
+        let mut all = SharedMatrix::zeros();
+        all.view_mut((0, 0), (active, active)).copy_from(&own);
+        Some(all)
     }
 
     /// Standard deviation of the direction of camera `index`'s translation, rad, everything else free (the fixed cameras hold
@@ -46,12 +60,13 @@ impl BundleProblem {
 
     pub(super) fn fill_point_covariances(&mut self) {
         self.point_covariances.clear();
+        let focal_px = self.focal_px * self.focal_scale();
         for (i, point) in self.points.iter().enumerate() {
             let mut h = Matrix3::zeros();
             for k in self.range(i).filter(|&k| self.inlier[k]) {
                 let o = &self.observations[k];
                 let Some((_, p)) = self.residual(point, k) else { continue };
-                let (jx, jy) = jacobian_rows(&p, self.focal_px.x * o.inv_sigma_px, self.focal_px.y * o.inv_sigma_px);
+                let (jx, jy) = jacobian_rows(&p, focal_px.x * o.inv_sigma_px, focal_px.y * o.inv_sigma_px);
                 let r = self.cameras[o.camera as usize].camera_from_world.rotation.to_rotation_matrix();
                 let x = r.matrix().transpose() * Vector3::new(jx[3], jx[4], jx[5]);
                 let y = r.matrix().transpose() * Vector3::new(jy[3], jy[4], jy[5]);
