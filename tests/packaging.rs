@@ -64,7 +64,7 @@ fn user_folder_and_state_are_the_same_everywhere() {
     // iceoryx2's folder: made for the user alone, bound into the unit, never aged.
     let root = cairn::messages::Endpoint::default().root();
     let root = root.to_str().expect("text").trim_end_matches('/').to_owned();
-    assert_eq!(unit("BindPaths"), [root.clone()]);
+    assert_eq!(unit("BindPaths"), std::slice::from_ref(&root));
     let folders = text("systemd/cairn.tmpfiles");
     for line in [format!("d {root} 0750 cairn cairn -"), format!("x {root}"), format!("x {root}/*")] {
         assert!(folders.lines().any(|l| l == line), "{line} is not in {folders}");
