@@ -165,7 +165,7 @@ fn join<T>(handle: JoinHandle<T>, stage: &'static str, deadline: Instant) -> Res
 }
 
 /// Tells the service manager; without one it does nothing.
-fn notify(states: &[NotifyState<'_>]) {
+pub(super) fn notify(states: &[NotifyState<'_>]) {
     if let Err(error) = sd_notify::notify(states) {
         warn!(%error, "service manager cannot be told");
     }
