@@ -6,7 +6,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use tracing::{info, warn};
 
 use super::{CliError, exit_code};
-use crate::calibration::store::{self, CameraIdentity, Estimate, Found};
+use crate::calibration::store::{self, CameraIdentity, Estimate};
 use crate::camera::v4l2::identity::identity;
 use crate::camera::v4l2::{CameraInfo, V4l2Config, list_cameras};
 use crate::config::Config;
@@ -42,7 +42,7 @@ pub fn configured(config: &V4l2Config) -> Result<CameraInfo, String> {
 }
 
 /// Its stored calibration for pictures of a size; unreadable files are mentioned in the log.
-pub fn stored(identity: &CameraIdentity, size: (u32, u32)) -> Option<Found> {
+pub fn stored(identity: &CameraIdentity, size: (u32, u32)) -> Option<store::Found> {
     let (found, faults) = store::find(&store::search_folders(), identity, size);
     for fault in faults {
         tracing::warn!(%fault, "calibration cannot be read, skipped");
@@ -50,24 +50,31 @@ pub fn stored(identity: &CameraIdentity, size: (u32, u32)) -> Option<Found> {
     found
 }
 
-/// The calibration that a configuration without a file means, and who keeps what is learnt if there is none.
-pub fn of_config(config: &Config) -> Result<(Calibration, Option<KeepLens>), CliError> {
-    let camera =
-        configured(&config.camera).map_err(|reason| warn!(reason, "whose calibration to look for is not known")).ok();
-    let identity = camera.as_ref().map(identify);
+/// A camera and what is known of its lens.
+pub struct Found {
+    pub identity: CameraIdentity,
+    pub calibration: Calibration,
+    /// Who keeps what is learnt of a lens that nobody calibrated.
+    pub keep_lens: Option<KeepLens>,
+}
+
+/// The camera at hand and its stored calibration, else a guess, for a configuration that names no calibration file. The outer error
+/// says why there is no camera (yet).
+pub fn of_config(config: &Config) -> Result<Result<Found, CliError>, String> {
+    let camera = configured(&config.camera)?;
+    let identity = identify(&camera);
     let size = (config.camera.width_px, config.camera.height_px);
-    if let Some(identity) = identity.as_ref().filter(|_| !config.calibration.ignore)
-        && let Some(found) = stored(identity, size)
+    if !config.calibration.ignore
+        && let Some(found) = stored(&identity, size)
     {
-        let path = found.path.display().to_string();
-        info!(camera = %identity, calibration = path, scaled_from = ?found.scaled_from, "stored calibration used");
-        return Ok((Calibration::known(found.camera, path), None));
+        let origin = found.path.display().to_string();
+        info!(camera = %identity, calibration = origin, scaled_from = ?found.scaled_from, "stored calibration used");
+        return Ok(Ok(Found { identity, calibration: Calibration::known(found.camera, origin), keep_lens: None }));
     }
-    if let (Some(identity), Some(camera)) = (&identity, &camera) {
-        let how = format!("cairn calibrate --camera {}", camera.path.display());
-        warn!(camera = %identity, how, "no calibration of this camera; it can be made in a minute");
-    }
-    uncalibrated(config, &store::state_folders(), identity, size)
+    let how = format!("cairn calibrate --camera {}", camera.path.display());
+    warn!(camera = %identity, how, "no calibration of this camera; it can be made in a minute");
+    let guess = uncalibrated(config, &store::state_folders(), Some(identity.clone()), size);
+    Ok(guess.map(|(calibration, keep_lens)| Found { identity, calibration, keep_lens }))
 }
 
 /// Without a calibration: what was kept of the camera's last run, else a supposed angle of view; and who keeps this run's.

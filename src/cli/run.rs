@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use super::reload::Reloader;
@@ -10,10 +11,10 @@ use super::session::{self, SessionArgs};
 use super::{CliError, camera_calibration, exit_code};
 use crate::calibration::load_camera;
 use crate::camera::simulator::Simulator;
-use crate::camera::v4l2::V4l2Camera;
+use crate::camera::v4l2::Finder;
 use crate::camera::{FrameSource, Pacing};
 use crate::config::{Config, SourceKind};
-use crate::daemon::{self, Calibration, KeepLens, Opener, Outputs, Parts, Status, Supply};
+use crate::daemon::{self, Calibration, Desk, KeepLens, Opener, Outputs, Parts, Status, Supply};
 use crate::frame::Clock;
 
 /// Runs the daemon until SIGTERM or SIGINT; SIGHUP reads the configuration again
@@ -29,9 +30,12 @@ pub fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
     let stop = session::stop_flag()?;
     let outputs = outputs(&config);
     session::check_outputs([&outputs.trajectory, &outputs.live_trajectory, &outputs.map, &outputs.overview])?;
-    let Source { supply, calibration, keep_lens, size } = source(&config)?;
-    let (outlet, desk) =
-        session::open_wire(&config, Clock::Monotonic, Some(size)).map_err(|e| session::wire_error(&e))?;
+    let prepared = prepare(&config)?;
+    let (outlet, mut desk) =
+        session::open_wire(&config, Clock::Monotonic, Some(prepared.size())).map_err(|e| session::wire_error(&e))?;
+    let Some(Source { supply, calibration, keep_lens }) = prepared.source(&config, &mut desk, &stop)? else {
+        return Ok(ExitCode::SUCCESS);
+    };
     let parts = Parts {
         supply,
         calibration,
@@ -57,39 +61,70 @@ struct Source {
     /// The camera model that belongs to it.
     calibration: Calibration,
     keep_lens: Option<KeepLens>,
-    /// The size of picture that is expected.
-    size: (u32, u32),
 }
 
-fn source(config: &Config) -> Result<Source, CliError> {
-    let ignore = config.calibration.ignore;
+/// What can be said before the services are open; a configuration that cannot work fails here.
+enum Prepared {
+    Simulator(Box<Simulator>),
+    /// Without a calibration it is the camera's identity that tells it.
+    Camera {
+        calibration: Option<Calibration>,
+        size: (u32, u32),
+    },
+}
+
+fn prepare(config: &Config) -> Result<Prepared, CliError> {
+    let wrong = |e: String| CliError::new(exit_code::CONFIG, e);
     match config.daemon.source {
         SourceKind::Simulator => {
-            let simulator = Simulator::new(&config.simulator, Pacing::RealTime)
-                .map_err(|e| CliError::new(exit_code::CONFIG, e.to_string()))?;
-            let size = (config.simulator.width, config.simulator.height);
-            let calibration = if ignore {
-                camera_calibration::guess(size, config.calibration.supposed_view_deg)?
-            } else {
-                Calibration::known(simulator.camera_model().clone(), simulator.description().name.clone())
-            };
-            Ok(Source { supply: Supply::Once(Box::new(simulator)), calibration, keep_lens: None, size })
+            let simulator = Simulator::new(&config.simulator, Pacing::RealTime).map_err(|e| wrong(e.to_string()))?;
+            Ok(Prepared::Simulator(Box::new(simulator)))
         }
         SourceKind::Camera => {
             let path = &config.calibration.file;
-            let (calibration, keep_lens) = if path.as_os_str().is_empty() || ignore {
-                camera_calibration::of_config(config)?
-            } else {
-                let model = load_camera(path).map_err(|e| CliError::new(exit_code::CONFIG, e.to_string()))?;
-                (Calibration::known(model, path.display().to_string()), None)
-            };
-            let camera = config.camera.clone();
-            let open: Opener =
-                Box::new(move || V4l2Camera::open(&camera).map(|camera| Box::new(camera) as Box<dyn FrameSource>));
-            let longest_pause = Duration::from_millis(config.daemon.camera_retry_ms);
-            let size = (config.camera.width_px, config.camera.height_px);
-            Ok(Source { supply: Supply::Camera { open, longest_pause }, calibration, keep_lens, size })
+            let load = || load_camera(path).map_err(|e| wrong(e.to_string()));
+            let named = !path.as_os_str().is_empty() && !config.calibration.ignore;
+            let model = if named { Some(load()?) } else { None };
+            let calibration = model.map(|model| Calibration::known(model, path.display().to_string()));
+            Ok(Prepared::Camera { calibration, size: (config.camera.width_px, config.camera.height_px) })
         }
+    }
+}
+
+impl Prepared {
+    /// Size of picture that is expected.
+    fn size(&self) -> (u32, u32) {
+        match self {
+            Self::Simulator(simulator) => simulator.description().size.unwrap_or_default(),
+            Self::Camera { size, .. } => *size,
+        }
+    }
+
+    /// The configured source and the camera model that belongs to it. Waits for the camera if only that tells the calibration;
+    /// `None`: told to stop before it came.
+    fn source(self, config: &Config, desk: &mut Desk, stop: &AtomicBool) -> Result<Option<Source>, CliError> {
+        let longest_pause = Duration::from_millis(config.daemon.camera_retry_ms);
+        let (calibration, keep_lens, known) = match self {
+            Self::Simulator(simulator) => {
+                let calibration = if config.calibration.ignore {
+                    let size = (config.simulator.width, config.simulator.height);
+                    camera_calibration::guess(size, config.calibration.supposed_view_deg)?
+                } else {
+                    Calibration::known(simulator.camera_model().clone(), simulator.description().name.clone())
+                };
+                return Ok(Some(Source { supply: Supply::Once(simulator), calibration, keep_lens: None }));
+            }
+            Self::Camera { calibration: Some(calibration), .. } => (calibration, None, None),
+            Self::Camera { calibration: None, .. } => {
+                let mut find = || camera_calibration::of_config(config);
+                let Some(found) = daemon::await_camera(desk, stop, longest_pause, &mut find) else { return Ok(None) };
+                let found = found?;
+                (found.calibration, found.keep_lens, Some(found.identity))
+            }
+        };
+        let mut finder = Finder::new(config.camera.clone(), known);
+        let open: Opener = Box::new(move || finder.open().map(|camera| Box::new(camera) as Box<dyn FrameSource>));
+        Ok(Some(Source { supply: Supply::Camera { open, longest_pause }, calibration, keep_lens }))
     }
 }
 

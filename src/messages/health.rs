@@ -14,7 +14,7 @@ pub mod error {
     pub const NO_FEATURES: u64 = 1 << 2;
     /// So few keypoints or landmarks that tracking may be lost soon.
     pub const LOW_FEATURES: u64 = 1 << 3;
-    /// Frames were dropped lately because the pipeline could not keep up.
+    /// Frames were dropped lately because the pipeline could not keep up, or were lost by the camera's driver.
     pub const DROPPED_FRAMES: u64 = 1 << 4;
     /// Frames lately could not be decoded.
     pub const CORRUPT_FRAMES: u64 = 1 << 5;
@@ -34,8 +34,10 @@ pub mod error {
     pub const PUBLISH_FAILED: u64 = 1 << 12;
     /// The lens is a guess: nobody calibrated the camera, and its motion has not shown the focal length so far.
     pub const UNCALIBRATED: u64 = 1 << 13;
+    /// The camera lately gave less than three quarters of the rate that it said it would.
+    pub const LOW_RATE: u64 = 1 << 14;
 
-    const NAMES: [(u64, &str); 14] = [
+    const NAMES: [(u64, &str); 15] = [
         (NO_CAMERA, "NO_CAMERA"),
         (NO_FRAMES, "NO_FRAMES"),
         (NO_FEATURES, "NO_FEATURES"),
@@ -50,6 +52,7 @@ pub mod error {
         (SAVE_FAILED, "SAVE_FAILED"),
         (PUBLISH_FAILED, "PUBLISH_FAILED"),
         (UNCALIBRATED, "UNCALIBRATED"),
+        (LOW_RATE, "LOW_RATE"),
     ];
 
     /// Names of the bits that are set; bits of a newer daemon together are `UNKNOWN`.
@@ -130,7 +133,7 @@ pub struct Health {
     pub errors: u64,
     /// Frames that arrived from the source.
     pub frames_captured: u64,
-    /// Frames never looked at because a later one was there already.
+    /// Frames never looked at: a later one was there already, or the camera's driver lost them.
     pub frames_dropped: u64,
     /// Frames that could not be decoded.
     pub frames_corrupt: u64,

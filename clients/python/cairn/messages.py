@@ -29,6 +29,7 @@ ERRORS = (
     "SAVE_FAILED",
     "PUBLISH_FAILED",
     "UNCALIBRATED",
+    "LOW_RATE",
 )
 STAGES = ("capture", "features", "tracking", "mapping", "publishing", "end_to_end")
 
