@@ -20,6 +20,8 @@ pub fn advice(fault: &str) -> &'static str {
         "LOST" => "go back to where the camera has been; after reconstruction.lost_frames a new map begins",
         "SAVE_FAILED" => "look at free space and permissions of the file that the record before names",
         "PUBLISH_FAILED" => "look at free space of /dev/shm: `cairn doctor`",
+        "UNCALIBRATED" => "the lens is a guess: `cairn calibrate --camera auto`, or turn and move the camera",
+        "LOW_RATE" => "more light, or camera.exposure_limit_ms: long exposures lower a camera's rate; else another USB port",
         _ => "a fault of a newer version: `cairn doctor` of that version knows it",
     }
 }
@@ -31,7 +33,7 @@ mod tests {
 
     #[test]
     fn every_fault_has_its_own_advice() {
-        let names: Vec<_> = error::names((1 << 13) - 1).collect();
+        let names: Vec<_> = error::names((1 << 15) - 1).collect();
         assert!(names.len() >= 13 && !names.contains(&"UNKNOWN"), "{names:?}");
         for name in &names {
             assert_ne!(advice(name), advice("UNKNOWN"), "{name}");

@@ -40,7 +40,7 @@ const TAILS: f64 = 1.5;
 /// What rolling shutter and distortion beyond k1 k2 p1 p2 may cost in focal length, as a share of it.
 const MODEL_FLOOR: f64 = 0.03;
 /// Largest published standard deviation of log focal length at which it counts as found.
-pub const FOUND_SIGMA: f64 = 0.08;
+pub const FOUND_SIGMA: f64 = 0.09;
 
 /// A map is begun anew when log focal length has changed by more than this since its beginning, with a standard deviation below the
 /// second number, at most so many times.
