@@ -147,7 +147,7 @@
 #define CAIRN_ERROR_LOW_FEATURES (1 << 3)
 
 /**
- * Frames were dropped lately because the pipeline could not keep up.
+ * Frames were dropped lately because the pipeline could not keep up, or were lost by the camera's driver.
  */
 #define CAIRN_ERROR_DROPPED_FRAMES (1 << 4)
 
@@ -190,6 +190,11 @@
  * Messages lately could not be sent.
  */
 #define CAIRN_ERROR_PUBLISH_FAILED (1 << 12)
+
+/**
+ * The camera lately gave less than three quarters of the rate that it said it would.
+ */
+#define CAIRN_ERROR_LOW_RATE (1 << 13)
 
 /**
  * Frames from the source into the ring.
@@ -483,7 +488,7 @@ typedef struct cairn_health {
    */
   uint64_t frames_captured;
   /**
-   * Frames never looked at because a later one was there already.
+   * Frames never looked at: a later one was there already, or the camera's driver lost them.
    */
   uint64_t frames_dropped;
   /**

@@ -45,27 +45,26 @@ pub fn stored(identity: &CameraIdentity, size: (u32, u32)) -> Option<Found> {
     found
 }
 
-/// Camera model and origin for a configuration that names no calibration file.
-pub fn of_config(config: &V4l2Config) -> Result<(CameraModel, String), CliError> {
-    let refuse = |code: u8, message: String| Err(CliError::new(code, message));
-    let camera = match configured(config) {
-        Ok(camera) => camera,
-        // No fault of the configuration: with the camera plugged in the same start succeeds, so a service manager may try again.
-        Err(reason) => {
-            return refuse(
-                exit_code::UNAVAILABLE,
-                format!("calibration.file is not set, and whose calibration to look for is not known: {reason}"),
-            );
-        }
-    };
+/// A camera whose calibration is stored.
+pub struct Calibrated {
+    pub identity: CameraIdentity,
+    pub model: CameraModel,
+    /// For messages.
+    pub origin: String,
+}
+
+/// The camera at hand and its stored calibration, for a configuration that names no calibration file. The outer error says why
+/// there is no camera (yet), the inner one that it has no calibration.
+pub fn of_config(config: &V4l2Config) -> Result<Result<Calibrated, CliError>, String> {
+    let camera = configured(config)?;
     let identity = identify(&camera);
-    match stored(&identity, (config.width_px, config.height_px)) {
+    Ok(match stored(&identity, (config.width_px, config.height_px)) {
         Some(found) => {
-            let path = found.path.display().to_string();
-            tracing::info!(camera = %identity, calibration = path, scaled_from = ?found.scaled_from, "stored calibration used");
-            Ok((found.camera, path))
+            let origin = found.path.display().to_string();
+            tracing::info!(camera = %identity, calibration = origin, scaled_from = ?found.scaled_from, "stored calibration used");
+            Ok(Calibrated { identity, model: found.camera, origin })
         }
-        None => refuse(
+        None => Err(CliError::new(
             exit_code::CONFIG,
             format!(
                 "calibration.file is not set and there is no stored calibration of camera {identity} ({}): \
@@ -73,6 +72,6 @@ pub fn of_config(config: &V4l2Config) -> Result<(CameraModel, String), CliError>
                 camera.card,
                 camera.path.display()
             ),
-        ),
-    }
+        )),
+    })
 }

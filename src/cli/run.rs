@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use super::reload::Reloader;
@@ -10,10 +11,10 @@ use super::session::{self, SessionArgs};
 use super::{CliError, camera_calibration, exit_code};
 use crate::calibration::load_camera;
 use crate::camera::simulator::Simulator;
-use crate::camera::v4l2::V4l2Camera;
+use crate::camera::v4l2::Finder;
 use crate::camera::{FrameSource, Pacing};
 use crate::config::{Config, SourceKind};
-use crate::daemon::{self, Calibration, Opener, Outputs, Parts, Status, Supply};
+use crate::daemon::{self, Calibration, Desk, Opener, Outputs, Parts, Status, Supply};
 use crate::frame::Clock;
 
 /// Runs the daemon until SIGTERM or SIGINT; SIGHUP reads the configuration again
@@ -29,9 +30,10 @@ pub fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
     let stop = session::stop_flag()?;
     let outputs = outputs(&config);
     session::check_outputs([&outputs.trajectory, &outputs.live_trajectory, &outputs.map, &outputs.overview])?;
-    let (supply, calibration, size) = source(&config)?;
-    let (outlet, desk) =
-        session::open_wire(&config, Clock::Monotonic, Some(size)).map_err(|e| session::wire_error(&e))?;
+    let prepared = prepare(&config)?;
+    let (outlet, mut desk) =
+        session::open_wire(&config, Clock::Monotonic, Some(prepared.size())).map_err(|e| session::wire_error(&e))?;
+    let Some((supply, calibration)) = prepared.source(&config, &mut desk, &stop)? else { return Ok(ExitCode::SUCCESS) };
     let parts = Parts {
         supply,
         calibration,
@@ -50,33 +52,72 @@ pub fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// The configured source, the camera model that belongs to it, and the size of picture that is expected.
-fn source(config: &Config) -> Result<(Supply, Calibration, (u32, u32)), CliError> {
+/// What can be said before the services are open; a configuration that cannot work fails here.
+enum Prepared {
+    Simulator(Box<Simulator>),
+    /// Without a calibration it is the camera's identity that tells it.
+    Camera {
+        calibration: Option<Calibration>,
+        size: (u32, u32),
+    },
+}
+
+fn prepare(config: &Config) -> Result<Prepared, CliError> {
+    let wrong = |e: String| CliError::new(exit_code::CONFIG, e);
     match config.daemon.source {
         SourceKind::Simulator => {
-            let simulator = Simulator::new(&config.simulator, Pacing::RealTime)
-                .map_err(|e| CliError::new(exit_code::CONFIG, e.to_string()))?;
-            let origin = simulator.description().name.clone();
-            let calibration = Calibration { model: simulator.camera_model().clone(), origin };
-            let size = (config.simulator.width, config.simulator.height);
-            Ok((Supply::Once(Box::new(simulator)), calibration, size))
+            let simulator = Simulator::new(&config.simulator, Pacing::RealTime).map_err(|e| wrong(e.to_string()))?;
+            Ok(Prepared::Simulator(Box::new(simulator)))
         }
         SourceKind::Camera => {
             let path = &config.calibration.file;
-            let (model, origin) = if path.as_os_str().is_empty() {
-                camera_calibration::of_config(&config.camera)?
-            } else {
-                let model = load_camera(path).map_err(|e| CliError::new(exit_code::CONFIG, e.to_string()))?;
-                (model, path.display().to_string())
-            };
-            let camera = config.camera.clone();
-            let open: Opener =
-                Box::new(move || V4l2Camera::open(&camera).map(|camera| Box::new(camera) as Box<dyn FrameSource>));
-            let longest_pause = Duration::from_millis(config.daemon.camera_retry_ms);
-            let calibration = Calibration { model, origin };
-            let size = (config.camera.width_px, config.camera.height_px);
-            Ok((Supply::Camera { open, longest_pause }, calibration, size))
+            let load = || load_camera(path).map_err(|e| wrong(e.to_string()));
+            let model = if path.as_os_str().is_empty() { None } else { Some(load()?) };
+            let calibration = model.map(|model| Calibration { model, origin: path.display().to_string() });
+            Ok(Prepared::Camera { calibration, size: (config.camera.width_px, config.camera.height_px) })
         }
+    }
+}
+
+impl Prepared {
+    /// Size of picture that is expected.
+    fn size(&self) -> (u32, u32) {
+        match self {
+            Self::Simulator(simulator) => simulator.description().size.unwrap_or_default(),
+            Self::Camera { size, .. } => *size,
+        }
+    }
+
+    /// The configured source and the camera model that belongs to it. Waits for the camera if only that tells the calibration;
+    /// `None`: told to stop before it came.
+    fn source(
+        self,
+        config: &Config,
+        desk: &mut Desk,
+        stop: &AtomicBool,
+    ) -> Result<Option<(Supply, Calibration)>, CliError> {
+        let longest_pause = Duration::from_millis(config.daemon.camera_retry_ms);
+        let (calibration, known) = match self {
+            Self::Simulator(simulator) => {
+                let origin = simulator.description().name.clone();
+                let calibration = Calibration { model: simulator.camera_model().clone(), origin };
+                return Ok(Some((Supply::Once(simulator), calibration)));
+            }
+            Self::Camera { calibration: Some(calibration), .. } => (calibration, None),
+            Self::Camera { calibration: None, .. } => {
+                let mut find = || camera_calibration::of_config(&config.camera);
+                match daemon::await_camera(desk, stop, longest_pause, &mut find) {
+                    Some(found) => {
+                        let found = found?;
+                        (Calibration { model: found.model, origin: found.origin }, Some(found.identity))
+                    }
+                    None => return Ok(None),
+                }
+            }
+        };
+        let mut finder = Finder::new(config.camera.clone(), known);
+        let open: Opener = Box::new(move || finder.open().map(|camera| Box::new(camera) as Box<dyn FrameSource>));
+        Ok(Some((Supply::Camera { open, longest_pause }, calibration)))
     }
 }
 

@@ -87,7 +87,7 @@ pub struct DaemonConfig {
 
 impl Default for DaemonConfig {
     fn default() -> Self {
-        Self { source: SourceKind::Camera, queue_frames: 2, stall_after_ms: 1000, camera_retry_ms: 2000 }
+        Self { source: SourceKind::Camera, queue_frames: 2, stall_after_ms: 1000, camera_retry_ms: 500 }
     }
 }
 

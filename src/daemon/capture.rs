@@ -1,7 +1,8 @@
 //! The capture step: one frame from whatever source there is into a slot, or a reason why not.
 //!
-//! A camera that is absent or goes away is looked for again, at growing intervals; a recording or a simulator that fails
-//! has ended. Every fault is counted, logged at once and then once a second at most.
+//! A camera that is absent or goes away is looked for again, at growing intervals; one that is open and gives no good frame is
+//! opened anew, because a stuck stream does not heal by itself; a recording or a simulator that fails has ended. Frame numbers go on
+//! across all that. What the driver lost shows as a gap of its numbers and is counted. Every fault is counted, logged at once and then once a second at most.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -42,6 +43,9 @@ pub enum Captured {
 
 /// First pause after a failed attempt to open the camera; doubled every time.
 const FIRST_PAUSE: Duration = Duration::from_millis(100);
+/// A camera that gives no good frame for so long is opened anew, ns; doubled every time that this does not help.
+const FIRST_PATIENCE_NS: i64 = 3_000_000_000;
+const LONGEST_PATIENCE_NS: i64 = 24_000_000_000;
 /// An absent camera is mentioned in the log once in so many ns.
 const REMINDER_NS: i64 = 60_000_000_000;
 
@@ -54,6 +58,12 @@ pub struct CaptureStep {
     /// The last fault that kept the camera closed, and when it was logged.
     complaint: Option<(String, i64)>,
     gate: TimestampGate,
+    /// CLOCK_MONOTONIC of the last good frame, or of the opening.
+    quiet_since_ns: i64,
+    patience_ns: i64,
+    /// Our number of the source's frame 0, and of the next frame.
+    first_number: u64,
+    next_number: u64,
     unreadable: RateLimiter,
     bad_times: RateLimiter,
     status: Arc<Status>,
@@ -73,6 +83,10 @@ impl CaptureStep {
             pause: FIRST_PAUSE,
             complaint: None,
             gate: TimestampGate::default(),
+            quiet_since_ns: monotonic_ns(),
+            patience_ns: FIRST_PATIENCE_NS,
+            first_number: 0,
+            next_number: 0,
             unreadable: RateLimiter::default(),
             bad_times: RateLimiter::default(),
             status,
@@ -84,13 +98,13 @@ impl CaptureStep {
         let Some(source) = self.source.as_mut() else { return self.try_open() };
         match source.grab(slot, timeout) {
             Ok(Grab::Frame) => self.judge(slot),
-            Ok(Grab::TimedOut) => Captured::Nothing,
+            Ok(Grab::TimedOut) => self.mind_silence(),
             Ok(Grab::Skipped { reason }) => {
                 self.status.unreadable.add(1);
                 if let Some(frames) = self.unreadable.event(monotonic_ns()) {
                     warn!(frames, reason, "frame cannot be read, skipped");
                 }
-                Captured::Nothing
+                self.mind_silence()
             }
             Ok(Grab::End) => {
                 info!(frames = self.status.captured.get(), "source has ended");
@@ -100,11 +114,16 @@ impl CaptureStep {
         }
     }
 
-    fn judge(&mut self, slot: &RawFrame) -> Captured {
+    fn judge(&mut self, slot: &mut RawFrame) -> Captured {
         self.status.captured.add(1);
         self.status.set_last_arrival_ns(slot.arrival_ns);
+        (self.quiet_since_ns, self.patience_ns) = (monotonic_ns(), FIRST_PATIENCE_NS);
+        slot.sequence = slot.sequence.saturating_add(self.first_number);
+        let missed = slot.sequence.saturating_sub(self.next_number);
+        self.next_number = slot.sequence.saturating_add(1);
         let clock = self.source.as_ref().map(|s| s.description().clock);
         if clock == Some(Clock::Monotonic) {
+            self.status.missed.add(missed);
             self.status.capture_delay.record_ns(slot.arrival_ns.saturating_sub(slot.timestamp_ns));
         }
         match self.gate.judge(slot.timestamp_ns) {
@@ -130,6 +149,21 @@ impl CaptureStep {
         }
     }
 
+    /// No good frame this time. A camera that has given none for long is opened anew.
+    fn mind_silence(&mut self) -> Captured {
+        let silent_ns = monotonic_ns() - self.quiet_since_ns;
+        if self.open.is_none() || silent_ns < self.patience_ns {
+            return Captured::Nothing;
+        }
+        warn!(silent_ms = silent_ns / 1_000_000, "camera gives no good frame, opened anew");
+        let patience_ns = (self.patience_ns * 2).min(LONGEST_PATIENCE_NS);
+        // Closed first: a device is used once.
+        self.source = None;
+        let captured = self.try_open();
+        self.patience_ns = patience_ns;
+        captured
+    }
+
     fn lose(&mut self, error: &SourceError) -> Captured {
         self.source = None;
         self.status.set_source_present(false);
@@ -150,13 +184,18 @@ impl CaptureStep {
                 let d = source.description();
                 let (width, height) = d.size.unwrap_or_default();
                 info!(name = d.name, width, height, rate_hz = d.rate_hz, "camera open");
+                self.status.set_nominal_rate_hz(d.rate_hz.unwrap_or(0.0));
                 self.source = Some(source);
                 self.status.set_source_present(true);
+                self.gate.expect_pause();
+                self.first_number = self.next_number;
+                (self.quiet_since_ns, self.patience_ns) = (monotonic_ns(), FIRST_PATIENCE_NS);
                 self.complaint = None;
                 self.pause = FIRST_PAUSE;
                 Captured::Nothing
             }
             Err(error) => {
+                self.status.set_source_present(false);
                 let (text, now) = (error.to_string(), monotonic_ns());
                 let known = self.complaint.as_ref().is_some_and(|(last, at)| *last == text && now - at < REMINDER_NS);
                 if !known {
@@ -176,11 +215,35 @@ mod tests {
     use super::*;
     use crate::camera::SourceDescription;
 
+    #[test]
+    fn numbers_go_on_and_a_pause_is_no_jump_when_a_camera_comes_back() {
+        let mut attempts = 0;
+        let open: Opener = Box::new(move || {
+            attempts += 1;
+            match attempts {
+                1 => Ok(script(&[Ok((Grab::Frame, 1)), Ok((Grab::Frame, 2)), Err(())])),
+                _ => Ok(script(&[Ok((Grab::Frame, 60_000_000_000)), Ok((Grab::Frame, 60_033_000_000))])),
+            }
+        });
+        let status = Arc::new(Status::default());
+        let mut step = CaptureStep::new(Supply::Camera { open, longest_pause: Duration::from_secs(1) }, status.clone());
+        let mut slot = RawFrame::default();
+        let mut numbers = Vec::new();
+        for _ in 0..7 {
+            if step.step(&mut slot, Duration::ZERO) == Captured::Frame {
+                numbers.push(slot.sequence);
+            }
+        }
+        assert_eq!(numbers, [0, 1, 2, 3]);
+        assert_eq!(status.bad_timestamps.get(), 0);
+    }
+
     /// A source that follows a script of outcomes.
     struct Script {
         description: SourceDescription,
         outcomes: Vec<Result<(Grab, i64), ()>>,
         at: usize,
+        frames: u64,
     }
 
     fn script(outcomes: &[Result<(Grab, i64), ()>]) -> Box<dyn FrameSource> {
@@ -192,7 +255,7 @@ mod tests {
             camera: None,
             frames: None,
         };
-        Box::new(Script { description, outcomes: outcomes.to_vec(), at: 0 })
+        Box::new(Script { description, outcomes: outcomes.to_vec(), at: 0, frames: 0 })
     }
 
     impl FrameSource for Script {
@@ -205,6 +268,8 @@ mod tests {
             match outcome {
                 Ok((grab, timestamp_ns)) => {
                     slot.timestamp_ns = timestamp_ns;
+                    slot.sequence = self.frames;
+                    self.frames += u64::from(grab == Grab::Frame);
                     Ok(grab)
                 }
                 Err(()) => Err(SourceError::Gone { path: "script".into(), reason: "unplugged".into() }),

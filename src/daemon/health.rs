@@ -20,6 +20,8 @@ use crate::telemetry::{Counter, Heartbeat, Percentiles, Snapshot};
 const NO_FRAMES_NS: i64 = 2_000_000_000;
 /// Fewer points or landmarks than this may soon be too few.
 const FEW: u32 = 40;
+/// A camera that gives less than this part of its rate over a second has a fault.
+const SLOW_SHARE: f64 = 0.75;
 /// Length of the interval that rates and percentiles are of, ns.
 const SECOND_NS: i64 = 1_000_000_000;
 
@@ -34,6 +36,11 @@ pub struct HealthWatch {
     stages: [StageHealth; STAGES],
     /// Faults that were events of the last second.
     events: u64,
+    /// The second before, the camera was there and gave frames.
+    flowed: bool,
+    /// In this second the camera was away; and when it was so last.
+    away: bool,
+    away_ns: i64,
     /// Faults that the log knows of as standing, and when each was last seen, ns.
     logged: u64,
     last_seen_ns: [i64; 64],
@@ -46,6 +53,7 @@ pub struct HealthWatch {
 struct Totals {
     captured: u64,
     dropped: u64,
+    missed: u64,
     corrupt: u64,
     bad_timestamps: u64,
     processed: u64,
@@ -69,6 +77,7 @@ impl Totals {
         Self {
             captured: s.captured.get(),
             dropped: s.dropped.get(),
+            missed: s.missed.get(),
             corrupt: [&s.corrupt, &s.unreadable, &s.wrong_size].map(Counter::get).iter().sum(),
             bad_timestamps: s.bad_timestamps.get(),
             processed: s.processed.get(),
@@ -101,6 +110,9 @@ impl HealthWatch {
             before,
             stages: [StageHealth::default(); STAGES],
             events: 0,
+            flowed: false,
+            away: false,
+            away_ns: now_ns,
             logged: 0,
             last_seen_ns: [0; 64],
             save_failed: false,
@@ -109,6 +121,9 @@ impl HealthWatch {
 
     /// The health at `now_ns` (CLOCK_MONOTONIC). Logs the record of every full second, and faults as they come and go.
     pub fn tick(&mut self, now_ns: i64) -> Health {
+        if !self.status.source_present() {
+            (self.away, self.away_ns) = (true, now_ns);
+        }
         let interval_ns = now_ns - self.second_began_ns;
         if interval_ns >= SECOND_NS {
             self.end_second(interval_ns);
@@ -145,8 +160,19 @@ impl HealthWatch {
         if dropped > 0 {
             warn!(dropped, dropped_total = now.dropped, "frames dropped, the pipeline could not keep up");
         }
+        let missed = now.missed - before.missed;
+        if missed > 0 {
+            warn!(missed, missed_total = now.missed, "frames lost by the camera or its driver");
+        }
+        // A second in which the camera came or went tells nothing of its rate.
+        let captured = now.captured - before.captured;
+        let flows = !std::mem::take(&mut self.away) && captured > 0;
+        let expected = self.status.nominal_rate_hz() * interval_ns as f64 * 1e-9;
+        let slow = flows && self.flowed && (captured as f64) < SLOW_SHARE * expected;
+        self.flowed = flows;
         self.events = [
-            (dropped, error::DROPPED_FRAMES),
+            (dropped + missed, error::DROPPED_FRAMES),
+            (u64::from(slow), error::LOW_RATE),
             (now.corrupt - before.corrupt, error::CORRUPT_FRAMES),
             (now.bad_timestamps - before.bad_timestamps, error::BAD_TIMESTAMP),
             (now.publish_failures - before.publish_failures, error::PUBLISH_FAILED),
@@ -177,6 +203,7 @@ impl HealthWatch {
             frames = now.captured - before.captured,
             tracked = now.tracked - before.tracked,
             dropped,
+            missed,
             corrupt = now.corrupt - before.corrupt,
             map_landmarks,
             map_keyframes,
@@ -207,7 +234,8 @@ impl HealthWatch {
     fn errors(&self, now_ns: i64) -> u64 {
         let s = &self.status;
         let state = s.state();
-        let last_frame_ns = s.last_arrival_ns().unwrap_or(self.started_ns);
+        // A camera that has just come had no time to send any.
+        let last_frame_ns = s.last_arrival_ns().unwrap_or(self.started_ns).max(self.away_ns);
         let seen_any = s.processed.get() > 0;
         let conditions = [
             (!s.source_present(), error::NO_CAMERA),
@@ -280,7 +308,7 @@ impl HealthWatch {
         Health {
             errors,
             frames_captured: s.captured.get(),
-            frames_dropped: s.dropped.get(),
+            frames_dropped: s.dropped.get() + s.missed.get(),
             frames_corrupt: s.corrupt.get() + s.unreadable.get(),
             frames_tracked: s.tracked.get(),
             keyframes_made: s.keyframes.get(),
@@ -337,6 +365,23 @@ mod tests {
         assert_eq!(watch.tick(1900 * MS).errors, error::DROPPED_FRAMES);
         assert_eq!(watch.tick(2000 * MS).errors, 0);
         assert_eq!(watch.tick(2000 * MS).frames_dropped, 3);
+    }
+
+    #[test]
+    fn a_camera_at_half_rate_and_one_that_loses_frames_are_told() {
+        let (status, mut watch) = watch();
+        status.set_nominal_rate_hz(30.0);
+        let mut second = |n: i64, frames: u64, missed: u64| {
+            status.captured.add(frames);
+            status.missed.add(missed);
+            status.set_last_arrival_ns(n * 1000 * MS);
+            watch.tick(n * 1000 * MS).errors
+        };
+        assert_eq!(second(1, 10, 0), 0, "it may have come in the middle of the second");
+        assert_eq!(second(2, 29, 0), 0);
+        assert_eq!(second(3, 15, 0), error::LOW_RATE);
+        assert_eq!(second(4, 24, 6), error::DROPPED_FRAMES);
+        assert_eq!(second(5, 30, 0), 0);
     }
 
     #[test]

@@ -26,6 +26,7 @@ mod recorder;
 mod status;
 mod supervisor;
 mod timestamps;
+mod waiting;
 mod worker;
 
 use std::path::PathBuf;
@@ -42,6 +43,7 @@ pub use reconstruct::{Calibration, Request};
 pub use recorder::{FinalMap, Outputs, SaveKind, Written};
 pub use status::{Status, state_name};
 pub use supervisor::{Desk, End, EndCause, Tick, supervise};
+pub use waiting::await_camera;
 
 use crate::config::Config;
 use crate::features::{Feedback, FrameFeatures};

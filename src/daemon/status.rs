@@ -17,6 +17,8 @@ pub struct Status {
     pub captured: Counter,
     /// Frames overwritten in the ring because the feature thread had no room for them.
     pub dropped: Counter,
+    /// Frames that a camera's driver lost, by its numbers.
+    pub missed: Counter,
     /// Frames that the source itself could not read.
     pub unreadable: Counter,
     /// Frames whose timestamp repeated, went back, or jumped without a second frame to confirm it.
@@ -60,6 +62,8 @@ pub struct Status {
     pub latency: Histogram,
 
     source_present: AtomicBool,
+    /// What the camera granted, mHz; 0: not known.
+    nominal_rate_mhz: AtomicU32,
     calibration_refused: AtomicBool,
     state: AtomicU8,
     /// Of the current map, as of its last snapshot.
@@ -85,6 +89,7 @@ impl Default for Status {
             reconstruction: Heartbeat::new("reconstruction"),
             captured: Counter::default(),
             dropped: Counter::default(),
+            missed: Counter::default(),
             unreadable: Counter::default(),
             bad_timestamps: Counter::default(),
             corrupt: Counter::default(),
@@ -110,6 +115,7 @@ impl Default for Status {
             capture_delay: Histogram::default(),
             latency: Histogram::default(),
             source_present: AtomicBool::new(false),
+            nominal_rate_mhz: AtomicU32::new(0),
             calibration_refused: AtomicBool::new(false),
             state: AtomicU8::new(0),
             map_landmarks: AtomicU32::new(0),
@@ -143,6 +149,16 @@ impl Status {
 
     pub fn set_source_present(&self, present: bool) {
         self.source_present.store(present, Ordering::Relaxed);
+    }
+
+    /// Frames a second that the source said it would give; 0: not known.
+    pub fn nominal_rate_hz(&self) -> f64 {
+        f64::from(self.nominal_rate_mhz.load(Ordering::Relaxed)) * 1e-3
+    }
+
+    pub fn set_nominal_rate_hz(&self, rate_hz: f64) {
+        // A cast of what is no number or negative gives 0.
+        self.nominal_rate_mhz.store((rate_hz * 1e3) as u32, Ordering::Relaxed);
     }
 
     /// The calibration does not belong to the source's pictures.

@@ -44,9 +44,16 @@ pub struct TimestampGate {
     last_ns: Option<i64>,
     doubted_ns: Option<i64>,
     behind: u32,
+    /// A pause is known of: the next time may be far ahead.
+    pause: bool,
 }
 
 impl TimestampGate {
+    /// The source was away: however far ahead the next frame is, that is no jump.
+    pub fn expect_pause(&mut self) {
+        self.pause = true;
+    }
+
     /// Judges the next frame's time.
     pub fn judge(&mut self, ns: i64) -> Verdict {
         let Some(last) = self.last_ns else { return self.accept(ns, Verdict::Accept) };
@@ -62,7 +69,7 @@ impl TimestampGate {
             }
             return Verdict::Drop(Fault::GoesBack);
         }
-        if ns.saturating_sub(last) > JUMP_NS && !follows_doubted {
+        if ns.saturating_sub(last) > JUMP_NS && !follows_doubted && !self.pause {
             return Verdict::Drop(Fault::Jumps);
         }
         self.accept(ns, Verdict::Accept)
@@ -72,6 +79,7 @@ impl TimestampGate {
         self.last_ns = Some(ns);
         self.doubted_ns = None;
         self.behind = 0;
+        self.pause = false;
         verdict
     }
 }

@@ -14,7 +14,7 @@ pub mod error {
     pub const NO_FEATURES: u64 = 1 << 2;
     /// So few keypoints or landmarks that tracking may be lost soon.
     pub const LOW_FEATURES: u64 = 1 << 3;
-    /// Frames were dropped lately because the pipeline could not keep up.
+    /// Frames were dropped lately because the pipeline could not keep up, or were lost by the camera's driver.
     pub const DROPPED_FRAMES: u64 = 1 << 4;
     /// Frames lately could not be decoded.
     pub const CORRUPT_FRAMES: u64 = 1 << 5;
@@ -33,7 +33,10 @@ pub mod error {
     /// Messages lately could not be sent.
     pub const PUBLISH_FAILED: u64 = 1 << 12;
 
-    const NAMES: [(u64, &str); 13] = [
+    /// The camera lately gave less than three quarters of the rate that it said it would.
+    pub const LOW_RATE: u64 = 1 << 13;
+
+    const NAMES: [(u64, &str); 14] = [
         (NO_CAMERA, "NO_CAMERA"),
         (NO_FRAMES, "NO_FRAMES"),
         (NO_FEATURES, "NO_FEATURES"),
@@ -47,6 +50,7 @@ pub mod error {
         (LOST, "LOST"),
         (SAVE_FAILED, "SAVE_FAILED"),
         (PUBLISH_FAILED, "PUBLISH_FAILED"),
+        (LOW_RATE, "LOW_RATE"),
     ];
 
     /// Names of the bits that are set; bits of a newer daemon together are `UNKNOWN`.
@@ -127,7 +131,7 @@ pub struct Health {
     pub errors: u64,
     /// Frames that arrived from the source.
     pub frames_captured: u64,
-    /// Frames never looked at because a later one was there already.
+    /// Frames never looked at: a later one was there already, or the camera's driver lost them.
     pub frames_dropped: u64,
     /// Frames that could not be decoded.
     pub frames_corrupt: u64,

@@ -27,6 +27,7 @@ ERRORS = (
     "LOST",
     "SAVE_FAILED",
     "PUBLISH_FAILED",
+    "LOW_RATE",
 )
 STAGES = ("capture", "features", "tracking", "mapping", "publishing", "end_to_end")
 

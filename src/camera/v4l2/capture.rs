@@ -88,6 +88,10 @@ impl<Q: BufferQueue> Capture<Q> {
         Self { queue, layout, path, gone: None, trouble: 0, last: None, last_timestamp_ns: None }
     }
 
+    pub fn queue(&self) -> &Q {
+        &self.queue
+    }
+
     /// See [`super::FrameSource::grab`].
     pub fn grab(&mut self, slot: &mut RawFrame, timeout: Duration) -> Result<Grab, SourceError> {
         if let Some(reason) = &self.gone {

@@ -9,7 +9,6 @@
 //! STREAMON; then poll, DQBUF, QBUF for each frame; at the end STREAMOFF, munmap, REQBUFS(0). After a poll that timed out no
 //! buffer is touched.
 
-use super::V4l2Config;
 use super::capture::{BufferQueue, Filled, QueueError};
 use super::negotiate::{CameraFormat, Choice, Interval, Offer, Rates, nearest_step};
 use std::fs::File;
@@ -33,8 +32,6 @@ const DISCRETE: u32 = 1; // of sizes and intervals alike
 const BUF_FLAG_ERROR: u32 = 0x40;
 const BUF_FLAG_TIMESTAMP_MASK: u32 = 0xe000;
 const BUF_FLAG_TIMESTAMP_MONOTONIC: u32 = 0x2000;
-const CID_EXPOSURE_AUTO_PRIORITY: u32 = 0x009a_0903;
-const CID_FOCUS_AUTO: u32 = 0x009a_090c;
 
 /// Bounds of what a driver may list.
 const MAX_FORMATS: u32 = 64;
@@ -261,19 +258,28 @@ impl Device {
         from_fraction(capture.timeperframe).rate_hz()
     }
 
-    /// Turns off what would change the lens or the rate during a run, where the camera has such a switch.
-    pub fn prefer_constant_optics(&self, config: &V4l2Config) {
-        let switches = [
-            (CID_FOCUS_AUTO, config.autofocus, "autofocus"),
-            (CID_EXPOSURE_AUTO_PRIORITY, config.dynamic_rate, "dynamic_rate"),
-        ];
-        for (id, on, name) in switches {
-            let mut control = sys::v4l2_control { id, value: i32::from(on) };
-            // SAFETY: S_CTRL is declared for v4l2_control.
-            if let Err(e) = unsafe { self.ioctl(vidioc::VIDIOC_S_CTRL, &mut control) } {
-                tracing::debug!(control = name, on, error = %e, "camera has no such switch");
-            }
-        }
+    /// Value of a control.
+    pub fn control(&self, id: u32) -> io::Result<i32> {
+        let mut control = sys::v4l2_control { id, value: 0 };
+        // SAFETY: G_CTRL is declared for v4l2_control.
+        unsafe { self.ioctl(vidioc::VIDIOC_G_CTRL, &mut control)? };
+        Ok(control.value)
+    }
+
+    /// Sets a control.
+    pub fn set_control(&self, id: u32, value: i32) -> io::Result<()> {
+        let mut control = sys::v4l2_control { id, value };
+        // SAFETY: S_CTRL is declared for v4l2_control.
+        unsafe { self.ioctl(vidioc::VIDIOC_S_CTRL, &mut control) }
+    }
+
+    /// Smallest and largest value of a control; an error if the camera has none such.
+    pub fn control_range(&self, id: u32) -> io::Result<(i32, i32)> {
+        let mut query: sys::v4l2_queryctrl = zeroed();
+        query.id = id;
+        // SAFETY: QUERYCTRL is declared for v4l2_queryctrl.
+        unsafe { self.ioctl(vidioc::VIDIOC_QUERYCTRL, &mut query)? };
+        Ok((query.minimum, query.maximum))
     }
 
     /// REQBUFS; how many were granted.
@@ -375,6 +381,11 @@ impl MmapQueue {
         Ok(queue)
     }
 
+    /// The device, for its controls.
+    pub fn device(&self) -> &Device {
+        &self.device
+    }
+
     /// Events on the device; 0 after `timeout`.
     fn poll(&self, timeout: Duration) -> io::Result<libc::c_short> {
         let mut fd = libc::pollfd { fd: self.device.file.as_raw_fd(), events: libc::POLLIN, revents: 0 };
@@ -424,6 +435,10 @@ impl BufferQueue for MmapQueue {
                         }
                     }
                     Some(libc::ENODEV) => return Err(QueueError::Gone("it was unplugged".into())),
+                    // The driver has broken the stream off: no later call on it will do better.
+                    Some(libc::EIO) if events & libc::POLLERR != 0 => {
+                        return Err(QueueError::Gone("the driver broke the stream off".into()));
+                    }
                     Some(libc::EIO) => return Err(QueueError::Trouble(format!("DQBUF: {e}"))),
                     _ => return Err(QueueError::Gone(format!("DQBUF: {e}"))),
                 },
@@ -493,6 +508,7 @@ impl Plain for sys::v4l2_pix_format {}
 impl Plain for sys::v4l2_streamparm {}
 impl Plain for sys::v4l2_requestbuffers {}
 impl Plain for sys::v4l2_buffer {}
+impl Plain for sys::v4l2_queryctrl {}
 
 fn zeroed<T: Plain>() -> T {
     // SAFETY: all-zero bytes are a value of every `Plain` struct.

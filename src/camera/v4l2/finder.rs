@@ -1,0 +1,78 @@
+//! Opens the camera of a run, and the same one again after it was away, whatever its node is called then.
+//!
+//! Input: `[camera]`, and the identity that a stored calibration belongs to, if one was chosen by it. Output: an open
+//! [`V4l2Camera`]. The first that is opened is remembered by its identity; later only a camera with that identity is opened,
+//! because another lens would make nonsense of calibration and map. Of several alike (makers who number nothing) the one at the
+//! same port is taken, else the one that works.
+//!
+//! Cost: looking at sysfs, and opening what is no USB camera to ask its name; a millisecond for a few nodes.
+
+use super::identity::identity;
+use super::{Device, SourceError, V4l2Camera, V4l2Config, device_files};
+use crate::calibration::store::CameraIdentity;
+use std::path::{Path, PathBuf};
+
+/// Finds one camera again and again.
+pub struct Finder {
+    config: V4l2Config,
+    known: Option<CameraIdentity>,
+    /// Where it was plugged in.
+    bus: String,
+}
+
+impl Finder {
+    /// `known`: only this camera will do, from the start.
+    pub fn new(config: V4l2Config, known: Option<CameraIdentity>) -> Self {
+        Self { config, known, bus: String::new() }
+    }
+
+    /// The camera, open and streaming.
+    pub fn open(&mut self) -> Result<V4l2Camera, SourceError> {
+        let camera = match self.known.clone() {
+            None => V4l2Camera::open(&self.config)?,
+            Some(known) => self.open_known(&known)?,
+        };
+        let found = identity(&camera.path, &camera.card);
+        if self.known.is_none() {
+            tracing::info!(camera = %found, "this camera will be looked for when it goes away");
+        }
+        (self.known, self.bus) = (Some(found), camera.bus.clone());
+        Ok(camera)
+    }
+
+    fn open_known(&self, known: &CameraIdentity) -> Result<V4l2Camera, SourceError> {
+        let mut reasons = Vec::new();
+        let mut others = Vec::new();
+        let mut same = Vec::new();
+        for path in device_files() {
+            match who(&path) {
+                Ok(Some((it, bus))) if it == *known => same.push((bus != self.bus, path)),
+                Ok(Some((it, _))) => others.push(format!("{} is {it}", path.display())),
+                Ok(None) => {}
+                Err(e) => reasons.push(e.to_string()),
+            }
+        }
+        same.sort();
+        for (_, path) in &same {
+            match V4l2Camera::open_device(path, &self.config) {
+                Ok(camera) => return Ok(camera),
+                Err(e) => reasons.push(e.to_string()),
+            }
+        }
+        if same.is_empty() {
+            others.sort();
+            others.dedup();
+            let other = if others.is_empty() { String::new() } else { format!(" ({})", others.join(", ")) };
+            reasons.insert(0, format!("camera {known} is not there{other}"));
+        }
+        Err(SourceError::Open { path: self.config.device.clone(), reason: reasons.join("; ") })
+    }
+}
+
+/// Identity and port of a camera; `None` for what is no camera.
+fn who(path: &PathBuf) -> Result<Option<(CameraIdentity, String)>, SourceError> {
+    let failed = |e: std::io::Error| super::open_error(Path::new(path), &e);
+    let device = Device::open(path).map_err(failed)?;
+    let capability = device.capability().map_err(failed)?;
+    Ok(capability.captures.then(|| (identity(path, &capability.card), capability.bus)))
+}
