@@ -1,0 +1,47 @@
+"""The pictures that the guest's USB camera sends: a simulated drive, to and fro, as JPEG and YUYV; and its calibrations."""
+
+import pathlib
+import subprocess
+import tempfile
+
+SECONDS, RATE = 3, 15
+
+
+def make(binary, target):
+    """Writes frames/WxH-NNN.jpg and .yuyv, camera.yaml (of the drive) and vivid.yaml (any, of vivid's size)."""
+    from PIL import Image  # installed by image.install_host_packages
+
+    folder = target / "frames"
+    folder.mkdir()
+    with tempfile.TemporaryDirectory() as work:
+        drive = pathlib.Path(work) / "drive"
+        subprocess.run([binary, "simulate", "--output", drive, "--scenario", "hand_held", "--seconds", str(SECONDS),
+                        "--size", "320x240", "--rate", str(RATE)], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        model = (drive / "camera.yaml").read_text()
+        (target / "camera.yaml").write_text(model)
+        (target / "camera.toml").write_text(as_toml(model))
+        pictures = [Image.open(path).convert("L") for path in sorted((drive / "rgb").glob("*.png"), key=number)]
+    # To and fro, so that the last is next to the first.
+    for index, picture in enumerate(pictures + pictures[-2:0:-1]):
+        picture.save(folder / f"320x240-{index:03}.jpg", quality=90)
+        luma = picture.tobytes()
+        yuyv = bytearray(b"\x80" * (2 * len(luma)))
+        yuyv[0::2] = luma
+        (folder / f"320x240-{index:03}.yuyv").write_bytes(yuyv)
+    for index, picture in enumerate(pictures[:4]):
+        picture.resize((640, 480)).save(folder / f"640x480-{index:03}.jpg", quality=80)
+    (target / "vivid.yaml").write_text("width: 320\nheight: 180\nfx: 260.0\nfy: 260.0\ncx: 159.5\ncy: 89.5\ndistortion: [0.0, 0.0, 0.0, 0.0, 0.0]\n")
+
+
+def number(path):
+    return float(path.stem)
+
+
+def as_toml(text):
+    """A camera.yaml of the simulator's as the daemon's own TOML, for the USB camera of usb_camera.py whatever its serial number."""
+    lines = ['camera = "1d6b:0102"']
+    for line in text.splitlines():
+        key, _, value = line.partition(": ")
+        if key in ("width", "height", "fx", "fy", "cx", "cy", "distortion"):
+            lines.append(f"{key}{'' if key == 'distortion' else '_px'} = {value}")
+    return "\n".join(lines) + "\n"

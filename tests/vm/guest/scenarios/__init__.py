@@ -1,0 +1,29 @@
+"""The scenarios by name, in the order in which they run. The host reads ORDER from this text."""
+
+from . import access, delivery, injection, kill, reboot, streaming, unplug
+
+ORDER = [
+    "usb_mjpeg",
+    "usb_yuyv",
+    "vivid_formats",
+    "controls",
+    "no_camera_at_start",
+    "unplug_cycles",
+    "device_busy",
+    "permission_denied",
+    "vivid_injections",
+    "stops_delivering",
+    "half_rate",
+    "bad_frames",
+    "format_change",
+    "orderly_stop",
+    "strangers",
+    "squatting",
+    "kill_rounds",
+    "power_cut",
+    "service"
+]
+KNOWN = {}
+for module in (access, delivery, injection, kill, reboot, streaming, unplug):
+    KNOWN.update(module.SCENARIOS)
+SCENARIOS = {name: KNOWN[name] for name in ORDER}

@@ -1,0 +1,104 @@
+"""Who may use the camera, and who may listen."""
+
+import os
+import re
+import shutil
+import subprocess
+import time
+
+from robot import CAIRN, check, end, now, row, sh, until
+
+RETURN_LIMIT_S = 2.0
+
+
+def busy(stage):
+    camera = stage.vivid()
+    other = subprocess.Popen(["v4l2-ctl", "-d", camera.node, "--stream-mmap", "--stream-count=0"],
+                             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    time.sleep(2)
+    began = now()
+    daemon = stage.daemon(size=(320, 180), calibration="vivid.yaml")
+    health = stage.listener()
+    health.wait(lambda r: "NO_CAMERA" in r["errors"], 10, "NO_CAMERA", began)
+    daemon.wait_said("another program uses it")
+    time.sleep(2)
+    end(other)
+    freed = now()
+    back = health.flowing(freed - 0.1, 10)
+    check(back["t"] - freed < RETURN_LIMIT_S, f"{back['t'] - freed:.2f} s")
+    return row(health, began, "another program streams from it, then ends", max(0.0, back["t"] - freed),
+               "log: “another program uses it”")
+
+
+def permission(stage):
+    camera = stage.vivid()
+    os.chmod(camera.node, 0o600)
+    began = now()
+    daemon = stage.daemon(size=(320, 180), calibration="vivid.yaml")
+    health = stage.listener()
+    health.wait(lambda r: "NO_CAMERA" in r["errors"], 10, "NO_CAMERA", began)
+    daemon.wait_said("group 'video'")
+    time.sleep(2)
+    os.chmod(camera.node, 0o660)
+    freed = now()
+    back = health.flowing(freed - 0.1, 10)
+    check(back["t"] - freed < RETURN_LIMIT_S, f"{back['t'] - freed:.2f} s")
+    return row(health, began, "the user may not open it, then may", max(0.0, back["t"] - freed),
+               "log: “cameras belong to the group 'video'”")
+
+
+def strangers(stage):
+    """A second user and root are refused with a message that says what to do, and leave nothing behind."""
+    stage.usb("mjpeg")
+    stage.daemon()
+    health = stage.listener()
+    began = now()
+    health.flowing(began, 20)
+    before = files()
+    rows = []
+    for user in ("other", "root"):
+        for command in ("watch --count 1 --timeout 5", "command reset"):
+            status, text = sh(f"{CAIRN} {command}", 20, user)
+            check(status not in (0, 124), f"{user} was let in by {command}: {text}")
+            check("cairn" in text and "same user" in text, f"{user}, {command}: {text}")
+        rows.append(row(health, began, f"user {user} listens and commands", note="refused: " + re.sub(r".*?runs as", "… runs as", text.strip().splitlines()[-1])))
+    check(files() == before, f"files changed: {sorted(set(files()) ^ set(before))}")
+    check(sh(f"{CAIRN} watch --count 1 --timeout 5", 20, "cairn")[0] == 0, "user cairn does not get poses")
+    return rows
+
+
+def files():
+    found = []
+    for top in ("/dev/shm", "/tmp/iceoryx2"):
+        for folder, _, entries in os.walk(top):
+            found += [os.path.join(folder, name) for name in entries]
+    return found
+
+
+def squatting(stage):
+    """Another user makes /tmp/iceoryx2 first: the daemon says whose it is and what to do, and runs once it is gone."""
+    shutil.rmtree("/tmp/iceoryx2", ignore_errors=True)
+    check(sh("mkdir -p /tmp/iceoryx2/services /tmp/iceoryx2/nodes && chmod 755 /tmp/iceoryx2", user="other")[0] == 0, "mkdir")
+    camera = stage.usb("mjpeg")
+    began = now()
+    daemon = stage.daemon()
+    status = daemon.process.wait(15)
+    text = "\n".join(daemon.lines()[-3:])
+    check(status not in (0, None), f"status {status}")
+    check("other" in text and "/tmp/iceoryx2" in text, f"it does not say whose folder it is: {text}")
+    told, listener_text = sh(f"{CAIRN} watch --count 1 --timeout 3", 20, "cairn")
+    check(told != 0, "a listener was satisfied")
+    shutil.rmtree("/tmp/iceoryx2")
+    removed = now()
+    daemon.start()
+    health = stage.listener()
+    back = health.flowing(removed, 10)
+    return row(health, back["t"], "another user made /tmp/iceoryx2 first; removed, started again", back["t"] - removed,
+               f"status {status}: {daemon_message(text)}")
+
+
+def daemon_message(text):
+    return next((line for line in text.splitlines() if line.startswith("cairn:")), text)[:200]
+
+
+SCENARIOS = {"device_busy": busy, "permission_denied": permission, "strangers": strangers, "squatting": squatting}

@@ -1,0 +1,125 @@
+"""A camera that is there and delivers badly: nothing, half, garbage, another format."""
+
+import time
+
+from robot import check, now, row, summary
+
+RETURN_LIMIT_S = 2.0
+
+
+def streaming(stage, **options):
+    camera = stage.usb("mjpeg", **options)
+    daemon = stage.daemon()
+    health = stage.listener()
+    began = now()
+    health.flowing(began, 20, frames=5)
+    return camera, daemon, health
+
+
+def stops_delivering(stage):
+    camera, daemon, health = streaming(stage)
+    began = now()
+    camera.tell("pause")
+    silent = health.wait(lambda r: "NO_FRAMES" in r["errors"], 4, "NO_FRAMES", began)
+    check(silent["state"] != "TRACKING", summary(silent))
+    # It is opened anew meanwhile, which must not look like a camera that is gone.
+    time.sleep(6)
+    daemon.wait_said("gives no good frame, opened anew")
+    check("NO_FRAMES" in health.last()["errors"], f"no NO_FRAMES while silent: {summary(health.last())}")
+    camera.tell("go")
+    back_at = now()
+    back = health.flowing(back_at, 5)
+    recovery = back["t"] - back_at
+    check(recovery < RETURN_LIMIT_S, f"{recovery:.2f} s")
+    return row(health, began, "stops delivering for some 9 s, then goes on", recovery, f"NO_FRAMES after {silent['t'] - began:.1f} s")
+
+
+def half_rate(stage):
+    camera, _, health = streaming(stage)
+    began = now()
+    camera.tell("rate 7.5")
+    slow = health.wait(lambda r: "LOW_RATE" in r["errors"], 4, "LOW_RATE", began)
+    time.sleep(2)
+    check("LOW_RATE" in health.last()["errors"], "LOW_RATE does not stand")
+    camera.tell("rate 15")
+    back_at = now()
+    back = health.wait(lambda r: "LOW_RATE" not in r["errors"], 5, "LOW_RATE ends", back_at)
+    return row(health, began, "delivers at half the rate it granted, then in full", back["t"] - back_at,
+               f"LOW_RATE after {slow['t'] - began:.1f} s; ends after a full second at full rate")
+
+
+def bad_frames(stage):
+    """Broken JPEGs reach the daemon; broken YUYV is thrown away by uvcvideo, and shows as a gap in its frame numbers."""
+    rows = []
+    for form, verb, bit, counter, what in [
+            ("mjpeg", "broken", "CORRUPT_FRAMES", "frames_corrupt", "garbage in place of JPEG"),
+            ("mjpeg", "short", "CORRUPT_FRAMES", "frames_corrupt", "JPEG cut short"),
+            ("yuyv", "broken", "DROPPED_FRAMES", "frames_dropped", "YUYV with the error bit"),
+            ("yuyv", "short", "DROPPED_FRAMES", "frames_dropped", "YUYV cut short")]:
+        camera = stage.usb(form)
+        daemon = stage.daemon()
+        health = stage.listener()
+        began = now()
+        before = health.flowing(began, 20, frames=5)
+        began = now()
+        camera.tell(f"{verb} 20")
+        seen = health.wait(lambda r: bit in r["errors"], 5, bit, began)
+        counted = health.wait(lambda r: r[counter] >= before[counter] + 18, 5, f"18 frames in {counter}", began)
+        back = health.wait(lambda r: bit not in r["errors"], 5, f"{bit} ends", counted["t"])
+        check(daemon.alive(), "the daemon ended")
+        rows.append(row(health, began, f"20 frames: {what}", None,
+                        f"{back[counter] - before[counter]} counted; bit after {seen['t'] - began:.1f} s, gone a second after the last"))
+        health.close()
+        daemon.close()
+        camera.unplug()
+    return rows
+
+
+def format_change(stage):
+    """The camera comes back sending another format, then another size."""
+    camera, daemon, health = streaming(stage)
+    began = now()
+    camera.unplug()
+    health.wait(lambda r: "NO_CAMERA" in r["errors"], 3, "NO_CAMERA", began)
+    other = stage.usb("yuyv")
+    back = health.flowing(other.appeared - 0.2, 10)
+    recovery = max(0.0, back["t"] - other.appeared)
+    check(recovery < RETURN_LIMIT_S, f"{recovery:.2f} s")
+    rows = [row(health, began, "comes back with YUYV in place of MJPEG", recovery)]
+    began = now()
+    other.unplug()
+    health.wait(lambda r: "NO_CAMERA" in r["errors"], 3, "NO_CAMERA", began)
+    larger = stage.usb("mjpeg", size="640x480")
+    told = health.wait(lambda r: "CORRUPT_FRAMES" in r["errors"] or "NO_CAMERA" in r["errors"] or "BAD_CALIBRATION" in r["errors"], 6,
+                       "an error bit for pictures of another size", larger.appeared + 1)
+    check(daemon.alive(), "the daemon ended")
+    check(daemon.said("size"), "the log does not speak of the size")
+    larger.unplug()
+    right = stage.usb("mjpeg")
+    back = health.flowing(right.appeared - 0.2, 10)
+    health.wait(lambda r: not {"CORRUPT_FRAMES", "BAD_CALIBRATION"} & set(r["errors"]), 5, "no fault", back["t"])
+    recovery = max(0.0, back["t"] - right.appeared)
+    check(recovery < RETURN_LIMIT_S, f"{recovery:.2f} s")
+    rows.append(row(health, began, "comes back with 640x480 in place of 320x240, then right again", recovery, summary(told)))
+    return rows
+
+
+def controls(stage):
+    """What the configuration says of focus, exposure and lamps reaches the camera; the lock after settling, too."""
+    camera = stage.usb("mjpeg")
+    daemon = stage.daemon(camera='focus = 30\npower_line = "50hz"\nlock_after_s = 2.0\nexposure_limit_ms = 8.0')
+    health = stage.listener()
+    began = now()
+    health.flowing(began, 20, frames=5)
+    daemon.wait_said("exposure locked", 10)
+    said = camera.controls().splitlines()
+    # Unit and selector as in the UVC specification; exposure in 0.1 ms, gain from 64 by 25 ms / 8 ms.
+    for line in ["control 1 0x8 = 0", "control 1 0x3 = 0", "control 1 0x6 = 30", "control 2 0x5 = 1",
+                 "control 1 0x2 = 1", "control 1 0x4 = 80", "control 2 0x4 = 200", "control 2 0xb = 0"]:
+        check(line in said, f"the camera was not told {line!r}: {said}")
+    return row(health, began, "focus 30, 50 Hz, lock after 2 s with exposure of at most 8 ms",
+               note="autofocus off, exposure 25 ms to 8 ms, gain 64 to 200")
+
+
+SCENARIOS = {"stops_delivering": stops_delivering, "half_rate": half_rate, "bad_frames": bad_frames,
+             "format_change": format_change, "controls": controls}
