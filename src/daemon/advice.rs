@@ -10,7 +10,7 @@ pub fn advice(fault: &str) -> &'static str {
             "too little to see: more light, a wider lens, or away from the bare wall; tracking may be lost soon"
         }
         "DROPPED_FRAMES" => {
-            "the machine is too slow: lower camera.rate_hz or the picture's size, or stop what else runs"
+            "the machine is too slow (lower camera.rate_hz or the size, stop what else runs), or the driver loses frames (cable, port)"
         }
         "CORRUPT_FRAMES" => "a bad cable or a full USB bus: another cable, another port, or a smaller picture",
         "BAD_CALIBRATION" => "calibrate this camera at this size: `cairn calibrate --camera auto`",
@@ -19,9 +19,11 @@ pub fn advice(fault: &str) -> &'static str {
         "MAPPING_LATE" => "the map is adjusted too late: lower reconstruction.adjusted_keyframes",
         "LOST" => "go back to where the camera has been; after reconstruction.lost_frames a new map begins",
         "SAVE_FAILED" => "look at free space and permissions of the file that the record before names",
+        "LOW_RATE" => {
+            "the camera gives fewer frames than it granted: more light, camera.dynamic_rate = false, a fixed exposure"
+        }
         "PUBLISH_FAILED" => "look at free space of /dev/shm: `cairn doctor`",
         "UNCALIBRATED" => "the lens is a guess: `cairn calibrate --camera auto`, or turn and move the camera",
-        "LOW_RATE" => "more light, or camera.exposure_limit_ms: long exposures lower a camera's rate; else another USB port",
         _ => "a fault of a newer version: `cairn doctor` of that version knows it",
     }
 }
@@ -34,7 +36,7 @@ mod tests {
     #[test]
     fn every_fault_has_its_own_advice() {
         let names: Vec<_> = error::names((1 << 15) - 1).collect();
-        assert!(names.len() >= 13 && !names.contains(&"UNKNOWN"), "{names:?}");
+        assert!(names.len() >= 15 && !names.contains(&"UNKNOWN"), "{names:?}");
         for name in &names {
             assert_ne!(advice(name), advice("UNKNOWN"), "{name}");
         }

@@ -1,7 +1,7 @@
 //! Before there is a run: waits for the camera that says which calibration is meant, and tells planners so meanwhile.
 //!
 //! Input: a search that is tried again and again. Output: what it found, or nothing when the daemon is told to stop. Health is
-//! published at its rate with the bit NO_CAMERA, commands are refused as busy, the service manager sees a daemon that is ready and
+//! published at its rate with the bit NO_CAMERA, commands are refused as busy, the service manager sees a daemon that becomes ready and
 //! lives: that a camera is missing is being reported, and is no reason to start it again.
 //!
 //! Not here: a camera that goes away later, which is the capture step's business.
@@ -38,10 +38,11 @@ pub fn await_camera<T>(
     // Of nothing but the missing camera.
     let status = Arc::new(Status::default());
     let mut watch = HealthWatch::new(status, Clock::Monotonic, Duration::MAX, monotonic_ns());
+    let mut announcer = Announcer::default();
+    let began = Instant::now();
     let mut faults = RateLimiter::default();
     let mut complaint: Option<(String, Instant)> = None;
     let mut tried: Option<Instant> = None;
-    let (mut announcer, began) = (Announcer::default(), Instant::now());
     while !stop.load(Ordering::Relaxed) {
         if tried.is_none_or(|at| at.elapsed() >= pause) {
             match find() {
