@@ -171,7 +171,7 @@ pub fn run(args: &TwoViewArgs) -> Result<ExitCode, CliError> {
             reconstruct_from_pairs(pairs, cameras.as_ref(), &options)
         }
     };
-    print(&text(&result, &options, cameras.as_ref()))?;
+    print(&text(&result, &options, args.matches.is_some(), cameras.as_ref()))?;
     write_files(args, &result, &options, [&first, &second], cameras.as_ref())?;
     Ok(if result.outcome.is_success() { ExitCode::SUCCESS } else { ExitCode::from(exit_code::NO_MODEL) })
 }
@@ -196,27 +196,34 @@ fn write_files(
     drawing::write(&args.output, result, pictures, cameras).map_err(|e| cannot(e.to_string()))
 }
 
-/// The steps' numbers for a person.
-fn text(result: &TwoView, options: &Options, cameras: Option<&Cameras>) -> String {
+/// The steps' numbers for a person; `listed`: the matches come from a file.
+fn text(result: &TwoView, options: &Options, listed: bool, cameras: Option<&Cameras>) -> String {
     let mut out = String::new();
     let ms = |step: &str| result.times.iter().find(|(name, _)| *name == step).map_or(0.0, |(_, ms)| *ms);
     let mut line = |name: &str, value: String| out.push_str(&format!("{name:<18}{value}\n"));
-    let [a, b] = &result.corners;
-    line(
-        "corners",
-        format!(
-            "{} and {} of {} and {} found by {} at {} scale{}  ({:.1} ms)",
-            a.keypoints.len(),
-            b.keypoints.len(),
-            a.found,
-            b.found,
-            options.detection.detector.name(),
-            a.scales.len(),
-            if a.scales.len() == 1 { "" } else { "s" },
-            ms("corners")
-        ),
-    );
-    line("matches", format!("{} by {}  ({:.1} ms)", result.unguided, options.matching.matcher.name(), ms("matches")));
+    if listed {
+        line("matches", format!("{} from the list", result.unguided));
+    } else {
+        let [a, b] = &result.corners;
+        line(
+            "corners",
+            format!(
+                "{} and {} of {} and {} found by {} at {} scale{}  ({:.1} ms)",
+                a.keypoints.len(),
+                b.keypoints.len(),
+                a.found,
+                b.found,
+                options.detection.detector.name(),
+                a.scales.len(),
+                if a.scales.len() == 1 { "" } else { "s" },
+                ms("corners")
+            ),
+        );
+        line(
+            "matches",
+            format!("{} by {}  ({:.1} ms)", result.unguided, options.matching.matcher.name(), ms("matches")),
+        );
+    }
     if result.outside_lens > 0 {
         line("", format!("{} left out: the lens model does not reach their pixels", result.outside_lens));
     }
