@@ -58,13 +58,9 @@ fn plain_sums(image: &GreyImage, x: usize, y: usize, t: u8, response: SusanRespo
     sums
 }
 
-/// The whole detector by the definition, one cell threshold a pixel: (corners for certain, corners or as strong as a
-/// neighbour up to the rounding of `f32`). Averaged moments alone may differ by rounding: areas are whole numbers.
-fn plain_corners(
-    image: &GreyImage,
-    config: &SusanConfig,
-    cells: &CellGrid,
-) -> (Vec<(usize, usize)>, Vec<(usize, usize)>) {
+/// The whole detector by the definition, one cell threshold a pixel: corners for certain, and those with them that
+/// are as strong as a neighbour up to the rounding of `f32`. Averaged moments alone may differ by rounding: areas are whole numbers.
+fn plain_corners(image: &GreyImage, config: &SusanConfig, cells: &CellGrid) -> [Vec<(usize, usize)>; 2] {
     let (w, h, r) = (image.width, image.height, config.suppression_px);
     let image = if config.smooth {
         let clamp = |v: i32, n: usize| v.clamp(0, n as i32 - 1) as usize;
@@ -136,7 +132,7 @@ fn plain_corners(
             }
         }
     }
-    (certain, possible)
+    [certain, possible]
 }
 
 fn pixels(corners: &[Corner]) -> Vec<(usize, usize)> {
@@ -323,7 +319,7 @@ proptest! {
         let mut detector = SusanDetector::new(config).expect("valid");
         detector.detect(&blocky(30, 20, seed), &CellGrid::new(30, 20, 8, 20.0), &mut out);
         detector.detect(&image, &cells, &mut out);
-        let (found, (certain, possible)) = (pixels(&out), plain_corners(&image, &config, &cells));
+        let (found, [certain, possible]) = (pixels(&out), plain_corners(&image, &config, &cells));
         prop_assert!(found.is_sorted_by_key(|&(x, y)| (y, x)), "raster order: {:?}", found);
         let missed: Vec<_> = certain.iter().filter(|c| !found.contains(c)).collect();
         let extra: Vec<_> = found.iter().filter(|c| !possible.contains(c)).collect();
