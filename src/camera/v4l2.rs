@@ -163,10 +163,17 @@ pub struct CameraInfo {
     pub offers: Vec<Offer>,
 }
 
-/// Every capture device that can be opened, by number, and for the others why not.
-pub fn list_cameras() -> Vec<Result<CameraInfo, SourceError>> {
-    let wanted = V4l2Config::default();
-    device_files().iter().filter_map(|path| inspect(path, &wanted).transpose()).collect()
+impl CameraInfo {
+    /// Size of the pictures that it will send when it is asked for what the config wants: that of the best choice, px.
+    pub fn picture_size(&self, config: &V4l2Config) -> (u32, u32) {
+        ranked(&self.offers, config).first().map_or((config.width_px, config.height_px), |c| (c.width, c.height))
+    }
+}
+
+/// Every capture device that can be opened, by number, and for the others why not. `wanted`: the size that is asked for, where a
+/// camera has a range of them.
+pub fn list_cameras(wanted: &V4l2Config) -> Vec<Result<CameraInfo, SourceError>> {
+    device_files().iter().filter_map(|path| inspect(path, wanted).transpose()).collect()
 }
 
 /// `/dev/videoN` by number.
@@ -266,7 +273,6 @@ impl V4l2Camera {
                 device.format_names()
             )));
         }
-        controls::prepare(&device, config);
         let mut device = Some(device);
         let mut failure = String::new();
         for choice in choices.iter().take(MAX_ATTEMPTS) {
@@ -275,7 +281,7 @@ impl V4l2Camera {
                 Some(device) => device,
                 None => Device::open(path).map_err(failed)?,
             };
-            match start(fresh, choice, config.buffers) {
+            match start(fresh, choice, config) {
                 Ok((queue, layout, rate_hz)) => {
                     return Ok(Self::describe(path, &capability, choice, config, queue, layout, rate_hz));
                 }
@@ -327,9 +333,12 @@ impl V4l2Camera {
     }
 }
 
-/// Sets format and rate and starts the stream; also what was granted.
-fn start(device: Device, choice: &Choice, buffers: u32) -> Result<(MmapQueue, Layout, Option<f64>), CallError> {
+/// Sets format, controls and rate and starts the stream; also what was granted.
+fn start(device: Device, choice: &Choice, config: &V4l2Config) -> Result<(MmapQueue, Layout, Option<f64>), CallError> {
+    // First the format, which a driver refuses while another process streams: controls are the device's and not the descriptor's, so
+    // setting them on somebody else's camera would undo its focus and its locked exposure.
     let granted = device.set_format(choice)?;
+    controls::prepare(&device, config);
     let rate_hz = device.set_rate(choice);
     let format = match choice.format {
         CameraFormat::Grey => PixelFormat::Grey,
@@ -337,7 +346,7 @@ fn start(device: Device, choice: &Choice, buffers: u32) -> Result<(MmapQueue, La
         CameraFormat::Mjpeg => PixelFormat::Jpeg,
     };
     let layout = Layout { format, width: granted.width, height: granted.height, stride: granted.stride };
-    Ok((MmapQueue::start(device, buffers)?, layout, rate_hz))
+    Ok((MmapQueue::start(device, config.buffers)?, layout, rate_hz))
 }
 
 impl FrameSource for V4l2Camera {

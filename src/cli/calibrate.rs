@@ -170,6 +170,9 @@ fn encode(file: &CalibrationFile, format: Format, name: &str) -> Result<String, 
     }
 }
 
+/// The service's state. It sees neither this user's home nor what lies there.
+const SERVICE_STATE: &str = "/var/lib/cairn";
+
 /// Writes the calibration to where it was asked for and, for a camera with an identity, to where it is found again.
 fn save(args: &CalibrateArgs, calibrated: &Calibrated, identity: Option<&CameraIdentity>) -> Result<(), CliError> {
     let unix_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
@@ -182,7 +185,14 @@ fn save(args: &CalibrateArgs, calibrated: &Calibrated, identity: Option<&CameraI
     if let Some(identity) = identity {
         match store::save(&store::state_folders(), identity, &file) {
             Ok(path) => {
-                session::print(&format!("wrote {} (found by `cairn run` for camera {identity})\n", path.display()))?
+                let shown = path.display();
+                session::print(&format!("wrote {shown} (found by `cairn run` of this user for camera {identity})\n"))?;
+                if Path::new(SERVICE_STATE).is_dir() && !path.starts_with(SERVICE_STATE) {
+                    let name = identity.file_name((file.camera.width, file.camera.height));
+                    session::print(&format!(
+                        "the service is another user: `sudo install -D -m 0644 {shown} /etc/cairn/cameras/{name}`\n"
+                    ))?;
+                }
             }
             Err(error) if args.output.is_none() => {
                 return Err(CliError::new(exit_code::CANNOT_CREATE, error.to_string()));

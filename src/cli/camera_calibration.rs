@@ -22,7 +22,7 @@ pub fn identify(camera: &CameraInfo) -> CameraIdentity {
 pub fn configured(config: &V4l2Config) -> Result<CameraInfo, String> {
     let wanted = std::fs::canonicalize(&config.device);
     let mut reasons = Vec::new();
-    for camera in list_cameras() {
+    for camera in list_cameras(config) {
         match camera {
             Ok(camera) if config.device == "auto" && camera.offers.is_empty() => {}
             Ok(camera) if config.device == "auto" => return Ok(camera),
@@ -63,7 +63,8 @@ pub struct Found {
 pub fn of_config(config: &Config) -> Result<Result<Found, CliError>, String> {
     let camera = configured(&config.camera)?;
     let identity = identify(&camera);
-    let size = (config.camera.width_px, config.camera.height_px);
+    // A calibration belongs to what the camera sends, which is not always what it is asked for.
+    let size = camera.picture_size(&config.camera);
     if !config.calibration.ignore
         && let Some(found) = stored(&identity, size)
     {

@@ -33,7 +33,8 @@ pub fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
     let prepared = prepare(&config)?;
     let (outlet, mut desk) =
         session::open_wire(&config, Clock::Monotonic, Some(prepared.size())).map_err(|e| session::wire_error(&e))?;
-    let Some(Source { supply, calibration, keep_lens }) = prepared.source(&config, &mut desk, &stop)? else {
+    let Some(Source { supply, calibration, keep_lens }) = prepared.source(&config, &mut desk, &stop, &mut reloader)?
+    else {
         return Ok(ExitCode::SUCCESS);
     };
     let parts = Parts {
@@ -102,7 +103,13 @@ impl Prepared {
 
     /// The configured source and the camera model that belongs to it. Waits for the camera if only that tells the calibration;
     /// `None`: told to stop before it came.
-    fn source(self, config: &Config, desk: &mut Desk, stop: &AtomicBool) -> Result<Option<Source>, CliError> {
+    fn source(
+        self,
+        config: &Config,
+        desk: &mut Desk,
+        stop: &AtomicBool,
+        reloader: &mut Reloader,
+    ) -> Result<Option<Source>, CliError> {
         let longest_pause = Duration::from_millis(config.daemon.camera_retry_ms);
         let (calibration, keep_lens, known) = match self {
             Self::Simulator(simulator) => {
@@ -116,7 +123,10 @@ impl Prepared {
             }
             Self::Camera { calibration: Some(calibration), .. } => (calibration, None, None),
             Self::Camera { calibration: None, .. } => {
-                let mut find = || camera_calibration::of_config(config);
+                let mut find = || {
+                    reloader.turn();
+                    camera_calibration::of_config(config)
+                };
                 let Some(found) = daemon::await_camera(desk, stop, longest_pause, &mut find) else { return Ok(None) };
                 let found = found?;
                 (found.calibration, found.keep_lens, Some(found.identity))

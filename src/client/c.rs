@@ -4,7 +4,7 @@
 //! `cargo rustc --release --lib --crate-type cdylib --no-default-features --features c`.
 //!
 //! In: a handle, a timeout (ns), a place for the answer. Out: [`MESSAGE`], [`NOTHING`] or [`ERROR`]; the reason of the latter by
-//! `cairn_error`. Poses and health are copied (424 and 392 bytes); map, keyframes and pictures are views of shared memory that
+//! `cairn_error`. Poses and health are copied (424 and 416 bytes); map, keyframes and pictures are views of shared memory that
 //! must be released. A handle is used by one thread at a time; several handles may live in several threads.
 //!
 //! Does not: start threads, install signal handlers, unwind into C, keep anything global but the last error of each thread.

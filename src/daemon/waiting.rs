@@ -21,7 +21,7 @@ use super::status::Status;
 use super::supervisor::Desk;
 use crate::frame::{Clock, monotonic_ns};
 use crate::messages::{CommandReply, reply_code};
-use crate::telemetry::RateLimiter;
+use crate::telemetry::{RateLimiter, report_suppressed};
 
 /// Commands that are refused in one turn at the most.
 const COMMANDS_A_TURN: usize = 4;
@@ -61,6 +61,7 @@ pub fn await_camera<T>(
         notify(&[NotifyState::Watchdog]);
         let health = watch.tick(now_ns);
         announcer.turn(&health, began.elapsed());
+        report_suppressed(false);
         if let Err(error) = desk.health.publish(&health)
             && let Some(messages) = faults.event(now_ns)
         {

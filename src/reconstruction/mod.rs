@@ -436,7 +436,7 @@ impl Reconstruction {
         out.landmarks.extend(self.map.landmarks.iter().map(|(id, l)| LandmarkView {
             id: LandmarkId(id),
             position_world: l.position,
-            sigma: l.covariance.symmetric_eigenvalues().max().max(0.0).sqrt() as f32,
+            sigma: types::largest_sigma(&l.covariance) as f32,
             observations: l.observers.len() as u32,
         }));
         out.keyframes.clear();

@@ -50,7 +50,7 @@ impl Reconstruction {
         }
         self.state = TrackingState::Tracking;
         self.last_keyframe_frame = self.frame;
-        self.counters.keyframes_made += 2;
+        self.counters.keyframes_made += self.map.keyframes.len() as u64;
         self.counters.landmarks_made += self.map.landmarks.len() as u64;
         // The frame itself is placed like any other, so that its covariance and counts are honest.
         let guess = [self.last.map_or_else(Se3::identity, |l| l.camera_from_world)];

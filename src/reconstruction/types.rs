@@ -1,6 +1,6 @@
 //! What reconstruction tells the outside: poses, map snapshots, trajectory events, counters.
 
-use nalgebra::{Matrix6, Vector3};
+use nalgebra::{Matrix3, Matrix6, Vector3};
 
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, Keyframe, Odom, World};
@@ -72,6 +72,14 @@ pub struct LandmarkView {
     pub observations: u32,
 }
 
+/// Standard deviation along the worst direction of a covariance; NaN, which is not known, where that is not finite.
+pub(super) fn largest_sigma(covariance: &Matrix3<f64>) -> f64 {
+    if !covariance.iter().all(|v| v.is_finite()) {
+        return f64::NAN;
+    }
+    covariance.symmetric_eigenvalues().max().max(0.0).sqrt()
+}
+
 /// A keyframe as the outside sees it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KeyframeView {
@@ -106,4 +114,16 @@ pub struct Counters {
     pub adjustments_late: u64,
     pub resets: u64,
     pub relocalisations: u64,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_unknown_place_is_not_published_as_a_perfectly_known_one() {
+        assert!(largest_sigma(&Matrix3::from_element(f64::NAN)).is_nan());
+        let known = Matrix3::from_diagonal(&Vector3::new(0.01, 0.25, 0.04));
+        assert!((largest_sigma(&known) - 0.5).abs() < 1e-12);
+    }
 }

@@ -3,7 +3,7 @@
 //! Input: `[camera]`, and the identity that a stored calibration belongs to, if one was chosen by it. Output: an open
 //! [`V4l2Camera`]. The first that is opened is remembered by its identity; later only a camera with that identity is opened,
 //! because another lens would make nonsense of calibration and map. Of several alike (makers who number nothing) the one at the
-//! same port is taken, else the one that works.
+//! same port is taken, else the one that `[camera]` names, else the one that works.
 //!
 //! Cost: looking at sysfs, and opening what is no USB camera to ask its name; a millisecond for a few nodes.
 
@@ -41,18 +41,20 @@ impl Finder {
     }
 
     fn open_known(&self, known: &CameraIdentity) -> Result<V4l2Camera, SourceError> {
+        // Where a link such as /dev/v4l/by-path/... leads now.
+        let named = std::fs::canonicalize(&self.config.device).ok();
         let mut reasons = Vec::new();
         let mut others = Vec::new();
         let mut same = Vec::new();
         for path in device_files() {
             match who(&path) {
-                Ok(Some((it, bus))) if it == *known => same.push((bus != self.bus, path)),
+                Ok(Some((it, bus))) if it == *known => same.push((bus, path)),
                 Ok(Some((it, _))) => others.push(format!("{} is {it}", path.display())),
                 Ok(None) => {}
                 Err(e) => reasons.push(e.to_string()),
             }
         }
-        same.sort();
+        likeliest_first(&mut same, &self.bus, named.as_deref());
         for (_, path) in &same {
             match V4l2Camera::open_device(path, &self.config) {
                 Ok(camera) => return Ok(camera),
@@ -69,10 +71,34 @@ impl Finder {
     }
 }
 
+/// Orders cameras (port, node) that are alike: at the port of last time, then the one that was named, then by node.
+fn likeliest_first(alike: &mut [(String, PathBuf)], bus: &str, named: Option<&Path>) {
+    alike.sort_by_cached_key(|(at, path)| (at != bus, named != Some(path.as_path()), path.clone()));
+}
+
 /// Identity and port of a camera; `None` for what is no camera.
 fn who(path: &PathBuf) -> Result<Option<(CameraIdentity, String)>, SourceError> {
     let failed = |e: std::io::Error| super::open_error(Path::new(path), &e);
     let device = Device::open(path).map_err(failed)?;
     let capability = device.capability().map_err(failed)?;
     Ok(capability.captures.then(|| (identity(path, &capability.card), capability.bus)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn of_two_cameras_alike_the_port_of_last_time_counts_and_before_there_is_one_the_configured_node() {
+        let first = |bus: &str, named: Option<&str>| {
+            let camera = |bus: &str, path: &str| (bus.to_string(), PathBuf::from(path));
+            let mut alike = [camera("usb-2", "/dev/video2"), camera("usb-1", "/dev/video0")];
+            likeliest_first(&mut alike, bus, named.map(Path::new));
+            alike[0].1.display().to_string()
+        };
+        assert_eq!(first("", Some("/dev/video2")), "/dev/video2", "not the twin of another daemon");
+        assert_eq!(first("", None), "/dev/video0");
+        assert_eq!(first("usb-2", Some("/dev/video0")), "/dev/video2", "nodes are given anew, ports stay");
+        assert_eq!(first("usb-9", Some("/dev/video2")), "/dev/video2");
+    }
 }

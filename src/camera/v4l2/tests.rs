@@ -381,8 +381,25 @@ fn what_is_no_camera_is_named_with_the_reason() {
     assert!(open_error("").contains("camera.device must be"));
     if device_files().is_empty() {
         assert!(open_error("auto").contains("there is no camera"));
-        assert!(list_cameras().is_empty());
+        assert!(list_cameras(&V4l2Config::default()).is_empty());
     }
+}
+
+#[test]
+fn a_calibration_is_looked_for_at_the_size_that_the_camera_will_send() {
+    let offer = |width, height| Offer { format: CameraFormat::Mjpeg, width, height, rates: Rates::Unknown };
+    let camera = |offers| CameraInfo {
+        path: "/dev/video0".into(),
+        card: "wide".into(),
+        driver: "uvcvideo".into(),
+        bus: "usb-1".into(),
+        offers,
+    };
+    let config = V4l2Config::default();
+    let wide = camera(vec![offer(1280, 720), offer(640, 360)]);
+    assert_eq!(wide.picture_size(&config), (640, 360), "it has no 640x480");
+    assert_eq!(camera(vec![offer(1280, 720), offer(640, 480)]).picture_size(&config), (640, 480));
+    assert_eq!(camera(vec![]).picture_size(&config), (640, 480));
 }
 
 proptest! {

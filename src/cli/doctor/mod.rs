@@ -115,7 +115,7 @@ fn configuration(report: &mut Report, args: &DoctorArgs) -> Config {
 fn cameras(report: &mut Report, config: &Config) {
     report.title("cameras");
     let needs_camera = config.daemon.source == SourceKind::Camera;
-    let listed = list_cameras();
+    let listed = list_cameras(&config.camera);
     let mut usable = 0;
     for camera in &listed {
         match camera {
@@ -142,7 +142,7 @@ fn cameras(report: &mut Report, config: &Config) {
 
 /// Opens the camera, unless a daemon that can be heard has it: that one has said what it sees.
 fn try_camera(report: &mut Report, config: &Config, heard: bool) {
-    let meant = list_cameras().into_iter().flatten().find(|c| probe::is_meant(&config.camera, &c.path));
+    let meant = list_cameras(&config.camera).into_iter().flatten().find(|c| probe::is_meant(&config.camera, &c.path));
     let Some(camera) = meant.filter(|c| config.daemon.source == SourceKind::Camera && !c.offers.is_empty()) else {
         return;
     };
@@ -184,7 +184,8 @@ fn one_camera(report: &mut Report, camera: &CameraInfo, config: &Config) {
         }
         return;
     }
-    match stored(&identity, (config.camera.width_px, config.camera.height_px)) {
+    let size = camera.picture_size(&config.camera);
+    match stored(&identity, size) {
         Some(found) => {
             let scaled = found.scaled_from.map_or(String::new(), |(w, h)| format!(", scaled from {w}x{h}"));
             let sigma = found.fx_sigma_px.map_or(String::new(), |s| format!(" +- {s:.2}"));
@@ -196,7 +197,7 @@ fn one_camera(report: &mut Report, camera: &CameraInfo, config: &Config) {
             ));
         }
         None => {
-            let size = format!("{}x{} px", config.camera.width_px, config.camera.height_px);
+            let size = format!("{}x{} px", size.0, size.1);
             let next =
                 format!("calibrate it, one minute: `cairn calibrate --camera {path} --pattern 9x6 --square 0.025`");
             report.note(&format!("{path}: no calibration for {size}"));
