@@ -5,7 +5,7 @@
 //! because another lens would make nonsense of calibration and map. Of several alike (makers who number nothing) the one at the
 //! same port is taken, else the one that `[camera]` names, else the one that works.
 //!
-//! Cost: looking at sysfs, and opening what is no USB camera to ask its name; a millisecond for a few nodes.
+//! Cost: opening every video node to ask what it is, and looking at sysfs; a millisecond for a few nodes.
 
 use super::identity::identity;
 use super::{Device, SourceError, V4l2Camera, V4l2Config, device_files};
