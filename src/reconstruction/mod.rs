@@ -12,6 +12,7 @@ pub mod initialise;
 mod intrinsics;
 pub mod keyframes;
 pub mod local_adjustment;
+mod newcomers;
 pub mod pose_optimisation;
 pub mod relocalise;
 pub mod rolling_shutter;
