@@ -12,6 +12,7 @@ pub mod initialise;
 mod intrinsics;
 pub mod keyframes;
 pub mod local_adjustment;
+mod newcomers;
 pub mod pose_optimisation;
 pub mod relocalise;
 pub mod rolling_shutter;
@@ -99,8 +100,8 @@ pub struct Reconstruction {
     angles: Vec<f64>,
     relocaliser: Relocaliser,
     shutter: Shutter,
-    /// How much angular (rad/s) and linear velocity (map units/s) changed from the frame before to this one.
-    last_change: (f64, f64),
+    /// When the present map was started; the least time for one that was loaded.
+    map_began_ns: i64,
 }
 
 impl Reconstruction {
@@ -151,7 +152,7 @@ impl Reconstruction {
             angles: Vec::with_capacity(1024),
             relocaliser: Relocaliser::default(),
             shutter: Shutter::new(config.readout_ms * 1e-3, camera.height, config.estimate_readout),
-            last_change: (f64::NAN, f64::NAN),
+            map_began_ns: i64::MIN,
         }
     }
 
@@ -247,7 +248,6 @@ impl Reconstruction {
         if resumed {
             self.counters.relocalisations += 1;
         }
-        let before = self.last_motion();
         self.lost_frames = 0;
         self.state = TrackingState::Tracking;
         self.counters.frames_tracked += 1;
@@ -261,11 +261,6 @@ impl Reconstruction {
             self.odom_from_camera = self.odom_from_camera * step.inverse();
             motion = (dt > 0.0 && !resumed).then_some((step, dt));
         }
-        let now = motion.map(|(m, dt)| CameraMotion::over(&m, dt));
-        self.last_change = match (before, now) {
-            (Some(a), Some(b)) => ((a.turn - b.turn).norm(), (a.shift - b.shift).norm()),
-            _ => (f64::NAN, f64::NAN),
-        };
         self.last = Some(LastFrame { timestamp_ns: features.timestamp_ns, camera_from_world: pose, motion });
         if motion.is_some_and(|(_, dt)| dt < MAX_SHUTTER_STEP_S) {
             let readout_s = self.shutter.readout_s;

@@ -40,11 +40,6 @@ impl Shutter {
         Self { readout_s, information, height_px: f64::from(height_px.max(1)), estimate }
     }
 
-    /// Standard deviation of the readout time, s.
-    pub fn sigma_s(&self) -> f64 {
-        if self.estimate { self.information.sqrt().recip() } else { 0.0 }
-    }
-
     /// Nothing to correct and nothing to learn.
     pub fn is_off(&self) -> bool {
         !self.estimate && self.readout_s == 0.0

@@ -5,6 +5,7 @@
 //! 2. *Search*: local landmarks are projected and aligned against keyframe templates ([`search`](super::search)).
 //! 3. *Optimisation*: robust, motion-only, over everything found; tracks whose template was not found (blur) help with a
 //!    smaller weight.
+//!    Newcomers among the landmarks must then agree with the established ones ([`newcomers`](super::newcomers)).
 //! 4. If that rests on too few landmarks: once more with a wide, coarse-to-fine search from each other guess that there is.
 //!
 //! Everything reads the map and writes only its own buffers.
@@ -13,6 +14,7 @@ use nalgebra::{Matrix6, Vector2, Vector3};
 
 use super::bindings::{Bindings, Target};
 use super::config::ReconstructionConfig;
+use super::newcomers::{ESTABLISHED_FOUND, Newcomers};
 use super::pose_optimisation::{PoseOptions, PosePair, PoseSolution, accumulate, jacobian_rows, optimise_pose};
 use super::relocalise::Guess;
 use super::rolling_shutter::Shutter;
@@ -69,6 +71,7 @@ pub struct Tracker {
     /// What `local` was made of.
     local_of: Option<(KeyframeId, u64)>,
     votes: Vec<(KeyframeId, u32)>,
+    newcomers: Newcomers,
 }
 
 /// Keyframes around the reference whose landmarks are looked for.
@@ -99,6 +102,7 @@ impl Default for Tracker {
             local: Vec::with_capacity(LOCAL_ROOM),
             local_of: None,
             votes: Vec::with_capacity(1024),
+            newcomers: Newcomers::with_capacity(2048),
         }
     }
 }
@@ -227,6 +231,7 @@ impl Tracker {
             // The motion that the shutter saw is known only now.
             solution = self.solve(frame, &solution.camera_from_world, motion.as_ref())?;
         }
+        solution = self.hear_newcomers(frame, solution);
         let landmarks = self.search.matches.iter().filter(|m| m.inlier).count();
         let sought = self.search.matches.len() + self.search.missed.len();
         // A few that agree among many that were found and do not is chance.
@@ -277,6 +282,21 @@ impl Tracker {
             m.inlier = ok;
         }
         Some(solution)
+    }
+
+    /// The last solution with the newcomers that agree with established landmarks only.
+    fn hear_newcomers(&mut self, frame: &Frame<'_>, solution: PoseSolution) -> PoseSolution {
+        let focal = Vector2::new(frame.camera.fx, frame.camera.fy);
+        let matches = &self.search.matches;
+        // Tracks whose template was not found come after the matches; nothing vouches for them.
+        let established = |i: usize| {
+            matches.get(i).and_then(|m| frame.map.landmark(m.landmark)).is_some_and(|l| l.found >= ESTABLISHED_FOUND)
+        };
+        let judged = self.newcomers.judge(&self.pairs, established, &solution, focal, &mut self.inlier);
+        for (m, &ok) in self.search.matches.iter_mut().zip(&self.inlier) {
+            m.inlier = ok;
+        }
+        judged.unwrap_or(solution)
     }
 
     /// Information of the pose where every observation's covariance is `sigma^2 I + J_l P_l J_lᵀ`, P_l the landmark's own.
