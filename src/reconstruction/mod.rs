@@ -408,6 +408,7 @@ impl Reconstruction {
         self.tracker = Tracker::default();
         self.last = None;
         self.pending = None;
+        self.inliers.clear();
         self.next_whole = WHOLE_FIRST;
         self.unadjusted = None;
         self.lost_frames = 0;

@@ -82,8 +82,8 @@ class Pose(Value):
         return (time.monotonic_ns() - self.raw.arrival_ns) * 1e-9
 
     def usable(self, max_age=0.2):
-        """The robot may act on it: it was tracked, and its frame arrived no longer than `max_age` seconds ago."""
-        return self.tracking and self.age <= max_age
+        """The robot may act on it: it was tracked, and its frame arrived no longer than `max_age` seconds ago (nor in the future)."""
+        return self.tracking and 0.0 <= self.age <= max_age
 
     @property
     def anchor_keyframe(self):
