@@ -310,6 +310,7 @@ impl HealthWatch {
         Health {
             errors,
             intrinsics: convert::intrinsics(knowledge),
+            lens_model: convert::lens_model(s.lens_is_wide_angle()),
             focal_px: [fx, fy],
             centre_px: [cx, cy],
             focal_sigma,
