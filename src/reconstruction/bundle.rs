@@ -15,7 +15,7 @@ mod uncertainty;
 
 pub use shared::{CALIBRATED_SHARED, SHARED, Shared, SharedJacobian, SharedMatrix, SharedVector};
 
-use super::pose_optimisation::{accumulate, jacobian_rows, scaled};
+use super::pose_optimisation::{accumulate, is_diagonal, jacobian_rows, scaled};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 
@@ -246,8 +246,11 @@ impl BundleProblem {
                     // d e / d shared: the observation moves, so the residual moves against it.
                     let d = &shared.jacobians[k];
                     let (x, y) = (d.row(0).transpose(), d.row(1).transpose());
-                    let mut dx = x * -pixels.m11 - y * pixels.m12;
-                    let mut dy = y * -pixels.m22 - x * pixels.m21;
+                    let (mut dx, mut dy) = (x * -pixels.m11, y * -pixels.m22);
+                    if !is_diagonal(&pixels) {
+                        dx -= y * pixels.m12;
+                        dy -= x * pixels.m21;
+                    }
                     if shared.in_new_pixels {
                         dx[0] = pixels.m11 * scale * p.x / p.z + pixels.m12 * scale * p.y / p.z;
                         dy[0] = pixels.m22 * scale * p.y / p.z + pixels.m21 * scale * p.x / p.z;

@@ -68,10 +68,19 @@ fn residual(pose: &Se3<Camera, World>, pair: &PosePair) -> Option<(Vector2<f64>,
     Some((scaled(&pair.pixel_scale, pair.inv_sigma_px, p.x * iz - pair.normalised.x, p.y * iz - pair.normalised.y), p))
 }
 
-/// A step on the plane z = 1 in pixels, times `factor`. With a diagonal scale the terms beside it are exact zeros.
+/// A pinhole's scale: the short way then, with the same bits as the long one.
+#[inline]
+pub(crate) fn is_diagonal(scale: &Matrix2<f64>) -> bool {
+    scale.m12 == 0.0 && scale.m21 == 0.0
+}
+
+/// A step on the plane z = 1 in pixels, times `factor`.
 #[inline]
 pub(crate) fn scaled(scale: &Matrix2<f64>, factor: f64, x: f64, y: f64) -> Vector2<f64> {
     let m = |v: f64| factor * v;
+    if is_diagonal(scale) {
+        return Vector2::new(m(scale.m11) * x, m(scale.m22) * y);
+    }
     Vector2::new(m(scale.m11) * x + m(scale.m12) * y, m(scale.m21) * x + m(scale.m22) * y)
 }
 
@@ -81,6 +90,13 @@ pub(crate) fn jacobian_rows(p: &Vector3<f64>, scale: &Matrix2<f64>) -> ([f64; 6]
     let iz = 1.0 / p.z;
     let (u, v) = (p.x * iz, p.y * iz);
     // d(u, v)/dp = iz [1 0 -u; 0 1 -v]; dp/dw = -[p]x, dp/dv = I.
+    if is_diagonal(scale) {
+        let (fx, fy) = (scale.m11, scale.m22);
+        return (
+            [-fx * u * v, fx * (1.0 + u * u), -fx * v, fx * iz, 0.0, -fx * u * iz],
+            [-fy * (1.0 + v * v), fy * u * v, fy * u, 0.0, fy * iz, -fy * v * iz],
+        );
+    }
     let row = |a: f64, b: f64| {
         [
             -a * u * v - b * (1.0 + v * v),
