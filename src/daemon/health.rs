@@ -364,6 +364,23 @@ mod tests {
     }
 
     #[test]
+    fn health_says_which_lens_model_focal_length_and_principal_point_are_of() {
+        use crate::geometry::{CameraModel, LensModel};
+        use crate::reconstruction::LensEstimate;
+        let (status, mut watch) = watch();
+        for (lens, wire) in [
+            (LensModel::KannalaBrandt([0.01, 0.0, 0.0, 0.0]), crate::messages::LENS_KANNALA_BRANDT),
+            (LensModel::PINHOLE, crate::messages::LENS_RADIAL_TANGENTIAL),
+        ] {
+            let camera = CameraModel::new(640, 480, 300.0, 301.0, 320.0, 240.0, lens).expect("valid");
+            let knowledge = LensKnowledge::Calibrated;
+            status.set_lens(&LensEstimate { knowledge, camera, focal_sigma: 0.002, centre_sigma_px: [0.1, 0.2] });
+            let health = watch.tick(MS);
+            assert_eq!((health.lens_model, health.focal_px), (wire, [300.0, 301.0]));
+        }
+    }
+
+    #[test]
     fn a_dropped_frame_stands_for_one_second_and_no_longer() {
         let (status, mut watch) = watch();
         status.set_last_arrival_ns(3_000 * MS);
