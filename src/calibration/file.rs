@@ -135,18 +135,17 @@ impl CalibrationFile {
         let mut other = self.other.clone();
         other.retain(|key, _| !OWN_KEYS.contains(&key) && key != LENS_MODEL && !COEFFICIENTS.contains(&key));
         let rest = toml::to_string(&other)?;
-        let (title, order) = match c.lens {
-            LensModel::RadialTangential(_) => {
-                ("Pinhole camera with radial-tangential distortion.", "OpenCV's order; once as a list, once by name")
-            }
+        let (title, order, model) = match c.lens {
+            LensModel::RadialTangential(_) => (
+                "Pinhole camera with radial-tangential distortion.",
+                "OpenCV's order; once as a list, once by name",
+                String::new(),
+            ),
             LensModel::KannalaBrandt(_) => (
                 "Wide-angle camera (Kannala-Brandt): t + k1 t^3 + k2 t^5 + k3 t^7 + k4 t^9, t the angle off the axis.",
                 "OpenCV's fisheye, equidistant of ROS and Kalibr; once as a list, once by name",
+                format!("{LENS_MODEL} = \"{}\"\n", c.lens.name()),
             ),
-        };
-        let model = match c.lens {
-            LensModel::RadialTangential(_) => String::new(),
-            LensModel::KannalaBrandt(_) => format!("{LENS_MODEL} = \"{}\"\n", c.lens.name()),
         };
         let list: Vec<String> = c.lens.coefficients().iter().map(|k| format!("{k:?}")).collect();
         let named: String = c.lens.names().iter().zip(&list).map(|(name, k)| format!("{name} = {k}\n")).collect();
@@ -175,14 +174,6 @@ const LENS_MODEL: &str = "lens_model";
 
 /// The coefficients' keys of any lens.
 const COEFFICIENTS: [&str; 6] = ["k1", "k2", "p1", "p2", "k3", "k4"];
-
-/// The coefficients' keys of a lens when each has its own, in the list's order.
-fn coefficient_keys(kind: LensKind) -> &'static [&'static str] {
-    match kind {
-        LensKind::RadialTangential => &["k1", "k2", "p1", "p2", "k3"],
-        LensKind::KannalaBrandt => &["k1", "k2", "k3", "k4"],
-    }
-}
 
 fn parse_toml(text: &str, path: &str) -> Result<CalibrationFile, CalibrationError> {
     let mut table: toml::Table = toml::from_str(text).map_err(|e: toml::de::Error| CalibrationError::Syntax {
@@ -232,7 +223,8 @@ fn parse_toml(text: &str, path: &str) -> Result<CalibrationFile, CalibrationErro
             }
         },
     };
-    let keys = coefficient_keys(kind);
+    // Without fx fy cx cy.
+    let keys = kind.parameter_names().get(4..).unwrap_or_default();
     let mut named = Vec::new();
     for key in COEFFICIENTS {
         let Some(value) = table.remove(key) else { continue };
