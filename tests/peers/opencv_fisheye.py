@@ -25,7 +25,9 @@ for line in sys.stdin:
         boards[-1].append((column, row, 0.0))
         pixels[-1].append((x, y))
 shape = lambda lists, n: [np.array(points, np.float64).reshape(1, -1, n) for points in lists]
-flags = cv2.fisheye.CALIB_RECOMPUTE_EXTRINSIC + cv2.fisheye.CALIB_FIX_SKEW
+# OpenCV 5 has them beside those of the other models, with other values.
+names = cv2.fisheye if hasattr(cv2.fisheye, "CALIB_FIX_SKEW") else cv2
+flags = names.CALIB_RECOMPUTE_EXTRINSIC + names.CALIB_FIX_SKEW
 criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 300, 1e-12)
 begin = time.perf_counter()
 rms, k, d, _, _ = cv2.fisheye.calibrate(
