@@ -32,6 +32,8 @@
 //!   120 keyframes has grown by a third the whole of it is adjusted instead, and the intrinsics with it.
 //! - A camera without a calibration begins with a guess; its lens (distortion included) is refined the same way, at every keyframe of
 //!   a small map, and health says how surely it is known. What was found is kept for the next start, by `cli`.
+//! - Points are undistorted onto the plane z = 1 whatever the lens, so the geometry knows one kind of camera. That plane is stretched off
+//!   the axis of a wide-angle lens; errors on it are weighed by the lens's own pixels there ([`geometry::CameraModel::pixel_scale`]).
 //! - A frame that prediction cannot place is looked for at once by thumbnails and descriptors (P3P) in a bounded number of keyframes.
 //!
 //! # Invariants

@@ -1,11 +1,15 @@
 //! Our calibration beside OpenCV's, on the same pictures in the same run. Skipped with a message where the pictures or OpenCV are missing.
 
+use std::fmt::Write as _;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Stdio};
 use std::time::Instant;
 
 use cairn::calibration::boards::{BoardView, solve};
 use cairn::calibration::chessboard::{Detector, Pattern, Sighting};
+use cairn::camera::Pacing;
+use cairn::camera::simulator::{Scenario, Simulator, SimulatorConfig};
 use cairn::frame::{PixelFormat, RawFrame};
 use cairn::geometry::plane_calibration::{Distortion, View, calibrate};
 use cairn::image::GreyImage;
@@ -135,4 +139,80 @@ fn opencvs_own_set_is_calibrated_as_well_as_by_opencv() {
 #[test]
 fn a_global_shutter_camera_is_calibrated_as_well_as_by_opencv() {
     compare("calib_camodocal", 12, 8, "png");
+}
+
+/// RMS fx fy cx cy k1 k2 k3 k4 and the time (ms) of OpenCV's fisheye module; `None`: no OpenCV.
+fn fisheye_peer(boards: &[BoardView], (width, height): (u32, u32)) -> Option<(Vec<f64>, f64)> {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peers/opencv_fisheye.py");
+    let mut lines = String::new();
+    for view in boards {
+        lines += "view\n";
+        for c in &view.board.corners {
+            writeln!(lines, "c {} {} {:.17} {:.17}", c.column, c.row, c.pixel.x, c.pixel.y).unwrap();
+        }
+    }
+    let mut child = Command::new("python3")
+        .arg(script)
+        .arg(format!("{width}x{height}"))
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .ok()?;
+    // It may have gone already: no OpenCV.
+    let _ = child.stdin.take()?.write_all(lines.as_bytes());
+    let output = child.wait_with_output().ok()?;
+    if output.status.code() == Some(3) {
+        return None;
+    }
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    let numbers = |kind: &str| -> Vec<f64> {
+        let line = text.lines().find_map(|l| l.strip_prefix(kind)).unwrap_or_default();
+        line.split_whitespace().filter_map(|w| w.parse().ok()).collect()
+    };
+    Some((numbers("result"), numbers("time")[0]))
+}
+
+#[test]
+fn a_fisheye_is_calibrated_as_by_opencvs_fisheye_module_on_the_same_corners() {
+    let mut config = SimulatorConfig { scenario: Scenario::CalibrationSweep, ..SimulatorConfig::default() };
+    config.lens.wide_angle.enabled = true;
+    config.chessboard.enabled = true;
+    config.texel_mm = 4.0;
+    config.rolling_shutter.enabled = false;
+    config.motion_blur.enabled = false;
+    let mut simulator = Simulator::new(&config, Pacing::LockStep).unwrap();
+    let pattern = Pattern::new(9, 6, 1.0).unwrap();
+    let (mut detector, mut picture, mut boards) = (Detector::default(), GreyImage::default(), Vec::new());
+    for k in 0..24 {
+        simulator.render(40 + k * 67, &mut picture);
+        if let Sighting::Board(board) = detector.detect(&picture, &pattern)
+            && board.complete
+        {
+            boards.push(BoardView { name: k.to_string(), board });
+        }
+    }
+    let size = (config.width, config.height);
+    let Some((peer, peer_ms)) = fisheye_peer(&boards, size) else {
+        println!("skipped: no python3 with OpenCV");
+        return;
+    };
+    let begin = Instant::now();
+    let ours = solve(&boards, &pattern, size, Distortion::KannalaBrandt).unwrap();
+    let ms = begin.elapsed().as_secs_f64() * 1e3;
+    let sigmas = ours.solved.sigmas();
+    let used = |v: &cairn::geometry::plane_calibration::SolvedView| v.used && v.used_points.iter().all(|u| *u);
+    assert!(ours.solved.views.iter().all(used), "left out corners that the peer has");
+    let mut text = String::new();
+    for (i, name) in ours.solved.lens.parameter_names().iter().enumerate() {
+        let off = (ours.solved.intrinsics[i] - peer[i + 1]) / sigmas[i];
+        text += &format!(" {name} {:.4} ({off:+.3} sigma)", ours.solved.intrinsics[i]);
+        assert!(off.abs() < 0.2, "{name}: {} instead of {}", ours.solved.intrinsics[i], peer[i + 1]);
+    }
+    let (rms, peer_rms) = (ours.solved.rms_px, peer[0]);
+    println!(
+        "{} views;{text}; RMS {rms:.5}, peer {peer_rms:.5} px; solve {ms:.1} ms, peer {peer_ms:.1} ms",
+        boards.len()
+    );
+    assert!(rms <= 1.001 * peer_rms, "RMS {rms} px, the peer has {peer_rms} px");
 }

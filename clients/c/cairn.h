@@ -83,6 +83,16 @@
 #define CAIRN_INTRINSICS_GUESSED 2
 
 /**
+ * `lens_model`: pinhole with radial and tangential distortion.
+ */
+#define CAIRN_LENS_RADIAL_TANGENTIAL 0
+
+/**
+ * `lens_model`: wide angle (Kannala-Brandt; `equidistant` of ROS, OpenCV's `fisheye`): `focal_px` is pixels per radian off the axis.
+ */
+#define CAIRN_LENS_KANNALA_BRANDT 1
+
+/**
  * Bytes of a path or message at most.
  */
 #define CAIRN_TEXT_LEN 512
@@ -591,9 +601,9 @@ typedef struct cairn_health {
    */
   uint8_t intrinsics;
   /**
-   * Zero.
+   * CAIRN_LENS_RADIAL_TANGENTIAL, CAIRN_LENS_KANNALA_BRANDT: which lens model focal length and principal point are of.
    */
-  uint8_t reserved;
+  uint8_t lens_model;
   /**
    * Version of the daemon, UTF-8, zero-padded.
    */
@@ -1160,7 +1170,7 @@ CAIRN_ASSERT(offsetof(cairn_health, pid) == 352 && sizeof(((cairn_health *)0)->p
 CAIRN_ASSERT(offsetof(cairn_health, state) == 356 && sizeof(((cairn_health *)0)->state) == 1);
 CAIRN_ASSERT(offsetof(cairn_health, clock) == 357 && sizeof(((cairn_health *)0)->clock) == 1);
 CAIRN_ASSERT(offsetof(cairn_health, intrinsics) == 358 && sizeof(((cairn_health *)0)->intrinsics) == 1);
-CAIRN_ASSERT(offsetof(cairn_health, reserved) == 359 && sizeof(((cairn_health *)0)->reserved) == 1);
+CAIRN_ASSERT(offsetof(cairn_health, lens_model) == 359 && sizeof(((cairn_health *)0)->lens_model) == 1);
 CAIRN_ASSERT(offsetof(cairn_health, version) == 360 && sizeof(((cairn_health *)0)->version) == 32);
 CAIRN_ASSERT(offsetof(cairn_health, focal_px) == 392 && sizeof(((cairn_health *)0)->focal_px) == 8);
 CAIRN_ASSERT(offsetof(cairn_health, centre_px) == 400 && sizeof(((cairn_health *)0)->centre_px) == 8);

@@ -2,7 +2,8 @@
 //!
 //! Input: boards of one [`Pattern`] in pictures of one size. Output: [`Calibrated`]: camera model, deviations, residuals, verdict; and as a
 //! [`CalibrationFile`]. Boards need not be whole. When the full distortion folds inside the picture (corners near the middle
-//! only), it is solved again without k3, and the verdict asks for what is missing if that does not help.
+//! only), it is solved again without k3, and the verdict asks for what is missing if that does not help. Beside the full pinhole model the
+//! wide-angle one is tried, too, and where it is clearly the better one the words say so; which one is taken is for the user to choose.
 
 use nalgebra::Vector2;
 
@@ -11,9 +12,15 @@ use super::chessboard::{Board, Pattern};
 use super::store::CameraIdentity;
 use super::verdict::{Verdict, judge};
 use crate::geometry::CameraModel;
-use crate::geometry::plane_calibration::{
-    Distortion, PARAMETER_NAMES, PARAMETERS, PlaneCalibration, PlaneCalibrationError, View, calibrate,
-};
+use crate::geometry::plane_calibration::{Distortion, PlaneCalibration, PlaneCalibrationError, View, calibrate};
+
+/// The picture must be one to one but for its outermost 5 %.
+const BORDER: f64 = 0.05;
+/// The wide-angle model is recommended if its noise is below this share of the pinhole's, and by so much, px; or if so many times more
+/// corners fit it.
+const WIDE_NOISE_SHARE: f64 = 0.75;
+const WIDE_NOISE_PX: f64 = 0.02;
+const WIDE_MORE_CORNERS: f64 = 1.1;
 
 /// A board and the picture that it was seen in.
 #[derive(Debug, Clone, PartialEq)]
@@ -32,6 +39,8 @@ pub struct Calibrated {
     pub pattern: Pattern,
     /// k3 was asked for and had to be left out.
     pub without_k3: bool,
+    /// The wide-angle model was not asked for and fits clearly better: its residual, px RMS.
+    pub wide_angle_rms_px: Option<f64>,
 }
 
 /// Solves for the camera.
@@ -53,33 +62,44 @@ pub fn solve(
             pixels: view.board.corners.iter().map(|c| c.pixel).collect(),
         })
         .collect();
-    let mut solved = calibrate(&plane, size, distortion)?;
+    let wide = match distortion {
+        Distortion::Full => calibrate(&plane, size, Distortion::KannalaBrandt).ok(),
+        _ => None,
+    };
+    let mut solved = match calibrate(&plane, size, distortion) {
+        Ok(solved) => solved,
+        Err(PlaneCalibrationError::TooFewViews(n)) => return Err(PlaneCalibrationError::TooFewViews(n)),
+        Err(error) => return Err(wide.map_or(error, |wide| PlaneCalibrationError::NoPinhole(wide.rms_px))),
+    };
     let mut camera = model(&solved, size)?;
     let mut without_k3 = false;
-    if distortion == Distortion::Full && !covers(&camera) {
+    if distortion == Distortion::Full && !camera.covers(BORDER) {
         let simpler = calibrate(&plane, size, Distortion::RadialTangential)?;
         let simpler_camera = model(&simpler, size)?;
         // Only where k3 says nothing; a wide lens that needs it may well fold in the last pixels of a corner.
-        if covers(&simpler_camera) && simpler.rms_px < 1.01 * solved.rms_px {
+        if simpler_camera.covers(BORDER) && simpler.rms_px < 1.01 * solved.rms_px {
             (solved, camera, without_k3) = (simpler, simpler_camera, true);
         }
     }
     let pixels = plane.iter().zip(&solved.views).filter(|(_, v)| v.used).flat_map(|(p, _)| &p.pixels);
-    let verdict = judge(&solved, pixels, size, covers(&camera));
-    Ok(Calibrated { camera, verdict, pattern: *pattern, without_k3, solved })
+    let verdict = judge(&solved, pixels, size, camera.covers(BORDER));
+    let wide_angle_rms_px = wide.filter(|wide| is_better(wide, &solved)).map(|wide| wide.rms_px);
+    Ok(Calibrated { camera, verdict, pattern: *pattern, without_k3, wide_angle_rms_px, solved })
 }
 
-/// Can the picture be undistorted, but for the outermost 5 % of its diagonals?
-fn covers(camera: &CameraModel) -> bool {
-    let (w, h) = (f64::from(camera.width) - 1.0, f64::from(camera.height) - 1.0);
-    [(0.05, 0.05), (0.95, 0.05), (0.05, 0.95), (0.95, 0.95)]
-        .into_iter()
-        .all(|(x, y)| camera.undistort(&Vector2::new(x * w, y * h)).is_some())
+/// Is the wide-angle camera clearly the better one? A pinhole may only look good because it left corners out.
+fn is_better(wide: &PlaneCalibration, pinhole: &PlaneCalibration) -> bool {
+    let less_noise =
+        wide.sigma_px < WIDE_NOISE_SHARE * pinhole.sigma_px && wide.sigma_px + WIDE_NOISE_PX < pinhole.sigma_px;
+    let corners = |c: &PlaneCalibration| c.used_points() as f64;
+    let more_corners =
+        corners(wide) > WIDE_MORE_CORNERS * corners(pinhole) && wide.sigma_px < WIDE_MORE_CORNERS * pinhole.sigma_px;
+    (less_noise && corners(wide) > 0.98 * corners(pinhole)) || more_corners
 }
 
 fn model(solved: &PlaneCalibration, (width, height): (u32, u32)) -> Result<CameraModel, PlaneCalibrationError> {
     let k = &solved.intrinsics;
-    CameraModel::new(width, height, k[0], k[1], k[2], k[3], [k[4], k[5], k[6], k[7], k[8]])
+    CameraModel::new(width, height, k[0], k[1], k[2], k[3], solved.lens_model())
         .map_err(|_| PlaneCalibrationError::NoFit(solved.rms_px))
 }
 
@@ -88,9 +108,9 @@ impl Calibrated {
     pub fn file(&self, identity: Option<&CameraIdentity>, unix_s: u64) -> CalibrationFile {
         let mut other = toml::Table::new();
         let sigmas = self.solved.sigmas();
-        for i in 0..PARAMETERS {
+        for (i, name) in self.solved.lens.parameter_names().iter().enumerate() {
             let unit = if i < 4 { "_sigma_px" } else { "_sigma" };
-            other.insert(format!("{}{unit}", PARAMETER_NAMES[i]), sigmas[i].into());
+            other.insert(format!("{name}{unit}"), sigmas[i].into());
         }
         other.insert("rms_px".into(), self.solved.rms_px.into());
         other.insert("corner_sigma_px".into(), self.solved.sigma_px.into());
@@ -113,8 +133,8 @@ impl Calibrated {
     pub fn table(&self) -> String {
         let sigmas = self.solved.sigmas();
         let mut text = String::new();
-        for i in 0..PARAMETERS {
-            let (value, sigma, name) = (self.solved.intrinsics[i], sigmas[i], PARAMETER_NAMES[i]);
+        for (i, name) in self.solved.lens.parameter_names().iter().enumerate() {
+            let (value, sigma) = (self.solved.intrinsics[i], sigmas[i]);
             text += &match (i < 4, self.solved.free[i]) {
                 (true, _) => format!("  {name}  {value:10.3} +- {sigma:.3} px\n"),
                 (false, true) => format!("  {name}  {value:10.5} +- {sigma:.5}\n"),
@@ -134,6 +154,11 @@ impl Calibrated {
         if self.without_k3 {
             text += "  k3 was left out: with it the distortion folded inside the picture\n";
         }
+        if let Some(rms_px) = self.wide_angle_rms_px {
+            text += &format!(
+                "  a wide-angle lens model fits these views clearly better ({rms_px:.3} px RMS): calibrate with --distortion fisheye\n"
+            );
+        }
         if v.is_good() {
             text += "  the views constrain the camera well\n";
         }
@@ -143,3 +168,6 @@ impl Calibrated {
         text
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,8 +1,8 @@
 //! Calibration files: the field's dialects in, ours out.
 //!
 //! Input: a path. `*.toml` is our own format; everything else is read as what its text looks like: OpenCV's XML, TUM's plain
-//! numbers ([`foreign`]), or one of the YAML dialects that the field uses (listed in the module `yaml`). Output: a checked [`CameraModel`], pixels and OpenCV's order `k1 k2 p1 p2 k3`, or an error with file,
-//! line, key, value, unit and reason. Our format:
+//! numbers ([`foreign`]), or one of the YAML dialects that the field uses (listed in the module `yaml`). Output: a checked [`CameraModel`],
+//! pixels and OpenCV's order of the coefficients, or an error with file, line, key, value, unit and reason. Our format:
 //!
 //! ```toml
 //! width_px = 640
@@ -14,17 +14,18 @@
 //! distortion = [0.262383, -0.953104, -0.005358, 0.002628, 1.163314] # k1 k2 p1 p2 k3
 //! ```
 //!
-//! The coefficients may also stand as `k1`, `k2`, `p1`, `p2`, `k3` of their own, or both ways if they are the same.
+//! The coefficients may also stand as `k1`, `k2`, `p1`, `p2`, `k3` of their own, or both ways if they are the same. A wide-angle lens says
+//! `lens_model = "kannala_brandt"` and has `k1`, `k2`, `k3`, `k4` (all four); without that key, or with `"radial_tangential"`, it is the pinhole model.
 //! Other keys (standard deviations, residual, date ...) are kept as they are and written back. Beyond what
 //! [`CameraModel::new`] refuses, numbers are refused that no webcam has and that a wrong unit or a swapped key gives: a
 //! principal point outside the picture, a focal length under a tenth of its longer side or over twenty times that.
 //!
-//! Not here: calibrating; lens models other than pinhole with radial-tangential distortion (refused by name); scaling a
-//! calibration to another picture size.
+//! Not here: calibrating; lens models other than these two (refused by name); scaling a calibration to another picture size.
 
 use super::{foreign, yaml};
 use crate::atomic_file::write_atomically;
-use crate::geometry::CameraModel;
+use crate::geometry::plane_calibration::LensKind;
+use crate::geometry::{CameraModel, LensModel};
 use std::io::{Read, Write};
 use std::path::Path;
 
@@ -32,7 +33,7 @@ use std::path::Path;
 const MAX_FILE_BYTES: u64 = 1 << 20;
 /// Wider or higher is a typing error, pixels.
 const MAX_SIZE_PX: f64 = 16_384.0;
-/// Focal length in units of the longer side: 157 degrees of view to 3 degrees.
+/// Focal length in units of the longer side: 157 degrees of view (of a pinhole; a fisheye's 180 degrees are 0.32) to 3 degrees.
 const FOCAL_RANGE: (f64, f64) = (0.1, 20.0);
 
 /// Why a calibration cannot be read or written.
@@ -131,18 +132,36 @@ impl CalibrationFile {
     /// Our TOML. Every number reads back as the very same one.
     pub fn to_toml(&self) -> Result<String, toml::ser::Error> {
         let c = &self.camera;
-        let [k1, k2, p1, p2, k3] = c.distortion;
         let mut other = self.other.clone();
-        other.retain(|key, _| !OWN_KEYS.contains(&key) && !COEFFICIENTS.contains(&key));
+        other.retain(|key, _| !OWN_KEYS.contains(&key) && key != LENS_MODEL && !COEFFICIENTS.contains(&key));
         let rest = toml::to_string(&other)?;
+        let (title, order, model) = match c.lens {
+            LensModel::RadialTangential(_) => (
+                "Pinhole camera with radial-tangential distortion.",
+                "OpenCV's order; once as a list, once by name",
+                String::new(),
+            ),
+            LensModel::KannalaBrandt(_) => (
+                "Wide-angle camera (Kannala-Brandt): t + k1 t^3 + k2 t^5 + k3 t^7 + k4 t^9, t the angle off the axis.",
+                "OpenCV's fisheye, equidistant of ROS and Kalibr; once as a list, once by name",
+                format!("{LENS_MODEL} = \"{}\"\n", c.lens.name()),
+            ),
+        };
+        let list: Vec<String> = c.lens.coefficients().iter().map(|k| format!("{k:?}")).collect();
+        let named: String = c.lens.names().iter().zip(&list).map(|(name, k)| format!("{name} = {k}\n")).collect();
         Ok(format!(
-            "# Pinhole camera with radial-tangential distortion. Pixel (0, 0) is the centre of the first pixel.\n\
+            "# {title} Pixel (0, 0) is the centre of the first pixel.\n\
              width_px = {}\nheight_px = {}\n\
-             fx_px = {:?}\nfy_px = {:?}\ncx_px = {:?}\ncy_px = {:?}\n\
-             # OpenCV's order; once as a list, once by name\n\
-             distortion = [{k1:?}, {k2:?}, {p1:?}, {p2:?}, {k3:?}]\n\
-             k1 = {k1:?}\nk2 = {k2:?}\np1 = {p1:?}\np2 = {p2:?}\nk3 = {k3:?}\n{rest}",
-            c.width, c.height, c.fx, c.fy, c.cx, c.cy
+             fx_px = {:?}\nfy_px = {:?}\ncx_px = {:?}\ncy_px = {:?}\n{model}\
+             # {order}\n\
+             distortion = [{}]\n{named}{rest}",
+            c.width,
+            c.height,
+            c.fx,
+            c.fy,
+            c.cx,
+            c.cy,
+            list.join(", ")
         ))
     }
 }
@@ -150,8 +169,11 @@ impl CalibrationFile {
 /// The camera's keys of our TOML.
 const OWN_KEYS: [&str; 7] = ["width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px", "distortion"];
 
-/// The distortion's keys when each has its own.
-const COEFFICIENTS: [&str; 5] = ["k1", "k2", "p1", "p2", "k3"];
+/// The lens's model; pinhole with radial-tangential distortion without it.
+const LENS_MODEL: &str = "lens_model";
+
+/// The coefficients' keys of any lens.
+const COEFFICIENTS: [&str; 6] = ["k1", "k2", "p1", "p2", "k3", "k4"];
 
 fn parse_toml(text: &str, path: &str) -> Result<CalibrationFile, CalibrationError> {
     let mut table: toml::Table = toml::from_str(text).map_err(|e: toml::de::Error| CalibrationError::Syntax {
@@ -189,11 +211,32 @@ fn parse_toml(text: &str, path: &str) -> Result<CalibrationFile, CalibrationErro
     };
     let [width, height] = [take("width_px")?, take("height_px")?];
     let intrinsics = [take("fx_px")?, take("fy_px")?, take("cx_px")?, take("cy_px")?];
+    let kind = match table.remove(LENS_MODEL) {
+        None => LensKind::RadialTangential,
+        Some(value) => match value.as_str() {
+            Some("radial_tangential") => LensKind::RadialTangential,
+            Some("kannala_brandt") => LensKind::KannalaBrandt,
+            _ => {
+                let (line, text) = (line_of_key(text, LENS_MODEL), value.to_string());
+                let field = Field { path: path.into(), key: LENS_MODEL.into(), line, text, numbers: Vec::new() };
+                return Err(field.wrong("", "must be \"radial_tangential\" or \"kannala_brandt\""));
+            }
+        },
+    };
+    // Without fx fy cx cy.
+    let keys = kind.parameter_names().get(4..).unwrap_or_default();
     let mut named = Vec::new();
     for key in COEFFICIENTS {
-        if let Some(value) = table.remove(key) {
-            named.push((key, field(key, value)?));
+        let Some(value) = table.remove(key) else { continue };
+        let one = field(key, value)?;
+        if !keys.contains(&key) {
+            let reason = match kind {
+                LensKind::RadialTangential => "is of lens_model = \"kannala_brandt\", which this file does not say",
+                LensKind::KannalaBrandt => "is not of lens_model = \"kannala_brandt\", which has k1 k2 k3 k4",
+            };
+            return Err(one.wrong("", reason));
         }
+        named.push((key, one));
     }
     let list = match table.remove("distortion") {
         Some(value) => Some(field("distortion", value)?),
@@ -203,7 +246,7 @@ fn parse_toml(text: &str, path: &str) -> Result<CalibrationFile, CalibrationErro
         Some(list) => {
             // Said twice: then the same.
             for (key, one) in &named {
-                let at = COEFFICIENTS.iter().position(|k| k == key).unwrap_or(0);
+                let at = keys.iter().position(|k| k == key).unwrap_or(0);
                 if one.numbers != [list.numbers.get(at).copied().unwrap_or(0.0)] {
                     return Err(one.wrong("", format!("differs from the list `distortion` on line {}", list.line)));
                 }
@@ -212,12 +255,22 @@ fn parse_toml(text: &str, path: &str) -> Result<CalibrationFile, CalibrationErro
         }
         None if named.is_empty() => return Err(missing("distortion")),
         None => {
+            if let (LensKind::KannalaBrandt, Some(absent)) =
+                (kind, keys.iter().find(|key| !named.iter().any(|(k, _)| k == *key)))
+            {
+                return Err(CalibrationError::Missing {
+                    path: path.into(),
+                    key: (*absent).into(),
+                    reason: "lens_model = \"kannala_brandt\" needs k1, k2, k3 and k4, or distortion = [k1, k2, k3, k4]"
+                        .into(),
+                });
+            }
             let value = |key| named.iter().find(|(k, _)| *k == key).map_or(&[0.0][..], |(_, f)| &f.numbers);
-            let numbers: Vec<f64> = COEFFICIENTS.iter().flat_map(|key| value(*key).iter().copied()).collect();
-            Field { numbers, key: "k1 k2 p1 p2 k3".into(), ..named[0].1.clone() }
+            let numbers: Vec<f64> = keys.iter().flat_map(|key| value(*key).iter().copied()).collect();
+            Field { numbers, key: keys.join(" "), ..named[0].1.clone() }
         }
     };
-    let camera = camera([&width, &height], &intrinsics, &distortion)?;
+    let camera = camera([&width, &height], &intrinsics, &distortion, kind)?;
     Ok(CalibrationFile { camera, other: table })
 }
 
@@ -282,6 +335,7 @@ pub(super) fn camera(
     size: [&Field; 2],
     intrinsics: &[Field; 4],
     distortion: &Field,
+    kind: LensKind,
 ) -> Result<CameraModel, CalibrationError> {
     let [width, height] = [size[0].size()?, size[1].size()?];
     let longer = f64::from(width.max(height));
@@ -304,8 +358,11 @@ pub(super) fn camera(
         }
     }
     let [fx, fy, cx, cy] = [0, 1, 2, 3].map(|i| intrinsics[i].numbers[0]);
-    let coefficients = coefficients(distortion)?;
-    CameraModel::new(width, height, fx, fy, cx, cy, coefficients)
+    let lens = match kind {
+        LensKind::RadialTangential => LensModel::RadialTangential(coefficients(distortion)?),
+        LensKind::KannalaBrandt => LensModel::KannalaBrandt(wide_coefficients(distortion)?),
+    };
+    CameraModel::new(width, height, fx, fy, cx, cy, lens)
         .map_err(|e| CalibrationError::File { path: distortion.path.clone(), reason: e.to_string() })
 }
 
@@ -324,6 +381,17 @@ fn coefficients(field: &Field) -> Result<[f64; 5], CalibrationError> {
         return Err(field.wrong("", "has coefficients beyond k3: only k1 k2 p1 p2 k3 are handled"));
     }
     Ok([k1, k2, p1, p2, k3])
+}
+
+/// k1 k2 k3 k4 of the wide-angle model, which has no fewer and no more.
+fn wide_coefficients(field: &Field) -> Result<[f64; 4], CalibrationError> {
+    let [k1, k2, k3, k4] = field.numbers[..] else {
+        return Err(field.wrong("", "must be four numbers: k1 k2 k3 k4 of the wide-angle model"));
+    };
+    if field.numbers.iter().any(|n| !n.is_finite()) {
+        return Err(field.wrong("", "must be finite numbers"));
+    }
+    Ok([k1, k2, k3, k4])
 }
 
 #[cfg(test)]

@@ -1,20 +1,23 @@
 //! Calibrations in the formats of others: out as text, and in from XML and plain numbers (the YAML ones: `yaml`).
 //!
-//! | format | written by, read by | size | distortion |
-//! |---|---|---|---|
-//! | `ros` | `camera_info` YAML of ROS | yes | `plumb_bob`, k1 k2 p1 p2 k3 |
-//! | `opencv` | OpenCV's `FileStorage`, YAML | yes | k1 k2 p1 p2 k3 |
-//! | `opencv-xml` | the same as XML | yes | k1 k2 p1 p2 k3 |
-//! | `kalibr` | Kalibr's camchain | yes | `radtan`, k1 k2 p1 p2 |
-//! | `euroc` | EuRoC's / ASL's `sensor.yaml` | yes | `radial-tangential`, k1 k2 p1 p2 |
-//! | `tum` | TUM's `fx fy cx cy d0 d1 d2 d3 d4` | in a comment of ours | k1 k2 p1 p2 k3 |
+//! | format | written by, read by | size | pinhole | wide angle (Kannala-Brandt) |
+//! |---|---|---|---|---|
+//! | `ros` | `camera_info` YAML of ROS | yes | `plumb_bob`, k1 k2 p1 p2 k3 | `equidistant`, k1 k2 k3 k4 |
+//! | `opencv` | OpenCV's `FileStorage`, YAML | yes | k1 k2 p1 p2 k3 | `fisheye_model: 1`, k1 k2 k3 k4 |
+//! | `opencv-xml` | the same as XML | yes | k1 k2 p1 p2 k3 | the same |
+//! | `kalibr` | Kalibr's camchain | yes | `radtan`, k1 k2 p1 p2 | `equidistant`, k1 k2 k3 k4 |
+//! | `euroc` | EuRoC's / ASL's `sensor.yaml` | yes | `radial-tangential`, k1 k2 p1 p2 | `equidistant`, k1 k2 k3 k4 |
+//! | `tum` | TUM's `fx fy cx cy d0 d1 d2 d3 d4` | in a comment of ours | k1 k2 p1 p2 k3 | refused |
+//!
+//! OpenCV's functions write matrices and no lens model; the key `fisheye_model` is that of its calibration sample.
 //!
 //! Numbers are written with as many digits as bring the very same number back. What a format cannot say is refused, not rounded away:
 //! a k3 in Kalibr's or EuRoC's. Rectification and projection of a ROS file are those of a single camera. Not here: extrinsics, time
 //! offsets, other lens models.
 
 use super::file::{CalibrationError, Field, camera};
-use crate::geometry::CameraModel;
+use crate::geometry::plane_calibration::LensKind;
+use crate::geometry::{CameraModel, LensModel};
 
 /// A way to write a camera down.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -38,65 +41,80 @@ pub enum Format {
 /// The camera as text of a format other than ours; `path` is for messages.
 pub fn write(camera: &CameraModel, format: Format, path: &str) -> Result<String, CalibrationError> {
     let c = camera;
-    let [k1, k2, p1, p2, k3] = c.distortion;
+    let wide = c.lens.is_wide_angle();
     let (w, h, fx, fy, cx, cy) = (c.width, c.height, c.fx, c.fy, c.cx, c.cy);
     let matrix = format!("{fx:?}, 0.0, {cx:?}, 0.0, {fy:?}, {cy:?}, 0.0, 0.0, 1.0");
-    let five = format!("{k1:?}, {k2:?}, {p1:?}, {p2:?}, {k3:?}");
-    let four = |name: &str| {
-        if k3 == 0.0 {
-            return Ok(format!("{k1:?}, {k2:?}, {p1:?}, {p2:?}"));
-        }
-        Err(CalibrationError::File {
-            path: path.into(),
-            reason: format!(
-                "k3 = {k3}: {name} has k1 k2 p1 p2 only; calibrate with --distortion radial-tangential for a camera without k3"
-            ),
-        })
+    let list = |numbers: &[f64]| numbers.iter().map(|k| format!("{k:?}")).collect::<Vec<_>>().join(", ");
+    let (all, count) = (list(c.lens.coefficients()), c.lens.coefficients().len());
+    let refused = |reason: String| CalibrationError::File { path: path.into(), reason };
+    // k1 k2 p1 p2, or k1 k2 k3 k4.
+    let four = |name: &str| match c.lens {
+        LensModel::RadialTangential([k1, k2, p1, p2, 0.0]) => Ok(list(&[k1, k2, p1, p2])),
+        LensModel::RadialTangential([.., k3]) => Err(refused(format!(
+            "k3 = {k3}: {name} has k1 k2 p1 p2 only; calibrate with --distortion radial-tangential for a camera without k3"
+        ))),
+        LensModel::KannalaBrandt(k) => Ok(list(&k)),
     };
     Ok(match format {
         Format::Cairn => super::CalibrationFile { camera: camera.clone(), other: toml::Table::new() }
             .to_toml()
-            .map_err(|e| CalibrationError::File { path: path.into(), reason: e.to_string() })?,
+            .map_err(|e| refused(e.to_string()))?,
         Format::Ros => format!(
             "image_width: {w}\nimage_height: {h}\ncamera_name: camera\n\
              camera_matrix:\n  rows: 3\n  cols: 3\n  data: [{matrix}]\n\
-             distortion_model: plumb_bob\n\
-             distortion_coefficients:\n  rows: 1\n  cols: 5\n  data: [{five}]\n\
+             distortion_model: {}\n\
+             distortion_coefficients:\n  rows: 1\n  cols: {count}\n  data: [{all}]\n\
              rectification_matrix:\n  rows: 3\n  cols: 3\n  data: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]\n\
              projection_matrix:\n  rows: 3\n  cols: 4\n  \
-             data: [{fx:?}, 0.0, {cx:?}, 0.0, 0.0, {fy:?}, {cy:?}, 0.0, 0.0, 0.0, 1.0, 0.0]\n"
+             data: [{fx:?}, 0.0, {cx:?}, 0.0, 0.0, {fy:?}, {cy:?}, 0.0, 0.0, 0.0, 1.0, 0.0]\n",
+            if wide { "equidistant" } else { "plumb_bob" }
         ),
         Format::Opencv => format!(
-            "%YAML:1.0\n---\nimage_width: {w}\nimage_height: {h}\n\
+            "%YAML:1.0\n---\nimage_width: {w}\nimage_height: {h}\n{}\
              camera_matrix: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: [ {matrix} ]\n\
-             distortion_coefficients: !!opencv-matrix\n   rows: 1\n   cols: 5\n   dt: d\n   data: [ {five} ]\n"
+             distortion_coefficients: !!opencv-matrix\n   rows: {}\n   cols: {}\n   dt: d\n   data: [ {all} ]\n",
+            if wide { "fisheye_model: 1\n" } else { "" },
+            if wide { count } else { 1 },
+            if wide { 1 } else { count },
         ),
         Format::OpencvXml => {
             let data = |list: &str| list.replace(',', "");
             format!(
-                "<?xml version=\"1.0\"?>\n<opencv_storage>\n<image_width>{w}</image_width>\n<image_height>{h}</image_height>\n\
+                "<?xml version=\"1.0\"?>\n<opencv_storage>\n<image_width>{w}</image_width>\n<image_height>{h}</image_height>\n{}\
                  <camera_matrix type_id=\"opencv-matrix\">\n  <rows>3</rows>\n  <cols>3</cols>\n  <dt>d</dt>\n  \
                  <data>\n    {}</data></camera_matrix>\n\
-                 <distortion_coefficients type_id=\"opencv-matrix\">\n  <rows>1</rows>\n  <cols>5</cols>\n  <dt>d</dt>\n  \
+                 <distortion_coefficients type_id=\"opencv-matrix\">\n  <rows>{}</rows>\n  <cols>{}</cols>\n  <dt>d</dt>\n  \
                  <data>\n    {}</data></distortion_coefficients>\n</opencv_storage>\n",
+                if wide { "<fisheye_model>1</fisheye_model>\n" } else { "" },
                 data(&matrix),
-                data(&five)
+                if wide { count } else { 1 },
+                if wide { 1 } else { count },
+                data(&all)
             )
         }
         Format::Kalibr => format!(
             "cam0:\n  camera_model: pinhole\n  intrinsics: [{fx:?}, {fy:?}, {cx:?}, {cy:?}]\n  \
-             distortion_model: radtan\n  distortion_coeffs: [{}]\n  resolution: [{w}, {h}]\n",
+             distortion_model: {}\n  distortion_coeffs: [{}]\n  resolution: [{w}, {h}]\n",
+            if wide { "equidistant" } else { "radtan" },
             four("Kalibr's radtan")?
         ),
         Format::Euroc => format!(
             "sensor_type: camera\nresolution: [{w}, {h}]\ncamera_model: pinhole\n\
              intrinsics: [{fx:?}, {fy:?}, {cx:?}, {cy:?}] #fu, fv, cu, cv\n\
-             distortion_model: radial-tangential\ndistortion_coefficients: [{}]\n",
+             distortion_model: {}\ndistortion_coefficients: [{}]\n",
+            if wide { "equidistant" } else { "radial-tangential" },
             four("EuRoC's radial-tangential")?
         ),
+        Format::Tum if wide => {
+            return Err(refused(
+                "TUM's plain numbers cannot say that a lens is a wide-angle one (kannala_brandt): choose cairn, ros, opencv, kalibr or euroc"
+                    .into(),
+            ));
+        }
         Format::Tum => format!(
             "# fx fy cx cy d0 d1 d2 d3 d4 (k1 k2 p1 p2 k3)\n# size_px {w} {h}\n\
-             {fx:?} {fy:?} {cx:?} {cy:?} {k1:?} {k2:?} {p1:?} {p2:?} {k3:?}\n"
+             {fx:?} {fy:?} {cx:?} {cy:?} {}\n",
+            all.replace(',', "")
         ),
     })
 }
@@ -172,7 +190,7 @@ pub(super) fn parse_tum(text: &str, path: &str, size: Option<(u32, u32)>) -> Res
     let rest: Vec<f64> = if values.len() == 4 { vec![0.0; 5] } else { values[4..].iter().map(|v| v.2).collect() };
     let line = values.get(4).map_or(1, |v| v.0);
     let text = rest.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
-    camera([&width, &height], &intrinsics, &field("k1 k2 p1 p2 k3", line, &text, rest))
+    camera([&width, &height], &intrinsics, &field("k1 k2 p1 p2 k3", line, &text, rest), LensKind::RadialTangential)
 }
 
 /// One element of an OpenCV XML: dotted key, line, words.
@@ -230,6 +248,52 @@ mod tests {
     }
 
     #[test]
+    fn a_fisheye_is_told_by_its_name_and_not_by_four_coefficients() {
+        let k = [0.03, -0.015, 0.004, -0.001];
+        let fisheye = CameraModel::new(640, 480, 300.0, 301.0, 320.0, 240.0, LensModel::KannalaBrandt(k)).unwrap();
+        let without = |format: Format, from: &str, to: &str| {
+            let text = write(&fisheye, format, "x").unwrap();
+            assert!(text.contains(from), "{text}");
+            read(&text.replace(from, to), format)
+        };
+        let pinhole = LensModel::RadialTangential([k[0], k[1], k[2], k[3], 0.0]);
+        for (format, from) in [
+            (Format::Ros, "distortion_model: equidistant\n"),
+            (Format::Opencv, "fisheye_model: 1\n"),
+            (Format::OpencvXml, "<fisheye_model>1</fisheye_model>\n"),
+            (Format::Kalibr, "  distortion_model: equidistant\n"),
+            (Format::Euroc, "distortion_model: equidistant\n"),
+            (Format::Cairn, "lens_model = \"kannala_brandt\"\n"),
+        ] {
+            // Our own file names k4 as well, so it is no pinhole's.
+            let read = without(format, from, "");
+            assert_eq!(read.as_ref().ok().map(|c| c.lens), (format != Format::Cairn).then_some(pinhole), "{read:?}");
+        }
+        for (format, from, to, expected) in [
+            (
+                Format::Ros,
+                "equidistant",
+                "rational_polynomial",
+                "distortion_model = rational_polynomial: is not handled",
+            ),
+            (Format::Ros, "-0.001]", "-0.001, 0.5]", "must be four numbers: k1 k2 k3 k4"),
+            (Format::Kalibr, ", -0.001]", "]", "must be four numbers: k1 k2 k3 k4"),
+            (Format::Opencv, "fisheye_model: 1", "fisheye_model: 2", "camera:5: fisheye_model = 2: must be 0 or 1"),
+            (
+                Format::Opencv,
+                "fisheye_model: 1",
+                "fisheye_model: 1\ndistortion_model: plumb_bob",
+                "fisheye_model = 1: contradicts distortion_model",
+            ),
+        ] {
+            let message = without(format, from, to).expect_err(to).to_string();
+            assert!(message.contains(expected), "{to}: {message}");
+        }
+        let message = write(&fisheye, Format::Tum, "out.txt").expect_err("refused").to_string();
+        assert!(message.contains("out.txt") && message.contains("kannala_brandt"), "{message}");
+    }
+
+    #[test]
     fn what_is_missing_or_wrong_is_named_with_its_line() {
         let size = "# size_px 640 480\n";
         for (text, expected) in [
@@ -244,7 +308,7 @@ mod tests {
             assert!(message.contains(expected), "{text}: {message}");
         }
         let given = CalibrationFile::parse_sized("517.3 516.5 318.6 255.3", "camera", false, Some((640, 480)));
-        assert_eq!(given.expect("valid").camera.distortion, [0.0; 5]);
+        assert_eq!(given.expect("valid").camera.lens, LensModel::PINHOLE);
     }
 
     #[test]
@@ -253,7 +317,7 @@ mod tests {
                     500. 0. 320. 0. 501. 240. 0. 0. 1.</data></Camera_Matrix>\n<Distortion_Coefficients><data>\n\
                     -1.e-01 0. 0. 0. 0.</data></Distortion_Coefficients></opencv_storage>";
         let camera = read(text, Format::OpencvXml).expect("valid");
-        assert_eq!((camera.fy, camera.distortion[0]), (501.0, -0.1));
+        assert_eq!((camera.fy, camera.lens.coefficients()[0]), (501.0, -0.1));
     }
 
     proptest! {
@@ -269,24 +333,34 @@ mod tests {
                 if matches!(format, Format::Kalibr | Format::Euroc) {
                     k[4] = 0.0;
                 }
-                let camera = CameraModel::new(width, height, f * side, f * side * 1.01, c * f64::from(width), c * f64::from(height), k).unwrap();
-                let text = write(&camera, format, "x").unwrap();
-                prop_assert_eq!(&read(&text, format).unwrap(), &camera, "{:?}:\n{}", format, text);
+                for lens in [LensModel::RadialTangential(k), LensModel::KannalaBrandt([k[0], k[1], k[2], k[3]])] {
+                    let camera = CameraModel::new(width, height, f * side, f * side * 1.01, c * f64::from(width), c * f64::from(height), lens).unwrap();
+                    if format == Format::Tum && lens.is_wide_angle() {
+                        prop_assert!(write(&camera, format, "x").is_err());
+                        continue;
+                    }
+                    let text = write(&camera, format, "x").unwrap();
+                    prop_assert_eq!(&read(&text, format).unwrap(), &camera, "{:?}:\n{}", format, text);
+                }
             }
         }
 
         #[test]
         fn damaged_files_are_read_or_refused_with_their_name(
-            which in 0usize..7, at in 0usize..700, cut in 0usize..40, put in "[\\[\\]:,.# \n\t'\"!|>e0-9é<>/&-]{0,12}",
+            which in 0usize..7, wide in any::<bool>(), at in 0usize..700, cut in 0usize..40, put in "[\\[\\]:,.# \n\t'\"!|>e0-9é<>/&-]{0,12}",
         ) {
-            let camera = CameraModel::new(640, 480, 517.3, 516.5, 318.6, 255.3, [0.26, -0.95, -0.005, 0.003, 0.0]).unwrap();
+            let lens = match wide && ALL[which] != Format::Tum {
+                false => LensModel::RadialTangential([0.26, -0.95, -0.005, 0.003, 0.0]),
+                true => LensModel::KannalaBrandt([0.03, -0.015, 0.004, -0.001]),
+            };
+            let camera = CameraModel::new(640, 480, 517.3, 516.5, 318.6, 255.3, lens).unwrap();
             let text = write(&camera, ALL[which], "x").unwrap();
             let chars: Vec<char> = text.chars().collect();
             let at = at.min(chars.len());
             let after = (at + cut).min(chars.len());
             let damaged: String = chars[..at].iter().copied().chain(put.chars()).chain(chars[after..].iter().copied()).collect();
             match read(&damaged, ALL[which]) {
-                Ok(camera) => prop_assert!(camera.fx > 0.0 && camera.distortion.iter().all(|k| k.is_finite())),
+                Ok(camera) => prop_assert!(camera.fx > 0.0 && camera.lens.coefficients().iter().all(|k| k.is_finite())),
                 Err(error) => prop_assert!(error.to_string().starts_with("camera"), "{error}"),
             }
         }

@@ -9,6 +9,10 @@
 //! | `cam0.resolution cam0.intrinsics cam0.distortion_coeffs` | Kalibr; the first camera |
 //! | `image_width image_height camera_matrix.data distortion_coefficients.data` | ROS `camera_calibration`, OpenCV's sample |
 //!
+//! A wide-angle lens (Kannala-Brandt, four coefficients) is what says so, never what only has four coefficients: `distortion_model:
+//! equidistant` (or `fisheye`), OpenCV's `fisheye_model: 1` as its calibration sample writes it (its functions write no model at all), or
+//! `lens_model: kannala_brandt` in a sequence's `camera.yaml`.
+//!
 //! A reader of lines and not a YAML library, for three reasons: free text need not be valid YAML (`note: see: below` is
 //! none), OpenCV's header and tags (`%YAML:1.0`, `!!opencv-matrix`) are not YAML 1.2 and make conforming readers give
 //! up, and a message should name the line. What is read: `key: value` nested by indentation, flow lists over several lines,
@@ -18,6 +22,7 @@
 
 use super::file::{CalibrationError, Field, camera};
 use crate::geometry::CameraModel;
+use crate::geometry::plane_calibration::LensKind;
 
 /// Deeper keys are nobody's numbers.
 const MAX_DEPTH: usize = 4;
@@ -29,6 +34,10 @@ const MAX_LIST_LINES: usize = 64;
 const CAMERA_MATRIX: [&str; 4] = ["camera_matrix.data", "Camera_Matrix.data", "cameraMatrix.data", "K.data"];
 const COEFFICIENTS: [&str; 5] =
     ["distortion_coefficients.data", "Distortion_Coefficients.data", "distCoeffs.data", "dist_coeffs.data", "D.data"];
+
+/// Names of the lens models.
+const PINHOLE_NAMES: [&str; 4] = ["radial-tangential", "radtan", "plumb_bob", "radial_tangential"];
+const WIDE_NAMES: [&str; 3] = ["equidistant", "fisheye", "kannala_brandt"];
 
 /// One `key: value`.
 #[derive(Debug, Clone, PartialEq)]
@@ -92,21 +101,33 @@ impl Dialect<'_> {
             self.numbers("cx", need)?,
             self.numbers("cy", need)?,
         ];
-        camera([&size[0], &size[1]], &intrinsics, &self.numbers("distortion", need)?)
+        // Other programs' names of the model may be free text here; ours may not.
+        let kind = match self.lens("lens_model")? {
+            Some(kind) => kind,
+            None => self.lens("distortion_model").ok().flatten().unwrap_or_default(),
+        };
+        camera([&size[0], &size[1]], &intrinsics, &self.numbers("distortion", need)?, kind)
     }
 
     fn asl(&self, prefix: &str, distortion: &str) -> Result<CameraModel, CalibrationError> {
         let need = "resolution [width, height], intrinsics [fx, fy, cx, cy] and the distortion coefficients are needed";
         self.expect_model(&format!("{prefix}camera_model"), &["pinhole"])?;
-        self.expect_model(&format!("{prefix}distortion_model"), &["radial-tangential", "radtan", "plumb_bob"])?;
+        let kind = self.lens(&format!("{prefix}distortion_model"))?.unwrap_or_default();
         let size = parts(&self.numbers(&format!("{prefix}resolution"), need)?, [0, 1], 2)?;
         let intrinsics = parts(&self.numbers(&format!("{prefix}intrinsics"), need)?, [0, 1, 2, 3], 4)?;
-        camera([&size[0], &size[1]], &intrinsics, &self.numbers(&format!("{prefix}{distortion}"), need)?)
+        camera([&size[0], &size[1]], &intrinsics, &self.numbers(&format!("{prefix}{distortion}"), need)?, kind)
     }
 
     fn ros(&self) -> Result<CameraModel, CalibrationError> {
         let need = "image_width, image_height, camera_matrix and distortion_coefficients are needed";
-        self.expect_model("distortion_model", &["plumb_bob"])?;
+        let stated = self.lens("distortion_model")?;
+        let kind = match self.fisheye_model()? {
+            Some((field, kind)) if stated.is_some_and(|s| s != kind) => {
+                return Err(field.wrong("", "contradicts distortion_model"));
+            }
+            Some((_, kind)) => kind,
+            None => stated.unwrap_or_default(),
+        };
         let size = [
             self.numbers(self.known(&["image_width", "image_Width"]), need)?,
             self.numbers(self.known(&["image_height", "image_Height"]), need)?,
@@ -116,7 +137,20 @@ impl Dialect<'_> {
         if [1, 3, 6, 7].iter().any(|i| matrix.numbers[*i] != 0.0) || matrix.numbers[8] != 1.0 {
             return Err(matrix.wrong("px", "must be [fx, 0, cx, 0, fy, cy, 0, 0, 1]: skew is not handled"));
         }
-        camera([&size[0], &size[1]], &intrinsics, &self.numbers(self.known(&COEFFICIENTS), need)?)
+        camera([&size[0], &size[1]], &intrinsics, &self.numbers(self.known(&COEFFICIENTS), need)?, kind)
+    }
+
+    /// OpenCV's flag, if it is there.
+    fn fisheye_model(&self) -> Result<Option<(Field, LensKind)>, CalibrationError> {
+        if !self.entries.iter().any(|e| e.key == "fisheye_model") {
+            return Ok(None);
+        }
+        let field = self.numbers("fisheye_model", "")?;
+        match field.numbers[..] {
+            [0.0] => Ok(Some((field, LensKind::RadialTangential))),
+            [1.0] => Ok(Some((field, LensKind::KannalaBrandt))),
+            _ => Err(field.wrong("", "must be 0 or 1")),
+        }
     }
 
     /// The first of several names that is there, else the first.
@@ -154,16 +188,27 @@ impl Dialect<'_> {
         Ok(field)
     }
 
-    /// A lens model that a file names must be one of ours; a file that names none is believed.
-    fn expect_model(&self, key: &str, known: &[&str]) -> Result<(), CalibrationError> {
-        let Some(entry) = self.entries.iter().find(|e| e.key == key) else { return Ok(()) };
+    /// The lens model that a file names, which must be one of ours; a file that names none is believed.
+    fn lens(&self, key: &str) -> Result<Option<LensKind>, CalibrationError> {
+        let known = [&PINHOLE_NAMES[..], &WIDE_NAMES[..]].concat();
+        Ok(self.expect_model(key, &known)?.map(|name| match WIDE_NAMES.contains(&name) {
+            true => LensKind::KannalaBrandt,
+            false => LensKind::RadialTangential,
+        }))
+    }
+
+    /// The value of a key that must be one of `known` if it is there.
+    fn expect_model(&self, key: &str, known: &[&str]) -> Result<Option<&str>, CalibrationError> {
+        let Some(entry) = self.entries.iter().find(|e| e.key == key) else { return Ok(None) };
+        let text = match &entry.value {
+            Value::Scalar(name) => name.clone(),
+            Value::List(items) => items.join(", "),
+        };
         match &entry.value {
-            Value::Scalar(name) if known.contains(&name.as_str()) => Ok(()),
-            value => {
-                let text = match value {
-                    Value::Scalar(name) => name.clone(),
-                    Value::List(items) => items.join(", "),
-                };
+            Value::Scalar(name) if known.contains(&name.as_str()) => Ok(Some(name)),
+            // XML: one word.
+            Value::List(items) if items.len() == 1 && known.contains(&items[0].as_str()) => Ok(Some(&items[0])),
+            _ => {
                 let field =
                     Field { path: self.path.into(), key: key.into(), line: entry.line, text, numbers: Vec::new() };
                 Err(field.wrong("", format!("is not handled, only {} is", known.join(", "))))

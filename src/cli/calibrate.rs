@@ -27,6 +27,7 @@ Examples:
   cairn calibrate --print-pattern 9x6 --square 0.025 --output board.svg
   cairn calibrate --camera auto --pattern 9x6 --square 0.025
   cairn calibrate images/*.jpg --pattern 9x6 --square 0.025 --output camera.toml
+  cairn calibrate images/*.jpg --distortion fisheye --output camera.toml
   cairn calibrate --convert camera.toml --format ros --output camera_info.yaml")]
 pub struct CalibrateArgs {
     /// Pictures of the board (JPEG or PNG), all of one size
@@ -50,7 +51,7 @@ pub struct CalibrateArgs {
     /// Write no report
     #[arg(long, conflicts_with = "report")]
     pub no_report: bool,
-    /// Distortion coefficients to estimate
+    /// Distortion coefficients to estimate; "fisheye" for a wide-angle lens
     #[arg(long, value_enum, default_value = "full")]
     pub distortion: DistortionChoice,
     /// Live: give up after this time, s
@@ -85,6 +86,9 @@ pub enum DistortionChoice {
     RadialTangential,
     /// k1 k2 p1 p2 k3
     Full,
+    /// k1 k2 k3 k4 of the wide-angle model (Kannala-Brandt; OpenCV's fisheye, equidistant of ROS and Kalibr)
+    #[value(alias = "kannala-brandt")]
+    Fisheye,
 }
 
 impl From<DistortionChoice> for Distortion {
@@ -94,6 +98,7 @@ impl From<DistortionChoice> for Distortion {
             DistortionChoice::Radial => Self::Radial,
             DistortionChoice::RadialTangential => Self::RadialTangential,
             DistortionChoice::Full => Self::Full,
+            DistortionChoice::Fisheye => Self::KannalaBrandt,
         }
     }
 }

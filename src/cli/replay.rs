@@ -83,6 +83,8 @@ struct Summary {
 struct IntrinsicsSummary {
     /// `calibrated`, `estimated` (from the motion) or `guessed` (the motion did not show it).
     knowledge: &'static str,
+    /// `radial_tangential` or `kannala_brandt`.
+    lens_model: &'static str,
     fx_px: f32,
     fy_px: f32,
     cx_px: f32,
@@ -95,7 +97,8 @@ struct IntrinsicsSummary {
 impl IntrinsicsSummary {
     fn of(status: &Status) -> Self {
         let (knowledge, [fx_px, fy_px, cx_px, cy_px, focal_sigma, centre_sigma_px]) = status.lens();
-        Self { knowledge: knowledge.name(), fx_px, fy_px, cx_px, cy_px, focal_sigma, centre_sigma_px }
+        let lens_model = if status.lens_is_wide_angle() { "kannala_brandt" } else { "radial_tangential" };
+        Self { knowledge: knowledge.name(), lens_model, fx_px, fy_px, cx_px, cy_px, focal_sigma, centre_sigma_px }
     }
 }
 

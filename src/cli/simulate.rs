@@ -15,6 +15,8 @@ use crate::camera::simulator::{Scenario, Simulator, SimulatorConfig};
 pub enum Effect {
     /// Lens distortion.
     Distortion,
+    /// A wide-angle (Kannala-Brandt) lens of some 150 degrees across the diagonal.
+    WideAngle,
     /// Darkening towards the corners.
     Vignetting,
     /// Automatic exposure.
@@ -41,6 +43,7 @@ impl Effect {
     fn switch(self, config: &mut SimulatorConfig, on: bool) {
         let key = match self {
             Self::Distortion => &mut config.lens.distortion,
+            Self::WideAngle => &mut config.lens.wide_angle.enabled,
             Self::Vignetting => &mut config.vignetting.enabled,
             Self::Exposure => &mut config.exposure.automatic,
             Self::ExposureJumps => &mut config.exposure.jumps,

@@ -225,7 +225,13 @@ fn text(result: &TwoView, options: &Options, listed: bool, cameras: Option<&Came
         );
     }
     if result.outside_lens > 0 {
-        line("", format!("{} left out: the lens model does not reach their pixels", result.outside_lens));
+        line(
+            "",
+            format!(
+                "{} left out: the lens model does not reach their pixels (of a wide-angle lens: more than 50 degrees off its axis)",
+                result.outside_lens
+            ),
+        );
     }
     if options.guided {
         let more = result.pairs.len().saturating_sub(result.unguided);

@@ -310,6 +310,7 @@ impl HealthWatch {
         Health {
             errors,
             intrinsics: convert::intrinsics(knowledge),
+            lens_model: convert::lens_model(s.lens_is_wide_angle()),
             focal_px: [fx, fy],
             centre_px: [cx, cy],
             focal_sigma,
@@ -360,6 +361,23 @@ mod tests {
         status.set_source_present(true);
         let watch = HealthWatch::new(status.clone(), Clock::Monotonic, Duration::from_secs(1), 0);
         (status, watch)
+    }
+
+    #[test]
+    fn health_says_which_lens_model_focal_length_and_principal_point_are_of() {
+        use crate::geometry::{CameraModel, LensModel};
+        use crate::reconstruction::LensEstimate;
+        let (status, mut watch) = watch();
+        for (lens, wire) in [
+            (LensModel::KannalaBrandt([0.01, 0.0, 0.0, 0.0]), crate::messages::LENS_KANNALA_BRANDT),
+            (LensModel::PINHOLE, crate::messages::LENS_RADIAL_TANGENTIAL),
+        ] {
+            let camera = CameraModel::new(640, 480, 300.0, 301.0, 320.0, 240.0, lens).expect("valid");
+            let knowledge = LensKnowledge::Calibrated;
+            status.set_lens(&LensEstimate { knowledge, camera, focal_sigma: 0.002, centre_sigma_px: [0.1, 0.2] });
+            let health = watch.tick(MS);
+            assert_eq!((health.lens_model, health.focal_px), (wire, [300.0, 301.0]));
+        }
     }
 
     #[test]

@@ -181,6 +181,7 @@ impl ReconstructStep {
             fy_px = camera.fy,
             cx_px = camera.cx,
             cy_px = camera.cy,
+            lens_model = camera.lens.name(),
             origin = self.calibration.origin,
             "camera model"
         );
@@ -257,7 +258,14 @@ impl ReconstructStep {
         self.status.set_lens(&lens);
         if self.lens != Some(lens.knowledge) {
             let (from, to) = (self.lens.map_or("none", LensKnowledge::name), lens.knowledge.name());
-            info!(from, to, fx_px = lens.camera.fx, focal_sigma = lens.focal_sigma, "lens");
+            info!(
+                from,
+                to,
+                model = lens.camera.lens.name(),
+                fx_px = lens.camera.fx,
+                focal_sigma = lens.focal_sigma,
+                "lens"
+            );
             self.lens = Some(lens.knowledge);
         }
         if lens.knowledge == LensKnowledge::Estimated && lens.focal_sigma < share * self.kept_sigma {

@@ -80,6 +80,7 @@ pub struct Status {
     last_pose_arrival_ns: AtomicI64,
     /// 0 calibrated, 1 estimated, 2 guessed.
     lens_knowledge: AtomicU8,
+    lens_is_wide_angle: AtomicBool,
     /// Bits of: fx fy cx cy, standard deviations of the focal length (share) and the principal point (px).
     lens: [AtomicU32; 6],
     stop: AtomicBool,
@@ -131,6 +132,7 @@ impl Default for Status {
             last_arrival_ns: AtomicI64::new(0),
             last_pose_arrival_ns: AtomicI64::new(0),
             lens_knowledge: AtomicU8::new(0),
+            lens_is_wide_angle: AtomicBool::new(false),
             lens: [const { AtomicU32::new(f32::NAN.to_bits()) }; 6],
             stop: AtomicBool::new(false),
         }
@@ -225,6 +227,12 @@ impl Status {
             LensKnowledge::Guessed => 2,
         };
         self.lens_knowledge.store(knowledge, Ordering::Relaxed);
+        self.lens_is_wide_angle.store(c.lens.is_wide_angle(), Ordering::Relaxed);
+    }
+
+    /// Whether it is a wide-angle (Kannala-Brandt) lens.
+    pub fn lens_is_wide_angle(&self) -> bool {
+        self.lens_is_wide_angle.load(Ordering::Relaxed)
     }
 
     /// Where the lens comes from, and fx fy cx cy (px), standard deviations of focal length (share) and principal point (px); NaN

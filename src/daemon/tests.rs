@@ -146,7 +146,7 @@ fn a_calibration_of_another_aspect_ends_the_run_and_names_both_sizes() {
     let mut parts = parts(1.0, Pacing::LockStep, folder.path(), untouched());
     let m = parts.calibration.model.clone();
     parts.calibration.model =
-        crate::geometry::CameraModel::new(640, 360, m.fx, m.fy, m.cx, m.cy, m.distortion).expect("model");
+        crate::geometry::CameraModel::new(640, 360, m.fx, m.fy, m.cx, m.cy, m.lens).expect("model");
     let End { cause, written, .. } = run(parts);
     let EndCause::Calibration(reason) = cause else { panic!("{cause:?}") };
     assert!(reason.contains("640x360") && reason.contains("320x240"), "{reason}");

@@ -17,6 +17,7 @@ pub mod fundamental;
 pub mod homography;
 pub mod homography_decomposition;
 pub mod least_squares;
+pub mod lens_model;
 pub mod null_space;
 pub mod p3p;
 pub mod plane_calibration;
@@ -34,6 +35,7 @@ pub mod triangulation;
 pub mod two_view;
 
 pub use camera_model::{CameraModel, CameraModelError};
+pub use lens_model::LensModel;
 pub use se3::Se3;
 
 /// Marker types of the coordinate frames that a [`Se3`] maps between.

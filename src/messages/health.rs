@@ -2,7 +2,10 @@
 
 use iceoryx2::prelude::ZeroCopySend;
 
-use super::{CLOCK_MONOTONIC, Clock, INTRINSICS_CALIBRATED, Intrinsics, STATE_INITIALIZING, State, UNKNOWN_NS};
+use super::{
+    CLOCK_MONOTONIC, Clock, INTRINSICS_CALIBRATED, Intrinsics, LENS_RADIAL_TANGENTIAL, LensModel, STATE_INITIALIZING,
+    State, UNKNOWN_NS,
+};
 
 /// Bits of [`Health::errors`]; a bit stands as long as its fault lasts.
 pub mod error {
@@ -175,8 +178,8 @@ pub struct Health {
     /// [`super::INTRINSICS_CALIBRATED`], [`super::INTRINSICS_ESTIMATED`], [`super::INTRINSICS_GUESSED`]: where focal length and
     /// principal point come from.
     pub intrinsics: u8,
-    /// Zero.
-    pub reserved: u8,
+    /// [`super::LENS_RADIAL_TANGENTIAL`], [`super::LENS_KANNALA_BRANDT`]: which lens model focal length and principal point are of.
+    pub lens_model: u8,
     /// Version of the daemon, UTF-8, zero-padded.
     pub version: [u8; 32],
     /// Focal lengths fx and fy in use, px; NaN before the first frame.
@@ -194,7 +197,7 @@ layout!(Health, "cairn.Health.v2", 416, {
     frames_captured @ 48, frames_dropped @ 56, frames_corrupt @ 64, frames_tracked @ 72, keyframes_made @ 80,
     landmarks_made @ 88, adjustments @ 96, adjustments_late @ 104, resets @ 112, relocalisations @ 120,
     frame_age_ns @ 128, pose_age_ns @ 136, stages @ 144, keyframes @ 336, landmarks @ 340, reset_counter @ 344,
-    map_id @ 348, pid @ 352, state @ 356, clock @ 357, intrinsics @ 358, reserved @ 359, version @ 360, focal_px @ 392,
+    map_id @ 348, pid @ 352, state @ 356, clock @ 357, intrinsics @ 358, lens_model @ 359, version @ 360, focal_px @ 392,
     centre_px @ 400, focal_sigma @ 408, centre_sigma_px @ 412,
 });
 
@@ -229,7 +232,7 @@ impl Default for Health {
             state: STATE_INITIALIZING,
             clock: CLOCK_MONOTONIC,
             intrinsics: INTRINSICS_CALIBRATED,
-            reserved: 0,
+            lens_model: LENS_RADIAL_TANGENTIAL,
             version: [0; 32],
             focal_px: [f32::NAN; 2],
             centre_px: [f32::NAN; 2],
@@ -253,6 +256,11 @@ impl Health {
     /// `intrinsics` as a type.
     pub fn intrinsics(&self) -> Intrinsics {
         Intrinsics::from_wire(self.intrinsics)
+    }
+
+    /// `lens_model` as a type.
+    pub fn lens_model(&self) -> LensModel {
+        LensModel::from_wire(self.lens_model)
     }
 
     /// Version of the daemon.

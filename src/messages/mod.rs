@@ -95,6 +95,11 @@ pub const INTRINSICS_ESTIMATED: u8 = 1;
 /// the map may be off by `focal_sigma`.
 pub const INTRINSICS_GUESSED: u8 = 2;
 
+/// `lens_model`: pinhole with radial and tangential distortion.
+pub const LENS_RADIAL_TANGENTIAL: u8 = 0;
+/// `lens_model`: wide angle (Kannala-Brandt; `equidistant` of ROS, OpenCV's `fisheye`): `focal_px` is pixels per radian off the axis.
+pub const LENS_KANNALA_BRANDT: u8 = 1;
+
 /// `state` as a type; a value from a newer daemon is kept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum State {
@@ -221,6 +226,36 @@ impl Intrinsics {
     }
 }
 
+/// `lens_model` as a type; a value from a newer daemon is kept.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum LensModel {
+    /// Pinhole with radial and tangential distortion.
+    RadialTangential,
+    /// Wide angle.
+    KannalaBrandt,
+    Unknown(u8),
+}
+
+impl LensModel {
+    /// From the wire.
+    pub fn from_wire(value: u8) -> Self {
+        match value {
+            LENS_RADIAL_TANGENTIAL => Self::RadialTangential,
+            LENS_KANNALA_BRANDT => Self::KannalaBrandt,
+            other => Self::Unknown(other),
+        }
+    }
+
+    /// `RADIAL_TANGENTIAL`, `KANNALA_BRANDT`, `UNKNOWN`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::RadialTangential => "RADIAL_TANGENTIAL",
+            Self::KannalaBrandt => "KANNALA_BRANDT",
+            Self::Unknown(_) => "UNKNOWN",
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -247,6 +282,8 @@ mod tests {
         assert_eq!(Scale::from_wire(9), Scale::Unknown(9));
         assert_eq!(Clock::from_wire(9), Clock::Unknown(9));
         assert_eq!(Intrinsics::from_wire(9), Intrinsics::Unknown(9));
+        assert_eq!(LensModel::from_wire(9), LensModel::Unknown(9));
+        assert_eq!(LensModel::from_wire(1).name(), "KANNALA_BRANDT");
         let pose = Pose { state: 77, ..Pose::default() };
         assert!(!pose.is_tracking());
     }

@@ -150,6 +150,11 @@ pub fn intrinsics(knowledge: LensKnowledge) -> u8 {
     }
 }
 
+/// `lens_model` of the messages.
+pub fn lens_model(is_wide_angle: bool) -> u8 {
+    if is_wide_angle { messages::LENS_KANNALA_BRANDT } else { messages::LENS_RADIAL_TANGENTIAL }
+}
+
 /// `state` of the messages.
 pub fn state(state: TrackingState) -> u8 {
     match state {

@@ -8,11 +8,14 @@
 //! intrinsics) can be unknowns as well: a border of the reduced system. Not here: rolling shutter, gauge (hold at
 //! least one camera fixed, or rely on the damping for the scale).
 
-use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, SMatrix, SVector, Vector2, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Matrix6, SMatrix, Vector2, Vector3, Vector6};
 
+mod shared;
 mod uncertainty;
 
-use super::pose_optimisation::{accumulate, jacobian_rows};
+pub use shared::{CALIBRATED_SHARED, SHARED, Shared, SharedJacobian, SharedMatrix, SharedVector};
+
+use super::pose_optimisation::{accumulate, is_diagonal, jacobian_rows, scaled};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 
@@ -30,47 +33,18 @@ pub struct BundleObservation {
     pub camera: u32,
     /// Undistorted, plane z = 1.
     pub normalised: Vector2<f64>,
+    /// Pixels that steps on that plane count as there.
+    pub pixel_scale: Matrix2<f64>,
     /// One over the standard deviation, 1/px.
     pub inv_sigma_px: f64,
 }
 
-/// Numbers that all pictures share and that an adjustment may refine (log focal length, principal point in px, k1 k2 p1 p2): see
-/// [`Shared`].
-pub const SHARED: usize = 7;
-/// The first of them: all that is refined of a lens that was calibrated.
-pub const CALIBRATED_SHARED: usize = 3;
-pub type SharedVector = SVector<f64, SHARED>;
-pub type SharedMatrix = SMatrix<f64, SHARED, SHARED>;
-/// d normalised / d shared.
-pub type SharedJacobian = SMatrix<f64, 2, SHARED>;
 type Matrix6xS = SMatrix<f64, 6, SHARED>;
 type MatrixSx3 = SMatrix<f64, SHARED, 3>;
-
-/// Intrinsics refined with the rest: observation k is expected at `normalised + jacobians[k] * change`.
-#[derive(Debug, Clone)]
-pub struct Shared {
-    /// One for each observation.
-    pub jacobians: Vec<SharedJacobian>,
-    /// So many of the numbers, from the first on, are unknowns; the others stay.
-    pub active: usize,
-    /// Residuals are measured in pixels of the focal length that is being found, `exp(change[0])` times `focal_px`, and answer to it
-    /// without linearisation: needed where it may change by much, because in pixels of the old one every error shrinks as the
-    /// focal length grows.
-    pub in_new_pixels: bool,
-    /// Against the intrinsics that the observations were made with; moved by the adjustment.
-    pub change: SharedVector,
-    /// What `change` is expected to be, and one over the variance of that (infinite would be: held).
-    pub expected: SharedVector,
-    pub information: SharedVector,
-    /// Set by the adjustment: information of `change`, everything else free, the prior left out.
-    pub found_information: SharedMatrix,
-}
 
 /// A bundle adjustment problem and, after [`adjust`](Self::adjust), its solution.
 #[derive(Debug, Clone, Default)]
 pub struct BundleProblem {
-    /// Focal lengths, px: scale the residuals.
-    pub focal_px: Vector2<f64>,
     pub cameras: Vec<BundleCamera>,
     /// World coordinates.
     pub points: Vec<Vector3<f64>>,
@@ -188,16 +162,15 @@ impl BundleProblem {
                 let seen = observation.normalised + shared.jacobians[k] * shared.without_focal();
                 let scale = shared.focal_scale();
                 let (x, y) = (scale * p.x * iz - seen.x, scale * p.y * iz - seen.y);
-                return Some((Vector2::new(s * self.focal_px.x * x, s * self.focal_px.y * y), p));
+                return Some((scaled(&observation.pixel_scale, s, x, y), p));
             }
             Some(shared) => observation.normalised + shared.jacobians[k] * shared.change,
             None => observation.normalised,
         };
-        let e = Vector2::new(s * self.focal_px.x * (p.x * iz - seen.x), s * self.focal_px.y * (p.y * iz - seen.y));
-        Some((e, p))
+        Some((scaled(&observation.pixel_scale, s, p.x * iz - seen.x, p.y * iz - seen.y), p))
     }
 
-    /// Focal length of the residuals in units of `focal_px`; exactly 1 unless they are in new pixels.
+    /// Focal length of the residuals in units of the `pixel_scale`s'; exactly 1 unless they are in new pixels.
     fn focal_scale(&self) -> f64 {
         self.shared.as_ref().filter(|s| s.in_new_pixels).map_or(1.0, Shared::focal_scale)
     }
@@ -256,8 +229,8 @@ impl BundleProblem {
                 };
                 let (rho, w) = huber(e.norm_squared(), delta2);
                 system.cost += rho;
-                let (fx, fy) = (self.focal_px.x * o.inv_sigma_px, self.focal_px.y * o.inv_sigma_px);
-                let (jx, jy) = jacobian_rows(&p, fx * scale, fy * scale);
+                let pixels = o.pixel_scale * o.inv_sigma_px;
+                let (jx, jy) = jacobian_rows(&p, &(pixels * scale));
                 // d e / d point = d e / d translation * R.
                 let r = &rotations[o.camera as usize];
                 let px = r.row(0) * jx[3] + r.row(2) * jx[5];
@@ -272,9 +245,15 @@ impl BundleProblem {
                 if let Some(shared) = &self.shared {
                     // d e / d shared: the observation moves, so the residual moves against it.
                     let d = &shared.jacobians[k];
-                    let (mut dx, mut dy) = (d.row(0).transpose() * -fx, d.row(1).transpose() * -fy);
+                    let (x, y) = (d.row(0).transpose(), d.row(1).transpose());
+                    let (mut dx, mut dy) = (x * -pixels.m11, y * -pixels.m22);
+                    if !is_diagonal(&pixels) {
+                        dx -= y * pixels.m12;
+                        dy -= x * pixels.m21;
+                    }
                     if shared.in_new_pixels {
-                        (dx[0], dy[0]) = (fx * scale * p.x / p.z, fy * scale * p.y / p.z);
+                        dx[0] = pixels.m11 * scale * p.x / p.z + pixels.m12 * scale * p.y / p.z;
+                        dy[0] = pixels.m22 * scale * p.y / p.z + pixels.m21 * scale * p.x / p.z;
                     }
                     system.shared_h += (dx * dx.transpose() + dy * dy.transpose()) * w;
                     system.shared_g += (dx * e.x + dy * e.y) * w;
@@ -487,23 +466,6 @@ impl BundleProblem {
                 self.inlier[k] = self.residual(&self.points[i], k).is_some_and(|(e, _)| e.norm_squared() <= limit);
             }
         }
-    }
-}
-
-impl Shared {
-    fn focal_scale(&self) -> f64 {
-        self.change[0].exp()
-    }
-
-    fn without_focal(&self) -> SharedVector {
-        let mut change = self.change;
-        change[0] = 0.0;
-        change
-    }
-
-    fn prior_cost(&self) -> f64 {
-        let off = self.change - self.expected;
-        off.component_mul(&off).dot(&self.information)
     }
 }
 

@@ -159,7 +159,7 @@ impl Initialiser {
         config: &ReconstructionConfig,
     ) -> Option<Start> {
         let reference = self.reference.as_ref()?;
-        if rotation_compensated_flow(pairs, camera.focal_px()) < config.start_flow_px {
+        if rotation_compensated_flow(pairs, camera) < config.start_flow_px {
             return None;
         }
         let first: Vec<Vector2<f64>> = pairs.iter().map(|p| p.first).collect();
@@ -201,8 +201,9 @@ struct Pair {
     second: Vector2<f64>,
 }
 
-/// Tracks that both frames see, undistorted.
+/// Tracks that both frames see, undistorted; of a wide-angle lens where the plane z = 1 is even, as two-view geometry weighs all alike.
 fn common(reference: &PendingFrame, tracks: &[Track], camera: &CameraModel) -> Vec<Pair> {
+    let central = |n: &Vector2<f64>| camera.is_central(n);
     tracks
         .iter()
         .filter_map(|t| {
@@ -211,8 +212,8 @@ fn common(reference: &PendingFrame, tracks: &[Track], camera: &CameraModel) -> V
                 track: t.id,
                 first_pixel,
                 second_pixel: t.position,
-                first: camera.undistort(&first_pixel.cast())?,
-                second: camera.undistort(&t.position.cast())?,
+                first: camera.undistort(&first_pixel.cast()).filter(central)?,
+                second: camera.undistort(&t.position.cast()).filter(central)?,
             })
         })
         .collect()
@@ -220,7 +221,7 @@ fn common(reference: &PendingFrame, tracks: &[Track], camera: &CameraModel) -> V
 
 /// Median flow (px) that remains when the rotation that explains it best is taken out: Kabsch's rotation between the rays,
 /// twice, the second time over the better half.
-fn rotation_compensated_flow(pairs: &[Pair], focal_px: f64) -> f64 {
+fn rotation_compensated_flow(pairs: &[Pair], camera: &CameraModel) -> f64 {
     let ray = |n: &Vector2<f64>| Vector3::new(n.x, n.y, 1.0).normalize();
     let mut rest: Vec<f64> = Vec::new();
     let mut limit = f64::INFINITY;
@@ -238,7 +239,7 @@ fn rotation_compensated_flow(pairs: &[Pair], focal_px: f64) -> f64 {
         rest.clear();
         rest.extend(pairs.iter().map(|p| {
             let r = rotation * ray(&p.first);
-            (Vector2::new(r.x / r.z, r.y / r.z) - p.second).norm() * focal_px
+            camera.pixels(&p.second, &(Vector2::new(r.x / r.z, r.y / r.z) - p.second))
         }));
         limit = median(&rest);
     }
@@ -276,9 +277,10 @@ mod tests {
 
     #[test]
     fn turning_on_the_spot_leaves_no_flow_and_translation_does() {
+        let camera = CameraModel::new(640, 480, 500.0, 500.0, 320.0, 240.0, [0.0; 5]).unwrap();
         let turn = Rotation3::from_euler_angles(0.1, -0.3, 0.2);
-        assert!(rotation_compensated_flow(&pairs(turn, Vector3::zeros()), 500.0) < 1e-6);
-        let moved = rotation_compensated_flow(&pairs(turn, Vector3::new(0.3, 0.0, 0.0)), 500.0);
+        assert!(rotation_compensated_flow(&pairs(turn, Vector3::zeros()), &camera) < 1e-6);
+        let moved = rotation_compensated_flow(&pairs(turn, Vector3::new(0.3, 0.0, 0.0)), &camera);
         assert!(moved > 3.0, "{moved}");
     }
 }

@@ -15,11 +15,14 @@
 //! while that is at most [`FOUND_SIGMA`], and as not observable so far otherwise: without rotation it does not shrink at all, because
 //! every focal length then fits with depths of its own.
 //!
-//! Not here: distortion of a lens that was calibrated; k3 and wide-angle models; finding a focal length without translation.
+//! Of a calibrated wide-angle lens (Kannala-Brandt), focal length and principal point are refined as of any other.
+//!
+//! Not here: distortion of a lens that was calibrated; k3; wide-angle lenses that nobody calibrated (they are taken for pinholes, and k1
+//! to p2 cannot bend those so far: a fisheye needs a calibration); finding a focal length without translation.
 
 use super::bundle::{SharedMatrix, SharedVector};
 use super::local_adjustment::{MappingJob, MappingResult};
-use crate::geometry::CameraModel;
+use crate::geometry::{CameraModel, LensModel};
 use crate::map::Map;
 
 /// Standard deviation of a measured focal length, and of a nominal one, as a share of it.
@@ -183,7 +186,11 @@ impl Intrinsics {
     pub fn whole_job(&self, map: &Map, camera: &CameraModel, readout_s: f64, refine: bool) -> Option<MappingJob> {
         let mut job = MappingJob::whole(map, camera, readout_s, STEPS)?;
         if refine || self.guessed {
-            let off = |i: usize| self.expected.distortion[i] - camera.distortion[i];
+            // Of a pinhole lens; a wide-angle one is calibrated, and its distortion stays.
+            let off = |i: usize| match (self.expected.lens, camera.lens) {
+                (LensModel::RadialTangential(expected), LensModel::RadialTangential(own)) => expected[i] - own[i],
+                _ => 0.0,
+            };
             let expected = SharedVector::from([
                 (self.expected.fx / camera.fx).ln(),
                 self.expected.cx - camera.cx,
@@ -260,20 +267,20 @@ impl Intrinsics {
 /// over; `None` if no camera comes of it.
 fn changed(camera: &CameraModel, change: &SharedVector, guessed: bool) -> Option<CameraModel> {
     let scale = change[0].exp();
-    let with = |distortion: [f64; 5]| {
+    let with = |lens: LensModel| {
         let (fx, fy) = (camera.fx * scale, camera.fy * scale);
         let (cx, cy) = (camera.cx + change[1], camera.cy + change[2]);
-        CameraModel::new(camera.width, camera.height, fx, fy, cx, cy, distortion).ok()
+        CameraModel::new(camera.width, camera.height, fx, fy, cx, cy, lens).ok()
     };
+    let LensModel::RadialTangential(mut distortion) = camera.lens else { return with(camera.lens) };
     if !guessed {
-        return with(camera.distortion);
+        return with(camera.lens);
     }
-    let mut distortion = camera.distortion;
     for (d, change) in distortion.iter_mut().zip(change.iter().skip(3)) {
         *d += change;
     }
     let covers = |c: &CameraModel| c.covers_picture();
-    with(distortion).filter(covers).or_else(|| with(camera.distortion).filter(covers))
+    with(distortion.into()).filter(covers).or_else(|| with(camera.lens).filter(covers))
 }
 
 /// Numbers that nobody measured.
@@ -282,7 +289,7 @@ fn is_nominal(camera: &CameraModel) -> bool {
     camera.fx == camera.fy
         && centred(camera.cx, camera.width)
         && centred(camera.cy, camera.height)
-        && camera.distortion == [0.0; 5]
+        && camera.lens == LensModel::PINHOLE
 }
 
 #[cfg(test)]
@@ -336,9 +343,9 @@ mod tests {
         let mut change = SharedVector::zeros();
         (change[0], change[3]) = (0.1, -0.5);
         let refined = changed(&camera, &change, true).expect("a camera");
-        assert_eq!(refined.distortion[0], 0.0);
+        assert_eq!(refined.lens.coefficients()[0], 0.0);
         assert!((refined.fx - 320.0 * 0.1f64.exp()).abs() < 1e-9);
         change[3] = -0.05;
-        assert_eq!(changed(&camera, &change, true).map(|c| c.distortion[0]), Some(-0.05));
+        assert_eq!(changed(&camera, &change, true).map(|c| c.lens.coefficients()[0]), Some(-0.05));
     }
 }

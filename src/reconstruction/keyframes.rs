@@ -275,7 +275,7 @@ fn refine_in(
     let (_, projection) = camera.project_jacobian(&other.camera_from_world.transform(point))?;
     let rotation = other.camera_from_world.rotation * anchor.camera_from_world.rotation.inverse();
     let depth = anchor.camera_from_world.transform(point).z;
-    let affine = affine_warp(&projection, &rotation, depth, &a.normalised_from_pixel);
+    let affine = affine_warp(camera, &projection, &rotation, depth, a);
     let found = align_template(anchor, a, &other.pyramid, &affine, start.cast(), options)?;
     observe(camera, a.landmark, found.pixel, found.inv_sigma_px)
 }
@@ -318,7 +318,7 @@ fn reprojection_chi2(
         return f64::INFINITY;
     }
     let e = Vector2::new(p.x / p.z, p.y / p.z) - o.at_middle_row(readout_s);
-    (Vector2::new(camera.fx * e.x, camera.fy * e.y) * o.inv_sigma_px).norm_squared()
+    (camera.pixel_scale(&o.normalised) * e * o.inv_sigma_px).norm_squared()
 }
 
 /// Gauss-Newton on the point alone over its observations; its covariance with the keyframes held.
@@ -339,13 +339,14 @@ pub(super) fn refine_point(
             if p.z < 1e-6 {
                 return None;
             }
-            let (fx, fy) = (camera.fx * o.inv_sigma_px, camera.fy * o.inv_sigma_px);
-            let (jx, jy) = jacobian_rows(&p, fx, fy);
+            let scale = camera.pixel_scale(&o.normalised) * o.inv_sigma_px;
+            let (jx, jy) = jacobian_rows(&p, &scale);
             let r = pose.rotation.inverse();
             let (x, y) = (r * Vector3::new(jx[3], jx[4], jx[5]), r * Vector3::new(jy[3], jy[4], jy[5]));
             h += x * x.transpose() + y * y.transpose();
             let seen = o.at_middle_row(readout_s);
-            g += x * fx * (p.x / p.z - seen.x) + y * fy * (p.y / p.z - seen.y);
+            let (dx, dy) = (p.x / p.z - seen.x, p.y / p.z - seen.y);
+            g += x * scale.m11 * dx + y * scale.m22 * dy + (x * scale.m12 * dy + y * scale.m21 * dx);
         }
         let inverse = h.try_inverse()?;
         let step = -(inverse * g);

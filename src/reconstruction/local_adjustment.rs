@@ -100,8 +100,7 @@ impl MappingJob {
         readout_s: f64,
         options: BundleOptions,
     ) -> Option<Self> {
-        let mut problem =
-            BundleProblem { focal_px: Vector2::new(camera.fx, camera.fy), first: vec![0], ..BundleProblem::default() };
+        let mut problem = BundleProblem { first: vec![0], ..BundleProblem::default() };
         for &(id, fixed) in keyframes {
             problem.cameras.push(BundleCamera { camera_from_world: map.keyframe(id)?.camera_from_world, fixed });
         }
@@ -114,6 +113,7 @@ impl MappingJob {
                 problem.observations.push(BundleObservation {
                     camera: index as u32,
                     normalised: o.at_middle_row(readout_s),
+                    pixel_scale: camera.pixel_scale(&o.normalised),
                     inv_sigma_px: o.inv_sigma_px,
                 });
             }
@@ -173,7 +173,7 @@ impl MappingJob {
     }
 }
 
-/// How an observation's undistorted place answers to log focal length, principal point (px) and k1 k2 p1 p2: by
+/// How an observation's undistorted place answers to log focal length, principal point (px) (of any lens) and k1 k2 p1 p2: by
 /// Brown's model the distorted place moves by `n |n|²`, `n |n|⁴`, and the tangential terms.
 fn intrinsics_jacobian(o: &Observation, camera: &CameraModel) -> SharedJacobian {
     let j = &o.normalised_from_pixel;

@@ -21,7 +21,7 @@ mod start;
 pub mod tracking;
 pub mod types;
 
-use nalgebra::{Vector2, Vector3};
+use nalgebra::Vector3;
 
 pub use config::ReconstructionConfig;
 pub use intrinsics::{FOUND_SIGMA, LensEstimate, LensKnowledge, LensPrior, guessed_camera};
@@ -266,9 +266,14 @@ impl Reconstruction {
             let readout_s = self.shutter.readout_s;
             let items = self.inliers.iter().map(|m| {
                 let seen = m.normalised - m.displacement * readout_s;
-                (pose.transform(&m.point), seen, m.displacement, m.inv_sigma_px)
+                (
+                    pose.transform(&m.point),
+                    seen,
+                    m.displacement,
+                    self.camera.pixel_scale(&m.normalised) * m.inv_sigma_px,
+                )
             });
-            self.shutter.learn(items, Vector2::new(self.camera.fx, self.camera.fy));
+            self.shutter.learn(items);
         }
         // A blurred or covered picture gives poor templates, and its pose rests on little.
         let clear = !resumed && tracked.share() >= KEYFRAME_SHARE;

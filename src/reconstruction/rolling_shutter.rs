@@ -9,7 +9,7 @@
 //! least-squares step of pose and T. Frames are added up as in a Kalman filter of one constant. A global shutter comes out as
 //! zero. Not here: acceleration within a frame, exposure time.
 
-use nalgebra::{Matrix6, Vector2, Vector3, Vector6};
+use nalgebra::{Matrix2, Matrix6, Vector2, Vector3, Vector6};
 
 use super::pose_optimisation::jacobian_rows;
 use crate::geometry::camera_motion::CameraMotion;
@@ -72,24 +72,19 @@ impl Shutter {
     }
 
     /// Learns from one frame. Each item: the point in camera coordinates at the frame's pose, the corrected observation, the
-    /// displacement g, and 1 / sigma (1/px).
-    pub fn learn(
-        &mut self,
-        items: impl Iterator<Item = (Vector3<f64>, Vector2<f64>, Vector2<f64>, f64)>,
-        focal_px: Vector2<f64>,
-    ) {
+    /// displacement g, and pixels that steps on z = 1 count as there, over sigma.
+    pub fn learn(&mut self, items: impl Iterator<Item = (Vector3<f64>, Vector2<f64>, Vector2<f64>, Matrix2<f64>)>) {
         if !self.estimate {
             return;
         }
         let (mut h, mut jg) = (Matrix6::zeros(), Vector6::zeros());
         let (mut gg, mut eg) = (0.0, 0.0);
-        for (p, seen, g, inv_sigma) in items {
-            let scale = focal_px * inv_sigma;
-            let e = (seen - Vector2::new(p.x / p.z, p.y / p.z)).component_mul(&scale);
-            let g = g.component_mul(&scale);
+        for (p, seen, g, scale) in items {
+            let e = scale * (seen - Vector2::new(p.x / p.z, p.y / p.z));
+            let g = scale * g;
             // Large residuals count less, as everywhere.
             let w = 1.0 / (1.0 + e.norm_squared());
-            let (jx, jy) = jacobian_rows(&p, scale.x, scale.y);
+            let (jx, jy) = jacobian_rows(&p, &scale);
             let (jx, jy) = (Vector6::from(jx), Vector6::from(jy));
             h += (jx * jx.transpose() + jy * jy.transpose()) * w;
             jg += (jx * g.x + jy * g.y) * w;
@@ -114,7 +109,7 @@ mod tests {
     fn readout_time_is_learnt_from_what_it_does_to_the_picture() {
         for truth in [0.0, 0.02, -0.015] {
             let mut shutter = Shutter::new(0.0, 480, true);
-            let focal = Vector2::new(500.0, 500.0);
+            let scale = Matrix2::identity() * 500.0;
             let mut state = 7u64;
             let mut random = || {
                 state ^= state << 13;
@@ -133,10 +128,10 @@ mod tests {
                         let row = (240.0 + 250.0 * p.y / p.z) as f32;
                         let g = shutter.displacement(&camera, &p, row);
                         let seen = Vector2::new(p.x / p.z, p.y / p.z) + g * (truth - shutter.readout_s);
-                        (p, seen + Vector2::new(random(), random()) * 0.001, g, 1.0)
+                        (p, seen + Vector2::new(random(), random()) * 0.001, g, scale)
                     })
                     .collect();
-                shutter.learn(items.into_iter(), focal);
+                shutter.learn(items.into_iter());
             }
             assert!((shutter.readout_s - truth).abs() < 1e-3, "{} instead of {truth}", shutter.readout_s);
         }

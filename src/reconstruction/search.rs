@@ -274,17 +274,28 @@ fn warp_at(
     let (_, projection) = camera.project_jacobian(&candidate.camera_point)?;
     let rotation = pose.rotation * keyframe.camera_from_world.rotation.inverse();
     let depth = keyframe.camera_from_world.transform(&candidate.point).z;
-    Some(affine_warp(&projection, &rotation, depth, &observation.normalised_from_pixel))
+    Some(affine_warp(camera, &projection, &rotation, depth, observation))
 }
 
-/// d frame pixel / d keyframe pixel of a patch that lies parallel to the keyframe's picture at `depth`.
+/// d frame pixel / d keyframe pixel of a patch that lies parallel to the keyframe's picture at `depth`, or for a wide-angle lens across
+/// its ray: parallel to the picture it would be seen under 70 degrees of slant where the ray is 70 degrees off the axis.
 pub(super) fn affine_warp(
+    camera: &CameraModel,
     projection: &Matrix2x3<f64>,
     frame_from_keyframe: &nalgebra::UnitQuaternion<f64>,
     depth: f64,
-    normalised_from_pixel: &Matrix2<f64>,
+    seen: &Observation,
 ) -> Matrix2<f64> {
     let rotation = frame_from_keyframe.to_rotation_matrix();
-    let in_plane: Matrix3x2<f64> = rotation.matrix().fixed_columns::<2>(0).into_owned();
-    projection * in_plane * normalised_from_pixel * depth
+    let in_plane: Matrix3x2<f64> = match camera.lens.is_wide_angle() {
+        false => rotation.matrix().fixed_columns::<2>(0).into_owned(),
+        true => {
+            // A step dn on z = 1 is dn - r (r . dn) / |r|² across the ray r = (n, 1).
+            let n = &seen.normalised;
+            let along = n / (1.0 + n.norm_squared());
+            let across = Matrix3x2::identity() - n.push(1.0) * along.transpose();
+            rotation.matrix() * across
+        }
+    };
+    projection * in_plane * seen.normalised_from_pixel * depth
 }

@@ -1,6 +1,6 @@
 //! The first map: from a two-view start to keyframes, landmarks, and poses of the frames before.
 
-use nalgebra::{Matrix3, Vector2, Vector3};
+use nalgebra::{Matrix3, Vector3};
 
 use super::bindings::{Seed, Target};
 use super::initialise::{PendingFrame, Start, View};
@@ -291,11 +291,11 @@ impl Reconstruction {
         for &(track, pixel) in &frame.tracks {
             let Some(point) = position(track) else { continue };
             let Some(normalised) = self.camera.undistort(&pixel.cast()) else { continue };
-            pairs.push(PosePair { point, normalised, inv_sigma_px: 1.0 / TRACK_SIGMA_PX });
+            let pixel_scale = self.camera.pixel_scale(&normalised);
+            pairs.push(PosePair { point, normalised, pixel_scale, inv_sigma_px: 1.0 / TRACK_SIGMA_PX });
         }
         let mut inlier = Vec::new();
-        let focal = Vector2::new(self.camera.fx, self.camera.fy);
-        let solution = optimise_pose(guess, &pairs, focal, &PoseOptions::default(), &mut inlier)?;
+        let solution = optimise_pose(guess, &pairs, &PoseOptions::default(), &mut inlier)?;
         (solution.inliers >= self.config.min_landmarks && 2 * solution.inliers >= pairs.len())
             .then_some(solution.camera_from_world)
     }
@@ -316,7 +316,7 @@ fn refine_in_view(
     let (_, projection) = camera.project_jacobian(&kb.camera_from_world.transform(&landmark.position))?;
     let rotation = kb.camera_from_world.rotation * ka.camera_from_world.rotation.inverse();
     let depth = ka.camera_from_world.transform(&landmark.position).z;
-    let affine = affine_warp(&projection, &rotation, depth, &oa.normalised_from_pixel);
+    let affine = affine_warp(camera, &projection, &rotation, depth, oa);
     let found = align_template(ka, oa, &kb.pyramid, &affine, ob.pixel.cast(), options)?;
     observe(camera, id, found.pixel, found.inv_sigma_px)
 }

@@ -185,7 +185,9 @@ impl Tracker {
             let Some(Target::Landmark(id)) = bindings.get(track.id) else { continue };
             let Some(landmark) = map.landmark(*id) else { continue };
             let Some(normalised) = camera.undistort(&track.position.cast()) else { continue };
-            let pair = PosePair { point: landmark.position, normalised, inv_sigma_px: 1.0 / FLOW_SIGMA_PX };
+            let pixel_scale = camera.pixel_scale(&normalised);
+            let pair =
+                PosePair { point: landmark.position, normalised, pixel_scale, inv_sigma_px: 1.0 / FLOW_SIGMA_PX };
             self.flow.push((*id, pair));
             self.pairs.push(pair);
         }
@@ -193,8 +195,7 @@ impl Tracker {
             return None;
         }
         let options = PoseOptions { first_round_relaxation: 25.0, ..PoseOptions::default() };
-        let focal = Vector2::new(camera.fx, camera.fy);
-        let solution = optimise_pose(guess, &self.pairs, focal, &options, &mut self.inlier)?;
+        let solution = optimise_pose(guess, &self.pairs, &options, &mut self.inlier)?;
         let mut flags = self.inlier.iter();
         self.flow.retain(|_| flags.next().copied().unwrap_or(false));
         (solution.inliers >= MIN_FLOW && 2 * solution.inliers >= self.pairs.len()).then_some(solution.camera_from_world)
@@ -268,7 +269,8 @@ impl Tracker {
             let normalised = m.normalised - m.displacement * shutter.readout_s;
             let own = landmark_variance(frame, start, m, &p);
             let inv_sigma_px = (m.inv_sigma_px.powi(-2) + 0.5 * (own.x + own.y)).sqrt().recip();
-            self.pairs.push(PosePair { point: m.point, normalised, inv_sigma_px });
+            let pixel_scale = camera.pixel_scale(&m.normalised);
+            self.pairs.push(PosePair { point: m.point, normalised, pixel_scale, inv_sigma_px });
         }
         let matched = self.pairs.len();
         for (id, pair) in &self.flow {
@@ -276,8 +278,7 @@ impl Tracker {
                 self.pairs.push(*pair);
             }
         }
-        let focal = Vector2::new(camera.fx, camera.fy);
-        let solution = optimise_pose(start, &self.pairs, focal, &PoseOptions::default(), &mut self.inlier)?;
+        let solution = optimise_pose(start, &self.pairs, &PoseOptions::default(), &mut self.inlier)?;
         for (m, &ok) in self.search.matches.iter_mut().zip(&self.inlier[..matched]) {
             m.inlier = ok;
         }
@@ -308,7 +309,7 @@ impl Tracker {
             if p.z < 1e-6 {
                 continue;
             }
-            let (jx, jy) = jacobian_rows(&p, frame.camera.fx, frame.camera.fy);
+            let (jx, jy) = jacobian_rows(&p, &frame.camera.pixel_scale(&(p.xy() / p.z)));
             let sigma2 = m.inv_sigma_px.powi(-2);
             let own = landmark_variance(frame, pose, m, &p);
             // The two rows are treated as independent: their cross term is small beside sigma^2.
@@ -324,7 +325,7 @@ impl Tracker {
 /// coordinates of the camera at `pose`. Zero where it is not known.
 fn landmark_variance(frame: &Frame<'_>, pose: &Se3<Camera, World>, m: &Match, p: &Vector3<f64>) -> Vector2<f64> {
     let Some(landmark) = frame.map.landmark(m.landmark).filter(|_| p.z > 1e-6) else { return Vector2::zeros() };
-    let (jx, jy) = jacobian_rows(p, frame.camera.fx, frame.camera.fy);
+    let (jx, jy) = jacobian_rows(p, &frame.camera.pixel_scale(&(p.xy() / p.z)));
     let world_from_camera = pose.rotation.inverse();
     let variance = |j: &[f64; 6]| {
         let a = world_from_camera * Vector3::new(j[3], j[4], j[5]);

@@ -18,6 +18,7 @@ use super::detect::{Corners, Detection, detect};
 use super::guided::{Guidance, correlate_along_lines, match_along_lines};
 use super::pairing::{Matcher, Matching, Pair, align_pairs, pair_corners};
 use super::pose::{LINE_SIGMAS, PoseInput, PoseSteps, median, noise, pose_steps};
+use crate::geometry::LensModel;
 use crate::geometry::camera_model::CameraModel;
 use crate::geometry::epipolar::sampson_squared;
 use crate::geometry::fundamental::{Degeneracy, FundamentalEstimate, estimate_fundamental, refine_fundamental};
@@ -149,7 +150,8 @@ pub struct TwoView {
     pub pairs: Vec<Pair>,
     /// How many of them the first matching gave.
     pub unguided: usize,
-    /// Matches left out because their pixel has no undistorted place under the camera's model.
+    /// Matches left out because their pixel has no undistorted place under the camera's model, or lies more than 50 degrees off the axis
+    /// of a wide-angle lens.
     pub outside_lens: usize,
     /// Each match's places in undistorted pixels; the pictures' own pixels without cameras.
     pub ideal: Vec<[Vector2<f64>; 2]>,
@@ -225,9 +227,9 @@ pub fn reconstruct_from_pairs(pairs: Vec<Pair>, cameras: Option<&Cameras>, optio
     out
 }
 
-/// Undistorted pixel of a pixel.
+/// Undistorted pixel of a pixel; none where the plane of a wide-angle lens is stretched, as F and E weigh all places alike.
 fn ideal_pixel(camera: &CameraModel, pixel: &Vector2<f64>) -> Option<Vector2<f64>> {
-    let n = camera.undistort(pixel)?;
+    let n = camera.undistort(pixel).filter(|n| camera.is_central(n))?;
     Some(Vector2::new(camera.fx * n.x + camera.cx, camera.fy * n.y + camera.cy))
 }
 
@@ -323,7 +325,7 @@ impl Chain {
         };
         align_pairs(both[0], both[1], &mut found);
         // A lens bends the lines; correlation follows straight ones.
-        let straight = |c: &Cameras| c.a.distortion == [0.0; 5] && c.b.distortion == [0.0; 5];
+        let straight = |c: &Cameras| [&c.a, &c.b].into_iter().all(|c| c.lens == LensModel::PINHOLE);
         if cameras.is_none_or(straight) {
             found.extend(correlate_along_lines(both, &f, &options.matching.correlation));
         }

@@ -14,6 +14,7 @@ STATES = ("INITIALIZING", "TRACKING", "LOST")
 SCALES = ("UNKNOWN", "ESTIMATED", "METRIC")
 CLOCKS = ("MONOTONIC", "RECORDING")
 INTRINSICS = ("CALIBRATED", "ESTIMATED", "GUESSED")
+LENS_MODELS = ("RADIAL_TANGENTIAL", "KANNALA_BRANDT")
 ERRORS = (
     "NO_CAMERA",
     "NO_FRAMES",
@@ -123,7 +124,7 @@ class Health(_Message):
         ("state", c.c_uint8),
         ("clock", c.c_uint8),
         ("intrinsics", c.c_uint8),
-        ("reserved", c.c_uint8),
+        ("lens_model", c.c_uint8),
         ("version", c.c_uint8 * 32),
         ("focal_px", c.c_float * 2),
         ("centre_px", c.c_float * 2),

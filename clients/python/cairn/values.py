@@ -157,6 +157,11 @@ class Health(Value):
         return m.word(m.INTRINSICS, self.raw.intrinsics)
 
     @property
+    def lens_model(self):
+        """RADIAL_TANGENTIAL (pinhole) or KANNALA_BRANDT (wide angle: `focal_px` is pixels per radian), or UNKNOWN for one of a newer daemon."""
+        return m.word(m.LENS_MODELS, self.raw.lens_model)
+
+    @property
     def version(self):
         """Of the daemon."""
         return bytes(self.raw.version).split(b"\0")[0].decode("utf-8", "replace")

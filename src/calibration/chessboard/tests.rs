@@ -7,9 +7,13 @@ use crate::frame::{PixelFormat, RawFrame};
 use crate::geometry::random::Random;
 use crate::image::decode::Decoder;
 
-/// Pictures of the board and where its corners are in them, row by row.
+/// Pictures of the board and where its corners are in them, row by row; at (-1, -1) if a lens does not see them.
 fn pictures(frames: &[u64]) -> Vec<(GreyImage, Vec<Vector2<f64>>)> {
-    let mut config = SimulatorConfig { scenario: Scenario::CalibrationSweep, ..SimulatorConfig::default() };
+    pictures_through(SimulatorConfig::default(), frames)
+}
+
+fn pictures_through(mut config: SimulatorConfig, frames: &[u64]) -> Vec<(GreyImage, Vec<Vector2<f64>>)> {
+    config.scenario = Scenario::CalibrationSweep;
     config.chessboard.enabled = true;
     config.texel_mm = 4.0;
     config.rolling_shutter.enabled = false;
@@ -23,7 +27,7 @@ fn pictures(frames: &[u64]) -> Vec<(GreyImage, Vec<Vector2<f64>>)> {
         simulator.render(*frame, &mut picture);
         let pose = simulator.trajectory().pose_at(simulator.timestamp_ns(*frame)).inverse();
         let cells = (0..board.rows).flat_map(|r| (0..board.columns).map(move |c| (c, r)));
-        let project = |(c, r)| camera.project(&pose.transform(&board.corner(c, r))).expect("in front");
+        let project = |(c, r)| camera.project(&pose.transform(&board.corner(c, r))).unwrap_or(Vector2::repeat(-1.0));
         all.push((picture, cells.map(project).collect()));
     }
     all
@@ -58,6 +62,29 @@ fn corners_are_where_the_truth_says_to_a_tenth_of_a_pixel() {
         assert!(rms < 0.1, "frame {frame}: {rms} px");
         assert_eq!(detector.detect(picture, &pattern()), Sighting::Board(board), "the same again");
     }
+}
+
+#[test]
+fn a_board_whose_rows_a_wide_angle_lens_bends_is_found_whole_up_to_the_pictures_rim() {
+    let mut config = SimulatorConfig::default();
+    config.lens.wide_angle.enabled = true;
+    let frames: Vec<u64> = (0..16).map(|k| 30 + k * 61).collect();
+    let mut detector = Detector::default();
+    let (mut whole, mut farthest) = (0, 0.0f64);
+    for ((picture, truth), frame) in pictures_through(config, &frames).iter().zip(&frames) {
+        let inside = |p: &Vector2<f64>| p.x > 8.0 && p.y > 8.0 && p.x < 631.0 && p.y < 471.0;
+        if !truth.iter().all(inside) {
+            continue;
+        }
+        whole += 1;
+        let board = detector.detect(picture, &pattern()).board().unwrap_or_else(|| panic!("frame {frame}: not seen"));
+        assert!(board.complete, "frame {frame}: {} corners", board.corners.len());
+        let rms = error(&board, truth);
+        assert!(rms < 0.15, "frame {frame}: {rms} px");
+        farthest = truth.iter().map(|p| (p - Vector2::new(320.0, 240.0)).norm()).fold(farthest, f64::max);
+    }
+    println!("{whole} whole boards, corners up to {farthest:.0} px from the middle");
+    assert!(whole >= 8 && farthest > 300.0, "{whole} whole boards, corners up to {farthest} px from the middle");
 }
 
 /// Binomial blur of five taps, `rounds` times: sigma = sqrt(rounds).

@@ -101,6 +101,21 @@ sigma_fx_px = 0.25
 rms_px = 0.125
 ";
 
+const OURS_WIDE: &str = "\
+width_px = 640
+height_px = 480
+fx_px = 300.5
+fy_px = 301.25
+cx_px = 323.25
+cy_px = 235.5
+lens_model = \"kannala_brandt\"
+k1 = 0.03
+k2 = -0.015
+k3 = 0.004
+k4 = -0.001
+rms_px = 0.125
+";
+
 fn yaml(text: &str) -> Result<CameraModel, CalibrationError> {
     CalibrationFile::parse(text, "camera.yaml", false).map(|f| f.camera)
 }
@@ -110,7 +125,7 @@ fn ours(text: &str) -> Result<CalibrationFile, CalibrationError> {
 }
 
 fn numbers(c: &CameraModel) -> ([u32; 2], [f64; 4], [f64; 5]) {
-    ([c.width, c.height], [c.fx, c.fy, c.cx, c.cy], c.distortion)
+    ([c.width, c.height], [c.fx, c.fy, c.cx, c.cy], c.lens.radial_tangential().expect("pinhole"))
 }
 
 #[test]
@@ -144,7 +159,7 @@ fn ros_and_opencv_files_are_read() {
     assert_eq!(numbers(&yaml(ROS).expect("valid")), ([640, 480], [438.783367, 437.302876, 305.593336, 243.738352], k));
     let opencv = yaml(OPENCV).expect("valid");
     assert_eq!((opencv.fx, opencv.cy), (534.5, 240.625));
-    assert_eq!(opencv.distortion[1], 1.0354662043042675e-01);
+    assert_eq!(opencv.lens.coefficients()[1], 1.0354662043042675e-01);
 }
 
 #[test]
@@ -154,6 +169,57 @@ fn our_toml_is_read_and_keeps_what_it_does_not_know() {
     assert_eq!(file.other["sigma_fx_px"].as_float(), Some(0.25));
     assert_eq!(file.other["residual"]["rms_px"].as_float(), Some(0.125));
     assert_eq!(file.other.len(), 2);
+}
+
+#[test]
+fn a_wide_angle_lens_of_our_toml_is_read_by_name_or_as_a_list() {
+    let k = [0.03, -0.015, 0.004, -0.001];
+    let file = ours(OURS_WIDE).expect("valid");
+    assert_eq!((file.camera.lens, file.camera.fx), (LensModel::KannalaBrandt(k), 300.5));
+    let mut lines: Vec<&str> = OURS_WIDE.lines().filter(|l| !l.starts_with('k')).collect();
+    lines.push("distortion = [0.03, -0.015, 0.004, -0.001]");
+    assert_eq!(ours(&lines.join("\n")).expect("valid").camera, file.camera);
+    assert_eq!(ours(&file.to_toml().expect("text")).expect("read again"), file);
+    let plain = PLAIN.replace("0.262383, -0.953104, -0.005358, 0.002628, 1.163314", "0.03, -0.015, 0.004, -0.001");
+    for model in ["lens_model: kannala_brandt", "distortion_model: equidistant"] {
+        assert_eq!(yaml(&format!("{plain}{model}\n")).expect("valid").lens, LensModel::KannalaBrandt(k));
+    }
+    assert!(!yaml(&format!("{plain}distortion_model: as in the paper\n")).expect("free text").lens.is_wide_angle());
+}
+
+#[test]
+fn mistakes_about_the_lens_model_name_file_line_and_key() {
+    for (text, from, to, expected) in [
+        (
+            OURS_WIDE,
+            "\"kannala_brandt\"",
+            "\"fov\"",
+            "camera.toml:7: lens_model = \"fov\": must be \"radial_tangential\" or",
+        ),
+        (OURS_WIDE, "\"kannala_brandt\"", "4", "camera.toml:7: lens_model = 4: must be"),
+        (OURS_WIDE, "lens_model = \"kannala_brandt\"\n", "", "camera.toml:10: k4 = -0.001: is of lens_model"),
+        (OURS_WIDE, "k4 = -0.001\n", "", "camera.toml: k4 is missing: lens_model = \"kannala_brandt\" needs"),
+        (OURS_WIDE, "k4 = -0.001\n", "p1 = 0.1\n", "camera.toml:11: p1 = 0.1: is not of lens_model"),
+        (OURS_WIDE, "k4 = -0.001\n", "k4 = \"a\"\n", "camera.toml:11: k4 = \"a\": must be a number"),
+        (OURS_WIDE, "k4 = -0.001\n", "k4 = nan\n", "must be finite numbers"),
+        (
+            OURS_WIDE,
+            "k4 = -0.001\n",
+            "k4 = 0.1\ndistortion = [0.03, -0.015, 0.004, -0.001]\n",
+            "camera.toml:11: k4 = 0.1: differs",
+        ),
+        (
+            OURS,
+            "distortion =",
+            "lens_model = \"kannala_brandt\"\ndistortion =",
+            "camera.toml:8: distortion = [0.1, 0, 0, 0, -0.25]: must be four numbers",
+        ),
+    ] {
+        let message = ours(&text.replace(from, to)).expect_err(to).to_string();
+        assert!(message.contains(expected), "{to}: {message}");
+    }
+    let message = yaml(&format!("{PLAIN}lens_model: fov\n")).expect_err("unknown").to_string();
+    assert!(message.contains("camera.yaml:13: lens_model = fov: is not handled"), "{message}");
 }
 
 #[test]
@@ -234,7 +300,7 @@ fn toml_mistakes_name_their_line() {
 #[test]
 fn other_lens_models_are_refused_by_name() {
     for (text, from, to, expected) in [
-        (EUROC, "radial-tangential", "equidistant", "distortion_model = equidistant: is not handled"),
+        (EUROC, "radial-tangential", "double-sphere", "distortion_model = double-sphere: is not handled"),
         (EUROC, "pinhole", "omni", "camera_model = omni"),
         (ROS, "plumb_bob", "rational_polynomial", "distortion_model = rational_polynomial"),
         (ROS, "[438.783367, 0.0,", "[438.783367, 0.5,", "skew is not handled"),
@@ -270,21 +336,25 @@ proptest! {
     ) {
         let side = f64::from(width.max(height));
         let camera = CameraModel::new(width, height, f * side, f * side * 1.01, c * f64::from(width), c * f64::from(height), k);
-        let file = CalibrationFile { camera: camera.expect("valid"), other: toml::Table::new() };
+        let mut file = CalibrationFile { camera: camera.expect("valid"), other: toml::Table::new() };
+        prop_assert_eq!(&ours(&file.to_toml().expect("serialisable")).expect("valid"), &file);
+        let c = &file.camera;
+        let wide = LensModel::KannalaBrandt([k[0], k[1], k[2], k[3]]);
+        file.camera = CameraModel::new(width, height, c.fx, c.fy, c.cx, c.cy, wide).expect("valid");
         prop_assert_eq!(&ours(&file.to_toml().expect("serialisable")).expect("valid"), &file);
     }
 
     #[test]
     fn damaged_text_is_read_or_refused_but_never_panics(
-        which in 0usize..6, at in 0usize..700, cut in 0usize..40, put in "[\\[\\]:,.# \n\t'\"!|>e0-9é-]{0,12}",
+        which in 0usize..7, at in 0usize..700, cut in 0usize..40, put in "[\\[\\]:,.# \n\t'\"!|>e0-9é-]{0,12}",
     ) {
-        let (text, is_toml) = [(PLAIN, false), (EUROC, false), (KALIBR, false), (ROS, false), (OPENCV, false), (OURS, true)][which];
+        let (text, is_toml) = [(PLAIN, false), (EUROC, false), (KALIBR, false), (ROS, false), (OPENCV, false), (OURS, true), (OURS_WIDE, true)][which];
         let chars: Vec<char> = text.chars().collect();
         let at = at.min(chars.len());
         let after = (at + cut).min(chars.len());
         let damaged: String = chars[..at].iter().copied().chain(put.chars()).chain(chars[after..].iter().copied()).collect();
         if let Ok(file) = CalibrationFile::parse(&damaged, "x", is_toml) {
-            prop_assert!(file.camera.fx > 0.0 && file.camera.distortion.iter().all(|k| k.is_finite()));
+            prop_assert!(file.camera.fx > 0.0 && file.camera.lens.coefficients().iter().all(|k| k.is_finite()));
         }
     }
 }

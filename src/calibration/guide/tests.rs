@@ -19,10 +19,21 @@ fn sweep() -> SimulatorConfig {
 
 #[test]
 fn a_sweep_before_the_simulated_board_ends_by_itself_with_the_true_camera() {
-    let mut source = Simulator::new(&sweep(), Pacing::LockStep).expect("simulator");
+    ends_with_the_true_camera(&sweep(), Distortion::RadialTangential);
+}
+
+#[test]
+fn a_sweep_with_a_wide_angle_lens_ends_by_itself_with_the_true_camera() {
+    let mut config = sweep();
+    config.lens.wide_angle.enabled = true;
+    ends_with_the_true_camera(&config, Distortion::KannalaBrandt);
+}
+
+fn ends_with_the_true_camera(config: &SimulatorConfig, distortion: Distortion) {
+    let mut source = Simulator::new(config, Pacing::LockStep).expect("simulator");
     let truth = source.camera_model().clone();
     let pattern = Pattern::new(9, 6, 0.03).expect("valid");
-    let mut guide = Guide::new(pattern, Distortion::RadialTangential);
+    let mut guide = Guide::new(pattern, distortion);
     let (mut slot, mut picture, mut decoder) = (RawFrame::default(), GreyImage::default(), Decoder::default());
     let mut frames = 0;
     while frames < 900 && !guide.is_done() {

@@ -107,7 +107,7 @@ fn an_asl_folder_is_found_from_each_of_its_levels() {
     .expect("written");
     for folder in [dir.path().to_path_buf(), dir.path().join("mav0"), cam0] {
         let mut recording = Recording::open(&folder, Pacing::LockStep).expect("a recording");
-        assert_eq!(recording.description().camera.as_ref().expect("sensor.yaml").distortion[0], 0.1);
+        assert_eq!(recording.description().camera.as_ref().expect("sensor.yaml").lens.coefficients()[0], 0.1);
         let all = drain(&mut recording);
         assert_eq!((&all[0].0, all[0].1.timestamp_ns, all.len()), (&Grab::Frame, 1_403_636_579_763_555_584, 1));
         assert_eq!(recording.timestamp_text(1_403_636_579_763_555_584), Some("1403636579763555584"));

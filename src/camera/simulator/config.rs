@@ -5,7 +5,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::geometry::CameraModel;
+use crate::geometry::{CameraModel, LensModel};
 
 /// Which movement in which place. "World" has z up; speeds are those at `speed = 1`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, clap::ValueEnum)]
@@ -141,6 +141,27 @@ config! {
         distortion: bool = true,
         /// k1 k2 p1 p2 k3 (OpenCV's order), no unit; the lens must be one to one over the whole picture.
         coefficients: [f64; 5] = [-0.12, 0.05, 0.0008, -0.0006, 0.0],
+        /// A wide-angle lens in the place of this one.
+        wide_angle: WideAngleConfig = WideAngleConfig::default(),
+    }
+}
+
+config! {
+    /// A wide-angle (Kannala-Brandt) lens: some 150 degrees across the diagonal of a 4:3 picture.
+    WideAngleConfig {
+        enabled: bool = false,
+        /// Focal length in picture widths, no unit, 0.3..=3.
+        focal_widths: f64 = 0.47,
+        /// k1 k2 k3 k4 (OpenCV's fisheye), no unit; no corner of the picture may be more than 85 degrees off the axis. With
+        /// `lens.distortion` off they count as zero: an equidistant lens.
+        coefficients: [f64; 4] = [0.03, -0.015, 0.004, -0.001],
+    }
+}
+
+impl LensConfig {
+    /// Focal length of the lens that is on, picture widths.
+    pub fn active_focal_widths(&self) -> f64 {
+        if self.wide_angle.enabled { self.wide_angle.focal_widths } else { self.focal_widths }
     }
 }
 
@@ -292,6 +313,7 @@ impl SimulatorConfig {
         within("speed", self.speed, "", 0.1, 4.0)?;
         within("texel_mm", self.texel_mm, "mm", 1.0, 20.0)?;
         within("lens.focal_widths", self.lens.focal_widths, "picture widths", 0.3, 3.0)?;
+        within("lens.wide_angle.focal_widths", self.lens.wide_angle.focal_widths, "picture widths", 0.3, 3.0)?;
         within("vignetting.corner_loss", self.vignetting.corner_loss, "", 0.0, 0.9)?;
         within("exposure.jump_period_s", self.exposure.jump_period_s, "s", 0.5, 1000.0)?;
         within("exposure.jump_ev", self.exposure.jump_ev, "EV", 0.0, 4.0)?;
@@ -339,20 +361,30 @@ impl SimulatorConfig {
     /// Intrinsics of the simulated camera. The pixels are not quite square and the centre is not quite in the middle.
     pub fn camera_model(&self) -> Result<CameraModel, SimulatorConfigError> {
         let (w, h) = (f64::from(self.width), f64::from(self.height));
-        let fx = self.lens.focal_widths * w;
-        let distortion = if self.lens.distortion { self.lens.coefficients } else { [0.0; 5] };
+        let fx = self.lens.active_focal_widths() * w;
+        let (wide, distorts) = (&self.lens.wide_angle, self.lens.distortion);
+        let (key, lens) = match wide.enabled {
+            false => {
+                let k = if distorts { self.lens.coefficients } else { [0.0; 5] };
+                ("lens.coefficients", LensModel::RadialTangential(k))
+            }
+            true => {
+                let k = if distorts { wide.coefficients } else { [0.0; 4] };
+                ("lens.wide_angle.coefficients", LensModel::KannalaBrandt(k))
+            }
+        };
         let bad = |reason: String| SimulatorConfigError {
-            key: "lens.coefficients",
-            value: format!("{distortion:?}"),
+            key,
+            value: format!("{:?}", lens.coefficients()),
             unit: "",
             reason,
         };
-        if distortion.iter().any(|k| !k.is_finite()) {
+        if lens.coefficients().iter().any(|k| !k.is_finite()) {
             return Err(bad("must be finite numbers".to_owned()));
         }
         let (cx, cy) = (0.5 * (w - 1.0) + 0.006 * w, 0.5 * (h - 1.0) - 0.009 * h);
-        let camera = CameraModel::new(self.width, self.height, fx, fx * 1.003, cx, cy, distortion)
-            .map_err(|e| bad(e.to_string()))?;
+        let camera =
+            CameraModel::new(self.width, self.height, fx, fx * 1.003, cx, cy, lens).map_err(|e| bad(e.to_string()))?;
         super::rays::check_lens(&camera).map_err(bad)?;
         Ok(camera)
     }

@@ -150,9 +150,13 @@ impl Exposure {
         let (mut sum, mut n) = (0.0, 0.0);
         for j in 0..9 {
             for i in 0..12 {
-                let x = ((f64::from(i) + 0.5) / 12.0 * f64::from(camera.width) - camera.cx) / camera.fx;
-                let y = ((f64::from(j) + 0.5) / 9.0 * f64::from(camera.height) - camera.cy) / camera.fy;
-                let direction = pose.rotation * nalgebra::Vector3::new(x, y, 1.0);
+                let u = (f64::from(i) + 0.5) / 12.0 * f64::from(camera.width);
+                let v = (f64::from(j) + 0.5) / 9.0 * f64::from(camera.height);
+                let mut ray = nalgebra::Vector2::new((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy);
+                if camera.lens.is_wide_angle() {
+                    ray = camera.undistort(&nalgebra::Vector2::new(u, v)).unwrap_or(ray);
+                }
+                let direction = pose.rotation * ray.push(1.0);
                 if let Some(hit) = scene.trace(&pose.translation, &direction) {
                     sum += hit.value;
                     n += 1.0;

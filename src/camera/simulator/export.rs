@@ -2,7 +2,7 @@
 //!
 //! Output, in one folder: `rgb/SECONDS.png` (8-bit grey), `rgb.txt` (timestamp file), `groundtruth.txt` (timestamp tx ty
 //! tz qx qy qz qw = world_from_camera, m, z up; one line a frame, same timestamps), `camera.yaml` (fx fy cx cy and
-//! distortion in OpenCV's order). Timestamps come back to the nanosecond. `rgb.txt` is written last: a folder without it
+//! distortion in OpenCV's order, lens_model of a wide-angle lens). Timestamps come back to the nanosecond. `rgb.txt` is written last: a folder without it
 //! was interrupted. Cost: rendering plus about 10 ms a frame for the PNG.
 
 use std::fs;
@@ -10,6 +10,7 @@ use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use super::Simulator;
+use crate::geometry::LensModel;
 use crate::image::GreyImage;
 use crate::trajectory::{TrajectoryError, TumPose, format_timestamp, write_tum};
 
@@ -70,11 +71,20 @@ impl Simulator {
 
     fn camera_yaml(&self) -> String {
         let c = &self.camera;
-        let [k1, k2, p1, p2, k3] = c.distortion;
+        let list = c.lens.coefficients().iter().map(|k| format!("{k:?}")).collect::<Vec<_>>().join(", ");
+        let (title, model) = match c.lens {
+            LensModel::RadialTangential(_) => {
+                ("pinhole + radial-tangential (OpenCV order k1 k2 p1 p2 k3)", String::new())
+            }
+            LensModel::KannalaBrandt(_) => (
+                "wide angle, Kannala-Brandt (OpenCV fisheye order k1 k2 k3 k4)",
+                format!("lens_model: {}\n", c.lens.name()),
+            ),
+        };
         format!(
-            "# pinhole + radial-tangential (OpenCV order k1 k2 p1 p2 k3); pixel (0, 0) is a pixel's centre\n\
+            "# {title}; pixel (0, 0) is a pixel's centre\n\
              width: {}\nheight: {}\nfx: {:?}\nfy: {:?}\ncx: {:?}\ncy: {:?}\n\
-             distortion: [{k1:?}, {k2:?}, {p1:?}, {p2:?}, {k3:?}]\nfps: {:?}\nsource: \"{}\"\n",
+             {model}distortion: [{list}]\nfps: {:?}\nsource: \"{}\"\n",
             c.width, c.height, c.fx, c.fy, c.cx, c.cy, self.config.rate_hz, self.description.name
         )
     }

@@ -6,7 +6,7 @@
 //!
 //! It is 0.4 m before the lens, nearer than anything else, so that it covers what it should in every scene.
 
-use nalgebra::Vector3;
+use nalgebra::{Vector2, Vector3};
 
 use super::config::{OccluderConfig, SimulatorConfig};
 use super::paint::Noise;
@@ -38,12 +38,17 @@ pub(super) struct Occluder {
 
 impl Occluder {
     pub(super) fn new(config: &SimulatorConfig, camera: &CameraModel) -> Self {
-        let edges = [
-            -camera.cx / camera.fx,
-            (f64::from(camera.width) - camera.cx) / camera.fx,
-            -camera.cy / camera.fy,
-            (f64::from(camera.height) - camera.cy) / camera.fy,
-        ];
+        let (w, h) = (f64::from(camera.width), f64::from(camera.height));
+        let mut edges =
+            [-camera.cx / camera.fx, (w - camera.cx) / camera.fx, -camera.cy / camera.fy, (h - camera.cy) / camera.fy];
+        if camera.lens.is_wide_angle() {
+            // Where the middles of the picture's sides look to.
+            for (edge, (x, y)) in
+                edges.iter_mut().zip([(0.0, camera.cy), (w, camera.cy), (camera.cx, 0.0), (camera.cx, h)])
+            {
+                *edge = camera.undistort(&Vector2::new(x, y)).map_or(*edge, |n| if y == camera.cy { n.x } else { n.y });
+            }
+        }
         // Area of body and head together = share of the picture.
         let width = config.occluder.share * (edges[1] - edges[0]) * DEPTH / (BODY + (1.0 - BODY) * HEAD);
         let density = 1800.0;

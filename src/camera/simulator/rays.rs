@@ -123,7 +123,11 @@ pub(super) fn check_lens(camera: &CameraModel) -> Result<(), String> {
         ] {
             let back = camera.undistort(&pixel).and_then(|n| camera.distort(&n));
             if !back.is_some_and(|p| (p - pixel).norm() < 1e-6) {
-                return Err(format!("the lens folds over at pixel ({:.0}, {:.0})", pixel.x, pixel.y));
+                let what = match camera.lens.is_wide_angle() {
+                    true => "folds over, or sees more than 85 degrees off its axis,",
+                    false => "folds over",
+                };
+                return Err(format!("the lens {what} at pixel ({:.0}, {:.0})", pixel.x, pixel.y));
             }
         }
     }

@@ -56,6 +56,8 @@ pub struct Trajectory {
     legs: Option<Arc<Legs>>,
     /// Distance at which the chessboard fills about half of the picture, m, and the sheet's length, m.
     board: [f64; 2],
+    /// How far past its middle the camera looks, sheets.
+    board_aim: f64,
     /// Timestamp of frame 0, ns.
     start_ns: Arc<OnceLock<i64>>,
 }
@@ -81,7 +83,9 @@ impl Trajectory {
                 Scenario::Corridor => Some(Arc::new(corridor())),
                 _ => None,
             },
-            board: [config.lens.focal_widths * sheet / 0.55, sheet],
+            board: [config.lens.active_focal_widths() * sheet / 0.55, sheet],
+            // Wide pictures reach farther beyond the board.
+            board_aim: if config.lens.wide_angle.enabled { 0.6 } else { 0.3 },
             start_ns: Arc::new(start),
         }
     }
@@ -214,7 +218,7 @@ impl Trajectory {
                     Vector3::new(-azimuth.cos() * elevation.cos(), azimuth.sin() * elevation.cos(), elevation.sin());
                 let position = board + from_board * distance;
                 // Looking past its middle brings it into the picture's corners.
-                let aim = Vector3::new(0.0, self.sine(t, 6.1, 3), self.sine(t, 4.3, 4)) * (0.3 * sheet);
+                let aim = Vector3::new(0.0, self.sine(t, 6.1, 3), self.sine(t, 4.3, 4)) * (self.board_aim * sheet);
                 let look = board + aim - position;
                 Stance {
                     position,

@@ -50,6 +50,33 @@ fn a_calibration_goes_through_every_format_and_back() {
 }
 
 #[test]
+fn a_wide_angle_calibration_goes_through_every_format_that_can_hold_it_and_back() {
+    let dir = tempfile::tempdir().expect("folder");
+    let at = |name: &str| dir.path().join(name).display().to_string();
+    let text = "width_px = 640\nheight_px = 480\nfx_px = 300.5\nfy_px = 301.25\ncx_px = 323.25\ncy_px = 235.5\n\
+                lens_model = \"kannala_brandt\"\ndistortion = [0.03, -0.015, 0.004, -0.001]\n";
+    std::fs::write(at("a.toml"), text).expect("written");
+    let original = load_camera(Path::new(&at("a.toml"))).expect("read");
+    assert!(original.lens.is_wide_angle());
+    let steps = [
+        ("a.toml", "ros", "b.yaml"),
+        ("b.yaml", "opencv", "c.yml"),
+        ("c.yml", "opencv-xml", "d.xml"),
+        ("d.xml", "kalibr", "e.yaml"),
+        ("e.yaml", "euroc", "f.yaml"),
+        ("f.yaml", "cairn", "g.toml"),
+    ];
+    for (from, format, to) in steps {
+        run(&args(&format!("x --convert {} --format {format} --output {}", at(from), at(to)))).expect("converted");
+        assert_eq!(load_camera(Path::new(&at(to))).expect("read"), original, "{to}");
+    }
+    let error = run(&args(&format!("x --convert {} --format tum --output {}", at("a.toml"), at("h.txt"))));
+    let error = error.expect_err("plain numbers cannot hold it");
+    assert!(error.code == exit_code::DATA && error.message.contains("kannala_brandt"), "{error}");
+    assert!(!Path::new(&at("h.txt")).exists());
+}
+
+#[test]
 fn what_cannot_be_is_refused_with_a_reason() {
     assert_eq!(run(&args("x")).expect_err("nothing to do").code, exit_code::USAGE);
     let error = run(&args("x a.png --pattern 2x6")).expect_err("too small");

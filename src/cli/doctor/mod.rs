@@ -178,7 +178,13 @@ fn one_camera(report: &mut Report, camera: &CameraInfo, config: &Config) {
     if !file.as_os_str().is_empty() {
         match crate::calibration::load_camera(file) {
             Ok(c) => {
-                report.good(&format!("calibration {} for {}x{} px (configured)", file.display(), c.width, c.height))
+                let lens = if c.lens.is_wide_angle() { ", wide-angle lens" } else { "" };
+                report.good(&format!(
+                    "calibration {} for {}x{} px{lens} (configured)",
+                    file.display(),
+                    c.width,
+                    c.height
+                ))
             }
             Err(error) => report.bad(&error.to_string(), "correct calibration.file, or leave it empty"),
         }
@@ -188,9 +194,10 @@ fn one_camera(report: &mut Report, camera: &CameraInfo, config: &Config) {
     match stored(&identity, size) {
         Some(found) => {
             let scaled = found.scaled_from.map_or(String::new(), |(w, h)| format!(", scaled from {w}x{h}"));
+            let lens = if found.camera.lens.is_wide_angle() { ", wide-angle lens" } else { "" };
             let sigma = found.fx_sigma_px.map_or(String::new(), |s| format!(" +- {s:.2}"));
             report.good(&format!(
-                "calibration {} ({}), fx {:.1}{sigma} px{scaled}",
+                "calibration {} ({}), fx {:.1}{sigma} px{scaled}{lens}",
                 found.path.display(),
                 age(found.unix_s),
                 found.camera.fx

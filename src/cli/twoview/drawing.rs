@@ -129,7 +129,10 @@ fn space_camera(
     turn: impl Fn(Vector3<f64>) -> Vector3<f64>,
 ) -> SpaceCamera {
     let (w, h) = (f64::from(camera.width) - 1.0, f64::from(camera.height) - 1.0);
-    let corners = [(0.0, 0.0), (w, 0.0), (w, h), (0.0, h)]
-        .map(|(x, y)| turn(Vector3::new((x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0)));
+    let wide = |x: f64, y: f64| camera.undistort(&Vector2::new(x, y)).filter(|_| camera.lens.is_wide_angle());
+    let corners = [(0.0, 0.0), (w, 0.0), (w, h), (0.0, h)].map(|(x, y)| {
+        let pinhole = Vector2::new((x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy);
+        turn(wide(x, y).unwrap_or(pinhole).push(1.0))
+    });
     SpaceCamera { name: name.into(), centre, corners }
 }

@@ -158,6 +158,7 @@ impl Render for Health {
             .field("state", self.state().name())
             .field("clock", self.clock().name())
             .field("intrinsics", self.intrinsics().name())
+            .field("lens_model", self.lens_model().name())
             .field("version", self.version())
             .field("focal_px", self.focal_px)
             .field("centre_px", self.centre_px)

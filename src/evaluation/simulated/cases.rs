@@ -186,6 +186,24 @@ pub fn cases(seed: u64) -> Vec<Case> {
     );
     add("orbit", "around a table, revisiting", Scenario::DeskOrbit, 5.0, 60.0, limits(95.0, 1.0, 0, 10), &|_| {});
     add("tour", "laps of a room, revisiting", Scenario::RoomTour, 5.0, 90.0, limits(95.0, 1.0, 0, 10), &|_| {});
+    add(
+        "wide_angle",
+        "a fisheye of 150 degrees across the diagonal, hand-held",
+        Scenario::HandHeld,
+        7.0,
+        60.0,
+        limits(95.0, 1.0, 0, 10),
+        &|c| c.lens.wide_angle.enabled = true,
+    );
+    add(
+        "wide_angle_tour",
+        "laps of a room through the same lens",
+        Scenario::RoomTour,
+        5.0,
+        90.0,
+        limits(95.0, 1.0, 0, 10),
+        &|c| c.lens.wide_angle.enabled = true,
+    );
     let mut dropped = plain(
         "dropped_frames",
         "two to four of five frames are missing",

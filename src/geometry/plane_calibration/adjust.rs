@@ -4,17 +4,14 @@
 //! are solved by blocks: each view's 6x6 is eliminated, a 9x9 remains (Schur). Damping by Marquardt with Nielsen's update, as in
 //! [`crate::geometry::least_squares`], which is for a handful of parameters only.
 //!
-//! The model is [`crate::geometry::CameraModel`]'s without its limit of validity: on its way a step may pass through a lens that folds.
+//! Pixels and their derivatives: [`projection`](super::projection).
 
-use nalgebra::{Matrix3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3, Vector6};
+use nalgebra::{Matrix3, SMatrix, UnitQuaternion, Vector2, Vector3, Vector6};
 
 use super::View;
+use super::projection::{Intrinsics, LensKind, PARAMETERS};
 use crate::geometry::least_squares::Loss;
 
-/// fx fy cx cy k1 k2 p1 p2 k3
-pub const PARAMETERS: usize = 9;
-pub const PARAMETER_NAMES: [&str; PARAMETERS] = ["fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3"];
-pub type Intrinsics = SVector<f64, PARAMETERS>;
 type Matrix9 = SMatrix<f64, PARAMETERS, PARAMETERS>;
 type Matrix96 = SMatrix<f64, PARAMETERS, 6>;
 type Matrix6 = SMatrix<f64, 6, 6>;
@@ -36,6 +33,7 @@ impl Default for Pose {
 /// Everything that is estimated.
 #[derive(Debug, Clone, PartialEq)]
 pub struct State {
+    pub lens: LensKind,
     pub intrinsics: Intrinsics,
     /// One a view, used or not.
     pub poses: Vec<Pose>,
@@ -50,52 +48,6 @@ pub struct Adjusted {
     pub iterations: usize,
 }
 
-/// Pixel of a camera point; `None` behind the camera.
-pub fn project(k: &Intrinsics, p: &Vector3<f64>) -> Option<Vector2<f64>> {
-    if !(p.z > 0.0) {
-        return None;
-    }
-    let (x, y) = (p.x / p.z, p.y / p.z);
-    let s = x * x + y * y;
-    let radial = 1.0 + s * (k[4] + s * (k[5] + s * k[8]));
-    let xd = x * radial + 2.0 * k[6] * x * y + k[7] * (s + 2.0 * x * x);
-    let yd = y * radial + k[6] * (s + 2.0 * y * y) + 2.0 * k[7] * x * y;
-    Some(Vector2::new(k[0] * xd + k[2], k[1] * yd + k[3]))
-}
-
-/// Pixel, and its derivatives by the intrinsics (2x9) and by the pose's perturbation (2x6), row by row.
-#[allow(clippy::type_complexity)]
-pub fn project_jacobian(
-    k: &Intrinsics,
-    p: &Vector3<f64>,
-) -> Option<(Vector2<f64>, [SVector<f64, PARAMETERS>; 2], [Vector6<f64>; 2])> {
-    if !(p.z > 0.0) {
-        return None;
-    }
-    let iz = 1.0 / p.z;
-    let (x, y) = (p.x * iz, p.y * iz);
-    let s = x * x + y * y;
-    let (s2, s3) = (s * s, s * s * s);
-    let radial = 1.0 + k[4] * s + k[5] * s2 + k[8] * s3;
-    let xy2 = 2.0 * x * y;
-    let (tx, ty) = (s + 2.0 * x * x, s + 2.0 * y * y);
-    let xd = x * radial + k[6] * xy2 + k[7] * tx;
-    let yd = y * radial + k[6] * ty + k[7] * xy2;
-    let pixel = Vector2::new(k[0] * xd + k[2], k[1] * yd + k[3]);
-    let (fx, fy) = (k[0], k[1]);
-    let du = SVector::from([xd, 0.0, 1.0, 0.0, fx * x * s, fx * x * s2, fx * xy2, fx * tx, fx * x * s3]);
-    let dv = SVector::from([0.0, yd, 0.0, 1.0, fy * y * s, fy * y * s2, fy * ty, fy * xy2, fy * y * s3]);
-    // By the normalised point: symmetric.
-    let slope2 = 2.0 * (k[4] + 2.0 * k[5] * s + 3.0 * k[8] * s2);
-    let a = radial + slope2 * x * x + 2.0 * k[6] * y + 6.0 * k[7] * x;
-    let b = slope2 * x * y + 2.0 * (k[6] * x + k[7] * y);
-    let c = radial + slope2 * y * y + 6.0 * k[6] * y + 2.0 * k[7] * x;
-    // d(x, y) by the perturbation of the camera point.
-    let dx = Vector6::new(-x * y, 1.0 + x * x, -y, iz, 0.0, -x * iz);
-    let dy = Vector6::new(-1.0 - y * y, x * y, x, 0.0, iz, -y * iz);
-    Some((pixel, [du, dv], [(dx * a + dy * b) * fx, (dx * b + dy * c) * fy]))
-}
-
 fn camera_point(pose: &Pose, plane: &Vector2<f64>) -> Vector3<f64> {
     pose.rotation.column(0) * plane.x + pose.rotation.column(1) * plane.y + pose.translation
 }
@@ -106,7 +58,7 @@ pub fn residuals(view: &View, state: &State, index: usize) -> Vec<Vector2<f64>> 
     view.plane
         .iter()
         .zip(&view.pixels)
-        .map(|(plane, seen)| match project(&state.intrinsics, &camera_point(&pose, plane)) {
+        .map(|(plane, seen)| match state.lens.project(&state.intrinsics, &camera_point(&pose, plane)) {
             Some(pixel) => seen - pixel,
             None => Vector2::repeat(f64::INFINITY),
         })
@@ -125,7 +77,7 @@ fn cost(views: &[View], used: &[bool], masks: &[Vec<bool>], state: &State, loss:
     for (k, view) in views.iter().enumerate().filter(|(k, _)| used[*k]) {
         for ((plane, seen), keep) in view.plane.iter().zip(&view.pixels).zip(&masks[k]) {
             if *keep {
-                match project(&state.intrinsics, &camera_point(&state.poses[k], plane)) {
+                match state.lens.project(&state.intrinsics, &camera_point(&state.poses[k], plane)) {
                     Some(pixel) => sum += loss.evaluate((seen - pixel).norm_squared()).0,
                     None => return f64::INFINITY,
                 }
@@ -160,7 +112,7 @@ fn linearise(views: &[View], used: &[bool], masks: &[Vec<bool>], state: &State, 
                 continue;
             }
             let p = camera_point(&state.poses[index], plane);
-            let (pixel, du, dp) = project_jacobian(&state.intrinsics, &p)?;
+            let (pixel, du, dp) = state.lens.project_jacobian(&state.intrinsics, &p)?;
             let r = seen - pixel;
             let (_, weight) = loss.evaluate(r.norm_squared());
             for axis in 0..2 {
@@ -319,7 +271,7 @@ pub fn minimise(
 pub fn refine_pose(view: &View, state: &mut State, index: usize) {
     let alone = [view.clone()];
     let mask = [vec![true; view.pixels.len()]];
-    let start = State { intrinsics: state.intrinsics, poses: vec![state.poses[index]] };
+    let start = State { lens: state.lens, intrinsics: state.intrinsics, poses: vec![state.poses[index]] };
     let adjusted = minimise(&alone, &[true], &mask, start, &[false; PARAMETERS], Loss::Huber(2.0), 30);
     state.poses[index] = adjusted.state.poses[0];
 }

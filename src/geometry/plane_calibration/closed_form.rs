@@ -3,14 +3,25 @@
 //! With `H = K [r1 r2 t]` up to scale and `B = K⁻ᵀ K⁻¹`, every view gives `h1ᵀ B h2 = 0` and `h1ᵀ B h1 = h2ᵀ B h2` (Zhang 2000,
 //! eq. 3 and 4). Without skew B has five entries, and two views fix them. With the principal point in the middle two remain
 //! (1/fx², 1/fy²), which is steadier when the views say little. Distortion is not known yet, so this is a start only.
+//!
+//! A wide-angle lens bends the board so much that no homography fits its pixels. There the ideal equidistant lens of each of a row of
+//! focal lengths is undone first; what remains of it is a plane seen by a unit pinhole ([`equidistant_pose`]).
 
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 
-use super::adjust::{Intrinsics, Pose};
+use super::View;
+use super::adjust::Pose;
+use super::projection::Intrinsics;
+use crate::geometry::homography::dlt;
 use crate::geometry::rotation::rotation_nearest;
 
 /// Focal lengths in picture widths that are tried when nothing else helps.
 const GUESSES: [f64; 5] = [0.9, 0.6, 1.4, 0.4, 2.2];
+
+/// Focal lengths of wide-angle lenses in picture widths: 640 px wide, 105 degrees across at the largest, 360 at the smallest.
+const WIDE_GUESSES: [f64; 8] = [0.45, 0.36, 0.55, 0.29, 0.68, 0.23, 0.85, 0.18];
+/// Farther off the axis a point of a start is taken to be at this angle, rad.
+const WIDEST_START: f64 = 1.4;
 
 /// Starts `[fx, fy, cx, cy]`, the most trustworthy first.
 pub fn candidates(homographies: &[Option<Matrix3<f64>>], (width, height): (u32, u32)) -> Vec<[f64; 4]> {
@@ -82,4 +93,26 @@ pub fn pose(h: &Matrix3<f64>, k: &Intrinsics) -> Option<Pose> {
     let (r1, r2, t): (Vector3<f64>, Vector3<f64>, Vector3<f64>) = (r1 * scale, r2 * scale, t * scale);
     let rotation = rotation_nearest(&Matrix3::from_columns(&[r1, r2, r1.cross(&r2)]))?;
     Some(Pose { rotation, translation: t })
+}
+
+/// Starts `[fx, fy, cx, cy]` for a wide-angle lens: equidistant, centred.
+pub fn wide_candidates((width, height): (u32, u32)) -> [[f64; 4]; WIDE_GUESSES.len()] {
+    let longer = f64::from(width.max(height));
+    let (cx, cy) = (0.5 * (f64::from(width) - 1.0), 0.5 * (f64::from(height) - 1.0));
+    WIDE_GUESSES.map(|f| [f * longer, f * longer, cx, cy])
+}
+
+/// Pose of a view's plane if the lens were ideal equidistant (angle off the axis = distorted radius).
+pub fn equidistant_pose(view: &View, k: &Intrinsics) -> Option<Pose> {
+    let undone: Vec<Vector2<f64>> = view
+        .pixels
+        .iter()
+        .map(|pixel| {
+            let d = Vector2::new((pixel.x - k[2]) / k[0], (pixel.y - k[3]) / k[1]);
+            let radius = d.norm();
+            if radius > 1e-9 { d * (radius.min(WIDEST_START).tan() / radius) } else { d }
+        })
+        .collect();
+    let unit = Intrinsics::from([1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    pose(&dlt(&view.plane, &undone)?, &unit)
 }

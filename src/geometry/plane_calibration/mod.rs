@@ -1,11 +1,11 @@
 //! Intrinsics, distortion and poses from views of a plane with known points.
 //!
-//! Points of the plane (x right, y down, z = 0, any unit) and where each view shows them (pixels) -> `fx fy cx cy k1 k2 p1 p2 k3`, a
-//! pose a view (`camera_from_board`), standard deviations, residuals; which views and points did not fit and were left out.
+//! Points of the plane (x right, y down, z = 0, any unit) and where each view shows them (pixels) -> `fx fy cx cy k1 k2 p1 p2 k3`, or
+//! `fx fy cx cy k1 k2 k3 k4` of a wide-angle lens ([`LensModel`](super::LensModel)), a pose a view (`camera_from_board`), standard deviations, residuals; which views and points did not fit and were left out.
 //!
 //! - Start: Zhang's closed form (A flexible new technique for camera calibration, PAMI 2000) without skew, and, where that gives no
 //!   camera, its form with the principal point in the middle and a row of guessed focal lengths; the best of them after
-//!   a few steps goes on. See [`closed_form`].
+//!   a few steps goes on. See [`closed_form`], also for wide-angle lenses, which start from a row of ideal equidistant ones.
 //! - Levenberg-Marquardt on the reprojection errors over everything ([`adjust`]).
 //! - Views whose residual is far beyond the others' are left out, the worst first, and the rest is solved again; then single points.
 //! - Covariance: `s² H⁻¹` of the intrinsics with the poses eliminated, `s² = sum r² / (2 points - parameters)`. It knows of noise,
@@ -16,10 +16,11 @@
 
 pub mod adjust;
 pub mod closed_form;
+pub mod projection;
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
 
-pub use adjust::{Intrinsics, PARAMETER_NAMES, PARAMETERS};
+pub use projection::{Intrinsics, LensKind, PARAMETERS};
 
 use super::least_squares::Loss;
 use adjust::{Pose, State};
@@ -44,7 +45,7 @@ pub struct View {
     pub pixels: Vec<Vector2<f64>>,
 }
 
-/// Which distortion coefficients are estimated; the others are zero.
+/// Which lens model and which of its coefficients are estimated; the others are zero.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Distortion {
     None,
@@ -55,6 +56,8 @@ pub enum Distortion {
     /// k1 k2 p1 p2 k3
     #[default]
     Full,
+    /// k1 k2 k3 k4 of the wide-angle model.
+    KannalaBrandt,
 }
 
 impl Distortion {
@@ -65,8 +68,17 @@ impl Distortion {
             Self::Radial => 2,
             Self::RadialTangential => 4,
             Self::Full => 5,
+            Self::KannalaBrandt => 4,
         };
         std::array::from_fn(|i| i < 4 + count)
+    }
+
+    /// The model that the coefficients are of.
+    pub fn lens(self) -> LensKind {
+        match self {
+            Self::KannalaBrandt => LensKind::KannalaBrandt,
+            Self::None | Self::Radial | Self::RadialTangential | Self::Full => LensKind::RadialTangential,
+        }
     }
 }
 
@@ -79,12 +91,18 @@ pub enum PlaneCalibrationError {
     Degenerate,
     #[error("no camera fits the views: the best has a residual of {0:.1} px")]
     NoFit(f64),
+    #[error(
+        "no pinhole camera fits the views, but a wide-angle lens does, with a residual of {0:.2} px: --distortion fisheye"
+    )]
+    NoPinhole(f64),
 }
 
 /// What was found.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlaneCalibration {
-    /// fx fy cx cy k1 k2 p1 p2 k3
+    /// Which model the intrinsics are of.
+    pub lens: LensKind,
+    /// fx fy cx cy and the lens's coefficients: [`LensKind::parameter_names`].
     pub intrinsics: Intrinsics,
     /// Which of them were estimated.
     pub free: [bool; PARAMETERS],
@@ -113,6 +131,17 @@ pub struct SolvedView {
 }
 
 impl PlaneCalibration {
+    /// The lens that was found.
+    pub fn lens_model(&self) -> super::LensModel {
+        self.lens.lens_model(&self.intrinsics)
+    }
+
+    /// Corners that had a part.
+    pub fn used_points(&self) -> usize {
+        let used = self.views.iter().filter(|v| v.used);
+        used.map(|v| v.used_points.iter().filter(|u| **u).count()).sum()
+    }
+
     /// Standard deviations of the intrinsics; zero where they were not estimated.
     pub fn sigmas(&self) -> [f64; PARAMETERS] {
         std::array::from_fn(|i| self.covariance[(i, i)].max(0.0).sqrt())
@@ -133,7 +162,10 @@ pub fn calibrate(
         return Err(PlaneCalibrationError::TooFewViews(count(&used)));
     }
     let mut masks: Vec<Vec<bool>> = views.iter().map(|v| vec![true; v.pixels.len()]).collect();
-    let mut state = start(views, &homographies, size, &used, &masks)?;
+    let mut state = match distortion.lens() {
+        LensKind::RadialTangential => start(views, &homographies, size, &used, &masks)?,
+        LensKind::KannalaBrandt => wide_start(views, size, &used, &masks)?,
+    };
     // Robust first: a bad view must not drag the others along.
     state = adjust::minimise(views, &used, &masks, state, &free, Loss::Huber(1.0), 30).state;
 
@@ -181,12 +213,39 @@ fn start(
     used: &[bool],
     masks: &[Vec<bool>],
 ) -> Result<State, PlaneCalibrationError> {
-    let free = Distortion::Radial.free();
-    let mut best: Option<(f64, State)> = None;
-    for [fx, fy, cx, cy] in closed_form::candidates(homographies, size) {
+    let states = closed_form::candidates(homographies, size).into_iter().map(|[fx, fy, cx, cy]| {
         let intrinsics = Intrinsics::from([fx, fy, cx, cy, 0.0, 0.0, 0.0, 0.0, 0.0]);
         let poses = homographies.iter().map(|h| h.and_then(|h| closed_form::pose(&h, &intrinsics)).unwrap_or_default());
-        let state = State { intrinsics, poses: poses.collect::<Vec<Pose>>() };
+        State { lens: LensKind::RadialTangential, intrinsics, poses: poses.collect::<Vec<Pose>>() }
+    });
+    best_start(states, views, used, masks)
+}
+
+/// The same for a wide-angle lens.
+fn wide_start(
+    views: &[View],
+    size: (u32, u32),
+    used: &[bool],
+    masks: &[Vec<bool>],
+) -> Result<State, PlaneCalibrationError> {
+    let states = closed_form::wide_candidates(size).into_iter().map(|[fx, fy, cx, cy]| {
+        let intrinsics = Intrinsics::from([fx, fy, cx, cy, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        let poses = views.iter().map(|view| closed_form::equidistant_pose(view, &intrinsics).unwrap_or_default());
+        State { lens: LensKind::KannalaBrandt, intrinsics, poses: poses.collect::<Vec<Pose>>() }
+    });
+    best_start(states, views, used, masks)
+}
+
+/// Some steps from each state, with two coefficients of the lens free; the first that fits to a pixel, or else the best.
+fn best_start(
+    states: impl Iterator<Item = State>,
+    views: &[View],
+    used: &[bool],
+    masks: &[Vec<bool>],
+) -> Result<State, PlaneCalibrationError> {
+    let free = Distortion::Radial.free();
+    let mut best: Option<(f64, State)> = None;
+    for state in states {
         let tried = adjust::minimise(views, used, masks, state, &free, Loss::Huber(2.0), 6);
         let sane = tried.state.intrinsics.iter().take(2).all(|f| *f > 0.0 && f.is_finite());
         if sane && tried.cost.is_finite() && best.as_ref().is_none_or(|(cost, _)| tried.cost < *cost) {
@@ -259,6 +318,7 @@ fn finish(
         return Err(PlaneCalibrationError::Degenerate);
     }
     Ok(PlaneCalibration {
+        lens: state.lens,
         intrinsics: SVector::from_iterator(state.intrinsics.iter().copied()),
         free: *free,
         covariance,

@@ -5,6 +5,10 @@ use crate::geometry::random::Random;
 use nalgebra::{Rotation3, Vector6};
 
 const TRUTH: [f64; PARAMETERS] = [520.0, 522.5, 322.25, 238.5, -0.12, 0.05, 0.0008, -0.0006, 0.004];
+const BROWN: LensKind = LensKind::RadialTangential;
+const WIDE: LensKind = LensKind::KannalaBrandt;
+/// 150 degrees across the diagonal.
+const WIDE_TRUTH: [f64; PARAMETERS] = [300.5, 301.3, 323.25, 235.5, 0.03, -0.015, 0.004, -0.001, 0.0];
 const SIZE: (u32, u32) = (640, 480);
 
 fn board() -> Vec<Vector2<f64>> {
@@ -25,7 +29,7 @@ fn view(random: &mut Random, noise_px: f64) -> View {
         let plane = board();
         let pixels: Vec<_> = plane
             .iter()
-            .filter_map(|p| adjust::project(&k, &(rotation * (Vector3::new(p.x, p.y, 0.0) - middle) + place)))
+            .filter_map(|p| BROWN.project(&k, &(rotation * (Vector3::new(p.x, p.y, 0.0) - middle) + place)))
             .filter(|p| p.x > 4.0 && p.y > 4.0 && p.x < 635.0 && p.y < 475.0)
             .map(|p| p + Vector2::new(random.normal(), random.normal()) * noise_px)
             .collect();
@@ -45,17 +49,21 @@ fn views(seed: u64, count: usize, noise_px: f64) -> Vec<View> {
 fn derivatives_are_those_of_differences() {
     let k = Intrinsics::from(TRUTH);
     let p = Vector3::new(0.21, -0.17, 0.6);
-    let (_, by_camera, by_pose) = adjust::project_jacobian(&k, &p).expect("in front");
+    let (_, by_camera, by_pose) = BROWN.project_jacobian(&k, &p).expect("in front");
     for i in 0..PARAMETERS {
         let h = 1e-6 * k[i].abs().max(1.0);
         let (mut up, mut down) = (k, k);
         up[i] += h;
         down[i] -= h;
         let numeric =
-            (adjust::project(&up, &p).expect("in front") - adjust::project(&down, &p).expect("in front")) / (2.0 * h);
+            (BROWN.project(&up, &p).expect("in front") - BROWN.project(&down, &p).expect("in front")) / (2.0 * h);
         for axis in 0..2 {
             let error = (by_camera[axis][i] - numeric[axis]).abs();
-            assert!(error < 1e-5 * numeric.norm().max(1.0), "{}: {error}", PARAMETER_NAMES[i]);
+            assert!(
+                error < 1e-5 * numeric.norm().max(1.0),
+                "{}: {error}",
+                LensKind::RadialTangential.parameter_names()[i]
+            );
         }
     }
     for i in 0..6 {
@@ -63,7 +71,7 @@ fn derivatives_are_those_of_differences() {
             let mut d = Vector6::zeros();
             d[i] = h;
             let p = Rotation3::from_scaled_axis(d.fixed_rows::<3>(0).into_owned()) * p + d.fixed_rows::<3>(3);
-            adjust::project(&k, &p).expect("in front")
+            BROWN.project(&k, &p).expect("in front")
         };
         let numeric = (moved(1e-6) - moved(-1e-6)) / 2e-6;
         for axis in 0..2 {
@@ -83,7 +91,11 @@ fn exact_points_give_the_exact_camera() {
         let solved = calibrate(&views(seed, 6, 0.0), SIZE, Distortion::Full).expect("calibrated");
         for i in 0..PARAMETERS {
             let error = (solved.intrinsics[i] - TRUTH[i]).abs();
-            assert!(error < 1e-4 * TRUTH[i].abs().max(1.0), "seed {seed}: {} off by {error}", PARAMETER_NAMES[i]);
+            assert!(
+                error < 1e-4 * TRUTH[i].abs().max(1.0),
+                "seed {seed}: {} off by {error}",
+                LensKind::RadialTangential.parameter_names()[i]
+            );
         }
         assert!(solved.rms_px < 1e-5, "seed {seed}: {}", solved.rms_px);
     }
@@ -111,6 +123,165 @@ fn twenty_one_views_give_the_focal_length_within_a_thousandth_and_honest_deviati
     println!("focal length RMS {:.4} %, within one sigma {:.1} %, by parameter {each:?}", 100.0 * rms, 100.0 * share);
     assert!(rms < 1e-3, "seeds 1000..1100: {rms}");
     assert!((0.60..0.76).contains(&share), "seeds 1000..1100: {share}");
+}
+
+/// A view of a wide-angle lens: the board anywhere in the picture, tilted against its own line of sight.
+fn wide_view(random: &mut Random, noise_px: f64) -> View {
+    let k = Intrinsics::from(WIDE_TRUTH);
+    for _ in 0..1000 {
+        let mut turn = |range: f64| {
+            Rotation3::from_euler_angles(
+                random.uniform(-range, range),
+                random.uniform(-range, range),
+                random.uniform(-0.4, 0.4),
+            )
+        };
+        let (aside, tilt) = (turn(1.1), turn(0.6));
+        let middle = Vector3::new(0.1, 0.0625, 0.0);
+        let place = aside * Vector3::new(0.0, 0.0, random.uniform(0.12, 0.3));
+        let plane = board();
+        let pixels: Vec<_> = plane
+            .iter()
+            .filter_map(|p| WIDE.project(&k, &(aside * (tilt * (Vector3::new(p.x, p.y, 0.0) - middle)) + place)))
+            .filter(|p| p.x > 4.0 && p.y > 4.0 && p.x < 635.0 && p.y < 475.0)
+            .map(|p| p + Vector2::new(random.normal(), random.normal()) * noise_px)
+            .collect();
+        if pixels.len() == plane.len() {
+            return View { plane, pixels };
+        }
+    }
+    panic!("no view found");
+}
+
+fn wide_views(seed: u64, count: usize, noise_px: f64) -> Vec<View> {
+    let mut random = Random::new(seed);
+    (0..count).map(|_| wide_view(&mut random, noise_px)).collect()
+}
+
+#[test]
+fn derivatives_of_kannala_brandt_are_those_of_differences_also_beyond_90_degrees() {
+    let k = Intrinsics::from(WIDE_TRUTH);
+    for p in [Vector3::new(0.21, -0.17, 0.6), Vector3::new(-1.1, 0.4, 0.3), Vector3::new(0.3, 0.5, -0.1)] {
+        let (pixel, by_camera, by_pose) = WIDE.project_jacobian(&k, &p).expect("not at the camera");
+        assert!((pixel - WIDE.project(&k, &p).expect("the same")).norm() < 1e-9);
+        for i in 0..8 {
+            let h = 1e-6 * k[i].abs().max(1.0);
+            let (mut up, mut down) = (k, k);
+            up[i] += h;
+            down[i] -= h;
+            let numeric = (WIDE.project(&up, &p).expect("there") - WIDE.project(&down, &p).expect("there")) / (2.0 * h);
+            for axis in 0..2 {
+                let error = (by_camera[axis][i] - numeric[axis]).abs();
+                assert!(error < 1e-5 * numeric.norm().max(1.0), "{p} {}: {error}", WIDE.parameter_names()[i]);
+            }
+        }
+        for i in 0..6 {
+            let moved = |h: f64| {
+                let mut d = Vector6::zeros();
+                d[i] = h;
+                let p = Rotation3::from_scaled_axis(d.fixed_rows::<3>(0).into_owned()) * p + d.fixed_rows::<3>(3);
+                WIDE.project(&k, &p).expect("there")
+            };
+            let numeric = (moved(1e-6) - moved(-1e-6)) / 2e-6;
+            for axis in 0..2 {
+                assert!((by_pose[axis][i] - numeric[axis]).abs() < 1e-4, "{p} pose {i}: {numeric}");
+            }
+        }
+    }
+    let (axis, _, by_pose) = WIDE.project_jacobian(&k, &Vector3::new(0.0, 0.0, 2.0)).expect("on the axis");
+    assert_eq!((axis.x, axis.y, by_pose[0][3]), (k[2], k[3], 0.5 * k[0]));
+    assert!(WIDE.project(&k, &Vector3::zeros()).is_none());
+}
+
+#[test]
+fn the_calibrations_lens_is_the_camera_models() {
+    let k = Intrinsics::from(WIDE_TRUTH);
+    let camera =
+        crate::geometry::CameraModel::new(640, 480, k[0], k[1], k[2], k[3], WIDE.lens_model(&k)).expect("valid");
+    for p in [Vector3::new(0.21, -0.17, 0.6), Vector3::new(-1.1, 0.4, 0.3), Vector3::new(1e-7, 0.0, 1.0)] {
+        let off = camera.project(&p).expect("in front") - WIDE.project(&k, &p).expect("in front");
+        assert!(off.norm() < 1e-9, "{p}: {off}");
+    }
+}
+
+#[test]
+fn exact_points_give_the_exact_wide_angle_camera() {
+    for seed in 1..6 {
+        let solved = calibrate(&wide_views(seed, 8, 0.0), SIZE, Distortion::KannalaBrandt).expect("calibrated");
+        for i in 0..8 {
+            let error = (solved.intrinsics[i] - WIDE_TRUTH[i]).abs();
+            assert!(
+                error < 1e-4 * WIDE_TRUTH[i].abs().max(1.0),
+                "seed {seed}: {} off by {error}",
+                WIDE.parameter_names()[i]
+            );
+        }
+        assert!(solved.rms_px < 1e-5, "seed {seed}: {}", solved.rms_px);
+        assert_eq!((solved.intrinsics[8], solved.covariance[(8, 8)]), (0.0, 0.0));
+    }
+}
+
+#[test]
+fn deviations_of_a_wide_angle_camera_are_honest() {
+    let (mut within, mut of, mut square) = (0u32, 0u32, 0.0);
+    let mut each = [0usize; 8];
+    for seed in 0..60 {
+        let solved = calibrate(&wide_views(3000 + seed, 21, 0.1), SIZE, Distortion::KannalaBrandt).expect("calibrated");
+        let sigmas = solved.sigmas();
+        for i in 0..8 {
+            let inside = (solved.intrinsics[i] - WIDE_TRUTH[i]).abs() < sigmas[i];
+            each[i] += usize::from(inside);
+            within += u32::from(inside);
+            of += 1;
+        }
+        square += ((solved.intrinsics[0] - WIDE_TRUTH[0]) / WIDE_TRUTH[0]).powi(2);
+        assert!(solved.views.iter().all(|v| v.used), "seed {seed}: a good view was left out");
+    }
+    let share = f64::from(within) / f64::from(of);
+    let rms = (square / 60.0f64).sqrt();
+    println!("focal length RMS {:.4} %, within one sigma {:.1} %, by parameter {each:?}", 100.0 * rms, 100.0 * share);
+    assert!(rms < 1e-3, "seeds 3000..3060: {rms}");
+    assert!((0.60..0.76).contains(&share), "seeds 3000..3060: {share}");
+}
+
+#[test]
+fn every_wide_lens_from_80_to_190_degrees_is_found_from_its_start() {
+    // The same scenes through lenses of other focal lengths: the views are drawn for the widest of the picture.
+    for (seed, focal) in [(1, 600.0), (2, 450.0), (3, 300.0), (4, 220.0), (5, 150.0)] {
+        let mut random = Random::new(seed);
+        let mut truth = Intrinsics::from(WIDE_TRUTH);
+        (truth[0], truth[1]) = (focal, 1.003 * focal);
+        let mut views = Vec::new();
+        for _ in 0..4000 {
+            if views.len() == 12 {
+                break;
+            }
+            let mut turn = |range: f64| {
+                Rotation3::from_euler_angles(random.uniform(-range, range), random.uniform(-range, range), 0.0)
+            };
+            let (aside, tilt) = (turn(280.0 / focal), turn(0.6));
+            let place = aside * Vector3::new(0.0, 0.0, random.uniform(0.12, 0.3) * focal / 300.0);
+            let middle = Vector3::new(0.1, 0.0625, 0.0);
+            let plane = board();
+            let pixels: Vec<_> = plane
+                .iter()
+                .filter_map(|p| {
+                    WIDE.project(&truth, &(aside * (tilt * (Vector3::new(p.x, p.y, 0.0) - middle)) + place))
+                })
+                .filter(|p| p.x > 4.0 && p.y > 4.0 && p.x < 635.0 && p.y < 475.0)
+                .collect();
+            if pixels.len() == plane.len() {
+                views.push(View { plane, pixels });
+            }
+        }
+        assert_eq!(views.len(), 12, "seed {seed}");
+        let solved = calibrate(&views, SIZE, Distortion::KannalaBrandt).expect("calibrated");
+        assert!(
+            (solved.intrinsics[0] - focal).abs() < 1e-3 * focal,
+            "seed {seed}: {} not {focal}",
+            solved.intrinsics[0]
+        );
+    }
 }
 
 #[test]

@@ -19,7 +19,7 @@ impl Random {
 /// A problem at its true solution.
 fn problem(seed: u64, cameras: usize, points: usize, noise_px: f64) -> BundleProblem {
     let mut random = Random(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1);
-    let mut p = BundleProblem { focal_px: Vector2::new(500.0, 510.0), first: vec![0], ..BundleProblem::default() };
+    let mut p = BundleProblem { first: vec![0], ..BundleProblem::default() };
     for i in 0..cameras {
         let rotation = UnitQuaternion::from_scaled_axis(random.vector() * 0.1);
         let centre = Vector3::new(i as f64 * 0.3, 0.0, 0.0) + random.vector() * 0.1;
@@ -33,6 +33,7 @@ fn problem(seed: u64, cameras: usize, points: usize, noise_px: f64) -> BundlePro
             p.observations.push(BundleObservation {
                 camera: c as u32,
                 normalised: Vector2::new(q.x / q.z, q.y / q.z) + noise,
+                pixel_scale: Matrix2::new(500.0, 0.0, 0.0, 510.0),
                 inv_sigma_px: 1.0,
             });
         }
@@ -96,7 +97,7 @@ fn few(first: [f64; 3]) -> SharedVector {
 
 fn shared(p: &BundleProblem, expected: SharedVector, information: f64) -> Shared {
     let jacobian = |o: &BundleObservation| {
-        let px = Vector2::new(1.0 / p.focal_px.x, 1.0 / p.focal_px.y);
+        let px = Vector2::new(1.0 / o.pixel_scale.m11, 1.0 / o.pixel_scale.m22);
         let mut j = SharedJacobian::zeros();
         j.set_column(0, &-o.normalised);
         j.set_column(1, &Vector2::new(-px.x, 0.0));

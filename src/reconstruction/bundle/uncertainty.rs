@@ -60,13 +60,13 @@ impl BundleProblem {
 
     pub(super) fn fill_point_covariances(&mut self) {
         self.point_covariances.clear();
-        let focal_px = self.focal_px * self.focal_scale();
+        let focal_scale = self.focal_scale();
         for (i, point) in self.points.iter().enumerate() {
             let mut h = Matrix3::zeros();
             for k in self.range(i).filter(|&k| self.inlier[k]) {
                 let o = &self.observations[k];
                 let Some((_, p)) = self.residual(point, k) else { continue };
-                let (jx, jy) = jacobian_rows(&p, focal_px.x * o.inv_sigma_px, focal_px.y * o.inv_sigma_px);
+                let (jx, jy) = jacobian_rows(&p, &(o.pixel_scale * focal_scale * o.inv_sigma_px));
                 let r = self.cameras[o.camera as usize].camera_from_world.rotation.to_rotation_matrix();
                 let x = r.matrix().transpose() * Vector3::new(jx[3], jx[4], jx[5]);
                 let y = r.matrix().transpose() * Vector3::new(jy[3], jy[4], jy[5]);

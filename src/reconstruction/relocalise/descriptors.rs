@@ -148,7 +148,9 @@ impl DescriptorSearch {
         let (mut points, mut seen) = (Vec::with_capacity(self.pairs.len()), Vec::with_capacity(self.pairs.len()));
         for pair in &self.pairs {
             let Some(landmark) = map.landmark(pair.landmark) else { continue };
-            let Some(normalised) = camera.undistort(&pair.pixel.cast()) else { continue };
+            // The distances to the projections are taken on the plane z = 1.
+            let central = |n: &Vector2<f64>| camera.is_central(n);
+            let Some(normalised) = camera.undistort(&pair.pixel.cast()).filter(central) else { continue };
             points.push(landmark.position);
             seen.push(normalised);
         }

@@ -1,0 +1,50 @@
+//! Numbers that all pictures of a bundle adjustment share: the camera's, refined with poses and points.
+
+use nalgebra::{SMatrix, SVector};
+
+/// Numbers that all pictures share and that an adjustment may refine (log focal length, principal point in px, k1 k2 p1 p2): see
+/// [`Shared`].
+pub const SHARED: usize = 7;
+/// The first of them: all that is refined of a lens that was calibrated.
+pub const CALIBRATED_SHARED: usize = 3;
+pub type SharedVector = SVector<f64, SHARED>;
+pub type SharedMatrix = SMatrix<f64, SHARED, SHARED>;
+/// d normalised / d shared.
+pub type SharedJacobian = SMatrix<f64, 2, SHARED>;
+
+/// Intrinsics refined with the rest: observation k is expected at `normalised + jacobians[k] * change`.
+#[derive(Debug, Clone)]
+pub struct Shared {
+    /// One for each observation.
+    pub jacobians: Vec<SharedJacobian>,
+    /// So many of the numbers, from the first on, are unknowns; the others stay.
+    pub active: usize,
+    /// Residuals are measured in pixels of the focal length that is being found, `exp(change[0])` times the one of the observations'
+    /// scale, and answer to it without linearisation: needed where it may change by much, because in pixels of the old one every
+    /// error shrinks as the focal length grows.
+    pub in_new_pixels: bool,
+    /// Against the intrinsics that the observations were made with; moved by the adjustment.
+    pub change: SharedVector,
+    /// What `change` is expected to be, and one over the variance of that (infinite would be: held).
+    pub expected: SharedVector,
+    pub information: SharedVector,
+    /// Set by the adjustment: information of `change`, everything else free, the prior left out.
+    pub found_information: SharedMatrix,
+}
+
+impl Shared {
+    pub(super) fn focal_scale(&self) -> f64 {
+        self.change[0].exp()
+    }
+
+    pub(super) fn without_focal(&self) -> SharedVector {
+        let mut change = self.change;
+        change[0] = 0.0;
+        change
+    }
+
+    pub(super) fn prior_cost(&self) -> f64 {
+        let off = self.change - self.expected;
+        off.component_mul(&off).dot(&self.information)
+    }
+}
