@@ -1,4 +1,4 @@
-"""The pictures that the guest's USB camera sends: a simulated drive, to and fro, as JPEG and YUYV; and its calibrations."""
+"""The pictures that the guest's USB camera sends: a simulated drive, to and fro, as JPEG and YUYV, the same in a room that is its mirror image; and its calibrations."""
 
 import pathlib
 import subprocess
@@ -8,8 +8,8 @@ SECONDS, RATE = 3, 15
 
 
 def make(binary, target):
-    """Writes frames/WxH-NNN.jpg and .yuyv, camera.yaml (of the drive) and vivid.yaml (any, of vivid's size)."""
-    from PIL import Image  # installed by image.install_host_packages
+    """Writes frames/WxH-NNN.jpg and .yuyv, frames/elsewhere-WxH-NNN.jpg, camera.yaml (of the drive) and vivid.yaml (any, of vivid's size)."""
+    from PIL import Image, ImageOps  # installed by image.install_host_packages
 
     folder = target / "frames"
     folder.mkdir()
@@ -23,6 +23,8 @@ def make(binary, target):
         pictures = [Image.open(path).convert("L") for path in sorted((drive / "rgb").glob("*.png"), key=number)]
     # To and fro, so that the last is next to the first.
     for index, picture in enumerate(pictures + pictures[-2:0:-1]):
+        # No picture of a room is one of its mirror image; and its camera is the same but for the principal point, a few pixels.
+        ImageOps.mirror(picture).save(folder / f"elsewhere-320x240-{index:03}.jpg", quality=90)
         picture.save(folder / f"320x240-{index:03}.jpg", quality=90)
         luma = picture.tobytes()
         yuyv = bytearray(b"\x80" * (2 * len(luma)))

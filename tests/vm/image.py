@@ -22,7 +22,7 @@ HOST_PACKAGES = {  # program that shows that it is there: Debian's package
     "cpio": "cpio",
 }
 GUEST_PACKAGES = "systemd systemd-sysv udev kmod procps python3 v4l-utils busybox-static passwd util-linux python3-numpy".split()
-# For the Python planner: the wheel that clients/python asks for. Its own code comes from the host at every boot.
+# For the Python planner: the wheel that clients/python asks for, and what that asks for. Our own code comes from the host at every boot.
 GUEST_WHEEL = "iceoryx2==0.10.0"
 # Enough to mount the disk; everything else is loaded by udev or by the scenarios.
 EARLY_MODULES = ["virtio_pci", "virtio_blk", "ext4", "crc32c_generic"]
@@ -135,7 +135,7 @@ def build(folder):
                 f"--include={','.join(GUEST_PACKAGES)}", suite, root, log=log)
             version = add_kernel(root, log)
             configure(root)
-            add_wheel(work, root, log)
+            add_wheels(work, root, log)
             (folder / "vmlinux").write_bytes(unpacked((root / f"boot/vmlinuz-{version}").read_bytes()))
             add_initramfs(work, root, version, folder / "initrd", log)
             shutil.rmtree(root / "var/lib/apt/lists", ignore_errors=True)
@@ -166,13 +166,14 @@ mv linux-image-*.deb kernel.deb
     return version
 
 
-def add_wheel(work, root, log):
+def add_wheels(work, root, log):
     """A wheel is a zip archive of what lies in site-packages; pip only fetches it, so that the guest needs no pip."""
     run("/usr/bin/python3", "-m", "venv", work / "venv", log=log)
-    run(work / "venv/bin/pip", "download", "--no-deps", "--only-binary=:all:", "--disable-pip-version-check", "--dest", work / "wheel",
+    run(work / "venv/bin/pip", "download", "--only-binary=:all:", "--disable-pip-version-check", "--dest", work / "wheel",
         GUEST_WHEEL, log=log)
-    with zipfile.ZipFile(next((work / "wheel").glob("*.whl"))) as wheel:
-        wheel.extractall(root / "usr/lib/python3/dist-packages")
+    for path in (work / "wheel").glob("*.whl"):
+        with zipfile.ZipFile(path) as wheel:
+            wheel.extractall(root / "usr/lib/python3/dist-packages")
     # Once here, and not at every start on an emulated processor.
     run("chroot", root, "python3", "-m", "compileall", "-q", "/usr/lib/python3/dist-packages", log=log)
 

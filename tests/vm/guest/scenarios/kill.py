@@ -93,9 +93,12 @@ class Planner(Watcher):
         super().mark()
         self.marked = now()
 
-    def error(self):
-        with open(f"{self.path}.err", encoding="utf-8") as file:
-            return file.read()[-300:]
+    def wait(self, what, limit_s):
+        try:
+            until(self.follows, limit_s, f"the planner in {self.name} {what}")
+        except Failure as failure:
+            with open(f"{self.path}.err", encoding="utf-8") as file:
+                raise Failure(f"{failure}; status {self.process.poll()}, {os.path.getsize(self.path)} bytes said; {file.read()[-400:]}") from None
 
 
 def planners():
@@ -125,7 +128,7 @@ def rounds(stage):
     try:
         until(lambda: served(daemon, *watchers[:2]), 20, "planners get messages")
         for other in others:
-            until(other.follows, 30, f"the planner in {other.name} gets poses")
+            other.wait("gets poses", 30)
         for turn in range(count):
             # Python takes seconds to start on an emulated processor.
             pool = ["daemon", 0, 1, 2, 3, 4] + ([5] if turn % 4 == 3 else [])
@@ -161,10 +164,7 @@ def rounds(stage):
             for other in others:
                 other.mark()
             for other in others:
-                try:
-                    until(other.follows, 20, f"round {turn} (seed {seed}): the planner in {other.name} follows again after {victims}")
-                except Failure as failure:
-                    raise Failure(f"{failure}; {other.process.poll()}, {other.error()}") from None
+                other.wait(f"follows again in round {turn} (seed {seed}) after {victims}", 20)
             other_gaps.append(now() - killed)
             for watcher in watchers:
                 check(watcher.process.poll() is None, f"round {turn}: planner {watcher.topic} ended with {watcher.process.returncode}")
