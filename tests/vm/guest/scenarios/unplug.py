@@ -67,7 +67,7 @@ def unplug_cycles(stage):
 
 
 def another_place(stage):
-    """Unplugged, carried into another room, plugged in: no pose may come out of the old map; a new one begins, and the reset counter says so. And back
+    """Unplugged, carried to another place, plugged in: no pose may come out of the old map; a new one begins, and the reset counter says so. And back
     again: the old map is gone, which the counter says once more."""
     camera = stage.usb("mjpeg")
     daemon = stage.daemon()
@@ -76,7 +76,7 @@ def another_place(stage):
     began = now()
     last = tracking(health, began)
     notes, slowest = [], 0.0
-    for place, name in (("elsewhere-", "another room"), ("", "the first room")):
+    for place, name in (("elsewhere-", "another place"), ("", "the first place")):
         gone = camera.unplug()
         camera.close()
         health.wait(lambda r: "NO_CAMERA" in r["errors"], 2, "NO_CAMERA", gone)
@@ -88,7 +88,7 @@ def another_place(stage):
         between = [p for p in poses.since(camera.appeared - 0.2)]
         check(between, "no poses")
         for pose in between:
-            check(pose["state"] != "TRACKING" or pose["map_id"] != last["map_id"], f"a pose in the map of the room that was left: {pose}")
+            check(pose["state"] != "TRACKING" or pose["map_id"] != last["map_id"], f"a pose in the map of the place that was left: {pose}")
             check((pose["reset_counter"] > last["reset_counter"]) == (pose["map_id"] != last["map_id"]), f"map and counter disagree: {pose}")
         lost = [p for p in between if p["state"] == "LOST"]
         check(lost, "the planner was not told that tracking is lost")
@@ -97,7 +97,7 @@ def another_place(stage):
                      f"tracked after {new['t'] - camera.appeared:.1f} s")
         last = new
     check(daemon.said('"message":"reset"'), "the log does not speak of the reset")
-    return row(health, began, "unplugged, plugged in looking at another room, and back", slowest, "; ".join(notes) + "; no pose in a map of the room that was left")
+    return row(health, began, "unplugged, plugged in looking at another place, and back", slowest, "; ".join(notes) + "; no pose in a map of the place that was left")
 
 
 def no_camera_at_start(stage):
