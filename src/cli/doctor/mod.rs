@@ -198,17 +198,10 @@ fn one_camera(report: &mut Report, camera: &CameraInfo, config: &Config) {
             ));
         }
         None => {
-            let size = format!("{}x{} px", size.0, size.1);
             let next =
                 format!("calibrate it, one minute: `cairn calibrate --camera {path} --pattern 9x6 --square 0.025`");
-            report.note(&format!("{path}: no calibration for {size}"));
-            kept_lens(
-                report,
-                &config.calibration,
-                &store::state_folders(),
-                &identity,
-                (config.camera.width_px, config.camera.height_px),
-            );
+            report.note(&format!("{path}: no calibration for {}x{} px", size.0, size.1));
+            kept_lens(report, &config.calibration, &store::state_folders(), &identity, size);
             report.next.push(next);
         }
     }
