@@ -5,7 +5,7 @@
 //! motion JPEG. Timestamps are the driver's where they count CLOCK_MONOTONIC, which is when the frame's first data came
 //! (uvcvideo); else the moment of arrival.
 //!
-//! The rooms: [`negotiate`] ranks what a camera offers, [`device`] speaks to the kernel (the only `unsafe`), [`capture`] decides
+//! The rooms: [`negotiate`] ranks what a camera offers, [`device`] and [`queue`] speak to the kernel (the only `unsafe`), [`capture`] decides
 //! what a buffer means, behind a trait of three functions so that its tests need no camera; [`controls`] sets focus, exposure and
 //! the like; [`finder`] finds a camera again that was away.
 //!
@@ -29,6 +29,7 @@ pub mod device;
 pub mod finder;
 pub mod identity;
 pub mod negotiate;
+pub mod queue;
 
 pub use controls::PowerLine;
 pub use finder::Finder;
@@ -36,8 +37,9 @@ pub use finder::Finder;
 use super::{FrameSource, Grab, SourceDescription, SourceError};
 use crate::frame::{Clock, PixelFormat, RawFrame};
 use capture::{Capture, Layout};
-use device::{CallError, Device, MmapQueue};
+use device::{CallError, Device};
 use negotiate::{CameraFormat, Choice, Offer, ranked};
+use queue::MmapQueue;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Duration;

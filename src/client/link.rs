@@ -58,7 +58,7 @@ impl Link {
             .config(&config)
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<Ipc>()
-            .map_err(|e| fail(e.to_string()))?;
+            .map_err(|e| fail(self.endpoint.squatter(true).map_or_else(|| e.to_string(), |s| s.to_string())))?;
         let node = Arc::new(node);
         *shared = Arc::downgrade(&node);
         Ok(node)

@@ -1,4 +1,5 @@
-//! From counters, latencies and signs of life to a health message and the record that is logged once a second.
+//! From counters, latencies and signs of life to a health message, and a record in the log: of every second at debug, at info when state or
+//! faults have changed (once in ten seconds at the most; changes have records of their own) and once a minute.
 //!
 //! A fault that is an event (a dropped frame, a bad timestamp) stands for the second after the one it happened in; a
 //! fault that is a condition (no camera, a stalled stage, tracking lost) stands as long as it lasts.
@@ -6,7 +7,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use tracing::{info, warn};
+use tracing::{debug, info, warn};
 
 use super::advice::advice;
 use super::status::{Status, state_name};
@@ -24,6 +25,9 @@ const FEW: u32 = 40;
 const SLOW_SHARE: f64 = 0.75;
 /// Length of the interval that rates and percentiles are of, ns.
 const SECOND_NS: i64 = 1_000_000_000;
+/// The health record at info: so long after the last one at the earliest, and, where nothing changes, at the latest, ns.
+const NEWS_NS: i64 = 10 * SECOND_NS;
+const REPEAT_NS: i64 = 60 * SECOND_NS;
 
 /// Watches one run.
 pub struct HealthWatch {
@@ -44,6 +48,8 @@ pub struct HealthWatch {
     /// Faults that the log knows of as standing, and when each was last seen, ns.
     logged: u64,
     last_seen_ns: [i64; 64],
+    /// State and faults of the last health record at info, and when that was.
+    told: Option<(TrackingState, u64, i64)>,
     /// A file could not be written; stands until one can.
     pub save_failed: bool,
 }
@@ -115,6 +121,7 @@ impl HealthWatch {
             away_ns: now_ns,
             logged: 0,
             last_seen_ns: [0; 64],
+            told: None,
             save_failed: false,
         }
     }
@@ -126,7 +133,7 @@ impl HealthWatch {
         }
         let interval_ns = now_ns - self.second_began_ns;
         if interval_ns >= SECOND_NS {
-            self.end_second(interval_ns);
+            self.end_second(interval_ns, now_ns);
             self.second_began_ns = now_ns;
         }
         let errors = self.errors(now_ns);
@@ -143,7 +150,7 @@ impl HealthWatch {
         [&self.status.capture, &self.status.features, &self.status.reconstruction]
     }
 
-    fn end_second(&mut self, interval_ns: i64) {
+    fn end_second(&mut self, interval_ns: i64, now_ns: i64) {
         let now = Totals::of(&self.status);
         let before = std::mem::replace(&mut self.before, now.clone());
         let since = |pick: fn(&Totals) -> &Snapshot| pick(&now).since(pick(&before)).percentiles();
@@ -198,36 +205,59 @@ impl HealthWatch {
             }
         }
         let (map_landmarks, map_keyframes) = self.status.map_size();
-        info!(
-            state = state_name(self.status.state()),
-            frames = now.captured - before.captured,
-            tracked = now.tracked - before.tracked,
-            dropped,
-            missed,
-            corrupt = now.corrupt - before.corrupt,
-            map_landmarks,
-            map_keyframes,
-            landmarks = self.status.landmarks_tracked(),
-            decode_p50_ms = decode.p50_ms,
-            decode_p95_ms = decode.p95_ms,
-            decode_p99_ms = decode.p99_ms,
-            feature_p50_ms = feature.p50_ms,
-            feature_p95_ms = feature.p95_ms,
-            feature_p99_ms = feature.p99_ms,
-            queue_p50_ms = queue.p50_ms,
-            queue_p95_ms = queue.p95_ms,
-            queue_p99_ms = queue.p99_ms,
-            track_p50_ms = track.p50_ms,
-            track_p95_ms = track.p95_ms,
-            track_p99_ms = track.p99_ms,
-            mapping_p50_ms = mapping.p50_ms,
-            mapping_p95_ms = mapping.p95_ms,
-            mapping_p99_ms = mapping.p99_ms,
-            latency_p50_ms = latency.p50_ms,
-            latency_p95_ms = latency.p95_ms,
-            latency_p99_ms = latency.p99_ms,
-            "health"
-        );
+        // A record's level is part of its place in the code.
+        macro_rules! record {
+            ($level:ident) => {
+                $level!(
+                    state = state_name(self.status.state()),
+                    frames = now.captured - before.captured,
+                    tracked = now.tracked - before.tracked,
+                    dropped,
+                    missed,
+                    corrupt = now.corrupt - before.corrupt,
+                    map_landmarks,
+                    map_keyframes,
+                    landmarks = self.status.landmarks_tracked(),
+                    decode_p50_ms = decode.p50_ms,
+                    decode_p95_ms = decode.p95_ms,
+                    decode_p99_ms = decode.p99_ms,
+                    feature_p50_ms = feature.p50_ms,
+                    feature_p95_ms = feature.p95_ms,
+                    feature_p99_ms = feature.p99_ms,
+                    queue_p50_ms = queue.p50_ms,
+                    queue_p95_ms = queue.p95_ms,
+                    queue_p99_ms = queue.p99_ms,
+                    track_p50_ms = track.p50_ms,
+                    track_p95_ms = track.p95_ms,
+                    track_p99_ms = track.p99_ms,
+                    mapping_p50_ms = mapping.p50_ms,
+                    mapping_p95_ms = mapping.p95_ms,
+                    mapping_p99_ms = mapping.p99_ms,
+                    latency_p50_ms = latency.p50_ms,
+                    latency_p95_ms = latency.p95_ms,
+                    latency_p99_ms = latency.p99_ms,
+                    "health"
+                )
+            };
+        }
+        if self.is_news(self.errors(now_ns), now_ns) {
+            record!(info);
+        } else {
+            record!(debug);
+        }
+    }
+
+    /// Whether this second's record is worth an info: nothing else on the daemon's way would fill a journal in a night.
+    fn is_news(&mut self, faults: u64, now_ns: i64) -> bool {
+        let state = self.status.state();
+        let news = self.told.is_none_or(|(told_state, told_faults, at_ns)| {
+            let changed = (told_state, told_faults) != (state, faults);
+            now_ns - at_ns >= if changed { NEWS_NS } else { REPEAT_NS }
+        });
+        if news {
+            self.told = Some((state, faults, now_ns));
+        }
+        news
     }
 
     /// All faults that stand.
@@ -390,6 +420,21 @@ mod tests {
         assert_eq!(watch.tick(1900 * MS).errors, error::DROPPED_FRAMES);
         assert_eq!(watch.tick(2000 * MS).errors, 0);
         assert_eq!(watch.tick(2000 * MS).frames_dropped, 3);
+    }
+
+    #[test]
+    fn the_record_is_at_info_when_something_changed_and_once_a_minute_and_not_every_second() {
+        let (_, mut watch) = watch();
+        let mut told = Vec::new();
+        for second in 1..=150 {
+            // Faults from 20 s to 30 s, and one that comes and goes from 100 s on.
+            let standing = (20..30).contains(&second) || (second >= 100 && second % 2 == 0);
+            let faults = if standing { error::LOST } else { 0 };
+            if watch.is_news(faults, second * SECOND_NS) {
+                told.push(second);
+            }
+        }
+        assert_eq!(told, [1, 20, 30, 90, 100, 111, 122, 133, 144]);
     }
 
     #[test]

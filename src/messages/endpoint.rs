@@ -14,6 +14,10 @@ pub const DEFAULT_PREFIX: &str = "cairn";
 pub const MAX_PREFIX_LEN: usize = 64;
 /// Bytes of iceoryx2's root folder at most: event sockets live there, and the path of a Unix socket has 107 bytes.
 const MAX_ROOT_LEN: usize = 48;
+/// End of the name of iceoryx2's common counter in /dev/shm; before it are the prefix, a digest and the version.
+const COUNTER_SUFFIX: &str = ".global_mgmt";
+/// A counter that is still empty after this time will not be filled.
+const COUNTER_AGE: std::time::Duration = std::time::Duration::from_secs(1);
 
 /// Name of a service: `service_name("cairn", "pose")` is `cairn/pose`.
 pub fn service_name(prefix: &str, topic: &str) -> Result<String, EndpointError> {
@@ -159,6 +163,60 @@ impl Endpoint {
     }
 }
 
+/// Something in the place of iceoryx2's common counter with which no node can be made, and so no daemon and no planner be started.
+///
+/// The counter is the one file in shared memory whose name can be known beforehand: every process of this iceoryx2 version uses it,
+/// whoever made it first owns it, all may write it, and it is never removed. All other names have a random part.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Squatter {
+    pub path: PathBuf,
+    pub owner: u32,
+    /// What is wrong with it.
+    pub fault: &'static str,
+}
+
+impl fmt::Display for Squatter {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (path, owner) = (self.path.display(), user_name(self.owner));
+        write!(
+            f,
+            "{path} belongs to user {owner} and {}, so nothing can use iceoryx2: end what uses iceoryx2, `sudo rm -r {path}`, start again \
+             (or give daemon and planners another CAIRN_IPC_PREFIX)",
+            self.fault
+        )
+    }
+}
+
+impl Endpoint {
+    /// What lies in the place of iceoryx2's common counter and cannot work. `failed`: a node could not be made, so that whatever lies
+    /// there is to blame even if it looks right.
+    pub fn squatter(&self, failed: bool) -> Option<Squatter> {
+        self.squatter_in(Path::new("/dev/shm"), failed, effective_uid()?)
+    }
+
+    fn squatter_in(&self, folder: &Path, failed: bool, us: u32) -> Option<Squatter> {
+        let prefix = self.config.global.prefix.to_string();
+        for entry in std::fs::read_dir(folder).ok()?.flatten() {
+            let name = entry.file_name();
+            let counter = name.to_str().is_some_and(|n| n.starts_with(&prefix) && n.ends_with(COUNTER_SUFFIX));
+            // Of the entry itself: a link is not followed.
+            let Some(meta) = counter.then(|| entry.metadata().ok()).flatten() else { continue };
+            let open_to_us = us == 0 || meta.uid() == us || meta.mode() & 0o006 == 0o006;
+            // It is filled within a moment of being made.
+            let old = meta.modified().is_ok_and(|t| t.elapsed().is_ok_and(|age| age >= COUNTER_AGE));
+            let fault = match () {
+                () if !meta.is_file() => "is no file",
+                () if !open_to_us => "may not be written by others",
+                () if meta.len() == 0 && old => "is empty",
+                () if failed => "does not hold what it should",
+                () => continue,
+            };
+            return Some(Squatter { path: entry.path(), owner: meta.uid(), fault });
+        }
+        None
+    }
+}
+
 /// Outcome of [`Endpoint::probe`].
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Presence {
@@ -246,6 +304,40 @@ mod tests {
         assert!(endpoint.clone().with_root(Path::new(&format!("/{}", "x".repeat(60)))).is_err());
         let there = endpoint.with_root(Path::new("/run/cairn")).unwrap();
         assert_eq!(there.root(), Path::new("/run/cairn"));
+    }
+
+    #[test]
+    fn what_squats_in_the_counters_place_is_told_from_a_counter_that_another_user_made() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().unwrap();
+        let endpoint = Endpoint::new("cairn").unwrap();
+        let path = folder.path().join("iox2_0123_node.0_10_0.global_mgmt");
+        let owner = std::fs::metadata(folder.path()).unwrap().uid();
+        let other = owner + 1;
+        let fault = |failed, us| endpoint.squatter_in(folder.path(), failed, us).map(|s| s.fault);
+        let mode = |mode| std::fs::set_permissions(&path, PermissionsExt::from_mode(mode)).unwrap();
+        assert_eq!(fault(true, other), None, "nothing there");
+        std::fs::write(folder.path().join("elsewhere.global_mgmt"), "").unwrap();
+        std::fs::write(&path, [0; 16]).unwrap();
+        mode(0o666);
+        assert_eq!(fault(false, other), None, "made by another user as iceoryx2 makes it");
+        assert_eq!(fault(true, other), Some("does not hold what it should"));
+        mode(0o644);
+        assert_eq!(fault(false, owner), None);
+        assert_eq!(fault(false, other), Some("may not be written by others"));
+        assert_eq!(fault(false, 0), None, "root may write everything");
+        mode(0o666);
+        let file = std::fs::File::create(&path).unwrap();
+        assert_eq!(fault(false, other), None, "just being made");
+        file.set_modified(std::time::SystemTime::now() - COUNTER_AGE * 2).unwrap();
+        assert_eq!(fault(false, other), Some("is empty"));
+        std::fs::remove_file(&path).unwrap();
+        std::os::unix::fs::symlink("/etc/passwd", &path).unwrap();
+        let squatter = endpoint.squatter_in(folder.path(), false, owner).expect("a link");
+        let text = squatter.to_string();
+        for part in [path.to_str().unwrap(), "is no file", "belongs to user", "sudo rm"] {
+            assert!(text.contains(part), "{part}: {text}");
+        }
     }
 
     #[test]

@@ -42,7 +42,7 @@ mod transform;
 
 pub use command::{Command, CommandReply, TEXT_LEN, command_kind, reply_code};
 pub(crate) use endpoint::user_name;
-pub use endpoint::{DEFAULT_PREFIX, Endpoint, EndpointError, Presence, effective_uid, service_name};
+pub use endpoint::{DEFAULT_PREFIX, Endpoint, EndpointError, Presence, Squatter, effective_uid, service_name};
 pub use frame::FrameHeader;
 pub use health::{Health, STAGES, StageHealth, error, stage};
 pub use map::{Keyframe, KeyframesHeader, Landmark, MapHeader};

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::messages::{EndpointError, user_name};
+use crate::messages::{EndpointError, Squatter, user_name};
 
 /// Opening the services, or sending, failed.
 #[derive(Debug, thiserror::Error)]
@@ -19,6 +19,9 @@ pub enum PublishError {
         .path.display(), user_name(*.owner)
     )]
     OtherOwner { path: PathBuf, owner: u32 },
+    /// Something lies in the place of a file of iceoryx2's.
+    #[error("{0}")]
+    Squatted(Squatter),
     /// Somebody made the service with another type or other queues and still holds it.
     #[error("{service} exists in another shape ({reason}), held by process {}: stop what holds it, \
              probably a planner or daemon of another version", .pids.iter().map(u32::to_string).collect::<Vec<_>>().join(", "))]

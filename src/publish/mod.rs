@@ -97,6 +97,9 @@ impl Publisher {
         if let Presence::OtherOwner { path, owner } = endpoint.probe(&endpoint.service(topic::POSE)?) {
             return Err(PublishError::OtherOwner { path, owner });
         }
+        if let Some(squatter) = endpoint.squatter(false) {
+            return Err(PublishError::Squatted(squatter));
+        }
         opening::check_room(limits.shared_memory_bytes())?;
         opening::sweep(endpoint);
         let node = Arc::new(node(endpoint)?);
@@ -152,9 +155,12 @@ fn node(endpoint: &Endpoint) -> Result<Node<Ipc>, PublishError> {
             .create::<Ipc>()
             .map_err(|e| e.to_string())
     };
-    create().map_err(|reason| match opening::foreign_folder(endpoint) {
-        Some((path, owner)) => PublishError::OtherOwner { path, owner },
-        None => PublishError::Ipc { service: endpoint.root().display().to_string(), doing: "creating a node", reason },
+    create().map_err(|reason| match (opening::foreign_folder(endpoint), endpoint.squatter(true)) {
+        (Some((path, owner)), _) => PublishError::OtherOwner { path, owner },
+        (None, Some(squatter)) => PublishError::Squatted(squatter),
+        (None, None) => {
+            PublishError::Ipc { service: endpoint.root().display().to_string(), doing: "creating a node", reason }
+        }
     })
 }
 

@@ -89,7 +89,8 @@ pub fn init(config: &LogConfig) -> Result<(), String> {
         LogFormat::Journal if journal::layer().is_err() => (LogFormat::Json, journal::layer().err()),
         format => (format, None),
     };
-    let registry = tracing_subscriber::registry().with(filter).with(storm::StormGuard);
+    let guard = storm::StormGuard { information: format == LogFormat::Journal };
+    let registry = tracing_subscriber::registry().with(filter).with(guard);
     let json = || {
         let layer = tracing_subscriber::fmt::layer().json().flatten_event(true).with_current_span(false);
         layer.with_span_list(false).log_internal_errors(false).with_writer(Stderr)

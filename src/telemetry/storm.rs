@@ -2,10 +2,11 @@
 //! errors in [`WINDOW`] are written, the rest is counted, and [`report_suppressed`] says how many there were.
 //!
 //! A [`RateLimiter`](super::RateLimiter) at the place itself makes one record of many equal events, with their sum; this
-//! layer is for all the places that have none, in libraries too. Info and below pass: there is one second of health a second,
-//! and a replay at thirty times real time makes keyframes that somebody may want to read.
+//! layer is for all the places that have none, in libraries too. In the journal, where a service logs for months, information has its
+//! limit as well ([`BURST_OF_INFORMATION`]: keyframes come several a second); elsewhere it passes, because a replay at thirty times
+//! real time makes keyframes that somebody may want to read. Debug and below pass: somebody asked for them.
 //!
-//! Cost: one lock and one look into a small table for a warning, nothing for anything else.
+//! Cost: one lock and one look into a small table for a record that is limited, nothing for anything else.
 
 use std::collections::HashMap;
 use std::fmt::{Debug, Write as _};
@@ -19,6 +20,8 @@ use tracing_subscriber::layer::{Context, Layer};
 
 /// Records of one kind that are written in one window.
 const BURST: u32 = 20;
+/// The same of information.
+const BURST_OF_INFORMATION: u32 = 100;
 /// Length of a window.
 const WINDOW: Duration = Duration::from_secs(10);
 /// Characters of a suppressed record's message that are repeated in the report.
@@ -31,22 +34,25 @@ struct Bucket {
     written: u32,
     held: u64,
     message: String,
+    information: bool,
 }
 
-/// All kinds that ever warned: as many as there are places in the code at the most.
+/// All kinds that were ever limited: as many as there are places in the code at the most.
 #[derive(Debug, Default)]
 struct Buckets(HashMap<Identifier, Bucket>);
 
 impl Buckets {
-    /// Whether a record of this kind is written at `now`; `message` is asked for only where one is held back.
-    fn allow(&mut self, kind: Identifier, now: Instant, message: impl FnOnce() -> String) -> bool {
-        let fresh = || Bucket { began: now, written: 0, held: 0, message: String::new() };
+    /// Whether a record of this kind, of which `burst` may be written in a window, is written at `now`; `message` is asked for only where
+    /// one is held back.
+    fn allow(&mut self, kind: Identifier, burst: u32, now: Instant, message: impl FnOnce() -> String) -> bool {
+        let information = burst == BURST_OF_INFORMATION;
+        let fresh = || Bucket { began: now, written: 0, held: 0, message: String::new(), information };
         let bucket = self.0.entry(kind).or_insert_with(fresh);
         // With held records the window stays until they are reported.
         if bucket.held == 0 && now.saturating_duration_since(bucket.began) >= WINDOW {
             (bucket.began, bucket.written) = (now, 0);
         }
-        if bucket.written < BURST && bucket.held == 0 {
+        if bucket.written < burst && bucket.held == 0 {
             bucket.written += 1;
             return true;
         }
@@ -57,12 +63,14 @@ impl Buckets {
         false
     }
 
-    /// What was held back in windows that are over at `now` (`all`: in all of them): how many, and of which message.
-    fn take(&mut self, now: Instant, all: bool) -> Vec<(u64, String)> {
+    /// What was held back in windows that are over at `now` (`all`: in all of them): how many, of which message, and whether it was
+    /// information only.
+    fn take(&mut self, now: Instant, all: bool) -> Vec<(u64, String, bool)> {
         let mut taken = Vec::new();
         for bucket in self.0.values_mut() {
             if bucket.held > 0 && (all || now.saturating_duration_since(bucket.began) >= WINDOW) {
-                taken.push((std::mem::take(&mut bucket.held), std::mem::take(&mut bucket.message)));
+                let message = std::mem::take(&mut bucket.message);
+                taken.push((std::mem::take(&mut bucket.held), message, bucket.information));
                 (bucket.began, bucket.written) = (now, 0);
             }
         }
@@ -76,15 +84,20 @@ fn buckets() -> &'static Mutex<Buckets> {
 }
 
 /// The layer.
-pub(super) struct StormGuard;
+pub(super) struct StormGuard {
+    /// Information is limited, too.
+    pub information: bool,
+}
 
 impl<S: Subscriber> Layer<S> for StormGuard {
     fn event_enabled(&self, event: &Event<'_>, _: Context<'_, S>) -> bool {
-        if *event.metadata().level() > Level::WARN {
-            return true;
-        }
+        let burst = match *event.metadata().level() {
+            Level::ERROR | Level::WARN => BURST,
+            Level::INFO if self.information => BURST_OF_INFORMATION,
+            _ => return true,
+        };
         let mut buckets = buckets().lock().unwrap_or_else(PoisonError::into_inner);
-        buckets.allow(event.metadata().callsite(), Instant::now(), || {
+        buckets.allow(event.metadata().callsite(), burst, Instant::now(), || {
             let mut message = Message(String::new());
             event.record(&mut message);
             message.0
@@ -107,8 +120,12 @@ impl Visit for Message {
 /// Logs what was held back in windows that are over; to be called now and then, and at the end with `all`.
 pub fn report_suppressed(all: bool) {
     let taken = buckets().lock().unwrap_or_else(PoisonError::into_inner).take(Instant::now(), all);
-    for (suppressed, event) in taken {
-        tracing::warn!(suppressed, event, "records suppressed");
+    for (suppressed, event, information) in taken {
+        if information {
+            tracing::info!(suppressed, event, "records suppressed");
+        } else {
+            tracing::warn!(suppressed, event, "records suppressed");
+        }
     }
 }
 
@@ -131,20 +148,20 @@ mod tests {
         // 100 a second for 30 seconds, looked at ten times a second.
         for i in 0..3000 {
             let now = start + ms(10) * i;
-            written += u64::from(buckets.allow(kind(0), now, || "frame cannot be read".into()));
-            assert!(i % 1000 != 0 || buckets.allow(kind(1), now, String::new), "another kind is another matter");
+            written += u64::from(buckets.allow(kind(0), BURST, now, || "frame cannot be read".into()));
+            assert!(i % 1000 != 0 || buckets.allow(kind(1), BURST, now, String::new), "another kind is another matter");
             if i % 10 == 0 {
-                for (held, message) in buckets.take(now, false) {
+                for (held, message, _) in buckets.take(now, false) {
                     assert_eq!(message, "frame cannot be read");
                     reported += held;
                 }
             }
         }
         assert_eq!(written, 3 * u64::from(BURST), "one burst a window");
-        reported += buckets.take(start + ms(30_000), true).iter().map(|(held, _)| held).sum::<u64>();
+        reported += buckets.take(start + ms(30_000), true).iter().map(|(held, ..)| held).sum::<u64>();
         assert_eq!(written + reported, 3000);
         assert!(buckets.take(start + ms(90_000), true).is_empty(), "reported once");
-        assert!(buckets.allow(kind(0), start + ms(90_000), String::new), "the storm is over");
+        assert!(buckets.allow(kind(0), BURST, start + ms(90_000), String::new), "the storm is over");
     }
 
     /// Counts records by message, and sums their `suppressed`.
@@ -179,10 +196,20 @@ mod tests {
     }
 
     #[test]
-    fn the_layer_holds_warnings_back_and_lets_information_pass() {
+    fn the_layer_holds_warnings_back_and_information_in_the_journal_alone() {
         use tracing_subscriber::layer::SubscriberExt;
         let seen = Seen::default();
-        let subscriber = tracing_subscriber::registry().with(StormGuard).with(seen.clone());
+        let subscriber = tracing_subscriber::registry().with(StormGuard { information: true }).with(seen.clone());
+        tracing::subscriber::with_default(subscriber, || {
+            for _ in 0..150 {
+                tracing::info!("the storm of this test, in the journal");
+            }
+            report_suppressed(true);
+        });
+        assert_eq!(*seen.0.lock().expect("whole"), (u64::from(BURST_OF_INFORMATION), 50));
+        let seen = Seen::default();
+        let guard = StormGuard { information: false };
+        let subscriber = tracing_subscriber::registry().with(guard).with(seen.clone());
         tracing::subscriber::with_default(subscriber, || {
             for _ in 0..50 {
                 tracing::info!("the storm of this test, as information");

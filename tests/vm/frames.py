@@ -1,4 +1,4 @@
-"""The pictures that the guest's USB camera sends: a simulated drive, to and fro, as JPEG and YUYV; and its calibrations."""
+"""The pictures that the guest's USB camera sends: a simulated drive, to and fro, as JPEG and YUYV, and one elsewhere; and its calibrations."""
 
 import pathlib
 import subprocess
@@ -8,21 +8,18 @@ SECONDS, RATE = 3, 15
 
 
 def make(binary, target):
-    """Writes frames/WxH-NNN.jpg and .yuyv, camera.yaml (of the drive) and vivid.yaml (any, of vivid's size)."""
-    from PIL import Image  # installed by image.install_host_packages
-
+    """Writes frames/WxH-NNN.jpg and .yuyv, frames/elsewhere-WxH-NNN.jpg, camera.yaml (of the drive) and vivid.yaml (any, of vivid's size)."""
     folder = target / "frames"
     folder.mkdir()
     with tempfile.TemporaryDirectory() as work:
-        drive = pathlib.Path(work) / "drive"
-        subprocess.run([binary, "simulate", "--output", drive, "--scenario", "hand_held", "--seconds", str(SECONDS),
-                        "--size", "320x240", "--rate", str(RATE)], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        drive, pictures = simulated(binary, work, "hand_held", 1)
+        _, elsewhere = simulated(binary, work, "corridor", 2)
         model = (drive / "camera.yaml").read_text()
         (target / "camera.yaml").write_text(model)
         (target / "camera.toml").write_text(as_toml(model))
-        pictures = [Image.open(path).convert("L") for path in sorted((drive / "rgb").glob("*.png"), key=number)]
-    # To and fro, so that the last is next to the first.
-    for index, picture in enumerate(pictures + pictures[-2:0:-1]):
+    for index, picture in enumerate(to_and_fro(elsewhere)):
+        picture.save(folder / f"elsewhere-320x240-{index:03}.jpg", quality=90)
+    for index, picture in enumerate(to_and_fro(pictures)):
         picture.save(folder / f"320x240-{index:03}.jpg", quality=90)
         luma = picture.tobytes()
         yuyv = bytearray(b"\x80" * (2 * len(luma)))
@@ -31,6 +28,21 @@ def make(binary, target):
     for index, picture in enumerate(pictures[:4]):
         picture.resize((640, 480)).save(folder / f"640x480-{index:03}.jpg", quality=80)
     (target / "vivid.yaml").write_text("width: 320\nheight: 180\nfx: 260.0\nfy: 260.0\ncx: 159.5\ncy: 89.5\ndistortion: [0.0, 0.0, 0.0, 0.0, 0.0]\n")
+
+
+def simulated(binary, work, scenario, seed):
+    """A recording and its pictures; the seed furnishes the place."""
+    from PIL import Image  # installed by image.install_host_packages
+
+    drive = pathlib.Path(work) / scenario
+    subprocess.run([binary, "simulate", "--output", drive, "--scenario", scenario, "--seed", str(seed), "--seconds", str(SECONDS),
+                    "--size", "320x240", "--rate", str(RATE)], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    return drive, [Image.open(path).convert("L") for path in sorted((drive / "rgb").glob("*.png"), key=number)]
+
+
+def to_and_fro(pictures):
+    """So that the last is next to the first."""
+    return pictures + pictures[-2:0:-1]
 
 
 def number(path):

@@ -13,6 +13,7 @@ import re
 import shutil
 import subprocess
 import tempfile
+import zipfile
 
 HOST_PACKAGES = {  # program that shows that it is there: Debian's package
     "qemu-system-x86_64": "qemu-system-x86",
@@ -20,7 +21,9 @@ HOST_PACKAGES = {  # program that shows that it is there: Debian's package
     "mke2fs": "e2fsprogs",
     "cpio": "cpio",
 }
-GUEST_PACKAGES = "systemd systemd-sysv udev kmod procps python3 v4l-utils busybox-static passwd util-linux".split()
+GUEST_PACKAGES = "systemd systemd-sysv udev kmod procps python3 v4l-utils busybox-static passwd util-linux python3-numpy".split()
+# For the Python planner: the wheel that clients/python asks for, and what that asks for. Our own code comes from the host at every boot.
+GUEST_WHEEL = "iceoryx2==0.10.0"
 # Enough to mount the disk; everything else is loaded by udev or by the scenarios.
 EARLY_MODULES = ["virtio_pci", "virtio_blk", "ext4", "crc32c_generic"]
 IDLE_UNITS = [  # they cost seconds on an emulated processor, and no scenario needs them
@@ -101,6 +104,8 @@ def install_host_packages():
     have_pil = subprocess.run(["/usr/bin/python3", "-c", "import PIL"], stderr=subprocess.DEVNULL).returncode == 0
     if not have_pil:
         missing.append("python3-pil")
+    if subprocess.run(["/usr/bin/python3", "-c", "import venv, ensurepip"], stderr=subprocess.DEVNULL).returncode:
+        missing.append("python3-venv")
     if not missing:
         return
     if os.geteuid() != 0:
@@ -130,6 +135,7 @@ def build(folder):
                 f"--include={','.join(GUEST_PACKAGES)}", suite, root, log=log)
             version = add_kernel(root, log)
             configure(root)
+            add_wheels(work, root, log)
             (folder / "vmlinux").write_bytes(unpacked((root / f"boot/vmlinuz-{version}").read_bytes()))
             add_initramfs(work, root, version, folder / "initrd", log)
             shutil.rmtree(root / "var/lib/apt/lists", ignore_errors=True)
@@ -158,6 +164,18 @@ mv linux-image-*.deb kernel.deb
     version = next((root / "boot").glob("vmlinuz-*")).name.removeprefix("vmlinuz-")
     run("chroot", root, "depmod", version, log=log)
     return version
+
+
+def add_wheels(work, root, log):
+    """A wheel is a zip archive of what lies in site-packages; pip only fetches it, so that the guest needs no pip."""
+    run("/usr/bin/python3", "-m", "venv", work / "venv", log=log)
+    run(work / "venv/bin/pip", "download", "--only-binary=:all:", "--disable-pip-version-check", "--dest", work / "wheel",
+        GUEST_WHEEL, log=log)
+    for path in (work / "wheel").glob("*.whl"):
+        with zipfile.ZipFile(path) as wheel:
+            wheel.extractall(root / "usr/lib/python3/dist-packages")
+    # Once here, and not at every start on an emulated processor.
+    run("chroot", root, "python3", "-m", "compileall", "-q", "/usr/lib/python3/dist-packages", log=log)
 
 
 def configure(root):

@@ -13,16 +13,16 @@ mod wire;
 
 use std::fmt::Write as _;
 use std::os::unix::fs::MetadataExt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use super::camera_calibration::{identify, stored};
 use super::endpoint_args::EndpointArgs;
 use super::{CliError, exit_code, session};
-use crate::calibration::store;
+use crate::calibration::store::{self, CameraIdentity};
 use crate::camera::v4l2::{CameraInfo, list_cameras};
-use crate::config::{self, Config, SourceKind};
+use crate::config::{self, CalibrationConfig, Config, SourceKind};
 use crate::messages::effective_uid;
 
 /// Offers of a camera that are shown.
@@ -84,6 +84,7 @@ pub fn run(args: &DoctorArgs) -> Result<ExitCode, CliError> {
     cameras(&mut report, &config);
     try_camera(&mut report, &config, heard);
     wire::shared_memory(&mut report, !running.is_empty());
+    wire::counter(&mut report, endpoint.squatter(false));
     wire::root(&mut report, &endpoint.root(), us, wire::user_id(&passwd, "cairn"), &name_of);
     folders(&mut report);
     report.title("next");
@@ -204,11 +205,38 @@ fn one_camera(report: &mut Report, camera: &CameraInfo, config: &Config) {
             ));
         }
         None => {
-            let size = format!("{}x{} px", size.0, size.1);
             let next =
                 format!("calibrate it, one minute: `cairn calibrate --camera {path} --pattern 9x6 --square 0.025`");
-            report.note(&format!("{path}: no calibration for {size}"));
+            report.note(&format!("{path}: no calibration for {}x{} px", size.0, size.1));
+            kept_lens(report, &config.calibration, &store::state_folders(), &identity, size);
             report.next.push(next);
+        }
+    }
+}
+
+/// What earlier runs found of a lens that nobody calibrated.
+fn kept_lens(
+    report: &mut Report,
+    config: &CalibrationConfig,
+    folders: &[PathBuf],
+    identity: &CameraIdentity,
+    size: (u32, u32),
+) {
+    match store::find_estimate(folders, identity, size) {
+        Some((kept, path)) => {
+            let (fx, percent) = (kept.camera.fx, 100.0 * kept.focal_sigma);
+            let what = if config.keep_estimate {
+                "the next start begins with it"
+            } else {
+                "not used: calibration.keep_estimate = false"
+            };
+            report.note(&format!(
+                "its lens as earlier runs found it: fx {fx:.1} px +- {percent:.1} % ({}); {what}; a calibration is better",
+                path.display()
+            ));
+        }
+        None => {
+            report.note("nothing is known of its lens yet: focal length and distortion are estimated while it moves")
         }
     }
 }
@@ -239,6 +267,7 @@ fn folders(report: &mut Report) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::CameraModel;
 
     #[test]
     fn a_wrong_configuration_is_a_failure_with_a_next_step() {
@@ -249,6 +278,30 @@ mod tests {
         configuration(&mut report, &DoctorArgs { config: Some(file), prefix: None });
         assert_eq!((report.problems, report.next.len()), (1, 1));
         assert!(report.text.contains("cairn.toml:2"), "{}", report.text);
+    }
+
+    #[test]
+    fn a_kept_lens_is_told_with_where_it_lies_and_how_sure_it_is() {
+        let dir = tempfile::tempdir().expect("folder");
+        let folders = [dir.path().to_path_buf()];
+        let me = CameraIdentity::new("046d:0825", Some("ABC"));
+        let told = |config: &CalibrationConfig| {
+            let mut report = Report::default();
+            kept_lens(&mut report, config, &folders, &me, (640, 480));
+            assert_eq!(report.problems, 0);
+            report.text
+        };
+        let mut config = CalibrationConfig::default();
+        assert!(told(&config).contains("nothing is known"));
+        let camera = CameraModel::new(640, 480, 420.0, 420.0, 322.0, 236.0, [-0.1, 0.0, 0.0, 0.0, 0.0]).expect("valid");
+        let estimate = store::Estimate { camera, focal_sigma: 0.045, centre_sigma_px: 6.4 };
+        let path = store::save_estimate(&folders, &me, &estimate, 0).expect("kept");
+        let text = told(&config);
+        for part in ["fx 420.0 px +- 4.5 %", &path.display().to_string(), "next start begins with it"] {
+            assert!(text.contains(part), "{part}: {text}");
+        }
+        config.keep_estimate = false;
+        assert!(told(&config).contains("not used"), "{}", told(&config));
     }
 
     #[test]

@@ -4,6 +4,7 @@ use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 
 use super::Report;
+use crate::messages::Squatter;
 
 /// Shared memory that a daemon of default size takes, with room to spare, bytes.
 const SHM_NEEDED: u64 = 64 << 20;
@@ -30,6 +31,14 @@ fn judge_room(report: &mut Report, free: u64, total: u64, daemon_runs: bool) {
         report.bad(&format!("{line}, {} MB are needed", needed >> 20), next);
     } else {
         report.good(&line);
+    }
+}
+
+/// What another user has put into the place of iceoryx2's common counter keeps everybody from starting.
+pub fn counter(report: &mut Report, squatter: Option<Squatter>) {
+    if let Some(squatter) = squatter {
+        let next = format!("end what uses iceoryx2, then `sudo rm -r {}`", squatter.path.display());
+        report.bad(&squatter.to_string(), &next);
     }
 }
 
@@ -99,6 +108,20 @@ mod tests {
             judge_room(&mut report, free << 20, 200 << 20, runs);
             assert_eq!(report.problems, problems, "{free} MB free, daemon {runs}: {}", report.text);
         }
+    }
+
+    #[test]
+    fn a_squatter_in_shared_memory_is_a_fault_with_its_cure() {
+        let mut report = Report::default();
+        counter(&mut report, None);
+        assert_eq!(report.problems, 0);
+        let path = "/dev/shm/iox2_1_node.global_mgmt".into();
+        counter(&mut report, Some(Squatter { path, owner: 65_534, fault: "is empty" }));
+        assert!(
+            report.problems == 1 && report.text.contains("65534") && report.next[0].contains("sudo rm"),
+            "{}",
+            report.text
+        );
     }
 
     #[test]

@@ -201,10 +201,10 @@ def usb_node(serial="A1"):
 class UsbCamera:
     """The camera of usb_camera.py, plugged in."""
 
-    def __init__(self, form="mjpeg", serial="A1", rate=15, size="320x240", start=0, wait=True):
+    def __init__(self, form="mjpeg", serial="A1", rate=15, size="320x240", start=0, wait=True, place=""):
         ending = {"mjpeg": "jpg", "yuyv": "yuyv"}[form]
-        files = sorted(glob.glob(f"{FRAMES}/{size}-*.{ending}"))
-        check(files, f"no frames {size} {ending}")
+        files = sorted(glob.glob(f"{FRAMES}/{place}{size}-*.{ending}"))
+        check(files, f"no frames {place}{size} {ending}")
         sh("modprobe vhci-hcd; modprobe uvcvideo")
         command = ["python3", "/mnt/stage/guest/usb_camera.py", "--format", form, "--size", size, "--rate", str(rate),
                    "--serial", serial, "--start", str(start), *files]

@@ -1,6 +1,6 @@
 """The scenarios by name, in the order in which they run. The host reads ORDER from this text."""
 
-from . import access, delivery, injection, kill, reboot, streaming, unplug
+from . import access, delivery, injection, kill, package, reboot, streaming, unplug
 
 ORDER = [
     "usb_mjpeg",
@@ -9,6 +9,7 @@ ORDER = [
     "controls",
     "no_camera_at_start",
     "unplug_cycles",
+    "another_place",
     "device_busy",
     "permission_denied",
     "vivid_injections",
@@ -19,11 +20,13 @@ ORDER = [
     "orderly_stop",
     "strangers",
     "squatting",
+    "squatting_in_shm",
     "kill_rounds",
     "power_cut",
-    "service"
+    "service",
+    "package"
 ]
 KNOWN = {}
-for module in (access, delivery, injection, kill, reboot, streaming, unplug):
+for module in (access, delivery, injection, kill, package, reboot, streaming, unplug):
     KNOWN.update(module.SCENARIOS)
 SCENARIOS = {name: KNOWN[name] for name in ORDER}

@@ -1,6 +1,8 @@
 """Who may use the camera, and who may listen."""
 
+import glob
 import os
+import pathlib
 import re
 import shutil
 import subprocess
@@ -97,8 +99,59 @@ def squatting(stage):
                f"status {status}: {daemon_message(text)}")
 
 
+def squatting_in_shm(stage):
+    """Another user takes the one name in /dev/shm that can be known beforehand, in each way: the daemon says which file, whose, and what to do. One that
+    iceoryx2 made for another user is no squatter."""
+    stage.usb("mjpeg")
+    daemon = stage.daemon()
+    health = stage.listener()
+    health.flowing(now(), 20)
+    (path,) = glob.glob("/dev/shm/iox2_*.global_mgmt")
+    good = pathlib.Path(path).read_bytes()
+    ways = {"closed to others": f"cp /run/good {path} && chmod 600 {path}", "empty": f": > {path} && chmod 666 {path}",
+            "garbage": f"head -c 4096 /dev/urandom > {path} && chmod 666 {path}", "a folder": f"mkdir {path}"}
+    pathlib.Path("/run/good").write_bytes(good)
+    told = []
+    for way, command in ways.items():
+        stop(daemon, health)
+        sh(f"rm -rf {path}")
+        check(sh(command, user="other")[0] == 0, f"{way}: {command}")
+        time.sleep(1.2)
+        asked = now()
+        daemon = stage.daemon()
+        status = daemon.process.wait(15)
+        text = daemon_message("\n".join(daemon.lines()[-3:]))
+        check(status == 69, f"{way}: status {status}: {text}")
+        for part in (path, "other (1000)", f"sudo rm -r {path}"):
+            check(part in text, f"{way}: {part!r} is not in: {text}")
+        told.append(f"{way} ({now() - asked:.1f} s)")
+        if way != "garbage":
+            check(f"sudo rm -r {path}" in sh(f"{CAIRN} doctor", 30, "cairn")[1], f"doctor does not speak of it ({way})")
+    sh(f"rm -rf {path}")
+    removed = now()
+    daemon.start()
+    health = stage.listener()
+    back = health.flowing(removed, 10)
+    recovery = back["t"] - removed
+    stop(daemon, health)
+    sh(f"cp /run/good {path}; chown other {path}; chmod 666 {path}")
+    daemon = stage.daemon()
+    health = stage.listener()
+    began = now()
+    health.flowing(began, 10)
+    shown = text.replace(path, "/dev/shm/iox2_….global_mgmt")
+    return row(health, began, "another user takes iceoryx2's common name in /dev/shm first; removed, started again", recovery,
+               f"status 69 each time: {', '.join(told)}; {shown}; one that another user's iceoryx2 made is used")
+
+
+def stop(daemon, health):
+    health.close()
+    daemon.close()
+
+
 def daemon_message(text):
-    return next((line for line in text.splitlines() if line.startswith("cairn:")), text)[:200]
+    return next((line for line in text.splitlines() if line.startswith("cairn:")), text)[:400]
 
 
-SCENARIOS = {"device_busy": busy, "permission_denied": permission, "strangers": strangers, "squatting": squatting}
+SCENARIOS = {"device_busy": busy, "permission_denied": permission, "strangers": strangers, "squatting": squatting,
+             "squatting_in_shm": squatting_in_shm}

@@ -1,8 +1,10 @@
 """kill -9 of anything, in any order, round after round."""
 
+import collections
 import json
 import os
 import random
+import shutil
 import subprocess
 import time
 
@@ -58,6 +60,55 @@ class Watcher:
         self.process.wait(10)
 
 
+class Planner(Watcher):
+    """One of the other clients' planners: a line on stdout for each pose that comes."""
+
+    # Without a daemon they say so once a second; with one there are fifteen poses.
+    LINES, WINDOW_S = 4, 0.9
+
+    def __init__(self, name, command, number):
+        self.name, self.command = name, command
+        super().__init__([name], number)
+
+    def start(self):
+        environment = {**os.environ, "PYTHONPATH": "/run/planners", "OPENBLAS_NUM_THREADS": "1"}
+        with open(self.path, "w", encoding="utf-8") as out, open(f"{self.path}.err", "w", encoding="utf-8") as errors:
+            # C's stdout would otherwise be written every four kilobytes; stdbuf becomes the program, so that it is what is killed.
+            self.process = subprocess.Popen(["stdbuf", "-oL", *self.command], stdin=subprocess.DEVNULL, stdout=out, stderr=errors,
+                                            env=environment, **as_user("cairn"))
+        self.mark()
+
+    def follows(self):
+        """Poses come at a rate that only a living daemon gives."""
+        with open(self.path, "rb") as file:
+            file.seek(self.at)
+            lines = file.read().count(b"\n")
+        if lines >= self.LINES:
+            return True
+        if now() - self.marked > self.WINDOW_S:
+            self.mark()
+        return False
+
+    def mark(self):
+        super().mark()
+        self.marked = now()
+
+    def wait(self, what, limit_s):
+        try:
+            until(self.follows, limit_s, f"the planner in {self.name} {what}")
+        except Failure as failure:
+            with open(f"{self.path}.err", encoding="utf-8") as file:
+                raise Failure(f"{failure}; status {self.process.poll()}, {os.path.getsize(self.path)} bytes said; {file.read()[-400:]}") from None
+
+
+def planners():
+    """The C, C++ and Python planners."""
+    shutil.copytree("/mnt/stage/planners", "/run/planners", dirs_exist_ok=True)
+    sh("python3 -m compileall -q /run/planners")
+    return [Planner("C", ["/run/planners/planner-c"], 4), Planner("C++", ["/run/planners/planner-cpp"], 5),
+            Planner("Python", ["python3", "/mnt/stage/guest/planner.py"], 6)]
+
+
 def served(daemon, poses, health):
     """Both planners hear this very daemon."""
     h, p = health.last(), poses.last()
@@ -71,12 +122,18 @@ def rounds(stage):
     stage.usb("mjpeg", rate=15)
     daemon = stage.daemon()
     watchers = [Watcher([], 0), Watcher(["--health"], 1), Watcher(["--map"], 2)]
-    began = now()
-    gaps, sizes = [], []
+    others = planners()
+    watchers += others
+    gaps, other_gaps, sizes, kills = [], [], [], collections.Counter()
     try:
         until(lambda: served(daemon, *watchers[:2]), 20, "planners get messages")
+        for other in others:
+            other.wait("gets poses", 30)
         for turn in range(count):
-            victims = random.sample(["daemon", 0, 1, 2], random.randint(1, 4))
+            # Python takes seconds to start on an emulated processor.
+            pool = ["daemon", 0, 1, 2, 3, 4] + ([5] if turn % 4 == 3 else [])
+            victims = random.sample(pool, random.randint(1, len(pool)))
+            kills.update("daemon" if v == "daemon" else others[v - 3].name if v >= 3 else "watch" for v in victims)
             for victim in victims:
                 if victim == "daemon":
                     daemon.process.kill()
@@ -103,6 +160,12 @@ def rounds(stage):
                 states = [f"{w.topic}: {'heard' if w.heard() else 'silent'}, {w.process.poll()}" for w in watchers]
                 raise Failure(f"{failure}; {states}, daemon {daemon.process.poll()}") from None
             gaps.append(now() - killed)
+            # What the daemon before had sent is read by now; from here on it is this one's.
+            for other in others:
+                other.mark()
+            for other in others:
+                other.wait(f"follows again in round {turn} (seed {seed}) after {victims}", 20)
+            other_gaps.append(now() - killed)
             for watcher in watchers:
                 check(watcher.process.poll() is None, f"round {turn}: planner {watcher.topic} ended with {watcher.process.returncode}")
             sizes.append(usage())
@@ -130,7 +193,9 @@ def rounds(stage):
     note = (f"seed {seed}; most files and MB in the first quarter {early_files}, {early_bytes / 1e6:.1f}, in the last {late_files}, "
             f"{late_bytes / 1e6:.1f}, {'a minute' if stage.full else '2 s'} after {settled[0]}, {settled[1] / 1e6:.1f}; planners reconnected by themselves")
     gaps.sort()
-    return {"done": f"{count} rounds of kill -9 of daemon and planners, 1 to 4 of them in any order",
+    killed = ", ".join(f"{name} {kills[name]}" for name in ["daemon", "watch", *(o.name for o in others)])
+    note += f"; kills: {killed}; the planners in C, C++ and Python followed within {max(other_gaps):.2f} s (its own start included)"
+    return {"done": f"{count} rounds of kill -9 of daemon and planners in Rust, C, C++ and Python, 1 to 7 of them in any order",
             "published": f"poses again after {gaps[len(gaps) // 2]:.2f} s (median)", "recovery_s": gaps[-1], "note": note}
 
 

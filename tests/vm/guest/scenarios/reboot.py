@@ -79,29 +79,22 @@ def cut_in_a_save(stage):
     raise power.Reboot(stage.memory, orderly=False, moment=save_is_under_way)
 
 
-def install(stage):
-    """The unit as an owner would install it, or the package."""
+def install():
+    """The unit as its head says, by hand; the Debian package has a scenario of its own."""
     os.makedirs("/etc/cairn", exist_ok=True)
-    if os.path.exists("/mnt/stage/cairn.deb"):
-        status, text = sh("DEBIAN_FRONTEND=noninteractive dpkg -i /mnt/stage/cairn.deb", 120)
-        check(status == 0, f"dpkg: {text}")
-        how = "package"
-    else:
-        unit = pathlib.Path("/mnt/stage/systemd/cairn.service").read_text()
-        binary = re.search(r"^ExecStart=(\S+)", unit, re.M).group(1)
-        if not os.path.exists(binary):
-            shutil.copy("/mnt/stage/cairn", binary)
-        shutil.copy("/mnt/stage/systemd/cairn.service", "/etc/systemd/system/cairn.service")
-        for kind, folder in (("sysusers", "/usr/lib/sysusers.d"), ("tmpfiles", "/usr/lib/tmpfiles.d")):
-            for path in glob.glob(f"/mnt/stage/systemd/*{kind}*"):
-                shutil.copy(path, f"{folder}/cairn.conf")
-        sh("systemd-sysusers; systemd-tmpfiles --create")
-        how = "unit"
+    unit = pathlib.Path("/mnt/stage/systemd/cairn.service").read_text()
+    binary = re.search(r"^ExecStart=(\S+)", unit, re.M).group(1)
+    if not os.path.exists(binary):
+        shutil.copy("/mnt/stage/cairn", binary)
+    shutil.copy("/mnt/stage/systemd/cairn.service", "/etc/systemd/system/cairn.service")
+    for kind, folder in (("sysusers", "/usr/lib/sysusers.d"), ("tmpfiles", "/usr/lib/tmpfiles.d")):
+        for path in glob.glob(f"/mnt/stage/systemd/*{kind}*"):
+            shutil.copy(path, f"{folder}/cairn.conf")
+    sh("systemd-sysusers; systemd-tmpfiles --create")
     shutil.copy("/mnt/stage/camera.yaml", "/etc/cairn/camera.yaml")
     pathlib.Path("/etc/cairn/cairn.toml").write_text(
         '[camera]\nwidth_px = 320\nheight_px = 240\nrate_hz = 15\n[calibration]\nfile = "/etc/cairn/camera.yaml"\n')
     sh("chown -R cairn:cairn /var/lib/cairn; systemctl daemon-reload")
-    return how
 
 
 def property_of(name):
@@ -112,7 +105,7 @@ def service(stage):
     """systemd starts it, starts it again when it is killed, stops it within a second, and has it back after an orderly reboot."""
     if stage.phase == 0:
         # What earlier scenarios left belongs to user cairn as well.
-        how = install(stage)
+        install()
         status, text = sh("systemctl enable cairn && systemctl start cairn", 60)
         check(status == 0, f"systemctl start: {text} {sh('journalctl -u cairn -n 20 --no-pager')[1]}")
         health = stage.listener()
@@ -132,7 +125,7 @@ def service(stage):
         health.flowing(now(), 15)
         status, text = sh(f"{CAIRN} command save-map {MAP}", 40, "cairn")
         digest = hashlib.sha256(pathlib.Path(MAP).read_bytes()).hexdigest() if os.path.exists(MAP) else ""
-        raise power.Reboot({"how": how, "restart_s": back["t"] - killed, "stop_s": took, "map": digest}, orderly=True)
+        raise power.Reboot({"restart_s": back["t"] - killed, "stop_s": took, "map": digest}, orderly=True)
     memory = stage.memory
     until(lambda: property_of("ActiveState") == "active", 60, "the service is active after the reboot")
     health = stage.listener()
@@ -141,7 +134,7 @@ def service(stage):
     back = health.flowing(camera.appeared - 0.2, 15)
     if memory["map"]:
         check(hashlib.sha256(pathlib.Path(MAP).read_bytes()).hexdigest() == memory["map"], "the saved map changed over the reboot")
-    text = row(health, began, f"service ({memory['how']}): kill -9, stop, orderly reboot", memory["restart_s"],
+    text = row(health, began, "service: kill -9, stop, orderly reboot", memory["restart_s"],
                f"frames {memory['restart_s']:.1f} s after kill -9, stopped in {memory['stop_s']:.2f} s, active after the reboot, "
                f"frames {max(0.0, back['t'] - camera.appeared):.2f} s after the camera")
     sh("systemctl disable --now cairn", 30)

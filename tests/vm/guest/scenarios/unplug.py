@@ -1,9 +1,11 @@
 """Cameras that vanish and come back."""
 
+import json
 import os
+import signal
 import time
 
-from robot import CAMERA_GONE, check, now, row, summary, until
+from robot import CAMERA_GONE, CONFIG, check, now, row, summary, until
 
 RETURN_LIMIT_S = 2.0
 
@@ -64,8 +66,43 @@ def unplug_cycles(stage):
     return row(health, began, "USB camera unplugged while it streams, plugged in again; another camera beside it once", slowest, note)
 
 
+def another_place(stage):
+    """Unplugged, carried to another place, plugged in: no pose may come out of the old map; a new one begins, and the reset counter says so. And back
+    again: the old map is gone, which the counter says once more."""
+    camera = stage.usb("mjpeg")
+    daemon = stage.daemon()
+    health = stage.listener()
+    poses = stage.listener(what="")
+    began = now()
+    last = tracking(health, began)
+    notes, slowest = [], 0.0
+    for place, name in (("elsewhere-", "another place"), ("", "the first place")):
+        gone = camera.unplug()
+        camera.close()
+        health.wait(lambda r: "NO_CAMERA" in r["errors"], 2, "NO_CAMERA", gone)
+        time.sleep(3)
+        camera = stage.usb("mjpeg", place=place)
+        new = health.wait(lambda r: r["state"] == "TRACKING" and r["reset_counter"] > last["reset_counter"], 40, f"tracking in {name}", camera.appeared)
+        check(new["map_id"] != last["map_id"], "a reset without a new map")
+        time.sleep(1)
+        between = [p for p in poses.since(camera.appeared - 0.2)]
+        check(between, "no poses")
+        for pose in between:
+            check(pose["state"] != "TRACKING" or pose["map_id"] != last["map_id"], f"a pose in the map of the place that was left: {pose}")
+            check((pose["reset_counter"] > last["reset_counter"]) == (pose["map_id"] != last["map_id"]), f"map and counter disagree: {pose}")
+        lost = [p for p in between if p["state"] == "LOST"]
+        check(lost, "the planner was not told that tracking is lost")
+        slowest = max(slowest, new["t"] - camera.appeared)
+        notes.append(f"{name}: {len(lost)} poses LOST, reset counter {last['reset_counter']} to {new['reset_counter']}, map {last['map_id']} to {new['map_id']}, "
+                     f"tracked after {new['t'] - camera.appeared:.1f} s")
+        last = new
+    check(daemon.said('"message":"reset"'), "the log does not speak of the reset")
+    return row(health, began, "unplugged, plugged in looking at another place, and back", slowest, "; ".join(notes) + "; no pose in a map of the place that was left")
+
+
 def no_camera_at_start(stage):
-    """Waits, says so, starts when the camera comes; with a calibration file, and without, where the camera's identity tells it."""
+    """Waits, says so, starts when the camera comes; with a calibration file, and without, where the camera's identity tells it. SIGHUP meanwhile
+    reloads the configuration."""
     rows = []
     for stored in (False, True):
         folder = "/var/lib/cairn/cameras"
@@ -82,6 +119,10 @@ def no_camera_at_start(stage):
         time.sleep(3)
         check(daemon.alive(), f"the daemon ended: {daemon.lines()[-1:]}")
         check(daemon.said("no camera|not there"), "the log does not say that there is no camera")
+        CONFIG.write_text(CONFIG.read_text() + '[log]\nlevel = "debug"\n')
+        daemon.process.send_signal(signal.SIGHUP)
+        check(json.loads(daemon.wait_said("configuration reloaded", 3))["level"] == "debug", "the level was not taken over")
+        check(daemon.alive(), "SIGHUP ended a daemon that waits for its camera")
         quiet = health.last()["t"]
         camera = stage.usb("mjpeg")
         back = health.flowing(camera.appeared - 0.2, 10)
@@ -89,7 +130,7 @@ def no_camera_at_start(stage):
         check(recovery < RETURN_LIMIT_S, f"frames only {recovery:.2f} s after the camera came")
         check(health.last()["t"] > quiet, "no health")
         how = "no camera at start, calibration found by the camera's identity" if stored else "no camera at start"
-        rows.append(row(health, began, how, recovery))
+        rows.append(row(health, began, how, recovery, "SIGHUP meanwhile: reloaded"))
         daemon.close()
         health.close()
         camera.unplug()
@@ -121,4 +162,4 @@ def two_daemons_end_quickly(stage):
     return rows
 
 
-SCENARIOS = {"unplug_cycles": unplug_cycles, "no_camera_at_start": no_camera_at_start, "orderly_stop": two_daemons_end_quickly}
+SCENARIOS = {"unplug_cycles": unplug_cycles, "another_place": another_place, "no_camera_at_start": no_camera_at_start, "orderly_stop": two_daemons_end_quickly}
