@@ -11,9 +11,9 @@
 //! J')⁻¹ e`, P the covariance of the established solution (Bar-Shalom, Li, Kirubarajan 2001, section 5.4). Cost: two or three
 //! warm motion-only optimisations. It does not judge the established ones: the optimisation's own outlier test does.
 
-use nalgebra::{Matrix2, Matrix6, Vector2, Vector6};
+use nalgebra::{Matrix2, Matrix6, Vector6};
 
-use super::pose_optimisation::{CHI2_2D_95, PoseOptions, PosePair, PoseSolution, jacobian_rows, optimise_pose};
+use super::pose_optimisation::{CHI2_2D_95, PoseOptions, PosePair, PoseSolution, jacobian_rows, optimise_pose, scaled};
 
 /// Frames in which a landmark must have been found to be established.
 pub const ESTABLISHED_FOUND: u32 = 20;
@@ -47,7 +47,6 @@ impl Newcomers {
         pairs: &[PosePair],
         established: impl Fn(usize) -> bool,
         solution: &PoseSolution,
-        focal_px: Vector2<f64>,
         inlier: &mut [bool],
     ) -> Option<PoseSolution> {
         self.established.clear();
@@ -59,7 +58,7 @@ impl Newcomers {
         take(pairs, &self.established, &mut self.pairs);
         self.heard.clear();
         self.heard.resize(pairs.len(), false);
-        let own = optimise_pose(&solution.camera_from_world, &self.pairs, focal_px, &options, &mut self.inlier)?;
+        let own = optimise_pose(&solution.camera_from_world, &self.pairs, &options, &mut self.inlier)?;
         if own.inliers < MIN_ESTABLISHED || 2 * own.inliers < self.pairs.len() {
             return None;
         }
@@ -69,11 +68,11 @@ impl Newcomers {
         // pose puts them.
         for doubt in [doubt, Matrix6::zeros()] {
             for (i, pair) in pairs.iter().enumerate() {
-                self.heard[i] = self.established[i]
-                    || innovation(pair, &own, &doubt, focal_px).is_some_and(|chi2| chi2 <= CHI2_2D_95);
+                self.heard[i] =
+                    self.established[i] || innovation(pair, &own, &doubt).is_some_and(|chi2| chi2 <= CHI2_2D_95);
             }
             take(pairs, &self.heard, &mut self.pairs);
-            agreed = optimise_pose(&own.camera_from_world, &self.pairs, focal_px, &options, &mut self.inlier)?;
+            agreed = optimise_pose(&own.camera_from_world, &self.pairs, &options, &mut self.inlier)?;
             let step = agreed.camera_from_world * own.camera_from_world.inverse();
             let (w, v) = (step.rotation.scaled_axis(), step.translation);
             let pull = Vector6::new(w.x, w.y, w.z, v.x, v.y, v.z);
@@ -96,18 +95,13 @@ fn take(pairs: &[PosePair], flags: &[bool], out: &mut Vec<PosePair>) {
 }
 
 /// Normalised innovation squared of a pair at a pose of that covariance; `None` behind the camera.
-fn innovation(
-    pair: &PosePair,
-    solution: &PoseSolution,
-    covariance: &Matrix6<f64>,
-    focal_px: Vector2<f64>,
-) -> Option<f64> {
+fn innovation(pair: &PosePair, solution: &PoseSolution, covariance: &Matrix6<f64>) -> Option<f64> {
     let p = solution.camera_from_world.transform(&pair.point);
     if p.z < 1e-6 {
         return None;
     }
-    let e = focal_px.component_mul(&(Vector2::new(p.x / p.z, p.y / p.z) - pair.normalised));
-    let (jx, jy) = jacobian_rows(&p, focal_px.x, focal_px.y);
+    let e = scaled(&pair.pixel_scale, 1.0, p.x / p.z - pair.normalised.x, p.y / p.z - pair.normalised.y);
+    let (jx, jy) = jacobian_rows(&p, &pair.pixel_scale);
     let (jx, jy) = (Vector6::from(jx), Vector6::from(jy));
     let own = pair.inv_sigma_px.powi(-2);
     let (px, py) = (covariance * jx, covariance * jy);
@@ -118,7 +112,7 @@ fn innovation(
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{UnitQuaternion, Vector3};
+    use nalgebra::{UnitQuaternion, Vector2, Vector3};
 
     use super::*;
     use crate::geometry::Se3;
@@ -149,6 +143,7 @@ mod tests {
                 PosePair {
                     point: truth.inverse().transform(&mapped),
                     normalised: Vector2::new(seen.x, seen.y) / seen.z + noise.component_div(&FOCAL),
+                    pixel_scale: Matrix2::from_diagonal(&FOCAL),
                     inv_sigma_px: 1.0 / 0.3,
                 }
             })
@@ -158,7 +153,7 @@ mod tests {
 
     fn solved(start: &Se3<Camera, World>, pairs: &[PosePair]) -> (PoseSolution, Vec<bool>) {
         let mut inlier = Vec::new();
-        let solution = optimise_pose(start, pairs, FOCAL, &PoseOptions::default(), &mut inlier).expect("a pose");
+        let solution = optimise_pose(start, pairs, &PoseOptions::default(), &mut inlier).expect("a pose");
         (solution, inlier)
     }
 
@@ -174,7 +169,7 @@ mod tests {
             let bent = off(&all);
             let newcomers = |inlier: &[bool]| inlier[60..].iter().filter(|i| **i).count();
             assert!(bent > 0.004 && newcomers(&inlier) > 60, "seed {seed}: the scene is too easy, off by {bent}");
-            let asked = Newcomers::default().judge(&pairs, |i| i < 60, &all, FOCAL, &mut inlier).expect("a judgement");
+            let asked = Newcomers::default().judge(&pairs, |i| i < 60, &all, &mut inlier).expect("a judgement");
             assert!(off(&asked) < 0.5 * bent, "seed {seed}: off by {} and before by {bent}", off(&asked));
             assert!(newcomers(&inlier) < 45, "seed {seed}: {} newcomers took part", newcomers(&inlier));
         }
@@ -188,7 +183,7 @@ mod tests {
             let (truth, pairs) = scene(seed, 60, 90, Vector3::zeros());
             let (all, mut inlier) = solved(&truth, &pairs);
             before += count(&inlier);
-            Newcomers::default().judge(&pairs, |i| i < 60, &all, FOCAL, &mut inlier).expect("a judgement");
+            Newcomers::default().judge(&pairs, |i| i < 60, &all, &mut inlier).expect("a judgement");
             after += count(&inlier);
         }
         // One set in a hundred looks by chance as if it moved.
@@ -201,7 +196,7 @@ mod tests {
         let (all, inlier) = solved(&truth, &pairs);
         let mut asked = inlier.clone();
         for established in [0, MIN_ESTABLISHED - 1, pairs.len()] {
-            let judged = Newcomers::default().judge(&pairs, |i| i < established, &all, FOCAL, &mut asked);
+            let judged = Newcomers::default().judge(&pairs, |i| i < established, &all, &mut asked);
             assert!(judged.is_none() && asked == inlier, "{established}");
         }
     }

@@ -287,13 +287,12 @@ impl Tracker {
 
     /// The last solution with the newcomers that agree with established landmarks only.
     fn hear_newcomers(&mut self, frame: &Frame<'_>, solution: PoseSolution) -> PoseSolution {
-        let focal = Vector2::new(frame.camera.fx, frame.camera.fy);
         let matches = &self.search.matches;
         // Tracks whose template was not found come after the matches; nothing vouches for them.
         let established = |i: usize| {
             matches.get(i).and_then(|m| frame.map.landmark(m.landmark)).is_some_and(|l| l.found >= ESTABLISHED_FOUND)
         };
-        let judged = self.newcomers.judge(&self.pairs, established, &solution, focal, &mut self.inlier);
+        let judged = self.newcomers.judge(&self.pairs, established, &solution, &mut self.inlier);
         for (m, &ok) in self.search.matches.iter_mut().zip(&self.inlier) {
             m.inlier = ok;
         }
