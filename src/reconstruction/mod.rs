@@ -178,6 +178,10 @@ impl Reconstruction {
         };
         let near = &near.0[..near.1];
         let mut tracked = self.tracker.track(&frame, self.reference, near);
+        if self.lost_frames > 0 {
+            // Only an old pose speaks for it, so the landmarks must: another place, or this one in a mirror, has a few that fit.
+            tracked = tracked.filter(|t| t.speaks_for_itself(self.config.min_landmarks));
+        }
         if tracked.as_ref().is_none_or(|t| t.share() < WEAK_SHARE) {
             let elsewhere = self.relocaliser.place(&mut self.tracker, &frame, self.reference);
             tracked = match (tracked, elsewhere) {

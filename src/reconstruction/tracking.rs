@@ -42,6 +42,11 @@ impl Tracked {
     pub fn share(&self) -> f64 {
         self.landmarks as f64 / self.sought.max(1) as f64
     }
+
+    /// Twice the landmarks that a frame with a good prediction needs, and a third of those looked for.
+    pub fn speaks_for_itself(&self, min_landmarks: usize) -> bool {
+        self.landmarks >= 2 * min_landmarks && 3 * self.landmarks >= self.sought
+    }
 }
 
 /// Everything that one frame's tracking reads.
@@ -136,7 +141,7 @@ impl Tracker {
         self.refresh_local(frame.map, guess.reference);
         let (radius, coarse_levels) = if precise { (2.0, 1) } else { (WIDE, 3) };
         self.refine(frame, &guess.camera_from_world, radius * frame.config.search_radius_px, coarse_levels)
-            .filter(|t| t.landmarks >= 2 * frame.config.min_landmarks && 3 * t.landmarks >= t.sought)
+            .filter(|t| t.speaks_for_itself(frame.config.min_landmarks))
     }
 
     /// The keyframe that shares most landmarks with the frame just tracked (ties: the newer).
