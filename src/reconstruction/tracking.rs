@@ -5,7 +5,7 @@
 //! 2. *Search*: local landmarks are projected and aligned against keyframe templates ([`search`](super::search)).
 //! 3. *Optimisation*: robust, motion-only, over everything found; tracks whose template was not found (blur) help with a
 //!    smaller weight.
-//!    Newcomers among the landmarks must then agree with the established ones ([`newcomers`](super::newcomers)).
+//!    Newcomers among the landmarks must then agree with the established ones (`newcomers`).
 //! 4. If that rests on too few landmarks: once more with a wide, coarse-to-fine search from each other guess that there is.
 //!
 //! Everything reads the map and writes only its own buffers.

@@ -1,6 +1,6 @@
 //! Pixels of camera points, and their derivatives by the camera and by a pose, for both lens models.
 //!
-//! The same formulas as [`LensModel`](crate::geometry::LensModel)'s, without its limits of validity: on its way an adjustment may pass
+//! The same formulas as [`LensModel`]'s, without its limits of validity: on its way an adjustment may pass
 //! through a lens that folds. Points beyond 90 degrees off the axis are fine for the wide-angle model: the angle is taken from the
 //! point itself and not from the plane z = 1.
 
