@@ -1,16 +1,36 @@
-//! Fills the published estimate from what tracking found.
+//! Fills what is published: the estimate from what tracking found, and the map's snapshot.
 
 use nalgebra::{Matrix6, Vector3};
 
 use super::Reconstruction;
 use super::search::Match;
 use super::tracking::Tracked;
-use super::types::{PoseEstimate, TrackingState};
+use super::types::{KeyframeView, LandmarkView, MapSnapshot, PoseEstimate, TrackingState, largest_sigma};
 use crate::features::FrameFeatures;
 use crate::geometry::Se3;
 use crate::geometry::frames::Camera;
+use crate::map::{KeyframeId, LandmarkId};
 
 impl Reconstruction {
+    /// Fills `out` with the current map.
+    pub fn snapshot(&self, out: &mut MapSnapshot) {
+        out.map = self.map_id;
+        out.revision = self.map.revision;
+        out.landmarks.clear();
+        out.landmarks.extend(self.map.landmarks.iter().map(|(id, l)| LandmarkView {
+            id: LandmarkId(id),
+            position_world: l.position,
+            sigma: largest_sigma(&l.covariance) as f32,
+            observations: l.observers.len() as u32,
+        }));
+        out.keyframes.clear();
+        out.keyframes.extend(self.map.keyframes.iter().map(|(id, k)| KeyframeView {
+            id: KeyframeId(id),
+            timestamp_ns: k.timestamp_ns,
+            world_from_camera: k.camera_from_world.inverse(),
+        }));
+    }
+
     /// No pose: initialising or lost. Everything that is not known is NaN or `None`.
     pub(super) fn estimate_none(&self, features: &FrameFeatures) -> PoseEstimate {
         PoseEstimate {

@@ -41,7 +41,7 @@ use crate::features::{Feedback, FrameFeatures};
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, Odom, World};
 use crate::geometry::{CameraModel, Se3};
-use crate::map::{KeyframeId, LandmarkId, Map, MapId};
+use crate::map::{KeyframeId, Map, MapId};
 
 /// Keyframes at which the whole map is adjusted first; then whenever it has grown by a third, up to the limit.
 const WHOLE_FIRST: usize = 5;
@@ -431,25 +431,6 @@ impl Reconstruction {
     /// Waits for the job under way, if any, and merges it. Nothing is adjusted beyond it.
     pub fn finish(&mut self) {
         self.merge_adjustment(true);
-    }
-
-    /// Fills `out` with the current map.
-    pub fn snapshot(&self, out: &mut MapSnapshot) {
-        out.map = self.map_id;
-        out.revision = self.map.revision;
-        out.landmarks.clear();
-        out.landmarks.extend(self.map.landmarks.iter().map(|(id, l)| LandmarkView {
-            id: LandmarkId(id),
-            position_world: l.position,
-            sigma: types::largest_sigma(&l.covariance) as f32,
-            observations: l.observers.len() as u32,
-        }));
-        out.keyframes.clear();
-        out.keyframes.extend(self.map.keyframes.iter().map(|(id, k)| KeyframeView {
-            id: KeyframeId(id),
-            timestamp_ns: k.timestamp_ns,
-            world_from_camera: k.camera_from_world.inverse(),
-        }));
     }
 
     /// Events since the last call, in order; to be drained after every frame.
