@@ -253,10 +253,7 @@ fn text(result: &TwoView, options: &Options, listed: bool, cameras: Option<&Came
         );
         let pixels = if result.undistorted { "undistorted pixels" } else { "the pictures' own pixels" };
         line("", format!("x_B^T F x_A = 0 in {pixels}; degeneracy: {}", degeneracy(&f.degeneracy)));
-        for r in 0..3 {
-            let m = &f.fundamental;
-            line("", format!("{:>13.5e} {:>13.5e} {:>13.5e}", m[(r, 0)], m[(r, 1)], m[(r, 2)]));
-        }
+        matrix(&mut line, &f.fundamental);
     }
     if let (Some(pose), Some(_)) = (&result.pose, cameras) {
         if let Some([_, s2, s3]) = pose.singular_values {
@@ -306,10 +303,27 @@ fn text(result: &TwoView, options: &Options, listed: bool, cameras: Option<&Came
                 ),
             );
             line("parallax", format!("{:.2} degrees in the median", s.median_parallax_rad.to_degrees()));
+            if let Some(f) = &s.fundamental {
+                line(
+                    "F of the motion",
+                    format!(
+                        "median {:.2} px; this is the F of twoview.json and of the lines drawn",
+                        result.median_px()
+                    ),
+                );
+                matrix(&mut line, f);
+            }
         }
     }
     line("outcome", format!("{}  ({:.0} ms)", result.outcome.sentence(), result.total_ms()));
     out
+}
+
+/// Three rows.
+fn matrix(line: &mut impl FnMut(&str, String), m: &nalgebra::Matrix3<f64>) {
+    for r in 0..3 {
+        line("", format!("{:>13.5e} {:>13.5e} {:>13.5e}", m[(r, 0)], m[(r, 1)], m[(r, 2)]));
+    }
 }
 
 fn degeneracy(d: &crate::geometry::fundamental::Degeneracy) -> String {

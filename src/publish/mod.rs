@@ -266,6 +266,9 @@ impl MapPublisher {
     }
 
     /// Sends landmarks and keyframes, written straight into shared memory; of too many, the newest.
+    ///
+    /// Both are written before either is sent: a reader that has been woken then finds this thread with nothing left to do, not
+    /// on its core with the keyframes still to write, so the way to the reader does not grow with the map.
     pub fn publish(
         &mut self,
         snapshot: &MapSnapshot,
@@ -275,7 +278,11 @@ impl MapPublisher {
         self.sent_ns = Some(monotonic_ns());
         let (scale, scale_sigma) = conversion.scale.to_wire();
         let landmarks = newest(&snapshot.landmarks, self.limits.landmarks);
-        let header = || MapHeader {
+        let keyframes = newest(&snapshot.keyframes, self.limits.keyframes);
+        let map_from_optical = conversion.map_from_optical();
+        let map = self.map.fill(landmarks, |l| convert::landmark(l, &map_from_optical))?;
+        let path = self.keyframes.fill(keyframes, |k| convert::keyframe(k, conversion))?;
+        let header = MapHeader {
             run_id: self.run_id,
             revision: snapshot.revision,
             timestamp_ns: context.timestamp_ns,
@@ -289,11 +296,8 @@ impl MapPublisher {
             clock: convert::clock(conversion.clock),
             reserved: [0; 2],
         };
-        let map_from_optical = conversion.map_from_optical();
-        self.map.send_with(header, landmarks, |l| convert::landmark(l, &map_from_optical))?;
-
-        let keyframes = newest(&snapshot.keyframes, self.limits.keyframes);
-        let header = || KeyframesHeader {
+        self.map.send_filled(map, header)?;
+        let header = KeyframesHeader {
             run_id: self.run_id,
             revision: snapshot.revision,
             timestamp_ns: context.timestamp_ns,
@@ -307,7 +311,7 @@ impl MapPublisher {
             clock: convert::clock(conversion.clock),
             reserved: [0; 2],
         };
-        self.keyframes.send_with(header, keyframes, |k| convert::keyframe(k, conversion))
+        self.keyframes.send_filled(path, header)
     }
 }
 

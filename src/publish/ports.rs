@@ -11,6 +11,7 @@ use iceoryx2::prelude::{
     AllocationStrategy, BackpressureStrategy, CallbackProgression, EventId, MessagingPattern, Node, PortFactory as _,
     ServiceName, ZeroCopySend,
 };
+use iceoryx2::sample_mut::SampleMut;
 use iceoryx2::sample_mut_uninit::SampleMutUninit;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
@@ -34,6 +35,9 @@ where
 
 /// Memory for one message of single values.
 pub(super) type Loan<T> = SampleMutUninit<Ipc, MaybeUninit<T>, ()>;
+
+/// A slice written into shared memory and not sent yet.
+pub(super) type Filled<T, H> = SampleMut<Ipc, [T], H>;
 
 /// The builder calls that slices and single values have in common; their types differ.
 macro_rules! service {
@@ -120,19 +124,18 @@ where
         Ok(Self { publisher: Arc::new(publisher), notifier, service, name })
     }
 
-    /// Sends a slice, each element written into shared memory by `convert`, and wakes its readers. `header` is called last,
-    /// when only the sending is left.
-    pub fn send_with<S>(
-        &self,
-        header: impl FnOnce() -> H,
-        source: &[S],
-        convert: impl Fn(&S) -> T,
-    ) -> Result<(), PublishError> {
+    /// A message in the making: each element written into shared memory by `convert`. Takes time with the slice's length;
+    /// [`Self::send_filled`] does not.
+    pub fn fill<S>(&self, source: &[S], convert: impl Fn(&S) -> T) -> Result<Filled<T, H>, PublishError> {
         let sample = self.publisher.loan_slice_uninit(source.len()).map_err(|e| self.failed("taking memory", e))?;
         // There are as many slots as elements, so the default is never used.
-        let mut sample = sample.write_from_fn(|i| source.get(i).map(&convert).unwrap_or_default());
-        *sample.user_header_mut() = header();
-        sample.send().map_err(|e| self.failed("sending", e))?;
+        Ok(sample.write_from_fn(|i| source.get(i).map(&convert).unwrap_or_default()))
+    }
+
+    /// Sends what was filled and wakes its readers.
+    pub fn send_filled(&self, mut filled: Filled<T, H>, header: H) -> Result<(), PublishError> {
+        *filled.user_header_mut() = header;
+        filled.send().map_err(|e| self.failed("sending", e))?;
         self.wake();
         Ok(())
     }

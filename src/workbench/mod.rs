@@ -13,6 +13,7 @@ pub mod detect;
 pub mod guided;
 pub mod pairing;
 pub mod picture;
+pub mod polish;
 pub mod pose;
 pub mod report;
 pub mod scales;

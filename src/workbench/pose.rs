@@ -27,8 +27,8 @@ use crate::geometry::two_view::{TwoViewFailure, TwoViewOptions, TwoViewReconstru
 
 /// 95 % point of chi-square with one degree of freedom, as a distance in sigma.
 pub const LINE_SIGMAS: f64 = 1.96;
-/// No corner is placed better than this, pixels.
-const MIN_NOISE_PX: f64 = 0.1;
+/// No match is placed better than this, pixels.
+const MIN_NOISE_PX: f64 = 0.03;
 /// Once the noise is known, an inlier lies within so many sigma of it.
 const INLIER_SIGMAS: f64 = 3.5;
 /// Names of the four motions, in the order of `geometry::essential::Decomposition`.
@@ -79,6 +79,8 @@ pub struct Solution {
     /// Translation of unit length.
     pub second_from_first: Se3<Second, First>,
     pub essential: Matrix3<f64>,
+    /// The same for undistorted pixels: `K2⁻ᵀ E K1⁻¹`, of unit norm.
+    pub fundamental: Option<Matrix3<f64>>,
     /// One a match: agrees with the motion and is not behind a camera.
     pub inliers: Vec<bool>,
     /// One a match, adjusted, the first camera's axes, unit: the baseline; `None` for outliers and points too far.
@@ -162,6 +164,14 @@ fn guess(input: &PoseInput, options: &EssentialOptions) -> Option<Se3<Second, Fi
         let ransac = RansacOptions { max_log10_false_alarms: f64::INFINITY, threshold, ..options.ransac };
         estimate_essential(input.x1, input.x2, &EssentialOptions { ransac, ..*options }).map(|e| e.second_from_first)
     })
+}
+
+/// F of E, of unit norm.
+fn fundamental_of(essential: &Matrix3<f64>, cameras: [&CameraModel; 2]) -> Option<Matrix3<f64>> {
+    let [k1, k2] = cameras.map(|c| intrinsics(c).try_inverse());
+    let f = k2?.transpose() * essential * k1?;
+    let norm = f.norm();
+    (norm > 0.0 && norm.is_finite()).then(|| f / norm)
 }
 
 /// K of a camera.
@@ -283,10 +293,12 @@ fn solve(input: &PoseInput, motions: &[(&'static str, Se3<Second, First>)], thre
         .zip(&linear)
         .filter_map(|(a, b)| Some((a.as_ref()? - b.as_ref()?).norm() / a.as_ref()?.norm()))
         .collect();
+    let essential = essential_of(&motion);
     Some(Solution {
         origin,
         second_from_first: motion,
-        essential: essential_of(&motion),
+        essential,
+        fundamental: fundamental_of(&essential, input.cameras),
         inliers,
         points,
         linear_difference: median(&mut differences),

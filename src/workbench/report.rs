@@ -56,7 +56,7 @@ struct MatchRecord {
     distance: f64,
     /// Found along an epipolar line in the guided round.
     guided: bool,
-    /// Inlier of F, and of the pose.
+    /// Inlier of the F of the matches alone, and of the result.
     inlier_fundamental: Option<bool>,
     inlier: bool,
     /// Sampson distance from F, pixels.
@@ -138,6 +138,7 @@ fn pose(steps: &PoseSteps) -> Value {
 pub fn document(result: &TwoView, pictures: [&str; 2], sizes: [(usize, usize); 2], options: &Options) -> Value {
     let solution = result.pose.as_ref().and_then(|p| p.solution.as_ref());
     let inliers = result.inliers();
+    let residuals = result.residuals_px();
     let finite = |v: f64| v.is_finite().then_some(v);
     let matches: Vec<MatchRecord> = result
         .pairs
@@ -152,7 +153,7 @@ pub fn document(result: &TwoView, pictures: [&str; 2], sizes: [(usize, usize); 2
             guided: i >= result.unguided,
             inlier_fundamental: result.epipolar.as_ref().map(|e| e.estimate.inliers[i]),
             inlier: inliers[i],
-            residual_px: result.epipolar.as_ref().and_then(|e| finite(e.residuals_px[i])),
+            residual_px: residuals.get(i).copied().and_then(finite),
             point: solution.and_then(|s| s.points[i].as_ref()).map(list),
         })
         .collect();
@@ -172,6 +173,7 @@ pub fn document(result: &TwoView, pictures: [&str; 2], sizes: [(usize, usize); 2
         "program": concat!("cairn ", env!("CARGO_PKG_VERSION")),
         "outcome": outcome,
         "convention": "x_B^T F x_A = 0 with x = (column, row, 1), pixel (0, 0) the centre of the first pixel; [R | t] = second_from_first: X_B = R X_A + t, |t| = 1; matrices are lists of rows",
+        "F_is": if solution.is_some_and(|s| s.fundamental.is_some()) { "of the motion: inverse(K_B)^T E inverse(K_A)" } else { "of the matches alone" },
         "pixels_of_F": if result.undistorted { "undistorted: K times the undistorted normalised point (a_undistorted, b_undistorted)" } else { "the pictures' own (a, b)" },
         "pictures": [picture(0), picture(1)],
         "options": {
@@ -183,7 +185,7 @@ pub fn document(result: &TwoView, pictures: [&str; 2], sizes: [(usize, usize); 2
             "guided": options.guided,
             "seed": options.seed,
         },
-        "F": result.epipolar.as_ref().map(|e| rows(&e.estimate.fundamental)),
+        "F": result.fundamental().map(|f| rows(&f)),
         "E": solution.map(|s| rows(&s.essential)),
         "R": solution.map(|s| rows(s.second_from_first.rotation.to_rotation_matrix().matrix())),
         "t": solution.map(|s| list(&s.second_from_first.translation)),
@@ -195,6 +197,7 @@ pub fn document(result: &TwoView, pictures: [&str; 2], sizes: [(usize, usize); 2
             "points": solution.map_or(0, |s| s.points.iter().flatten().count()),
         },
         "fundamental": result.epipolar.as_ref().map(|e| json!({
+            "F_of_matches": rows(&e.estimate.fundamental),
             "inliers": e.estimate.inlier_count,
             "samples": e.estimate.iterations,
             "msac_score": e.estimate.score,

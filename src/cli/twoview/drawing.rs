@@ -40,8 +40,7 @@ pub fn write(
     let count = inliers.iter().filter(|i| **i).count();
     let heading = format!("{} matches, {count} inliers (green)", links.len());
     write_links(&folder.join("matches.png"), both, &links, &heading)?;
-    if let Some(epipolar) = &result.epipolar {
-        let f = &epipolar.estimate.fundamental;
+    if let Some(f) = result.fundamental() {
         let marks: Vec<EpipolarMark> = spread(result, &inliers)
             .into_iter()
             .map(|i| {
@@ -55,7 +54,7 @@ pub fn write(
             })
             .collect();
         let heading =
-            format!("epipolar lines of {} inliers, median distance {:.2} px", marks.len(), epipolar.median_px);
+            format!("epipolar lines of {} inliers, median distance {:.2} px", marks.len(), result.median_px());
         write_epipolar_lines(&folder.join("epipolar.png"), both, &marks, &heading)?;
     }
     if let (Some(solution), Some(cameras)) = (result.pose.as_ref().and_then(|p| p.solution.as_ref()), cameras) {

@@ -73,7 +73,7 @@ pub fn score(task: &Task, way: Option<(Detector, Matcher)>, result: &TwoView, si
         let rotation = s.second_from_first.rotation.angle_to(&t.rotation).to_degrees();
         (rotation, s.second_from_first.translation.angle(&t.translation).to_degrees())
     });
-    let fundamental = result.epipolar.as_ref().map(|e| e.estimate.fundamental);
+    let fundamental = result.fundamental();
     let row_angles = fundamental.filter(|_| truth.rectified).map(|f| row_angles_deg(&f, result, &inliers));
     let time = |step: &str| result.times.iter().filter(|(name, _)| *name == step).map(|(_, ms)| ms).sum();
     Score {
