@@ -267,8 +267,9 @@ impl MapPublisher {
 
     /// Sends landmarks and keyframes, written straight into shared memory; of too many, the newest.
     ///
-    /// Both are written before either is sent: a reader that has been woken then finds this thread with nothing left to do, not
-    /// on its core with the keyframes still to write, so the way to the reader does not grow with the map.
+    /// Both are written before either is sent, and the map is the last: a reader that it wakes often gets this thread's core, and
+    /// would wait there for whatever is left to do, so the way to the reader would grow with the map. Who wakes by the map also
+    /// finds the keyframes of the same revision.
     pub fn publish(
         &mut self,
         snapshot: &MapSnapshot,
@@ -282,21 +283,6 @@ impl MapPublisher {
         let map_from_optical = conversion.map_from_optical();
         let map = self.map.fill(landmarks, |l| convert::landmark(l, &map_from_optical))?;
         let path = self.keyframes.fill(keyframes, |k| convert::keyframe(k, conversion))?;
-        let header = MapHeader {
-            run_id: self.run_id,
-            revision: snapshot.revision,
-            timestamp_ns: context.timestamp_ns,
-            published_ns: monotonic_ns(),
-            count: count(landmarks.len()),
-            total: count(snapshot.landmarks.len()),
-            map_id: snapshot.map.0,
-            reset_counter: context.reset_counter,
-            scale_sigma,
-            scale,
-            clock: convert::clock(conversion.clock),
-            reserved: [0; 2],
-        };
-        self.map.send_filled(map, header)?;
         let header = KeyframesHeader {
             run_id: self.run_id,
             revision: snapshot.revision,
@@ -311,7 +297,22 @@ impl MapPublisher {
             clock: convert::clock(conversion.clock),
             reserved: [0; 2],
         };
-        self.keyframes.send_filled(path, header)
+        self.keyframes.send_filled(path, header)?;
+        let header = MapHeader {
+            run_id: self.run_id,
+            revision: snapshot.revision,
+            timestamp_ns: context.timestamp_ns,
+            published_ns: monotonic_ns(),
+            count: count(landmarks.len()),
+            total: count(snapshot.landmarks.len()),
+            map_id: snapshot.map.0,
+            reset_counter: context.reset_counter,
+            scale_sigma,
+            scale,
+            clock: convert::clock(conversion.clock),
+            reserved: [0; 2],
+        };
+        self.map.send_filled(map, header)
     }
 }
 

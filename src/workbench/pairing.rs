@@ -149,25 +149,31 @@ pub fn align_pairs(first: &Corners, second: &Corners, pairs: &mut [Pair]) {
     }
 }
 
-/// Moves the second place of each pair to a small fraction of a pixel, by an affine map of its patch ([`polish`]): from the
-/// coarser scale of both down to the finest at which the patches are alike. What cannot be placed better stays.
+/// [`polish_pair`] of each; what cannot be placed better stays.
 pub fn polish_pairs(first: &Corners, second: &Corners, pairs: &mut [Pair]) {
     for pair in pairs {
-        let of =
-            |corners: &Corners, index: Option<usize>| index.and_then(|i| corners.keypoints.get(i)).map(|k| k.scale);
-        let from = of(first, Some(pair.first)).unwrap_or(0);
-        let mut scale = from.max(of(second, pair.second).unwrap_or(from));
-        let mut map = Matrix2::identity() * (pair.size_px[1] / pair.size_px[0]);
-        while let (Some(a), Some(b)) = (first.scales.get(scale), second.scales.get(scale)) {
-            let Some(found) = polish(&a.image, &b.image, &a.local(&pair.a), &b.local(&pair.b), &map) else { break };
-            (pair.b, map) = (b.base(&found.place), found.map);
-            pair.size_px = [a.size_px(), b.size_px()];
-            if scale == 0 {
-                break;
-            }
-            scale = scale.saturating_sub(POLISH_STEPS);
-        }
+        polish_pair(first, second, pair);
     }
+}
+
+/// Moves the second place of a pair to a small fraction of a pixel, by an affine map of its patch ([`polish`]): from the coarser
+/// scale of both down to the finest at which the patches are alike. Tells whether that was possible at all.
+pub fn polish_pair(first: &Corners, second: &Corners, pair: &mut Pair) -> bool {
+    let of = |corners: &Corners, index: Option<usize>| index.and_then(|i| corners.keypoints.get(i)).map(|k| k.scale);
+    let from = of(first, Some(pair.first)).unwrap_or(0);
+    let mut scale = from.max(of(second, pair.second).unwrap_or(from));
+    let mut map = Matrix2::identity() * (pair.size_px[1] / pair.size_px[0]);
+    let mut polished = false;
+    while let (Some(a), Some(b)) = (first.scales.get(scale), second.scales.get(scale)) {
+        let Some(found) = polish(&a.image, &b.image, &a.local(&pair.a), &b.local(&pair.b), &map) else { break };
+        (pair.b, map, polished) = (b.base(&found.place), found.map, true);
+        pair.size_px = [a.size_px(), b.size_px()];
+        if scale == 0 {
+            break;
+        }
+        scale = scale.saturating_sub(POLISH_STEPS);
+    }
+    polished
 }
 
 fn pair(first: &[Keypoint], second: &[Keypoint], i: usize, j: usize, distance: f32) -> Pair {

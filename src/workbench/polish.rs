@@ -8,14 +8,15 @@
 //! - The patch is cut around a whole pixel, so that only the second picture is interpolated (cubic, Keys 1981): an interpolated
 //!   template is blurred, and pulls.
 //!
-//! Cost: 30 us a match. Deliberately not here: finding the place (`super::pairing`), turned patches: the map starts unturned.
+//! Cost: 20 us a match. Deliberately not here: finding the place (`super::pairing`), turned patches: the map starts unturned.
 
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
 use crate::image::GreyImage;
 
-/// Half the side of the patch, pixels.
-const RADIUS: i32 = 8;
+/// Half the side of the patch, pixels. Small: a corner is often where something nearer ends, and what lies behind it moves otherwise
+/// (on a pair with known disparity 17x17 pixels tilted the epipolar lines three times as much as 11x11).
+const RADIUS: i32 = 5;
 const SIDE: usize = 2 * RADIUS as usize + 1;
 /// One sigma of the window, as a share of the radius.
 const WINDOW: f64 = 0.7;
@@ -27,7 +28,7 @@ const MAX_SHIFT_PX: f64 = 1.5;
 /// Most that an entry of the map may change by.
 const MAX_CHANGE: f64 = 0.6;
 /// Patches less alike than this (correlation under the window) are not the same.
-const MIN_NCC: f64 = 0.85;
+const MIN_NCC: f64 = 0.9;
 /// A place less sure than this is no better than what was there, pixels.
 const MAX_SIGMA_PX: f64 = 0.25;
 
@@ -210,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn slanted_darker_patches_are_placed_to_a_fiftieth_of_a_pixel() {
+    fn slanted_darker_patches_are_placed_to_a_thirtieth_of_a_pixel() {
         for seed in 0..20 {
             let grey = texture(seed);
             let mut random = Random::new(1000 + seed);
@@ -230,8 +231,8 @@ mod tests {
             let found = polish(&first, &second, &a, &start, &Matrix2::identity())
                 .unwrap_or_else(|| panic!("seed {seed}: not found"));
             let error = (found.place - b).norm();
-            assert!(error < 0.02, "seed {seed}: {error} px");
-            assert!((found.map - map).amax() < 0.02, "seed {seed}: {} {map}", found.map);
+            assert!(error < 0.033, "seed {seed}: {error} px");
+            assert!((found.map - map).amax() < 0.03, "seed {seed}: {} {map}", found.map);
         }
     }
 

@@ -16,7 +16,7 @@ use nalgebra::{Matrix3, Vector2};
 use super::adjustment::Observation;
 use super::detect::{Corners, Detection, detect};
 use super::guided::{Guidance, correlate_along_lines, match_along_lines};
-use super::pairing::{Matcher, Matching, Pair, align_pairs, pair_corners, polish_pairs};
+use super::pairing::{Matcher, Matching, Pair, align_pairs, pair_corners, polish_pair, polish_pairs};
 use super::pose::{LINE_SIGMAS, PoseInput, PoseSteps, median, noise, pose_steps};
 use crate::geometry::LensModel;
 use crate::geometry::camera_model::CameraModel;
@@ -345,12 +345,15 @@ impl Chain {
             _ => Vec::new(),
         };
         align_pairs(both[0], both[1], &mut found);
+        polish_pairs(both[0], both[1], &mut found);
         // A lens bends the lines; correlation follows straight ones.
         let straight = |c: &Cameras| [&c.a, &c.b].into_iter().all(|c| c.lens == LensModel::PINHOLE);
         if cameras.is_none_or(straight) {
-            found.extend(correlate_along_lines(both, &f, &options.matching.correlation));
+            let along = correlate_along_lines(both, &f, &options.matching.correlation);
+            // A place that stays where it was found, on the line, would confirm the line.
+            let off_line = |mut pair: Pair| polish_pair(both[0], both[1], &mut pair).then_some(pair);
+            found.extend(along.into_iter().filter_map(off_line));
         }
-        polish_pairs(both[0], both[1], &mut found);
         // A corner that has a match keeps it unless that is no inlier.
         let inliers = out.inliers();
         let taken = |used: fn(&Pair) -> Option<usize>, count: usize| {

@@ -1,4 +1,4 @@
-//! What the wire costs: `cargo bench --bench wire`.
+//! What the wire costs: `cargo bench --bench wire`; `cargo bench --bench wire -- maps` for the maps alone.
 //!
 //! Between processes on this machine: the cost of publishing, the time from publishing to the reader, woken by the event or
 //! polling, with readers that are stuck, shared memory, the CPU of a reader that sleeps, and the way of a simulated camera's frame
@@ -53,6 +53,12 @@ fn measure() {
     drop(publisher);
     publisher =
         Publisher::open(&endpoint, &Limits { landmarks: LARGEST, ..Limits::default() }).expect("a large publisher");
+
+    if std::env::args().any(|argument| argument == "maps") {
+        maps(&endpoint, &mut publisher, &root);
+        drop((publisher, bare));
+        return clean(&root, &name);
+    }
 
     let mut costs: Vec<i64> = (0..MESSAGES).map(|i| pose(&mut publisher, i)).collect();
     row("pose, no reader", &mut costs, None);
