@@ -426,5 +426,5 @@ fn epipolar_lines_of_a_rectified_pair_of_unknown_cameras_are_nearly_rows() {
     let scores = scores(&folder, "flow");
     let figure = |key: &str| scores[0][key].as_f64().unwrap();
     println!("without cameras: tilt {:.3}, median {:.3} degrees", figure("row_tilt_deg"), figure("row_angle_deg"));
-    assert!(figure("row_tilt_deg") <= 0.1 && figure("row_angle_deg") <= 0.25, "{}", scores[0]);
+    assert!(figure("row_tilt_deg") <= 0.1 && figure("row_angle_deg") <= 0.2, "{}", scores[0]);
 }
