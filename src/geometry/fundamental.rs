@@ -357,16 +357,8 @@ impl Estimator for Parallax<'_> {
         None
     }
 
-    /// A match beside the plane only because it is inexact lies off it in any direction, and the nearer the likelier near whatever
-    /// line runs through its place on the plane: `|e| |sin angle| <= sqrt(2) T`, as Sampson's distance halves the squares.
     fn chance(&self, threshold: f64) -> f64 {
-        let turned = |i: &usize| {
-            let (x1, x2) = self.problem.at(*i);
-            let off = (apply(&self.plane.forward, &x1) - x2).norm();
-            (std::f64::consts::SQRT_2 * threshold / off).min(1.0).asin() * std::f64::consts::FRAC_2_PI
-        };
-        let inexact = self.beside.iter().map(turned).sum::<f64>() / (self.beside.len() as f64).max(1.0);
-        self.problem.chance(threshold).max(inexact)
+        self.problem.chance(threshold)
     }
 }
 
