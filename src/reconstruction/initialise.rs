@@ -63,8 +63,8 @@ pub struct View {
 #[derive(Debug)]
 pub struct Start {
     pub first: View,
-    /// Frames since the first one.
-    pub frames: u64,
+    /// How long the camera has moved without a start, s.
+    pub trying_s: f64,
     /// In order of time; neither the first nor the newest frame is among them.
     pub between: Vec<View>,
     pub second_from_first: Se3<Second, First>,
@@ -79,6 +79,10 @@ const START_SIGMA_PX: f64 = 1.0;
 const MAX_BETWEEN: usize = 8;
 /// The reference frame is given up below this many common tracks.
 const MIN_COMMON: usize = 60;
+/// Rotation-compensated flow since the reference at which the camera counts as moving, px.
+const MOVING_FLOW_PX: f64 = 1.0;
+/// One frame adds at most this much to the time spent trying, s.
+const LONGEST_STEP_S: f64 = 0.5;
 
 /// Waits for a start.
 #[derive(Debug, Default)]
@@ -88,6 +92,9 @@ pub struct Initialiser {
     between: Vec<View>,
     stride: u64,
     since_reference: u64,
+    /// How long the camera has moved without a start, s: standing still takes it back. It outlasts the reference.
+    trying_s: f64,
+    last_ns: Option<i64>,
     /// All frames since the last reset that may still get a pose, the reference among them.
     pub pending: VecDeque<PendingFrame>,
 }
@@ -96,6 +103,8 @@ impl Initialiser {
     pub fn clear(&mut self) {
         self.set_reference(None);
         self.pending.clear();
+        self.trying_s = 0.0;
+        self.last_ns = None;
     }
 
     fn set_reference(&mut self, reference: Option<View>) {
@@ -145,7 +154,12 @@ impl Initialiser {
             self.set_reference((features.tracks.len() >= MIN_COMMON).then(view));
             return None;
         }
-        let start = self.attempt(features, &pairs, camera, config);
+        let flow = rotation_compensated_flow(&pairs, camera);
+        let step_s = self.last_ns.map_or(0.0, |last| (features.timestamp_ns - last) as f64 * 1e-9);
+        let step_s = step_s.clamp(0.0, LONGEST_STEP_S);
+        self.trying_s = if flow >= MOVING_FLOW_PX { self.trying_s + step_s } else { (self.trying_s - step_s).max(0.0) };
+        self.last_ns = Some(features.timestamp_ns);
+        let start = if flow < config.start_flow_px { None } else { self.attempt(features, &pairs, camera, config) };
         self.keep(view);
         start
     }
@@ -159,9 +173,6 @@ impl Initialiser {
         config: &ReconstructionConfig,
     ) -> Option<Start> {
         let reference = self.reference.as_ref()?;
-        if rotation_compensated_flow(pairs, camera) < config.start_flow_px {
-            return None;
-        }
         let first: Vec<Vector2<f64>> = pairs.iter().map(|p| p.first).collect();
         let second: Vec<Vector2<f64>> = pairs.iter().map(|p| p.second).collect();
         let options =
@@ -184,7 +195,7 @@ impl Initialiser {
         }
         Some(Start {
             first: reference.clone(),
-            frames: self.since_reference + 1,
+            trying_s: self.trying_s,
             between: self.between.clone(),
             second_from_first: solution.second_from_first,
             points,
