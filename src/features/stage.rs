@@ -293,3 +293,30 @@ fn neighbours_residual(steps: &[Step], position: Vector2<f32>) -> Vector2<f32> {
     };
     Vector2::new(component(0), component(1))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_first_picture_of_low_contrast_has_its_corners_at_once() {
+        // Squares that are eight grey levels brighter than their surroundings, less than half the usual threshold.
+        let mut picture = GreyImage::new(320, 240);
+        for (i, pixel) in picture.data.iter_mut().enumerate() {
+            let (x, y) = (i % 320, i / 320);
+            *pixel = if x % 32 / 11 == 1 && y % 32 / 11 == 1 { 128 } else { 120 };
+        }
+        let mut stage = FeatureStage::new(&FeaturesConfig::default());
+        let mut features = FrameFeatures::default();
+        stage.step_grey(&picture, &mut features);
+        let first = features.tracks.len();
+        for _ in 0..8 {
+            stage.step_grey(&picture, &mut features);
+        }
+        assert!(
+            first >= 40 && first * 10 >= features.tracks.len() * 9,
+            "{first} at first, {} later",
+            features.tracks.len()
+        );
+    }
+}

@@ -71,3 +71,51 @@ fn agreement(
     let in_front = intersect(&motion, &x1, &x2).is_some_and(|met| met.depth1 > 0.0 && met.depth2 > 0.0);
     Some(distance <= AGREEING_PX && in_front)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Vector3;
+
+    /// A camera that goes to the right before a wall of depth, whose left `share` moves down at the same time.
+    fn views(step: f64, share: f64, camera: &CameraModel) -> [(PendingFrame, Se3<Camera, World>); 2] {
+        let second = Se3::new(nalgebra::UnitQuaternion::identity(), Vector3::new(-step, 0.0, 0.0));
+        let frame = |sequence| PendingFrame { sequence, timestamp_ns: 0, tracks: Vec::new() };
+        let mut views = [(frame(0), Se3::identity()), (frame(1), second)];
+        for i in 0..30 {
+            for j in 0..24 {
+                let depth = 2.0 + f64::from((i * 5 + j * 3) % 7) * 0.3;
+                let ray = Vector3::new((f64::from(i) - 14.5) * 0.04, (f64::from(j) - 11.5) * 0.035, 1.0);
+                let mut p = ray * depth;
+                for (n, (frame, pose)) in views.iter_mut().enumerate() {
+                    if n == 1 && f64::from(i) < 30.0 * share {
+                        p.y += 0.15;
+                    }
+                    if let Some(pixel) = camera.project(&pose.transform(&p)) {
+                        frame.tracks.push(((i * 24 + j) as u64, pixel.cast()));
+                    }
+                }
+            }
+        }
+        views
+    }
+
+    fn share(step: f64, moving: f64) -> Option<f64> {
+        let camera = CameraModel::new(640, 480, 500.0, 500.0, 319.5, 239.5, [0.0; 5]).unwrap();
+        let views = views(step, moving, &camera);
+        agreeing_share(&[(&views[0].0, views[0].1), (&views[1].0, views[1].1)], &camera)
+    }
+
+    #[test]
+    fn the_world_agrees_and_what_moves_alone_does_not() {
+        assert_eq!(share(0.1, 0.0), Some(1.0));
+        let third = share(0.1, 0.3).unwrap();
+        assert!((third - 0.7).abs() < 0.08, "{third}");
+    }
+
+    #[test]
+    fn a_camera_that_stands_is_told_nothing() {
+        assert_eq!(share(0.0, 0.0), None);
+        assert_eq!(agreeing_share(&[], &CameraModel::new(64, 48, 50.0, 50.0, 31.5, 23.5, [0.0; 5]).unwrap()), None);
+    }
+}

@@ -294,4 +294,38 @@ mod tests {
         let moved = rotation_compensated_flow(&pairs(turn, Vector3::new(0.3, 0.0, 0.0)), &camera);
         assert!(moved > 3.0, "{moved}");
     }
+
+    #[test]
+    fn patience_is_spent_by_moving_outlasts_the_reference_and_comes_back_while_standing() {
+        let camera = CameraModel::new(640, 480, 500.0, 500.0, 320.0, 240.0, [0.0; 5]).unwrap();
+        // No start is tried: only the time counts here.
+        let config = ReconstructionConfig { start_flow_px: 100.0, ..ReconstructionConfig::default() };
+        let mut initialiser = Initialiser::default();
+        let mut frames = 0;
+        let mut go_on = |seconds: f64, first_id: u64, step: f64| {
+            for n in 0..(seconds * 30.0) as usize {
+                let moved = Vector3::new(0.15 + step * n as f64, 0.0, 0.0);
+                let tracks = pairs(Rotation3::identity(), moved).into_iter().enumerate().map(|(i, p)| Track {
+                    id: first_id + i as u64,
+                    position: (p.second * 500.0 + Vector2::new(320.0, 240.0)).cast(),
+                    age: 1,
+                });
+                let features = FrameFeatures {
+                    sequence: frames,
+                    timestamp_ns: frames as i64 * 33_333_333,
+                    tracks: tracks.collect(),
+                    ..FrameFeatures::default()
+                };
+                assert!(initialiser.step(&features, &camera, &config).is_none());
+                frames += 1;
+            }
+            initialiser.trying_s
+        };
+        assert_eq!(go_on(3.0, 0, 0.0), 0.0, "standing");
+        let moving = go_on(1.0, 0, 0.005);
+        assert!((0.6..1.0).contains(&moving), "{moving} s of trying after a second of motion");
+        let again = go_on(1.0, 1000, 0.005);
+        assert!(again > moving + 0.6, "{again} s after another with new tracks");
+        assert_eq!(go_on(3.0, 2000, 0.0), 0.0, "after standing again");
+    }
 }
