@@ -81,6 +81,8 @@ const MAX_BETWEEN: usize = 8;
 const MIN_COMMON: usize = 60;
 /// Rotation-compensated flow since the reference at which the camera counts as moving, px.
 const MOVING_FLOW_PX: f64 = 1.0;
+/// A camera without such flow for so long since the reference stands, s.
+const STANDING_S: f64 = 0.5;
 /// One frame adds at most this much to the time spent trying, s.
 const LONGEST_STEP_S: f64 = 0.5;
 
@@ -155,13 +157,22 @@ impl Initialiser {
             return None;
         }
         let flow = rotation_compensated_flow(&pairs, camera);
-        let step_s = self.last_ns.map_or(0.0, |last| (features.timestamp_ns - last) as f64 * 1e-9);
-        let step_s = step_s.clamp(0.0, LONGEST_STEP_S);
-        self.trying_s = if flow >= MOVING_FLOW_PX { self.trying_s + step_s } else { (self.trying_s - step_s).max(0.0) };
-        self.last_ns = Some(features.timestamp_ns);
+        self.spend_patience(features.timestamp_ns, flow);
         let start = if flow < config.start_flow_px { None } else { self.attempt(features, &pairs, camera, config) };
         self.keep(view);
         start
+    }
+
+    /// Notes for how long the camera has moved, or stood: `flow_px` since the reference, compensated for rotation.
+    fn spend_patience(&mut self, timestamp_ns: i64, flow_px: f64) {
+        let since = |then: i64| (timestamp_ns - then) as f64 * 1e-9;
+        let step_s = self.last_ns.map_or(0.0, since).clamp(0.0, LONGEST_STEP_S);
+        self.last_ns = Some(timestamp_ns);
+        if flow_px >= MOVING_FLOW_PX {
+            self.trying_s += step_s;
+        } else if self.reference.as_ref().is_some_and(|r| since(r.frame.timestamp_ns) > STANDING_S) {
+            self.trying_s = (self.trying_s - step_s).max(0.0);
+        }
     }
 
     /// Two-view geometry between the reference and this frame.
@@ -322,10 +333,10 @@ mod tests {
             initialiser.trying_s
         };
         assert_eq!(go_on(3.0, 0, 0.0), 0.0, "standing");
-        let moving = go_on(1.0, 0, 0.005);
-        assert!((0.6..1.0).contains(&moving), "{moving} s of trying after a second of motion");
-        let again = go_on(1.0, 1000, 0.005);
-        assert!(again > moving + 0.6, "{again} s after another with new tracks");
-        assert_eq!(go_on(3.0, 2000, 0.0), 0.0, "after standing again");
+        let moving = go_on(1.0, 0, 0.02);
+        assert!((0.5..=1.0).contains(&moving), "{moving} s of trying after a second of motion");
+        let again = go_on(1.0, 1000, 0.02);
+        assert!(again > moving + 0.5, "{again} s after another with new tracks");
+        assert_eq!(go_on(4.0, 2000, 0.0), 0.0, "after standing again");
     }
 }
