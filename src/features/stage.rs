@@ -32,6 +32,9 @@ const THUMBNAIL_NCC: f32 = 0.5;
 const NEIGHBOURS: usize = 5;
 /// Corners are detected when tracks fill less than this share of the cells.
 const FILLED_SHARE: f32 = 0.95;
+/// How much a cell without a corner lowers its threshold, and how often at once in a first picture.
+const LOWERED: f32 = 0.7;
+const SETTLING_PASSES: usize = 4;
 
 /// A track of the previous frame on its way into this one.
 #[derive(Debug, Clone, Copy)]
@@ -58,6 +61,8 @@ pub struct FeatureStage {
     grid: CellGrid,
     /// Threshold of each cell, grey levels.
     thresholds: Vec<f32>,
+    /// No picture of this size has been looked at so far.
+    fresh: bool,
     corners: Vec<Corner>,
     /// Best corner of each cell with its eigenvalue.
     best: Vec<Option<(f32, Vector2<f32>)>>,
@@ -83,6 +88,7 @@ impl FeatureStage {
             next_id: 0,
             grid: CellGrid::new(0, 0, config.cell_px, config.threshold),
             thresholds: Vec::new(),
+            fresh: true,
             corners: Vec::new(),
             best: Vec::new(),
         }
@@ -140,6 +146,7 @@ impl FeatureStage {
     fn start_over(&mut self, pyramid: &Pyramid) {
         let (width, height) = pyramid.size();
         self.tracks.clear();
+        self.fresh = true;
         self.grid = CellGrid::new(width, height, self.config.cell_px, self.config.threshold);
         self.thresholds.clear();
         self.thresholds.resize(self.grid.cells.len(), self.config.threshold);
@@ -174,6 +181,31 @@ impl FeatureStage {
         }
     }
 
+    /// Lowers the thresholds of cells without a corner at once, where no earlier picture could show what they need.
+    fn settle_thresholds(&mut self, image: &GreyImage) {
+        for _ in 0..SETTLING_PASSES {
+            self.detector.detect(image, &self.grid, &mut self.corners);
+            self.best.clear();
+            self.best.resize(self.grid.cells.len(), None);
+            for corner in &self.corners {
+                if let Some(i) = self.grid.index(corner.x, corner.y) {
+                    self.best[i] = Some((0.0, Vector2::zeros()));
+                }
+            }
+            let mut lowered = false;
+            for ((cell, threshold), best) in self.grid.cells.iter_mut().zip(&mut self.thresholds).zip(&self.best) {
+                if best.is_none() && *threshold > self.config.min_threshold {
+                    *threshold = (*threshold * LOWERED).max(self.config.min_threshold);
+                    cell.threshold = *threshold;
+                    lowered = true;
+                }
+            }
+            if !lowered {
+                break;
+            }
+        }
+    }
+
     /// One new track in each empty cell that has a corner.
     fn detect(&mut self, pyramid: &Pyramid) {
         let Some(image) = pyramid.levels.first() else { return };
@@ -192,6 +224,9 @@ impl FeatureStage {
         let room = self.config.max_tracks.saturating_sub(self.tracks.len());
         if room == 0 || filled as f32 >= FILLED_SHARE * self.grid.cells.len() as f32 {
             return;
+        }
+        if std::mem::take(&mut self.fresh) {
+            self.settle_thresholds(image);
         }
         self.detector.detect(image, &self.grid, &mut self.corners);
         self.best.clear();
@@ -215,7 +250,7 @@ impl FeatureStage {
             // A cell without a corner is looked at more closely next time, one with a corner a little less so.
             let threshold = &mut self.thresholds[i];
             let Some((_, position)) = best else {
-                *threshold = (*threshold * 0.7).max(self.config.min_threshold);
+                *threshold = (*threshold * LOWERED).max(self.config.min_threshold);
                 continue;
             };
             *threshold = (*threshold * 1.1).min(self.config.threshold);
@@ -257,4 +292,31 @@ fn neighbours_residual(steps: &[Step], position: Vector2<f32>) -> Vector2<f32> {
         values[count / 2]
     };
     Vector2::new(component(0), component(1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_first_picture_of_low_contrast_has_its_corners_at_once() {
+        // Small squares that are 17 grey levels brighter than their surroundings, less than the usual threshold.
+        let mut picture = GreyImage::new(320, 240);
+        for (i, pixel) in picture.data.iter_mut().enumerate() {
+            let (x, y) = (i % 320, i / 320);
+            *pixel = if x % 32 / 6 == 2 && y % 32 / 6 == 2 { 137 } else { 120 };
+        }
+        let mut stage = FeatureStage::new(&FeaturesConfig::default());
+        let mut features = FrameFeatures::default();
+        stage.step_grey(&picture, &mut features);
+        let first = features.tracks.len();
+        for _ in 0..8 {
+            stage.step_grey(&picture, &mut features);
+        }
+        assert!(
+            first >= 40 && first * 10 >= features.tracks.len() * 9,
+            "{first} at first, {} later",
+            features.tracks.len()
+        );
+    }
 }

@@ -63,8 +63,8 @@ pub struct View {
 #[derive(Debug)]
 pub struct Start {
     pub first: View,
-    /// Frames since the first one.
-    pub frames: u64,
+    /// How long the camera has moved without a start, s.
+    pub trying_s: f64,
     /// In order of time; neither the first nor the newest frame is among them.
     pub between: Vec<View>,
     pub second_from_first: Se3<Second, First>,
@@ -79,6 +79,12 @@ const START_SIGMA_PX: f64 = 1.0;
 const MAX_BETWEEN: usize = 8;
 /// The reference frame is given up below this many common tracks.
 const MIN_COMMON: usize = 60;
+/// Rotation-compensated flow since the reference at which the camera counts as moving, px.
+const MOVING_FLOW_PX: f64 = 1.0;
+/// A camera without such flow for so long since the reference stands, s.
+const STANDING_S: f64 = 0.5;
+/// One frame adds at most this much to the time spent trying, s.
+const LONGEST_STEP_S: f64 = 0.5;
 
 /// Waits for a start.
 #[derive(Debug, Default)]
@@ -88,6 +94,9 @@ pub struct Initialiser {
     between: Vec<View>,
     stride: u64,
     since_reference: u64,
+    /// How long the camera has moved without a start, s: standing still takes it back. It outlasts the reference.
+    trying_s: f64,
+    last_ns: Option<i64>,
     /// All frames since the last reset that may still get a pose, the reference among them.
     pub pending: VecDeque<PendingFrame>,
 }
@@ -96,6 +105,8 @@ impl Initialiser {
     pub fn clear(&mut self) {
         self.set_reference(None);
         self.pending.clear();
+        self.trying_s = 0.0;
+        self.last_ns = None;
     }
 
     fn set_reference(&mut self, reference: Option<View>) {
@@ -145,9 +156,23 @@ impl Initialiser {
             self.set_reference((features.tracks.len() >= MIN_COMMON).then(view));
             return None;
         }
-        let start = self.attempt(features, &pairs, camera, config);
+        let flow = rotation_compensated_flow(&pairs, camera);
+        self.spend_patience(features.timestamp_ns, flow);
+        let start = if flow < config.start_flow_px { None } else { self.attempt(features, &pairs, camera, config) };
         self.keep(view);
         start
+    }
+
+    /// Notes for how long the camera has moved, or stood: `flow_px` since the reference, compensated for rotation.
+    fn spend_patience(&mut self, timestamp_ns: i64, flow_px: f64) {
+        let since = |then: i64| (timestamp_ns - then) as f64 * 1e-9;
+        let step_s = self.last_ns.map_or(0.0, since).clamp(0.0, LONGEST_STEP_S);
+        self.last_ns = Some(timestamp_ns);
+        if flow_px >= MOVING_FLOW_PX {
+            self.trying_s += step_s;
+        } else if self.reference.as_ref().is_some_and(|r| since(r.frame.timestamp_ns) > STANDING_S) {
+            self.trying_s = (self.trying_s - step_s).max(0.0);
+        }
     }
 
     /// Two-view geometry between the reference and this frame.
@@ -159,9 +184,6 @@ impl Initialiser {
         config: &ReconstructionConfig,
     ) -> Option<Start> {
         let reference = self.reference.as_ref()?;
-        if rotation_compensated_flow(pairs, camera) < config.start_flow_px {
-            return None;
-        }
         let first: Vec<Vector2<f64>> = pairs.iter().map(|p| p.first).collect();
         let second: Vec<Vector2<f64>> = pairs.iter().map(|p| p.second).collect();
         let options =
@@ -184,7 +206,7 @@ impl Initialiser {
         }
         Some(Start {
             first: reference.clone(),
-            frames: self.since_reference + 1,
+            trying_s: self.trying_s,
             between: self.between.clone(),
             second_from_first: solution.second_from_first,
             points,
@@ -282,5 +304,39 @@ mod tests {
         assert!(rotation_compensated_flow(&pairs(turn, Vector3::zeros()), &camera) < 1e-6);
         let moved = rotation_compensated_flow(&pairs(turn, Vector3::new(0.3, 0.0, 0.0)), &camera);
         assert!(moved > 3.0, "{moved}");
+    }
+
+    #[test]
+    fn patience_is_spent_by_moving_outlasts_the_reference_and_comes_back_while_standing() {
+        let camera = CameraModel::new(640, 480, 500.0, 500.0, 320.0, 240.0, [0.0; 5]).unwrap();
+        // No start is tried: only the time counts here.
+        let config = ReconstructionConfig { start_flow_px: 100.0, ..ReconstructionConfig::default() };
+        let mut initialiser = Initialiser::default();
+        let mut frames = 0;
+        let mut go_on = |seconds: f64, first_id: u64, step: f64| {
+            for n in 0..(seconds * 30.0) as usize {
+                let moved = Vector3::new(0.15 + step * n as f64, 0.0, 0.0);
+                let tracks = pairs(Rotation3::identity(), moved).into_iter().enumerate().map(|(i, p)| Track {
+                    id: first_id + i as u64,
+                    position: (p.second * 500.0 + Vector2::new(320.0, 240.0)).cast(),
+                    age: 1,
+                });
+                let features = FrameFeatures {
+                    sequence: frames,
+                    timestamp_ns: frames as i64 * 33_333_333,
+                    tracks: tracks.collect(),
+                    ..FrameFeatures::default()
+                };
+                assert!(initialiser.step(&features, &camera, &config).is_none());
+                frames += 1;
+            }
+            initialiser.trying_s
+        };
+        assert_eq!(go_on(3.0, 0, 0.0), 0.0, "standing");
+        let moving = go_on(1.0, 0, 0.02);
+        assert!((0.5..=1.0).contains(&moving), "{moving} s of trying after a second of motion");
+        let again = go_on(1.0, 1000, 0.02);
+        assert!(again > moving + 0.5, "{again} s after another with new tracks");
+        assert_eq!(go_on(4.0, 2000, 0.0), 0.0, "after standing again");
     }
 }

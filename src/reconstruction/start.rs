@@ -2,6 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::agreement::agreeing_share;
 use super::bindings::{Seed, Target};
 use super::initialise::{PendingFrame, Start, View};
 use super::keyframes::{observe, refine_point};
@@ -18,10 +19,16 @@ use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, Observation};
 
-/// Standard deviation of the direction of the first motion that a start may have, rad; the longer nothing better comes
-/// the more is allowed: this much more after so many frames.
+/// Standard deviation of the direction of the first motion that a start may have, rad; the longer the camera moves and nothing
+/// better comes the more is allowed: so much more after so many seconds, and at most so many times.
 const MAX_DIRECTION_SIGMA: f64 = 0.012;
-const PATIENCE_FRAMES: f64 = 45.0;
+const PATIENCE_S: f64 = 1.0;
+const LARGEST_RELAXATION: f64 = 3.5;
+/// Share of the picture that must agree with a start, and that which is enough when the camera has moved so long without one
+/// (something covers a part of the picture for good).
+const AGREEING_SHARE: f64 = 0.85;
+const AGREEING_SHARE_LATE: f64 = 0.7;
+const LENIENT_AFTER_S: f64 = 4.0;
 /// Steps of the first adjustment's passes.
 const START_STEPS: usize = 20;
 /// Standard deviation of a frame-to-frame track's position, px.
@@ -135,7 +142,14 @@ impl Reconstruction {
         self.note_motion();
         self.reference = b;
         let Some(sigma) = self.adjust_whole() else { return false };
-        if sigma > MAX_DIRECTION_SIGMA * (1.0 + start.frames as f64 / PATIENCE_FRAMES) {
+        if sigma > MAX_DIRECTION_SIGMA * (1.0 + start.trying_s / PATIENCE_S).min(LARGEST_RELAXATION) {
+            return false;
+        }
+        let posed: Vec<_> =
+            views.iter().filter_map(|&(k, frame)| Some((frame, self.map.keyframe(k)?.camera_from_world))).collect();
+        let impatience = (start.trying_s / LENIENT_AFTER_S).min(1.0);
+        let needed = AGREEING_SHARE + impatience * (AGREEING_SHARE_LATE - AGREEING_SHARE);
+        if agreeing_share(&posed, &self.camera).is_none_or(|share| share < needed) {
             return false;
         }
         let Some(k) = self.map.keyframe(b) else { return false };
