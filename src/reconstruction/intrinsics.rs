@@ -10,8 +10,10 @@
 //! old one every error shrinks as the focal length grows, and it grows without end). The whole of a small map is adjusted
 //! at every keyframe. And a map that was begun with a focal length far from what it has shown since is begun anew.
 //!
-//! **What is said of it.** The published standard deviation is [`TAILS`] times the adjustment's, with [`MODEL_FLOOR`] added for what
-//! this lens model leaves out, and never above the prior's. A focal length counts as found from the motion ([`LensKnowledge::Estimated`])
+//! **What is said of it.** The published standard deviation is the adjustment's, with [`MODEL_FLOOR`] added for what this lens model leaves
+//! out, and how far the focal length has moved since the adjustment's variance was twice what it is: of an estimate that is as good as
+//! it says that is one standard deviation more or less, and an estimate that still wanders (a motion that hardly shows the focal length, a
+//! lens far from the supposed one) is never taken for found. It is not above the prior's. A focal length counts as found from the motion ([`LensKnowledge::Estimated`])
 //! while that is at most [`FOUND_SIGMA`], and as not observable so far otherwise: without rotation it does not shrink at all, because
 //! every focal length then fits with depths of its own.
 //!
@@ -36,11 +38,11 @@ const NOMINAL_CENTRE: f64 = 0.0125;
 const GUESSED_DISTORTION: [f64; 4] = [0.1, 0.1, 0.003, 0.003];
 /// Share of the adjustment's information that is believed.
 const BELIEVED: f64 = 0.05;
-/// Levenberg-Marquardt steps of each pass.
+/// Levenberg-Marquardt steps of each pass, at the most: enough to keep up with a calibrated lens, and to arrive with one that is far off.
+/// A lens that is still on its way looks as sure as one that has arrived.
 const STEPS: usize = 6;
+const GUESSED_STEPS: usize = 30;
 
-/// On the standard deviations of a guessed lens, so that errors of simulated and recorded sequences stay within two of them.
-const TAILS: f64 = 1.5;
 /// What rolling shutter and distortion beyond k1 k2 p1 p2 may cost in focal length, as a share of it.
 const MODEL_FLOOR: f64 = 0.03;
 /// Largest published standard deviation of log focal length at which it counts as found.
@@ -164,7 +166,7 @@ impl Intrinsics {
             begun_with: camera.fx,
             restarts: 0,
             hold_distortion: false,
-            found_before: Vec::new(),
+            found_before: vec![(camera.fx.ln(), focal * focal)],
             unsettled: 0.0,
         }
     }
@@ -185,8 +187,8 @@ impl Intrinsics {
         LensEstimate {
             knowledge,
             camera: camera.clone(),
-            focal_sigma: self.published_sigma(0, MODEL_FLOOR),
-            centre_sigma_px: [self.published_sigma(1, 0.0), self.published_sigma(2, 0.0)],
+            focal_sigma: self.published_focal_sigma(),
+            centre_sigma_px: [self.refined_sigma[1], self.refined_sigma[2]],
         }
     }
 
@@ -202,29 +204,24 @@ impl Intrinsics {
             }
             self.found_before.push((log_focal, variance));
         }
-        eprintln!(
-            "RAW lf {log_focal:.5} sig {:.5} uns {:.5} pub {:.4}",
-            self.refined_sigma[0],
-            self.unsettled,
-            self.published_sigma(0, MODEL_FLOOR)
-        );
     }
 
     /// Calibrated, or found from the motion.
     pub fn is_found(&self) -> bool {
-        !self.guessed || self.published_sigma(0, MODEL_FLOOR) <= FOUND_SIGMA
+        !self.guessed || self.published_focal_sigma() <= FOUND_SIGMA
     }
 
-    fn published_sigma(&self, index: usize, floor: f64) -> f64 {
+    fn published_focal_sigma(&self) -> f64 {
         match self.guessed {
-            true => (TAILS * self.refined_sigma[index]).hypot(floor).min(self.sigma[index].max(floor)),
-            false => self.refined_sigma[index],
+            true => self.refined_sigma[0].hypot(MODEL_FLOOR).hypot(self.unsettled).min(self.sigma[0].max(MODEL_FLOOR)),
+            false => self.refined_sigma[0],
         }
     }
 
     /// Adjustment of the whole map, and with `refine` of the intrinsics.
     pub fn whole_job(&self, map: &Map, camera: &CameraModel, readout_s: f64, refine: bool) -> Option<MappingJob> {
-        let mut job = MappingJob::whole(map, camera, readout_s, STEPS)?;
+        let steps = if self.guessed { GUESSED_STEPS } else { STEPS };
+        let mut job = MappingJob::whole(map, camera, readout_s, steps)?;
         if refine || self.guessed {
             // Of a pinhole lens; a wide-angle one is calibrated, and its distortion stays.
             let off = |i: usize| match (self.expected.lens, camera.lens) {
