@@ -31,6 +31,8 @@ const UNKNOWNS: usize = 7;
 type Unknowns = SVector<f64, UNKNOWNS>;
 /// Standard deviation of a track, px.
 const SIGMA_PX: f64 = 1.0;
+/// No lens is farther than so many standard deviations from the supposed one.
+const LIMIT: f64 = 3.0;
 /// Residual of a point that has no place in the other picture, px.
 const NOWHERE_PX: f64 = 50.0;
 
@@ -127,7 +129,9 @@ pub fn unexplained_flow(
             h[(i, i)] *= 1.0 + damping;
         }
         let Some(step) = h.cholesky().map(|c| c.solve(&-g)) else { break };
-        let candidate = unknowns + step;
+        // A rotation is free.
+        let bound = |u: f64, s: f64| if s < 1.0 { u.clamp(-LIMIT * s, LIMIT * s) } else { u };
+        let candidate = (unknowns + step).zip_map(&sigma, bound);
         let new = lengths(&candidate);
         if !(cost(&candidate, &new, scale2) < before) {
             damping *= 10.0;
