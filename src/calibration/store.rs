@@ -263,7 +263,7 @@ mod tests {
         let camera_model = CameraModel::new(width, height, fx, fx, w / 2.0, h / 2.0, [0.0; 5]).expect("valid");
         let mut other = toml::Table::new();
         other.insert("camera".into(), camera.into());
-        CalibrationFile { camera: camera_model, other }
+        CalibrationFile { camera: camera_model, other, assumed: None }
     }
 
     #[test]
