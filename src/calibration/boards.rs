@@ -126,7 +126,7 @@ impl Calibrated {
         if let Some(identity) = identity {
             other.insert("camera".into(), identity.to_string().into());
         }
-        CalibrationFile { camera: self.camera.clone(), other }
+        CalibrationFile { camera: self.camera.clone(), other, assumed: None }
     }
 
     /// The parameters with their deviations, one a line.

@@ -59,26 +59,46 @@ pub struct CalibrationFile {
     pub camera: CameraModel,
     /// The other keys of our TOML; empty for the YAML dialects.
     pub other: toml::Table,
+    /// What the file does not say and was taken for granted, for a person to judge: file, line, key and how to say otherwise.
+    pub assumed: Option<String>,
 }
 
-/// Reads the camera of a calibration file of any dialect.
+/// What is to be supposed of a file that does not say it.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Unsaid {
+    /// Width and height of the pictures, px.
+    pub size: Option<(u32, u32)>,
+    /// Model that the coefficients are of.
+    pub lens: Option<LensKind>,
+}
+
+/// Reads the camera of a calibration file of any dialect; an assumption about it is a warning in the log.
 pub fn load_camera(path: &Path) -> Result<CameraModel, CalibrationError> {
-    CalibrationFile::load(path).map(|file| file.camera)
+    load_camera_with(path, &Unsaid::default())
+}
+
+/// The same, with what the file does not say.
+pub fn load_camera_with(path: &Path, unsaid: &Unsaid) -> Result<CameraModel, CalibrationError> {
+    let file = CalibrationFile::load_with(path, unsaid)?;
+    if let Some(assumed) = &file.assumed {
+        tracing::warn!(assumed, "lens model of a calibration assumed");
+    }
+    Ok(file.camera)
 }
 
 /// Writes a camera alone as our TOML, whole or not at all.
 pub fn save_camera(path: &Path, camera: &CameraModel) -> Result<(), CalibrationError> {
-    CalibrationFile { camera: camera.clone(), other: toml::Table::new() }.save(path)
+    CalibrationFile { camera: camera.clone(), other: toml::Table::new(), assumed: None }.save(path)
 }
 
 impl CalibrationFile {
     /// Reads a calibration file of any dialect.
     pub fn load(path: &Path) -> Result<Self, CalibrationError> {
-        Self::load_sized(path, None)
+        Self::load_with(path, &Unsaid::default())
     }
 
-    /// The same; `size` is the pictures' for a file that does not say it.
-    pub fn load_sized(path: &Path, size: Option<(u32, u32)>) -> Result<Self, CalibrationError> {
+    /// The same, with what the file does not say.
+    pub fn load_with(path: &Path, unsaid: &Unsaid) -> Result<Self, CalibrationError> {
         let name = path.display().to_string();
         let unreadable = |reason: String| CalibrationError::File { path: name.clone(), reason };
         let metadata = std::fs::metadata(path).map_err(|e| unreadable(e.to_string()))?;
@@ -93,33 +113,28 @@ impl CalibrationFile {
             return Err(unreadable(format!("is longer than {MAX_FILE_BYTES} bytes, so it is no calibration")));
         }
         let text = String::from_utf8(bytes).map_err(|_| unreadable("is not UTF-8 text".into()))?;
-        Self::parse_sized(&text, &name, path.extension().is_some_and(|e| e.eq_ignore_ascii_case("toml")), size)
+        Self::parse_with(&text, &name, path.extension().is_some_and(|e| e.eq_ignore_ascii_case("toml")), unsaid)
     }
 
     /// Reads a calibration from text; `path` is for messages.
     pub fn parse(text: &str, path: &str, is_toml: bool) -> Result<Self, CalibrationError> {
-        Self::parse_sized(text, path, is_toml, None)
+        Self::parse_with(text, path, is_toml, &Unsaid::default())
     }
 
-    /// The same; `size` is the pictures' for a text that does not say it.
-    pub fn parse_sized(
-        text: &str,
-        path: &str,
-        is_toml: bool,
-        size: Option<(u32, u32)>,
-    ) -> Result<Self, CalibrationError> {
+    /// The same, with what the text does not say.
+    pub fn parse_with(text: &str, path: &str, is_toml: bool, unsaid: &Unsaid) -> Result<Self, CalibrationError> {
         let text = text.strip_prefix('\u{feff}').unwrap_or(text);
         if is_toml {
             return parse_toml(text, path);
         }
-        let camera = if text.trim_start().starts_with('<') {
-            yaml::parse_xml(text, path)?
+        let (camera, assumed) = if text.trim_start().starts_with('<') {
+            yaml::parse_xml(text, path, unsaid.lens)?
         } else if foreign::is_plain_numbers(text) {
-            foreign::parse_tum(text, path, size)?
+            (foreign::parse_tum(text, path, unsaid.size)?, None)
         } else {
-            yaml::parse(text, path)?
+            yaml::parse(text, path, unsaid.lens)?
         };
-        Ok(Self { camera, other: toml::Table::new() })
+        Ok(Self { camera, other: toml::Table::new(), assumed })
     }
 
     /// Writes our TOML, whole or not at all. Keys of `other` that are the camera's own are left out.
@@ -271,7 +286,7 @@ fn parse_toml(text: &str, path: &str) -> Result<CalibrationFile, CalibrationErro
         }
     };
     let camera = camera([&width, &height], &intrinsics, &distortion, kind)?;
-    Ok(CalibrationFile { camera, other: table })
+    Ok(CalibrationFile { camera, other: table, assumed: None })
 }
 
 /// Line, from 1, on which a top-level key stands.

@@ -56,7 +56,7 @@ pub fn write(camera: &CameraModel, format: Format, path: &str) -> Result<String,
         LensModel::KannalaBrandt(k) => Ok(list(&k)),
     };
     Ok(match format {
-        Format::Cairn => super::CalibrationFile { camera: camera.clone(), other: toml::Table::new() }
+        Format::Cairn => super::CalibrationFile { camera: camera.clone(), other: toml::Table::new(), assumed: None }
             .to_toml()
             .map_err(|e| refused(e.to_string()))?,
         Format::Ros => format!(
@@ -227,7 +227,7 @@ pub(super) fn read_xml(text: &str, path: &str) -> Result<Vec<XmlEntry>, Calibrat
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::calibration::CalibrationFile;
+    use crate::calibration::{CalibrationFile, Unsaid};
     use proptest::prelude::*;
     use proptest::test_runner::RngSeed;
 
@@ -294,6 +294,28 @@ mod tests {
     }
 
     #[test]
+    fn four_coefficients_without_a_model_are_not_taken_for_a_pinhole_silently() {
+        let k = [0.03, -0.015, 0.004, -0.001];
+        let fisheye = CameraModel::new(640, 480, 300.0, 301.0, 320.0, 240.0, LensModel::KannalaBrandt(k)).unwrap();
+        for (format, flag, line) in
+            [(Format::Opencv, "fisheye_model: 1\n", 10), (Format::OpencvXml, "<fisheye_model>1</fisheye_model>\n", 13)]
+        {
+            let text = write(&fisheye, format, "x").unwrap();
+            let read = |text: &str, lens| {
+                CalibrationFile::parse_with(text, "cam.yml", false, &Unsaid { size: None, lens }).expect("read")
+            };
+            assert_eq!(read(&text, None).assumed, None, "the flag says it");
+            let bare = text.replace(flag, "");
+            let assumed = read(&bare, None).assumed.expect("said aloud");
+            let place = format!("cam.yml:{line}: distortion_coefficients.data");
+            assert!(assumed.starts_with(&place) && assumed.contains("fisheye_model"), "{assumed}");
+            let said = read(&bare, Some(LensKind::KannalaBrandt));
+            assert_eq!((said.camera, said.assumed), (fisheye.clone(), None));
+            assert_eq!(read(&bare, Some(LensKind::RadialTangential)).assumed, None);
+        }
+    }
+
+    #[test]
     fn what_is_missing_or_wrong_is_named_with_its_line() {
         let size = "# size_px 640 480\n";
         for (text, expected) in [
@@ -307,7 +329,8 @@ mod tests {
             let message = read(&text, Format::Tum).expect_err("refused").to_string();
             assert!(message.contains(expected), "{text}: {message}");
         }
-        let given = CalibrationFile::parse_sized("517.3 516.5 318.6 255.3", "camera", false, Some((640, 480)));
+        let unsaid = Unsaid { size: Some((640, 480)), lens: None };
+        let given = CalibrationFile::parse_with("517.3 516.5 318.6 255.3", "camera", false, &unsaid);
         assert_eq!(given.expect("valid").camera.lens, LensModel::PINHOLE);
     }
 

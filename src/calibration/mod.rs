@@ -13,4 +13,4 @@ pub mod store;
 pub mod verdict;
 mod yaml;
 
-pub use file::{CalibrationError, CalibrationFile, load_camera, save_camera};
+pub use file::{CalibrationError, CalibrationFile, Unsaid, load_camera, load_camera_with, save_camera};

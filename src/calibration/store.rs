@@ -205,7 +205,7 @@ pub fn save_estimate(
     other.insert("cx_sigma_px".into(), estimate.centre_sigma_px.into());
     other.insert("calibrated_unix_s".into(), i64::try_from(unix_s).unwrap_or(i64::MAX).into());
     let name = identity.file_name((c.width, c.height)).replace(".toml", ".estimated.toml");
-    save_as(folders, &name, &CalibrationFile { camera: c.clone(), other })
+    save_as(folders, &name, &CalibrationFile { camera: c.clone(), other, assumed: None })
 }
 
 /// The daemon's own finding, not a person's.
@@ -263,7 +263,7 @@ mod tests {
         let camera_model = CameraModel::new(width, height, fx, fx, w / 2.0, h / 2.0, [0.0; 5]).expect("valid");
         let mut other = toml::Table::new();
         other.insert("camera".into(), camera.into());
-        CalibrationFile { camera: camera_model, other }
+        CalibrationFile { camera: camera_model, other, assumed: None }
     }
 
     #[test]

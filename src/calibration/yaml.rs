@@ -11,7 +11,8 @@
 //!
 //! A wide-angle lens (Kannala-Brandt, four coefficients) is what says so, never what only has four coefficients: `distortion_model:
 //! equidistant` (or `fisheye`), OpenCV's `fisheye_model: 1` as its calibration sample writes it (its functions write no model at all), or
-//! `lens_model: kannala_brandt` in a sequence's `camera.yaml`.
+//! `lens_model: kannala_brandt` in a sequence's `camera.yaml`. Four coefficients in OpenCV's layout without any of these are read as the
+//! caller says, else as k1 k2 p1 p2 of a pinhole with a word about that: OpenCV itself writes five for a pinhole and four for a fisheye.
 //!
 //! A reader of lines and not a YAML library, for three reasons: free text need not be valid YAML (`note: see: below` is
 //! none), OpenCV's header and tags (`%YAML:1.0`, `!!opencv-matrix`) are not YAML 1.2 and make conforming readers give
@@ -55,8 +56,11 @@ enum Value {
     List(Vec<String>),
 }
 
-/// Reads the camera of whichever dialect the text is.
-pub(super) fn parse(text: &str, path: &str) -> Result<CameraModel, CalibrationError> {
+/// A camera, and what had to be assumed of it.
+pub(super) type Parsed = Result<(CameraModel, Option<String>), CalibrationError>;
+
+/// Reads the camera of whichever dialect the text is; `unsaid`: the lens model of a file that does not say it.
+pub(super) fn parse(text: &str, path: &str, unsaid: Option<LensKind>) -> Parsed {
     let entries = read(text).map_err(|(line, reason)| CalibrationError::Syntax {
         path: path.into(),
         line,
@@ -64,26 +68,27 @@ pub(super) fn parse(text: &str, path: &str) -> Result<CameraModel, CalibrationEr
     })?;
     let has = |key: &str| entries.iter().any(|e| e.key == key);
     let file = Dialect { path, entries: &entries };
+    let certain = |camera| (camera, None);
     if has("fx") {
-        file.plain() // first, because every other key is free text there
+        file.plain().map(certain) // first, because every other key is free text there
     } else if has("intrinsics") {
-        file.asl("", "distortion_coefficients")
+        file.asl("", "distortion_coefficients").map(certain)
     } else if has("cam0.intrinsics") {
-        file.asl("cam0.", "distortion_coeffs")
+        file.asl("cam0.", "distortion_coeffs").map(certain)
     } else if CAMERA_MATRIX.iter().any(|key| has(key)) {
-        file.ros()
+        file.ros(unsaid)
     } else {
-        file.plain()
+        file.plain().map(certain)
     }
 }
 
 /// Reads the camera of an OpenCV XML: the same keys as its YAML.
-pub(super) fn parse_xml(text: &str, path: &str) -> Result<CameraModel, CalibrationError> {
+pub(super) fn parse_xml(text: &str, path: &str, unsaid: Option<LensKind>) -> Parsed {
     let entries: Vec<Entry> = super::foreign::read_xml(text, path)?
         .into_iter()
         .map(|e| Entry { key: e.key, line: e.line, value: Value::List(e.words) })
         .collect();
-    Dialect { path, entries: &entries }.ros()
+    Dialect { path, entries: &entries }.ros(unsaid)
 }
 
 struct Dialect<'a> {
@@ -118,16 +123,17 @@ impl Dialect<'_> {
         camera([&size[0], &size[1]], &intrinsics, &self.numbers(&format!("{prefix}{distortion}"), need)?, kind)
     }
 
-    fn ros(&self) -> Result<CameraModel, CalibrationError> {
+    fn ros(&self, unsaid: Option<LensKind>) -> Parsed {
         let need = "image_width, image_height, camera_matrix and distortion_coefficients are needed";
         let stated = self.lens("distortion_model")?;
-        let kind = match self.fisheye_model()? {
+        let stated = match self.fisheye_model()? {
             Some((field, kind)) if stated.is_some_and(|s| s != kind) => {
                 return Err(field.wrong("", "contradicts distortion_model"));
             }
-            Some((_, kind)) => kind,
-            None => stated.unwrap_or_default(),
+            Some((_, kind)) => Some(kind),
+            None => stated,
         };
+        let kind = stated.or(unsaid).unwrap_or_default();
         let size = [
             self.numbers(self.known(&["image_width", "image_Width"]), need)?,
             self.numbers(self.known(&["image_height", "image_Height"]), need)?,
@@ -137,7 +143,19 @@ impl Dialect<'_> {
         if [1, 3, 6, 7].iter().any(|i| matrix.numbers[*i] != 0.0) || matrix.numbers[8] != 1.0 {
             return Err(matrix.wrong("px", "must be [fx, 0, cx, 0, fy, cy, 0, 0, 1]: skew is not handled"));
         }
-        camera([&size[0], &size[1]], &intrinsics, &self.numbers(self.known(&COEFFICIENTS), need)?, kind)
+        let coefficients = self.numbers(self.known(&COEFFICIENTS), need)?;
+        let ambiguous = stated.or(unsaid).is_none()
+            && coefficients.numbers.len() == 4
+            && coefficients.numbers.iter().any(|k| *k != 0.0);
+        let assumed = ambiguous.then(|| {
+            let Field { path, line, key, .. } = &coefficients;
+            format!(
+                "{path}:{line}: {key} has four numbers and no lens model: taken for k1 k2 p1 p2 of a pinhole (radial_tangential); if \
+                 they are k1 k2 k3 k4 of OpenCV's fisheye, say lens_model = \"kannala_brandt\" ([calibration] of the \
+                 configuration, --lens-model of `cairn calibrate --convert`) or add fisheye_model: 1 to the file"
+            )
+        });
+        Ok((camera([&size[0], &size[1]], &intrinsics, &coefficients, kind)?, assumed))
     }
 
     /// OpenCV's flag, if it is there.

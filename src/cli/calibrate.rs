@@ -17,8 +17,8 @@ use crate::calibration::boards::Calibrated;
 use crate::calibration::chessboard::Pattern;
 use crate::calibration::foreign::{self, Format};
 use crate::calibration::store::{self, CameraIdentity};
-use crate::calibration::{CalibrationFile, pattern_sheet};
-use crate::geometry::plane_calibration::Distortion;
+use crate::calibration::{CalibrationFile, Unsaid, pattern_sheet};
+use crate::geometry::plane_calibration::{Distortion, LensKind};
 
 /// Calibrate a camera with a chessboard: from pictures, or live; print the board; convert calibration files
 #[derive(Debug, clap::Args)]
@@ -72,6 +72,9 @@ pub struct CalibrateArgs {
     /// Picture size, for a file to convert that does not say it
     #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = parse_pair)]
     pub size: Option<(u32, u32)>,
+    /// Lens model of the coefficients, for a file to convert that does not say it
+    #[arg(long, value_name = "radial_tangential|kannala_brandt", requires = "convert")]
+    pub lens_model: Option<LensKind>,
     #[command(flatten)]
     pub session: SessionArgs,
 }
@@ -140,10 +143,14 @@ fn write_text(path: &Path, text: &str) -> Result<(), CliError> {
 }
 
 fn convert(args: &CalibrateArgs, input: &Path) -> Result<ExitCode, CliError> {
-    let file = CalibrationFile::load_sized(input, args.size).map_err(|e| {
+    let unsaid = Unsaid { size: args.size, lens: args.lens_model };
+    let file = CalibrationFile::load_with(input, &unsaid).map_err(|e| {
         let code = if input.exists() { exit_code::DATA } else { exit_code::NO_INPUT };
         CliError::new(code, e.to_string())
     })?;
+    if let Some(assumed) = &file.assumed {
+        eprintln!("cairn: {assumed}");
+    }
     let format = args.format.or_else(|| args.output.as_deref().and_then(format_of)).unwrap_or(Format::Cairn);
     let name = args.output.as_deref().map_or("the output".into(), |o| o.display().to_string());
     let text = encode(&file, format, &name)?;

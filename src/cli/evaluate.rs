@@ -9,8 +9,9 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
 
-use super::session::print;
+use super::session::{config_error, print};
 use super::{CliError, exit_code};
+use crate::config::{self, Config};
 use crate::evaluation::association::CoverageBasis;
 use crate::evaluation::suite::{self, SuiteError, SuiteOptions};
 use crate::evaluation::{Evaluation, EvaluationError, Reference, evaluate};
@@ -62,6 +63,9 @@ pub struct EvaluateArgs {
     /// What to call this machine in the suite's table [default: its processor]
     #[arg(long, value_name = "NAME")]
     pub machine: Option<String>,
+    /// Configuration file of the suite's replays and of the hard cases ([features], [reconstruction]) [default: for the hard cases none]
+    #[arg(long, value_name = "FILE", conflicts_with = "estimate")]
+    pub config: Option<PathBuf>,
     /// Prefix of the services that the suite's replays use
     #[arg(long, env = "CAIRN_PREFIX", value_name = "PREFIX")]
     pub prefix: Option<String>,
@@ -73,10 +77,16 @@ pub struct EvaluateArgs {
 /// Runs the command.
 pub fn run(args: &EvaluateArgs) -> Result<ExitCode, CliError> {
     match (&args.estimate, &args.ground_truth) {
-        _ if args.simulator => simulated::run(args),
+        _ if args.simulator => simulated::run(args, &configured(args)?),
         (Some(estimate), Some(ground_truth)) if args.suite.is_empty() => judge_one(args, estimate, ground_truth),
         _ => run_suite(args),
     }
+}
+
+/// The configuration that was named, else the defaults: a table must not depend on what is installed.
+fn configured(args: &EvaluateArgs) -> Result<Config, CliError> {
+    let Some(path) = &args.config else { return Ok(Config::default()) };
+    config::load(path).map_err(|e| config_error(&e))
 }
 
 fn trajectory_error(error: TrajectoryError) -> CliError {
@@ -187,6 +197,9 @@ fn run_suite(args: &EvaluateArgs) -> Result<ExitCode, CliError> {
     let program = std::env::current_exe()
         .map_err(|e| CliError::new(exit_code::FAILURE, format!("cannot find this executable to replay with: {e}")))?;
     let mut more_arguments = Vec::new();
+    if let Some(config) = &args.config {
+        more_arguments.extend([OsString::from("--config"), config.into()]);
+    }
     if let Some(prefix) = &args.prefix {
         more_arguments.extend([OsString::from("--prefix"), prefix.into()]);
     }

@@ -10,7 +10,7 @@ use tracing::{info, warn};
 
 use super::session::{self, Resources, SessionArgs, StageLatencies, StatusLine};
 use super::{CliError, camera_calibration, exit_code};
-use crate::calibration::load_camera;
+use crate::calibration::{Unsaid, load_camera_with};
 use crate::camera::recording::OwnCalibration;
 use crate::camera::{FrameSource, Pacing, Recording};
 use crate::config::Config;
@@ -189,7 +189,8 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode, CliError> {
 /// The camera that was named, else the recording's own.
 fn calibration(args: &ReplayArgs, config: &Config, recording: &Recording) -> Result<Calibration, CliError> {
     if let Some(path) = &args.camera {
-        let model = load_camera(path).map_err(|e| CliError::new(exit_code::NO_INPUT, e.to_string()))?;
+        let unsaid = Unsaid { size: None, lens: config.calibration.unsaid_lens() };
+        let model = load_camera_with(path, &unsaid).map_err(|e| CliError::new(exit_code::NO_INPUT, e.to_string()))?;
         return Ok(Calibration::known(model, path.display().to_string()));
     }
     match &recording.description().camera {

@@ -9,7 +9,7 @@ use std::time::Duration;
 use super::reload::Reloader;
 use super::session::{self, SessionArgs};
 use super::{CliError, camera_calibration, exit_code};
-use crate::calibration::load_camera;
+use crate::calibration::{Unsaid, load_camera_with};
 use crate::camera::simulator::Simulator;
 use crate::camera::v4l2::Finder;
 use crate::camera::{FrameSource, Pacing};
@@ -83,7 +83,8 @@ fn prepare(config: &Config) -> Result<Prepared, CliError> {
         }
         SourceKind::Camera => {
             let path = &config.calibration.file;
-            let load = || load_camera(path).map_err(|e| wrong(e.to_string()));
+            let unsaid = Unsaid { size: None, lens: config.calibration.unsaid_lens() };
+            let load = || load_camera_with(path, &unsaid).map_err(|e| wrong(e.to_string()));
             let named = !path.as_os_str().is_empty() && !config.calibration.ignore;
             let model = if named { Some(load()?) } else { None };
             let calibration = model.map(|model| Calibration::known(model, path.display().to_string()));

@@ -18,6 +18,7 @@ pub use mount::{BodyFromCamera, MountConfig};
 use crate::camera::simulator::SimulatorConfig;
 use crate::camera::v4l2::V4l2Config;
 use crate::features::FeaturesConfig;
+use crate::geometry::plane_calibration::LensKind;
 use crate::publish::Limits;
 use crate::reconstruction::ReconstructionConfig;
 use crate::telemetry::LogConfig;
@@ -97,6 +98,9 @@ impl Default for DaemonConfig {
 pub struct CalibrationConfig {
     /// Our TOML, or a YAML with `width height fx fy cx cy distortion`; relative to where the daemon is started.
     pub file: PathBuf,
+    /// `radial_tangential` or `kannala_brandt`: the lens model of a file that has coefficients and does not say it (as OpenCV's functions
+    /// write it). Empty: four such coefficients are taken for k1 k2 p1 p2 of a pinhole, with a warning.
+    pub lens_model: String,
     /// Start as if there were no calibration, whatever there is: the lens is estimated from the motion.
     pub ignore: bool,
     /// Angle of view across the longer side that a camera without a calibration is supposed to have, degrees. 20.0..=120.0.
@@ -107,7 +111,20 @@ pub struct CalibrationConfig {
 
 impl Default for CalibrationConfig {
     fn default() -> Self {
-        Self { file: PathBuf::new(), ignore: false, supposed_view_deg: 60.0, keep_estimate: true }
+        Self {
+            file: PathBuf::new(),
+            lens_model: String::new(),
+            ignore: false,
+            supposed_view_deg: 60.0,
+            keep_estimate: true,
+        }
+    }
+}
+
+impl CalibrationConfig {
+    /// Lens model of a file that does not say it; `None` where there is no such word.
+    pub fn unsaid_lens(&self) -> Option<LensKind> {
+        self.lens_model.parse().ok()
     }
 }
 
@@ -197,6 +214,10 @@ impl Config {
         }
         if !(100..=60_000).contains(&d.camera_retry_ms) {
             return Err(Invalid::new("daemon.camera_retry_ms", "must be 100 to 60000"));
+        }
+        if !self.calibration.lens_model.is_empty() {
+            let parsed = self.calibration.lens_model.parse::<LensKind>();
+            parsed.map_err(|reason| Invalid::new("calibration.lens_model", reason))?;
         }
         if !(20.0..=120.0).contains(&self.calibration.supposed_view_deg) {
             return Err(Invalid::new("calibration.supposed_view_deg", "must be 20 to 120 degrees"));

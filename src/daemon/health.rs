@@ -274,7 +274,7 @@ impl HealthWatch {
             (state == TrackingState::Tracking && s.landmarks_tracked() < FEW, error::LOW_FEATURES),
             (seen_any && s.points_followed() < FEW, error::LOW_FEATURES),
             (s.calibration_refused(), error::BAD_CALIBRATION),
-            (s.lens().0 == LensKnowledge::Guessed, error::UNCALIBRATED),
+            (seen_any && s.lens().0 == LensKnowledge::Guessed, error::UNCALIBRATED),
             (!self.all_alive(now_ns), error::STALLED_STAGE),
             (state == TrackingState::Lost, error::LOST),
             (self.save_failed, error::SAVE_FAILED),

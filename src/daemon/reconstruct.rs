@@ -115,6 +115,9 @@ impl ReconstructStep {
         recorder: RecorderLink,
         status: Arc<Status>,
     ) -> Self {
+        if calibration.prior == LensPrior::Calibrated {
+            status.set_lens_knowledge(LensKnowledge::Calibrated);
+        }
         Self {
             config: config.clone(),
             calibration,

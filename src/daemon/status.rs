@@ -78,7 +78,7 @@ pub struct Status {
     /// CLOCK_MONOTONIC of the arrival of the last frame, and of the last with a pose, ns; 0 before the first.
     last_arrival_ns: AtomicI64,
     last_pose_arrival_ns: AtomicI64,
-    /// 0 calibrated, 1 estimated, 2 guessed.
+    /// 0 calibrated, 1 estimated, 2 guessed. Nothing is known of a lens before there is one: then it is no better than a guess.
     lens_knowledge: AtomicU8,
     lens_is_wide_angle: AtomicBool,
     /// Bits of: fx fy cx cy, standard deviations of the focal length (share) and the principal point (px).
@@ -131,7 +131,7 @@ impl Default for Status {
             points_followed: AtomicU32::new(0),
             last_arrival_ns: AtomicI64::new(0),
             last_pose_arrival_ns: AtomicI64::new(0),
-            lens_knowledge: AtomicU8::new(0),
+            lens_knowledge: AtomicU8::new(2),
             lens_is_wide_angle: AtomicBool::new(false),
             lens: [const { AtomicU32::new(f32::NAN.to_bits()) }; 6],
             stop: AtomicBool::new(false),
@@ -221,13 +221,18 @@ impl Status {
         for (slot, number) in self.lens.iter().zip(numbers) {
             slot.store((number as f32).to_bits(), Ordering::Relaxed);
         }
-        let knowledge = match lens.knowledge {
+        self.set_lens_knowledge(lens.knowledge);
+        self.lens_is_wide_angle.store(c.lens.is_wide_angle(), Ordering::Relaxed);
+    }
+
+    /// Where the lens comes from, before the first frame tells its numbers.
+    pub fn set_lens_knowledge(&self, knowledge: LensKnowledge) {
+        let knowledge = match knowledge {
             LensKnowledge::Calibrated => 0,
             LensKnowledge::Estimated => 1,
             LensKnowledge::Guessed => 2,
         };
         self.lens_knowledge.store(knowledge, Ordering::Relaxed);
-        self.lens_is_wide_angle.store(c.lens.is_wide_angle(), Ordering::Relaxed);
     }
 
     /// Whether it is a wide-angle (Kannala-Brandt) lens.

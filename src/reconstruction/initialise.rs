@@ -2,7 +2,8 @@
 //!
 //! A reference frame is held while its tracks live. Once the flow that a rotation cannot explain is large enough, two-view
 //! geometry is tried (essential matrix or homography, [`two_view`](crate::geometry::two_view)). Standing still and turning on the spot never pass: their
-//! rotation-compensated flow stays at the noise. All frames in between are remembered by their tracks, so that their poses
+//! rotation-compensated flow stays at the noise. Of a lens that is a guess, what a rotation seen through another lens explains is taken out
+//! as well ([`unexplained_flow`]). All frames in between are remembered by their tracks, so that their poses
 //! can be solved once there is a map.
 
 use std::collections::VecDeque;
@@ -11,6 +12,7 @@ use std::sync::Arc;
 use nalgebra::{Matrix3, Rotation3, Vector2, Vector3};
 
 use super::config::ReconstructionConfig;
+use super::free_rotation::{LensFreedom, unexplained_flow};
 use crate::features::{FrameFeatures, Track};
 use crate::geometry::frames::{First, Second};
 use crate::geometry::two_view::{TwoViewOptions, reconstruct_two_views};
@@ -136,11 +138,12 @@ impl Initialiser {
         self.between.push(view());
     }
 
-    /// Takes a frame; `Some` when it makes a start together with the reference frame.
+    /// Takes a frame; `Some` when it makes a start together with the reference frame. `freedom`: of a lens that is a guess.
     pub fn step(
         &mut self,
         features: &FrameFeatures,
         camera: &CameraModel,
+        freedom: Option<&LensFreedom>,
         config: &ReconstructionConfig,
     ) -> Option<Start> {
         let frame = PendingFrame::of(features);
@@ -156,7 +159,11 @@ impl Initialiser {
             self.set_reference((features.tracks.len() >= MIN_COMMON).then(view));
             return None;
         }
-        let flow = rotation_compensated_flow(&pairs, camera);
+        let (mut flow, turn) = rotation_compensated_flow(&pairs, camera);
+        if let Some(freedom) = freedom.filter(|_| flow >= config.start_flow_px) {
+            let places: Vec<_> = pairs.iter().map(|p| (p.first, p.second)).collect();
+            flow = flow.min(unexplained_flow(&places, &turn, camera, freedom));
+        }
         self.spend_patience(features.timestamp_ns, flow);
         let start = if flow < config.start_flow_px { None } else { self.attempt(features, &pairs, camera, config) };
         self.keep(view);
@@ -242,11 +249,12 @@ fn common(reference: &PendingFrame, tracks: &[Track], camera: &CameraModel) -> V
 }
 
 /// Median flow (px) that remains when the rotation that explains it best is taken out: Kabsch's rotation between the rays,
-/// twice, the second time over the better half.
-fn rotation_compensated_flow(pairs: &[Pair], camera: &CameraModel) -> f64 {
+/// twice, the second time over the better half. And that rotation, second from first.
+fn rotation_compensated_flow(pairs: &[Pair], camera: &CameraModel) -> (f64, Rotation3<f64>) {
     let ray = |n: &Vector2<f64>| Vector3::new(n.x, n.y, 1.0).normalize();
     let mut rest: Vec<f64> = Vec::new();
     let mut limit = f64::INFINITY;
+    let mut rotation = Rotation3::identity();
     for _ in 0..3 {
         let mut sum = Matrix3::zeros();
         for (i, p) in pairs.iter().enumerate() {
@@ -254,10 +262,10 @@ fn rotation_compensated_flow(pairs: &[Pair], camera: &CameraModel) -> f64 {
                 sum += ray(&p.second) * ray(&p.first).transpose();
             }
         }
-        let Some(svd) = sum.try_svd(true, true, 1e-12, 100) else { return 0.0 };
-        let (Some(u), Some(vt)) = (svd.u, svd.v_t) else { return 0.0 };
+        let Some(svd) = sum.try_svd(true, true, 1e-12, 100) else { return (0.0, rotation) };
+        let (Some(u), Some(vt)) = (svd.u, svd.v_t) else { return (0.0, rotation) };
         let d = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, (u * vt).determinant().signum()));
-        let rotation = Rotation3::from_matrix_unchecked(u * d * vt);
+        rotation = Rotation3::from_matrix_unchecked(u * d * vt);
         rest.clear();
         rest.extend(pairs.iter().map(|p| {
             let r = rotation * ray(&p.first);
@@ -265,7 +273,7 @@ fn rotation_compensated_flow(pairs: &[Pair], camera: &CameraModel) -> f64 {
         }));
         limit = median(&rest);
     }
-    limit
+    (limit, rotation)
 }
 
 fn median(values: &[f64]) -> f64 {
@@ -301,8 +309,8 @@ mod tests {
     fn turning_on_the_spot_leaves_no_flow_and_translation_does() {
         let camera = CameraModel::new(640, 480, 500.0, 500.0, 320.0, 240.0, [0.0; 5]).unwrap();
         let turn = Rotation3::from_euler_angles(0.1, -0.3, 0.2);
-        assert!(rotation_compensated_flow(&pairs(turn, Vector3::zeros()), &camera) < 1e-6);
-        let moved = rotation_compensated_flow(&pairs(turn, Vector3::new(0.3, 0.0, 0.0)), &camera);
+        assert!(rotation_compensated_flow(&pairs(turn, Vector3::zeros()), &camera).0 < 1e-6);
+        let moved = rotation_compensated_flow(&pairs(turn, Vector3::new(0.3, 0.0, 0.0)), &camera).0;
         assert!(moved > 3.0, "{moved}");
     }
 
@@ -327,7 +335,7 @@ mod tests {
                     tracks: tracks.collect(),
                     ..FrameFeatures::default()
                 };
-                assert!(initialiser.step(&features, &camera, &config).is_none());
+                assert!(initialiser.step(&features, &camera, None, &config).is_none());
                 frames += 1;
             }
             initialiser.trying_s

@@ -10,8 +10,10 @@
 //! old one every error shrinks as the focal length grows, and it grows without end). The whole of a small map is adjusted
 //! at every keyframe. And a map that was begun with a focal length far from what it has shown since is begun anew.
 //!
-//! **What is said of it.** The published standard deviation is [`TAILS`] times the adjustment's, with [`MODEL_FLOOR`] added for what
-//! this lens model leaves out, and never above the prior's. A focal length counts as found from the motion ([`LensKnowledge::Estimated`])
+//! **What is said of it.** The published standard deviation is the adjustment's, with [`MODEL_FLOOR`] added for what this lens model leaves
+//! out, and how far the focal length has moved since the adjustment's variance was twice what it is: of an estimate that is as good as
+//! it says that is one standard deviation more or less, and an estimate that still wanders (a motion that hardly shows the focal length, a
+//! lens far from the supposed one) is never taken for found. It is not above the prior's. A focal length counts as found from the motion ([`LensKnowledge::Estimated`])
 //! while that is at most [`FOUND_SIGMA`], and as not observable so far otherwise: without rotation it does not shrink at all, because
 //! every focal length then fits with depths of its own.
 //!
@@ -20,7 +22,8 @@
 //! Not here: distortion of a lens that was calibrated; k3; wide-angle lenses that nobody calibrated (they are taken for pinholes, and k1
 //! to p2 cannot bend those so far: a fisheye needs a calibration); finding a focal length without translation.
 
-use super::bundle::{SharedMatrix, SharedVector};
+use super::bundle::{CALIBRATED_SHARED, SHARED, SharedMatrix, SharedVector};
+use super::free_rotation::LensFreedom;
 use super::local_adjustment::{MappingJob, MappingResult};
 use crate::geometry::{CameraModel, LensModel};
 use crate::map::Map;
@@ -35,15 +38,19 @@ const NOMINAL_CENTRE: f64 = 0.0125;
 const GUESSED_DISTORTION: [f64; 4] = [0.1, 0.1, 0.003, 0.003];
 /// Share of the adjustment's information that is believed.
 const BELIEVED: f64 = 0.05;
-/// Levenberg-Marquardt steps of each pass.
+/// Levenberg-Marquardt steps of each pass, at the most: enough to keep up with a calibrated lens, and to arrive with one that is far off.
+/// A lens that is still on its way looks as sure as one that has arrived.
 const STEPS: usize = 6;
+const GUESSED_STEPS: usize = 30;
 
-/// On the standard deviations of a guessed lens, so that errors of simulated and recorded sequences stay within two of them.
-const TAILS: f64 = 1.5;
 /// What rolling shutter and distortion beyond k1 k2 p1 p2 may cost in focal length, as a share of it.
 const MODEL_FLOOR: f64 = 0.03;
 /// Largest published standard deviation of log focal length at which it counts as found.
 pub const FOUND_SIGMA: f64 = 0.09;
+
+/// Estimates are remembered when their variance has shrunk to this share of the one remembered last, at most so many of them.
+const REMEMBER_SHARE: f64 = 0.9;
+const REMEMBERED: usize = 64;
 
 /// A map is begun anew when log focal length has changed by more than this since its beginning, with a standard deviation below the
 /// second number, at most so many times.
@@ -133,6 +140,12 @@ pub struct Intrinsics {
     /// Focal length (px) with which the present map was begun, and maps given up because theirs was too far off.
     begun_with: f64,
     restarts: u32,
+    /// The last adjustment ended in a distortion that cannot be: the next one leaves it as it is.
+    hold_distortion: bool,
+    /// Log focal length and its variance by the adjustment, whenever that variance had shrunk by [`REMEMBER_SHARE`].
+    found_before: Vec<(f64, f64)>,
+    /// How far log focal length has moved since its variance was twice the present one.
+    unsettled: f64,
 }
 
 impl Intrinsics {
@@ -152,7 +165,16 @@ impl Intrinsics {
             refined_sigma: sigma,
             begun_with: camera.fx,
             restarts: 0,
+            hold_distortion: false,
+            found_before: vec![(camera.fx.ln(), focal * focal)],
+            unsettled: 0.0,
         }
+    }
+
+    /// How far the lens may be from what it is supposed to be; `None`: it was calibrated.
+    pub fn freedom(&self) -> Option<LensFreedom> {
+        let freedom = LensFreedom { focal: self.sigma[0], centre_px: self.sigma[1], distortion: self.sigma[3] };
+        self.guessed.then_some(freedom)
     }
 
     /// What may be said of the lens.
@@ -165,26 +187,41 @@ impl Intrinsics {
         LensEstimate {
             knowledge,
             camera: camera.clone(),
-            focal_sigma: self.published_sigma(0, MODEL_FLOOR),
-            centre_sigma_px: [self.published_sigma(1, 0.0), self.published_sigma(2, 0.0)],
+            focal_sigma: self.published_focal_sigma(),
+            centre_sigma_px: [self.refined_sigma[1], self.refined_sigma[2]],
+        }
+    }
+
+    /// Notes what the focal length was at which variance, and how far it has moved since that was twice what it is.
+    fn remember(&mut self, log_focal: f64) {
+        let variance = self.refined_sigma[0] * self.refined_sigma[0];
+        let before = self.found_before.iter().rev().find(|(_, v)| *v >= 2.0 * variance);
+        let (from, _) = before.or(self.found_before.first()).copied().unwrap_or((log_focal, variance));
+        self.unsettled = (log_focal - from).abs();
+        if self.found_before.last().is_none_or(|(_, v)| variance <= REMEMBER_SHARE * v || variance > *v) {
+            if self.found_before.len() == REMEMBERED {
+                self.found_before.remove(0);
+            }
+            self.found_before.push((log_focal, variance));
         }
     }
 
     /// Calibrated, or found from the motion.
     pub fn is_found(&self) -> bool {
-        !self.guessed || self.published_sigma(0, MODEL_FLOOR) <= FOUND_SIGMA
+        !self.guessed || self.published_focal_sigma() <= FOUND_SIGMA
     }
 
-    fn published_sigma(&self, index: usize, floor: f64) -> f64 {
+    fn published_focal_sigma(&self) -> f64 {
         match self.guessed {
-            true => (TAILS * self.refined_sigma[index]).hypot(floor).min(self.sigma[index].max(floor)),
-            false => self.refined_sigma[index],
+            true => self.refined_sigma[0].hypot(MODEL_FLOOR).hypot(self.unsettled).min(self.sigma[0].max(MODEL_FLOOR)),
+            false => self.refined_sigma[0],
         }
     }
 
     /// Adjustment of the whole map, and with `refine` of the intrinsics.
     pub fn whole_job(&self, map: &Map, camera: &CameraModel, readout_s: f64, refine: bool) -> Option<MappingJob> {
-        let mut job = MappingJob::whole(map, camera, readout_s, STEPS)?;
+        let steps = if self.guessed { GUESSED_STEPS } else { STEPS };
+        let mut job = MappingJob::whole(map, camera, readout_s, steps)?;
         if refine || self.guessed {
             // Of a pinhole lens; a wide-angle one is calibrated, and its distortion stays.
             let off = |i: usize| match (self.expected.lens, camera.lens) {
@@ -202,7 +239,8 @@ impl Intrinsics {
             ]);
             // Believing a part of the data is weighing the prior the more.
             let information = self.sigma.map(|s| 1.0 / (BELIEVED * s * s));
-            job.refine_intrinsics(map, camera, expected, information, self.guessed);
+            let active = if self.guessed && !self.hold_distortion { SHARED } else { CALIBRATED_SHARED };
+            job.refine_intrinsics(map, camera, expected, information, active, self.guessed);
         }
         Some(job)
     }
@@ -242,14 +280,38 @@ impl Intrinsics {
         self.refined_sigma = self.sigma;
     }
 
-    /// Takes over what an adjustment found, here and in every observation of the map.
-    pub fn merge(&mut self, result: &MappingResult, map: &mut Map, camera: &mut CameraModel) {
-        let Some(shared) = result.shared() else { return };
-        let Some(refined) = changed(camera, &shared.change, self.guessed) else { return };
+    /// The lens that an adjustment ended with: `Some(None)` if it did not ask, `None` if there can be no such lens. Then nothing of that
+    /// adjustment may be taken over, for its poses and points belong to that lens.
+    pub fn judge(&mut self, result: &MappingResult, camera: &CameraModel) -> Option<Option<CameraModel>> {
+        let Some(shared) = result.shared() else { return Some(None) };
+        let refined = changed(camera, &shared.change, self.guessed);
+        self.hold_distortion = refined.is_none() && self.guessed && shared.active == SHARED;
+        refined.map(Some)
+    }
+
+    /// The last adjustment was refused for its distortion: another one, which leaves that as it is, is worth while.
+    pub fn wants_another(&self) -> bool {
+        self.hold_distortion
+    }
+
+    /// Takes over the lens of an adjustment that was merged, here and in every observation of the map.
+    pub fn merge(
+        &mut self,
+        result: &MappingResult,
+        lens: Option<CameraModel>,
+        map: &mut Map,
+        camera: &mut CameraModel,
+    ) {
+        let (Some(shared), Some(refined)) = (result.shared(), lens) else { return };
         let prior = self.sigma.map(|s| 1.0 / (s * s));
         let information = shared.found_information * BELIEVED + SharedMatrix::from_diagonal(&prior);
-        if let Some(covariance) = information.try_inverse() {
+        // What was found with the distortion held says less of the focal length than it seems to.
+        let complete = !self.guessed || shared.active == SHARED;
+        if let Some(covariance) = information.try_inverse().filter(|_| complete) {
             self.refined_sigma = covariance.diagonal().map(|v| v.max(0.0).sqrt()).zip_map(&self.sigma, f64::min);
+        }
+        if self.guessed {
+            self.remember(refined.fx.ln());
         }
         *camera = refined;
         for (_, keyframe) in map.keyframes.iter_mut() {
@@ -263,8 +325,8 @@ impl Intrinsics {
     }
 }
 
-/// The camera with a change of the shared numbers. A distortion under which a part of the picture would see nothing is not taken
-/// over; `None` if no camera comes of it.
+/// The camera with a change of the shared numbers; `None` if no camera comes of it. A distortion of a guessed lens under which a part of
+/// the picture would see nothing is none.
 fn changed(camera: &CameraModel, change: &SharedVector, guessed: bool) -> Option<CameraModel> {
     let scale = change[0].exp();
     let with = |lens: LensModel| {
@@ -276,11 +338,10 @@ fn changed(camera: &CameraModel, change: &SharedVector, guessed: bool) -> Option
     if !guessed {
         return with(camera.lens);
     }
-    for (d, change) in distortion.iter_mut().zip(change.iter().skip(3)) {
+    for (d, change) in distortion.iter_mut().zip(change.iter().skip(CALIBRATED_SHARED)) {
         *d += change;
     }
-    let covers = |c: &CameraModel| c.covers_picture();
-    with(distortion.into()).filter(covers).or_else(|| with(camera.lens).filter(covers))
+    with(distortion.into()).filter(CameraModel::covers_picture)
 }
 
 /// Numbers that nobody measured.
@@ -342,9 +403,7 @@ mod tests {
         let camera = camera(320.0, 320.0, 320.0, 0.0);
         let mut change = SharedVector::zeros();
         (change[0], change[3]) = (0.1, -0.5);
-        let refined = changed(&camera, &change, true).expect("a camera");
-        assert_eq!(refined.lens.coefficients()[0], 0.0);
-        assert!((refined.fx - 320.0 * 0.1f64.exp()).abs() < 1e-9);
+        assert_eq!(changed(&camera, &change, true), None);
         change[3] = -0.05;
         assert_eq!(changed(&camera, &change, true).map(|c| c.lens.coefficients()[0]), Some(-0.05));
     }

@@ -7,8 +7,8 @@
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 use super::bundle::{
-    BundleCamera, BundleObservation, BundleOptions, BundleProblem, BundleReport, CALIBRATED_SHARED, SHARED, Shared,
-    SharedJacobian, SharedMatrix, SharedVector,
+    BundleCamera, BundleObservation, BundleOptions, BundleProblem, BundleReport, Shared, SharedJacobian, SharedMatrix,
+    SharedVector,
 };
 use super::config::ReconstructionConfig;
 use crate::geometry::frames::{Camera, World};
@@ -138,13 +138,14 @@ impl MappingJob {
         })
     }
 
-    /// Lets the adjustment refine the intrinsics as well; of a `guessed` lens all of them, whatever the change.
+    /// Lets the adjustment refine the first `active` of the intrinsics as well; of a `guessed` lens whatever the change.
     pub fn refine_intrinsics(
         &mut self,
         map: &Map,
         camera: &CameraModel,
         expected: SharedVector,
         information: SharedVector,
+        active: usize,
         guessed: bool,
     ) {
         let mut jacobians = Vec::with_capacity(self.problem.observations.len());
@@ -157,7 +158,7 @@ impl MappingJob {
         }
         self.problem.shared = Some(Shared {
             jacobians,
-            active: if guessed { SHARED } else { CALIBRATED_SHARED },
+            active,
             in_new_pixels: guessed,
             change: SharedVector::zeros(),
             expected,

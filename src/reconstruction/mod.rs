@@ -9,6 +9,7 @@ mod bindings;
 pub mod bundle;
 pub mod config;
 mod estimate;
+mod free_rotation;
 pub mod initialise;
 mod intrinsics;
 pub mod keyframes;
@@ -390,8 +391,15 @@ impl Reconstruction {
         }
         self.job_posted = None;
         self.counters.adjustments += 1;
+        let Some(lens) = self.intrinsics.judge(&result, &self.camera) else {
+            // A lens that cannot be is not taken over, and its poses and points with it.
+            if self.intrinsics.wants_another() && self.unadjusted.is_none() {
+                self.unadjusted = self.map.keyframes.iter().last().map(|(id, _)| KeyframeId(id));
+            }
+            return;
+        };
         let old_from_new = result.merge(&mut self.map);
-        self.intrinsics.merge(&result, &mut self.map, &mut self.camera);
+        self.intrinsics.merge(&result, lens, &mut self.map, &mut self.camera);
         if let Some(last) = &mut self.last {
             last.camera_from_world = last.camera_from_world * old_from_new;
         }

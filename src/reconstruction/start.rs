@@ -39,7 +39,9 @@ const REFINE_PX: f64 = 2.0;
 impl Reconstruction {
     /// A frame without a map: perhaps the one that makes it.
     pub(super) fn try_start(&mut self, features: &FrameFeatures) -> PoseEstimate {
-        let Some(start) = self.initialiser.step(features, &self.camera, &self.config) else {
+        let Some(start) =
+            self.initialiser.step(features, &self.camera, self.intrinsics.freedom().as_ref(), &self.config)
+        else {
             return self.estimate_none(features);
         };
         if !self.build_map(&start, features) {

@@ -336,7 +336,7 @@ proptest! {
     ) {
         let side = f64::from(width.max(height));
         let camera = CameraModel::new(width, height, f * side, f * side * 1.01, c * f64::from(width), c * f64::from(height), k);
-        let mut file = CalibrationFile { camera: camera.expect("valid"), other: toml::Table::new() };
+        let mut file = CalibrationFile { camera: camera.expect("valid"), other: toml::Table::new(), assumed: None };
         prop_assert_eq!(&ours(&file.to_toml().expect("serialisable")).expect("valid"), &file);
         let c = &file.camera;
         let wide = LensModel::KannalaBrandt([k[0], k[1], k[2], k[3]]);

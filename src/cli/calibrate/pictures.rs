@@ -85,6 +85,16 @@ pub fn run(args: &CalibrateArgs, pattern: &Pattern) -> Result<ExitCode, CliError
         };
         return Err(CliError::new(exit_code::DATA, format!("no picture shows the board{hint}")));
     };
+    if let Some((c, r)) = other_sizes.first() {
+        // A part of a larger board has the size that was asked for, and is as good; but perhaps nobody meant it.
+        eprintln!(
+            "cairn: {} of {} pictures show a board of {c}x{r} inner corners, {}x{} was asked for: is `--pattern {c}x{r}` meant?",
+            other_sizes.len(),
+            args.pictures.len(),
+            pattern.columns,
+            pattern.rows
+        );
+    }
     let calibrated = solve(&views, pattern, size, args.distortion.into())
         .map_err(|e| CliError::new(exit_code::DATA, format!("{}{e}", summary)))?;
     let mut text = summary;

@@ -21,6 +21,7 @@ use super::camera_calibration::{identify, stored};
 use super::endpoint_args::EndpointArgs;
 use super::{CliError, exit_code, session};
 use crate::calibration::store::{self, CameraIdentity};
+use crate::calibration::{CalibrationFile, Unsaid};
 use crate::camera::v4l2::{CameraInfo, list_cameras};
 use crate::config::{self, CalibrationConfig, Config, SourceKind};
 use crate::messages::effective_uid;
@@ -177,8 +178,12 @@ fn one_camera(report: &mut Report, camera: &CameraInfo, config: &Config) {
     report.note(&format!("{path}: {}{rest}", offers.join(", ")));
     let file = &config.calibration.file;
     if !file.as_os_str().is_empty() {
-        match crate::calibration::load_camera(file) {
-            Ok(c) => {
+        let unsaid = Unsaid { size: None, lens: config.calibration.unsaid_lens() };
+        match CalibrationFile::load_with(file, &unsaid) {
+            Ok(CalibrationFile { camera: c, assumed, .. }) => {
+                if let Some(assumed) = assumed {
+                    report.note(&assumed);
+                }
                 let lens = if c.lens.is_wide_angle() { ", wide-angle lens" } else { "" };
                 report.good(&format!(
                     "calibration {} for {}x{} px{lens} (configured)",

@@ -6,11 +6,10 @@ use super::super::session::print;
 use super::super::{CliError, exit_code};
 use super::EvaluateArgs;
 use crate::atomic_file::write_atomically;
+use crate::config::Config;
 use crate::evaluation::simulated::{self, CaseResult, cases::cases};
 use crate::evaluation::suite::machine_name;
-use crate::features::FeaturesConfig;
 use crate::plot::write_comparison;
-use crate::reconstruction::ReconstructionConfig;
 
 /// Seed of the first room.
 const SEED: u64 = 3;
@@ -28,7 +27,7 @@ fn cannot_write(what: impl std::fmt::Display) -> CliError {
 }
 
 /// Runs the suite; fails when a case does not keep its promise.
-pub fn run(args: &EvaluateArgs) -> Result<ExitCode, CliError> {
+pub fn run(args: &EvaluateArgs, config: &Config) -> Result<ExitCode, CliError> {
     let mut chosen = Vec::new();
     for seed in SEED..SEED + args.seeds {
         chosen
@@ -40,11 +39,10 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode, CliError> {
         return Err(CliError::new(exit_code::USAGE, message));
     }
     std::fs::create_dir_all(&args.output).map_err(|e| cannot_write(format!("{}: {e}", args.output.display())))?;
-    let (features, reconstruction) = (FeaturesConfig::default(), ReconstructionConfig::default());
     let mut results: Vec<CaseResult> = Vec::with_capacity(chosen.len());
     for (i, case) in chosen.iter().enumerate() {
         eprintln!("[{}/{}] {} seed {}", i + 1, chosen.len(), case.name, case.config.seed);
-        let (result, _) = simulated::run_case(case, args.long, &features, &reconstruction, &args.output)
+        let (result, _) = simulated::run_case(case, args.long, &config.features, &config.reconstruction, &args.output)
             .map_err(|e| cannot_write(format!("{}: {e}", case.name)))?;
         if let Some(outcome) = &result.outcome {
             let path = args.output.join(format!("{}-{}.png", case.name, case.config.seed));

@@ -172,6 +172,7 @@ impl Render for Health {
         let errors = if errors.is_empty() { "no errors".into() } else { errors.join(" ") };
         let lens = match self.intrinsics() {
             Intrinsics::Calibrated => String::new(),
+            _ if !self.focal_px[0].is_finite() => String::new(), // before the first frame
             other => {
                 let (name, sigma) = (other.name(), 100.0 * self.focal_sigma);
                 format!("lens {name} f {:.0} px +- {sigma:.0} %  ", self.focal_px[0])

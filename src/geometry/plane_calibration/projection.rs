@@ -24,6 +24,19 @@ pub enum LensKind {
     KannalaBrandt,
 }
 
+impl std::str::FromStr for LensKind {
+    type Err = String;
+
+    /// By the names of our calibration files.
+    fn from_str(name: &str) -> Result<Self, String> {
+        match name {
+            "radial_tangential" => Ok(Self::RadialTangential),
+            "kannala_brandt" | "fisheye" => Ok(Self::KannalaBrandt),
+            _ => Err(format!("`{name}` is neither radial_tangential nor kannala_brandt (OpenCV's fisheye)")),
+        }
+    }
+}
+
 impl LensKind {
     /// Names of the camera's numbers, in their order.
     pub fn parameter_names(self) -> &'static [&'static str] {

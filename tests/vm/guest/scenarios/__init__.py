@@ -1,6 +1,6 @@
 """The scenarios by name, in the order in which they run. The host reads ORDER from this text."""
 
-from . import access, delivery, injection, kill, package, reboot, streaming, unplug
+from . import access, delivery, injection, kill, lens, package, reboot, streaming, unplug
 
 ORDER = [
     "usb_mjpeg",
@@ -17,6 +17,7 @@ ORDER = [
     "half_rate",
     "bad_frames",
     "format_change",
+    "uncalibrated",
     "orderly_stop",
     "strangers",
     "squatting",
@@ -27,6 +28,6 @@ ORDER = [
     "package"
 ]
 KNOWN = {}
-for module in (access, delivery, injection, kill, package, reboot, streaming, unplug):
+for module in (access, delivery, injection, kill, lens, package, reboot, streaming, unplug):
     KNOWN.update(module.SCENARIOS)
 SCENARIOS = {name: KNOWN[name] for name in ORDER}
