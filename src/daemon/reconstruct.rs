@@ -273,7 +273,8 @@ impl ReconstructStep {
         self.status.set_counters(&counters);
         if e.keyframe {
             let (keyframes, landmarks_made) = (counters.keyframes_made, counters.landmarks_made);
-            info!(sequence, timestamp_ns, map, keyframes, landmarks_made, landmarks = e.landmarks, "keyframe");
+            // Where much is new there is one a second, which would fill a journal in a night.
+            debug!(sequence, timestamp_ns, map, keyframes, landmarks_made, landmarks = e.landmarks, "keyframe");
         } else {
             debug!(sequence, landmarks = e.landmarks, sought = e.landmarks_sought, quality = e.quality, "frame");
         }
