@@ -154,7 +154,7 @@ def records(since, until_):
 
 def journal_rate(stage):
     """How much the service writes at `log.level = "info"`: idle, tracking, and while every frame is broken and the camera is unplugged again and again."""
-    window = 60 if stage.full else 15
+    window = 30 if stage.full else 15
     install()
     check(sh("systemctl start cairn", 60)[0] == 0, sh("journalctl -u cairn -n 20 --no-pager")[1])
     health = stage.listener()
