@@ -5,6 +5,8 @@
 //! renamed over it. A path that is not a regular file (a pipe, `/dev/stdout`, `/dev/null`) is written directly: renaming
 //! over a device would delete it. A symbolic link stays and its target is replaced.
 //!
+//! A process that is killed, or a power cut, leaves its temporary file: [`remove_stale`] clears them away at the next start.
+//!
 //! Deliberately not here: locks between two writers of one path (the later rename wins, whole).
 
 use std::fs::{self, File, OpenOptions};
@@ -75,6 +77,47 @@ fn replace(target: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<
     Ok(())
 }
 
+/// What tells our temporary files from anybody else's: `.NAME.cairn-PID-NUMBER.tmp`.
+const MARK: &str = ".cairn-";
+const ENDING: &str = ".tmp";
+/// Entries of a folder that are looked at.
+const MAX_ENTRIES: usize = 10_000;
+
+/// Removes the temporary files in `directory` that a process before this one has left; their paths. Call it before the process writes anything.
+/// Only files of ours: by name, plain files (links are neither followed nor removed), of this user, and of no process that still lives.
+pub fn remove_stale(directory: &Path) -> Vec<PathBuf> {
+    use std::os::unix::fs::MetadataExt;
+    let Ok(us) = fs::metadata("/proc/self").map(|m| m.uid()) else { return Vec::new() };
+    let Ok(entries) = fs::read_dir(directory) else { return Vec::new() };
+    let mut removed = Vec::new();
+    for entry in entries.flatten().take(MAX_ENTRIES) {
+        let name = entry.file_name();
+        let Some(maker) = name.to_str().and_then(maker) else { continue };
+        let path = entry.path();
+        // Of the entry itself, not of what a link leads to.
+        let ours = fs::symlink_metadata(&path).is_ok_and(|meta| meta.is_file() && meta.uid() == us);
+        if ours && !lives(maker) && fs::remove_file(&path).is_ok() {
+            removed.push(path);
+        }
+    }
+    removed.sort();
+    removed
+}
+
+/// The process that made a temporary file of this name.
+fn maker(name: &str) -> Option<u32> {
+    let (stem, number) = name.strip_prefix('.')?.strip_suffix(ENDING)?.rsplit_once(MARK)?;
+    let (pid, count) = number.split_once('-')?;
+    count.parse::<u64>().ok()?;
+    pid.parse().ok().filter(|_| !stem.is_empty())
+}
+
+/// Whether another process with this number runs this program, and may still be writing. After a reboot numbers are given anew.
+fn lives(pid: u32) -> bool {
+    let program = |pid: &str| fs::read_to_string(format!("/proc/{pid}/comm")).ok();
+    pid != std::process::id() && program(&pid.to_string()).is_some_and(|name| Some(name) == program("self"))
+}
+
 /// A new file in `directory` that nobody else has, opened for reading and writing; `private`: mode 0600.
 pub(crate) fn create_unique(directory: &Path, stem: &str, private: bool) -> io::Result<(File, PathBuf)> {
     use std::os::unix::fs::OpenOptionsExt;
@@ -82,7 +125,7 @@ pub(crate) fn create_unique(directory: &Path, stem: &str, private: bool) -> io::
     const ATTEMPTS: u32 = 100;
     for _ in 0..ATTEMPTS {
         let n = COUNTER.fetch_add(1, Ordering::Relaxed);
-        let path = directory.join(format!("{stem}.{}-{n}.tmp", std::process::id()));
+        let path = directory.join(format!("{stem}{MARK}{}-{n}{ENDING}", std::process::id()));
         let mode = if private { 0o600 } else { 0o666 };
         match OpenOptions::new().read(true).write(true).create_new(true).mode(mode).open(&path) {
             Ok(file) => return Ok((file, path)),
@@ -142,5 +185,54 @@ mod tests {
         assert!(write_atomically(dir.path(), |_| Ok(())).unwrap_err().to_string().contains("directory"));
         let missing = dir.path().join("no/such/folder.txt");
         assert!(write_atomically(&missing, |_| Ok(())).unwrap_err().to_string().contains("folder.txt"));
+    }
+
+    #[test]
+    fn what_a_process_left_is_cleared_away_and_nothing_else() {
+        let dir = tempfile::tempdir().unwrap();
+        let put = |name: &str| fs::write(dir.path().join(name), "half a map").unwrap();
+        // Of this process's own number: it was given to another one before. Nobody has the highest.
+        let own = format!(".map.ply.cairn-{}-3.tmp", std::process::id());
+        for stale in [&own, ".map.ply.cairn-4194304-0.tmp", ".cairn-spool.cairn-4194304-17.tmp"] {
+            put(stale);
+        }
+        let kept = [
+            "map.ply",
+            ".map.ply.4194304-0.tmp",
+            ".cairn-4194304-0.tmp",
+            ".map.ply.cairn-x-0.tmp",
+            ".a.cairn-1-2.tmp.gz",
+        ];
+        for name in kept {
+            put(name);
+        }
+        let link = ".map.ply.cairn-4194304-1.tmp";
+        std::os::unix::fs::symlink(dir.path().join("map.ply"), dir.path().join(link)).unwrap();
+        let folder = ".map.ply.cairn-4194304-2.tmp";
+        fs::create_dir(dir.path().join(folder)).unwrap();
+        assert_eq!(remove_stale(dir.path()).len(), 3);
+        let mut left: Vec<String> = kept.iter().map(|n| n.to_string()).chain([link.into(), folder.into()]).collect();
+        left.sort();
+        assert_eq!(names(dir.path()), left);
+        assert!(remove_stale(&dir.path().join("not there")).is_empty());
+    }
+
+    #[test]
+    fn another_process_of_this_program_may_still_be_writing() {
+        let us = std::env::current_exe().unwrap();
+        // It waits for its input, under the name that the kernel gives this program, too.
+        let name = us.file_name().unwrap();
+        let dir = tempfile::tempdir().unwrap();
+        let twin = dir.path().join(name);
+        std::os::unix::fs::symlink("/bin/cat", &twin).unwrap();
+        let mut other = std::process::Command::new(&twin).stdin(std::process::Stdio::piped()).spawn().unwrap();
+        let comm = || fs::read_to_string(format!("/proc/{}/comm", other.id())).unwrap_or_default();
+        let alive = (0..1000).any(|_| {
+            std::thread::sleep(std::time::Duration::from_millis(5));
+            comm() == fs::read_to_string("/proc/self/comm").unwrap() && lives(other.id())
+        });
+        other.kill().unwrap();
+        other.wait().unwrap();
+        assert!(alive && !lives(other.id()));
     }
 }

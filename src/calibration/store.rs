@@ -92,7 +92,11 @@ fn folders_of(variable: impl Fn(&str) -> Option<String>) -> Vec<PathBuf> {
     folders.extend(variable("STATE_DIRECTORY").and_then(|v| Some(Path::new(v.split(':').next()?).join("cameras"))));
     let home = variable("HOME").map(|home| Path::new(&home).join(".local/state"));
     folders.extend(variable("XDG_STATE_HOME").map(PathBuf::from).or(home).map(|d| d.join("cairn/cameras")));
-    folders.push("/var/lib/cairn/cameras".into());
+    let own = PathBuf::from("/var/lib/cairn/cameras");
+    // Which is what systemd gives the service.
+    if !folders.contains(&own) {
+        folders.push(own);
+    }
     folders
 }
 
@@ -344,6 +348,8 @@ mod tests {
         assert_eq!(with(&[("STATE_DIRECTORY", "/var/lib/cairn:/x")])[0], Path::new("/var/lib/cairn/cameras"));
         assert_eq!(with(&[("XDG_STATE_HOME", "/s"), ("HOME", "/h")])[0], Path::new("/s/cairn/cameras"));
         assert_eq!(with(&[("HOME", "/h")])[0], Path::new("/h/.local/state/cairn/cameras"));
+        let service = with(&[("STATE_DIRECTORY", "/var/lib/cairn")]);
+        assert_eq!(service, [Path::new("/var/lib/cairn/cameras")], "each is read once");
         assert_eq!(with(&[]), [Path::new("/var/lib/cairn/cameras")]);
     }
 }

@@ -35,6 +35,7 @@ pub use controls::PowerLine;
 pub use finder::Finder;
 
 use super::{FrameSource, Grab, SourceDescription, SourceError};
+use crate::calibration::store::CameraIdentity;
 use crate::frame::{Clock, PixelFormat, RawFrame};
 use capture::{Capture, Layout};
 use device::{CallError, Device};
@@ -51,7 +52,8 @@ const MAX_ATTEMPTS: usize = 6;
 #[derive(Debug, Clone, PartialEq, serde::Deserialize, serde::Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct V4l2Config {
-    /// Device file, such as `/dev/video0` or better `/dev/v4l/by-id/...`, or `auto`: the first camera that works.
+    /// Device file, such as `/dev/video0` or better `/dev/v4l/by-id/...` (a camera) or `by-path/...` (a port), or `auto`: the first camera
+    /// that works and is free.
     pub device: String,
     /// Picture size to ask for, px; the nearest that the camera has is used. 160 to 1920 by 120 to 1200.
     pub width_px: u32,
@@ -178,6 +180,13 @@ pub fn list_cameras(wanted: &V4l2Config) -> Vec<Result<CameraInfo, SourceError>>
     device_files().iter().filter_map(|path| inspect(path, wanted).transpose()).collect()
 }
 
+/// Of all cameras those that the configuration means, in the order in which they are tried: the one that it names, or with `auto` every one
+/// that sends something usable.
+pub fn meant<'a>(config: &V4l2Config, cameras: impl Iterator<Item = &'a CameraInfo>) -> Vec<&'a CameraInfo> {
+    let named = std::fs::canonicalize(&config.device).unwrap_or_else(|_| config.device.clone().into());
+    cameras.filter(|c| if config.device == "auto" { !c.offers.is_empty() } else { c.path == named }).collect()
+}
+
 /// `/dev/videoN` by number.
 fn device_files() -> Vec<PathBuf> {
     let number = |path: &PathBuf| path.file_name()?.to_str()?.strip_prefix("video")?.parse::<u32>().ok();
@@ -227,6 +236,16 @@ pub struct V4l2Camera {
 }
 
 impl V4l2Camera {
+    /// Which camera it is, wherever it is plugged in.
+    pub fn identity(&self) -> CameraIdentity {
+        identity::identity(&self.path, &self.card)
+    }
+
+    /// Its node.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
     /// Opens the camera that the config names, or the first one that works.
     pub fn open(config: &V4l2Config) -> Result<Self, SourceError> {
         let invalid = |(key, reason): (&str, String)| SourceError::Open {
@@ -241,7 +260,12 @@ impl V4l2Camera {
         for path in device_files() {
             match inspect(&path, config) {
                 Ok(Some(_)) => match Self::open_device(&path, config) {
-                    Ok(camera) => return Ok(camera),
+                    Ok(camera) => {
+                        if !reasons.is_empty() {
+                            tracing::warn!(reason = reasons.join("; "), taken = %path.display(), "cameras passed over");
+                        }
+                        return Ok(camera);
+                    }
                     Err(e) => reasons.push(e.to_string()),
                 },
                 Ok(None) => {}

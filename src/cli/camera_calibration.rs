@@ -1,14 +1,15 @@
-//! The calibration that belongs to the camera at hand, by its identity: for `run` and `doctor`.
+//! The calibration that belongs to the camera at hand, by its identity: for `run`, `calibrate` and `doctor`.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use tracing::{info, warn};
 
 use super::{CliError, exit_code};
 use crate::calibration::store::{self, CameraIdentity, Estimate};
+use crate::camera::FrameSource;
 use crate::camera::v4l2::identity::identity;
-use crate::camera::v4l2::{CameraInfo, V4l2Config, list_cameras};
+use crate::camera::v4l2::{CameraInfo, Finder, V4l2Camera};
 use crate::config::Config;
 use crate::daemon::{Calibration, KeepLens};
 use crate::reconstruction::LensPrior;
@@ -16,29 +17,6 @@ use crate::reconstruction::LensPrior;
 /// Who a camera is.
 pub fn identify(camera: &CameraInfo) -> CameraIdentity {
     identity(&camera.path, &camera.card)
-}
-
-/// The camera that a configuration means: the one it names, or the first that sends something usable.
-pub fn configured(config: &V4l2Config) -> Result<CameraInfo, String> {
-    let wanted = std::fs::canonicalize(&config.device);
-    let mut reasons = Vec::new();
-    for camera in list_cameras(config) {
-        match camera {
-            Ok(camera) if config.device == "auto" && camera.offers.is_empty() => {}
-            Ok(camera) if config.device == "auto" => return Ok(camera),
-            Ok(camera) => {
-                if wanted.as_deref().is_ok_and(|w| w == camera.path) || Path::new(&config.device) == camera.path {
-                    return Ok(camera);
-                }
-            }
-            Err(error) => reasons.push(error.to_string()),
-        }
-    }
-    let why = if reasons.is_empty() { String::new() } else { format!(" ({})", reasons.join("; ")) };
-    Err(match config.device.as_str() {
-        "auto" => format!("there is no camera{why}"),
-        device => format!("{device} is no camera{why}"),
-    })
 }
 
 /// Its stored calibration for pictures of a size; unreadable files are mentioned in the log.
@@ -50,32 +28,36 @@ pub fn stored(identity: &CameraIdentity, size: (u32, u32)) -> Option<store::Foun
     found
 }
 
-/// A camera and what is known of its lens.
+/// An open camera and what is known of its lens.
 pub struct Found {
-    pub identity: CameraIdentity,
+    pub camera: V4l2Camera,
+    /// Finds it again when it was away.
+    pub finder: Finder,
     pub calibration: Calibration,
     /// Who keeps what is learnt of a lens that nobody calibrated.
     pub keep_lens: Option<KeepLens>,
 }
 
-/// The camera at hand and its stored calibration, else a guess, for a configuration that names no calibration file. The outer error
+/// The camera at hand, open, and its stored calibration, else a guess, for a configuration that names no calibration file. The outer error
 /// says why there is no camera (yet).
 pub fn of_config(config: &Config) -> Result<Result<Found, CliError>, String> {
-    let camera = configured(&config.camera)?;
-    let identity = identify(&camera);
+    let mut finder = Finder::new(config.camera.clone());
+    let camera = finder.open().map_err(|e| e.to_string())?;
+    let identity = camera.identity();
     // A calibration belongs to what the camera sends, which is not always what it is asked for.
-    let size = camera.picture_size(&config.camera);
+    let size = camera.description().size.unwrap_or((config.camera.width_px, config.camera.height_px));
     if !config.calibration.ignore
         && let Some(found) = stored(&identity, size)
     {
         let origin = found.path.display().to_string();
         info!(camera = %identity, calibration = origin, scaled_from = ?found.scaled_from, "stored calibration used");
-        return Ok(Ok(Found { identity, calibration: Calibration::known(found.camera, origin), keep_lens: None }));
+        let calibration = Calibration::known(found.camera, origin);
+        return Ok(Ok(Found { camera, finder, calibration, keep_lens: None }));
     }
-    let how = format!("cairn calibrate --camera {}", camera.path.display());
+    let how = format!("cairn calibrate --camera {}", camera.path().display());
     warn!(camera = %identity, how, "no calibration of this camera; it can be made in a minute");
-    let guess = uncalibrated(config, &store::state_folders(), Some(identity.clone()), size);
-    Ok(guess.map(|(calibration, keep_lens)| Found { identity, calibration, keep_lens }))
+    let guess = uncalibrated(config, &store::state_folders(), Some(identity), size);
+    Ok(guess.map(|(calibration, keep_lens)| Found { camera, finder, calibration, keep_lens }))
 }
 
 /// Without a calibration: what was kept of the camera's last run, else a supposed angle of view; and who keeps this run's.

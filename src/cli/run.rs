@@ -9,6 +9,7 @@ use std::time::Duration;
 use super::reload::Reloader;
 use super::session::{self, SessionArgs};
 use super::{CliError, camera_calibration, exit_code};
+use crate::atomic_file::remove_stale;
 use crate::calibration::{Unsaid, load_camera_with};
 use crate::camera::simulator::Simulator;
 use crate::camera::v4l2::Finder;
@@ -29,6 +30,7 @@ pub fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
     let mut reloader = Reloader::new(&args.session, &config)?;
     let stop = session::stop_flag()?;
     let outputs = outputs(&config);
+    clear_state_folder();
     session::check_outputs([&outputs.trajectory, &outputs.live_trajectory, &outputs.map, &outputs.overview])?;
     let prepared = prepare(&config)?;
     let (outlet, mut desk) =
@@ -112,7 +114,7 @@ impl Prepared {
         reloader: &mut Reloader,
     ) -> Result<Option<Source>, CliError> {
         let longest_pause = Duration::from_millis(config.daemon.camera_retry_ms);
-        let (calibration, keep_lens, known) = match self {
+        let (calibration, keep_lens, mut first, mut finder) = match self {
             Self::Simulator(simulator) => {
                 let calibration = if config.calibration.ignore {
                     let size = (config.simulator.width, config.simulator.height);
@@ -122,19 +124,22 @@ impl Prepared {
                 };
                 return Ok(Some(Source { supply: Supply::Once(simulator), calibration, keep_lens: None }));
             }
-            Self::Camera { calibration: Some(calibration), .. } => (calibration, None, None),
+            Self::Camera { calibration: Some(calibration), .. } => {
+                (calibration, None, None, Finder::new(config.camera.clone()))
+            }
             Self::Camera { calibration: None, .. } => {
-                let mut find = || {
-                    reloader.turn();
-                    camera_calibration::of_config(config)
-                };
-                let Some(found) = daemon::await_camera(desk, stop, longest_pause, &mut find) else { return Ok(None) };
+                let sought = config.clone();
+                let find = move || camera_calibration::of_config(&sought);
+                let found = daemon::await_camera(desk, stop, longest_pause, find, &mut || reloader.turn())
+                    .map_err(|e| CliError::new(exit_code::FAILURE, e.to_string()))?;
+                let Some(found) = found else { return Ok(None) };
                 let found = found?;
-                (found.calibration, found.keep_lens, Some(found.identity))
+                (found.calibration, found.keep_lens, Some(found.camera), found.finder)
             }
         };
-        let mut finder = Finder::new(config.camera.clone(), known);
-        let open: Opener = Box::new(move || finder.open().map(|camera| Box::new(camera) as Box<dyn FrameSource>));
+        let boxed = |camera| Box::new(camera) as Box<dyn FrameSource>;
+        // The camera that was found is open already, lest another program takes it.
+        let open: Opener = Box::new(move || first.take().map_or_else(|| finder.open(), Ok).map(boxed));
         Ok(Some(Source { supply: Supply::Camera { open, longest_pause }, calibration, keep_lens }))
     }
 }
@@ -148,6 +153,18 @@ fn outputs(config: &Config) -> Outputs {
         live_trajectory: named(&o.live_trajectory),
         map: named(&o.map),
         overview: named(&o.overview),
+    }
+}
+
+/// What a save left that a power cut or `kill -9` cut off; in the service's own folder only.
+fn clear_state_folder() {
+    let Some(state) = std::env::var_os("STATE_DIRECTORY").filter(|folder| !folder.is_empty()).map(PathBuf::from) else {
+        return;
+    };
+    for folder in [state.join("cameras"), state] {
+        for path in remove_stale(&folder) {
+            tracing::info!(path = %path.display(), "unfinished file of an earlier run removed");
+        }
     }
 }
 

@@ -1,7 +1,8 @@
 //! The capture step: one frame from whatever source there is into a slot, or a reason why not.
 //!
 //! A camera that is absent or goes away is looked for again, at growing intervals; one that is open and gives no good frame is
-//! opened anew, because a stuck stream does not heal by itself; a recording or a simulator that fails has ended. Frame numbers go on
+//! opened anew, because a stuck stream does not heal by itself; a recording or a simulator that fails has ended. Cameras are opened and closed
+//! in a thread of their own, because a driver may hang over it: the stage lives on, and what is told is the camera's fault. Frame numbers go on
 //! across all that. What the driver lost shows as a gap of its numbers and is counted. Every fault is counted, logged at once and then once a second at most.
 
 use std::sync::Arc;
@@ -9,6 +10,8 @@ use std::time::Duration;
 
 use tracing::{info, warn};
 
+use super::TURN;
+use super::background::{Background, Progress};
 use super::status::Status;
 use super::timestamps::{TimestampGate, Verdict};
 use crate::camera::{FrameSource, Grab, SourceError};
@@ -48,11 +51,24 @@ const FIRST_PATIENCE_NS: i64 = 3_000_000_000;
 const LONGEST_PATIENCE_NS: i64 = 24_000_000_000;
 /// An absent camera is mentioned in the log once in so many ns.
 const REMINDER_NS: i64 = 60_000_000_000;
+/// A camera that takes so long to open is mentioned, too.
+const SLOW_OPENING: Duration = Duration::from_secs(2);
+
+/// What the opening thread is told.
+enum Order {
+    Close(Box<dyn FrameSource>),
+    Open,
+}
+
+type Opened = Result<Box<dyn FrameSource>, SourceError>;
 
 /// The capture stage without its thread.
 pub struct CaptureStep {
     source: Option<Box<dyn FrameSource>>,
-    open: Option<Opener>,
+    /// Opens and closes; `None` for a source without a way back.
+    opener: Option<Background<Order, Opened>>,
+    /// So long the stage waits for it in one step.
+    opening_turn: Duration,
     longest_pause: Duration,
     pause: Duration,
     /// The last fault that kept the camera closed, and when it was logged.
@@ -70,15 +86,26 @@ pub struct CaptureStep {
 }
 
 impl CaptureStep {
-    pub fn new(supply: Supply, status: Arc<Status>) -> Self {
-        let (source, open, longest_pause) = match supply {
+    /// An error is a thread that cannot be started.
+    pub fn new(supply: Supply, status: Arc<Status>) -> std::io::Result<Self> {
+        let (source, opener, longest_pause) = match supply {
             Supply::Once(source) => (Some(source), None, Duration::ZERO),
-            Supply::Camera { open, longest_pause } => (None, Some(open), longest_pause),
+            Supply::Camera { mut open, longest_pause } => {
+                let work = move |order| match order {
+                    Order::Close(source) => {
+                        drop(source);
+                        None
+                    }
+                    Order::Open => Some(open()),
+                };
+                (None, Some(Background::spawn("cairn-camera", work)?), longest_pause)
+            }
         };
         status.set_source_present(source.is_some());
-        Self {
+        Ok(Self {
             source,
-            open,
+            opener,
+            opening_turn: TURN,
             longest_pause,
             pause: FIRST_PAUSE,
             complaint: None,
@@ -90,7 +117,7 @@ impl CaptureStep {
             unreadable: RateLimiter::default(),
             bad_times: RateLimiter::default(),
             status,
-        }
+        })
     }
 
     /// Waits at most `timeout` for a frame.
@@ -154,25 +181,31 @@ impl CaptureStep {
     /// No good frame this time. A camera that has given none for long is opened anew.
     fn mind_silence(&mut self) -> Captured {
         let silent_ns = monotonic_ns() - self.quiet_since_ns;
-        if self.open.is_none() || silent_ns < self.patience_ns {
+        if self.opener.is_none() || silent_ns < self.patience_ns {
             return Captured::Nothing;
         }
         warn!(silent_ms = silent_ns / 1_000_000, "camera gives no good frame, opened anew");
-        let patience_ns = (self.patience_ns * 2).min(LONGEST_PATIENCE_NS);
-        // Closed first: a device is used once.
-        self.source = None;
-        let captured = self.try_open();
-        self.patience_ns = patience_ns;
-        captured
+        self.patience_ns = (self.patience_ns * 2).min(LONGEST_PATIENCE_NS);
+        // Closed first: a device is used once. For planners it is there meanwhile, and silent.
+        self.close();
+        self.try_open()
+    }
+
+    fn close(&mut self) {
+        if let (Some(source), Some(opener)) = (self.source.take(), &self.opener) {
+            opener.tell(Order::Close(source));
+        }
     }
 
     fn lose(&mut self, error: &SourceError) -> Captured {
-        self.source = None;
         self.status.set_source_present(false);
-        if self.open.is_none() {
+        if self.opener.is_none() {
+            self.source = None;
             warn!(%error, "source failed");
             return Captured::End { failed: true };
         }
+        self.close();
+        self.patience_ns = FIRST_PATIENCE_NS;
         warn!(%error, "camera lost, looking for it");
         self.complaint = Some((error.to_string(), monotonic_ns()));
         self.pause = FIRST_PAUSE;
@@ -180,9 +213,9 @@ impl CaptureStep {
     }
 
     fn try_open(&mut self) -> Captured {
-        let Some(open) = self.open.as_mut() else { return Captured::End { failed: true } };
-        match open() {
-            Ok(source) => {
+        let Some(opener) = self.opener.as_mut() else { return Captured::End { failed: true } };
+        match opener.ask(|| Order::Open, self.opening_turn) {
+            Progress::Done(Ok(source)) => {
                 let d = source.description();
                 let (width, height) = d.size.unwrap_or_default();
                 info!(name = d.name, width, height, rate_hz = d.rate_hz, "camera open");
@@ -191,24 +224,41 @@ impl CaptureStep {
                 self.status.set_source_present(true);
                 self.gate.expect_pause();
                 self.first_number = self.next_number;
-                (self.quiet_since_ns, self.patience_ns) = (monotonic_ns(), FIRST_PATIENCE_NS);
+                self.quiet_since_ns = monotonic_ns();
                 self.complaint = None;
                 self.pause = FIRST_PAUSE;
                 Captured::Nothing
             }
-            Err(error) => {
+            Progress::Done(Err(error)) => {
                 self.status.set_source_present(false);
-                let (text, now) = (error.to_string(), monotonic_ns());
-                let known = self.complaint.as_ref().is_some_and(|(last, at)| *last == text && now - at < REMINDER_NS);
-                if !known {
+                self.patience_ns = FIRST_PATIENCE_NS;
+                let text = error.to_string();
+                if self.is_news(&text) {
                     warn!(%error, "camera cannot be opened, will be tried again");
-                    self.complaint = Some((text, now));
                 }
                 let pause = self.pause;
                 self.pause = (pause * 2).min(self.longest_pause);
                 Captured::Absent(pause)
             }
+            Progress::Pending(waited) => {
+                if waited > SLOW_OPENING && self.is_news("no answer") {
+                    warn!(waited_ms = waited.as_millis() as u64, "camera does not answer while it is opened");
+                }
+                Captured::Nothing
+            }
+            // The panic is in the log.
+            Progress::Dead => Captured::End { failed: true },
         }
+    }
+
+    /// Whether this complaint is another one than the last, or that one is long ago.
+    fn is_news(&mut self, text: &str) -> bool {
+        let now = monotonic_ns();
+        let known = self.complaint.as_ref().is_some_and(|(last, at)| last == text && now - at < REMINDER_NS);
+        if !known {
+            self.complaint = Some((text.into(), now));
+        }
+        !known
     }
 }
 
@@ -228,7 +278,7 @@ mod tests {
             }
         });
         let status = Arc::new(Status::default());
-        let mut step = CaptureStep::new(Supply::Camera { open, longest_pause: Duration::from_secs(1) }, status.clone());
+        let mut step = step(Supply::Camera { open, longest_pause: Duration::from_secs(1) }, &status);
         let mut slot = RawFrame::default();
         let mut numbers = Vec::new();
         for _ in 0..7 {
@@ -238,6 +288,13 @@ mod tests {
         }
         assert_eq!(numbers, [0, 1, 2, 3]);
         assert_eq!(status.bad_timestamps.get(), 0);
+    }
+
+    /// Waits for the opening thread however busy the machine is.
+    fn step(supply: Supply, status: &Arc<Status>) -> CaptureStep {
+        let mut step = CaptureStep::new(supply, status.clone()).expect("thread");
+        step.opening_turn = Duration::from_secs(60);
+        step
     }
 
     /// A source that follows a script of outcomes.
@@ -296,7 +353,7 @@ mod tests {
             Ok((Grab::Frame, 10)),
             Ok((Grab::Frame, 20)),
         ]);
-        let mut step = CaptureStep::new(Supply::Once(source), status.clone());
+        let mut step = step(Supply::Once(source), &status);
         let end = Captured::End { failed: false };
         let nothing = Captured::Nothing;
         assert_eq!(run(&mut step, 6), [Captured::Frame, nothing, nothing, nothing, Captured::Frame, end]);
@@ -309,7 +366,7 @@ mod tests {
     #[test]
     fn a_source_without_a_way_back_ends_when_it_breaks() {
         let source = script(&[Ok((Grab::Frame, 1)), Err(())]);
-        let mut step = CaptureStep::new(Supply::Once(source), Arc::default());
+        let mut step = step(Supply::Once(source), &Arc::default());
         assert_eq!(
             run(&mut step, 3),
             [Captured::Frame, Captured::End { failed: true }, Captured::End { failed: true }]
@@ -330,7 +387,7 @@ mod tests {
             }
         });
         let longest_pause = Duration::from_millis(500);
-        let mut step = CaptureStep::new(Supply::Camera { open, longest_pause }, status.clone());
+        let mut step = step(Supply::Camera { open, longest_pause }, &status);
         assert!(!status.source_present());
         let ms = |ms| Captured::Absent(Duration::from_millis(ms));
         assert_eq!(run(&mut step, 2), [Captured::Nothing, Captured::Frame]);
@@ -339,5 +396,22 @@ mod tests {
         assert!(!status.source_present());
         assert_eq!(run(&mut step, 2), [Captured::Nothing, Captured::Frame]);
         assert!(status.source_present());
+    }
+
+    #[test]
+    fn a_camera_that_hangs_while_it_is_opened_keeps_nobody_waiting() {
+        let (answer, answered) = crossbeam::channel::bounded::<()>(1);
+        let open: Opener = Box::new(move || {
+            let _ = answered.recv();
+            Ok(script(&[Ok((Grab::Frame, 1))]))
+        });
+        let status = Arc::new(Status::default());
+        let mut step = step(Supply::Camera { open, longest_pause: Duration::from_secs(1) }, &status);
+        step.opening_turn = Duration::from_millis(1);
+        assert_eq!(run(&mut step, 20), [Captured::Nothing; 20]);
+        assert!(!status.source_present(), "a camera that does not open is not there");
+        answer.send(()).expect("still asked, once");
+        step.opening_turn = Duration::from_secs(60);
+        assert_eq!(run(&mut step, 2), [Captured::Nothing, Captured::Frame]);
     }
 }

@@ -1,4 +1,7 @@
 //! The feature step: one captured frame into decoded picture, pyramid and tracks, or a counted reason why not.
+//!
+//! A picture of another size than the ones before is skipped, as a broken one may claim any size; several in a row, all of the same size, are a
+//! camera that sends another size now (opened anew, another mode): they are passed on, and the reconstruction step begins anew with them.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -11,11 +14,16 @@ use crate::frame::{PixelFormat, RawFrame, monotonic_ns};
 use crate::image::decode::picture_size;
 use crate::telemetry::RateLimiter;
 
+/// So many pictures of another size in a row are the camera's new size.
+const NEW_SIZE_AFTER: u32 = 5;
+
 /// The feature stage without its thread.
 pub struct FeatureStep {
     stage: FeatureStage,
-    /// Size of the first picture, which all others must have: a camera's calibration holds for one size.
+    /// Size of the pictures, which all must have: a camera's calibration holds for one size.
     size: Option<(u32, u32)>,
+    /// Another size, and how many pictures in a row had it.
+    other: Option<((u32, u32), u32)>,
     corrupt: RateLimiter,
     wrong_size: RateLimiter,
     status: Arc<Status>,
@@ -26,6 +34,7 @@ impl FeatureStep {
         Self {
             stage: FeatureStage::new(config),
             size: None,
+            other: None,
             corrupt: RateLimiter::default(),
             wrong_size: RateLimiter::default(),
             status,
@@ -36,22 +45,15 @@ impl FeatureStep {
     pub fn step(&mut self, frame: &RawFrame, out: &mut FrameFeatures) -> bool {
         let begin_ns = monotonic_ns();
         let size = stated_size(frame);
-        if let (Some(size), Some(first)) = (size, self.size)
-            && size != first
+        if let (Some(size), Some(before)) = (size, self.size)
+            && size != before
+            && !self.is_here_to_stay(size)
         {
             self.status.wrong_size.add(1);
             if let Some(frames) = self.wrong_size.event(begin_ns) {
-                let ((width, height), (first_width, first_height)) = (size, first);
+                let ((width, height), (width_before, height_before)) = (size, before);
                 let sequence = frame.sequence;
-                warn!(
-                    frames,
-                    sequence,
-                    width,
-                    height,
-                    first_width,
-                    first_height,
-                    "picture of another size than the first, skipped"
-                );
+                warn!(frames, sequence, width, height, width_before, height_before, "picture of another size, skipped");
             }
             return false;
         }
@@ -62,10 +64,24 @@ impl FeatureStep {
             }
             return false;
         }
-        self.size = self.size.or(size);
+        if let (Some((width, height)), Some(before)) = (size, self.size)
+            && (width, height) != before
+        {
+            let (width_before, height_before) = before;
+            warn!(width, height, width_before, height_before, "camera sends another size now, a new map begins");
+        }
+        self.size = size.or(self.size);
+        self.other = None;
         self.status.decode.record(nanoseconds(out.decoded_ns - begin_ns));
         self.status.feature.record(nanoseconds(monotonic_ns() - out.decoded_ns));
         true
+    }
+
+    /// Notes a picture of another size; `true` if it is not the first of them.
+    fn is_here_to_stay(&mut self, size: (u32, u32)) -> bool {
+        let before = self.other.filter(|(other, _)| *other == size).map_or(0, |(_, count)| count);
+        self.other = Some((size, before + 1));
+        before >= NEW_SIZE_AFTER
     }
 
     /// Takes reconstruction's feedback.

@@ -311,10 +311,12 @@ impl HealthWatch {
         }
     }
 
-    /// State of the last frame; but a robot whose pictures have stopped is no longer being tracked.
-    fn state(&self, errors: u64) -> TrackingState {
+    /// State of the last frame; but a robot whose pictures have stopped, or cannot be used any more, is no longer being tracked.
+    fn state(&self, errors: u64, now_ns: i64) -> TrackingState {
+        let blind = errors & (error::NO_CAMERA | error::NO_FRAMES | error::BAD_CALIBRATION) != 0;
+        let stale = self.status.last_pose_arrival_ns().is_some_and(|at| now_ns - at > NO_FRAMES_NS);
         match self.status.state() {
-            TrackingState::Tracking if errors & (error::NO_CAMERA | error::NO_FRAMES) != 0 => TrackingState::Lost,
+            TrackingState::Tracking if blind || stale => TrackingState::Lost,
             state => state,
         }
     }
@@ -362,7 +364,7 @@ impl HealthWatch {
             landmarks,
             reset_counter,
             map_id,
-            state: convert::state(self.state(errors)),
+            state: convert::state(self.state(errors, now_ns)),
             clock: convert::clock(self.clock),
             ..Health::default()
         }

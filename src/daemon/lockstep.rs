@@ -23,7 +23,7 @@ use crate::reconstruction::InlineWorker;
 pub fn run(parts: Parts, stop: &AtomicBool, go_on: &mut dyn FnMut(&Status) -> bool) -> Result<End, DaemonError> {
     let Parts { config, supply, calibration, outlet, outputs, spool_folder, keep_lens, status } = parts;
     let recorder = Recorder::new(&outputs, spool_folder.as_deref(), status.clone())?.keeping(keep_lens);
-    let mut capture = CaptureStep::new(supply, status.clone());
+    let mut capture = CaptureStep::new(supply, status.clone()).map_err(DaemonError::Thread)?;
     let mut feature = FeatureStep::new(&config.features, status.clone());
     let mut reconstruct = ReconstructStep::new(
         &config.reconstruction,

@@ -12,10 +12,12 @@
 //! - A parcel is a frame's features on the way there and reconstruction's feedback on the way back; parcels are made once.
 //! - Every stage is a plain step in a file of its own; [`lockstep`] calls the very same steps from one loop.
 //! - Every wait is bounded by [`TURN`], so a stop is seen by every thread within that, and each thread says once a turn that it lives.
+//! - What a driver may hang over, opening and closing a camera, has a thread of its own that nobody waits for (`background.rs`).
 //! - A thread that panics ends the daemon with an error, so that a service manager starts it anew.
 
 mod advice;
 mod announce;
+mod background;
 mod capture;
 mod feature;
 mod health;
@@ -83,6 +85,8 @@ pub enum DaemonError {
     Spool(#[from] crate::trajectory::TrajectoryError),
     #[error("cannot start a thread: {0}")]
     Thread(std::io::Error),
+    #[error("the search for a camera panicked")]
+    Search,
 }
 
 /// A frame's features on the way to reconstruction; its feedback on the way back.
@@ -141,7 +145,7 @@ pub(super) fn start(parts: Parts) -> Result<Threads, DaemonError> {
     let feature_step = FeatureStep::new(&config.features, status.clone());
     let beat = status.clone();
     let features = spawn("cairn-features", move || extract(feature_step, consumer, &empty_queue, &full, &beat))?;
-    let capture_step = CaptureStep::new(supply, status.clone());
+    let capture_step = CaptureStep::new(supply, status.clone()).map_err(DaemonError::Thread)?;
     let to_reset = requests.clone();
     let capture = spawn("cairn-capture", move || capture_frames(capture_step, producer, &to_reset, &status))?;
     Ok(Threads { capture, features, reconstruction, mapping, recorder, requests })

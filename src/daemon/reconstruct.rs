@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use crossbeam::channel::Sender;
-use tracing::{debug, info, warn};
+use tracing::{debug, error, info, warn};
 
 use super::outlet::Outlet;
 use super::recorder::{FinalMap, Record, RecorderLink, SaveKind};
@@ -89,6 +89,8 @@ pub struct ReconstructStep {
     /// Given to reconstruction with the first frame, whose size completes the camera model.
     worker: Option<Box<dyn MappingWorker>>,
     reconstruction: Option<Reconstruction>,
+    /// Of the pictures that the camera model is for; 0, 0 before the first.
+    size: (u32, u32),
     outlet: Option<Outlet>,
     recorder: RecorderLink,
     status: Arc<Status>,
@@ -99,7 +101,7 @@ pub struct ReconstructStep {
     last_resets: u32,
     /// Times that a planner has put the map elsewhere: to its readers each is a reset.
     placements: u32,
-    last_frame: MapContext,
+    last_frame_ns: i64,
     /// What is said of the lens, and how surely it was known when it was last handed over to be kept.
     lens: Option<LensKnowledge>,
     kept_sigma: f64,
@@ -124,6 +126,7 @@ impl ReconstructStep {
             lockstep,
             worker: Some(worker),
             reconstruction: None,
+            size: (0, 0),
             outlet,
             recorder,
             status,
@@ -133,7 +136,7 @@ impl ReconstructStep {
             last_state: None,
             last_resets: 0,
             placements: 0,
-            last_frame: MapContext::default(),
+            last_frame_ns: 0,
             lens: None,
             kept_sigma: f64::INFINITY,
         }
@@ -143,8 +146,8 @@ impl ReconstructStep {
     /// calibration's: no frame of this source can ever be placed.
     pub fn step(&mut self, features: &FrameFeatures, ready_ns: i64, feedback: &mut Feedback) -> Result<(), String> {
         self.status.queue.record_ns(monotonic_ns() - ready_ns);
-        if self.reconstruction.is_none() {
-            self.begin(features)?;
+        if !self.fits(features)? {
+            return Ok(());
         }
         let Some(reconstruction) = self.reconstruction.as_mut() else { return Ok(()) };
         let begin = Instant::now();
@@ -159,7 +162,7 @@ impl ReconstructStep {
             reconstruction.map(features, feedback);
         }
         self.status.mapping.record(begin.elapsed());
-        self.last_frame = MapContext { timestamp_ns: estimate.timestamp_ns, reset_counter: estimate.reset_counter };
+        self.last_frame_ns = estimate.timestamp_ns;
         self.log_changes(&estimate);
         self.note_lens(KEEP_AGAIN);
         self.drain_events();
@@ -171,15 +174,38 @@ impl ReconstructStep {
         Ok(())
     }
 
-    /// The first frame tells the size of the pictures, and with that the camera model.
-    fn begin(&mut self, features: &FrameFeatures) -> Result<(), String> {
-        let Some(picture) = features.pyramid.levels.first() else { return Ok(()) };
+    /// Whether the pictures have the size that the camera model is for. The first frame tells it; a camera that sends another one later begins a
+    /// new map, or, where its calibration cannot be scaled to that, is waited for until it sends the right size again.
+    fn fits(&mut self, features: &FrameFeatures) -> Result<bool, String> {
+        let Some(picture) = features.pyramid.levels.first() else { return Ok(false) };
         let size = |pixels: usize| u32::try_from(pixels).unwrap_or(u32::MAX);
         let (width, height) = (size(picture.width), size(picture.height));
-        let camera = self.calibration.fit(width, height)?;
+        if self.size == (width, height) {
+            self.status.set_calibration_refused(false);
+            return Ok(true);
+        }
+        match self.calibration.fit(width, height) {
+            Ok(camera) => self.begin(camera),
+            Err(reason) if self.size == (0, 0) => return Err(reason),
+            Err(reason) => {
+                if !self.status.calibration_refused() {
+                    error!(reason, "calibration does not fit the size that the camera sends now");
+                }
+                self.status.set_calibration_refused(true);
+                self.status.wrong_size.add(1);
+                return Ok(false);
+            }
+        }
+        self.size = (width, height);
+        self.status.set_calibration_refused(false);
+        Ok(true)
+    }
+
+    /// The first frame, or the first of another size, completes the camera model.
+    fn begin(&mut self, camera: CameraModel) {
         info!(
-            width,
-            height,
+            width = camera.width,
+            height = camera.height,
             fx_px = camera.fx,
             fy_px = camera.fy,
             cx_px = camera.cx,
@@ -188,14 +214,17 @@ impl ReconstructStep {
             origin = self.calibration.origin,
             "camera model"
         );
-        if self.calibration.prior != LensPrior::Calibrated {
+        let prior = self.calibration.prior;
+        if prior != LensPrior::Calibrated {
             warn!("the camera is not calibrated: focal length and distortion are estimated from its motion");
         }
-        if let Some(worker) = self.worker.take() {
-            let prior = self.calibration.prior;
+        self.kept_sigma = f64::INFINITY;
+        if let Some(reconstruction) = self.reconstruction.as_mut() {
+            reconstruction.change_camera(&camera, prior);
+            self.drain_events();
+        } else if let Some(worker) = self.worker.take() {
             self.reconstruction = Some(Reconstruction::with_lens(&self.config, &camera, prior, worker, self.lockstep));
         }
-        Ok(())
     }
 
     fn publish_pose(&mut self, features: &FrameFeatures, estimate: &PoseEstimate) {
@@ -247,7 +276,8 @@ impl ReconstructStep {
         self.status.set_counters(&counters);
         if e.keyframe {
             let (keyframes, landmarks_made) = (counters.keyframes_made, counters.landmarks_made);
-            info!(sequence, timestamp_ns, map, keyframes, landmarks_made, landmarks = e.landmarks, "keyframe");
+            // Where much is new there is one a second, which would fill a journal in a night.
+            debug!(sequence, timestamp_ns, map, keyframes, landmarks_made, landmarks = e.landmarks, "keyframe");
         } else {
             debug!(sequence, landmarks = e.landmarks, sought = e.landmarks_sought, quality = e.quality, "frame");
         }
@@ -294,7 +324,7 @@ impl ReconstructStep {
         }
         reconstruction.snapshot(&mut self.snapshot);
         self.status.set_map(&self.snapshot);
-        match outlet.map(&self.snapshot, &self.last_frame) {
+        match outlet.map(&self.snapshot, &context(reconstruction, self.placements, self.last_frame_ns)) {
             Ok(()) => self.status.maps_published.add(1),
             Err(error) => self.publish_failed(&error),
         }
@@ -353,5 +383,31 @@ impl ReconstructStep {
         }
         self.status.set_map(&map.snapshot);
         (map, self.recorder)
+    }
+}
+
+/// What a map message says of the map as it is now. It may have been dropped after the last frame was placed, so the counter is the map's and not
+/// that of the frame's pose.
+fn context(reconstruction: &Reconstruction, placements: u32, timestamp_ns: i64) -> MapContext {
+    MapContext { timestamp_ns, reset_counter: reconstruction.reset_counter().wrapping_add(placements) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::reconstruction::InlineWorker;
+
+    #[test]
+    fn a_map_message_counts_the_reset_that_made_its_map() {
+        let camera = guessed_camera(320, 240, 60.0).expect("camera");
+        let mut r =
+            Reconstruction::new(&ReconstructionConfig::default(), &camera, Box::new(InlineWorker::default()), true);
+        let mut snapshot = MapSnapshot::default();
+        for resets in 0..3 {
+            r.snapshot(&mut snapshot);
+            let context = context(&r, 4, 7);
+            assert_eq!((snapshot.map.0, context.reset_counter, context.timestamp_ns), (resets, 4 + resets, 7));
+            r.reset();
+        }
     }
 }

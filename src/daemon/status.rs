@@ -25,7 +25,7 @@ pub struct Status {
     pub bad_timestamps: Counter,
     /// Frames that could not be decoded.
     pub corrupt: Counter,
-    /// Frames of another size than the first.
+    /// Frames of another size than those before.
     pub wrong_size: Counter,
     /// Frames handed to reconstruction.
     pub processed: Counter,
@@ -174,8 +174,8 @@ impl Status {
         self.calibration_refused.load(Ordering::Relaxed)
     }
 
-    pub fn refuse_calibration(&self) {
-        self.calibration_refused.store(true, Ordering::Relaxed);
+    pub fn set_calibration_refused(&self, refused: bool) {
+        self.calibration_refused.store(refused, Ordering::Relaxed);
     }
 
     /// State of tracking after the last frame.

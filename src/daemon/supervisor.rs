@@ -125,7 +125,7 @@ fn wind_up(threads: Threads, status: &Arc<Status>, outputs: &Outputs, stopped: b
     match join(reconstruction, "reconstruction", deadline) {
         Ok(Ok(last)) => (map, whole) = (last, true),
         Ok(Err(reason)) => {
-            status.refuse_calibration();
+            status.set_calibration_refused(true);
             error!(reason, "calibration does not fit");
             cause = EndCause::Calibration(reason);
         }

@@ -202,3 +202,136 @@ fn a_lockstep_run_can_be_stopped() {
     let end = lockstep::run(parts, &AtomicBool::new(false), &mut |status| status.captured.get() < 5).expect("starts");
     assert_eq!(end.cause, EndCause::Stopped);
 }
+
+/// Every second pixel of every second row.
+fn halve(slot: &mut RawFrame) {
+    let (w, h, stride) = (slot.width as usize, slot.height as usize, slot.stride as usize);
+    slot.data = (0..h / 2)
+        .flat_map(|y| (0..w / 2).map(move |x| (x, y)))
+        .map(|(x, y)| slot.data[2 * y * stride + 2 * x])
+        .collect();
+    (slot.width, slot.height, slot.stride) = (slot.width / 2, slot.height / 2, slot.width / 2);
+}
+
+#[test]
+fn a_camera_that_comes_back_with_another_size_begins_a_new_map_with_its_calibration_scaled() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut frames = 0;
+    let edit: Edit = Box::new(move |slot| {
+        frames += 1;
+        if (31..=60).contains(&frames) {
+            halve(slot);
+        }
+        Ok(Grab::Frame)
+    });
+    let parts = parts(3.0, Pacing::LockStep, folder.path(), edit);
+    let (status, fx) = (parts.status.clone(), parts.calibration.model.fx);
+    let mut lenses = Vec::new();
+    let end = lockstep::run(parts, &AtomicBool::new(false), &mut |status| {
+        let (_, [fx, ..]) = status.lens();
+        if !fx.is_nan() && lenses.last().is_none_or(|last: &f32| (last / fx - 1.0).abs() > 0.3) {
+            lenses.push(fx);
+        }
+        true
+    })
+    .expect("starts");
+    assert_eq!(end.cause, EndCause::SourceEnded);
+    assert_eq!((status.wrong_size.get(), status.processed.get()), (10, 80), "five are waited for each time");
+    let relative: Vec<f64> = lenses.iter().map(|l| f64::from(*l) / fx).collect();
+    assert!(
+        relative.len() == 3 && (relative[1] - 0.5).abs() < 0.05 && (relative[2] - 1.0).abs() < 0.05,
+        "{relative:?}"
+    );
+    let (map, resets) = status.map_and_resets();
+    assert!(map == resets && resets >= 2, "map {map}, {resets} resets");
+}
+
+#[test]
+fn a_size_that_the_calibration_is_not_for_is_told_and_the_map_goes_on_when_it_is_right_again() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut frames = 0;
+    let edit: Edit = Box::new(move |slot| {
+        frames += 1;
+        if (46..=60).contains(&frames) {
+            slot.data.truncate(320 * 180);
+            slot.height = 180;
+        }
+        Ok(Grab::Frame)
+    });
+    let parts = parts(3.0, Pacing::LockStep, folder.path(), edit);
+    let status = parts.status.clone();
+    let mut refused: Vec<(bool, u64)> = Vec::new();
+    let end = lockstep::run(parts, &AtomicBool::new(false), &mut |status| {
+        if refused.last().is_none_or(|(last, _)| *last != status.calibration_refused()) {
+            refused.push((status.calibration_refused(), status.captured.get()));
+        }
+        true
+    })
+    .expect("starts");
+    assert_eq!(end.cause, EndCause::SourceEnded, "a camera may come back as it was");
+    assert_eq!(refused, [(false, 0), (true, 51), (false, 66)], "five are waited for each time");
+    assert_eq!((status.wrong_size.get(), status.processed.get()), (20, 70));
+    assert_eq!(status.map_and_resets(), (0, 0));
+}
+
+/// The faults that a supervisor would publish, looked at by its own eyes.
+fn faults(status: &Arc<Status>) -> impl FnMut() -> u64 + use<> {
+    let mut watch =
+        health::HealthWatch::new(status.clone(), Clock::Monotonic, Duration::from_millis(500), monotonic_ns());
+    move || watch.tick(monotonic_ns()).errors
+}
+
+#[test]
+fn a_camera_whose_opening_hangs_is_an_absent_camera_and_no_stalled_stage_and_a_stop_does_not_wait_for_it() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut parts = parts(3.0, Pacing::RealTime, folder.path(), untouched());
+    let open: Opener = Box::new(|| {
+        thread::sleep(Duration::from_secs(3600));
+        Err(SourceError::Open { path: "camera".into(), reason: "never".into() })
+    });
+    parts.supply = Supply::Camera { open, longest_pause: Duration::from_millis(100) };
+    let (status, stop) = (parts.status.clone(), AtomicBool::new(false));
+    let mut faults = faults(&status);
+    // Turns of the stage: it lives, whatever the camera does.
+    let (mut beats, mut last) = (0, 0);
+    let end = supervise(parts, None, Clock::Monotonic, &stop, &mut |tick| {
+        let now = monotonic_ns();
+        let at = now - tick.status.capture.age_ns(now).unwrap_or(0);
+        beats += u32::from(at > last + 50_000_000);
+        last = last.max(at);
+        let faults = faults();
+        assert!(beats < 2 || faults & crate::messages::error::NO_CAMERA != 0, "{faults:#x}");
+        beats < 12 && tick.elapsed < Duration::from_secs(60)
+    })
+    .expect("starts");
+    assert_eq!(end.cause, EndCause::Stopped);
+    assert!(beats >= 12, "the capture stage turned {beats} times");
+}
+
+#[test]
+fn a_capture_stage_that_hangs_in_its_camera_is_a_stalled_stage() {
+    let folder = tempfile::tempdir().expect("folder");
+    let (hold, held) = crossbeam::channel::bounded::<()>(1);
+    let mut frames = 0;
+    let edit: Edit = Box::new(move |_| {
+        frames += 1;
+        if frames == 3 {
+            let _ = held.recv();
+        }
+        Ok(Grab::Frame)
+    });
+    let parts = parts(3.0, Pacing::RealTime, folder.path(), edit);
+    let (status, stop) = (parts.status.clone(), AtomicBool::new(false));
+    let mut faults = faults(&status);
+    let mut found = false;
+    let mut hold = Some(hold);
+    supervise(parts, None, Clock::Monotonic, &stop, &mut |tick| {
+        found |= faults() & crate::messages::error::STALLED_STAGE != 0;
+        if found {
+            hold = None;
+        }
+        !found && tick.elapsed < Duration::from_secs(60)
+    })
+    .expect("starts");
+    assert!(found);
+}

@@ -8,23 +8,54 @@ use tracing::error;
 
 use crate::reconstruction::{MappingJob, MappingResult, MappingWorker};
 
-/// Reconstruction's end of the mapping thread. At most one job is under way, so both queues hold one.
-pub struct ThreadWorker {
-    jobs: Sender<MappingJob>,
-    results: Receiver<MappingResult>,
-    under_way: bool,
-}
+/// Reconstruction's end of the mapping thread.
+pub struct ThreadWorker(Desk<MappingJob, MappingResult>);
 
 impl ThreadWorker {
     /// Starts the thread; it ends when this value is dropped.
     pub fn spawn() -> std::io::Result<(Self, thread::JoinHandle<()>)> {
-        let (jobs, job_queue) = bounded::<MappingJob>(1);
-        let (result_queue, results) = bounded(1);
+        let (desk, handle) = Desk::spawn(MappingJob::run)?;
+        Ok((Self(desk), handle))
+    }
+}
+
+impl MappingWorker for ThreadWorker {
+    fn post(&mut self, job: MappingJob) {
+        self.0.post(job);
+    }
+
+    fn take(&mut self, wait: bool) -> Option<MappingResult> {
+        self.0.take(wait)
+    }
+
+    fn discard(&mut self) {
+        self.0.discard();
+    }
+}
+
+/// At most one job is under way that anybody waits for, and beside it one that was given up while it ran; of a job that was given up
+/// before it ran nothing is left.
+struct Desk<Job, Outcome> {
+    jobs: Sender<(u64, Job)>,
+    /// To take back what has not begun.
+    waiting: Receiver<(u64, Job)>,
+    results: Receiver<(u64, Outcome)>,
+    /// Number of the last job.
+    number: u64,
+    under_way: bool,
+}
+
+impl<Job: Send + 'static, Outcome: Send + 'static> Desk<Job, Outcome> {
+    fn spawn(mut run: impl FnMut(Job) -> Outcome + Send + 'static) -> std::io::Result<(Self, thread::JoinHandle<()>)> {
+        let (jobs, job_queue) = bounded::<(u64, Job)>(1);
+        let waiting = job_queue.clone();
+        // Room for one that nobody wants any more, so that the thread never waits to get rid of it.
+        let (result_queue, results) = bounded(2);
         let handle = thread::Builder::new().name("cairn-mapping".into()).spawn(move || {
-            for job in job_queue {
+            for (number, job) in job_queue {
                 // A job that panics must not leave reconstruction waiting: the queue is closed, and it goes on without.
-                match catch_unwind(AssertUnwindSafe(|| job.run())) {
-                    Ok(result) => drop(result_queue.send(result)),
+                match catch_unwind(AssertUnwindSafe(|| run(job))) {
+                    Ok(result) => drop(result_queue.send((number, result))),
                     Err(_) => {
                         error!("mapping job panicked, the map is not adjusted any more");
                         return;
@@ -32,24 +63,68 @@ impl ThreadWorker {
                 }
             }
         })?;
-        Ok((Self { jobs, results, under_way: false }, handle))
+        Ok((Self { jobs, waiting, results, number: 0, under_way: false }, handle))
+    }
+
+    fn post(&mut self, job: Job) {
+        self.number += 1;
+        // Never blocks: the queue is empty whenever a job may be posted.
+        self.under_way = self.jobs.try_send((self.number, job)).is_ok();
+    }
+
+    fn take(&mut self, wait: bool) -> Option<Outcome> {
+        while self.under_way {
+            let next = if wait { self.results.recv().ok() } else { self.results.try_recv().ok() };
+            match next {
+                // Of a job that was given up while it ran.
+                Some((number, _)) if number != self.number => {}
+                Some((_, result)) => {
+                    self.under_way = false;
+                    return Some(result);
+                }
+                None => {
+                    self.under_way = !wait;
+                    return None;
+                }
+            }
+        }
+        None
+    }
+
+    fn discard(&mut self) {
+        let _ = self.waiting.try_recv();
+        self.under_way = false;
     }
 }
 
-impl MappingWorker for ThreadWorker {
-    fn post(&mut self, job: MappingJob) {
-        // Never blocks: the queue is empty whenever a job may be posted. It fails only if the thread is gone.
-        self.under_way = self.jobs.try_send(job).is_ok();
-    }
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-    fn take(&mut self, wait: bool) -> Option<MappingResult> {
-        if !self.under_way {
-            return None;
+    #[test]
+    fn a_job_that_is_given_up_while_it_runs_keeps_nobody_waiting_and_its_result_is_never_given() {
+        let (go, gate) = bounded::<()>(8);
+        let (mut desk, thread) = Desk::spawn(move |job: u32| {
+            let _ = gate.recv();
+            10 * job
+        })
+        .expect("thread");
+        desk.post(1);
+        while !desk.jobs.is_empty() {
+            thread::yield_now();
         }
-        let result = if wait { self.results.recv().ok() } else { self.results.try_recv().ok() };
-        if result.is_some() || wait {
-            self.under_way = false;
+        // Neither of these waits: the gate is shut.
+        desk.discard();
+        desk.post(2);
+        desk.discard();
+        desk.post(3);
+        assert_eq!(desk.take(false), None);
+        for _ in 0..2 {
+            go.send(()).expect("the thread lives");
         }
-        result
+        assert_eq!(desk.take(true), Some(30), "the second was given up before it ran");
+        assert_eq!(desk.take(true), None);
+        drop(desk);
+        thread.join().expect("ends");
     }
 }

@@ -268,6 +268,10 @@ pub trait MappingWorker: Send {
     /// The result if there is one; with `wait`, blocks until it is there (`None` then only if no job is under way or the
     /// worker died).
     fn take(&mut self, wait: bool) -> Option<MappingResult>;
+    /// Forgets the job under way: its result is never given. Another may be posted at once. Does not wait where it can be avoided.
+    fn discard(&mut self) {
+        self.take(true);
+    }
 }
 
 /// Runs every job at once in the calling thread.

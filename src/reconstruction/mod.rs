@@ -411,7 +411,7 @@ impl Reconstruction {
     /// Drops the map and starts over at the next frame.
     pub fn reset(&mut self) {
         if self.job_posted.take().is_some() {
-            self.worker.take(true);
+            self.worker.discard();
         }
         for (id, k) in self.map.keyframes.iter() {
             self.events.push(TrajectoryEvent::KeyframeRetired {
@@ -435,6 +435,14 @@ impl Reconstruction {
         self.map_id = MapId(self.map_id.0 + 1);
         self.reset_counter += 1;
         self.counters.resets += 1;
+    }
+
+    /// Starts over with another camera model, because the pictures have another size now.
+    pub fn change_camera(&mut self, camera: &CameraModel, prior: LensPrior) {
+        self.reset();
+        self.camera = camera.clone();
+        self.intrinsics = Intrinsics::new(camera, prior);
+        self.shutter = Shutter::new(self.config.readout_ms * 1e-3, camera.height, self.config.estimate_readout);
     }
 
     /// Waits for the job under way, if any, and merges it. Nothing is adjusted beyond it.
@@ -467,6 +475,11 @@ impl Reconstruction {
 
     pub fn state(&self) -> TrackingState {
         self.state
+    }
+
+    /// How often poses became unrelated to earlier ones; of the map as it is now.
+    pub fn reset_counter(&self) -> u32 {
+        self.reset_counter
     }
 
     /// The camera as it is believed now: its focal length is refined from the motion.

@@ -40,6 +40,7 @@ NAP = 0.2  # s of sleep at most, so that Ctrl-C is noticed
 FIRST = 0.4  # s to wait for the last message of a daemon that is there
 
 _PUBLISH_SUBSCRIBE = 0
+_COUNTER = ".global_mgmt"
 
 
 def _user(uid):
@@ -161,11 +162,22 @@ class Client:
             raise no_daemon
         try:
             pending = service.client_builder().create().send_copy(command)
-        except (iox2.ClientCreateError, iox2.RequestSendError, iox2.LoanError) as error:
+        except iox2.ClientCreateError as error:
+            if "ExceedsMaxSupportedClients" in str(error):
+                limit = service.static_config.max_clients
+                raise TooManySubscribers(f"{name}: {limit} programs send commands already: try again") from None
+            raise IpcError(f"{name}: sending the command failed: {error}") from None
+        except (iox2.RequestSendError, iox2.LoanError) as error:
             raise IpcError(f"{name}: sending the command failed: {error}") from None
         while True:
+            # In this order: the reply of a daemon that ends right after it is still there.
             connected = pending.is_connected
-            reply = pending.receive()
+            try:
+                reply = pending.receive()
+            except iox2.ReceiveError as error:
+                raise IpcError(
+                    f"{name}: receiving the reply failed: {error}; the daemon may still carry the command out: look at health, then send it again"
+                ) from None
             if reply is not None:
                 break
             if not connected or time.monotonic() >= end:
@@ -218,8 +230,34 @@ class Client:
                 try:
                     self._node = builder.create(iox2.ServiceType.Ipc)
                 except iox2.NodeCreationFailure as error:
-                    raise IpcError(f"{self._root}: creating an iceoryx2 node failed: {error}") from None
+                    why = self._squatter() or f"{error} (may this user write to {self._root} and /dev/shm, and is there room?)"
+                    raise IpcError(f"{self._root}: creating an iceoryx2 node failed: {why}") from None
             return self._node
+
+    def _squatter(self):
+        """What lies in the place of iceoryx2's common counter in shared memory, after a node could not be made; with the cure. None where nothing does.
+
+        It is the one file there whose name can be known beforehand: all users share it, and who made it first owns it.
+        """
+        us = os.geteuid()
+        for entry in os.scandir("/dev/shm"):
+            if not (entry.name.startswith(self._ipc_prefix) and entry.name.endswith(_COUNTER)):
+                continue
+            try:
+                info = entry.stat(follow_symlinks=False)
+            except OSError:
+                continue
+            if not stat.S_ISREG(info.st_mode):
+                fault = "is no file"
+            elif us not in (0, info.st_uid) and info.st_mode & 0o006 != 0o006:
+                fault = "may not be written by others"
+            else:
+                fault = "does not hold what it should"
+            return (
+                f"{entry.path} belongs to user {_user(info.st_uid)} and {fault}, so nothing can use iceoryx2: end what uses iceoryx2, "
+                f"`sudo rm -r {entry.path}`, start again (or give daemon and planners another CAIRN_IPC_PREFIX)"
+            )
+        return None
 
 
 def _copied(structure, sample):

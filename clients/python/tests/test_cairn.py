@@ -14,6 +14,7 @@ import threading
 import time
 from pathlib import Path
 
+import iceoryx2 as iox2
 import numpy as np
 import pytest
 
@@ -280,6 +281,46 @@ def test_another_users_daemon_is_refused_with_the_reason_and_the_cure(daemon):
         for file in services:
             os.chown(file, 0, -1)
     assert cairn.poses().wait(5) is not None
+
+
+@pytest.mark.parametrize(("taken", "fault"), [("folder", "is no file"), ("garbage", "does not hold what it should")])
+def test_a_squatted_name_is_told_with_owner_and_cure(daemon, taken, fault):
+    (counter,) = Path("/dev/shm").glob(f"{daemon.ipc_prefix}*.global_mgmt")
+    kept = counter.with_name(f"kept-{counter.name}")
+    counter.rename(kept)
+    try:
+        if taken == "folder":
+            counter.mkdir()
+        else:
+            counter.write_bytes(os.urandom(4096))
+        with pytest.raises(cairn.IpcError, match=rf"{counter} belongs to user .* and {fault}.*sudo rm -r {counter}"):
+            cairn.connect().poses().wait(20)
+    finally:
+        shutil.rmtree(counter) if counter.is_dir() else counter.unlink()
+        kept.rename(counter)
+    assert cairn.poses().wait(5) is not None
+
+
+def test_a_reply_that_cannot_be_received_is_an_error_of_ours(daemon, monkeypatch):
+    class Broken:
+        """Every step to the reply, and then none."""
+
+        number_of_servers, is_connected = 1, True
+
+        def __getattr__(self, _):
+            return lambda *_: self
+
+        def receive(self):
+            raise iox2.ReceiveError("ConnectionFailure")
+
+        @property
+        def dynamic_config(self):
+            return self
+
+    client = cairn.connect()
+    monkeypatch.setattr(client, "_shared_node", Broken)
+    with pytest.raises(cairn.IpcError, match=r"receiving the reply failed: ConnectionFailure.*send it again"):
+        client.reset()
 
 
 def test_other_threads_run_while_one_waits(daemon):

@@ -16,7 +16,7 @@ use crate::camera::simulator::{Scenario, Simulator};
 use crate::camera::v4l2::V4l2Camera;
 use crate::camera::{FrameSource, Grab, Pacing, SourceError};
 use crate::cli::session::{self, StatusLine};
-use crate::cli::{CliError, camera_calibration, exit_code};
+use crate::cli::{CliError, exit_code};
 use crate::config::Config;
 use crate::frame::{RawFrame, monotonic_ns};
 use crate::image::GreyImage;
@@ -111,7 +111,7 @@ pub fn run(args: &CalibrateArgs, pattern: &Pattern) -> Result<ExitCode, CliError
 }
 
 fn unavailable(error: &SourceError) -> CliError {
-    CliError::new(exit_code::UNAVAILABLE, error.to_string())
+    CliError::new(exit_code::UNAVAILABLE, format!("{error}; `cairn doctor` says more"))
 }
 
 /// The source that was asked for, and who it is.
@@ -136,11 +136,7 @@ fn open(
     if name != "auto" {
         config.camera.device = name.into();
     }
-    let camera = camera_calibration::configured(&config.camera)
-        .map_err(|reason| CliError::new(exit_code::UNAVAILABLE, format!("{reason}; `cairn doctor` says more")))?;
-    // The one that was identified, not whichever comes first at the next look.
-    config.camera.device = camera.path.display().to_string();
-    let identity = camera_calibration::identify(&camera);
     let source = V4l2Camera::open(&config.camera).map_err(|e| unavailable(&e))?;
+    let identity = source.identity();
     Ok((Box::new(source), Some(identity)))
 }

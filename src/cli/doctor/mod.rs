@@ -17,12 +17,14 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use probe::Outcome;
+
 use super::camera_calibration::{identify, stored};
 use super::endpoint_args::EndpointArgs;
 use super::{CliError, exit_code, session};
 use crate::calibration::store::{self, CameraIdentity};
 use crate::calibration::{CalibrationFile, Unsaid};
-use crate::camera::v4l2::{CameraInfo, list_cameras};
+use crate::camera::v4l2::{CameraInfo, list_cameras, meant};
 use crate::config::{self, CalibrationConfig, Config, SourceKind};
 use crate::messages::effective_uid;
 
@@ -58,6 +60,11 @@ impl Report {
     }
     fn note(&mut self, line: &str) {
         let _ = writeln!(self.text, "  note  {line}");
+    }
+    /// Nothing that keeps `cairn run` from working, but somebody should do something about it.
+    fn warn(&mut self, line: &str, next: &str) {
+        let _ = writeln!(self.text, "  warn  {line}");
+        self.next.push(next.into());
     }
     fn bad(&mut self, line: &str, next: &str) {
         let _ = writeln!(self.text, "  FAIL  {line}");
@@ -142,19 +149,40 @@ fn cameras(report: &mut Report, config: &Config) {
     }
 }
 
-/// Opens the camera, unless a daemon that can be heard has it: that one has said what it sees.
+/// Opens the camera, unless a daemon that can be heard has it: that one has said what it sees. With `auto` the next one when the first is not
+/// to be had, as the daemon does.
 fn try_camera(report: &mut Report, config: &Config, heard: bool) {
-    let meant = list_cameras(&config.camera).into_iter().flatten().find(|c| probe::is_meant(&config.camera, &c.path));
-    let Some(camera) = meant.filter(|c| config.daemon.source == SourceKind::Camera && !c.offers.is_empty()) else {
+    if config.daemon.source != SourceKind::Camera {
         return;
-    };
-    let holders = processes::holders(Path::new("/proc"), &camera.path);
-    let device = camera.path.display().to_string();
-    if let Some(daemon) = holders.0.iter().find(|p| p.name == "cairn") {
-        return report.good(&format!("{device} is used by a daemon (pid {})", daemon.pid));
     }
-    if !heard {
-        probe::judge(report, &device, &probe::try_camera(&config.camera), &holders);
+    let listed: Vec<CameraInfo> = list_cameras(&config.camera).into_iter().flatten().collect();
+    let meant = meant(&config.camera, listed.iter());
+    if meant.is_empty() && config.camera.device != "auto" && !listed.is_empty() {
+        let line = format!("camera.device = \"{}\" is none of these cameras", config.camera.device);
+        report.bad(&line, "plug that camera in, or set camera.device to one of them, or to \"auto\"");
+    }
+    let mut busy = Vec::new();
+    for camera in meant.into_iter().filter(|c| !c.offers.is_empty()) {
+        let holders = processes::holders(Path::new("/proc"), &camera.path);
+        let device = camera.path.display().to_string();
+        if let Some(daemon) = holders.0.iter().find(|p| p.name == "cairn") {
+            return report.good(&format!("{device} is used by a daemon (pid {})", daemon.pid));
+        }
+        if heard {
+            continue;
+        }
+        let outcome = probe::try_camera(&config.camera, &camera.path);
+        if matches!(outcome, Outcome::NotOpened(_)) {
+            busy.push((device, outcome, holders));
+            continue;
+        }
+        for (device, ..) in &busy {
+            report.note(&format!("{device} cannot be had now, so the daemon would take the next one"));
+        }
+        return probe::judge(report, &device, &outcome, &holders);
+    }
+    for (device, outcome, holders) in &busy {
+        probe::judge(report, device, outcome, holders);
     }
 }
 
@@ -177,9 +205,24 @@ fn one_camera(report: &mut Report, camera: &CameraInfo, config: &Config) {
     let rest = if more > 0 { format!(" and {more} more") } else { String::new() };
     report.note(&format!("{path}: {}{rest}", offers.join(", ")));
     let file = &config.calibration.file;
+    let size = camera.picture_size(&config.camera);
     if !file.as_os_str().is_empty() {
+        let (width, height) = size;
         let unsaid = Unsaid { size: None, lens: config.calibration.unsaid_lens() };
         match CalibrationFile::load_with(file, &unsaid) {
+            Ok(CalibrationFile { camera: c, .. })
+                if (c.width, c.height) != (width, height) && c.scaled(width, height).is_err() =>
+            {
+                report.bad(
+                    &format!(
+                        "calibration {} is for {}x{} px, {path} will send {width}x{height} px, another shape",
+                        file.display(),
+                        c.width,
+                        c.height
+                    ),
+                    "set camera.width_px and height_px to the calibrated shape, or calibrate at this size: `cairn calibrate`",
+                );
+            }
             Ok(CalibrationFile { camera: c, assumed, .. }) => {
                 if let Some(assumed) = assumed {
                     report.note(&assumed);
@@ -196,7 +239,6 @@ fn one_camera(report: &mut Report, camera: &CameraInfo, config: &Config) {
         }
         return;
     }
-    let size = camera.picture_size(&config.camera);
     match stored(&identity, size) {
         Some(found) => {
             let scaled = found.scaled_from.map_or(String::new(), |(w, h)| format!(", scaled from {w}x{h}"));

@@ -1,6 +1,7 @@
 //! The camera tried for real: opened as the daemon would, a second of pictures, and what is to be said of them.
 
 use std::path::Path;
+use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
 use super::Report;
@@ -14,10 +15,15 @@ const FIRST: Duration = Duration::from_secs(4);
 /// Time over which pictures are counted after the first.
 const COUNTING: Duration = Duration::from_secs(1);
 
+/// A camera that answers opens within a second.
+const OPENING: Duration = Duration::from_secs(10);
+
 /// What came of it.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Outcome {
     NotOpened(String),
+    /// The driver is still opening it.
+    Hangs,
     /// Open, and no picture.
     Silent,
     /// It went away while it was tried.
@@ -30,11 +36,22 @@ pub enum Outcome {
     },
 }
 
-/// Tries the camera that the configuration means.
-pub fn try_camera(config: &V4l2Config) -> Outcome {
-    match V4l2Camera::open(config) {
+/// Tries one camera, as the configuration wants it.
+pub fn try_camera(config: &V4l2Config, device: &Path) -> Outcome {
+    let config = V4l2Config { device: device.display().to_string(), ..config.clone() };
+    within(OPENING + FIRST + COUNTING, move || match V4l2Camera::open(&config) {
         Ok(mut camera) => try_source(&mut camera, FIRST, COUNTING),
         Err(error) => Outcome::NotOpened(error.to_string()),
+    })
+}
+
+/// An attempt in a thread of its own, which is left behind if a driver hangs.
+fn within(limit: Duration, attempt: impl FnOnce() -> Outcome + Send + 'static) -> Outcome {
+    let (sender, outcome) = mpsc::channel();
+    let spawned = std::thread::Builder::new().spawn(move || drop(sender.send(attempt())));
+    match spawned {
+        Ok(_) => outcome.recv_timeout(limit).unwrap_or(Outcome::Hangs),
+        Err(error) => Outcome::NotOpened(format!("no thread to open it in: {error}")),
     }
 }
 
@@ -96,6 +113,10 @@ pub fn judge(report: &mut Report, device: &str, outcome: &Outcome, holders: &(Ve
         Outcome::NotOpened(reason) => {
             report.bad(reason, "the message above is the kernel's; `dmesg | tail` may say more")
         }
+        Outcome::Hangs => report.bad(
+            &format!("{device} does not answer: its driver has been opening it for {} s", OPENING.as_secs()),
+            "plug the camera out and in again; `dmesg | tail` says what its driver waits for",
+        ),
         Outcome::Silent => report.bad(
             &format!("{device} opens, but sends no picture within {} s", FIRST.as_secs()),
             "plug it in anew, into another port or without a hub; `dmesg | tail` says whether the USB bus is full",
@@ -124,12 +145,6 @@ pub fn judge(report: &mut Report, device: &str, outcome: &Outcome, holders: &(Ve
             }
         }
     }
-}
-
-/// Whether the configuration means this device.
-pub fn is_meant(config: &V4l2Config, path: &Path) -> bool {
-    let wanted = std::fs::canonicalize(&config.device);
-    config.device == "auto" || wanted.is_ok_and(|w| w == path) || Path::new(&config.device) == path
 }
 
 #[cfg(test)]
@@ -173,6 +188,18 @@ mod tests {
     }
 
     #[test]
+    fn a_driver_that_hangs_is_not_waited_for_without_end() {
+        let (hold, held) = mpsc::channel::<()>();
+        let hangs = move || {
+            let _ = held.recv();
+            Outcome::Silent
+        };
+        assert_eq!(within(Duration::from_millis(50), hangs), Outcome::Hangs);
+        drop(hold);
+        assert_eq!(within(Duration::from_secs(60), || Outcome::Silent), Outcome::Silent);
+    }
+
+    #[test]
     fn every_outcome_has_a_line_and_a_next_step() {
         let pictures = |good, unreadable| Outcome::Pictures { good, unreadable, seconds: 1.0, promised_hz: Some(30.0) };
         let failed = |reason: &str| Outcome::NotOpened(format!("/dev/video0: {reason}"));
@@ -188,6 +215,7 @@ mod tests {
             ),
             (failed("X sends nothing usable: offered is NV12"), (vec![], false), 1, "another camera"),
             (failed("the bus is on fire"), (vec![], false), 1, "dmesg"),
+            (Outcome::Hangs, (vec![], false), 1, "does not answer"),
             (Outcome::Silent, (vec![], false), 1, "no picture within 4 s"),
             (Outcome::Gone("no such device".into()), (vec![], false), 1, "went away"),
             (pictures(30, 0), (vec![], false), 0, "30.0 pictures"),

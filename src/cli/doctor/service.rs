@@ -146,8 +146,18 @@ pub fn judge_health(report: &mut Report, health: &Health) {
     if health.errors == 0 {
         return report.good(&format!("the daemon reports {state} and no fault"));
     }
-    for fault in error::names(health.errors) {
-        report.bad(&format!("the daemon reports {fault} ({state})"), advice(fault));
+    // With these it works, if not as well as it could; or it is the view's fault and not the machine's.
+    let passing = error::UNCALIBRATED
+        | error::LOW_FEATURES
+        | error::LOST
+        | error::LOW_RATE
+        | error::DROPPED_FRAMES
+        | error::MAPPING_LATE;
+    for (faults, fails) in [(health.errors & !passing, true), (health.errors & passing, false)] {
+        for fault in error::names(faults) {
+            let line = format!("the daemon reports {fault} ({state})");
+            if fails { report.bad(&line, advice(fault)) } else { report.warn(&line, advice(fault)) }
+        }
     }
 }
 
@@ -202,8 +212,18 @@ mod tests {
     #[test]
     fn what_the_daemon_reports_comes_with_advice() {
         let mut report = Report::default();
-        judge_health(&mut report, &Health { errors: error::NO_FRAMES | error::LOST, ..Health::default() });
+        judge_health(&mut report, &Health { errors: error::NO_FRAMES | error::SAVE_FAILED, ..Health::default() });
         assert_eq!((report.problems, report.next.len()), (2, 2));
         assert!(report.text.contains("NO_FRAMES") && report.next[0].contains("plug it in anew"));
+    }
+
+    #[test]
+    fn what_does_not_keep_it_from_working_is_a_warning_with_advice() {
+        for fault in [error::UNCALIBRATED, error::LOW_FEATURES, error::LOST, error::LOW_RATE] {
+            let mut report = Report::default();
+            judge_health(&mut report, &Health { errors: fault, ..Health::default() });
+            assert_eq!((report.problems, report.next.len()), (0, 1), "{}", report.text);
+            assert!(report.text.contains("  warn  the daemon reports"), "{}", report.text);
+        }
     }
 }

@@ -155,9 +155,9 @@ class Listener:
         return [r for r in self.records if r["t"] >= t]
 
     def widest_gap(self, since):
-        """Longest time without a message, s."""
+        """Longest time without a message, and how long after `since` it began, s."""
         times = [r["t"] for r in self.since(since)]
-        return max((b - a for a, b in zip(times, times[1:])), default=0.0)
+        return max(((b - a, a - since) for a, b in zip(times, times[1:])), default=(0.0, 0.0))
 
     def story(self, since, most=7):
         """States and error bits as they followed each other."""
@@ -315,7 +315,7 @@ class Stage:
 
 def row(listener, since, done, recovery_s=None, note=""):
     """A line of the table; fails where health had a hole."""
-    gap = listener.widest_gap(since)
-    check(gap < HOLE * HEALTH_PERIOD_S, f"no health for {gap:.2f} s: {listener.story(since)}")
+    gap, at = listener.widest_gap(since)
+    check(gap < HOLE * HEALTH_PERIOD_S, f"no health for {gap:.2f} s, {at:.2f} s after the beginning: {listener.story(since)}")
     published = listener.story(since)
     return {"done": done, "published": published, "widest_gap_s": round(gap, 3), "recovery_s": recovery_s, "note": note}

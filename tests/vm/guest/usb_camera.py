@@ -10,6 +10,7 @@ Faults are asked for on stdin, one a line:
     rate HZ                   delivers so many frames a second, whatever was negotiated
     broken N                  the next N frames are garbage (MJPEG) or carry the error bit (YUYV)
     short N                   the next N frames end after a third of their bytes
+    slow S                    every answer on endpoint 0 comes S seconds late: a camera that hardly answers while it is opened; 0: at once
 """
 
 import argparse
@@ -60,6 +61,7 @@ class Picture:
         self.sent = self.broken = self.short = 0
         self.parity = 0
         self.paused = False
+        self.slow = 0.0
         self.next_at = time.monotonic()
         self.pieces = []
 
@@ -75,6 +77,8 @@ class Picture:
             self.broken = int(value)
         elif verb == "short":
             self.short = int(value)
+        elif verb == "slow":
+            self.slow = float(value)
         else:
             print(f"usb_camera: {verb}?", file=sys.stderr, flush=True)
 
@@ -195,6 +199,7 @@ class Plug:
     def __init__(self, link, camera):
         self.link, self.camera = link, camera
         self.waiting = []  # transfers of the bulk endpoint that want data
+        self.late = []  # answers on endpoint 0 that are held back: when they were due, transfer, arguments
         self.buffer = bytearray()
 
     def answer(self, number, status=0, data=b"", length=None):
@@ -206,6 +211,7 @@ class Plug:
         inputs = [self.link, sys.stdin]
         while True:
             wait = min(max(picture.wait(), 0.0), 0.5) if self.waiting else 0.5
+            wait = min(wait, 0.05) if self.late else wait
             ready, _, _ = select.select(inputs, [], [], wait)
             if sys.stdin in ready:
                 line = os.read(0, 4096).decode()
@@ -222,6 +228,9 @@ class Plug:
                 self.take()
             while self.waiting and picture.wait() <= 0:
                 self.answer(self.waiting.pop(0), data=picture.piece())
+            while self.late and time.monotonic() >= self.late[0][0] + picture.slow:
+                _, number, options = self.late.pop(0)
+                self.answer(number, **options)
 
     def take(self):
         """Whole messages from the buffer."""
@@ -230,9 +239,11 @@ class Plug:
             if verb == UNLINK:
                 victim = struct.unpack(">I", self.buffer[20:24])[0]
                 del self.buffer[:48]
-                status = UNLINKED if victim in self.waiting else 0
-                if status:
+                held = [late for late in self.late if late[1] == victim]
+                status = UNLINKED if victim in self.waiting or held else 0
+                if victim in self.waiting:
                     self.waiting.remove(victim)
+                self.late = [late for late in self.late if late[1] != victim]
                 self.link.sendall(struct.pack(">5Ii24x", RETURN_UNLINK, number, 0, 0, 0, status))
                 continue
             length = struct.unpack(">i", self.buffer[24:28])[0]
@@ -247,11 +258,15 @@ class Plug:
             kind, request, value, index, _ = struct.unpack("<BBHHH", setup)
             reply = self.camera.request(kind, request, value, index, data)
             if reply is None:
-                self.answer(number, STALL)
+                options = {"status": STALL}
             elif inward:
-                self.answer(number, data=reply[:length])
+                options = {"data": reply[:length]}
             else:
-                self.answer(number, length=length)
+                options = {"length": length}
+            if self.camera.picture.slow:
+                self.late.append((time.monotonic(), number, options))
+            else:
+                self.answer(number, **options)
 
 
 def plug_in(device_end):

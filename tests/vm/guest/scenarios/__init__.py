@@ -1,6 +1,6 @@
 """The scenarios by name, in the order in which they run. The host reads ORDER from this text."""
 
-from . import access, delivery, injection, kill, lens, package, reboot, streaming, unplug
+from . import access, delivery, doctor, injection, kill, lens, package, reboot, streaming, unplug
 
 ORDER = [
     "usb_mjpeg",
@@ -11,6 +11,7 @@ ORDER = [
     "unplug_cycles",
     "another_place",
     "device_busy",
+    "two_cameras",
     "permission_denied",
     "vivid_injections",
     "stops_delivering",
@@ -18,6 +19,8 @@ ORDER = [
     "bad_frames",
     "format_change",
     "uncalibrated",
+    "opening_hangs",
+    "doctor",
     "orderly_stop",
     "strangers",
     "squatting",
@@ -25,9 +28,10 @@ ORDER = [
     "kill_rounds",
     "power_cut",
     "service",
+    "journal_rate",
     "package"
 ]
 KNOWN = {}
-for module in (access, delivery, injection, kill, lens, package, reboot, streaming, unplug):
+for module in (access, delivery, doctor, injection, kill, lens, package, reboot, streaming, unplug):
     KNOWN.update(module.SCENARIOS)
 SCENARIOS = {name: KNOWN[name] for name in ORDER}

@@ -32,6 +32,68 @@ def busy(stage):
                "log: “another program uses it”")
 
 
+def by_path(node):
+    """The name of the port that the camera with this node is plugged into."""
+    links = [link for link in glob.glob("/dev/v4l/by-path/*") if os.path.realpath(link) == node]
+    check(links, f"udev made no name of a port for {node}")
+    return links[0]
+
+
+def two_cameras(stage):
+    """`auto` takes the next camera when another program has the first, and keeps to it; a camera named by its port is not replaced by its twin."""
+    rows = []
+    first = stage.usb("mjpeg", serial="A1")
+    other = subprocess.Popen(["v4l2-ctl", "-d", first.node, "--stream-mmap", "--stream-count=0"],
+                             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    time.sleep(2)
+    second = stage.usb("mjpeg", serial="B2")
+    for calibration in ("camera.yaml", None):
+        daemon = stage.daemon(calibration=calibration)
+        health = stage.listener()
+        began = now()
+        health.flowing(began, 20)
+        check(any("will be looked for" in line and ":B2" in line for line in daemon.lines()), "it did not take the free camera")
+        check(any("passed over" in line and "another program uses it" in line for line in daemon.lines()), "the log does not say why not the first")
+        if calibration is None:
+            break
+        health.close()
+        daemon.close()
+    end(other)
+    gone = second.unplug()
+    health.wait(lambda r: "NO_CAMERA" in r["errors"], 3, "NO_CAMERA", gone)
+    time.sleep(3)
+    check("NO_CAMERA" in health.last()["errors"], "the daemon took a camera that is not its own")
+    second = stage.usb("mjpeg", serial="B2")
+    back = health.flowing(second.appeared - 0.2, 10)
+    recovery = max(0.0, back["t"] - second.appeared)
+    check(recovery < RETURN_LIMIT_S, f"{recovery:.2f} s")
+    rows.append(row(health, began, "auto, two cameras, the first is busy; then that one is free and the other is unplugged, and back", recovery,
+                    "took the second, waited for it"))
+    stop(daemon, health)
+    first.unplug()
+    second.unplug()
+    # Makers who number nothing: both have the same identity.
+    named, twin = stage.usb("mjpeg", serial="0000"), stage.usb("mjpeg", serial="000000")
+    port = by_path(named.node)
+    daemon = stage.daemon(camera=f'device = "{port}"')
+    health = stage.listener()
+    began = now()
+    health.flowing(began, 20)
+    gone = named.unplug()
+    health.wait(lambda r: "NO_CAMERA" in r["errors"], 3, "NO_CAMERA", gone)
+    daemon.wait_said("one like it, but not the one that is named", 5)
+    time.sleep(2)
+    check("NO_CAMERA" in health.last()["errors"], "the daemon took the twin at another port")
+    named = stage.usb("mjpeg", serial="0000")
+    check(by_path(named.node) == port, "it came back at another port")
+    back = health.flowing(named.appeared - 0.2, 10)
+    recovery = max(0.0, back["t"] - named.appeared)
+    check(recovery < RETURN_LIMIT_S, f"{recovery:.2f} s")
+    rows.append(row(health, began, "a camera named by its port is unplugged beside its twin, and plugged in again", recovery, "waited for its own"))
+    twin.unplug()
+    return rows
+
+
 def permission(stage):
     camera = stage.vivid()
     os.chmod(camera.node, 0o600)
@@ -153,5 +215,5 @@ def daemon_message(text):
     return next((line for line in text.splitlines() if line.startswith("cairn:")), text)[:400]
 
 
-SCENARIOS = {"device_busy": busy, "permission_denied": permission, "strangers": strangers, "squatting": squatting,
+SCENARIOS = {"device_busy": busy, "two_cameras": two_cameras, "permission_denied": permission, "strangers": strangers, "squatting": squatting,
              "squatting_in_shm": squatting_in_shm}

@@ -2,7 +2,7 @@
 
 import time
 
-from robot import check, now, row, summary
+from robot import CAMERA_GONE, check, now, row, summary
 
 RETURN_LIMIT_S = 2.0
 
@@ -86,21 +86,62 @@ def format_change(stage):
     recovery = max(0.0, back["t"] - other.appeared)
     check(recovery < RETURN_LIMIT_S, f"{recovery:.2f} s")
     rows = [row(health, began, "comes back with YUYV in place of MJPEG", recovery)]
-    began = now()
     other.unplug()
-    health.wait(lambda r: "NO_CAMERA" in r["errors"], 3, "NO_CAMERA", began)
-    larger = stage.usb("mjpeg", size="640x480")
-    told = health.wait(lambda r: "CORRUPT_FRAMES" in r["errors"] or "NO_CAMERA" in r["errors"] or "BAD_CALIBRATION" in r["errors"], 6,
-                       "an error bit for pictures of another size", larger.appeared + 1)
-    check(daemon.alive(), "the daemon ended")
-    check(daemon.said("size"), "the log does not speak of the size")
-    larger.unplug()
-    right = stage.usb("mjpeg")
-    back = health.flowing(right.appeared - 0.2, 10)
-    health.wait(lambda r: not {"CORRUPT_FRAMES", "BAD_CALIBRATION"} & set(r["errors"]), 5, "no fault", back["t"])
-    recovery = max(0.0, back["t"] - right.appeared)
-    check(recovery < RETURN_LIMIT_S, f"{recovery:.2f} s")
-    rows.append(row(health, began, "comes back with 640x480 in place of 320x240, then right again", recovery, summary(told)))
+    for size, serial in (("640x480", "twice as large"), ("320x240", "as before")):
+        began = now()
+        before = health.last()
+        health.wait(lambda r: "NO_CAMERA" in r["errors"], 3, "NO_CAMERA")
+        sized = stage.usb("mjpeg", size=size)
+        new = health.wait(lambda r: r["reset_counter"] > before["reset_counter"] and not CAMERA_GONE & set(r["errors"]), 10,
+                          "the reset counter for pictures of another size", sized.appeared - 0.2)
+        health.wait(lambda r: "CORRUPT_FRAMES" not in r["errors"], 5, "no fault", new["t"])
+        check(daemon.alive(), "the daemon ended")
+        check(daemon.said("camera sends another size now"), "the log does not speak of the size")
+        check(daemon.said("calibration scaled"), "the calibration was not scaled")
+        recovery = max(0.0, new["t"] - sized.appeared)
+        check(recovery < RETURN_LIMIT_S, f"{recovery:.2f} s")
+        rows.append(row(health, began, f"comes back with {size}, {serial}", recovery,
+                        f"calibration scaled; a new map, reset counter {before['reset_counter']} to {new['reset_counter']}"))
+        if size == "640x480":
+            sized.unplug()
+    return rows
+
+
+def opening_hangs(stage):
+    """A camera that hardly answers: its driver hangs for seconds while it is opened. What is told is the camera's fault, and health goes on."""
+    rows = []
+    ways = [("at start, calibration named", "camera.yaml", "NO_CAMERA"), ("at start, calibration found by the camera", None, "NO_CAMERA"),
+            ("opened anew after it went silent", "camera.yaml", "NO_FRAMES")]
+    for way, calibration, fault in ways:
+        camera = stage.usb("mjpeg")
+        at_start = way.startswith("at start")
+        if at_start:
+            camera.tell("slow 3")
+        daemon = stage.daemon(calibration=calibration)
+        health = stage.listener()
+        began = now()
+        if not at_start:
+            health.flowing(began, 20, frames=5)
+            began = now()
+            camera.tell("slow 3")
+            camera.tell("pause")
+        health.wait(lambda r: fault in r["errors"], 6, fault, began)
+        daemon.wait_said("does not answer while it is opened", 12)
+        time.sleep(3)
+        check(fault in health.last()["errors"], f"{fault} does not stand: {summary(health.last())}")
+        check(health.last()["state"] != "TRACKING", summary(health.last()))
+        camera.tell("slow 0")
+        camera.tell("go")
+        back_at = now()
+        back = health.flowing(back_at, 10)
+        recovery = back["t"] - back_at
+        check(recovery < RETURN_LIMIT_S, f"{recovery:.2f} s")
+        stalled = [r for r in health.since(began) if "STALLED_STAGE" in r["errors"]]
+        check(not stalled, f"the camera's fault was told as a stalled stage {len(stalled)} times")
+        rows.append(row(health, began, f"hangs while its driver opens it (3 s for each request), {way}", recovery, "never STALLED_STAGE; log: “does not answer while it is opened”"))
+        health.close()
+        daemon.close()
+        camera.unplug()
     return rows
 
 
@@ -122,4 +163,4 @@ def controls(stage):
 
 
 SCENARIOS = {"stops_delivering": stops_delivering, "half_rate": half_rate, "bad_frames": bad_frames,
-             "format_change": format_change, "controls": controls}
+             "format_change": format_change, "opening_hangs": opening_hangs, "controls": controls}

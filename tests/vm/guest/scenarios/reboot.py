@@ -2,6 +2,7 @@
 
 import glob
 import hashlib
+import json
 import os
 import pathlib
 import re
@@ -9,6 +10,7 @@ import shutil
 import subprocess
 import threading
 import time
+from collections import Counter
 
 import power
 from robot import CAIRN, Listener, UsbCamera, check, now, row, sh, until
@@ -38,8 +40,8 @@ def whole(path):
 
 
 def unfinished():
-    """Temporary files of saves."""
-    return [name for name in os.listdir("/var/lib/cairn") if name.startswith(".map.ply")]
+    """Temporary files of saves, by the daemon's naming."""
+    return [name for name in os.listdir("/var/lib/cairn") if ".cairn-" in name]
 
 
 def cut_in_a_save(stage):
@@ -54,10 +56,11 @@ def cut_in_a_save(stage):
     health = stage.listener()
     began = now()
     first = health.wait(lambda r: r["landmarks"] > 20 and r["state"] == "TRACKING", 40, "a map", began)
+    check(not unfinished(), f"temporary files are left after the start: {unfinished()}")
     if stage.phase == cuts:
         check(save()[0] == 0, "saving does not work any more")
         return row(health, began, f"power cut in the middle of a save, {cuts} times", first["t"] - began,
-                   f"the map's file was whole every time; temporary files after each: {stage.memory['leftovers']}; recovery: start to tracking")
+                   f"the map's file was whole every time; temporary files that the cuts left: {stage.memory['leftovers']}, and after the next start: none; recovery: start to tracking")
     status, text = save()
     check(status == 0, f"save-map: {text}")
     os.sync()
@@ -141,4 +144,55 @@ def service(stage):
     return text
 
 
-SCENARIOS = {"power_cut": cut_in_a_save, "service": service}
+def records(since, until_):
+    """Records of the service in the journal between two moments of realtime: how many, how many of them are information, and their bytes as text."""
+    lines = sh(f"journalctl -q -u cairn -o json --since=@{since:.3f} --until=@{until_:.3f}", 60)[1].splitlines()
+    found = [json.loads(line) for line in lines if line.startswith("{")]
+    ours = [r for r in found if r.get("SYSLOG_IDENTIFIER") == "cairn"]
+    return len(ours), sum(r["PRIORITY"] == "6" for r in ours), sum(len(line) for line in lines), Counter(r["MESSAGE"] for r in ours)
+
+
+def journal_rate(stage):
+    """How much the service writes at `log.level = "info"`: idle, tracking, and while every frame is broken and the camera is unplugged again and again."""
+    window = 30 if stage.full else 15
+    install()
+    check(sh("systemctl start cairn", 60)[0] == 0, sh("journalctl -u cairn -n 20 --no-pager")[1])
+    health = stage.listener()
+    began = now()
+    health.wait(lambda r: "NO_CAMERA" in r["errors"], 10, "NO_CAMERA", began)
+    rows = []
+
+    def measure(what, doing, limit):
+        time.sleep(1)
+        since, began = time.time(), now()
+        while now() < began + window:
+            doing()
+        until_ = time.time()
+        time.sleep(1)
+        count, information, size, messages = records(since, until_)
+        minutes = (until_ - since) / 60
+        most = ", ".join(f"{n / minutes:.0f} {text}" for text, n in messages.most_common(3))
+        check(count / minutes < limit, f"{what}: {count / minutes:.0f} records a minute, of these {most}")
+        rows.append(row(health, began, f"the journal at log.level = info: {what}, {window} s", None,
+                        f"{count / minutes:.0f} records a minute ({information / minutes:.0f} of information), {size / minutes / 1024:.0f} kB as JSON; most: {most}"))
+
+    measure("no camera", lambda: time.sleep(0.5), 30)
+    camera = stage.usb("mjpeg")
+    health.wait(lambda r: r["state"] == "TRACKING", 40, "tracking", now())
+    measure("tracking", lambda: time.sleep(0.5), 300)
+
+    def storm():
+        nonlocal camera
+        camera.tell("broken 45")
+        time.sleep(3)
+        camera.unplug()
+        time.sleep(1)
+        camera = stage.usb("mjpeg")
+        time.sleep(1)
+
+    measure("20 of 30 frames broken, unplugged every 6 s", storm, 600)
+    sh("systemctl stop cairn", 30)
+    return rows
+
+
+SCENARIOS = {"journal_rate": journal_rate, "power_cut": cut_in_a_save, "service": service}
