@@ -68,3 +68,26 @@ impl<Order: Send + 'static, Outcome: Send + 'static> Background<Order, Outcome> 
         }
     }
 }
+
+/// What `work` gives within `limit`; `None` if it is not done by then (it is left behind), or panics.
+pub fn within<T: Send + 'static>(limit: Duration, work: impl FnOnce() -> T + Send + 'static) -> Option<T> {
+    let mut work = Some(work);
+    let mut thread = Background::spawn("cairn-attempt", move |()| work.take().map(|work| work())).ok()?;
+    match thread.ask(|| (), limit) {
+        Progress::Done(outcome) => Some(outcome),
+        Progress::Pending(_) | Progress::Dead => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn work_that_hangs_is_not_waited_for_without_end() {
+        let (hold, held) = bounded::<()>(1);
+        assert_eq!(within(Duration::from_millis(50), move || held.recv().is_ok()), None);
+        drop(hold);
+        assert_eq!(within(Duration::from_secs(60), || 7), Some(7));
+    }
+}

@@ -39,6 +39,7 @@ use std::time::{Duration, Instant};
 use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
 
 pub use advice::advice;
+pub use background::within;
 pub use capture::{Captured, Opener, Supply};
 pub use outlet::Outlet;
 pub use reconstruct::{Calibration, Request};

@@ -1,13 +1,13 @@
 //! The camera tried for real: opened as the daemon would, a second of pictures, and what is to be said of them.
 
 use std::path::Path;
-use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
 use super::Report;
 use super::processes::Process;
 use crate::camera::v4l2::{V4l2Camera, V4l2Config};
 use crate::camera::{FrameSource, Grab, SourceError};
+use crate::daemon::within;
 use crate::frame::RawFrame;
 
 /// Time for the first picture: cameras need up to two seconds to wake up.
@@ -39,20 +39,12 @@ pub enum Outcome {
 /// Tries one camera, as the configuration wants it.
 pub fn try_camera(config: &V4l2Config, device: &Path) -> Outcome {
     let config = V4l2Config { device: device.display().to_string(), ..config.clone() };
-    within(OPENING + FIRST + COUNTING, move || match V4l2Camera::open(&config) {
+    let attempt = move || match V4l2Camera::open(&config) {
         Ok(mut camera) => try_source(&mut camera, FIRST, COUNTING),
         Err(error) => Outcome::NotOpened(error.to_string()),
-    })
-}
-
-/// An attempt in a thread of its own, which is left behind if a driver hangs.
-fn within(limit: Duration, attempt: impl FnOnce() -> Outcome + Send + 'static) -> Outcome {
-    let (sender, outcome) = mpsc::channel();
-    let spawned = std::thread::Builder::new().spawn(move || drop(sender.send(attempt())));
-    match spawned {
-        Ok(_) => outcome.recv_timeout(limit).unwrap_or(Outcome::Hangs),
-        Err(error) => Outcome::NotOpened(format!("no thread to open it in: {error}")),
-    }
+    };
+    // A driver may hang over it, and is then left behind.
+    within(OPENING + FIRST + COUNTING, attempt).unwrap_or(Outcome::Hangs)
 }
 
 /// Counts pictures of an open source.
@@ -185,18 +177,6 @@ mod tests {
         assert!(matches!(tried(Ok(Grab::Frame)), Outcome::Pictures { good: 1.., unreadable: 0, .. }));
         let broken = tried(Ok(Grab::Skipped { reason: "short".into() }));
         assert!(matches!(broken, Outcome::Pictures { good: 0, unreadable: 1.., .. }), "{broken:?}");
-    }
-
-    #[test]
-    fn a_driver_that_hangs_is_not_waited_for_without_end() {
-        let (hold, held) = mpsc::channel::<()>();
-        let hangs = move || {
-            let _ = held.recv();
-            Outcome::Silent
-        };
-        assert_eq!(within(Duration::from_millis(50), hangs), Outcome::Hangs);
-        drop(hold);
-        assert_eq!(within(Duration::from_secs(60), || Outcome::Silent), Outcome::Silent);
     }
 
     #[test]
