@@ -298,7 +298,7 @@ mod tests {
         let k = [0.03, -0.015, 0.004, -0.001];
         let fisheye = CameraModel::new(640, 480, 300.0, 301.0, 320.0, 240.0, LensModel::KannalaBrandt(k)).unwrap();
         for (format, flag, line) in
-            [(Format::Opencv, "fisheye_model: 1\n", 10), (Format::OpencvXml, "<fisheye_model>1</fisheye_model>\n", 13)]
+            [(Format::Opencv, "fisheye_model: 1\n", 14), (Format::OpencvXml, "<fisheye_model>1</fisheye_model>\n", 15)]
         {
             let text = write(&fisheye, format, "x").unwrap();
             let read = |text: &str, lens| {

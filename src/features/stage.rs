@@ -300,11 +300,11 @@ mod tests {
 
     #[test]
     fn a_first_picture_of_low_contrast_has_its_corners_at_once() {
-        // Small squares that are 17 grey levels brighter than their surroundings, less than the usual threshold.
+        // Specks of 3 pixels that are 19 grey levels brighter than their surroundings, less than the usual threshold.
         let mut picture = GreyImage::new(320, 240);
         for (i, pixel) in picture.data.iter_mut().enumerate() {
             let (x, y) = (i % 320, i / 320);
-            *pixel = if x % 32 / 6 == 2 && y % 32 / 6 == 2 { 137 } else { 120 };
+            *pixel = if x % 32 / 3 == 5 && y % 32 / 3 == 5 { 139 } else { 120 };
         }
         let mut stage = FeatureStage::new(&FeaturesConfig::default());
         let mut features = FrameFeatures::default();

@@ -6,7 +6,7 @@
 //!
 //! A track agrees when it lies within [`AGREEING_PX`] of the epipolar line of the earliest view that saw it, and meets its ray in
 //! front of both cameras. One that a rotation alone explains says nothing. Cost: some 0.05 ms, once a start. Not here: what moves
-//! slower than that, or fills more of the picture than the world.
+//! slower than that, or fills more of the picture than the world; a lens that is a guess, whose own error bends the picture.
 
 use nalgebra::Vector2;
 
@@ -41,7 +41,9 @@ pub fn agreeing_share(views: &[PosedView<'_>], camera: &CameraModel) -> Option<f
     for (track, pixel) in &newest.0.tracks {
         let first = earlier.iter().find_map(|(frame, pose)| Some((frame.track(*track)?, pose)));
         let Some((first_pixel, first_pose)) = first else { continue };
-        let Some(agrees) = agreement(&(first_pixel, first_pose), &(*pixel, &newest.1), camera) else { continue };
+        let Some(agrees) = agreement(&(first_pixel, first_pose), &(*pixel, &newest.1), camera) else {
+            continue;
+        };
         let (balance, count) = &mut cells[cell(pixel)];
         *balance += if agrees { 1 } else { -1 };
         *count += 1;

@@ -160,11 +160,11 @@ impl Initialiser {
             return None;
         }
         let (mut flow, turn) = rotation_compensated_flow(&pairs, camera);
+        self.spend_patience(features.timestamp_ns, flow);
         if let Some(freedom) = freedom.filter(|_| flow >= config.start_flow_px) {
             let places: Vec<_> = pairs.iter().map(|p| (p.first, p.second)).collect();
             flow = flow.min(unexplained_flow(&places, &turn, camera, freedom));
         }
-        self.spend_patience(features.timestamp_ns, flow);
         let start = if flow < config.start_flow_px { None } else { self.attempt(features, &pairs, camera, config) };
         self.keep(view);
         start

@@ -23,7 +23,7 @@ use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, Observation};
 /// better comes the more is allowed: so much more after so many seconds, and at most so many times.
 const MAX_DIRECTION_SIGMA: f64 = 0.012;
 const PATIENCE_S: f64 = 1.0;
-const LARGEST_RELAXATION: f64 = 3.5;
+const LARGEST_RELAXATION: f64 = 8.0;
 /// Share of the picture that must agree with a start, and that which is enough when the camera has moved so long without one
 /// (something covers a part of the picture for good).
 const AGREEING_SHARE: f64 = 0.85;
@@ -147,11 +147,7 @@ impl Reconstruction {
         if sigma > MAX_DIRECTION_SIGMA * (1.0 + start.trying_s / PATIENCE_S).min(LARGEST_RELAXATION) {
             return false;
         }
-        let posed: Vec<_> =
-            views.iter().filter_map(|&(k, frame)| Some((frame, self.map.keyframe(k)?.camera_from_world))).collect();
-        let impatience = (start.trying_s / LENIENT_AFTER_S).min(1.0);
-        let needed = AGREEING_SHARE + impatience * (AGREEING_SHARE_LATE - AGREEING_SHARE);
-        if agreeing_share(&posed, &self.camera).is_none_or(|share| share < needed) {
+        if self.intrinsics.freedom().is_none() && !self.most_agrees(&views, start.trying_s) {
             return false;
         }
         let Some(k) = self.map.keyframe(b) else { return false };
@@ -161,6 +157,15 @@ impl Reconstruction {
             motion: None,
         });
         true
+    }
+
+    /// Enough of the picture agrees with the views' motion for a map to begin.
+    fn most_agrees(&self, views: &[(KeyframeId, &PendingFrame)], trying_s: f64) -> bool {
+        let posed: Vec<_> =
+            views.iter().filter_map(|&(k, frame)| Some((frame, self.map.keyframe(k)?.camera_from_world))).collect();
+        let impatience = (trying_s / LENIENT_AFTER_S).min(1.0);
+        let needed = AGREEING_SHARE + impatience * (AGREEING_SHARE_LATE - AGREEING_SHARE);
+        agreeing_share(&posed, &self.camera).is_some_and(|share| share >= needed)
     }
 
     fn add_view(&mut self, view: &View, camera_from_world: Se3<Camera, World>) -> KeyframeId {
