@@ -4,8 +4,8 @@
 //! the map learns from it). Adjustment runs elsewhere, on copies ([`MappingJob`]), and is merged at the start of a later
 //! frame. In lock-step everything is a function of the input alone.
 
-pub mod agreement;
-mod bindings;
+mod agreement;
+pub mod bindings;
 pub mod bundle;
 pub mod config;
 mod estimate;
