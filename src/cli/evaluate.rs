@@ -63,7 +63,7 @@ pub struct EvaluateArgs {
     /// What to call this machine in the suite's table [default: its processor]
     #[arg(long, value_name = "NAME")]
     pub machine: Option<String>,
-    /// Configuration file of the suite's replays and of the hard cases ([features], [reconstruction]) [default: for the hard cases none]
+    /// Configuration file of the suite's replays and of the hard cases (its sections features and reconstruction) [default: for the hard cases none]
     #[arg(long, value_name = "FILE", conflicts_with = "estimate")]
     pub config: Option<PathBuf>,
     /// Prefix of the services that the suite's replays use

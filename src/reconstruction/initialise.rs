@@ -3,7 +3,7 @@
 //! A reference frame is held while its tracks live. Once the flow that a rotation cannot explain is large enough, two-view
 //! geometry is tried (essential matrix or homography, [`two_view`](crate::geometry::two_view)). Standing still and turning on the spot never pass: their
 //! rotation-compensated flow stays at the noise. Of a lens that is a guess, what a rotation seen through another lens explains is taken out
-//! as well ([`unexplained_flow`]). All frames in between are remembered by their tracks, so that their poses
+//! as well (`free_rotation`). All frames in between are remembered by their tracks, so that their poses
 //! can be solved once there is a map.
 
 use std::collections::VecDeque;
