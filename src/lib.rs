@@ -26,7 +26,8 @@
 //! - A robust motion-only adjustment over these gives pose and covariance; the covariance contains the landmarks' own.
 //! - Seeds (tracks without depth) become landmarks at keyframes, where their rays meet at a degree or more.
 //! - A start is a reference view, the newest one and up to eight in between, adjusted together; it is accepted once the direction of
-//!   the first motion is sure enough, so neither standing nor turning on the spot starts a map.
+//!   the first motion is sure enough for how long the camera has moved, and most of the picture agrees with it, so neither standing
+//!   nor turning on the spot starts a map, nor (with a calibrated lens) something large that moves past.
 //! - Local bundle adjustment runs in the mapping worker on a copy of the map's part, and is merged after a published pose, at
 //!   a fixed number of frames later in lock-step (waiting if need be), whenever it is done when live. Whenever a map of up to
 //!   120 keyframes has grown by a third the whole of it is adjusted instead, and the intrinsics with it.

@@ -123,6 +123,13 @@ impl<To, From> Se3<To, From> {
     }
 }
 
+impl<Frame> Se3<Frame, Frame> {
+    /// The motion in `share` times the time: rotation and translation each by itself, not along the screw of [`Self::exp`].
+    pub fn scaled(&self, share: f64) -> Self {
+        Self::new(UnitQuaternion::from_scaled_axis(self.rotation.scaled_axis() * share), self.translation * share)
+    }
+}
+
 impl<A, B, C> Mul<Se3<B, C>> for Se3<A, B> {
     type Output = Se3<A, C>;
     fn mul(self, rhs: Se3<B, C>) -> Se3<A, C> {

@@ -148,7 +148,8 @@ pub fn unexplained_flow(
     least
 }
 
-fn median(values: &[f64]) -> f64 {
+/// The upper one of an even number; 0 of none.
+pub(super) fn median(values: &[f64]) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_unstable_by(f64::total_cmp);
     sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)

@@ -12,7 +12,7 @@ use std::sync::Arc;
 use nalgebra::{Matrix3, Rotation3, Vector2, Vector3};
 
 use super::config::ReconstructionConfig;
-use super::free_rotation::{LensFreedom, unexplained_flow};
+use super::free_rotation::{LensFreedom, median, unexplained_flow};
 use crate::features::{FrameFeatures, Track};
 use crate::geometry::frames::{First, Second};
 use crate::geometry::two_view::{TwoViewOptions, reconstruct_two_views};
@@ -274,12 +274,6 @@ fn rotation_compensated_flow(pairs: &[Pair], camera: &CameraModel) -> (f64, Rota
         limit = median(&rest);
     }
     (limit, rotation)
-}
-
-fn median(values: &[f64]) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_unstable_by(f64::total_cmp);
-    sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
 }
 
 #[cfg(test)]

@@ -23,8 +23,6 @@ mod start;
 pub mod tracking;
 pub mod types;
 
-use nalgebra::Vector3;
-
 pub use config::ReconstructionConfig;
 pub use intrinsics::{FOUND_SIGMA, LensEstimate, LensKnowledge, LensPrior, guessed_camera};
 pub use local_adjustment::{InlineWorker, MappingJob, MappingResult, MappingWorker};
@@ -219,7 +217,7 @@ impl Reconstruction {
         let dt = (timestamp_ns - last.timestamp_ns) as f64 * 1e-9;
         match &last.motion {
             Some((motion, over)) if self.lost_frames == 0 && dt < 5.0 * over => {
-                ([scaled(motion, dt / over) * last.camera_from_world, last.camera_from_world], 2)
+                ([motion.scaled(dt / over) * last.camera_from_world, last.camera_from_world], 2)
             }
             _ => ([last.camera_from_world; 2], 1),
         }
@@ -496,10 +494,4 @@ impl Reconstruction {
     pub fn readout_s(&self) -> f64 {
         self.shutter.readout_s
     }
-}
-
-/// A motion of `share` times the time.
-fn scaled(motion: &Se3<Camera, Camera>, share: f64) -> Se3<Camera, Camera> {
-    let w: Vector3<f64> = motion.rotation.scaled_axis();
-    Se3::new(nalgebra::UnitQuaternion::from_scaled_axis(w * share), motion.translation * share)
 }
