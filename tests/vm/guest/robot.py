@@ -8,6 +8,7 @@ import json
 import os
 import pathlib
 import re
+import shutil
 import signal
 import subprocess
 import threading
@@ -287,6 +288,8 @@ class Stage:
     def __init__(self, form):
         self.full = form == "full"
         self.open = []
+        # What the daemon of another scenario has learnt or found of the same camera.
+        shutil.rmtree("/var/lib/cairn/cameras", ignore_errors=True)
 
     def daemon(self, **options):
         return self.keep(Daemon(**options))

@@ -28,7 +28,6 @@ def doctor(stage):
     def settled(condition, what):
         return health.wait(condition, 15, what, now())
 
-    shutil.rmtree("/var/lib/cairn/cameras", ignore_errors=True)  # what other scenarios learnt of this camera
     # With a daemon.
     camera = stage.usb("mjpeg")
     daemon = stage.daemon()

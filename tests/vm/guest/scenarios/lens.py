@@ -22,8 +22,6 @@ def off(record):
 
 
 def uncalibrated(stage):
-    for old in estimates():
-        old.unlink()
     camera = stage.usb("mjpeg", place="sway-")
     began = now()
     daemon = stage.daemon(calibration=None)
