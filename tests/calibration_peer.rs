@@ -86,8 +86,11 @@ fn compare(set: &str, columns: u32, rows: u32, extension: &str) {
     // The peer's corners through our solver: the very same camera.
     let plane: Vec<Vector2<f64>> =
         (0..rows).flat_map(|r| (0..columns).map(move |c| Vector2::new(f64::from(c), f64::from(r)))).collect();
-    let views: Vec<View> =
-        peer.corners.iter().map(|pixels| View { plane: plane.clone(), pixels: pixels.clone() }).collect();
+    let views: Vec<View> = peer
+        .corners
+        .iter()
+        .map(|pixels| View { plane: plane.clone(), pixels: pixels.clone(), shear: Vec::new() })
+        .collect();
     let same = calibrate(&views, size, Distortion::Full).unwrap();
     for i in 0..4 {
         let off = (same.intrinsics[i] - peer.result[i + 1]).abs();
@@ -103,7 +106,7 @@ fn compare(set: &str, columns: u32, rows: u32, extension: &str) {
     for (path, picture) in files.iter().zip(&pictures) {
         if let Sighting::Board(board) = detector.detect(picture, &pattern) {
             assert!(board.complete, "{}", path.display());
-            boards.push(BoardView { name: path.display().to_string(), board });
+            boards.push(BoardView::still(path.display().to_string(), board));
         }
     }
     let detected = Instant::now();
@@ -189,7 +192,7 @@ fn a_fisheye_is_calibrated_as_by_opencvs_fisheye_module_on_the_same_corners() {
         if let Sighting::Board(board) = detector.detect(&picture, &pattern)
             && board.complete
         {
-            boards.push(BoardView { name: k.to_string(), board });
+            boards.push(BoardView::still(k.to_string(), board));
         }
     }
     let size = (config.width, config.height);

@@ -28,6 +28,21 @@ pub struct BoardView {
     /// The picture's name, for messages.
     pub name: String,
     pub board: Board,
+    /// How fast each corner moved when the picture was taken, px/s; empty if nobody knows.
+    pub velocity: Vec<Vector2<f64>>,
+}
+
+impl BoardView {
+    /// In a picture that says nothing of movement.
+    pub fn still(name: String, board: Board) -> Self {
+        Self { name, board, velocity: Vec::new() }
+    }
+
+    /// What a rolling shutter does to the corners, px per second of readout time: rows below the middle one are later.
+    fn shear(&self, height: u32) -> Vec<Vector2<f64>> {
+        let delay = |row_px: f64| (row_px + 0.5) / f64::from(height.max(1)) - 0.5;
+        self.board.corners.iter().zip(&self.velocity).map(|(c, v)| v * delay(c.pixel.y)).collect()
+    }
 }
 
 /// A camera and how well it is known.
@@ -60,6 +75,7 @@ pub fn solve(
                 .map(|c| Vector2::new(f64::from(c.column), f64::from(c.row)) * pattern.square_m)
                 .collect(),
             pixels: view.board.corners.iter().map(|c| c.pixel).collect(),
+            shear: view.shear(size.1),
         })
         .collect();
     let wide = match distortion {
@@ -112,6 +128,10 @@ impl Calibrated {
             let unit = if i < 4 { "_sigma_px" } else { "_sigma" };
             other.insert(format!("{name}{unit}"), sigmas[i].into());
         }
+        if let Some(readout) = self.solved.readout {
+            other.insert("readout_ms".into(), (1e3 * readout.seconds).into());
+            other.insert("readout_sigma_ms".into(), (1e3 * readout.sigma_s).into());
+        }
         other.insert("rms_px".into(), self.solved.rms_px.into());
         other.insert("corner_sigma_px".into(), self.solved.sigma_px.into());
         let used = self.solved.views.iter().filter(|v| v.used);
@@ -157,6 +177,13 @@ impl Calibrated {
         if let Some(rms_px) = self.wide_angle_rms_px {
             text += &format!(
                 "  a wide-angle lens model fits these views clearly better ({rms_px:.3} px RMS): calibrate with --distortion fisheye\n"
+            );
+        }
+        if let Some(readout) = self.solved.readout {
+            text += &format!(
+                "  the shutter's readout takes {:.1} +- {:.1} ms, as the moving board shows it\n",
+                1e3 * readout.seconds,
+                1e3 * readout.sigma_s
             );
         }
         if v.is_good() {

@@ -3,19 +3,23 @@
 //! Input: frame after frame with its time. Output: what each frame came to ([`Seen`]), what is missing, and the camera once it is known well
 //! enough. A view is taken by itself when the board is
 //! - still: its corners move slower than 1.2 % of the picture's width a second against the frame before; the longer no view comes,
-//!   the more is let pass, up to 5 % (a rolling shutter of 20 ms shears by 0.15 to 0.6 px what moves so, and no residual shows it);
+//!   the more is let pass, up to 5 %;
 //! - sharp: its edges are narrower than a sixth of a square and than three pixels in 640;
 //! - new: its corners are 6 % of the width away from those of every view that was taken.
 //!
-//! A view like one that was taken, but held much stiller, takes its place.
+//! A view like one that was taken, but held much stiller, takes its place. A rolling shutter of 20 ms shears by 0.15 to 0.6 px what moves so, and
+//! no residual shows it: so how fast each corner moved, from the frames before and after, is a part of the view, and the solution
+//! estimates the shutter with the camera.
 //!
-//! After each view from the fourth on everything is solved anew. It is done when [`ENOUGH_VIEWS`] were taken and the verdict has nothing to ask for, or when
+//! After each view from the fourth on, and the frame after it, everything is solved anew. It is done when [`ENOUGH_VIEWS`] were taken and the verdict has nothing to ask for, or when
 //! [`MAX_VIEWS`] were taken; the caller bounds the time.
 //!
 //! Cost: a detection a frame, 2 to 15 ms; a millisecond or two a view. Not here: cameras, terminals, clocks.
 
+use nalgebra::Vector2;
+
 use super::boards::{BoardView, Calibrated, solve};
-use super::chessboard::{Board, Detector, Pattern, Sighting};
+use super::chessboard::{Board, BoardCorner, Detector, Pattern, Sighting};
 use crate::geometry::plane_calibration::{Distortion, MIN_VIEWS};
 use crate::image::GreyImage;
 
@@ -59,6 +63,8 @@ pub struct Taken {
     pub board: Board,
     /// How fast it moved, picture widths a second.
     pub speed: f64,
+    /// How fast each corner moved, px/s.
+    pub velocity: Vec<Vector2<f64>>,
     pub picture: GreyImage,
 }
 
@@ -73,25 +79,46 @@ pub struct Guide {
     /// When the last view was taken, or the first frame came.
     waiting_since_ns: Option<i64>,
     views: Vec<Taken>,
+    /// The view of the frame before, and the time and the board before that: how it moved is known when the next frame comes.
+    unsettled: Option<(usize, i64, Board)>,
     solution: Option<Calibrated>,
+}
+
+/// Each corner of `a` in `b`, where that has it.
+fn same_corners(a: &Board, b: &Board) -> Vec<Option<Vector2<f64>>> {
+    let mut at = 0;
+    // Both are in reading order.
+    let other = |corner: &BoardCorner| {
+        let key = (corner.row, corner.column);
+        while b.corners.get(at).is_some_and(|c| (c.row, c.column) < key) {
+            at += 1;
+        }
+        b.corners.get(at).filter(|c| (c.row, c.column) == key).map(|c| c.pixel)
+    };
+    a.corners.iter().map(other).collect()
 }
 
 /// Mean distance of the corners that both boards have, pixels.
 fn distance(a: &Board, b: &Board) -> f64 {
     let (mut sum, mut count) = (0.0, 0);
-    let mut at = 0;
-    // Both are in reading order.
-    for corner in &a.corners {
-        let key = (corner.row, corner.column);
-        while b.corners.get(at).is_some_and(|c| (c.row, c.column) < key) {
-            at += 1;
-        }
-        if let Some(other) = b.corners.get(at).filter(|c| (c.row, c.column) == key) {
-            sum += (other.pixel - corner.pixel).norm();
+    for (corner, other) in a.corners.iter().zip(same_corners(a, b)) {
+        if let Some(other) = other {
+            sum += (other - corner.pixel).norm();
             count += 1;
         }
     }
     if count == 0 { f64::INFINITY } else { sum / f64::from(count) }
+}
+
+/// How fast the corners of `board` move, px/s, by where they were `gap_s` earlier and later: `before` and `after`. Those that
+/// are not in both move like the mean of the others.
+fn velocities(board: &Board, before: &Board, after: &Board, gap_s: f64) -> Vec<Vector2<f64>> {
+    let moved: Vec<Option<Vector2<f64>>> = (same_corners(board, before).into_iter().zip(same_corners(board, after)))
+        .map(|(from, to)| Some((to? - from?) / gap_s))
+        .collect();
+    let count = moved.iter().flatten().count().max(1) as f64;
+    let mean = moved.iter().flatten().sum::<Vector2<f64>>() / count;
+    moved.into_iter().map(|v| v.unwrap_or(mean)).collect()
 }
 
 impl Guide {
@@ -104,6 +131,7 @@ impl Guide {
             previous: None,
             waiting_since_ns: None,
             views: Vec::new(),
+            unsettled: None,
             solution: None,
         }
     }
@@ -116,9 +144,12 @@ impl Guide {
             self.previous = None;
             self.waiting_since_ns = None;
             self.views.clear();
+            self.unsettled = None;
             self.solution = None;
         }
-        let board = match self.detector.detect(picture, &self.pattern) {
+        let sighting = self.detector.detect(picture, &self.pattern);
+        self.settle(&sighting, time_ns);
+        let board = match sighting {
             Sighting::Board(board) => board,
             Sighting::OtherSize(columns, rows) => {
                 self.previous = None;
@@ -132,21 +163,45 @@ impl Guide {
         let waiting_ns = time_ns - *self.waiting_since_ns.get_or_insert(time_ns);
         let speed = self.speed(&board, time_ns);
         let seen = self.judge(&board, speed, waiting_ns as f64 * 1e-9);
-        let taken = || Taken { board: board.clone(), speed, picture: picture.clone() };
-        match seen {
+        let taken = || Taken { board: board.clone(), speed, velocity: Vec::new(), picture: picture.clone() };
+        let index = match seen {
             Seen::Taken => {
                 self.views.push(taken());
                 self.waiting_since_ns = Some(time_ns);
+                Some(self.views.len() - 1)
             }
-            Seen::Better(n) => self.views[n] = taken(),
-            _ => {}
-        }
-        if matches!(seen, Seen::Taken | Seen::Better(_)) && self.views.len() > MIN_VIEWS {
-            // Too little so far is no fault: it goes on.
-            self.solution = solve(&self.board_views(), &self.pattern, self.size, self.distortion).ok();
+            Seen::Better(n) => {
+                self.views[n] = taken();
+                Some(n)
+            }
+            _ => None,
+        };
+        // A view that was taken has a frame before it.
+        if let (Some(n), Some((before_ns, before))) = (index, self.previous.take()) {
+            let gap_s = (time_ns - before_ns) as f64 * 1e-9;
+            self.views[n].velocity = velocities(&board, &before, &board, gap_s);
+            self.unsettled = Some((n, before_ns, before));
+            self.solve();
         }
         self.previous = Some((time_ns, board));
         seen
+    }
+
+    /// The frame after a view shows better how it moved: in the middle between two others instead of at the end.
+    fn settle(&mut self, sighting: &Sighting, time_ns: i64) {
+        let Some((n, before_ns, before)) = self.unsettled.take() else { return };
+        let gap_s = (time_ns - before_ns) as f64 * 1e-9;
+        if let (Sighting::Board(after), true) = (sighting, gap_s > 0.0 && gap_s < 2.0 * MAX_GAP_S) {
+            self.views[n].velocity = velocities(&self.views[n].board, &before, after, gap_s);
+            self.solve();
+        }
+    }
+
+    fn solve(&mut self) {
+        if self.views.len() > MIN_VIEWS {
+            // Too little so far is no fault: it goes on.
+            self.solution = solve(&self.board_views(), &self.pattern, self.size, self.distortion).ok();
+        }
     }
 
     /// Picture widths a second since the frame before; infinite if that is unknown.
@@ -180,15 +235,21 @@ impl Guide {
         }
     }
 
-    fn board_views(&self) -> Vec<BoardView> {
-        let name = |k: usize| format!("view {}", k + 1);
-        self.views.iter().enumerate().map(|(k, v)| BoardView { name: name(k), board: v.board.clone() }).collect()
+    /// The views that were taken, as they are solved.
+    pub fn board_views(&self) -> Vec<BoardView> {
+        let view = |(k, v): (usize, &Taken)| BoardView {
+            name: format!("view {}", k + 1),
+            board: v.board.clone(),
+            velocity: v.velocity.clone(),
+        };
+        self.views.iter().enumerate().map(view).collect()
     }
 
     /// Nothing is missing any more, or there is no room for more.
     pub fn is_done(&self) -> bool {
         let good = self.solution.as_ref().is_some_and(|s| s.verdict.is_good());
-        self.views.len() >= MAX_VIEWS || (self.views.len() >= ENOUGH_VIEWS && good)
+        let settled = self.unsettled.is_none();
+        settled && (self.views.len() >= MAX_VIEWS || (self.views.len() >= ENOUGH_VIEWS && good))
     }
 
     pub fn views(&self) -> &[Taken] {

@@ -19,7 +19,7 @@ fn sweep(wide: bool, count: u64) -> (Vec<BoardView>, CameraModel) {
     for k in 0..count {
         simulator.render(40 + k * 67, &mut picture);
         if let Sighting::Board(board) = detector.detect(&picture, &pattern()) {
-            views.push(BoardView { name: format!("view {k}"), board });
+            views.push(BoardView::still(format!("view {k}"), board));
         }
     }
     (views, simulator.camera_model().clone())

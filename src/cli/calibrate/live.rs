@@ -8,7 +8,6 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use super::{CalibrateArgs, report, report_folder, save};
-use crate::calibration::boards::BoardView;
 use crate::calibration::chessboard::Pattern;
 use crate::calibration::guide::{Guide, Seen};
 use crate::calibration::store::CameraIdentity;
@@ -98,9 +97,7 @@ pub fn run(args: &CalibrateArgs, pattern: &Pattern) -> Result<ExitCode, CliError
     session::print(&format!("{}{}", calibrated.table(), calibrated.words()))?;
     save(args, calibrated, identity.as_ref())?;
     if let Some(folder) = report_folder(args) {
-        let views: Vec<BoardView> = (guide.views().iter().enumerate())
-            .map(|(n, v)| BoardView { name: format!("view {}", n + 1), board: v.board.clone() })
-            .collect();
+        let views = guide.board_views();
         let size = (calibrated.camera.width, calibrated.camera.height);
         let picture_of =
             |n: usize, out: &mut GreyImage| guide.views().get(n).map(|v| out.clone_from(&v.picture)).is_some();

@@ -60,7 +60,7 @@ pub fn run(args: &CalibrateArgs, pattern: &Pattern) -> Result<ExitCode, CliError
                 if !board.complete {
                     eprintln!("{name}: {} of {} corners seen", board.corners.len(), pattern.count());
                 }
-                views.push(BoardView { name, board });
+                views.push(BoardView::still(name, board));
                 paths.push(path.clone());
             }
             Sighting::OtherSize(columns, rows) => {

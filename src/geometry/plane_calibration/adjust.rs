@@ -1,19 +1,23 @@
 //! Least squares over a camera and many poses of a plane.
 //!
-//! Parameters: nine intrinsics and six a view (left perturbation `[w, v]` of the camera point: `dp = w x p + v`). The normal equations
-//! are solved by blocks: each view's 6x6 is eliminated, a 9x9 remains (Schur). Damping by Marquardt with Nielsen's update, as in
+//! Parameters: nine intrinsics and the shutter's readout time, which all views share, and six a view (left perturbation `[w, v]` of the
+//! camera point: `dp = w x p + v`). The normal equations are solved by blocks: each view's 6x6 is eliminated, a 10x10 remains (Schur). Damping by Marquardt with Nielsen's update, as in
 //! [`crate::geometry::least_squares`], which is for a handful of parameters only.
 //!
 //! Pixels and their derivatives: [`projection`](super::projection).
 
-use nalgebra::{Matrix3, SMatrix, UnitQuaternion, Vector2, Vector3, Vector6};
+use nalgebra::{Matrix3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3, Vector6};
 
 use super::View;
 use super::projection::{Intrinsics, LensKind, PARAMETERS};
 use crate::geometry::least_squares::Loss;
 
-type Matrix9 = SMatrix<f64, PARAMETERS, PARAMETERS>;
-type Matrix96 = SMatrix<f64, PARAMETERS, 6>;
+/// What all views share: the intrinsics, then the readout time.
+pub const SHARED: usize = PARAMETERS + 1;
+const READOUT: usize = PARAMETERS;
+type Shared = SVector<f64, SHARED>;
+type Matrix10 = SMatrix<f64, SHARED, SHARED>;
+type Matrix106 = SMatrix<f64, SHARED, 6>;
 type Matrix6 = SMatrix<f64, 6, 6>;
 
 /// x_camera = rotation x_board + translation.
@@ -35,8 +39,27 @@ impl Default for Pose {
 pub struct State {
     pub lens: LensKind,
     pub intrinsics: Intrinsics,
+    /// Time from the first row's exposure to the last one's, s.
+    pub readout_s: f64,
     /// One a view, used or not.
     pub poses: Vec<Pose>,
+}
+
+/// Which of the shared parameters are estimated.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Unknowns {
+    pub intrinsics: [bool; PARAMETERS],
+    /// The readout time is supposed to be near zero, with this weight, px^2 / s^2. `None`: it is held.
+    pub readout_weight: Option<f64>,
+}
+
+impl Unknowns {
+    /// Poses only.
+    const NONE: Self = Self { intrinsics: [false; PARAMETERS], readout_weight: None };
+
+    fn free(&self) -> [bool; SHARED] {
+        std::array::from_fn(|i| self.intrinsics.get(i).copied().unwrap_or(self.readout_weight.is_some()))
+    }
 }
 
 /// Where it ended.
@@ -54,15 +77,14 @@ fn camera_point(pose: &Pose, plane: &Vector2<f64>) -> Vector3<f64> {
 
 /// Seen minus predicted, pixels; infinite behind the camera.
 pub fn residuals(view: &View, state: &State, index: usize) -> Vec<Vector2<f64>> {
-    let pose = state.poses[index];
-    view.plane
-        .iter()
-        .zip(&view.pixels)
-        .map(|(plane, seen)| match state.lens.project(&state.intrinsics, &camera_point(&pose, plane)) {
-            Some(pixel) => seen - pixel,
-            None => Vector2::repeat(f64::INFINITY),
-        })
+    (0..view.plane.len().min(view.pixels.len()))
+        .map(|n| residual(view, state, index, n).unwrap_or(Vector2::repeat(f64::INFINITY)))
         .collect()
+}
+
+fn residual(view: &View, state: &State, index: usize, point: usize) -> Option<Vector2<f64>> {
+    let pixel = state.lens.project(&state.intrinsics, &camera_point(&state.poses[index], &view.plane[point]))?;
+    Some(view.pixels[point] - pixel - view.shear(point) * state.readout_s)
 }
 
 /// Root mean square distance of a view's points, pixels.
@@ -72,15 +94,13 @@ pub fn view_rms(view: &View, state: &State, index: usize, mask: &[bool]) -> f64 
     if kept.is_empty() { f64::INFINITY } else { (kept.iter().sum::<f64>() / kept.len() as f64).sqrt() }
 }
 
-fn cost(views: &[View], used: &[bool], masks: &[Vec<bool>], state: &State, loss: Loss) -> f64 {
-    let mut sum = 0.0;
+fn cost(views: &[View], used: &[bool], masks: &[Vec<bool>], state: &State, unknowns: &Unknowns, loss: Loss) -> f64 {
+    let mut sum = unknowns.readout_weight.map_or(0.0, |weight| weight * state.readout_s * state.readout_s);
     for (k, view) in views.iter().enumerate().filter(|(k, _)| used[*k]) {
-        for ((plane, seen), keep) in view.plane.iter().zip(&view.pixels).zip(&masks[k]) {
-            if *keep {
-                match state.lens.project(&state.intrinsics, &camera_point(&state.poses[k], plane)) {
-                    Some(pixel) => sum += loss.evaluate((seen - pixel).norm_squared()).0,
-                    None => return f64::INFINITY,
-                }
+        for point in (0..view.pixels.len()).filter(|n| masks[k][*n]) {
+            match residual(view, state, k, point) {
+                Some(r) => sum += loss.evaluate(r.norm_squared()).0,
+                None => return f64::INFINITY,
             }
         }
     }
@@ -91,35 +111,44 @@ fn cost(views: &[View], used: &[bool], masks: &[Vec<bool>], state: &State, loss:
 #[derive(Clone)]
 struct Block {
     index: usize,
-    /// Intrinsics by pose, pose by pose, and the pose's gradient.
-    cross: Matrix96,
+    /// Shared by pose, pose by pose, and the pose's gradient.
+    cross: Matrix106,
     pose: Matrix6,
     gradient: Vector6<f64>,
 }
 
 struct Normal {
-    intrinsics: Matrix9,
-    gradient: Intrinsics,
+    shared: Matrix10,
+    gradient: Shared,
     blocks: Vec<Block>,
 }
 
-fn linearise(views: &[View], used: &[bool], masks: &[Vec<bool>], state: &State, loss: Loss) -> Option<Normal> {
-    let mut normal = Normal { intrinsics: Matrix9::zeros(), gradient: Intrinsics::zeros(), blocks: Vec::new() };
+fn linearise(
+    views: &[View],
+    used: &[bool],
+    masks: &[Vec<bool>],
+    state: &State,
+    unknowns: &Unknowns,
+    loss: Loss,
+) -> Option<Normal> {
+    let mut normal = Normal { shared: Matrix10::zeros(), gradient: Shared::zeros(), blocks: Vec::new() };
+    if let Some(weight) = unknowns.readout_weight {
+        normal.shared[(READOUT, READOUT)] = weight;
+        normal.gradient[READOUT] = -weight * state.readout_s;
+    }
     for (index, view) in views.iter().enumerate().filter(|(k, _)| used[*k]) {
-        let mut block = Block { index, cross: Matrix96::zeros(), pose: Matrix6::zeros(), gradient: Vector6::zeros() };
-        for ((plane, seen), keep) in view.plane.iter().zip(&view.pixels).zip(&masks[index]) {
-            if !*keep {
-                continue;
-            }
-            let p = camera_point(&state.poses[index], plane);
+        let mut block = Block { index, cross: Matrix106::zeros(), pose: Matrix6::zeros(), gradient: Vector6::zeros() };
+        for point in (0..view.pixels.len()).filter(|n| masks[index][*n]) {
+            let p = camera_point(&state.poses[index], &view.plane[point]);
             let (pixel, du, dp) = state.lens.project_jacobian(&state.intrinsics, &p)?;
-            let r = seen - pixel;
+            let shear = view.shear(point);
+            let r = view.pixels[point] - pixel - shear * state.readout_s;
             let (_, weight) = loss.evaluate(r.norm_squared());
             for axis in 0..2 {
-                let (a, b, r) = (&du[axis], &dp[axis], r[axis]);
+                let (a, b, r) = (&du[axis].push(shear[axis]), &dp[axis], r[axis]);
                 let wa = a * weight;
                 let wb = b * weight;
-                normal.intrinsics.ger(1.0, &wa, a, 1.0);
+                normal.shared.ger(1.0, &wa, a, 1.0);
                 normal.gradient.axpy(r, &wa, 1.0);
                 block.cross.ger(1.0, &wa, b, 1.0);
                 block.pose.ger(1.0, &wb, b, 1.0);
@@ -132,7 +161,7 @@ fn linearise(views: &[View], used: &[bool], masks: &[Vec<bool>], state: &State, 
 }
 
 /// Holds the parameters that are not free: identity there, nothing beside it.
-fn hold(matrix: &mut Matrix9, free: &[bool; PARAMETERS]) {
+fn hold(matrix: &mut Matrix10, free: &[bool; SHARED]) {
     for (i, _) in free.iter().enumerate().filter(|(_, f)| !**f) {
         matrix.row_mut(i).fill(0.0);
         matrix.column_mut(i).fill(0.0);
@@ -141,25 +170,26 @@ fn hold(matrix: &mut Matrix9, free: &[bool; PARAMETERS]) {
 }
 
 /// Inverse on the free parameters, zero elsewhere; scaled so that units do not matter.
-pub fn invert(matrix: &Matrix9, free: &[bool; PARAMETERS]) -> Option<Matrix9> {
+pub fn invert(matrix: &Matrix10, unknowns: &Unknowns) -> Option<Matrix10> {
+    let free = unknowns.free();
     let mut held = *matrix;
-    hold(&mut held, free);
-    let scale = Intrinsics::from_fn(|i, _| 1.0 / held[(i, i)].abs().sqrt());
-    let scaled = Matrix9::from_fn(|r, c| held[(r, c)] * scale[r] * scale[c]);
+    hold(&mut held, &free);
+    let scale = Shared::from_fn(|i, _| 1.0 / held[(i, i)].abs().sqrt());
+    let scaled = Matrix10::from_fn(|r, c| held[(r, c)] * scale[r] * scale[c]);
     let inverse = scaled.cholesky()?.inverse();
-    Some(Matrix9::from_fn(|r, c| if free[r] && free[c] { inverse[(r, c)] * scale[r] * scale[c] } else { 0.0 }))
+    Some(Matrix10::from_fn(|r, c| if free[r] && free[c] { inverse[(r, c)] * scale[r] * scale[c] } else { 0.0 }))
 }
 
-/// Information of the intrinsics with the poses eliminated (px^-2 for residuals of one pixel).
+/// Information of the shared parameters with the poses eliminated (px^-2 for residuals of one pixel).
 pub fn reduced_information(
     views: &[View],
     used: &[bool],
     masks: &[Vec<bool>],
     state: &State,
-    _free: &[bool; PARAMETERS],
-) -> Matrix9 {
-    let Some(normal) = linearise(views, used, masks, state, Loss::Squared) else { return Matrix9::zeros() };
-    let mut reduced = normal.intrinsics;
+    unknowns: &Unknowns,
+) -> Matrix10 {
+    let Some(normal) = linearise(views, used, masks, state, unknowns, Loss::Squared) else { return Matrix10::zeros() };
+    let mut reduced = normal.shared;
     for block in &normal.blocks {
         if let Some(cholesky) = block.pose.cholesky() {
             reduced -= block.cross * cholesky.solve(&block.cross.transpose());
@@ -169,10 +199,10 @@ pub fn reduced_information(
 }
 
 /// Step of everything at one damping.
-fn solve(normal: &Normal, damping: f64, free: &[bool; PARAMETERS]) -> Option<(Intrinsics, Vec<Vector6<f64>>)> {
+fn solve(normal: &Normal, damping: f64, free: &[bool; SHARED]) -> Option<(Shared, Vec<Vector6<f64>>)> {
     let damp = |v: f64| v * (1.0 + damping) + 1e-300;
-    let mut reduced = normal.intrinsics;
-    for i in 0..PARAMETERS {
+    let mut reduced = normal.shared;
+    for i in 0..SHARED {
         reduced[(i, i)] = damp(reduced[(i, i)]);
     }
     let mut right = normal.gradient;
@@ -183,20 +213,20 @@ fn solve(normal: &Normal, damping: f64, free: &[bool; PARAMETERS]) -> Option<(In
             pose[(i, i)] = damp(pose[(i, i)]);
         }
         let cholesky = pose.cholesky()?;
-        let from_intrinsics = cholesky.solve(&block.cross.transpose());
+        let from_shared = cholesky.solve(&block.cross.transpose());
         let from_gradient = cholesky.solve(&block.gradient);
-        reduced -= block.cross * from_intrinsics;
+        reduced -= block.cross * from_shared;
         right -= block.cross * from_gradient;
-        eliminated.push((from_intrinsics, from_gradient));
+        eliminated.push((from_shared, from_gradient));
     }
     hold(&mut reduced, free);
     for (i, _) in free.iter().enumerate().filter(|(_, f)| !**f) {
         right[i] = 0.0;
     }
-    let scale = Intrinsics::from_fn(|i, _| 1.0 / reduced[(i, i)].abs().sqrt());
-    let scaled = Matrix9::from_fn(|r, c| reduced[(r, c)] * scale[r] * scale[c]);
+    let scale = Shared::from_fn(|i, _| 1.0 / reduced[(i, i)].abs().sqrt());
+    let scaled = Matrix10::from_fn(|r, c| reduced[(r, c)] * scale[r] * scale[c]);
     let step = scaled.cholesky()?.solve(&right.component_mul(&scale)).component_mul(&scale);
-    let poses = eliminated.iter().map(|(by_intrinsics, own)| own - by_intrinsics * step).collect();
+    let poses = eliminated.iter().map(|(by_shared, own)| own - by_shared * step).collect();
     Some((step, poses))
 }
 
@@ -206,36 +236,38 @@ fn moved_pose(pose: &Pose, delta: &Vector6<f64>) -> Pose {
     Pose { rotation: turn * pose.rotation, translation: turn * pose.translation + delta.fixed_rows::<3>(3) }
 }
 
-fn moved(state: &State, normal: &Normal, step: &(Intrinsics, Vec<Vector6<f64>>)) -> State {
+fn moved(state: &State, normal: &Normal, step: &(Shared, Vec<Vector6<f64>>)) -> State {
     let mut next = state.clone();
-    next.intrinsics += step.0;
+    next.intrinsics += step.0.fixed_rows::<PARAMETERS>(0);
+    next.readout_s += step.0[READOUT];
     for (block, delta) in normal.blocks.iter().zip(&step.1) {
         next.poses[block.index] = moved_pose(&state.poses[block.index], delta);
     }
     next
 }
 
-/// Minimises over the free intrinsics and the poses of the used views.
+/// Minimises over the unknowns and the poses of the used views.
 pub fn minimise(
     views: &[View],
     used: &[bool],
     masks: &[Vec<bool>],
     start: State,
-    free: &[bool; PARAMETERS],
+    unknowns: &Unknowns,
     loss: Loss,
     max_iterations: usize,
 ) -> Adjusted {
+    let free = unknowns.free();
     let mut state = start;
-    let mut current = cost(views, used, masks, &state, loss);
+    let mut current = cost(views, used, masks, &state, unknowns, loss);
     let (mut damping, mut growth) = (1e-4, 2.0);
-    let mut normal = if current.is_finite() { linearise(views, used, masks, &state, loss) } else { None };
+    let mut normal = if current.is_finite() { linearise(views, used, masks, &state, unknowns, loss) } else { None };
     let mut iterations = 0;
     let mut small = 0;
     while iterations < max_iterations {
         iterations += 1;
         let Some(at) = normal.as_ref() else { break };
-        let trial = solve(at, damping, free).map(|step| moved(&state, at, &step));
-        let trial_cost = trial.as_ref().map_or(f64::INFINITY, |t| cost(views, used, masks, t, loss));
+        let trial = solve(at, damping, &free).map(|step| moved(&state, at, &step));
+        let trial_cost = trial.as_ref().map_or(f64::INFINITY, |t| cost(views, used, masks, t, unknowns, loss));
         match trial {
             Some(trial) if trial_cost < current => {
                 let gain = (current - trial_cost) / current.max(1e-300);
@@ -248,7 +280,7 @@ pub fn minimise(
                 if small >= 2 {
                     break;
                 }
-                normal = linearise(views, used, masks, &state, loss);
+                normal = linearise(views, used, masks, &state, unknowns, loss);
             }
             _ => {
                 damping *= growth;
@@ -267,11 +299,11 @@ pub fn minimise(
     Adjusted { state, cost: current, iterations }
 }
 
-/// The pose of one view alone, the camera held.
+/// The pose of one view alone, all else held.
 pub fn refine_pose(view: &View, state: &mut State, index: usize) {
     let alone = [view.clone()];
     let mask = [vec![true; view.pixels.len()]];
-    let start = State { lens: state.lens, intrinsics: state.intrinsics, poses: vec![state.poses[index]] };
-    let adjusted = minimise(&alone, &[true], &mask, start, &[false; PARAMETERS], Loss::Huber(2.0), 30);
+    let start = State { poses: vec![state.poses[index]], ..*state };
+    let adjusted = minimise(&alone, &[true], &mask, start, &Unknowns::NONE, Loss::Huber(2.0), 30);
     state.poses[index] = adjusted.state.poses[0];
 }

@@ -8,6 +8,9 @@
 //!   a few steps goes on. See [`closed_form`], also for wide-angle lenses, which start from a row of ideal equidistant ones.
 //! - Levenberg-Marquardt on the reprojection errors over everything ([`adjust`]).
 //! - Views whose residual is far beyond the others' are left out, the worst first, and the rest is solved again; then single points.
+//! - A rolling shutter bends what moves. Where views say how fast their points moved ([`View::shear`]), the readout time is one more unknown
+//!   that all of them share, supposed to be zero within [`READOUT_SIGMA_S`]: views that hardly moved leave it there, and its uncertainty
+//!   is a part of everything else's.
 //! - Covariance: `s² H⁻¹` of the intrinsics with the poses eliminated, `s² = sum r² / (2 points - parameters)`. It knows of noise,
 //!   not of a bent board or of a lens that the model does not describe.
 //!
@@ -23,7 +26,7 @@ use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
 pub use projection::{Intrinsics, LensKind, PARAMETERS};
 
 use super::least_squares::Loss;
-use adjust::{Pose, State};
+use adjust::{Pose, State, Unknowns};
 
 /// Views that a calibration needs at the least.
 pub const MIN_VIEWS: usize = 3;
@@ -35,6 +38,10 @@ const BAD_VIEW_PX: f64 = 0.3;
 /// A point is left out if its residual is this many robust deviations, and larger than [`BAD_POINT_PX`].
 const BAD_POINT_RATIO: f64 = 8.0;
 const BAD_POINT_PX: f64 = 0.8;
+/// What is supposed of a shutter's readout time, s: rolling ones of webcams take 10 to 33 ms, global ones none.
+pub const READOUT_SIGMA_S: f64 = 0.02;
+/// Noise of a corner that is supposed before the residuals tell it, px.
+const SUPPOSED_NOISE_PX: f64 = 0.1;
 
 /// One picture of the plane.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -43,6 +50,15 @@ pub struct View {
     pub plane: Vec<Vector2<f64>>,
     /// Where each is seen, pixels.
     pub pixels: Vec<Vector2<f64>>,
+    /// How far a rolling shutter moved each, pixels per second of readout time: its velocity times the share of the readout by which its
+    /// row is later than the middle one. Empty: nothing moved, or nobody knows.
+    pub shear: Vec<Vector2<f64>>,
+}
+
+impl View {
+    fn shear(&self, point: usize) -> Vector2<f64> {
+        self.shear.get(point).copied().unwrap_or_default()
+    }
 }
 
 /// Which lens model and which of its coefficients are estimated; the others are zero.
@@ -108,11 +124,22 @@ pub struct PlaneCalibration {
     pub free: [bool; PARAMETERS],
     /// Covariance of the intrinsics; zero where they were not estimated.
     pub covariance: SMatrix<f64, PARAMETERS, PARAMETERS>,
+    /// The shutter's readout time, if it was estimated.
+    pub readout: Option<Readout>,
     /// Root mean square of the points' reprojection errors (distance, as OpenCV states it), pixels.
     pub rms_px: f64,
     /// Standard deviation of one coordinate of a point, pixels.
     pub sigma_px: f64,
     pub views: Vec<SolvedView>,
+}
+
+/// Time from the first row's exposure to the last one's.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Readout {
+    /// Negative if the last row comes first.
+    pub seconds: f64,
+    /// Standard deviation; as large as [`READOUT_SIGMA_S`] where the views did not move.
+    pub sigma_s: f64,
 }
 
 /// One view of a solution.
@@ -154,7 +181,9 @@ pub fn calibrate(
     size: (u32, u32),
     distortion: Distortion,
 ) -> Result<PlaneCalibration, PlaneCalibrationError> {
-    let free = distortion.free();
+    let moved = views.iter().any(|v| v.shear.iter().any(|s| s.norm() > 0.0));
+    let readout_weight = |noise_px: f64| moved.then_some((noise_px / READOUT_SIGMA_S).powi(2));
+    let mut unknowns = Unknowns { intrinsics: distortion.free(), readout_weight: readout_weight(SUPPOSED_NOISE_PX) };
     let homographies: Vec<Option<Matrix3<f64>>> = views.iter().map(homography).collect();
     let mut used: Vec<bool> = homographies.iter().map(Option::is_some).collect();
     let count = |used: &[bool]| used.iter().filter(|u| **u).count();
@@ -167,7 +196,7 @@ pub fn calibrate(
         LensKind::KannalaBrandt => wide_start(views, size, &used, &masks)?,
     };
     // Robust first: a bad view must not drag the others along.
-    state = adjust::minimise(views, &used, &masks, state, &free, Loss::Huber(1.0), 30).state;
+    state = adjust::minimise(views, &used, &masks, state, &unknowns, Loss::Huber(1.0), 30).state;
 
     for _ in 0..views.len() {
         let rms: Vec<f64> = (0..views.len()).map(|k| adjust::view_rms(&views[k], &state, k, &masks[k])).collect();
@@ -182,12 +211,14 @@ pub fn calibrate(
             break;
         }
         used[worst] = false;
-        state = adjust::minimise(views, &used, &masks, state, &free, Loss::Huber(1.0), 20).state;
+        state = adjust::minimise(views, &used, &masks, state, &unknowns, Loss::Huber(1.0), 20).state;
     }
     mask_points(views, &state, &used, &mut masks);
-    let mut solved = adjust::minimise(views, &used, &masks, state, &free, Loss::Squared, 100);
-    if mask_points(views, &solved.state, &used, &mut masks) {
-        solved = adjust::minimise(views, &used, &masks, solved.state, &free, Loss::Squared, 100);
+    let mut solved = adjust::minimise(views, &used, &masks, state, &unknowns, Loss::Squared, 100);
+    if mask_points(views, &solved.state, &used, &mut masks) || moved {
+        // What is supposed of the shutter weighs against residuals of the noise that there is.
+        unknowns.readout_weight = readout_weight(noise(views, &solved.state, &used, &masks).max(1e-6));
+        solved = adjust::minimise(views, &used, &masks, solved.state, &unknowns, Loss::Squared, 100);
     }
     // Views that had no part get the pose that suits them best, so that their residual means something.
     for k in 0..views.len() {
@@ -195,7 +226,7 @@ pub fn calibrate(
             adjust::refine_pose(&views[k], &mut solved.state, k);
         }
     }
-    finish(views, &solved.state, &used, masks, &free)
+    finish(views, &solved.state, &used, masks, &unknowns)
 }
 
 fn homography(view: &View) -> Option<Matrix3<f64>> {
@@ -216,7 +247,7 @@ fn start(
     let states = closed_form::candidates(homographies, size).into_iter().map(|[fx, fy, cx, cy]| {
         let intrinsics = Intrinsics::from([fx, fy, cx, cy, 0.0, 0.0, 0.0, 0.0, 0.0]);
         let poses = homographies.iter().map(|h| h.and_then(|h| closed_form::pose(&h, &intrinsics)).unwrap_or_default());
-        State { lens: LensKind::RadialTangential, intrinsics, poses: poses.collect::<Vec<Pose>>() }
+        State { lens: LensKind::RadialTangential, intrinsics, readout_s: 0.0, poses: poses.collect::<Vec<Pose>>() }
     });
     best_start(states, views, used, masks)
 }
@@ -231,7 +262,7 @@ fn wide_start(
     let states = closed_form::wide_candidates(size).into_iter().map(|[fx, fy, cx, cy]| {
         let intrinsics = Intrinsics::from([fx, fy, cx, cy, 0.0, 0.0, 0.0, 0.0, 0.0]);
         let poses = views.iter().map(|view| closed_form::equidistant_pose(view, &intrinsics).unwrap_or_default());
-        State { lens: LensKind::KannalaBrandt, intrinsics, poses: poses.collect::<Vec<Pose>>() }
+        State { lens: LensKind::KannalaBrandt, intrinsics, readout_s: 0.0, poses: poses.collect::<Vec<Pose>>() }
     });
     best_start(states, views, used, masks)
 }
@@ -243,10 +274,10 @@ fn best_start(
     used: &[bool],
     masks: &[Vec<bool>],
 ) -> Result<State, PlaneCalibrationError> {
-    let free = Distortion::Radial.free();
+    let unknowns = Unknowns { intrinsics: Distortion::Radial.free(), readout_weight: None };
     let mut best: Option<(f64, State)> = None;
     for state in states {
-        let tried = adjust::minimise(views, used, masks, state, &free, Loss::Huber(2.0), 6);
+        let tried = adjust::minimise(views, used, masks, state, &unknowns, Loss::Huber(2.0), 6);
         let sane = tried.state.intrinsics.iter().take(2).all(|f| *f > 0.0 && f.is_finite());
         if sane && tried.cost.is_finite() && best.as_ref().is_none_or(|(cost, _)| tried.cost < *cost) {
             // The closed form's own answer needs no company when it fits to a pixel.
@@ -259,6 +290,18 @@ fn best_start(
         }
     }
     best.map(|(_, state)| state).ok_or(PlaneCalibrationError::Degenerate)
+}
+
+/// Root mean square of one coordinate's residuals, pixels.
+fn noise(views: &[View], state: &State, used: &[bool], masks: &[Vec<bool>]) -> f64 {
+    let (mut sum, mut count) = (0.0, 0usize);
+    for k in (0..views.len()).filter(|k| used[*k]) {
+        for (r, _) in adjust::residuals(&views[k], state, k).iter().zip(&masks[k]).filter(|(_, kept)| **kept) {
+            sum += r.norm_squared();
+            count += 2;
+        }
+    }
+    (sum / count.max(1) as f64).sqrt()
 }
 
 /// Marks points with residuals beyond what the others' allow; true if that changed anything.
@@ -286,7 +329,7 @@ fn finish(
     state: &State,
     used: &[bool],
     masks: Vec<Vec<bool>>,
-    free: &[bool; PARAMETERS],
+    unknowns: &Unknowns,
 ) -> Result<PlaneCalibration, PlaneCalibrationError> {
     let mut solved = Vec::with_capacity(views.len());
     let (mut sum, mut points, mut view_count) = (0.0, 0usize, 0usize);
@@ -304,6 +347,7 @@ fn finish(
         solved.push(SolvedView { rotation, translation, rms_px, used: used[k], residuals, used_points: mask });
     }
     let rms_px = (sum / points.max(1) as f64).sqrt();
+    let free = &unknowns.intrinsics;
     let parameters = free.iter().filter(|f| **f).count() + 6 * view_count;
     let freedom = (2 * points).saturating_sub(parameters);
     // A tenth of the picture is no fit at all, whatever was measured.
@@ -312,8 +356,11 @@ fn finish(
     }
     let sigma2 = sum / freedom as f64;
     let used_masks: Vec<Vec<bool>> = solved.iter().map(|v| v.used_points.clone()).collect();
-    let information = adjust::reduced_information(views, used, &used_masks, state, free);
-    let covariance = adjust::invert(&information, free).ok_or(PlaneCalibrationError::Degenerate)? * sigma2;
+    let information = adjust::reduced_information(views, used, &used_masks, state, unknowns);
+    let all = adjust::invert(&information, unknowns).ok_or(PlaneCalibrationError::Degenerate)? * sigma2;
+    let covariance = all.fixed_view::<PARAMETERS, PARAMETERS>(0, 0).into_owned();
+    let readout_variance = all[(PARAMETERS, PARAMETERS)].max(0.0);
+    let readout = Readout { seconds: state.readout_s, sigma_s: readout_variance.sqrt() };
     if (0..PARAMETERS).any(|i| free[i] && !(covariance[(i, i)] > 0.0 && covariance[(i, i)].is_finite())) {
         return Err(PlaneCalibrationError::Degenerate);
     }
@@ -322,6 +369,7 @@ fn finish(
         intrinsics: SVector::from_iterator(state.intrinsics.iter().copied()),
         free: *free,
         covariance,
+        readout: unknowns.readout_weight.map(|_| readout),
         rms_px,
         sigma_px: sigma2.sqrt(),
         views: solved,

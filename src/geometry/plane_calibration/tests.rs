@@ -34,7 +34,7 @@ fn view(random: &mut Random, noise_px: f64) -> View {
             .map(|p| p + Vector2::new(random.normal(), random.normal()) * noise_px)
             .collect();
         if pixels.len() == plane.len() {
-            return View { plane, pixels };
+            return View { plane, pixels, shear: Vec::new() };
         }
     }
     panic!("no view found");
@@ -147,7 +147,7 @@ fn wide_view(random: &mut Random, noise_px: f64) -> View {
             .map(|p| p + Vector2::new(random.normal(), random.normal()) * noise_px)
             .collect();
         if pixels.len() == plane.len() {
-            return View { plane, pixels };
+            return View { plane, pixels, shear: Vec::new() };
         }
     }
     panic!("no view found");
@@ -271,7 +271,7 @@ fn every_wide_lens_from_80_to_190_degrees_is_found_from_its_start() {
                 .filter(|p| p.x > 4.0 && p.y > 4.0 && p.x < 635.0 && p.y < 475.0)
                 .collect();
             if pixels.len() == plane.len() {
-                views.push(View { plane, pixels });
+                views.push(View { plane, pixels, shear: Vec::new() });
             }
         }
         assert_eq!(views.len(), 12, "seed {seed}");
@@ -315,7 +315,7 @@ fn views_that_say_nothing_are_refused_or_admit_it() {
             let noise = |r: &mut Random| Vector2::new(r.normal(), r.normal()) * 0.1;
             let plane = board();
             let pixels = plane.iter().map(|p| p * scale + shift + noise(&mut random)).collect();
-            View { plane, pixels }
+            View { plane, pixels, shear: Vec::new() }
         })
         .collect();
     match calibrate(&facing, SIZE, Distortion::Full) {
