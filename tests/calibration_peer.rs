@@ -22,6 +22,8 @@ struct Peer {
     /// rms fx fy cx cy k1 k2 p1 p2 k3
     result: Vec<f64>,
     sigma: Vec<f64>,
+    /// The same with other coefficients of distortion: rms fx fy cx cy k1 k2 p1 p2 k3.
+    models: Vec<(String, Vec<f64>)>,
     time_ms: Vec<f64>,
 }
 
@@ -45,6 +47,7 @@ fn peer(folder: &Path, size: &str, extension: &str) -> Option<Peer> {
             }
             "result" => peer.result = numbers(),
             "sigma" => peer.sigma = numbers(),
+            "model" => peer.models.push((words.clone().next().unwrap_or_default().into(), numbers())),
             "time" => peer.time_ms = numbers(),
             _ => {}
         }
@@ -83,35 +86,64 @@ fn compare(set: &str, columns: u32, rows: u32, extension: &str) {
         .collect();
     let size = (pictures[0].width as u32, pictures[0].height as u32);
 
-    // The peer's corners through our solver: the very same camera.
+    // The peer's corners through our solver: the very same camera, whatever the lens model.
     let plane: Vec<Vector2<f64>> =
         (0..rows).flat_map(|r| (0..columns).map(move |c| Vector2::new(f64::from(c), f64::from(r)))).collect();
-    let views: Vec<View> = peer
-        .corners
-        .iter()
+    let views: Vec<View> = (peer.corners.iter())
         .map(|pixels| View { plane: plane.clone(), pixels: pixels.clone(), shear: Vec::new() })
         .collect();
-    let same = calibrate(&views, size, Distortion::Full).unwrap();
-    for i in 0..4 {
-        let off = (same.intrinsics[i] - peer.result[i + 1]).abs();
-        assert!(off < 0.01, "{set}: parameter {i} differs by {off} px from the peer's on its own corners");
+    let (wide, _) = fisheye_peer(&views, size).expect("OpenCV is here");
+    let mut compared = 0;
+    for (name, theirs) in peer.models.iter().map(|(n, m)| (n.as_str(), m)).chain([("fisheye", &wide)]) {
+        let distortion = match name {
+            "none" => Distortion::None,
+            "radial" => Distortion::Radial,
+            "radial-tangential" => Distortion::RadialTangential,
+            "full" => Distortion::Full,
+            _ => Distortion::KannalaBrandt,
+        };
+        let same = calibrate(&views, size, distortion).unwrap();
+        let (used, all) = (same.used_points(), views.iter().map(|v| v.pixels.len()).sum::<usize>());
+        if used < all {
+            // A lens model that does not fit makes outliers of good corners; OpenCV keeps them.
+            println!(
+                "{set}: OpenCV's corners, {name}: {} of {all} corners do not fit the model, not compared",
+                all - used
+            );
+            continue;
+        }
+        let off = (0..4).map(|i| (same.intrinsics[i] - theirs[i + 1]).abs()).fold(0.0, f64::max);
+        println!(
+            "{set}: OpenCV's corners, {name}: fx fy cx cy within {off:.5} px of OpenCV's, RMS {:.5}, OpenCV's {:.5} px",
+            same.rms_px, theirs[0]
+        );
+        assert!(off < 0.01, "{set}, {name}: {off} px from OpenCV's on its own corners");
+        assert!((same.rms_px / theirs[0] - 1.0).abs() < 1e-3, "{set}, {name}: RMS {} {}", same.rms_px, theirs[0]);
+        compared += 1;
     }
-    assert!((same.rms_px / peer.result[0] - 1.0).abs() < 1e-3, "{set}: {} {}", same.rms_px, peer.result[0]);
+    assert!(compared >= 3, "{set}: {compared} lens models compared");
 
     // Our corners.
     let pattern = Pattern::new(columns, rows, 0.025).unwrap();
     let mut detector = Detector::default();
-    let begin = Instant::now();
     let mut boards = Vec::new();
-    for (path, picture) in files.iter().zip(&pictures) {
-        if let Sighting::Board(board) = detector.detect(picture, &pattern) {
-            assert!(board.complete, "{}", path.display());
-            boards.push(BoardView::still(path.display().to_string(), board));
+    let (mut detection_ms, mut solve_ms, mut ours) = (f64::INFINITY, f64::INFINITY, None);
+    // The peer says its shortest time of three, too.
+    for _ in 0..3 {
+        let begin = Instant::now();
+        boards.clear();
+        for (path, picture) in files.iter().zip(&pictures) {
+            if let Sighting::Board(board) = detector.detect(picture, &pattern) {
+                assert!(board.complete, "{}", path.display());
+                boards.push(BoardView::still(path.display().to_string(), board));
+            }
         }
+        let detected = Instant::now();
+        ours = solve(&boards, &pattern, size, Distortion::Full).ok();
+        detection_ms = detection_ms.min((detected - begin).as_secs_f64() * 1e3);
+        solve_ms = solve_ms.min(detected.elapsed().as_secs_f64() * 1e3);
     }
-    let detected = Instant::now();
-    let ours = solve(&boards, &pattern, size, Distortion::Full).unwrap();
-    let solved = Instant::now();
+    let ours = ours.expect("solved");
     assert!(boards.len() >= peer.corners.len(), "{set}: {} views, the peer has {}", boards.len(), peer.corners.len());
     let mut text = String::new();
     for i in 0..4 {
@@ -121,17 +153,16 @@ fn compare(set: &str, columns: u32, rows: u32, extension: &str) {
     }
     let (rms, peer_rms) = (ours.solved.rms_px, peer.result[0]);
     assert!(rms <= 1.01 * peer_rms, "{set}: RMS {rms} px, the peer has {peer_rms} px");
-    let ms = |a: Instant, b: Instant| (b - a).as_secs_f64() * 1e3;
+    let ratio = (detection_ms + solve_ms) / (peer.time_ms[0] + peer.time_ms[1]);
     println!(
-        "{set}: {} of {} views, peer {};{text}; RMS {rms:.4}, peer {peer_rms:.4} px; detection {:.0} + solve {:.1} ms, peer {:.0} + {:.1} ms",
+        "{set}: {} of {} views, OpenCV {};{text}; RMS {rms:.4}, OpenCV {peer_rms:.4} px; detection {detection_ms:.0} + solve {solve_ms:.1} ms, OpenCV {:.0} + {:.1} ms: {ratio:.2} of its time",
         boards.len(),
         files.len(),
         peer.corners.len(),
-        ms(begin, detected),
-        ms(detected, solved),
         peer.time_ms[0],
         peer.time_ms[1],
     );
+    assert!(ratio < 1.0, "{set}: {ratio} of OpenCV's time in the same run");
 }
 
 #[test]
@@ -145,13 +176,13 @@ fn a_global_shutter_camera_is_calibrated_as_well_as_by_opencv() {
 }
 
 /// RMS fx fy cx cy k1 k2 k3 k4 and the time (ms) of OpenCV's fisheye module; `None`: no OpenCV.
-fn fisheye_peer(boards: &[BoardView], (width, height): (u32, u32)) -> Option<(Vec<f64>, f64)> {
+fn fisheye_peer(views: &[View], (width, height): (u32, u32)) -> Option<(Vec<f64>, f64)> {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peers/opencv_fisheye.py");
     let mut lines = String::new();
-    for view in boards {
+    for view in views {
         lines += "view\n";
-        for c in &view.board.corners {
-            writeln!(lines, "c {} {} {:.17} {:.17}", c.column, c.row, c.pixel.x, c.pixel.y).unwrap();
+        for (on, at) in view.plane.iter().zip(&view.pixels) {
+            writeln!(lines, "c {} {} {:.17} {:.17}", on.x, on.y, at.x, at.y).unwrap();
         }
     }
     let mut child = Command::new("python3")
@@ -196,7 +227,14 @@ fn a_fisheye_is_calibrated_as_by_opencvs_fisheye_module_on_the_same_corners() {
         }
     }
     let size = (config.width, config.height);
-    let Some((peer, peer_ms)) = fisheye_peer(&boards, size) else {
+    let seen: Vec<View> = (boards.iter().map(|view| &view.board.corners))
+        .map(|corners| View {
+            plane: corners.iter().map(|c| Vector2::new(f64::from(c.column), f64::from(c.row))).collect(),
+            pixels: corners.iter().map(|c| c.pixel).collect(),
+            shear: Vec::new(),
+        })
+        .collect();
+    let Some((peer, peer_ms)) = fisheye_peer(&seen, size) else {
         println!("skipped: no python3 with OpenCV");
         return;
     };

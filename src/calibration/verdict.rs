@@ -51,6 +51,7 @@ impl Need {
     /// What to do, for somebody who holds the board.
     pub fn advice(&self) -> String {
         match self {
+            Self::MoreViews(1) => "one more view, from another side".into(),
             Self::MoreViews(n) => format!("{n} more views, each from another side"),
             Self::Left => "bring the board to the left edge of the picture".into(),
             Self::Right => "bring the board to the right edge of the picture".into(),
@@ -70,7 +71,9 @@ impl Need {
 impl fmt::Display for Need {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::MoreViews(n) => write!(f, "{n} more views are needed for a set of {GOOD_VIEWS}"),
+            Self::MoreViews(n) => {
+                write!(f, "{} views are too few, {GOOD_VIEWS} make a set", GOOD_VIEWS.saturating_sub(*n))
+            }
             Self::Left => write!(f, "no view has corners near the left edge"),
             Self::Right => write!(f, "no view has corners near the right edge"),
             Self::Top => write!(f, "no view has corners near the top edge"),

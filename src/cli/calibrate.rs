@@ -120,7 +120,7 @@ pub fn run(args: &CalibrateArgs) -> Result<ExitCode, CliError> {
     if args.print_pattern.is_some() {
         let output = args.output.clone().unwrap_or_else(|| format!("board-{columns}x{rows}.svg").into());
         write_text(&output, &pattern_sheet::svg(&pattern))?;
-        session::print(&format!("{}\n", output.display()))?;
+        session::print(&format!("{} ({})\n", output.display(), pattern_sheet::paper(&pattern)))?;
         return Ok(ExitCode::SUCCESS);
     }
     if args.camera.is_some() {

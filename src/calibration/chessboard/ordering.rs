@@ -2,6 +2,7 @@
 //!
 //! Input: a [`Grid`] with its corners and the level's saddle map. Output: a [`Fit`]: a full rectangle of places, some perhaps empty.
 //! - Rims beyond the pattern's size that are mostly empty are cut off: something beside the board looked like a corner.
+//! - Rims beyond it that are not empty make it another board, even where the pattern would be a part of it.
 //! - Empty cells, and whole rows that are missing at the rim, are looked for where their neighbours predict them, with a weaker
 //!   test: the two-fold pattern of the right colouring must be there, all four sectors on their side.
 //! - The first corner: columns go right of rows as seen from the front (a board is never seen from behind); among the turns that are left, the
@@ -18,6 +19,11 @@ use super::{Pattern, SIDE_RANGE};
 const RIM_SHARE: f64 = 0.6;
 /// A rim that was predicted is taken if so large a share of it is there.
 const NEW_RIM_SHARE: f64 = 0.7;
+/// A rim beyond the pattern's size is there with so large a share of the corners that the picture can show, and at least two.
+const BEYOND_SHARE: f64 = 0.5;
+const MIN_BEYOND: usize = 4;
+/// Nearer to the picture's border a corner cannot be told, level pixels.
+const RIM_MARGIN_PX: f64 = 4.0;
 /// Share of the cells that a board needs.
 const MIN_SHARE: f64 = 0.75;
 /// Distance of a corner from where its neighbours put it, in sides of a square.
@@ -32,6 +38,9 @@ const MAX_MEDIAN_MISFIT: [(usize, f64); 3] = [(40, 0.145), (16, 0.1), (0, 0.06)]
 const MIN_MARGIN: f64 = 0.04;
 /// Two-fold amplitude of a predicted corner, as a share of the others' contrast.
 const MIN_AMPLITUDE: f64 = 0.08;
+
+/// A cell and its corner, level pixels.
+type Place = ((i32, i32), Vector2<f64>);
 
 /// A rectangle of places in level pixels, row by row.
 #[derive(Debug, Clone)]
@@ -245,41 +254,51 @@ fn straighten(sheet: &mut Sheet) {
     }
 }
 
-/// Fills holes, then adds rims that are missing.
+/// Fills holes, then adds rims that are missing. A rim beyond the pattern's size is added, too, if corners stand there: then the
+/// board is a larger one, of which the pattern would be a part.
 fn complete(sheet: &mut Sheet, map: &SaddleMap, contrast: f64, pattern: &Pattern) {
     let wanted = sides(pattern.columns as usize, pattern.rows as usize);
     fill_holes(sheet, map, contrast);
-    for _ in 0..SIDE_RANGE.1 {
+    for _ in 0..2 * SIDE_RANGE.1 {
         let size = sheet.size();
-        let may_grow = |axis: usize| {
+        let belongs = |axis: usize| {
             let mut grown = size;
             grown[axis] += 1;
             let grown = sides(grown[0], grown[1]);
             grown[0] <= wanted[0] && grown[1] <= wanted[1]
         };
-        let (mut best_side, mut best) = (0, Vec::<((i32, i32), Vector2<f64>)>::new());
-        for side in (0..4).filter(|side| may_grow(side / 2)) {
-            let inward = [(1, 0), (-1, 0), (0, 1), (0, -1)][side];
-            let rim = sheet.rim(side, 1);
-            let found: Vec<_> = rim
-                .iter()
-                .filter_map(|cell| {
-                    let from = (cell.0 + inward.0, cell.1 + inward.1);
-                    Some((*cell, look(sheet, map, contrast, *cell, &[from])?))
-                })
-                .collect();
-            if found.len() as f64 >= NEW_RIM_SHARE * rim.len() as f64 && best.len() < found.len() {
-                (best_side, best) = (side, found);
+        // Rims of the pattern first; the most corners among those.
+        let mut best: Option<((bool, usize), usize, Vec<Place>)> = None;
+        for side in (0..4).filter(|side| size[side / 2] < SIDE_RANGE.1 as usize) {
+            let belongs = belongs(side / 2);
+            let Some(found) = next_rim(sheet, map, contrast, side, belongs) else { continue };
+            let rank = (belongs, found.len());
+            if best.as_ref().is_none_or(|(r, ..)| rank > *r) {
+                best = Some((rank, side, found));
             }
         }
-        let (side, found) = (best_side, best);
-        if found.is_empty() {
-            return;
-        }
+        let Some((_, side, found)) = best else { return };
         sheet.move_side(side, 1);
         sheet.extra.extend(found);
         fill_holes(sheet, map, contrast);
     }
+}
+
+/// The corners of the next rim on a side, if enough of them are there. Of one that `belongs` to the pattern all count; of one
+/// beyond it those that the picture can show, because a larger board reaches out of it more easily.
+fn next_rim(sheet: &Sheet, map: &SaddleMap, contrast: f64, side: usize, belongs: bool) -> Option<Vec<Place>> {
+    let inward = [(1, 0), (-1, 0), (0, 1), (0, -1)][side];
+    let (mut found, mut seen) = (Vec::new(), 0);
+    for cell in sheet.rim(side, 1) {
+        let from = [(cell.0 + inward.0, cell.1 + inward.1)];
+        let Some((predicted, _)) = predict(sheet, cell, &from) else { continue };
+        let inside = |at: f64, size: usize| at > RIM_MARGIN_PX && at < size as f64 - 1.0 - RIM_MARGIN_PX;
+        seen += usize::from(inside(predicted.x, map.width) && inside(predicted.y, map.height));
+        found.extend(look(sheet, map, contrast, cell, &from).map(|at| (cell, at)));
+    }
+    let (of, share) =
+        if belongs { (sheet.rim(side, 1).len(), NEW_RIM_SHARE) } else { (seen.max(MIN_BEYOND), BEYOND_SHARE) };
+    (found.len() as f64 >= share * of as f64 && !found.is_empty()).then_some(found)
 }
 
 fn fill_holes(sheet: &mut Sheet, map: &SaddleMap, contrast: f64) {
@@ -300,12 +319,10 @@ fn fill_holes(sheet: &mut Sheet, map: &SaddleMap, contrast: f64) {
     }
 }
 
-/// The corner of an empty cell, by what its neighbours `from` predict and the saddle map shows.
-fn look(sheet: &Sheet, map: &SaddleMap, contrast: f64, cell: (i32, i32), from: &[(i32, i32)]) -> Option<Vector2<f64>> {
+/// Where the corner of an empty cell should stand by what its neighbours `from` say, and the side of a square there.
+fn predict(sheet: &Sheet, cell: (i32, i32), from: &[(i32, i32)]) -> Option<(Vector2<f64>, f64)> {
     let place = |c| sheet.place(c);
-    let mut sum = Vector2::zeros();
-    let mut count = 0.0;
-    let (mut side, mut bright) = (f64::INFINITY, None);
+    let (mut sum, mut count, mut side) = (Vector2::zeros(), 0.0, f64::INFINITY);
     for start in from {
         let step = (cell.0 - start.0, cell.1 - start.1);
         if let (Some(here), Some(predicted)) = (place(*start), Grid::predict(&place, *start, step)) {
@@ -313,14 +330,15 @@ fn look(sheet: &Sheet, map: &SaddleMap, contrast: f64, cell: (i32, i32), from: &
             count += 1.0;
             side = side.min((predicted - here).norm());
         }
-        bright = bright.or_else(|| sheet.expected_bright(cell, *start));
     }
-    if count == 0.0 || !(side > 3.0 && side.is_finite()) {
-        return None;
-    }
-    let predicted = sum / count;
+    (count > 0.0 && side > 3.0 && side.is_finite()).then(|| (sum / count, side))
+}
+
+/// The corner of an empty cell, by what its neighbours `from` predict and the saddle map shows.
+fn look(sheet: &Sheet, map: &SaddleMap, contrast: f64, cell: (i32, i32), from: &[(i32, i32)]) -> Option<Vector2<f64>> {
+    let (predicted, side) = predict(sheet, cell, from)?;
     // Expected colouring: of a neighbour, else of any cell.
-    let bright = match bright {
+    let bright = match from.iter().find_map(|start| sheet.expected_bright(cell, *start)) {
         Some(bright) => bright,
         None => sheet.expected_bright(cell, nearest_known(sheet, cell)?)?,
     };

@@ -182,28 +182,84 @@ fn another_size_is_named_and_no_board_is_none() {
     }
 }
 
-#[test]
-fn the_recorded_sets_are_seen_whole() {
+/// Name, size and pictures of the recorded sets that are here.
+fn recorded_sets() -> Vec<(&'static str, (u32, u32), Vec<(String, GreyImage)>)> {
     let root = std::env::var_os("CAIRN_DATA").map_or_else(
         || std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"),
         std::path::PathBuf::from,
     );
-    for (set, columns, rows, extension) in [("calib_opencv_left", 9, 6, "jpg"), ("calib_camodocal", 12, 8, "png")] {
+    let mut sets = Vec::new();
+    for (set, size, extension) in [("calib_opencv_left", (9, 6), "jpg"), ("calib_camodocal", (12, 8), "png")] {
         let Ok(folder) = std::fs::read_dir(root.join(set)) else {
             println!("skipped: {} is not here", root.join(set).display());
             continue;
         };
-        let pattern = Pattern::new(columns, rows, 0.025).expect("valid");
-        let (mut detector, mut decoder, mut picture) = (Detector::default(), Decoder::default(), GreyImage::default());
+        let mut pictures = Vec::new();
         for path in folder.flatten().map(|e| e.path()).filter(|p| p.extension().is_some_and(|e| e == extension)) {
-            let raw = RawFrame {
-                format: PixelFormat::Jpeg,
-                data: std::fs::read(&path).expect("read"),
-                ..RawFrame::default()
-            };
-            decoder.decode(&raw, &mut picture).expect("decoded");
-            let board = detector.detect(&picture, &pattern).board();
-            assert!(board.is_some_and(|b| b.complete), "{}", path.display());
+            let data = std::fs::read(&path).expect("read");
+            let raw = RawFrame { format: PixelFormat::Jpeg, data, ..RawFrame::default() };
+            let mut picture = GreyImage::default();
+            Decoder::default().decode(&raw, &mut picture).expect("decoded");
+            pictures.push((path.display().to_string(), picture));
+        }
+        sets.push((set, size, pictures));
+    }
+    sets
+}
+
+#[test]
+fn the_recorded_sets_are_seen_whole_in_either_order_of_their_sides() {
+    let mut detector = Detector::default();
+    for (_, (columns, rows), pictures) in recorded_sets() {
+        for (columns, rows) in [(columns, rows), (rows, columns)] {
+            let pattern = Pattern::new(columns, rows, 0.025).expect("valid");
+            for (name, picture) in &pictures {
+                let board = detector.detect(picture, &pattern).board();
+                assert!(board.is_some_and(|b| b.complete), "{name} as {columns}x{rows}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_recorded_board_is_never_taken_for_one_of_another_size() {
+    let mut detector = Detector::default();
+    for (set, (columns, rows), pictures) in recorded_sets() {
+        let (mut named, mut of) = (0, 0);
+        for (dc, dr) in (-2..=2).flat_map(|dc| (-2..=2).map(move |dr| (dc, dr))).filter(|d| *d != (0, 0)) {
+            let (c, r) = (columns.saturating_add_signed(dc), rows.saturating_add_signed(dr));
+            for pattern in [(c, r), (r, c)].map(|(c, r)| Pattern::new(c, r, 0.025).expect("valid")) {
+                for (name, picture) in &pictures {
+                    let seen = detector.detect(picture, &pattern);
+                    let asked = format!("{name} as {}x{}", pattern.columns, pattern.rows);
+                    assert!(seen.clone().board().is_none(), "{asked}: taken");
+                    named += usize::from(seen == Sighting::OtherSize(columns, rows));
+                    of += 1;
+                }
+            }
+        }
+        println!("{set}: its size was named in {named} of {of}");
+        assert!(named as f64 > 0.97 * f64::from(of), "{set}: its size was named in {named} of {of}");
+    }
+}
+
+#[test]
+fn a_simulated_board_is_never_taken_for_one_of_another_size() {
+    let mut wide = SimulatorConfig::default();
+    wide.lens.wide_angle.enabled = true;
+    let frames: Vec<u64> = (0..8).map(|k| 30 + k * 83).collect();
+    let mut detector = Detector::default();
+    for (lens, config) in [("usual", SimulatorConfig::default()), ("wide", wide)] {
+        for ((picture, truth), frame) in pictures_through(config, &frames).iter().zip(&frames) {
+            let inside = |p: &Vector2<f64>| p.x > 8.0 && p.y > 8.0 && p.x < 631.0 && p.y < 471.0;
+            if !truth.iter().all(inside) {
+                continue;
+            }
+            for (columns, rows) in [(8, 6), (9, 5), (8, 5), (6, 8), (7, 6), (10, 6), (9, 7), (6, 6), (10, 7)] {
+                let other = Pattern::new(columns, rows, 0.03).expect("valid");
+                let seen = detector.detect(picture, &other);
+                assert_eq!(seen, Sighting::OtherSize(9, 6), "{lens} lens, frame {frame} as {columns}x{rows}");
+            }
         }
     }
 }
