@@ -269,3 +269,79 @@ fn patterns_that_cannot_be_are_refused() {
     assert!(Pattern::new(2, 6, 0.03).is_err() && Pattern::new(9, 31, 0.03).is_err());
     assert!(Pattern::new(9, 6, 0.0).is_err() && Pattern::new(9, 6, f64::NAN).is_err());
 }
+
+#[test]
+#[ignore]
+fn diag_errors() {
+    for (noise, blur) in [(true, false), (true, true), (false, false)] {
+        let mut config = SimulatorConfig { scenario: Scenario::CalibrationSweep, ..SimulatorConfig::default() };
+        config.chessboard.enabled = true;
+        config.rolling_shutter.enabled = false;
+        config.motion_blur.enabled = blur;
+        config.noise.enabled = noise;
+        config.speed = 0.1;
+        let mut simulator = Simulator::new(&config, Pacing::LockStep).expect("simulator");
+        let board = simulator.chessboard().expect("enabled").clone();
+        let camera = simulator.camera_model().clone();
+        let mut detector = Detector::default();
+        let mut z = [0.0f64; 12];
+        let (mut n, mut all) = (0.0, 0.0);
+        for k in 0..30u64 {
+            let frame = 40 + k * 97;
+            let mut picture = GreyImage::default();
+            simulator.render(frame, &mut picture);
+            let Some(b) = detector.detect(&picture, &pattern()).board() else { continue };
+            if !b.complete {
+                continue;
+            }
+            let pose = simulator.trajectory().pose_at(simulator.timestamp_ns(frame)).inverse();
+            let truth: Vec<_> = (0..6)
+                .flat_map(|r| (0..9).map(move |c| (c, r)))
+                .map(|(c, r)| camera.project(&pose.transform(&board.corner(c, r))).unwrap())
+                .collect();
+            let turned = error(&b, &truth) > 1.0 || {
+                let a: f64 = b.corners.iter().map(|c| (c.pixel - truth[(c.row * 9 + c.column) as usize]).norm()).sum();
+                a > 54.0
+            };
+            let mut a = nalgebra::SMatrix::<f64, 6, 6>::zeros();
+            let mut r = [nalgebra::SVector::<f64, 6>::zeros(); 2];
+            let mut es = Vec::new();
+            for c in &b.corners {
+                let i = (c.row * 9 + c.column) as usize;
+                let e = c.pixel - truth[if turned { 53 - i } else { i }];
+                let (x, y) = (f64::from(c.column) / 4.0 - 1.0, f64::from(c.row) / 2.5 - 1.0);
+                let row = nalgebra::SVector::<f64, 6>::from([1.0, x, y, x * x - 0.4, x * y, y * y - 0.45]);
+                a += row * row.transpose();
+                r[0] += row * e.x;
+                r[1] += row * e.y;
+                es.push((row, e));
+            }
+            let inv = a.try_inverse().unwrap();
+            let s = [inv * r[0], inv * r[1]];
+            let ss: f64 =
+                es.iter().map(|(row, e)| (e.x - row.dot(&s[0])).powi(2) + (e.y - row.dot(&s[1])).powi(2)).sum();
+            let sigma2 = ss / (108.0 - 12.0);
+            for ax in 0..2 {
+                for i in 0..6 {
+                    z[ax * 6 + i] += s[ax][i].powi(2) / (inv[(i, i)] * sigma2);
+                }
+            }
+            n += 1.0;
+            all += sigma2;
+            if k % 6 == 0 {
+                println!(
+                    "frame {frame} sigma {:.4} coef x {:.4?} y {:.4?}",
+                    sigma2.sqrt(),
+                    s[0].as_slice(),
+                    s[1].as_slice()
+                );
+            }
+        }
+        println!(
+            "noise {noise} blur {blur}: {n} views, sigma {:.4}, mean z2 x {:.1?} y {:.1?}",
+            (all / n).sqrt(),
+            z[..6].iter().map(|v| v / n).collect::<Vec<_>>(),
+            z[6..].iter().map(|v| v / n).collect::<Vec<_>>()
+        );
+    }
+}

@@ -180,6 +180,35 @@ pub fn invert(matrix: &Matrix10, unknowns: &Unknowns) -> Option<Matrix10> {
     Some(Matrix10::from_fn(|r, c| if free[r] && free[c] { inverse[(r, c)] * scale[r] * scale[c] } else { 0.0 }))
 }
 
+/// How much more the views pull at the shared parameters than views of corners with independent errors of variance `variance` would: 1 if
+/// they are independent, more if corners of one view err together. `covariance`: of the shared parameters, for errors of one pixel.
+///
+/// With g a view's gradient at the solution and I its information, poses eliminated, independent errors give
+/// `E[g gᵀ] = variance (I - I C I)`; both sides are compared in the measure C (a sandwich estimate over views, as in Liang & Zeger 1986,
+/// but of one number).
+pub fn scatter(
+    views: &[View],
+    used: &[bool],
+    masks: &[Vec<bool>],
+    state: &State,
+    covariance: &Matrix10,
+    variance: f64,
+) -> f64 {
+    let (mut seen, mut expected) = (0.0, 0.0);
+    for k in (0..views.len()).filter(|k| used[*k]) {
+        let alone: Vec<bool> = (0..views.len()).map(|n| n == k).collect();
+        let Some(normal) = linearise(views, &alone, masks, state, &Unknowns::NONE, Loss::Squared) else { continue };
+        let Some(block) = normal.blocks.first() else { continue };
+        let Some(cholesky) = block.pose.cholesky() else { continue };
+        let information = normal.shared - block.cross * cholesky.solve(&block.cross.transpose());
+        let gradient = normal.gradient - block.cross * cholesky.solve(&block.gradient);
+        seen += gradient.dot(&(covariance * gradient));
+        let share = covariance * information;
+        expected += variance * (share.trace() - (share * share).trace());
+    }
+    if expected > 0.0 && seen.is_finite() { seen / expected } else { 1.0 }
+}
+
 /// Information of the shared parameters with the poses eliminated (px^-2 for residuals of one pixel).
 pub fn reduced_information(
     views: &[View],
