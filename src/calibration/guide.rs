@@ -16,7 +16,7 @@
 //!
 //! Cost: a detection a frame, 2 to 15 ms; a millisecond or two a view. Not here: cameras, terminals, clocks.
 
-use nalgebra::Vector2;
+use nalgebra::{SMatrix, SVector, Vector2};
 
 use super::boards::{BoardView, Calibrated, solve};
 use super::chessboard::{Board, BoardCorner, Detector, Pattern, Sighting};
@@ -35,6 +35,8 @@ const PATIENCE_S: f64 = 10.0;
 const STILLER: f64 = 0.6;
 /// Frames further apart say nothing about movement, s.
 const MAX_GAP_S: f64 = 0.5;
+/// A board moves if that shows so many times more than its corners' noise does.
+const MOVES: f64 = 4.0;
 /// Distance of a new view from every other, picture widths.
 const NEW_WIDTHS: f64 = 0.06;
 /// Blur of a sharp board, one sigma, px at 640 px of width.
@@ -110,15 +112,34 @@ fn distance(a: &Board, b: &Board) -> f64 {
     if count == 0 { f64::INFINITY } else { sum / f64::from(count) }
 }
 
-/// How fast the corners of `board` move, px/s, by where they were `gap_s` earlier and later: `before` and `after`. Those that
-/// are not in both move like the mean of the others.
+/// How fast the corners of `board` move, px/s, by where they were `gap_s` earlier and later: `before` and `after`. A plane's flow is nearly
+/// a polynomial of second degree over it, which takes out most of the corners' noise. Empty: what is left is noise, or nobody knows.
 fn velocities(board: &Board, before: &Board, after: &Board, gap_s: f64) -> Vec<Vector2<f64>> {
-    let moved: Vec<Option<Vector2<f64>>> = (same_corners(board, before).into_iter().zip(same_corners(board, after)))
-        .map(|(from, to)| Some((to? - from?) / gap_s))
+    const TERMS: usize = 6;
+    let terms = |c: &BoardCorner| {
+        let (x, y) = (f64::from(c.column), f64::from(c.row));
+        SVector::<f64, TERMS>::from([1.0, x, y, x * x, x * y, y * y])
+    };
+    let pairs = same_corners(board, before).into_iter().zip(same_corners(board, after));
+    let moved: Vec<(SVector<f64, TERMS>, Vector2<f64>)> = (board.corners.iter().zip(pairs))
+        .filter_map(|(corner, (from, to))| Some((terms(corner), (to? - from?) / gap_s)))
         .collect();
-    let count = moved.iter().flatten().count().max(1) as f64;
-    let mean = moved.iter().flatten().sum::<Vector2<f64>>() / count;
-    moved.into_iter().map(|v| v.unwrap_or(mean)).collect()
+    if moved.len() < 2 * TERMS {
+        return Vec::new();
+    }
+    let (mut normal, mut right) = (SMatrix::<f64, TERMS, TERMS>::zeros(), SMatrix::<f64, TERMS, 2>::zeros());
+    for (t, v) in &moved {
+        normal += t * t.transpose();
+        right += t * v.transpose();
+    }
+    let Some(cholesky) = normal.cholesky() else { return Vec::new() };
+    let flow = cholesky.solve(&right);
+    let at = |t: &SVector<f64, TERMS>| flow.tr_mul(t);
+    let noise: f64 = moved.iter().map(|(t, v)| (v - at(t)).norm_squared()).sum();
+    let signal: f64 = moved.iter().map(|(t, _)| at(t).norm_squared()).sum();
+    // Noise alone leaves so much of itself in a fit of so many terms.
+    let left = noise * TERMS as f64 / (moved.len() - TERMS) as f64;
+    if signal <= MOVES * left { Vec::new() } else { board.corners.iter().map(|c| at(&terms(c))).collect() }
 }
 
 impl Guide {
