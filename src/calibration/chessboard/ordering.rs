@@ -22,6 +22,8 @@ const NEW_RIM_SHARE: f64 = 0.7;
 /// A rim beyond the pattern's size is there with so large a share of the corners that the picture can show, and at least two.
 const BEYOND_SHARE: f64 = 0.5;
 const MIN_BEYOND: usize = 4;
+/// Margin between bright and dark sectors of a new rim's corners, as a share of their neighbours': the median.
+const MIN_CLEARNESS: f64 = 0.4;
 /// Nearer to the picture's border a corner cannot be told, level pixels.
 const RIM_MARGIN_PX: f64 = 4.0;
 /// Share of the cells that a board needs.
@@ -285,20 +287,36 @@ fn complete(sheet: &mut Sheet, map: &SaddleMap, contrast: f64, pattern: &Pattern
 }
 
 /// The corners of the next rim on a side, if enough of them are there. Of one that `belongs` to the pattern all count; of one
-/// beyond it those that the picture can show, because a larger board reaches out of it more easily.
+/// beyond it those that the picture can show, because a larger board reaches out of it more easily. They must be about as clear as the
+/// corners beside them: where a board ends on something dark, its outer squares' ends look like faint corners.
 fn next_rim(sheet: &Sheet, map: &SaddleMap, contrast: f64, side: usize, belongs: bool) -> Option<Vec<Place>> {
     let inward = [(1, 0), (-1, 0), (0, 1), (0, -1)][side];
-    let (mut found, mut seen) = (Vec::new(), 0);
+    let (mut found, mut seen, mut clearness) = (Vec::new(), 0, Vec::new());
     for cell in sheet.rim(side, 1) {
-        let from = [(cell.0 + inward.0, cell.1 + inward.1)];
-        let Some((predicted, _)) = predict(sheet, cell, &from) else { continue };
+        let from = (cell.0 + inward.0, cell.1 + inward.1);
+        let Some((predicted, square)) = predict(sheet, cell, &[from]) else { continue };
         let inside = |at: f64, size: usize| at > RIM_MARGIN_PX && at < size as f64 - 1.0 - RIM_MARGIN_PX;
         seen += usize::from(inside(predicted.x, map.width) && inside(predicted.y, map.height));
-        found.extend(look(sheet, map, contrast, cell, &from).map(|at| (cell, at)));
+        let Some(at) = look(sheet, map, contrast, cell, &[from]) else { continue };
+        found.push((cell, at));
+        let clear = |at| {
+            let radius = ring_radius(square);
+            margin(map, at, radius, two_fold(map, at, radius)?.1).filter(|m| *m > 0.0)
+        };
+        if let Some(inner) = sheet.place(from).and_then(clear) {
+            clearness.push(clear(at).unwrap_or(0.0) / inner);
+        }
     }
     let (of, share) =
         if belongs { (sheet.rim(side, 1).len(), NEW_RIM_SHARE) } else { (seen.max(MIN_BEYOND), BEYOND_SHARE) };
-    (found.len() as f64 >= share * of as f64 && !found.is_empty()).then_some(found)
+    clearness.sort_by(f64::total_cmp);
+    let is_clear = clearness.get(clearness.len() / 2).is_none_or(|c| *c > MIN_CLEARNESS);
+    (found.len() as f64 >= share * of as f64 && !found.is_empty() && is_clear).then_some(found)
+}
+
+/// Radius of the circle that tells a corner where a square has the side `square`, level pixels.
+fn ring_radius(square: f64) -> f32 {
+    (0.3 * square).clamp(2.0, 4.0) as f32
 }
 
 fn fill_holes(sheet: &mut Sheet, map: &SaddleMap, contrast: f64) {
@@ -358,7 +376,7 @@ fn look(sheet: &Sheet, map: &SaddleMap, contrast: f64, cell: (i32, i32), from: &
         return None;
     }
     let at = map.peak(best.1, best.2);
-    let radius = (0.3 * side).clamp(2.0, 4.0) as f32;
+    let radius = ring_radius(side);
     let (amplitude, phase) = two_fold(map, at, radius)?;
     let agrees = (2.0 * (phase - bright)).cos() > 0.4;
     let clear = margin(map, at, radius, phase)? > MIN_MARGIN * contrast;
