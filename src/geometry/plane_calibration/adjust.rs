@@ -180,12 +180,13 @@ pub fn invert(matrix: &Matrix10, unknowns: &Unknowns) -> Option<Matrix10> {
     Some(Matrix10::from_fn(|r, c| if free[r] && free[c] { inverse[(r, c)] * scale[r] * scale[c] } else { 0.0 }))
 }
 
-/// How much more the views pull at the shared parameters than views of corners with independent errors of variance `variance` would: 1 if
-/// they are independent, more if corners of one view err together. `covariance`: of the shared parameters, for errors of one pixel.
+/// By how much the views pull each shared parameter farther apart than views of corners with independent errors would: shares of the
+/// standard deviation, at least 1. More than 1: corners of one view err together, or the lens is not quite of the model. `covariance`: of
+/// the shared parameters, for errors of `variance`.
 ///
-/// With g a view's gradient at the solution and I its information, poses eliminated, independent errors give
-/// `E[g gᵀ] = variance (I - I C I)`; both sides are compared in the measure C (a sandwich estimate over views, as in Liang & Zeger 1986,
-/// but of one number).
+/// With g a view's gradient at the solution and I its information, poses eliminated, C g is what it pulls, and independent errors
+/// give `E[g gᵀ] = I - I C I`, all in units of the variance (a sandwich estimate over views, Liang & Zeger 1986). Single parameters scatter too much for
+/// so few views, so focal lengths and centre have one factor, the lens's coefficients and the readout time another.
 pub fn scatter(
     views: &[View],
     used: &[bool],
@@ -193,20 +194,28 @@ pub fn scatter(
     state: &State,
     covariance: &Matrix10,
     variance: f64,
-) -> f64 {
-    let (mut seen, mut expected) = (0.0, 0.0);
+) -> Shared {
+    let unit = covariance / variance;
+    let group = |i: usize| usize::from(i >= 4);
+    let (mut seen, mut expected) = ([0.0; 2], [0.0; 2]);
     for k in (0..views.len()).filter(|k| used[*k]) {
         let alone: Vec<bool> = (0..views.len()).map(|n| n == k).collect();
         let Some(normal) = linearise(views, &alone, masks, state, &Unknowns::NONE, Loss::Squared) else { continue };
         let Some(block) = normal.blocks.first() else { continue };
         let Some(cholesky) = block.pose.cholesky() else { continue };
         let information = normal.shared - block.cross * cholesky.solve(&block.cross.transpose());
-        let gradient = normal.gradient - block.cross * cholesky.solve(&block.gradient);
-        seen += gradient.dot(&(covariance * gradient));
-        let share = covariance * information;
-        expected += variance * (share.trace() - (share * share).trace());
+        let pull = unit * (normal.gradient - block.cross * cholesky.solve(&block.gradient));
+        let share = unit * information;
+        let independent = (share - share * share) * unit;
+        for i in (0..SHARED).filter(|i| unit[(*i, *i)] > 0.0) {
+            seen[group(i)] += pull[i] * pull[i] / unit[(i, i)];
+            expected[group(i)] += variance * independent[(i, i)] / unit[(i, i)];
+        }
     }
-    if expected > 0.0 && seen.is_finite() { seen / expected } else { 1.0 }
+    Shared::from_fn(|i, _| {
+        let ratio = seen[group(i)] / expected[group(i)];
+        if ratio.is_finite() { ratio.max(1.0).sqrt() } else { 1.0 }
+    })
 }
 
 /// Information of the shared parameters with the poses eliminated (px^-2 for residuals of one pixel).

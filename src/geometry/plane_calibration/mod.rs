@@ -12,7 +12,7 @@
 //!   that all of them share, supposed to be zero within [`READOUT_SIGMA_S`]: views that hardly moved leave it there, and its uncertainty
 //!   is a part of everything else's.
 //! - Covariance: `s² H⁻¹` of the intrinsics with the poses eliminated, `s² = sum r² / (2 points - parameters)`, times how much more the views
-//!   pull in different directions than views of independent corners would ([`adjust::scatter`]; at least 1). It knows of noise, not of a
+//!   differ than views of independent corners would ([`adjust::scatter`]; at least 1). It knows of noise, not of a
 //!   bent board or of a lens that the model does not describe.
 //!
 //! Cost: 1 to 2 ms for 21 views of 96 points. Not here: finding the points; whether the views were enough (that is the
@@ -358,9 +358,9 @@ fn finish(
     let sigma2 = sum / freedom as f64;
     let used_masks: Vec<Vec<bool>> = solved.iter().map(|v| v.used_points.clone()).collect();
     let information = adjust::reduced_information(views, used, &used_masks, state, unknowns);
-    let all = adjust::invert(&information, unknowns).ok_or(PlaneCalibrationError::Degenerate)?;
-    let together = adjust::scatter(views, used, &used_masks, state, &all, sigma2).max(1.0);
-    let all = all * (sigma2 * together);
+    let all = adjust::invert(&information, unknowns).ok_or(PlaneCalibrationError::Degenerate)? * sigma2;
+    let wider = SMatrix::from_diagonal(&adjust::scatter(views, used, &used_masks, state, &all, sigma2.max(1e-30)));
+    let all = wider * all * wider;
     let covariance = all.fixed_view::<PARAMETERS, PARAMETERS>(0, 0).into_owned();
     let readout_variance = all[(PARAMETERS, PARAMETERS)].max(0.0);
     let readout = Readout { seconds: state.readout_s, sigma_s: readout_variance.sqrt() };
