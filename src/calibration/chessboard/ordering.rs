@@ -19,8 +19,7 @@ use super::{Pattern, SIDE_RANGE};
 const RIM_SHARE: f64 = 0.6;
 /// A rim that was predicted is taken if so large a share of it is there.
 const NEW_RIM_SHARE: f64 = 0.7;
-/// A rim beyond the pattern's size is there with so large a share of the corners that the picture can show, and at least two.
-const BEYOND_SHARE: f64 = 0.5;
+/// A rim beyond the pattern's size needs so many corners that the picture can show.
 const MIN_BEYOND: usize = 4;
 /// Margin between bright and dark sectors of a new rim's corners, as a share of their neighbours': the median.
 const MIN_CLEARNESS: f64 = 0.4;
@@ -68,6 +67,27 @@ impl Fit {
     /// Has the pattern's size (holes allowed).
     pub fn is_pattern(&self, pattern: &Pattern) -> bool {
         self.size() == (pattern.columns, pattern.rows)
+    }
+
+    /// The pattern could be a part of it, and it has more corners.
+    pub fn goes_beyond(&self, pattern: &Pattern) -> bool {
+        let [own, wanted] = [(self.columns, self.rows), (pattern.columns as usize, pattern.rows as usize)];
+        let [own, wanted] = [own, wanted].map(|(a, b)| sides(a, b));
+        own != wanted && own[0] >= wanted[0] && own[1] >= wanted[1] && self.found() > pattern.count()
+    }
+
+    /// Mean of the corners, level pixels.
+    pub fn middle(&self) -> Vector2<f64> {
+        self.places.iter().flatten().sum::<Vector2<f64>>() / self.found().max(1) as f64
+    }
+
+    /// Does a place lie among the corners, by their extent along the picture's axes?
+    pub fn surrounds(&self, at: &Vector2<f64>) -> bool {
+        let (mut low, mut high) = (Vector2::repeat(f64::INFINITY), Vector2::repeat(f64::NEG_INFINITY));
+        for place in self.places.iter().flatten() {
+            (low, high) = (low.inf(place), high.sup(place));
+        }
+        low.x < at.x && at.x < high.x && low.y < at.y && at.y < high.y
     }
 
     pub fn is_whole(&self, pattern: &Pattern) -> bool {
@@ -307,11 +327,10 @@ fn next_rim(sheet: &Sheet, map: &SaddleMap, contrast: f64, side: usize, belongs:
             clearness.push(clear(at).unwrap_or(0.0) / inner);
         }
     }
-    let (of, share) =
-        if belongs { (sheet.rim(side, 1).len(), NEW_RIM_SHARE) } else { (seen.max(MIN_BEYOND), BEYOND_SHARE) };
+    let of = if belongs { sheet.rim(side, 1).len() } else { seen.max(MIN_BEYOND) };
     clearness.sort_by(f64::total_cmp);
     let is_clear = clearness.get(clearness.len() / 2).is_none_or(|c| *c > MIN_CLEARNESS);
-    (found.len() as f64 >= share * of as f64 && !found.is_empty() && is_clear).then_some(found)
+    (found.len() as f64 >= NEW_RIM_SHARE * of as f64 && !found.is_empty() && is_clear).then_some(found)
 }
 
 /// Radius of the circle that tells a corner where a square has the side `square`, level pixels.

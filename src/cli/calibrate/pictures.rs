@@ -73,10 +73,13 @@ pub fn run(args: &CalibrateArgs, pattern: &Pattern) -> Result<ExitCode, CliError
             Sighting::Nothing => skip("no board seen"),
         }
     }
+    // The size that most of them have.
+    let count = |size: &(u32, u32)| other_sizes.iter().filter(|s| *s == size).count();
+    let other_size = other_sizes.iter().max_by_key(|size| (count(size), **size)).copied();
     line.clear();
     let summary = format!("{} of {} pictures show the board\n", views.len(), args.pictures.len());
     let Some(size) = size else {
-        let hint = match other_sizes.first() {
+        let hint = match other_size {
             Some((c, r)) => format!(
                 ": a board of {c}x{r} inner corners was seen, {}x{} was asked for (count the corners between the squares; or is a part of it hidden?)",
                 pattern.columns, pattern.rows
@@ -85,10 +88,10 @@ pub fn run(args: &CalibrateArgs, pattern: &Pattern) -> Result<ExitCode, CliError
         };
         return Err(CliError::new(exit_code::DATA, format!("no picture shows the board{hint}")));
     };
-    if let Some((c, r)) = other_sizes.first() {
-        // A part of a larger board has the size that was asked for, and is as good; but perhaps nobody meant it.
+    if let Some((c, r)) = other_size {
+        // Of a larger board a part may look like the one that was asked for; but perhaps nobody meant it.
         eprintln!(
-            "cairn: {} of {} pictures show a board of {c}x{r} inner corners, {}x{} was asked for: is `--pattern {c}x{r}` meant?",
+            "cairn: {} of {} pictures show a board of another size, {c}x{r} inner corners, {}x{} was asked for: is `--pattern {c}x{r}` meant?",
             other_sizes.len(),
             args.pictures.len(),
             pattern.columns,

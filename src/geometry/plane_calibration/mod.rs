@@ -196,6 +196,10 @@ pub fn calibrate(
         LensKind::RadialTangential => start(views, &homographies, size, &used, &masks)?,
         LensKind::KannalaBrandt => wide_start(views, size, &used, &masks)?,
     };
+    // The start had k1 and k2 to get near; what is not asked for is zero.
+    for (k, _) in state.intrinsics.iter_mut().zip(unknowns.intrinsics).filter(|(_, free)| !free) {
+        *k = 0.0;
+    }
     // Robust first: a bad view must not drag the others along.
     state = adjust::minimise(views, &used, &masks, state, &unknowns, Loss::Huber(1.0), 30).state;
 

@@ -409,3 +409,11 @@ fn a_shutter_that_bends_moving_boards_is_estimated_with_the_camera_and_deviation
     let (share, ..) = honesty(0.03, 20.0, true);
     assert!(share < 0.4, "seeds 5000..5060: {share}");
 }
+
+#[test]
+fn coefficients_that_are_not_asked_for_are_zero() {
+    for (distortion, from) in [(Distortion::None, 4), (Distortion::Radial, 6), (Distortion::RadialTangential, 8)] {
+        let solved = calibrate(&views(1, 12, 0.1), SIZE, distortion).expect("calibrated");
+        assert!(solved.intrinsics.iter().skip(from).all(|k| *k == 0.0), "{distortion:?}: {:?}", solved.intrinsics);
+    }
+}
