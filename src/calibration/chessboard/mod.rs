@@ -15,7 +15,7 @@
 //!
 //! Half resolution comes first, for half the noise and a quarter of the time; then full resolution for small boards, then
 //! a quarter and an eighth for blurred ones. The first level with the whole pattern ends the search. Without one, a larger grid on any
-//! level around the pattern's place makes it a board of another size.
+//! level is taken for the board that is shown, which then has another size.
 //!
 //! Corners that are hidden or washed out may be missing: a plane calibration needs no whole board. A grid that has the
 //! pattern's size but for these is the pattern.
@@ -117,12 +117,6 @@ impl Sighting {
     }
 }
 
-/// Level-0 pixel of a place on a pyramid level.
-fn base_pixel(at: Vector2<f64>, level: usize) -> Vector2<f64> {
-    let scale = f64::from(1u32 << level);
-    at.map(|v| (v + 0.5) * scale - 0.5)
-}
-
 /// Buffers that are kept between pictures.
 #[derive(Debug, Default)]
 pub struct Detector {
@@ -135,7 +129,7 @@ impl Detector {
     /// Looks for the pattern.
     pub fn detect(&mut self, picture: &GreyImage, pattern: &Pattern) -> Sighting {
         let mut best: Option<(Fit, usize)> = None;
-        let mut larger: Option<(Fit, usize)> = None;
+        let mut larger: Option<Fit> = None;
         self.halve_all(picture);
         for level in LEVELS {
             if level > self.levels.len() {
@@ -149,15 +143,15 @@ impl Detector {
             profile::find(&self.map, &mut self.corners);
             for grid in grid::grow_all(&self.corners, pattern) {
                 let Some(fit) = ordering::fit(grid, &self.map, &self.corners, pattern) else { continue };
-                if fit.goes_beyond(pattern) && larger.as_ref().is_none_or(|(l, _)| fit.found() > l.found()) {
-                    larger = Some((fit.clone(), level));
+                if fit.goes_beyond(pattern) && larger.as_ref().is_none_or(|l| fit.found() > l.found()) {
+                    larger = Some(fit.clone());
                 }
                 if fit.better_than(best.as_ref().map(|(fit, _)| fit), pattern) {
                     best = Some((fit, level));
                 }
             }
-            // A whole pattern ends the search, unless some of its corners were none: it may be a part of something else.
-            if let Some((fit, level)) = best.as_ref().filter(|(fit, _)| fit.is_whole(pattern))
+            // A whole pattern ends the search, unless it may be a part of something else.
+            if let Some((fit, level)) = best.as_ref().filter(|(fit, _)| fit.is_whole(pattern) && !fit.cut)
                 && let Some(board) = refine::refine(picture, fit, *level, pattern).filter(|board| board.complete)
             {
                 return Sighting::Board(board);
@@ -171,13 +165,10 @@ impl Detector {
             let (a, b) = fit.size();
             return Sighting::OtherSize(a.max(b), a.min(b));
         }
-        // A part of a larger board, the rest of which another level shows.
-        if let Some((whole, of)) = larger {
-            let middle = base_pixel(fit.middle(), level).map(|v| (v + 0.5) / f64::from(1u32 << of) - 0.5);
-            if whole.found() > fit.found() && whole.surrounds(&middle) {
-                let (a, b) = whole.size();
-                return Sighting::OtherSize(a.max(b), a.min(b));
-            }
+        // It is not whole, or may go on, and there is a larger board: that is the one that is shown.
+        if let Some(whole) = larger.filter(|whole| whole.found() > fit.found()) {
+            let (a, b) = whole.size();
+            return Sighting::OtherSize(a.max(b), a.min(b));
         }
         match refine::refine(picture, &fit, level, pattern) {
             Some(board) => Sighting::Board(board),

@@ -49,6 +49,8 @@ pub struct Fit {
     pub columns: usize,
     pub rows: usize,
     pub places: Vec<Option<Vector2<f64>>>,
+    /// A rim beyond the pattern was cut off that had corners: perhaps the board goes on there.
+    pub cut: bool,
 }
 
 impl Fit {
@@ -76,20 +78,6 @@ impl Fit {
         own != wanted && own[0] >= wanted[0] && own[1] >= wanted[1] && self.found() > pattern.count()
     }
 
-    /// Mean of the corners, level pixels.
-    pub fn middle(&self) -> Vector2<f64> {
-        self.places.iter().flatten().sum::<Vector2<f64>>() / self.found().max(1) as f64
-    }
-
-    /// Does a place lie among the corners, by their extent along the picture's axes?
-    pub fn surrounds(&self, at: &Vector2<f64>) -> bool {
-        let (mut low, mut high) = (Vector2::repeat(f64::INFINITY), Vector2::repeat(f64::NEG_INFINITY));
-        for place in self.places.iter().flatten() {
-            (low, high) = (low.inf(place), high.sup(place));
-        }
-        low.x < at.x && at.x < high.x && low.y < at.y && at.y < high.y
-    }
-
     pub fn is_whole(&self, pattern: &Pattern) -> bool {
         self.is_pattern(pattern) && self.found() == pattern.count()
     }
@@ -111,6 +99,8 @@ struct Sheet<'a> {
     extra: Vec<((i32, i32), Vector2<f64>)>,
     /// Cells whose corner does not stand in line with its neighbours.
     dropped: Vec<(i32, i32)>,
+    /// See [`Fit::cut`].
+    cut: bool,
 }
 
 impl Sheet<'_> {
@@ -166,7 +156,7 @@ impl Sheet<'_> {
 pub fn fit(grid: Grid, map: &SaddleMap, corners: &[XCorner], pattern: &Pattern) -> Option<Fit> {
     let low = (grid.filled.iter().map(|c| c.0).min()?, grid.filled.iter().map(|c| c.1).min()?);
     let high = (grid.filled.iter().map(|c| c.0).max()?, grid.filled.iter().map(|c| c.1).max()?);
-    let mut sheet = Sheet { low, high, grid: &grid, corners, extra: Vec::new(), dropped: Vec::new() };
+    let mut sheet = Sheet { low, high, grid: &grid, corners, extra: Vec::new(), dropped: Vec::new(), cut: false };
     trim(&mut sheet, pattern);
     straighten(&mut sheet);
     let contrast = {
@@ -219,7 +209,10 @@ fn trim(sheet: &mut Sheet, pattern: &Pattern) {
             .map(|side| (sheet.share(side), side))
             .min_by(|a, b| a.0.total_cmp(&b.0));
         match weakest {
-            Some((share, side)) if share < RIM_SHARE && size[side / 2] > 2 => sheet.move_side(side, -1),
+            Some((share, side)) if share < RIM_SHARE && size[side / 2] > 2 => {
+                sheet.cut |= axis_too_long(side / 2) && share * size[1 - side / 2] as f64 > 1.5;
+                sheet.move_side(side, -1);
+            }
             _ => return,
         }
     }
@@ -493,5 +486,5 @@ fn order(sheet: &Sheet, pattern: &Pattern) -> Option<Fit> {
     }
     let (_, _, _, cells) = best?;
     let places = cells.at.iter().map(|cell| cell.map(|(at, _)| at)).collect();
-    Some(Fit { columns: cells.columns, rows: cells.rows, places })
+    Some(Fit { columns: cells.columns, rows: cells.rows, places, cut: sheet.cut })
 }

@@ -11,7 +11,7 @@
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
 use super::ordering::{Fit, MAX_MISFIT, misfit};
-use super::{Board, BoardCorner, Pattern, base_pixel};
+use super::{Board, BoardCorner, Pattern};
 use crate::image::GreyImage;
 
 /// Radius of the window as a share of the square's side, and its bounds, pixels.
@@ -24,7 +24,8 @@ const SMALL_STEP: f64 = 2e-3;
 
 /// Refines every corner. `None`: fewer than three quarters of them hold.
 pub fn refine(picture: &GreyImage, fit: &Fit, level: usize, pattern: &Pattern) -> Option<Board> {
-    let base = |at: Vector2<f64>| base_pixel(at, level);
+    let scale = (1u32 << level) as f64;
+    let base = |at: Vector2<f64>| at.map(|v| (v + 0.5) * scale - 0.5);
     let mut corners = Vec::with_capacity(pattern.count());
     let (mut spacing_px, mut slope) = (f64::INFINITY, Vec::new());
     for row in 0..fit.rows {
