@@ -89,14 +89,19 @@ pub fn run(args: &CalibrateArgs, pattern: &Pattern) -> Result<ExitCode, CliError
         return Err(CliError::new(exit_code::DATA, format!("no picture shows the board{hint}")));
     };
     if let Some((c, r)) = other_size {
-        // Of a larger board a part may look like the one that was asked for; but perhaps nobody meant it.
-        eprintln!(
-            "cairn: {} of {} pictures show a board of another size, {c}x{r} inner corners, {}x{} was asked for: is `--pattern {c}x{r}` meant?",
-            other_sizes.len(),
+        let message = format!(
+            "{} of {} pictures show a board of {c}x{r} inner corners, {}x{} was asked for: is `--pattern {c}x{r}` meant?",
+            count(&(c, r)),
             args.pictures.len(),
             pattern.columns,
             pattern.rows
         );
+        // Where most show a larger board, the others show a part of it.
+        let fits = pattern.columns.max(pattern.rows) <= c && pattern.columns.min(pattern.rows) <= r;
+        if fits && count(&(c, r)) > views.len() {
+            return Err(CliError::new(exit_code::DATA, message));
+        }
+        eprintln!("cairn: {message}");
     }
     let calibrated = solve(&views, pattern, size, args.distortion.into())
         .map_err(|e| CliError::new(exit_code::DATA, format!("{}{e}", summary)))?;
