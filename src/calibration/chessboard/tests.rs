@@ -182,8 +182,11 @@ fn another_size_is_named_and_no_board_is_none() {
     }
 }
 
-/// Name, size and pictures of the recorded sets that are here.
-fn recorded_sets() -> Vec<(&'static str, (u32, u32), Vec<(String, GreyImage)>)> {
+/// Name, size, and pictures with their names.
+type RecordedSet = (&'static str, (u32, u32), Vec<(String, GreyImage)>);
+
+/// The recorded sets that are here.
+fn recorded_sets() -> Vec<RecordedSet> {
     let root = std::env::var_os("CAIRN_DATA").map_or_else(
         || std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"),
         std::path::PathBuf::from,
