@@ -84,7 +84,7 @@ pub fn residuals(view: &View, state: &State, index: usize) -> Vec<Vector2<f64>> 
 
 fn residual(view: &View, state: &State, index: usize, point: usize) -> Option<Vector2<f64>> {
     let pixel = state.lens.project(&state.intrinsics, &camera_point(&state.poses[index], &view.plane[point]))?;
-    Some(view.pixels[point] - pixel - view.shear(point) * state.readout_s)
+    Some(view.pixels[point] - pixel - view.shear_of(point) * state.readout_s)
 }
 
 /// Root mean square distance of a view's points, pixels.
@@ -141,7 +141,7 @@ fn linearise(
         for point in (0..view.pixels.len()).filter(|n| masks[index][*n]) {
             let p = camera_point(&state.poses[index], &view.plane[point]);
             let (pixel, du, dp) = state.lens.project_jacobian(&state.intrinsics, &p)?;
-            let shear = view.shear(point);
+            let shear = view.shear_of(point);
             let r = view.pixels[point] - pixel - shear * state.readout_s;
             let (_, weight) = loss.evaluate(r.norm_squared());
             for axis in 0..2 {

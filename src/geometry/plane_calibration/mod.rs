@@ -57,7 +57,7 @@ pub struct View {
 }
 
 impl View {
-    fn shear(&self, point: usize) -> Vector2<f64> {
+    fn shear_of(&self, point: usize) -> Vector2<f64> {
         self.shear.get(point).copied().unwrap_or_default()
     }
 }
