@@ -11,6 +11,7 @@ mod attributes;
 mod descriptors;
 mod flow;
 pub(in crate::features) mod nearest;
+mod places;
 mod point_grid;
 
 use nalgebra::Vector2;
@@ -18,6 +19,7 @@ use nalgebra::Vector2;
 pub use attributes::{AttributeMatching, match_attributes, match_attributes_within};
 pub use descriptors::{DescriptorMatcher, DescriptorMatching};
 pub use flow::{FlowMatching, match_flow};
+pub use places::{Comparable, Place, PlaceMatching, match_places};
 pub use point_grid::PointGrid;
 
 /// Two corners that are taken for the same.

@@ -341,7 +341,7 @@ impl Chain {
         let both = [&out.corners[0], &out.corners[1]];
         let rule = Guidance { band_px: 2.0 * LINE_SIGMAS * options.sigma_px, ..Guidance::default() };
         let mut found = match options.matching.matcher {
-            Matcher::Descriptors => match_along_lines(both, [&ideal[0], &ideal[1]], &f, &rule),
+            Matcher::Descriptors | Matcher::Gradients => match_along_lines(both, [&ideal[0], &ideal[1]], &f, &rule),
             _ => Vec::new(),
         };
         align_pairs(both[0], both[1], &mut found);
