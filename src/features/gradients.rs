@@ -21,12 +21,12 @@ pub const NUMBERS: usize = CELLS * CELLS * DIRECTIONS;
 const CELLS: usize = 4;
 /// Directions of a cell's histogram.
 const DIRECTIONS: usize = 8;
-/// Side of a cell, pixels: three sigma of the smoothing (Lowe).
-const CELL_PX: f32 = 4.8;
+/// Side of a cell, pixels. Lowe's is three sigma of the smoothing, 4.8; between that and 6 it makes little difference.
+const CELL_PX: f32 = 6.0;
 /// Half the patch's diagonal with half a cell around it, pixels.
-const RADIUS: i32 = 17;
+const RADIUS: i32 = 21;
 /// Positions nearer to the edge than this many pixels have no descriptor. Only the very corners of a turned patch may be cut off.
-pub const BORDER: usize = 13;
+pub const BORDER: usize = 16;
 /// One sigma of the smoothing, pixels.
 const SMOOTHING_PX: f32 = 1.6;
 /// Bins of the histogram that gives the patch its direction.

@@ -357,8 +357,21 @@ impl Estimator for Parallax<'_> {
         None
     }
 
+    /// A match beside the plane need not be a stranger: it may be on the plane and placed badly. Displaced by d in any direction, it
+    /// is within T of a given line through its true place with the chance `2/pi asin(T/d)`, for a small d far above a stranger's. The tail
+    /// of unequal chances is below that of their mean (Hoeffding, 1956).
     fn chance(&self, threshold: f64) -> f64 {
-        self.problem.chance(threshold)
+        let stranger = self.problem.chance(threshold);
+        // A Sampson distance shares the error out between both pictures.
+        let across = std::f64::consts::SQRT_2 * threshold;
+        let displaced = |&i: &usize| {
+            let (x1, x2) = self.problem.at(i);
+            let distance = (apply(&self.plane.forward, &x1) - x2).norm();
+            let share = if distance > across { (across / distance).asin() * std::f64::consts::FRAC_2_PI } else { 1.0 };
+            share.max(stranger)
+        };
+        let sum: f64 = self.beside.iter().map(displaced).sum();
+        if self.beside.is_empty() { stranger } else { sum / self.beside.len() as f64 }
     }
 }
 

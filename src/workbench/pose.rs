@@ -162,7 +162,7 @@ const GUESSES: u64 = 8;
 /// The motion that fits best, however badly, of those that leave the pictures a common view (the judge's limit for a turn). No better
 /// than chance where the judge found nothing: only for comparisons with programs that always answer.
 fn guess(input: &PoseInput, options: &EssentialOptions, max_rotation_rad: f64) -> Option<Se3<Second, First>> {
-    [1.0, 2.0, 4.0].iter().find_map(|wider| {
+    [1.0, 2.0, 4.0, 8.0].iter().find_map(|wider| {
         let threshold = wider * options.ransac.threshold;
         let mut best: Option<(f64, Se3<Second, First>)> = None;
         for draw in 0..GUESSES {
