@@ -128,19 +128,24 @@ pub fn pose_steps(input: &PoseInput) -> PoseSteps {
 
     let judge = TwoViewOptions { seed: input.seed, ..TwoViewOptions::single_pair(input.sigma_px, focal) };
     let judged = reconstruct_two_views(input.x1, input.x2, &judge);
+    let mut width = threshold;
     let (accepted, other) = match &judged {
         Ok(found) => (Some(found.second_from_first), None),
         Err(TwoViewFailure::Ambiguous { best, runner_up }) => {
             (Some(best.second_from_first), Some(runner_up.second_from_first))
         }
-        Err(_) => (input.always_answer.then(|| guess(input, &options, judge.max_rotation_rad)).flatten(), None),
+        Err(_) => {
+            let guessed = input.always_answer.then(|| guess(input, &options, judge.max_rotation_rad)).flatten();
+            width = guessed.map_or(width, |g| g.1);
+            (guessed.map(|g| g.0), None)
+        }
     };
     let solution = accepted.and_then(|motion| {
         let mut motions = vec![("judge", motion)];
         for (name, four) in [("five points", &five_point), ("F and K", &from_fundamental)] {
             motions.extend(four.as_ref().map(|f| (name, f.candidates[f.winner()])));
         }
-        solve(input, &motions, threshold)
+        solve(input, &motions, width)
     });
     PoseSteps {
         singular_values: scaled.and_then(|e| {
@@ -161,8 +166,8 @@ const GUESSES: u64 = 8;
 
 /// The motion that fits best, however badly, of those that leave the pictures a common view (the judge's limit for a turn). No better
 /// than chance where the judge found nothing: only for comparisons with programs that always answer.
-fn guess(input: &PoseInput, options: &EssentialOptions, max_rotation_rad: f64) -> Option<Se3<Second, First>> {
-    [1.0, 2.0, 4.0, 8.0].iter().find_map(|wider| {
+fn guess(input: &PoseInput, options: &EssentialOptions, max_rotation_rad: f64) -> Option<(Se3<Second, First>, f64)> {
+    [1.0, 2.0, 4.0, 8.0, 16.0, 32.0].iter().find_map(|wider| {
         let threshold = wider * options.ransac.threshold;
         let mut best: Option<(f64, Se3<Second, First>)> = None;
         for draw in 0..GUESSES {
@@ -182,7 +187,7 @@ fn guess(input: &PoseInput, options: &EssentialOptions, max_rotation_rad: f64) -
                 }
             }
         }
-        best.map(|(_, motion)| motion)
+        best.map(|(_, motion)| (motion, threshold))
     })
 }
 

@@ -14,7 +14,7 @@ fn texture(seed: u64) -> impl Fn(f32, f32) -> f32 {
     let mut random = Random::new(seed);
     let waves: Vec<[f32; 4]> = (0..25)
         .map(|_| {
-            let (length, angle) = (random.uniform(9.0, 40.0) as f32, random.uniform(0.0, 6.283) as f32);
+            let (length, angle) = (random.uniform(9.0, 40.0) as f32, random.uniform(0.0, 1.0) as f32 * TAU);
             let k = TAU / length;
             [k * angle.cos(), k * angle.sin(), random.uniform(0.0, 6.3) as f32, random.uniform(4.0, 14.0) as f32]
         })
