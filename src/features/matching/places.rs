@@ -133,12 +133,12 @@ mod tests {
         let mut random = Random::new(7);
         let truth: Vec<GradientDescriptor> = (0..40).map(|_| stranger(&mut random)).collect();
         let at = |i: usize, size_px: f32| Place { at: [30.0 * i as f32, 100.0], size_px };
-        let both: Vec<_> = truth.iter().map(|d| moved(d, 4)).chain(truth.iter().map(|d| moved(d, 5))).collect();
+        let both: Vec<_> = truth.iter().map(|d| moved(d, 10)).chain(truth.iter().map(|d| moved(d, 11))).collect();
         let places: Vec<Place> = (0..40).map(|i| at(i, 1.0)).chain((0..40).map(|i| at(i, 1.2))).collect();
         let rule = PlaceMatching::default();
         let found = match_places((&both, &places), (&truth, &places[..40]), &rule);
         assert_eq!(found.len(), 40, "seed 7");
-        assert!(found.iter().all(|m| m.first == m.second && m.distance < 0.1), "{found:?}");
+        assert!(found.iter().all(|m| m.first == m.second && m.distance < 0.3), "{found:?}");
         // The same at another place: neither is clear.
         let far: Vec<Place> = (0..40).map(|i| at(i, 1.0)).chain((0..40).map(|i| at(i + 100, 1.0))).collect();
         assert!(match_places((&both, &far), (&truth, &places[..40]), &rule).is_empty());
