@@ -1,4 +1,4 @@
-//! Which point of one picture is which of another: by descriptors, by attributes, by optical flow.
+//! Which point of one picture is which of another: by descriptors of two kinds, by attributes, by optical flow.
 //!
 //! Purpose: the matchers of two views, relocalisation and loops. Each is a file of its own; correlation, the study's other
 //! way, is [`correlation`](super::correlation).
@@ -11,6 +11,7 @@ mod attributes;
 mod descriptors;
 mod flow;
 pub(in crate::features) mod nearest;
+mod places;
 mod point_grid;
 
 use nalgebra::Vector2;
@@ -18,6 +19,7 @@ use nalgebra::Vector2;
 pub use attributes::{AttributeMatching, match_attributes, match_attributes_within};
 pub use descriptors::{DescriptorMatcher, DescriptorMatching};
 pub use flow::{FlowMatching, match_flow};
+pub use places::{Place, PlaceMatching, match_places};
 pub use point_grid::PointGrid;
 
 /// Two corners that are taken for the same.
@@ -27,7 +29,7 @@ pub struct Match {
     pub first: u32,
     /// Index among the second picture's.
     pub second: u32,
-    /// How unlike they are: bits for descriptors, 0..1 of the thresholds for attributes, 1 - NCC for correlation.
+    /// How unlike they are: bits for binary descriptors, a share of their length for histograms of gradients, 0..1 of the thresholds for attributes, 1 - NCC for correlation.
     pub distance: f32,
 }
 

@@ -7,6 +7,7 @@ pub mod correlation;
 pub mod descriptor;
 mod dispatch;
 pub mod fast;
+pub mod gradients;
 pub mod matching;
 pub mod optical_flow;
 pub mod patch_sampling;

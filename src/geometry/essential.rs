@@ -128,13 +128,18 @@ pub fn cheirality_votes(
 
 /// A motion with a unit translation as the refinement moves it: left rotation, then the translation on its sphere.
 #[derive(Debug, Clone, Copy)]
-struct Motion {
+pub(super) struct Motion {
     rotation: UnitQuaternion<f64>,
     translation: Vector3<f64>,
 }
 
 impl Motion {
-    fn essential(&self) -> Matrix3<f64> {
+    /// `None` without a translation.
+    pub(super) fn new(motion: &Se3<Second, First>) -> Option<Self> {
+        Some(Self { rotation: motion.rotation, translation: motion.translation.try_normalize(0.0)? })
+    }
+
+    pub(super) fn essential(&self) -> Matrix3<f64> {
         skew(&self.translation) * self.rotation.to_rotation_matrix().matrix()
     }
 
@@ -147,8 +152,17 @@ impl Motion {
         [a, t.cross(&a)]
     }
 
+    /// Moved by the five parameters.
+    pub(super) fn moved(&self, delta: &SVector<f64, 5>) -> Self {
+        let turn = UnitQuaternion::from_scaled_axis(delta.fixed_rows::<3>(0).into_owned());
+        let mut rotation = turn * self.rotation;
+        rotation.renormalize_fast();
+        let [a, b] = self.tangent();
+        Self { rotation, translation: (self.translation + a * delta[3] + b * delta[4]).normalize() }
+    }
+
     /// dE by the five parameters, column by column of E.
-    fn directions(&self) -> SMatrix<f64, 9, 5> {
+    pub(super) fn directions(&self) -> SMatrix<f64, 9, 5> {
         let r = *self.rotation.to_rotation_matrix().matrix();
         let t = skew(&self.translation);
         let mut d = SMatrix::<f64, 9, 5>::zeros();
@@ -180,11 +194,7 @@ impl<I: Iterator<Item = (Vector2<f64>, Vector2<f64>)> + Clone> LeastSquares<5> f
     }
 
     fn step(&self, motion: &Motion, delta: &SVector<f64, 5>) -> Motion {
-        let turn = UnitQuaternion::from_scaled_axis(delta.fixed_rows::<3>(0).into_owned());
-        let mut rotation = turn * motion.rotation;
-        rotation.renormalize_fast();
-        let [a, b] = motion.tangent();
-        Motion { rotation, translation: (motion.translation + a * delta[3] + b * delta[4]).normalize() }
+        motion.moved(delta)
     }
 }
 
@@ -195,9 +205,7 @@ pub fn refine_motion(
     loss: Loss,
     options: &LmOptions,
 ) -> Option<Se3<Second, First>> {
-    let translation = start.translation.try_normalize(0.0)?;
-    let start = Motion { rotation: start.rotation, translation };
-    let (motion, _) = minimise(&MotionProblem { matches, loss }, start, options);
+    let (motion, _) = minimise(&MotionProblem { matches, loss }, Motion::new(start)?, options);
     let refined = Se3::new(motion.rotation, motion.translation);
     refined.is_finite().then_some(refined)
 }

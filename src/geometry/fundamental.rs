@@ -268,9 +268,9 @@ pub fn estimate_fundamental(
     let mut model = found.model;
     let plane = dominant_plane(&problem, &options, &workspace);
     // What fixes the epipole when a plane holds most matches: the matches beside it.
-    let mut epipole_fixed = true;
+    let mut epipole = Epipole::Sure;
     if let Some(h) = &plane {
-        epipole_fixed = plane_and_parallax(&problem, &options, h, &mut model);
+        epipole = plane_and_parallax(&problem, &options, h, &mut model);
         ransac::judge(&problem, &model, &options, &mut workspace)?;
     }
     let mut near = Vec::new();
@@ -287,7 +287,7 @@ pub fn estimate_fundamental(
     }
     let degeneracy = match plane {
         None => Degeneracy::None,
-        Some(h) => describe(&problem, &conditioning, &h, epipole_fixed, inliers, threshold),
+        Some(h) => describe(&problem, &conditioning, &h, epipole, inliers, threshold),
     };
     Some(FundamentalEstimate {
         fundamental: uncondition(&model, &conditioning)?,
@@ -325,6 +325,16 @@ struct Parallax<'a> {
     problem: &'a Problem,
     plane: &'a TwoWay,
     beside: Vec<usize>,
+    /// Suppose that matches beside the plane are on it and placed badly, not strangers.
+    misplaced: bool,
+}
+
+impl Parallax<'_> {
+    /// How far a match is from where the plane puts it, in the second picture.
+    fn displacement(&self, i: usize) -> f64 {
+        let (x1, x2) = self.problem.at(i);
+        (apply(&self.plane.forward, &x1) - x2).norm()
+    }
 }
 
 impl Estimator for Parallax<'_> {
@@ -357,25 +367,57 @@ impl Estimator for Parallax<'_> {
         None
     }
 
+    /// A match beside the plane need not be a stranger: it may be on the plane and placed badly. Displaced by d in any direction, it
+    /// is within T of a given line through its true place with the chance `2/pi asin(T/d)`, for a small d far above a stranger's. The tail
+    /// of unequal chances is below that of their mean (Hoeffding, 1956).
     fn chance(&self, threshold: f64) -> f64 {
-        self.problem.chance(threshold)
+        let stranger = self.problem.chance(threshold);
+        if !self.misplaced {
+            return stranger;
+        }
+        // A Sampson distance shares the error out between both pictures.
+        let across = std::f64::consts::SQRT_2 * threshold;
+        let displaced = |&i: &usize| {
+            let distance = self.displacement(i);
+            let share = if distance > across { (across / distance).asin() * std::f64::consts::FRAC_2_PI } else { 1.0 };
+            share.max(stranger)
+        };
+        let sum: f64 = self.beside.iter().map(displaced).sum();
+        if self.beside.is_empty() { stranger } else { sum / self.beside.len() as f64 }
     }
 }
 
 /// Replaces F by one that shares the plane's homography when that explains more of the matches beside the plane: those
-/// on it fit every such F, and say nothing. Returns whether the matches beside the plane fix the epipole, beyond chance.
-fn plane_and_parallax(problem: &Problem, options: &RansacOptions, h: &TwoWay, model: &mut Matrix3<f64>) -> bool {
+/// on it fit every such F, and say nothing. Returns whether the matches beside the plane fix the epipole.
+fn plane_and_parallax(problem: &Problem, options: &RansacOptions, h: &TwoWay, model: &mut Matrix3<f64>) -> Epipole {
     let beside = (0..problem.data_count()).filter(|&i| !on_plane(problem, h, i, options.threshold)).collect();
-    let parallax = Parallax { problem, plane: h, beside };
+    let parallax = Parallax { problem, plane: h, beside, misplaced: false };
     let options = RansacOptions { max_iterations: options.max_iterations.min(1000), ..*options };
     let mut workspace = Workspace::default();
-    let Some(found) = ransac::estimate(&parallax, &options, &mut workspace) else {
-        return ransac::judge(&parallax, model, &options, &mut workspace).is_some();
-    };
-    if ransac::score(&parallax, model, options.threshold, found.score).is_none() {
-        *model = found.model;
+    if let Some(found) = ransac::estimate(&parallax, &options, &mut workspace) {
+        if ransac::score(&parallax, model, options.threshold, found.score).is_none() {
+            *model = found.model;
+        }
+    } else if ransac::judge(&parallax, model, &options, &mut workspace).is_none() {
+        return Epipole::Open;
     }
-    true
+    // Those near the plane agree by chance so often that they can hide what the farther ones say.
+    let sure = [1.0, 3.0, 6.0].iter().any(|cut| {
+        let far = |&i: &usize| parallax.displacement(i) > cut * options.threshold;
+        let beside = parallax.beside.iter().copied().filter(far).collect();
+        let misplaced = Parallax { problem, plane: h, beside, misplaced: true };
+        ransac::judge(&misplaced, model, &options, &mut workspace).is_some()
+    });
+    if sure { Epipole::Sure } else { Epipole::UnlessTurned }
+}
+
+/// What the matches beside a plane say of the epipole.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Epipole {
+    Open,
+    /// Fixed, unless the camera only turned and these matches are placed badly.
+    UnlessTurned,
+    Sure,
 }
 
 /// Names the degeneracy of a scene whose plane `h` holds most of the inliers.
@@ -383,7 +425,7 @@ fn describe(
     problem: &Problem,
     conditioning: &Conditioning,
     h: &TwoWay,
-    epipole_fixed: bool,
+    epipole: Epipole,
     inliers: &[usize],
     threshold: f64,
 ) -> Degeneracy {
@@ -391,13 +433,6 @@ fn describe(
     let raw =
         conditioning.matrix2().try_inverse().unwrap_or_else(Matrix3::identity) * h.forward * conditioning.matrix1();
     let homography = raw / raw.norm();
-    if epipole_fixed {
-        return if 2 * on_plane > inliers.len() {
-            Degeneracy::DominantPlane { homography, on_plane }
-        } else {
-            Degeneracy::None
-        };
-    }
     let raw_matches: Vec<_> = inliers
         .iter()
         .map(|&i| {
@@ -405,10 +440,18 @@ fn describe(
             (x1 / conditioning.scale + conditioning.centroid1, x2 / conditioning.scale + conditioning.centroid2)
         })
         .collect();
-    if explained_by_rotation(&raw_matches, &homography, threshold / conditioning.scale) {
-        Degeneracy::PureRotation { homography, on_plane }
-    } else {
-        Degeneracy::Plane { homography, on_plane }
+    let told = |fixed: bool| match fixed {
+        true if 2 * on_plane > inliers.len() => Degeneracy::DominantPlane { homography, on_plane },
+        true => Degeneracy::None,
+        false => Degeneracy::Plane { homography, on_plane },
+    };
+    match epipole {
+        Epipole::Sure => told(true),
+        _ if explained_by_rotation(&raw_matches, &homography, threshold / conditioning.scale) => {
+            Degeneracy::PureRotation { homography, on_plane }
+        }
+        Epipole::UnlessTurned => told(true),
+        Epipole::Open => told(false),
     }
 }
 

@@ -19,6 +19,7 @@ pub mod homography_decomposition;
 pub mod least_squares;
 pub mod lens_model;
 pub mod null_space;
+pub mod one_camera;
 pub mod p3p;
 pub mod plane_calibration;
 pub mod pnp;

@@ -23,8 +23,9 @@ use crate::geometry::{Se3, essential::essential_of};
 
 /// Trials at the most.
 const MAX_ITERATIONS: usize = 50;
-/// Beyond this many sigma a residual's weight falls.
-const HUBER: f64 = 2.0;
+/// Falls off beyond two sigma, towards nothing: matches of what is no longer the same corner (an edge behind something nearer) are off by
+/// many times the noise of the good ones and all to one side, and with a weight that only falls as 1 / r (Huber) they pull.
+const LOSS: Loss = Loss::Cauchy(2.0);
 
 /// A point as both pictures saw it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -115,7 +116,7 @@ impl Problem<'_> {
         let one = |i: usize| {
             let [a, b] = self.errors(state, i)?;
             let [sa, sb] = self.observations[i].sigma_px;
-            Some(Loss::Huber(HUBER).evaluate(a.norm_squared() / (sa * sa) + b.norm_squared() / (sb * sb)).0)
+            Some(LOSS.evaluate(a.norm_squared() / (sa * sa) + b.norm_squared() / (sb * sb)).0)
         };
         (0..state.points.len()).map(|i| one(i).unwrap_or(f64::INFINITY)).sum()
     }
@@ -153,7 +154,7 @@ fn reduce(problem: &Problem, state: &State, damping: f64) -> Option<Reduced> {
     for i in 0..state.points.len() {
         let l = problem.linearise(state, i)?;
         let squared = l.residual[0].norm_squared() + l.residual[1].norm_squared();
-        let (_, weight) = Loss::Huber(HUBER).evaluate(squared);
+        let (_, weight) = LOSS.evaluate(squared);
         own += l.motion.transpose() * l.motion * weight;
         gradient += l.motion.transpose() * l.residual[1] * weight;
         let mut block = (l.point[0].transpose() * l.point[0] + l.point[1].transpose() * l.point[1]) * weight;

@@ -14,8 +14,9 @@ use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
 use crate::image::GreyImage;
 
-/// Half the side of the patch, pixels. Small: a corner is often where something nearer ends, and what lies behind it moves otherwise
-/// (on a pair with known disparity 17x17 pixels tilted the epipolar lines three times as much as 11x11).
+/// Half the side of the patch, pixels. A corner is often where something nearer ends, and what lies behind it moves otherwise, so small;
+/// more pixels have less noise, so large. Direction of the motion on rendered pairs with exact truth, 8 frames apart (four ways, 20 pairs,
+/// median): past parked cars 0.15, 0.14, 0.12, 0.10 and 0.10 degrees with 3, 4, 5, 6 and 8; in a cluttered room 0.54, 0.64, 0.57, 0.60 and 0.68.
 const RADIUS: i32 = 5;
 const SIDE: usize = 2 * RADIUS as usize + 1;
 /// One sigma of the window, as a share of the radius.

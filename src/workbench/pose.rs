@@ -133,15 +133,18 @@ pub fn pose_steps(input: &PoseInput) -> PoseSteps {
         Err(TwoViewFailure::Ambiguous { best, runner_up }) => {
             (Some(best.second_from_first), Some(runner_up.second_from_first))
         }
-        Err(_) => (input.always_answer.then(|| guess(input, &options)).flatten(), None),
+        Err(_) => (None, None),
     };
-    let solution = accepted.and_then(|motion| {
-        let mut motions = vec![("judge", motion)];
-        for (name, four) in [("five points", &five_point), ("F and K", &from_fundamental)] {
-            motions.extend(four.as_ref().map(|f| (name, f.candidates[f.winner()])));
+    let solution = match accepted {
+        Some(motion) => {
+            let mut motions = vec![("judge", motion)];
+            for (name, four) in [("five points", &five_point), ("F and K", &from_fundamental)] {
+                motions.extend(four.as_ref().map(|f| (name, f.candidates[f.winner()])));
+            }
+            solve(input, &motions, threshold)
         }
-        solve(input, &motions, threshold)
-    });
+        None => input.always_answer.then(|| guess(input, &options, judge.max_rotation_rad)).flatten(),
+    };
     PoseSteps {
         singular_values: scaled.and_then(|e| {
             let s = e.try_svd(false, false, f64::EPSILON, 200)?.singular_values;
@@ -156,13 +159,36 @@ pub fn pose_steps(input: &PoseInput) -> PoseSteps {
     }
 }
 
-/// The motion that fits best, however badly. No better than chance where the judge found nothing: only for comparisons with
-/// programs that always answer.
-fn guess(input: &PoseInput, options: &EssentialOptions) -> Option<Se3<Second, First>> {
-    [1.0, 2.0, 4.0].iter().find_map(|wider| {
+/// Draws of [`guess`] at each width of the threshold.
+const GUESSES: u64 = 8;
+
+/// The motion that fits best, however badly, of those that leave the pictures a common view (the judge's limit for a turn), or else
+/// of all. No better than chance where the judge found nothing: only for comparisons with programs that always answer.
+fn guess(input: &PoseInput, options: &EssentialOptions, max_rotation_rad: f64) -> Option<Solution> {
+    let widths = [1.0, 2.0, 4.0, 8.0];
+    let ways =
+        [max_rotation_rad, std::f64::consts::PI].into_iter().flat_map(|limit| widths.map(|wider| (limit, wider)));
+    ways.into_iter().find_map(|(limit, wider)| {
         let threshold = wider * options.ransac.threshold;
-        let ransac = RansacOptions { max_log10_false_alarms: f64::INFINITY, threshold, ..options.ransac };
-        estimate_essential(input.x1, input.x2, &EssentialOptions { ransac, ..*options }).map(|e| e.second_from_first)
+        let mut best: Option<(f64, Se3<Second, First>)> = None;
+        for draw in 0..GUESSES {
+            let ransac = RansacOptions {
+                max_log10_false_alarms: f64::INFINITY,
+                max_iterations: options.ransac.max_iterations / GUESSES as usize,
+                seed: input.seed.wrapping_add(draw),
+                threshold,
+                ..options.ransac
+            };
+            let found = estimate_essential(input.x1, input.x2, &EssentialOptions { ransac, ..*options });
+            let Some(parts) = found.and_then(|e| decompose(&e.essential)) else { continue };
+            for motion in parts.candidates.into_iter().filter(|m| m.rotation.angle() <= limit) {
+                let support = agreement(input, &motion, threshold).1;
+                if best.is_none_or(|(most, _)| support > most) {
+                    best = Some((support, motion));
+                }
+            }
+        }
+        solve(input, &[("guess", best?.1)], threshold)
     })
 }
 

@@ -204,6 +204,7 @@ pub fn document(result: &TwoView, pictures: [&str; 2], sizes: [(usize, usize); 2
             "log10_false_alarms": finite(e.estimate.log10_false_alarms),
             "median_residual_px": finite(e.median_px),
             "noise_sigma_px": finite(e.noise_px),
+            "one_camera": e.one_camera,
             "degeneracy": degeneracy(&e.estimate.degeneracy),
         })),
         "pose": result.pose.as_ref().map(pose),

@@ -7,6 +7,8 @@
 //! A guided round matches again along the lines of the first F, and estimates F once more from the union.
 //! Every random draw comes from one seed: the same input gives the same numbers (times aside).
 //!
+//! Without cameras, F is that of one camera (eq. 6's assumption) with its centre in the middle wherever the matches do not speak against it.
+//!
 //! Cost: 50 to 500 ms for 640x480. Deliberately not here: reading files, drawing, printing.
 
 use std::time::Instant;
@@ -20,9 +22,10 @@ use super::pairing::{Matcher, Matching, Pair, align_pairs, pair_corners, polish_
 use super::pose::{LINE_SIGMAS, PoseInput, PoseSteps, median, noise, pose_steps};
 use crate::geometry::LensModel;
 use crate::geometry::camera_model::CameraModel;
-use crate::geometry::epipolar::sampson_squared;
+use crate::geometry::epipolar::{sampson_cost, sampson_squared};
 use crate::geometry::fundamental::{Degeneracy, FundamentalEstimate, estimate_fundamental, refine_fundamental};
 use crate::geometry::least_squares::{LmOptions, Loss};
+use crate::geometry::one_camera::one_camera_fundamental;
 use crate::geometry::point_set::Conditioning;
 use crate::geometry::ransac::RansacOptions;
 use crate::geometry::two_view::TwoViewFailure;
@@ -32,6 +35,8 @@ use crate::image::GreyImage;
 pub const MIN_MATCHES: usize = 8;
 /// No match is placed better than this, pixels.
 const MIN_NOISE_PX: f64 = 0.03;
+/// 95 % point of chi-square with one degree of freedom.
+const CHI2_ONE: f64 = 3.84;
 /// Once the noise is known, an inlier lies within so many sigma of it.
 const INLIER_SIGMAS: f64 = 3.5;
 
@@ -74,7 +79,7 @@ pub enum Outcome {
     NoModel { matches: usize },
     /// A homography explains the matches and no camera says more: F is one of many.
     Plane { on_plane: usize },
-    /// A rotation explains the matches: the camera turned and did not move. Without a camera, a guess by usual lenses.
+    /// A rotation explains the matches: the camera turned and did not move. Without a camera: or it saw a plane, moving just so.
     PureRotation { angle_deg: Option<f64> },
     /// The camera moved too little for how far away things are.
     LowParallax { median_deg: f64 },
@@ -117,7 +122,9 @@ impl Outcome {
                 format!("pure rotation: a turn of {angle:.2} degrees explains the matches, so there is no translation")
             }
             Self::PureRotation { angle_deg: None } => {
-                "pure rotation (by what usual lenses do): a turn explains the matches, so F is one of many".into()
+                "pure rotation, or a plane that looks like one: a turn of a usual camera explains the matches, so F is one of many; \
+                 without --camera the two cannot be told apart"
+                    .into()
             }
             Self::LowParallax { median_deg } => {
                 format!("low parallax: {median_deg:.3} degrees in the median, the camera moved too little")
@@ -140,6 +147,8 @@ pub struct Epipolar {
     pub median_px: f64,
     /// One sigma of the noise that the inliers show, pixels.
     pub noise_px: f64,
+    /// F is that of one camera with its principal point in the middle of both pictures, which explains the matches as well as any F.
+    pub one_camera: bool,
 }
 
 /// Everything that came out.
@@ -341,7 +350,7 @@ impl Chain {
         let both = [&out.corners[0], &out.corners[1]];
         let rule = Guidance { band_px: 2.0 * LINE_SIGMAS * options.sigma_px, ..Guidance::default() };
         let mut found = match options.matching.matcher {
-            Matcher::Descriptors => match_along_lines(both, [&ideal[0], &ideal[1]], &f, &rule),
+            Matcher::Descriptors | Matcher::Gradients => match_along_lines(both, [&ideal[0], &ideal[1]], &f, &rule),
             _ => Vec::new(),
         };
         align_pairs(both[0], both[1], &mut found);
@@ -417,9 +426,65 @@ fn epipolar(out: &TwoView, options: &Options) -> Option<Epipolar> {
         (estimate.fundamental, estimate.inliers, estimate.inlier_count) = (better, inliers, count);
         residuals_px = moved;
     }
+    let one_camera = match (one_cameras_middle(out), estimate.degeneracy) {
+        (Some(_), Degeneracy::Plane { .. } | Degeneracy::PureRotation { .. }) | (None, _) => None,
+        (Some(middle), _) => {
+            one_camera(&estimate.fundamental, middle, &u1, &u2, noise_px.clamp(MIN_NOISE_PX, options.sigma_px))
+        }
+    };
+    if let Some(f) = one_camera {
+        residuals_px = distances(&f);
+        estimate.fundamental = f;
+        let limit = threshold.min(INLIER_SIGMAS * noise_px.clamp(MIN_NOISE_PX, options.sigma_px));
+        estimate.inliers = residuals_px.iter().map(|r| *r <= limit).collect();
+        estimate.inlier_count = estimate.inliers.iter().filter(|i| **i).count();
+    }
     let mut of_inliers: Vec<f64> =
         residuals_px.iter().zip(&estimate.inliers).filter(|(_, i)| **i).map(|(r, _)| *r).collect();
-    Some(Epipolar { median_px: median(&mut of_inliers), noise_px, estimate, residuals_px })
+    let median_px = median(&mut of_inliers);
+    Some(Epipolar { median_px, noise_px, estimate, residuals_px, one_camera: one_camera.is_some() })
+}
+
+/// The middle of two pictures that one camera may have taken: of the same size, and without cameras that say otherwise.
+fn one_cameras_middle(out: &TwoView) -> Option<Vector2<f64>> {
+    let size = |c: &Corners| c.scales.first().map(|s| (s.image.width, s.image.height));
+    let (first, second) = (size(&out.corners[0])?, size(&out.corners[1])?);
+    let middle = |n: usize| 0.5 * (n as f64 - 1.0);
+    (!out.undistorted && first == second).then(|| Vector2::new(middle(first.0), middle(first.1)))
+}
+
+/// The F of one camera ([`one_camera_fundamental`]), where it explains the matches no worse than `free` does: by a difference of chi-square
+/// that one number more would often make of noise alone, and by what no lens and no matching is better than.
+fn one_camera(
+    free: &Matrix3<f64>,
+    middle: Vector2<f64>,
+    u1: &[Vector2<f64>],
+    u2: &[Vector2<f64>],
+    sigma_px: f64,
+) -> Option<Matrix3<f64>> {
+    let scale = 1.0 / middle.amax();
+    // Pixels less the middle, over half the longer side.
+    let to_unit = Matrix3::new(scale, 0.0, -scale * middle.x, 0.0, scale, -scale * middle.y, 0.0, 0.0, 1.0);
+    let from_unit = to_unit.try_inverse()?;
+    let near: Vec<(Vector2<f64>, Vector2<f64>)> = u1
+        .iter()
+        .zip(u2)
+        .filter(|(a, b)| sampson_squared(free, a, b).sqrt() <= INLIER_SIGMAS * sigma_px)
+        .map(|(a, b)| ((a - middle) * scale, (b - middle) * scale))
+        .collect();
+    if near.len() < MIN_MATCHES {
+        return None;
+    }
+    let loss = Loss::Cauchy(2.0 * sigma_px * scale);
+    let start = from_unit.transpose() * free * from_unit;
+    let found = one_camera_fundamental(&start, near.iter().copied(), loss, &LmOptions::default())?;
+    let cost = |f: &Matrix3<f64>| sampson_cost(f, near.iter().copied(), &loss);
+    // In squared pixels: what noise makes of it, and what all matches of a part of the picture may be wrong by together.
+    let lost = (cost(&found) - cost(&start)) / (scale * scale);
+    let allowed = CHI2_ONE * sigma_px * sigma_px + near.len() as f64 * MIN_NOISE_PX * MIN_NOISE_PX;
+    let f = to_unit.transpose() * found * to_unit;
+    let norm = f.norm();
+    (lost <= allowed && norm > 0.0 && norm.is_finite()).then(|| f / norm)
 }
 
 /// F of least distance over what is within three sigma of `start`.

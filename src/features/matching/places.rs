@@ -1,0 +1,158 @@
+//! Which corner of one picture is which of another, by histograms of gradients, where a corner may have been described more than once.
+//!
+//! Input: descriptors of both pictures, each with where it was taken and how large a pixel of its scale is; a rule. Output:
+//! pairs of indices with their distance (a share of a descriptor's length), the nearest first, no two of them between the same two corners.
+//! A corner is found again at the scales beside its own, and may have two directions: its second nearest is then itself, and the
+//! ratio test would refuse it for being found well. So the second nearest is the nearest *elsewhere* (as Lowe, IJCV 2004, 7.1, compares
+//! with a neighbour that is known to be of another object), and mutual means: the nearest of the nearest is at the same place.
+//! Of pairs between the same two corners one is kept: a model must not count one agreement several times.
+//! Cost: two sweeps of n m distances. It deliberately does not do: geometry (see `geometry::ransac`).
+
+use super::Match;
+use crate::features::gradients::{GradientDescriptor, LENGTH, distances_squared};
+
+/// Nearer than this many pixels of the coarser scale is the same place: half a patch of either descriptor is the same picture there.
+const SAME_PLACE_PX: f32 = 4.0;
+/// Pairs whose ends are both nearer than this, in the same unit, are one corner found twice.
+const SAME_CORNER_PX: f32 = 1.5;
+
+/// Where a descriptor was taken.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Place {
+    /// Pixels of the picture.
+    pub at: [f32; 2],
+    /// Pixels of the picture a pixel of the scale.
+    pub size_px: f32,
+}
+
+impl Place {
+    fn is_within(&self, other: &Self, limit_px: f32) -> bool {
+        let (dx, dy) = (self.at[0] - other.at[0], self.at[1] - other.at[1]);
+        let reach = limit_px * self.size_px.max(other.size_px);
+        dx * dx + dy * dy <= reach * reach
+    }
+}
+
+/// When two descriptors belong together.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PlaceMatching {
+    /// Largest distance, as a share of a descriptor's length.
+    pub max_distance: f32,
+    /// The nearest must be nearer than this share of the nearest elsewhere, in both directions; 1 = any. Between 0.8 and 0.9 it makes
+    /// little difference.
+    pub max_ratio: f32,
+}
+
+impl Default for PlaceMatching {
+    fn default() -> Self {
+        Self { max_distance: 0.8, max_ratio: 0.85 }
+    }
+}
+
+/// Of each descriptor: index of the nearest of the others, its squared distance, and that of the nearest elsewhere.
+fn nearest(
+    of: &[GradientDescriptor],
+    others: &[GradientDescriptor],
+    places: &[Place],
+) -> Vec<Option<(usize, u32, u32)>> {
+    let mut row = vec![0; others.len()];
+    of.iter()
+        .map(|d| {
+            distances_squared(d, others, &mut row);
+            // Of equally near ones the first.
+            let (index, least) = row.iter().enumerate().min_by_key(|(_, distance)| **distance)?;
+            let own = places.get(index)?;
+            // Few are near enough to be asked where they are.
+            let mut second = u32::MAX;
+            for (distance, place) in row.iter().zip(places) {
+                if *distance < second && !place.is_within(own, SAME_PLACE_PX) {
+                    second = *distance;
+                }
+            }
+            Some((index, *least, second))
+        })
+        .collect()
+}
+
+/// Matches; see the module. Descriptors without a place (a shorter slice) are left out.
+pub fn match_places(
+    (first, first_places): (&[GradientDescriptor], &[Place]),
+    (second, second_places): (&[GradientDescriptor], &[Place]),
+    rule: &PlaceMatching,
+) -> Vec<Match> {
+    let first = &first[..first.len().min(first_places.len())];
+    let second = &second[..second.len().min(second_places.len())];
+    let forward = nearest(first, second, second_places);
+    let backward = nearest(second, first, first_places);
+    let clear = |distance: u32, other: u32| {
+        rule.max_ratio >= 1.0 || (distance as f32) < rule.max_ratio * rule.max_ratio * other as f32
+    };
+    let mut found: Vec<Match> = Vec::new();
+    for (i, there) in forward.iter().enumerate() {
+        let Some((j, distance, elsewhere)) = *there else { continue };
+        let Some((back, _, elsewhere_back)) = backward[j] else { continue };
+        let mutual = back == i || first_places[back].is_within(&first_places[i], SAME_PLACE_PX);
+        let share = (distance as f32).sqrt() / LENGTH;
+        if mutual && share <= rule.max_distance && clear(distance, elsewhere) && clear(distance, elsewhere_back) {
+            found.push(Match { first: i as u32, second: j as u32, distance: share });
+        }
+    }
+    // Stable: of equally near ones the first in index.
+    found.sort_by(|a, b| a.distance.total_cmp(&b.distance));
+    let mut kept: Vec<Match> = Vec::new();
+    for m in found {
+        let (p, q) = (&first_places[m.first as usize], &second_places[m.second as usize]);
+        let again = |k: &Match| {
+            first_places[k.first as usize].is_within(p, SAME_CORNER_PX)
+                && second_places[k.second as usize].is_within(q, SAME_CORNER_PX)
+        };
+        if !kept.iter().any(again) {
+            kept.push(m);
+        }
+    }
+    kept
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::features::gradients::NUMBERS;
+    use crate::geometry::random::Random;
+
+    fn stranger(random: &mut Random) -> GradientDescriptor {
+        GradientDescriptor(std::array::from_fn::<u8, NUMBERS, _>(|_| random.below(91) as u8))
+    }
+
+    /// Every number moved by `by`.
+    fn moved(of: &GradientDescriptor, by: u8) -> GradientDescriptor {
+        GradientDescriptor(of.0.map(|v| v + by))
+    }
+
+    #[test]
+    fn a_corner_described_at_two_scales_matches_once_and_its_twin_elsewhere_makes_it_ambiguous() {
+        let mut random = Random::new(7);
+        let truth: Vec<GradientDescriptor> = (0..40).map(|_| stranger(&mut random)).collect();
+        let at = |i: usize, size_px: f32| Place { at: [30.0 * i as f32, 100.0], size_px };
+        let both: Vec<_> = truth.iter().map(|d| moved(d, 10)).chain(truth.iter().map(|d| moved(d, 11))).collect();
+        let places: Vec<Place> = (0..40).map(|i| at(i, 1.0)).chain((0..40).map(|i| at(i, 1.2))).collect();
+        let rule = PlaceMatching::default();
+        let found = match_places((&both, &places), (&truth, &places[..40]), &rule);
+        assert_eq!(found.len(), 40, "seed 7");
+        assert!(found.iter().all(|m| m.first == m.second && m.distance < 0.3), "{found:?}");
+        // The same at another place: neither is clear.
+        let far: Vec<Place> = (0..40).map(|i| at(i, 1.0)).chain((0..40).map(|i| at(i + 100, 1.0))).collect();
+        assert!(match_places((&both, &far), (&truth, &places[..40]), &rule).is_empty());
+    }
+
+    #[test]
+    fn strangers_and_nothing_at_all_match_nothing() {
+        let mut random = Random::new(8);
+        let all: Vec<_> = (0..50).map(|_| stranger(&mut random)).collect();
+        let more: Vec<_> = (0..50).map(|_| stranger(&mut random)).collect();
+        let places: Vec<Place> = (0..50).map(|i| Place { at: [50.0 * i as f32, 0.0], size_px: 1.0 }).collect();
+        let rule = PlaceMatching::default();
+        assert!(match_places((&all, &places), (&more, &places), &rule).is_empty(), "seed 8");
+        assert!(match_places((&[], &[]), (&more, &places), &rule).is_empty());
+        assert!(match_places((&all, &places), (&more, &[]), &rule).is_empty());
+    }
+}
