@@ -99,6 +99,7 @@ pub struct ReconstructStep {
     snapshot: MapSnapshot,
     last_state: Option<TrackingState>,
     last_resets: u32,
+    last_blind_turns: u64,
     /// Times that a planner has put the map elsewhere: to its readers each is a reset.
     placements: u32,
     last_frame_ns: i64,
@@ -135,6 +136,7 @@ impl ReconstructStep {
             snapshot: MapSnapshot::default(),
             last_state: None,
             last_resets: 0,
+            last_blind_turns: 0,
             placements: 0,
             last_frame_ns: 0,
             lens: None,
@@ -265,6 +267,11 @@ impl ReconstructStep {
         if e.reset_counter != self.last_resets {
             info!(sequence, timestamp_ns, map, reset_counter = e.reset_counter, "reset");
             self.last_resets = e.reset_counter;
+        }
+        let blind_turns = self.reconstruction.as_ref().map_or(0, |r| r.counters().blind_turns);
+        if blind_turns != self.last_blind_turns {
+            warn!(sequence, timestamp_ns, map, blind_turns, "scale assumed after a turn on the spot");
+            self.last_blind_turns = blind_turns;
         }
         if self.last_state != Some(e.state) {
             let from = self.last_state.map_or("none", state_name);

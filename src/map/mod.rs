@@ -96,11 +96,22 @@ pub struct Landmark {
     pub observers: Vec<KeyframeId>,
     /// Keyframe at whose time it was made.
     pub created_by: KeyframeId,
+    /// `None`: its place rests on what was seen alone.
+    pub assumed: Option<AssumedDistance>,
     /// Frames in which it was looked for, and in how many it was found and agreed with the pose.
     pub sought: u32,
     pub found: u32,
     /// Frames in a row in which it was found but disagreed.
     pub disagreed: u32,
+}
+
+/// What a landmark's distance from its first observer is taken to be as long as no parallax tells it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AssumedDistance {
+    /// 1 / map units.
+    pub inverse: f64,
+    /// Its standard deviation, 1 / map units.
+    pub sigma: f64,
 }
 
 /// Keyframes and landmarks of the current map.
@@ -313,6 +324,7 @@ mod tests {
             covariance: Matrix3::zeros(),
             observers: Vec::new(),
             created_by: KeyframeId(0),
+            assumed: None,
             sought: 0,
             found: 0,
             disagreed: 0,

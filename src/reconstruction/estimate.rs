@@ -17,11 +17,14 @@ impl Reconstruction {
         out.map = self.map_id;
         out.revision = self.map.revision;
         out.landmarks.clear();
-        out.landmarks.extend(self.map.landmarks.iter().map(|(id, l)| LandmarkView {
-            id: LandmarkId(id),
-            position_world: l.position,
-            sigma: largest_sigma(&l.covariance) as f32,
-            observations: l.observers.len() as u32,
+        // Where the distance is assumed there is no place to publish.
+        out.landmarks.extend(self.map.landmarks.iter().filter(|(_, l)| l.assumed.is_none()).map(|(id, l)| {
+            LandmarkView {
+                id: LandmarkId(id),
+                position_world: l.position,
+                sigma: largest_sigma(&l.covariance) as f32,
+                observations: l.observers.len() as u32,
+            }
         }));
         out.keyframes.clear();
         out.keyframes.extend(self.map.keyframes.iter().map(|(id, k)| KeyframeView {

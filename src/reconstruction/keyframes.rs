@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
+use super::assumed_distance::assume;
 use super::bindings::{Bindings, Seed, Target};
 use super::config::ReconstructionConfig;
 use super::pose_optimisation::{CHI2_2D_95, jacobian_rows};
@@ -74,6 +75,10 @@ pub struct NewKeyframe<'a> {
     pub matches: &'a [Match],
     pub motion: Option<CameraMotion>,
     pub shutter: &'a Shutter,
+    /// Its pose rests on assumed distances: nothing can be triangulated from it.
+    pub unmeasured: bool,
+    /// Distance at which corners without parallax become landmarks, map units; `None`: there are enough without them.
+    pub assumed_distance: Option<f64>,
 }
 
 /// The newest keyframes are not culled: the local adjustment still gains by them.
@@ -205,14 +210,23 @@ fn triangulate_seed(
     else {
         return SeedOutcome::Wrong;
     };
-    let Some((point, angle)) =
-        triangulate(&anchor.camera_from_world, &a.normalised, &new.camera_from_world, &b.normalised)
-    else {
-        return SeedOutcome::Waits;
+    let enough = |(_, angle): &(Vector3<f64>, f64)| *angle >= config.min_parallax_deg.to_radians();
+    let met = triangulate(&anchor.camera_from_world, &a.normalised, &new.camera_from_world, &b.normalised);
+    let (point, assumed) = match (met.filter(|met| enough(met) && !new.unmeasured), new.assumed_distance) {
+        (Some((point, _)), _) => (point, None),
+        (None, Some(distance)) if seed.count >= 2 => {
+            let world_from_anchor = anchor.camera_from_world.inverse();
+            let centre = world_from_anchor.translation;
+            let moved = (centre - new.camera_from_world.inverse().translation).norm();
+            if moved > distance * config.min_parallax_deg.to_radians() {
+                // It waits because it is far, not because the camera turns on the spot.
+                return SeedOutcome::Waits;
+            }
+            let ray = (world_from_anchor.rotation * a.normalised.push(1.0)).normalize();
+            (centre + ray * distance, Some(distance))
+        }
+        (None, _) => return SeedOutcome::Waits,
     };
-    if angle < config.min_parallax_deg.to_radians() {
-        return SeedOutcome::Waits;
-    }
     // Refine the place in the new picture (and in those between) against the anchor's template.
     let options = SearchOptions { radius_px: SEED_REFINE_PX, coarse_levels: 0, limit: 0, sigma_px: config.sigma_px };
     let displaced = |keyframe: &Keyframe, o: Observation| {
@@ -234,14 +248,21 @@ fn triangulate_seed(
             None => {}
         }
     }
+    if let Some(distance) = assumed {
+        return match assume(map, &seen, distance, camera, readout_s) {
+            Some(landmark) => SeedOutcome::Landmark(map.add_landmark(landmark, &seen)),
+            None => SeedOutcome::Wrong,
+        };
+    }
     let (Some(&(_, first)), Some(&(_, last))) = (seen.first(), seen.last()) else { return SeedOutcome::Wrong };
     let (first, last) = (first.at_middle_row(readout_s), last.at_middle_row(readout_s));
-    let Some((mut point, angle)) = triangulate(&anchor.camera_from_world, &first, &new.camera_from_world, &last) else {
+    let Some(met) = triangulate(&anchor.camera_from_world, &first, &new.camera_from_world, &last) else {
         return SeedOutcome::Wrong;
     };
-    if angle < config.min_parallax_deg.to_radians() {
+    if !enough(&met) {
         return SeedOutcome::Waits;
     }
+    let mut point = met.0;
     let Some(covariance) = refine_point(map, &seen, camera, readout_s, &mut point) else { return SeedOutcome::Wrong };
     seen.retain(|(k, o)| {
         map.keyframe(*k)
@@ -255,6 +276,7 @@ fn triangulate_seed(
         covariance,
         observers: Vec::new(),
         created_by: newest,
+        assumed: None,
         sought: 1,
         found: 1,
         disagreed: 0,

@@ -6,6 +6,7 @@
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
+use super::assumed_distance;
 use super::bundle::{
     BundleCamera, BundleObservation, BundleOptions, BundleProblem, BundleReport, Shared, SharedJacobian, SharedMatrix,
     SharedVector,
@@ -102,10 +103,11 @@ impl MappingJob {
     ) -> Option<Self> {
         let mut problem = BundleProblem { first: vec![0], ..BundleProblem::default() };
         for &(id, fixed) in keyframes {
+            let fixed = fixed || assumed_distance::is_held(map, id);
             problem.cameras.push(BundleCamera { camera_from_world: map.keyframe(id)?.camera_from_world, fixed });
         }
         landmarks.retain(|&id| {
-            let Some(landmark) = map.landmark(id) else { return false };
+            let Some(landmark) = map.landmark(id).filter(|l| l.assumed.is_none()) else { return false };
             let begin = problem.observations.len();
             for &k in &landmark.observers {
                 let Ok(index) = keyframes.binary_search_by_key(&k, |k| k.0) else { continue };

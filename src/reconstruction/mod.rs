@@ -4,7 +4,9 @@
 //! the map learns from it). Adjustment runs elsewhere, on copies ([`MappingJob`]), and is merged at the start of a later
 //! frame. In lock-step everything is a function of the input alone.
 
+mod after_turn;
 mod agreement;
+mod assumed_distance;
 pub mod bindings;
 pub mod bundle;
 pub mod config;
@@ -35,10 +37,9 @@ use keyframes::{KeyframeInputs, NewKeyframe};
 use relocalise::Relocaliser;
 use rolling_shutter::Shutter;
 use search::Match;
-use tracking::{Frame, Tracked, Tracker};
+use tracking::{Frame, MAX_SHUTTER_STEP_S, Tracked, Tracker};
 
 use crate::features::{Feedback, FrameFeatures};
-use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, Odom, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::map::{KeyframeId, Map, MapId};
@@ -46,9 +47,6 @@ use crate::map::{KeyframeId, Map, MapId};
 /// Keyframes at which the whole map is adjusted first; then whenever it has grown by a third, up to the limit.
 const WHOLE_FIRST: usize = 5;
 const WHOLE_LIMIT: usize = 120;
-
-/// Frames farther apart tell nothing of the motion within one of them, and so nothing of a rolling shutter, s.
-const MAX_SHUTTER_STEP_S: f64 = 0.19;
 
 /// Share of the landmarks looked for that are seen: below the first a frame is looked for elsewhere too (after a stretch of blur
 /// a few landmarks can hold a pose that has slid away), below the second it is no keyframe.
@@ -94,6 +92,8 @@ pub struct Reconstruction {
     intrinsics: Intrinsics,
     /// Pose of the frame just tracked, if it becomes a keyframe.
     pending: Option<Se3<Camera, World>>,
+    /// Most of what the frame just tracked sees is at assumed distances; the median parallax if they are right, degrees.
+    turned: Option<f64>,
     events: Vec<TrajectoryEvent>,
     counters: Counters,
     inliers: Vec<Match>,
@@ -144,6 +144,7 @@ impl Reconstruction {
             job_posted: None,
             unadjusted: None,
             pending: None,
+            turned: None,
             next_whole: WHOLE_FIRST,
             intrinsics: Intrinsics::new(camera, prior),
             events: Vec::new(),
@@ -161,6 +162,7 @@ impl Reconstruction {
         self.frame += 1;
         self.counters.frames += 1;
         self.pending = None;
+        self.turned = None;
         self.bindings.retain_living(&features.tracks);
         if self.state == TrackingState::Initializing {
             return self.try_start(features);
@@ -192,34 +194,12 @@ impl Reconstruction {
             };
         }
         self.count_landmarks(tracked.as_ref());
+        if let Some(tracked) = &tracked {
+            self.follow_assumed(&tracked.camera_from_world);
+        }
         match tracked {
             Some(tracked) => self.accept(features, &tracked),
             None => self.lose(features),
-        }
-    }
-
-    /// Pose of the frame before and the time since, if that was tracked and not long ago.
-    fn frame_before(&self, timestamp_ns: i64) -> Option<(Se3<Camera, World>, f64)> {
-        let last = self.last.as_ref().filter(|_| self.lost_frames == 0)?;
-        let dt = (timestamp_ns - last.timestamp_ns) as f64 * 1e-9;
-        (dt > 0.0 && dt < MAX_SHUTTER_STEP_S).then_some((last.camera_from_world, dt))
-    }
-
-    /// How the camera moved at the last frame; nothing is known of that after frames that were lost.
-    fn last_motion(&self) -> Option<CameraMotion> {
-        let (motion, dt) = self.last.as_ref().filter(|_| self.lost_frames == 0)?.motion?;
-        Some(CameraMotion::over(&motion, dt))
-    }
-
-    /// Constant velocity, then the last pose.
-    fn near_poses(&self, timestamp_ns: i64) -> ([Se3<Camera, World>; 2], usize) {
-        let Some(last) = &self.last else { return ([Se3::identity(); 2], 0) };
-        let dt = (timestamp_ns - last.timestamp_ns) as f64 * 1e-9;
-        match &last.motion {
-            Some((motion, over)) if self.lost_frames == 0 && dt < 5.0 * over => {
-                ([motion.scaled(dt / over) * last.camera_from_world, last.camera_from_world], 2)
-            }
-            _ => ([last.camera_from_world; 2], 1),
         }
     }
 
@@ -287,6 +267,7 @@ impl Reconstruction {
         self.estimate_tracked(features, tracked, motion.as_ref(), keyframe)
     }
 
+    /// Whether the frame just tracked becomes a keyframe; notes as well whether it comes out of a turn on the spot.
     fn decide_keyframe(&mut self, pose: &Se3<Camera, World>) -> bool {
         let Some(reference) = self.map.keyframe(self.reference) else { return false };
         let here = pose.inverse().translation;
@@ -297,6 +278,9 @@ impl Reconstruction {
             reference_landmarks: reference.observations.len(),
             parallax_deg: keyframes::median_parallax_deg(self.inliers.iter(), &here, &there, &mut self.angles),
         };
+        let is_assumed = |m: &&Match| self.map.landmark(m.landmark).is_some_and(|l| l.assumed.is_some());
+        let assumed = self.inliers.iter().filter(is_assumed).count();
+        self.turned = after_turn::is_due(assumed, inputs.landmarks).then_some(inputs.parallax_deg);
         keyframes::wants_keyframe(&inputs, &self.config)
     }
 
@@ -326,7 +310,8 @@ impl Reconstruction {
     pub fn map(&mut self, features: &FrameFeatures, feedback: &mut Feedback) {
         feedback.sequence = features.sequence;
         feedback.forget.clear();
-        if let Some(pose) = self.pending.take() {
+        let placed = self.place_after_turn(features);
+        if let Some(pose) = placed.or(self.pending) {
             self.insert_keyframe(features, pose, feedback);
             feedback.forget.sort_unstable();
         }
@@ -363,10 +348,22 @@ impl Reconstruction {
             matches: &self.inliers,
             motion,
             shutter: &self.shutter,
+            unmeasured: self.turned.is_some(),
+            assumed_distance: assumed_distance::distance_to_assume(&self.inliers, &pose.inverse().translation),
         };
         let before = self.map.landmarks.len();
         let id =
             keyframes::insert_keyframe(&mut self.map, &mut self.bindings, &new, &self.camera, &self.config, feedback);
+        if self.turned.is_none() {
+            let min_parallax = self.config.min_parallax_deg.to_radians();
+            assumed_distance::triangulate_assumed(
+                &mut self.map,
+                id,
+                &self.camera,
+                self.shutter.readout_s,
+                min_parallax,
+            );
+        }
         self.counters.keyframes_made += 1;
         self.counters.landmarks_made += (self.map.landmarks.len() - before) as u64;
         self.last_keyframe_frame = self.frame;

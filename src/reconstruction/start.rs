@@ -127,6 +127,7 @@ impl Reconstruction {
                 position: point,
                 covariance: Matrix3::from_element(f64::NAN),
                 observers: Vec::new(),
+                assumed: None,
                 created_by: b,
                 sought: 1,
                 found: 1,

@@ -12,6 +12,8 @@
 
 use nalgebra::{Matrix6, Vector2, Vector3};
 
+use super::Reconstruction;
+use super::assumed_distance::Ray;
 use super::bindings::{Bindings, Target};
 use super::config::ReconstructionConfig;
 use super::newcomers::{ESTABLISHED_FOUND, Newcomers};
@@ -87,8 +89,15 @@ const LOCAL_ROOM: usize = 16_384;
 const MIN_FLOW: usize = 10;
 /// A search without a good prediction looks in this many times the usual radius.
 const WIDE: f64 = 4.0;
+/// Times that assumed distances are eliminated anew at the pose just found, at the most, and the step (rad, and share of the
+/// way from the origin) below which that pose has settled.
+const MAX_ELIMINATIONS: usize = 8;
+const SETTLED: f64 = 1e-5;
 /// Standard deviation of a frame-to-frame track's position, px (drifts; templates do not).
 const FLOW_SIGMA_PX: f64 = 2.0;
+
+/// Frames farther apart tell nothing of the motion within one of them, and so nothing of a rolling shutter, s.
+pub const MAX_SHUTTER_STEP_S: f64 = 0.19;
 
 /// Motion from the frame before to `pose`.
 pub fn motion_since(frame: &Frame<'_>, pose: &Se3<Camera, World>) -> Option<CameraMotion> {
@@ -237,6 +246,17 @@ impl Tracker {
             // The motion that the shutter saw is known only now.
             solution = self.solve(frame, &solution.camera_from_world, motion.as_ref())?;
         }
+        if self.search.matches.iter().any(|m| is_assumed(frame, m.landmark)) {
+            // Distances were eliminated at poses that did not know that the camera has moved.
+            for _ in 0..MAX_ELIMINATIONS {
+                let before = solution.camera_from_world;
+                solution = self.solve(frame, &before, motion.as_ref().or(frame.motion.as_ref()))?;
+                let step = solution.camera_from_world * before.inverse();
+                if step.rotation.angle() < SETTLED && step.translation.norm() < SETTLED * before.translation.norm() {
+                    break;
+                }
+            }
+        }
         solution = self.hear_newcomers(frame, solution);
         let landmarks = self.search.matches.iter().filter(|m| m.inlier).count();
         let sought = self.search.matches.len() + self.search.missed.len();
@@ -272,15 +292,17 @@ impl Tracker {
                 _ => Vector2::zeros(),
             };
             let normalised = m.normalised - m.displacement * shutter.readout_s;
-            let own = landmark_variance(frame, start, m, &p);
-            let inv_sigma_px = (m.inv_sigma_px.powi(-2) + 0.5 * (own.x + own.y)).sqrt().recip();
             let pixel_scale = camera.pixel_scale(&m.normalised);
-            self.pairs.push(PosePair { point: m.point, normalised, pixel_scale, inv_sigma_px });
+            let pair = PosePair { point: m.point, normalised, pixel_scale, inv_sigma_px: m.inv_sigma_px };
+            self.pairs.push(without_distance(frame, m.landmark, start, &pair).unwrap_or_else(|| {
+                let own = landmark_variance(frame, start, m, &p);
+                PosePair { inv_sigma_px: (m.inv_sigma_px.powi(-2) + 0.5 * (own.x + own.y)).sqrt().recip(), ..pair }
+            }));
         }
         let matched = self.pairs.len();
         for (id, pair) in &self.flow {
             if self.search.matches.binary_search_by_key(id, |m| m.landmark).is_err() {
-                self.pairs.push(*pair);
+                self.pairs.push(without_distance(frame, *id, start, pair).unwrap_or(*pair));
             }
         }
         let solution = optimise_pose(start, &self.pairs, &PoseOptions::default(), &mut self.inlier)?;
@@ -313,7 +335,15 @@ impl Tracker {
             if p.z < 1e-6 {
                 continue;
             }
-            let (jx, jy) = jacobian_rows(&p, &frame.camera.pixel_scale(&(p.xy() / p.z)));
+            let pixel_scale = frame.camera.pixel_scale(&(p.xy() / p.z));
+            let normalised = m.normalised - m.displacement * frame.shutter.readout_s;
+            let pair = PosePair { point: m.point, normalised, pixel_scale, inv_sigma_px: m.inv_sigma_px };
+            if let Some(pair) = without_distance(frame, m.landmark, pose, &pair) {
+                let (jx, jy) = jacobian_rows(&p, &(pair.pixel_scale * pair.inv_sigma_px));
+                accumulate(&mut h, &jx, &jy, 1.0);
+                continue;
+            }
+            let (jx, jy) = jacobian_rows(&p, &pixel_scale);
             let sigma2 = m.inv_sigma_px.powi(-2);
             let own = landmark_variance(frame, pose, m, &p);
             // The two rows are treated as independent: their cross term is small beside sigma^2.
@@ -322,6 +352,48 @@ impl Tracker {
         }
         h.fill_lower_triangle_with_upper_triangle();
         h
+    }
+}
+
+fn is_assumed(frame: &Frame<'_>, landmark: LandmarkId) -> bool {
+    frame.map.landmark(landmark).is_some_and(|l| l.assumed.is_some())
+}
+
+/// The pair with the landmark's distance eliminated, if that is assumed.
+fn without_distance(
+    frame: &Frame<'_>,
+    landmark: LandmarkId,
+    pose: &Se3<Camera, World>,
+    pair: &PosePair,
+) -> Option<PosePair> {
+    let ray = Ray::of(landmark, frame.map, frame.shutter.readout_s)?;
+    ray.eliminate(pose, pair).map(|(pair, _)| pair)
+}
+
+impl Reconstruction {
+    /// Pose of the frame before and the time since, if that was tracked and not long ago.
+    pub(super) fn frame_before(&self, timestamp_ns: i64) -> Option<(Se3<Camera, World>, f64)> {
+        let last = self.last.as_ref().filter(|_| self.lost_frames == 0)?;
+        let dt = (timestamp_ns - last.timestamp_ns) as f64 * 1e-9;
+        (dt > 0.0 && dt < MAX_SHUTTER_STEP_S).then_some((last.camera_from_world, dt))
+    }
+
+    /// How the camera moved at the last frame; nothing is known of that after frames that were lost.
+    pub(super) fn last_motion(&self) -> Option<CameraMotion> {
+        let (motion, dt) = self.last.as_ref().filter(|_| self.lost_frames == 0)?.motion?;
+        Some(CameraMotion::over(&motion, dt))
+    }
+
+    /// Constant velocity, then the last pose.
+    pub(super) fn near_poses(&self, timestamp_ns: i64) -> ([Se3<Camera, World>; 2], usize) {
+        let Some(last) = &self.last else { return ([Se3::identity(); 2], 0) };
+        let dt = (timestamp_ns - last.timestamp_ns) as f64 * 1e-9;
+        match &last.motion {
+            Some((motion, over)) if self.lost_frames == 0 && dt < 5.0 * over => {
+                ([motion.scaled(dt / over) * last.camera_from_world, last.camera_from_world], 2)
+            }
+            _ => ([last.camera_from_world; 2], 1),
+        }
     }
 }
 

@@ -114,6 +114,8 @@ pub struct Counters {
     pub adjustments_late: u64,
     pub resets: u64,
     pub relocalisations: u64,
+    /// Turns on the spot that left all behind whose distance was known: the scale of what follows is an assumption.
+    pub blind_turns: u64,
 }
 
 #[cfg(test)]

@@ -93,6 +93,14 @@ pub fn cases(seed: u64) -> Vec<Case> {
     if let Some(stand) = all.last_mut() {
         stand.stands_from_s = Some(13.0);
     }
+    all.push(plain(
+        "turn_on_the_spot",
+        "drives, turns by 90 degrees on the spot, drives on",
+        Scenario::Square,
+        15.0,
+        60.0,
+        limits(90.0, 15.0, 0, 5),
+    ));
     for case in all.iter_mut().skip(2) {
         // Long stretches in which little happens.
         case.config.rate_hz = 15.0;
