@@ -99,7 +99,7 @@ pub fn cases(seed: u64) -> Vec<Case> {
         Scenario::Square,
         15.0,
         60.0,
-        limits(90.0, 15.0, 0, 5),
+        limits(90.0, 10.0, 0, 15),
     ));
     for case in all.iter_mut().skip(2) {
         // Long stretches in which little happens.
