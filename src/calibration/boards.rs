@@ -12,7 +12,9 @@ use super::chessboard::{Board, Pattern};
 use super::store::CameraIdentity;
 use super::verdict::{Verdict, judge};
 use crate::geometry::CameraModel;
-use crate::geometry::plane_calibration::{Distortion, PlaneCalibration, PlaneCalibrationError, View, calibrate};
+use crate::geometry::plane_calibration::{
+    Distortion, PlaneCalibration, PlaneCalibrationError, Readout, View, calibrate,
+};
 
 /// The picture must be one to one but for its outermost 5 %.
 const BORDER: f64 = 0.05;
@@ -128,7 +130,7 @@ impl Calibrated {
             let unit = if i < 4 { "_sigma_px" } else { "_sigma" };
             other.insert(format!("{name}{unit}"), sigmas[i].into());
         }
-        if let Some(readout) = self.solved.readout {
+        if let Some(readout) = self.solved.readout.filter(Readout::is_shown) {
             other.insert("readout_ms".into(), (1e3 * readout.seconds).into());
             other.insert("readout_sigma_ms".into(), (1e3 * readout.sigma_s).into());
         }
@@ -179,7 +181,7 @@ impl Calibrated {
                 "  a wide-angle lens model fits these views clearly better ({rms_px:.3} px RMS): calibrate with --distortion fisheye\n"
             );
         }
-        if let Some(readout) = self.solved.readout {
+        if let Some(readout) = self.solved.readout.filter(Readout::is_shown) {
             text += &format!(
                 "  the shutter's readout takes {:.1} +- {:.1} ms, as the moving board shows it\n",
                 1e3 * readout.seconds,

@@ -254,7 +254,10 @@ fn text(result: &TwoView, options: &Options, listed: bool, cameras: Option<&Came
         let pixels = if result.undistorted { "undistorted pixels" } else { "the pictures' own pixels" };
         line("", format!("x_B^T F x_A = 0 in {pixels}; degeneracy: {}", degeneracy(&f.degeneracy)));
         if e.one_camera {
-            line("", "F is that of one camera for both pictures, which explains the matches as well as any F".into());
+            line(
+                "",
+                "F is that of one camera for both pictures, which explains the matches about as well as any F".into(),
+            );
         }
         matrix(&mut line, &f.fundamental);
     }

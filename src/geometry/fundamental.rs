@@ -368,8 +368,8 @@ impl Estimator for Parallax<'_> {
     }
 
     /// A match beside the plane need not be a stranger: it may be on the plane and placed badly. Displaced by d in any direction, it
-    /// is within T of a given line through its true place with the chance `2/pi asin(T/d)`, for a small d far above a stranger's. The tail
-    /// of unequal chances is below that of their mean (Hoeffding, 1956).
+    /// is within T of a given line through its true place with the chance `2/pi asin(T/d)`, for a small d far above a stranger's. Chances that
+    /// are not alike are taken for their mean: their elementary symmetric mean is below its power (Maclaurin).
     fn chance(&self, threshold: f64) -> f64 {
         let stranger = self.problem.chance(threshold);
         if !self.misplaced {

@@ -93,7 +93,8 @@ pub fn one_camera_fundamental(
         let (found, summary) = minimise(&problem, OneCamera { motion, log_focal: focal.ln() }, options);
         let f = found.matrix();
         let norm = f.norm();
-        if norm > 0.0 && norm.is_finite() && best.is_none_or(|(least, _)| summary.final_cost < least) {
+        let usable = norm > 0.0 && norm.is_finite() && summary.final_cost.is_finite();
+        if usable && best.is_none_or(|(least, _)| summary.final_cost < least) {
             best = Some((summary.final_cost, f / norm));
         }
     }

@@ -3,17 +3,16 @@
 //! When most of what is in view lies at assumed distances, the frames that follow the turn move against a scene whose shape is not
 //! known, as at the start of a map, and a pose optimised frame by frame runs into the nearest shape that is flat. So they are placed
 //! as at the start: two-view geometry ([`two_view`](crate::geometry::two_view)) between a keyframe of the turn and the newest frame, as soon as that
-//! finds enough parallax. The length of the step is what the assumed distances make of it; everything else is measured.
+//! finds enough parallax. The length of the step is what the landmarks of known distance make of it, if a few are left in view, else what
+//! the assumed distances do; everything else is measured.
 //!
 //! Input: the newest frame's matches. Output: its pose; the landmarks are put where the two views see them, and the keyframes in
 //! between are solved anew. Cost: a few milliseconds, once after each turn (and at each attempt before).
 
-use std::cmp::Reverse;
-
 use nalgebra::Vector2;
 
 use super::Reconstruction;
-use super::assumed_distance::Ray;
+use super::assumed_distance::{Ray, is_held};
 use super::pose_optimisation::{PoseOptions, PosePair, optimise_pose};
 use super::search::Match;
 use crate::features::FrameFeatures;
@@ -26,6 +25,10 @@ use crate::map::{KeyframeId, LandmarkId, Map};
 const MIN_MATCHES: usize = 40;
 const MIN_POINTS: usize = 30;
 const MIN_PARALLAX_DEG: f64 = 0.5;
+/// Share of the most landmarks in common that the keyframe of the turn must have.
+const NEARLY_ALL: f64 = 0.7;
+/// So many landmarks whose distance is known say how long the step was; else the assumed distances do.
+const MIN_MEASURED: usize = 10;
 /// Standard deviation of a place in either view, px.
 const SIGMA_PX: f64 = 1.0;
 
@@ -61,6 +64,10 @@ impl Reconstruction {
         if let Some(last) = &mut self.last {
             (last.camera_from_world, last.motion) = (pose, None);
         }
+        if self.job_posted.take().is_some() {
+            // It began from poses that are no more; the keyframe that this frame becomes posts another.
+            self.worker.discard();
+        }
         self.turned = None;
         self.counters.blind_turns += 1;
         Some(pose)
@@ -75,7 +82,7 @@ fn place(
     readout_s: f64,
     seed: u64,
 ) -> Option<Se3<Camera, World>> {
-    // The keyframe that sees most of them; of several the oldest, which was placed before the camera began to move.
+    // The oldest keyframe that sees nearly as many of them as any: it was placed before the camera began to move.
     let mut votes: Vec<(KeyframeId, usize)> = Vec::new();
     for m in matches {
         let Some(landmark) = map.landmark(m.landmark).filter(|l| l.assumed.is_some()) else { continue };
@@ -86,15 +93,18 @@ fn place(
             }
         }
     }
-    let from = votes.iter().max_by_key(|v| (v.1, Reverse(v.0))).map(|v| v.0)?;
+    let most = votes.iter().map(|v| v.1).max()?;
+    let enough = MIN_MATCHES.max((NEARLY_ALL * most as f64) as usize);
+    let from = votes.iter().filter(|v| v.1 >= enough).map(|v| v.0).min()?;
     let keyframe = map.keyframe(from)?;
-    let mut seen: Vec<(LandmarkId, f64)> = Vec::new();
+    // Landmark, its distance from the keyframe, and whether that is assumed.
+    let mut seen: Vec<(LandmarkId, f64, bool)> = Vec::new();
     let (mut first, mut second): (Vec<Vector2<f64>>, Vec<Vector2<f64>>) = (Vec::new(), Vec::new());
     for m in matches {
-        let (Some(ray), Some(o)) = (Ray::of(m.landmark, map, readout_s), keyframe.observation(m.landmark)) else {
-            continue;
-        };
-        seen.push((m.landmark, (ray.assumed() - keyframe.centre()).norm()));
+        let (Some(landmark), Some(o)) = (map.landmark(m.landmark), keyframe.observation(m.landmark)) else { continue };
+        let ray = Ray::of(m.landmark, map, readout_s);
+        let place = ray.as_ref().map_or(landmark.position, Ray::assumed);
+        seen.push((m.landmark, (place - keyframe.centre()).norm(), ray.is_some()));
         first.push(o.at_middle_row(readout_s));
         second.push(m.normalised - m.displacement * readout_s);
     }
@@ -106,17 +116,22 @@ fn place(
         ..TwoViewOptions::new(SIGMA_PX, camera.focal_px())
     };
     let solution = reconstruct_two_views(&first, &second, &options).ok()?;
-    let mut lengths: Vec<f64> =
-        seen.iter().zip(&solution.points).filter_map(|((_, distance), p)| Some(distance / (*p)?.norm())).collect();
-    let middle = lengths.len() / 2;
-    let (_, &mut length, _) =
-        (middle < lengths.len()).then(|| lengths.select_nth_unstable_by(middle, f64::total_cmp))?;
+    let lengths = |assumed: bool| -> Vec<f64> {
+        let of_kind = seen.iter().zip(&solution.points).filter(|(s, _)| s.2 == assumed);
+        of_kind.filter_map(|((_, distance, _), point)| Some(distance / (*point)?.norm())).collect()
+    };
+    let mut known = lengths(false);
+    if known.len() < MIN_MEASURED {
+        known = lengths(true);
+    }
+    let middle = known.len() / 2;
+    let (_, &mut length, _) = (middle < known.len()).then(|| known.select_nth_unstable_by(middle, f64::total_cmp))?;
     let mut step = solution.second_from_first.relabel::<Camera, Camera>();
     step.translation *= length;
     let from_world = keyframe.camera_from_world;
     let world_from = from_world.inverse();
-    for ((id, _), point) in seen.iter().zip(&solution.points) {
-        if let (Some(point), Some(landmark)) = (point, map.landmarks.get_mut(id.0)) {
+    for ((id, _, assumed), point) in seen.iter().zip(&solution.points) {
+        if let (true, Some(point), Some(landmark)) = (assumed, point, map.landmarks.get_mut(id.0)) {
             landmark.position = world_from.transform(&(point * length));
         }
     }
@@ -126,7 +141,8 @@ fn place(
 
 /// Keyframes after `from` were placed against distances that were wrong.
 fn resolve_between(map: &mut Map, from: KeyframeId, camera: &CameraModel, readout_s: f64) {
-    let later: Vec<KeyframeId> = map.keyframes.iter().map(|(id, _)| KeyframeId(id)).filter(|id| *id > from).collect();
+    let later: Vec<KeyframeId> =
+        map.keyframes.iter().map(|(id, _)| KeyframeId(id)).filter(|id| *id > from && is_held(map, *id)).collect();
     let mut inlier = Vec::new();
     for id in later {
         let Some(keyframe) = map.keyframe(id) else { continue };

@@ -14,7 +14,7 @@
 
 use nalgebra::{Matrix2, Vector2, Vector3};
 
-use super::keyframes::refine_point;
+use super::keyframes::{refine_point, reprojection_chi2};
 use super::pose_optimisation::{CHI2_2D_95, PosePair, scaled};
 use super::search::Match;
 use crate::geometry::frames::{Camera, World};
@@ -26,6 +26,8 @@ const FEW_MATCHES: usize = 60;
 /// Standard deviation of the inverse distance in shares of it. A narrow one is worse than none: together, many landmarks would
 /// rather turn the camera than not lie on a sphere.
 const SIGMA_SHARE: f64 = 2.0;
+/// 99.9 % limit of chi-square with two degrees of freedom: several views must all agree, of poses that are not exact.
+const CHI2_2D_999: f64 = 13.816;
 /// A distance is told by parallax once its standard deviation is below this share of it (a degree of parallax gives 0.13).
 const TOLD_SHARE: f64 = 0.2;
 /// A keyframe that sees landmarks at assumed distances and fewer others than this stays where it was tracked.
@@ -105,7 +107,7 @@ impl Ray {
         self.eliminate(pose, &pair).is_some_and(|(pair, _)| {
             let p = pose.transform(&pair.point);
             let e = p.xy() / p.z - pair.normalised;
-            scaled(&pair.pixel_scale, pair.inv_sigma_px, e.x, e.y).norm_squared() <= CHI2_2D_95
+            scaled(&pair.pixel_scale, pair.inv_sigma_px, e.x, e.y).norm_squared() <= CHI2_2D_999
         })
     }
 }
@@ -166,7 +168,12 @@ pub fn triangulate_assumed(map: &mut Map, newest: KeyframeId, camera: &CameraMod
         let distance2 = (point - ray.centre).norm_squared();
         let told = ray.direction.dot(&(covariance * ray.direction)) < TOLD_SHARE * TOLD_SHARE * distance2;
         let ahead = (point - ray.centre).dot(&ray.direction) > 0.0;
-        if let Some(landmark) = map.landmarks.get_mut(id.0).filter(|_| told && ahead) {
+        // Keyframes in between may still be placed badly.
+        let fits = [seen.first(), seen.last()].into_iter().flatten().all(|(k, o)| {
+            let pose = map.keyframe(*k).map(|k| k.camera_from_world);
+            pose.is_some_and(|pose| reprojection_chi2(&pose, &point, o, camera, readout_s) <= CHI2_2D_95)
+        });
+        if let Some(landmark) = map.landmarks.get_mut(id.0).filter(|_| told && ahead && fits) {
             (landmark.position, landmark.covariance, landmark.assumed) = (point, covariance, None);
         }
     }

@@ -233,8 +233,8 @@ impl BundleProblem {
                 let (jx, jy) = jacobian_rows(&p, &(pixels * scale));
                 // d e / d point = d e / d translation * R.
                 let r = &rotations[o.camera as usize];
-                let px = r.row(0) * jx[3] + r.row(2) * jx[5];
-                let py = r.row(1) * jy[4] + r.row(2) * jy[5];
+                let px = r.row(0) * jx[3] + r.row(1) * jx[4] + r.row(2) * jx[5];
+                let py = r.row(0) * jy[3] + r.row(1) * jy[4] + r.row(2) * jy[5];
                 for c in 0..3 {
                     for d in 0..=c {
                         h[(d, c)] += w * (px[d] * px[c] + py[d] * py[c]);

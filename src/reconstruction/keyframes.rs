@@ -328,7 +328,7 @@ pub fn triangulate(
     Some((point, sine2.sqrt().atan2(cosine)))
 }
 
-fn reprojection_chi2(
+pub(super) fn reprojection_chi2(
     pose: &Se3<Camera, World>,
     point: &Vector3<f64>,
     o: &Observation,

@@ -248,7 +248,8 @@ impl Reconstruction {
         self.last = Some(LastFrame { timestamp_ns: features.timestamp_ns, camera_from_world: pose, motion });
         if motion.is_some_and(|(_, dt)| dt < MAX_SHUTTER_STEP_S) {
             let readout_s = self.shutter.readout_s;
-            let items = self.inliers.iter().map(|m| {
+            let measured = |m: &&Match| self.map.landmark(m.landmark).is_some_and(|l| l.assumed.is_none());
+            let items = self.inliers.iter().filter(measured).map(|m| {
                 let seen = m.normalised - m.displacement * readout_s;
                 (
                     pose.transform(&m.point),
@@ -311,7 +312,7 @@ impl Reconstruction {
         feedback.sequence = features.sequence;
         feedback.forget.clear();
         let placed = self.place_after_turn(features);
-        if let Some(pose) = placed.or(self.pending) {
+        if let Some(pose) = placed.or(self.pending.take()) {
             self.insert_keyframe(features, pose, feedback);
             feedback.forget.sort_unstable();
         }

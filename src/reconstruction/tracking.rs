@@ -250,7 +250,8 @@ impl Tracker {
             // Distances were eliminated at poses that did not know that the camera has moved.
             for _ in 0..MAX_ELIMINATIONS {
                 let before = solution.camera_from_world;
-                solution = self.solve(frame, &before, motion.as_ref().or(frame.motion.as_ref()))?;
+                let Some(next) = self.solve(frame, &before, motion.as_ref().or(frame.motion.as_ref())) else { break };
+                solution = next;
                 let step = solution.camera_from_world * before.inverse();
                 if step.rotation.angle() < SETTLED && step.translation.norm() < SETTLED * before.translation.norm() {
                     break;
@@ -339,6 +340,7 @@ impl Tracker {
             let normalised = m.normalised - m.displacement * frame.shutter.readout_s;
             let pair = PosePair { point: m.point, normalised, pixel_scale, inv_sigma_px: m.inv_sigma_px };
             if let Some(pair) = without_distance(frame, m.landmark, pose, &pair) {
+                let p = pose.transform(&pair.point);
                 let (jx, jy) = jacobian_rows(&p, &(pair.pixel_scale * pair.inv_sigma_px));
                 accumulate(&mut h, &jx, &jy, 1.0);
                 continue;

@@ -6,7 +6,7 @@
 //! - A point is `(x, y, rho)`: its undistorted normalised place in the first view and its inverse depth, so that
 //!   `(x, y, 1) / rho` is the point and far ones (rho = 0) are no special case; unit of length: the baseline.
 //! - Residuals: `pi_A(x, y, 1) - z_A` and `pi_B(R (x, y, 1) + rho t) - z_B`, each divided by what the place is uncertain
-//!   by; Huber's loss on the four together. Parameters of the motion: left rotation, and two directions across t.
+//!   by; Cauchy's loss on the four together. Parameters of the motion: left rotation, and two directions across t.
 //! - Levenberg-Marquardt; the 3x3 blocks of the points are eliminated (Triggs et al., Bundle adjustment, 2000, section 6),
 //!   which leaves 5x5.
 //!

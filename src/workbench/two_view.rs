@@ -147,7 +147,8 @@ pub struct Epipolar {
     pub median_px: f64,
     /// One sigma of the noise that the inliers show, pixels.
     pub noise_px: f64,
-    /// F is that of one camera with its principal point in the middle of both pictures, which explains the matches as well as any F.
+    /// F is that of one camera with its principal point in the middle of both pictures, which explains the matches about as well as any F
+    /// (beyond chance, worse by at most a few hundredths of a pixel a match).
     pub one_camera: bool,
 }
 

@@ -143,6 +143,13 @@ pub struct Readout {
     pub sigma_s: f64,
 }
 
+impl Readout {
+    /// Whether the views moved enough to tell it: else it says little beyond what was supposed.
+    pub fn is_shown(&self) -> bool {
+        self.sigma_s < 0.5 * READOUT_SIGMA_S
+    }
+}
+
 /// One view of a solution.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SolvedView {
@@ -367,7 +374,7 @@ fn finish(
     let all = wider * all * wider;
     let covariance = all.fixed_view::<PARAMETERS, PARAMETERS>(0, 0).into_owned();
     let readout_variance = all[(PARAMETERS, PARAMETERS)].max(0.0);
-    let readout = Readout { seconds: state.readout_s, sigma_s: readout_variance.sqrt() };
+    let readout = Readout { seconds: state.readout_s, sigma_s: readout_variance.sqrt().min(READOUT_SIGMA_S) };
     if (0..PARAMETERS).any(|i| free[i] && !(covariance[(i, i)] > 0.0 && covariance[(i, i)].is_finite())) {
         return Err(PlaneCalibrationError::Degenerate);
     }
