@@ -379,6 +379,20 @@ fn f_of_listed_matches_brings_annotated_points_onto_their_lines() {
     }
 }
 
+#[test]
+fn f_of_our_own_matches_brings_annotated_points_onto_their_lines() {
+    let Some(folder) = data("fundamental") else { return };
+    let scores = scores(&folder, "gradients");
+    let of = |pair: &str| scores.iter().find(|s| s["pair"] == pair && s["detector"] == "fast").unwrap();
+    for pair in ["booksh", "plant"] {
+        let median = of(pair)["annotated_px"].as_f64().unwrap();
+        assert!(median <= 0.7, "{pair}: {median} px");
+    }
+    for pair in ["box", "corr", "rotunda", "bonhall"] {
+        assert_eq!(of(pair)["outcome"], "fundamental_only", "{pair}");
+    }
+}
+
 /// Angles with the rows of the inliers' epipolar lines in both pictures, degrees, as `cairn twoview` wrote F: median of the signed
 /// angles and of the absolute ones.
 fn row_angles(document: &Value) -> (f64, f64) {

@@ -54,7 +54,7 @@ pub struct MethodArgs {
     #[arg(long, value_enum, default_value = "fast")]
     pub detector: Detector,
     /// How corners are matched
-    #[arg(long, value_enum, default_value = "descriptors")]
+    #[arg(long, value_enum, default_value = "gradients")]
     pub matcher: Matcher,
     /// Scales that are searched, each 1.2 times smaller than the one before, 1 to 16 [default: by the matcher]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=16))]
