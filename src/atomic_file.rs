@@ -5,11 +5,13 @@
 //! renamed over it. A path that is not a regular file (a pipe, `/dev/stdout`, `/dev/null`) is written directly: renaming
 //! over a device would delete it. A symbolic link stays and its target is replaced.
 //!
-//! A process that is killed, or a power cut, leaves its temporary file: [`remove_stale`] clears them away at the next start.
+//! A process that is killed, or a power cut, leaves its temporary file: [`remove_stale`] clears them away at the next start. Whoever
+//! writes one holds the kernel's lock on it (`flock`), which ends with the process however that ends; process numbers would not tell,
+//! as they are given anew after a reboot.
 //!
 //! Deliberately not here: locks between two writers of one path (the later rename wins, whole).
 
-use std::fs::{self, File, OpenOptions};
+use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -67,9 +69,10 @@ fn replace(target: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<
     fill(&mut writer)?;
     let file = writer.into_inner().map_err(io::IntoInnerError::into_error)?;
     file.sync_all()?;
-    drop(file);
     fs::rename(&temporary.path, target)?;
     temporary.renamed = true;
+    // Locked until here, lest another process takes it for left over.
+    drop(file);
     // The rename itself reaches the disk with the folder; some file systems refuse to sync one, which loses nothing now.
     if let Ok(folder) = File::open(directory) {
         let _ = folder.sync_all();
@@ -83,20 +86,22 @@ const ENDING: &str = ".tmp";
 /// Entries of a folder that are looked at.
 const MAX_ENTRIES: usize = 10_000;
 
-/// Removes the temporary files in `directory` that a process before this one has left; their paths. Call it before the process writes anything.
-/// Only files of ours: by name, plain files (links are neither followed nor removed), of this user, and of no process that still lives.
+/// Removes the temporary files in `directory` that a process before this one has left; their paths.
+/// Only files of ours: by name, plain files (links are neither followed nor removed), of this user, and that nobody writes.
 pub fn remove_stale(directory: &Path) -> Vec<PathBuf> {
     use std::os::unix::fs::MetadataExt;
     let Ok(us) = fs::metadata("/proc/self").map(|m| m.uid()) else { return Vec::new() };
     let Ok(entries) = fs::read_dir(directory) else { return Vec::new() };
     let mut removed = Vec::new();
-    for entry in entries.flatten().take(MAX_ENTRIES) {
-        let name = entry.file_name();
-        let Some(maker) = name.to_str().and_then(maker) else { continue };
+    for entry in entries.flatten().take(MAX_ENTRIES).filter(|e| e.file_name().to_str().is_some_and(is_temporary)) {
         let path = entry.path();
         // Of the entry itself, not of what a link leads to.
         let ours = fs::symlink_metadata(&path).is_ok_and(|meta| meta.is_file() && meta.uid() == us);
-        if ours && !lives(maker) && fs::remove_file(&path).is_ok() {
+        let lock = ours
+            .then(|| OpenOptions::new().write(true).open(&path))
+            .and_then(Result::ok)
+            .filter(|file| file.try_lock().is_ok());
+        if lock.is_some() && fs::remove_file(&path).is_ok() {
             removed.push(path);
         }
     }
@@ -104,23 +109,19 @@ pub fn remove_stale(directory: &Path) -> Vec<PathBuf> {
     removed
 }
 
-/// The process that made a temporary file of this name.
-fn maker(name: &str) -> Option<u32> {
-    let (stem, number) = name.strip_prefix('.')?.strip_suffix(ENDING)?.rsplit_once(MARK)?;
-    let (pid, count) = number.split_once('-')?;
-    count.parse::<u64>().ok()?;
-    pid.parse().ok().filter(|_| !stem.is_empty())
+/// Whether this is how we name temporary files.
+fn is_temporary(name: &str) -> bool {
+    let parts = || {
+        let (stem, number) = name.strip_prefix('.')?.strip_suffix(ENDING)?.rsplit_once(MARK)?;
+        let (pid, count) = number.split_once('-')?;
+        Some((stem, pid.parse::<u32>().ok()?, count.parse::<u64>().ok()?))
+    };
+    parts().is_some_and(|(stem, ..)| !stem.is_empty())
 }
 
-/// Whether another process with this number runs this program, and may still be writing. After a reboot numbers are given anew.
-fn lives(pid: u32) -> bool {
-    let program = |pid: &str| fs::read_to_string(format!("/proc/{pid}/comm")).ok();
-    pid != std::process::id() && program(&pid.to_string()).is_some_and(|name| Some(name) == program("self"))
-}
-
-/// A new file in `directory` that nobody else has, opened for reading and writing; `private`: mode 0600.
+/// A new file in `directory` that nobody else has, opened for reading and writing and locked; `private`: mode 0600.
 pub(crate) fn create_unique(directory: &Path, stem: &str, private: bool) -> io::Result<(File, PathBuf)> {
-    use std::os::unix::fs::OpenOptionsExt;
+    use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
     static COUNTER: AtomicU64 = AtomicU64::new(0);
     const ATTEMPTS: u32 = 100;
     for _ in 0..ATTEMPTS {
@@ -128,7 +129,12 @@ pub(crate) fn create_unique(directory: &Path, stem: &str, private: bool) -> io::
         let path = directory.join(format!("{stem}{MARK}{}-{n}{ENDING}", std::process::id()));
         let mode = if private { 0o600 } else { 0o666 };
         match OpenOptions::new().read(true).write(true).create_new(true).mode(mode).open(&path) {
-            Ok(file) => return Ok((file, path)),
+            // A file system without locks leaves it to be cleared away by hand. One that was cleared away before the lock is no file any more.
+            Ok(file) => match file.try_lock() {
+                Err(TryLockError::WouldBlock) => continue,
+                Ok(()) if file.metadata().is_ok_and(|meta| meta.nlink() == 0) => continue,
+                _ => return Ok((file, path)),
+            },
             // Left over by a killed process that had our number: try the next name.
             Err(e) if e.kind() == io::ErrorKind::AlreadyExists => continue,
             Err(e) => return Err(e),
@@ -191,7 +197,7 @@ mod tests {
     fn what_a_process_left_is_cleared_away_and_nothing_else() {
         let dir = tempfile::tempdir().unwrap();
         let put = |name: &str| fs::write(dir.path().join(name), "half a map").unwrap();
-        // Of this process's own number: it was given to another one before. Nobody has the highest.
+        // Of a number that lives, as after a reboot, and of one that nobody has.
         let own = format!(".map.ply.cairn-{}-3.tmp", std::process::id());
         for stale in [&own, ".map.ply.cairn-4194304-0.tmp", ".cairn-spool.cairn-4194304-17.tmp"] {
             put(stale);
@@ -218,21 +224,18 @@ mod tests {
     }
 
     #[test]
-    fn another_process_of_this_program_may_still_be_writing() {
-        let us = std::env::current_exe().unwrap();
-        // It waits for its input, under the name that the kernel gives this program, too.
-        let name = us.file_name().unwrap();
+    fn what_is_being_written_stays() {
         let dir = tempfile::tempdir().unwrap();
-        let twin = dir.path().join(name);
-        std::os::unix::fs::symlink("/bin/cat", &twin).unwrap();
-        let mut other = std::process::Command::new(&twin).stdin(std::process::Stdio::piped()).spawn().unwrap();
-        let comm = || fs::read_to_string(format!("/proc/{}/comm", other.id())).unwrap_or_default();
-        let alive = (0..1000).any(|_| {
-            std::thread::sleep(std::time::Duration::from_millis(5));
-            comm() == fs::read_to_string("/proc/self/comm").unwrap() && lives(other.id())
-        });
-        other.kill().unwrap();
-        other.wait().unwrap();
-        assert!(alive && !lives(other.id()));
+        let path = dir.path().join("map.ply");
+        write_atomically(&path, |w| {
+            assert!(remove_stale(dir.path()).is_empty());
+            w.write_all(b"whole")
+        })
+        .unwrap();
+        assert_eq!(fs::read_to_string(&path).unwrap(), "whole");
+        let (file, left) = create_unique(dir.path(), ".spool", true).unwrap();
+        assert!(remove_stale(dir.path()).is_empty());
+        drop(file);
+        assert_eq!(remove_stale(dir.path()), [left]);
     }
 }

@@ -71,9 +71,17 @@ def cut_in_a_save(stage):
             save()
 
     def save_is_under_way():
-        """Returns while a new file is being written beside the old one, a little later every time."""
-        until(unfinished, 60, "a save is under way", pause_s=0)
-        end = now() + 0.002 * stage.phase
+        """Returns while a new file is being written beside the old one: in turns, when its name has reached the disk, and a little later every time."""
+        def on_disk():
+            before = unfinished()
+            if before and stage.phase % 2 == 0:
+                folder = os.open("/var/lib/cairn", os.O_RDONLY)
+                os.fsync(folder)
+                os.close(folder)
+            return set(before) & set(unfinished())
+
+        until(on_disk, 60, "a save is under way", pause_s=0)
+        end = now() + 0.002 * (stage.phase % 2) * stage.phase
         while now() < end:
             pass
 
