@@ -22,12 +22,16 @@ struct Scene {
 
 impl Scene {
     /// Frames `a` and `b` (30 a second) of a scenario, as PGM, with the lens's calibration.
-    fn new(scenario: Scenario, seed: u64, [a, b]: [u64; 2]) -> Self {
+    fn new(scenario: Scenario, seed: u64, frames: [u64; 2]) -> Self {
         let mut config = SimulatorConfig { seed, ..SimulatorConfig::default() };
         config.scenario = scenario;
         config.motion_blur.enabled = false;
         config.rolling_shutter.enabled = false;
-        let mut simulator = Simulator::new(&config, Pacing::LockStep).unwrap();
+        Self::of(&config, frames)
+    }
+
+    fn of(config: &SimulatorConfig, [a, b]: [u64; 2]) -> Self {
+        let mut simulator = Simulator::new(config, Pacing::LockStep).unwrap();
         let folder = tempfile::tempdir().unwrap();
         let mut picture = GreyImage::default();
         for (name, frame) in [("a.pgm", a), ("b.pgm", b)] {
@@ -221,6 +225,35 @@ fn turning_on_the_spot_is_told_with_and_without_a_camera() {
     let (code, document, text) = twoview(&scene.path("a.pgm"), &scene.path("b.pgm"), &scene.path("blind"), &[]);
     // What a lens does besides may look like depth to F alone; it must not look like certainty.
     assert!(code == 3 || document["fundamental"]["degeneracy"]["name"] != "none", "{text}");
+}
+
+/// A lens that bends lines and rows that are taken one after the other look like depth to F: it found an epipole in all three. In the last one
+/// a repeated texture is matched by periods, along F's lines.
+#[test]
+fn a_turn_that_lens_and_shutter_bend_is_told_without_a_camera() {
+    for (seed, frames) in [(1, [599, 607]), (3, [638, 642]), (5, [590, 594])] {
+        let mut config = SimulatorConfig { seed, ..SimulatorConfig::default() };
+        config.scenario = Scenario::Square;
+        assert!(config.rolling_shutter.enabled);
+        let scene = Scene::of(&config, frames);
+        let moved = scene.second_from_first.translation.norm();
+        let turned = scene.second_from_first.rotation.angle().to_degrees();
+        assert!(moved < 1e-3 && turned > 4.0, "seed {seed}: {moved} m, {turned} degrees");
+        let (code, document, text) = twoview(&scene.path("a.pgm"), &scene.path("b.pgm"), &scene.path("blind"), &[]);
+        assert_eq!((code, outcome(&document)), (3, "pure_rotation"), "seed {seed}: {text}");
+        assert!(text.contains("one of many"), "{text}");
+    }
+}
+
+#[test]
+fn the_least_and_the_largest_noise_that_can_be_asked_for_end_in_outcomes_without_a_camera() {
+    let scene = moved();
+    for sigma in ["0.05", "0.19", "20"] {
+        let output = scene.path(&format!("sigma-{sigma}"));
+        let (code, document, text) = twoview(&scene.path("a.pgm"), &scene.path("b.pgm"), &output, &["--sigma", sigma]);
+        assert!(matches!(code, 0 | 3), "--sigma {sigma}: {code} {text}");
+        assert!(!outcome(&document).is_empty(), "--sigma {sigma}: {text}");
+    }
 }
 
 #[test]

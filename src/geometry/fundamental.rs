@@ -24,6 +24,7 @@ use super::point_set::{Conditioning, all_finite, bounding_box, chance_near_line,
 use super::polynomial::real_roots;
 use super::ransac::{self, Estimator, RansacOptions, Workspace};
 use super::rotation::rotation_nearest;
+use super::unknown_turn::chance_displaced;
 
 /// The equation of a match in the entries of F, row by row.
 #[inline]
@@ -375,13 +376,7 @@ impl Estimator for Parallax<'_> {
         if !self.misplaced {
             return stranger;
         }
-        // A Sampson distance shares the error out between both pictures.
-        let across = std::f64::consts::SQRT_2 * threshold;
-        let displaced = |&i: &usize| {
-            let distance = self.displacement(i);
-            let share = if distance > across { (across / distance).asin() * std::f64::consts::FRAC_2_PI } else { 1.0 };
-            share.max(stranger)
-        };
+        let displaced = |&i: &usize| chance_displaced(self.displacement(i), threshold).max(stranger);
         let sum: f64 = self.beside.iter().map(displaced).sum();
         if self.beside.is_empty() { stranger } else { sum / self.beside.len() as f64 }
     }
@@ -402,7 +397,11 @@ fn plane_and_parallax(problem: &Problem, options: &RansacOptions, h: &TwoWay, mo
         return Epipole::Open;
     }
     // Those near the plane agree by chance so often that they can hide what the farther ones say.
-    let sure = [1.0, 3.0, 6.0].iter().any(|cut| {
+    let cuts = [1.0, 3.0, 6.0];
+    // One trial a cut.
+    let trials = (cuts.len() as f64).log10();
+    let options = RansacOptions { max_log10_false_alarms: options.max_log10_false_alarms - trials, ..options };
+    let sure = cuts.iter().any(|cut| {
         let far = |&i: &usize| parallax.displacement(i) > cut * options.threshold;
         let beside = parallax.beside.iter().copied().filter(far).collect();
         let misplaced = Parallax { problem, plane: h, beside, misplaced: true };

@@ -34,6 +34,7 @@ pub mod sim3;
 pub(crate) mod synthetic;
 pub mod triangulation;
 pub mod two_view;
+pub mod unknown_turn;
 
 pub use camera_model::{CameraModel, CameraModelError};
 pub use lens_model::LensModel;

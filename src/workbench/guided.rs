@@ -2,8 +2,8 @@
 //! the only one along a line.
 //!
 //! Input: the corners of both pictures, where they are without the lens's distortion, and F of those places. Output: pairs
-//! - whose second corner lies within a band of the first one's epipolar line, mutual nearest by their descriptors among those,
-//!   with the ratio test among those ([`match_along_lines`]);
+//! - whose second corner lies within a band of the first one's epipolar line, mutual nearest among those by what the matcher compares
+//!   (binary descriptors, histograms of gradients), with the ratio test among those ([`match_along_lines`]);
 //! - or whose second place, a corner or not, has the patch that correlates best along the line ([`correlate_along_lines`]: the
 //!   study's way).
 //!
@@ -12,50 +12,80 @@
 
 use nalgebra::{Matrix3, Vector2};
 
-use super::detect::Corners;
-use super::pairing::Pair;
+use super::detect::{Corners, Keypoint};
+use super::pairing::{Pair, gradients_of};
 use crate::features::Corner;
 use crate::features::correlation::{CorrelationMatching, EpipolarCorrelator, EpipolarSearch};
+use crate::features::gradients::LENGTH;
 
 /// How a guided match is judged.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Guidance {
     /// Half the width of the band, pixels.
     pub band_px: f64,
-    /// Largest distance, bits of 256.
-    pub max_distance: u32,
-    /// The nearest must be nearer than this share of the second nearest's distance.
+    /// Largest distance, in the measure of what is compared.
+    pub max_distance: f64,
+    /// The nearest must be nearer than this share of the distance of the nearest elsewhere.
     pub max_ratio: f64,
+    /// Elsewhere is farther than this many pixels of the coarser scale.
+    pub same_place_px: f64,
     /// Corners whose scales differ by more steps are not compared.
     pub max_scale_steps: usize,
 }
 
-impl Default for Guidance {
-    fn default() -> Self {
-        Self { band_px: 3.0, max_distance: 72, max_ratio: 0.9, max_scale_steps: 6 }
+impl Guidance {
+    /// For binary descriptors: a distance is bits of 256.
+    pub fn descriptors(band_px: f64) -> Self {
+        Self { band_px, max_distance: 72.0, max_ratio: 0.9, same_place_px: 0.0, max_scale_steps: 6 }
+    }
+
+    /// For histograms of gradients: a distance is a share of a descriptor's length. A corner is found again at the scales beside its own,
+    /// and its second nearest is then itself (see `features::matching::places`).
+    pub fn gradients(band_px: f64) -> Self {
+        Self { band_px, max_distance: 0.8, max_ratio: 0.9, same_place_px: 4.0, max_scale_steps: 6 }
     }
 }
 
-/// Matches along epipolar lines. `ideal`: each corner's place without distortion, pixels; `None` is left out.
+/// Distance of the binary descriptors of two keypoints.
+pub fn descriptor_distance(corners: [&Corners; 2]) -> impl Fn(usize, usize) -> Option<f64> {
+    move |i, j| {
+        let (a, b) = (&corners[0].keypoints.get(i)?.descriptor, &corners[1].keypoints.get(j)?.descriptor);
+        Some(f64::from(a.as_ref()?.distance(b.as_ref()?)))
+    }
+}
+
+/// Least distance of the histograms of gradients of two keypoints, each of which may have two.
+pub fn gradient_distance(corners: [&Corners; 2]) -> impl Fn(usize, usize) -> Option<f64> {
+    let all = corners.map(gradients_of);
+    move |i, j| {
+        let [a, b] = [all[0].get(i)?, all[1].get(j)?];
+        let least = a.iter().flat_map(|p| b.iter().map(move |q| p.distance_squared(q))).min()?;
+        Some(f64::from(least).sqrt() / f64::from(LENGTH))
+    }
+}
+
+/// One corner's candidates of the other picture: the nearest, its distance, and that of the nearest elsewhere.
+fn nearest(candidates: &[(usize, f64)], same: impl Fn(usize, usize) -> bool) -> Option<(usize, f64, f64)> {
+    // Of equally near ones the first.
+    let (index, least) = *candidates.iter().min_by(|a, b| a.1.total_cmp(&b.1))?;
+    let elsewhere = candidates.iter().filter(|(k, _)| *k != index && !same(*k, index)).map(|(_, d)| *d);
+    Some((index, least, elsewhere.fold(f64::INFINITY, f64::min)))
+}
+
+/// Matches along epipolar lines, by `distance` of the keypoints of both pictures. `ideal`: each corner's place without lens distortion,
+/// pixels; `None` is left out.
 pub fn match_along_lines(
     corners: [&Corners; 2],
     ideal: [&[Option<Vector2<f64>>]; 2],
     fundamental: &Matrix3<f64>,
     rule: &Guidance,
+    distance: impl Fn(usize, usize) -> Option<f64>,
 ) -> Vec<Pair> {
     let [first, second] = corners.map(|c| c.keypoints.as_slice());
-    // Nearest and second nearest distance, and whose the nearest is.
-    let mut rows = vec![(u32::MAX, u32::MAX, usize::MAX); first.len()];
-    let mut columns = vec![(u32::MAX, u32::MAX, usize::MAX); second.len()];
-    let offer = |best: &mut (u32, u32, usize), distance: u32, index: usize| {
-        if distance < best.0 {
-            *best = (distance, best.0, index);
-        } else if distance < best.1 {
-            best.1 = distance;
-        }
-    };
+    let mut rows: Vec<Vec<(usize, f64)>> = vec![Vec::new(); first.len()];
+    let mut columns: Vec<Vec<(usize, f64)>> = vec![Vec::new(); second.len()];
     for (i, (p, at)) in first.iter().zip(ideal[0]).enumerate() {
-        let (Some(descriptor), Some(at)) = (&p.descriptor, at) else { continue };
+        let Some(at) = at else { continue };
         let line = fundamental * at.push(1.0);
         let norm = line.xy().norm();
         if !(norm > 0.0) {
@@ -63,30 +93,36 @@ pub fn match_along_lines(
         }
         let line = line / norm;
         for (j, (q, to)) in second.iter().zip(ideal[1]).enumerate() {
-            let (Some(other), Some(to)) = (&q.descriptor, to) else { continue };
+            let Some(to) = to else { continue };
             let off = (line.x * to.x + line.y * to.y + line.z).abs();
             if off > rule.band_px || p.scale.abs_diff(q.scale) > rule.max_scale_steps {
                 continue;
             }
-            let distance = descriptor.distance(other);
-            offer(&mut rows[i], distance, j);
-            offer(&mut columns[j], distance, i);
+            if let Some(distance) = distance(i, j) {
+                rows[i].push((j, distance));
+                columns[j].push((i, distance));
+            }
         }
     }
-    let clear = |best: &(u32, u32, usize)| {
-        best.0 <= rule.max_distance && (best.1 == u32::MAX || f64::from(best.0) < rule.max_ratio * f64::from(best.1))
+    let same = |all: &[Keypoint], i: usize, j: usize| {
+        let (p, q) = (&all[i], &all[j]);
+        (p.position - q.position).norm() <= rule.same_place_px * p.size_px.max(q.size_px)
+    };
+    let clear = |(_, least, elsewhere): (usize, f64, f64)| {
+        least <= rule.max_distance && (elsewhere.is_infinite() || least < rule.max_ratio * elsewhere)
     };
     let mut pairs = Vec::new();
     for (i, row) in rows.iter().enumerate() {
-        let Some(column) = columns.get(row.2) else { continue };
-        if column.2 == i && clear(row) && clear(column) {
-            let (p, q) = (&first[i], &second[row.2]);
+        let Some(there) = nearest(row, |a, b| same(second, a, b)) else { continue };
+        let Some(back) = nearest(&columns[there.0], |a, b| same(first, a, b)) else { continue };
+        if back.0 == i && clear(there) && clear(back) {
+            let (p, q) = (&first[i], &second[there.0]);
             pairs.push(Pair {
                 a: p.position,
                 b: q.position,
                 first: i,
-                second: Some(row.2),
-                distance: f64::from(row.0),
+                second: Some(there.0),
+                distance: there.1,
                 size_px: [p.size_px, q.size_px],
             });
         }

@@ -215,14 +215,22 @@ fn by_descriptors(first: &Corners, second: &Corners, rule: &DescriptorMatching) 
         .collect()
 }
 
+/// Histograms of gradients of each keypoint: none at the border, up to two for its directions.
+pub fn gradients_of(corners: &Corners) -> Vec<Vec<GradientDescriptor>> {
+    let maps: Vec<GradientMap> = corners.scales.iter().map(|s| GradientMap::new(&s.image)).collect();
+    let of = |k: &Keypoint| {
+        let at = corners.scales[k.scale].local(&k.position).cast::<f32>();
+        maps[k.scale].describe(at.x, at.y)
+    };
+    corners.keypoints.iter().map(of).collect()
+}
+
 fn by_gradients(first: &Corners, second: &Corners, rule: &PlaceMatching) -> Vec<Pair> {
-    // Up to two of each keypoint: the descriptors, the keypoints that they are of, and their places.
+    // The descriptors, the keypoints that they are of, and their places.
     let described = |corners: &Corners| -> (Vec<usize>, Vec<GradientDescriptor>, Vec<Place>) {
-        let maps: Vec<GradientMap> = corners.scales.iter().map(|s| GradientMap::new(&s.image)).collect();
         let (mut from, mut all, mut places) = (Vec::new(), Vec::new(), Vec::new());
-        for (i, k) in corners.keypoints.iter().enumerate() {
-            let at = corners.scales[k.scale].local(&k.position).cast::<f32>();
-            for descriptor in maps[k.scale].describe(at.x, at.y) {
+        for (i, (k, own)) in corners.keypoints.iter().zip(gradients_of(corners)).enumerate() {
+            for descriptor in own {
                 from.push(i);
                 all.push(descriptor);
                 places.push(Place { at: k.position.cast::<f32>().into(), size_px: k.size_px as f32 });
@@ -231,13 +239,17 @@ fn by_gradients(first: &Corners, second: &Corners, rule: &PlaceMatching) -> Vec<
         (from, all, places)
     };
     let ((from_a, a, places_a), (from_b, b, places_b)) = (described(first), described(second));
-    match_places((&a, &places_a), (&b, &places_b), rule)
-        .iter()
-        .map(|m| {
-            let (i, j) = (from_a[m.first as usize], from_b[m.second as usize]);
-            pair(&first.keypoints, &second.keypoints, i, j, m.distance)
-        })
-        .collect()
+    // The nearest first: a corner that was described twice keeps its better match.
+    let mut used = [vec![false; first.keypoints.len()], vec![false; second.keypoints.len()]];
+    let mut pairs = Vec::new();
+    for m in match_places((&a, &places_a), (&b, &places_b), rule) {
+        let (i, j) = (from_a[m.first as usize], from_b[m.second as usize]);
+        if !used[0][i] && !used[1][j] {
+            (used[0][i], used[1][j]) = (true, true);
+            pairs.push(pair(&first.keypoints, &second.keypoints, i, j, m.distance));
+        }
+    }
+    pairs
 }
 
 fn by_attributes(first: &Corners, second: &Corners, rule: &AttributeMatching) -> Vec<Pair> {

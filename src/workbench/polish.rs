@@ -114,6 +114,25 @@ pub fn polish(
     })
 }
 
+/// How alike the patch around `a` of `first` and that laid by `map` around `b` of `second` are: the largest correlation of the places up to a
+/// pixel from `b`. `None` at the border.
+pub fn likeness(
+    first: &GreyImage,
+    second: &GreyImage,
+    a: &Vector2<f64>,
+    b: &Vector2<f64>,
+    map: &Matrix2<f64>,
+) -> Option<f64> {
+    let rows = rows(first, a)?;
+    let whole = a.map(f64::round);
+    let around = (0..9).map(|k| Vector2::new(f64::from(k % 3 - 1), f64::from(k / 3 - 1)));
+    let alike = around.filter_map(|off| {
+        let seen = sampled(second, &(b + map * (whole - a) + off), map)?;
+        Some(correlation(&rows, &seen))
+    });
+    alike.max_by(f64::total_cmp)
+}
+
 /// Of each pixel of the patch: derivative by shift and by the map's entries, grey value, one; and its weight. `None` at the border.
 fn rows(image: &GreyImage, centre: &Vector2<f64>) -> Option<Vec<(Row, f64)>> {
     let (cx, cy) = (centre.x.round() as i64, centre.y.round() as i64);

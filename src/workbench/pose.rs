@@ -28,9 +28,9 @@ use crate::geometry::two_view::{TwoViewFailure, TwoViewOptions, TwoViewReconstru
 /// 95 % point of chi-square with one degree of freedom, as a distance in sigma.
 pub const LINE_SIGMAS: f64 = 1.96;
 /// No match is placed better than this, pixels.
-const MIN_NOISE_PX: f64 = 0.03;
+pub const MIN_NOISE_PX: f64 = 0.03;
 /// Once the noise is known, an inlier lies within so many sigma of it.
-const INLIER_SIGMAS: f64 = 3.5;
+pub const INLIER_SIGMAS: f64 = 3.5;
 /// Names of the four motions, in the order of `geometry::essential::Decomposition`.
 pub const CANDIDATES: [&str; 4] = ["P_A", "P_B", "P_C", "P_D"];
 
@@ -165,12 +165,9 @@ const GUESSES: u64 = 8;
 /// The motion that fits best, however badly, of those that leave the pictures a common view (the judge's limit for a turn), or else
 /// of all. No better than chance where the judge found nothing: only for comparisons with programs that always answer.
 fn guess(input: &PoseInput, options: &EssentialOptions, max_rotation_rad: f64) -> Option<Solution> {
-    let widths = [1.0, 2.0, 4.0, 8.0];
-    let ways =
-        [max_rotation_rad, std::f64::consts::PI].into_iter().flat_map(|limit| widths.map(|wider| (limit, wider)));
-    ways.into_iter().find_map(|(limit, wider)| {
-        let threshold = wider * options.ransac.threshold;
-        let mut best: Option<(f64, Se3<Second, First>)> = None;
+    // Every motion drawn at a width of the threshold that anything at all agrees with, the one with most support first.
+    let drawn = |threshold: f64| {
+        let mut motions: Vec<(f64, Se3<Second, First>)> = Vec::new();
         for draw in 0..GUESSES {
             let ransac = RansacOptions {
                 max_log10_false_alarms: f64::INFINITY,
@@ -181,15 +178,27 @@ fn guess(input: &PoseInput, options: &EssentialOptions, max_rotation_rad: f64) -
             };
             let found = estimate_essential(input.x1, input.x2, &EssentialOptions { ransac, ..*options });
             let Some(parts) = found.and_then(|e| decompose(&e.essential)) else { continue };
-            for motion in parts.candidates.into_iter().filter(|m| m.rotation.angle() <= limit) {
-                let support = agreement(input, &motion, threshold).1;
-                if best.is_none_or(|(most, _)| support > most) {
-                    best = Some((support, motion));
-                }
-            }
+            let tallied = parts.candidates.into_iter().map(|m| (agreement(input, &m, threshold).1, m));
+            motions.extend(tallied.filter(|(support, _)| *support > 0.0));
         }
-        solve(input, &[("guess", best?.1)], threshold)
-    })
+        // Stable: of equals the first drawn.
+        motions.sort_by(|a, b| b.0.total_cmp(&a.0));
+        motions
+    };
+    let answer = |threshold: f64, motions: &[(f64, Se3<Second, First>)], limit: f64| {
+        let best = motions.iter().find(|(_, m)| m.rotation.angle() <= limit)?.1;
+        solve(input, &[("guess", best)], threshold)
+    };
+    let mut tried = Vec::new();
+    for wider in [1.0, 2.0, 4.0, 8.0] {
+        let threshold = wider * options.ransac.threshold;
+        let motions = drawn(threshold);
+        if let Some(solution) = answer(threshold, &motions, max_rotation_rad) {
+            return Some(solution);
+        }
+        tried.push((threshold, motions));
+    }
+    tried.iter().find_map(|(threshold, motions)| answer(*threshold, motions, std::f64::consts::PI))
 }
 
 /// F of E, of unit norm.

@@ -7,38 +7,33 @@
 //! A guided round matches again along the lines of the first F, and estimates F once more from the union.
 //! Every random draw comes from one seed: the same input gives the same numbers (times aside).
 //!
-//! Without cameras, F is that of one camera (eq. 6's assumption) with its centre in the middle wherever the matches do not speak against it.
-//!
 //! Cost: 50 to 500 ms for 640x480. Deliberately not here: reading files, drawing, printing.
+
+mod epipolar;
+#[cfg(test)]
+mod tests;
+mod turn;
 
 use std::time::Instant;
 
 use nalgebra::{Matrix3, Vector2};
 
+pub use self::epipolar::Epipolar;
+use self::epipolar::epipolar;
 use super::adjustment::Observation;
 use super::detect::{Corners, Detection, detect};
-use super::guided::{Guidance, correlate_along_lines, match_along_lines};
+use super::guided::{Guidance, correlate_along_lines, descriptor_distance, gradient_distance, match_along_lines};
 use super::pairing::{Matcher, Matching, Pair, align_pairs, pair_corners, polish_pair, polish_pairs};
-use super::pose::{LINE_SIGMAS, PoseInput, PoseSteps, median, noise, pose_steps};
+use super::pose::{LINE_SIGMAS, PoseInput, PoseSteps, median, pose_steps};
 use crate::geometry::LensModel;
 use crate::geometry::camera_model::CameraModel;
-use crate::geometry::epipolar::{sampson_cost, sampson_squared};
-use crate::geometry::fundamental::{Degeneracy, FundamentalEstimate, estimate_fundamental, refine_fundamental};
-use crate::geometry::least_squares::{LmOptions, Loss};
-use crate::geometry::one_camera::one_camera_fundamental;
-use crate::geometry::point_set::Conditioning;
-use crate::geometry::ransac::RansacOptions;
+use crate::geometry::epipolar::sampson_squared;
+use crate::geometry::fundamental::Degeneracy;
 use crate::geometry::two_view::TwoViewFailure;
 use crate::image::GreyImage;
 
 /// Fewer matches are not tried: seven make an F, and one that nothing confirms.
 pub const MIN_MATCHES: usize = 8;
-/// No match is placed better than this, pixels.
-const MIN_NOISE_PX: f64 = 0.03;
-/// 95 % point of chi-square with one degree of freedom.
-const CHI2_ONE: f64 = 3.84;
-/// Once the noise is known, an inlier lies within so many sigma of it.
-const INLIER_SIGMAS: f64 = 3.5;
 
 /// What can be chosen.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -135,21 +130,6 @@ impl Outcome {
             Self::NoPose { reason } => format!("no pose: {reason}"),
         }
     }
-}
-
-/// Epipolar geometry of the matches.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Epipolar {
-    pub estimate: FundamentalEstimate,
-    /// Sampson distance of each match, pixels; NaN for a pair of epipoles.
-    pub residuals_px: Vec<f64>,
-    /// Median over the inliers, pixels.
-    pub median_px: f64,
-    /// One sigma of the noise that the inliers show, pixels.
-    pub noise_px: f64,
-    /// F is that of one camera with its principal point in the middle of both pictures, which explains the matches about as well as any F
-    /// (beyond chance, worse by at most a few hundredths of a pixel a match).
-    pub one_camera: bool,
 }
 
 /// Everything that came out.
@@ -349,9 +329,15 @@ impl Chain {
         };
         let ideal = [places(&out.corners[0], cameras.map(|c| &c.a)), places(&out.corners[1], cameras.map(|c| &c.b))];
         let both = [&out.corners[0], &out.corners[1]];
-        let rule = Guidance { band_px: 2.0 * LINE_SIGMAS * options.sigma_px, ..Guidance::default() };
+        let band_px = 2.0 * LINE_SIGMAS * options.sigma_px;
+        let places = [ideal[0].as_slice(), ideal[1].as_slice()];
         let mut found = match options.matching.matcher {
-            Matcher::Descriptors | Matcher::Gradients => match_along_lines(both, [&ideal[0], &ideal[1]], &f, &rule),
+            Matcher::Descriptors => {
+                match_along_lines(both, places, &f, &Guidance::descriptors(band_px), descriptor_distance(both))
+            }
+            Matcher::Gradients => {
+                match_along_lines(both, places, &f, &Guidance::gradients(band_px), gradient_distance(both))
+            }
             _ => Vec::new(),
         };
         align_pairs(both[0], both[1], &mut found);
@@ -401,118 +387,6 @@ impl Chain {
     }
 }
 
-/// F of the matches in `ideal` pixels. The search runs with the noise that was asked for; the last refinement with the noise
-/// that the inliers show, so that what is a little off does not pull on what is exact.
-fn epipolar(out: &TwoView, options: &Options) -> Option<Epipolar> {
-    let (u1, u2): (Vec<_>, Vec<_>) = out.ideal.iter().map(|[a, b]| (*a, *b)).unzip();
-    let threshold = LINE_SIGMAS * options.sigma_px;
-    let ransac = RansacOptions { seed: options.seed, ..RansacOptions::thorough(threshold) };
-    let mut estimate = estimate_fundamental(&u1, &u2, &ransac)?;
-    let distances =
-        |f: &Matrix3<f64>| -> Vec<f64> { u1.iter().zip(&u2).map(|(a, b)| sampson_squared(f, a, b).sqrt()).collect() };
-    let mut residuals_px = distances(&estimate.fundamental);
-    let mut noise_px = noise(residuals_px.iter().zip(&estimate.inliers).filter(|(_, i)| **i).map(|(r, _)| *r));
-    for _ in 0..2 {
-        let sigma = noise_px.clamp(MIN_NOISE_PX, options.sigma_px);
-        let Some(better) = refined(&estimate.fundamental, &u1, &u2, &residuals_px, sigma) else { break };
-        let limit = threshold.min(INLIER_SIGMAS * sigma);
-        let moved = distances(&better);
-        let inliers: Vec<bool> = moved.iter().map(|r| *r <= limit).collect();
-        let count = inliers.iter().filter(|i| **i).count();
-        // A refinement that loses what the search had found went astray.
-        if 2 * count < estimate.inlier_count {
-            break;
-        }
-        noise_px = noise(moved.iter().zip(&inliers).filter(|(_, i)| **i).map(|(r, _)| *r));
-        (estimate.fundamental, estimate.inliers, estimate.inlier_count) = (better, inliers, count);
-        residuals_px = moved;
-    }
-    let one_camera = match (one_cameras_middle(out), estimate.degeneracy) {
-        (Some(_), Degeneracy::Plane { .. } | Degeneracy::PureRotation { .. }) | (None, _) => None,
-        (Some(middle), _) => {
-            one_camera(&estimate.fundamental, middle, &u1, &u2, noise_px.clamp(MIN_NOISE_PX, options.sigma_px))
-        }
-    };
-    if let Some(f) = one_camera {
-        residuals_px = distances(&f);
-        estimate.fundamental = f;
-        let limit = threshold.min(INLIER_SIGMAS * noise_px.clamp(MIN_NOISE_PX, options.sigma_px));
-        estimate.inliers = residuals_px.iter().map(|r| *r <= limit).collect();
-        estimate.inlier_count = estimate.inliers.iter().filter(|i| **i).count();
-    }
-    let mut of_inliers: Vec<f64> =
-        residuals_px.iter().zip(&estimate.inliers).filter(|(_, i)| **i).map(|(r, _)| *r).collect();
-    let median_px = median(&mut of_inliers);
-    Some(Epipolar { median_px, noise_px, estimate, residuals_px, one_camera: one_camera.is_some() })
-}
-
-/// The middle of two pictures that one camera may have taken: of the same size, and without cameras that say otherwise.
-fn one_cameras_middle(out: &TwoView) -> Option<Vector2<f64>> {
-    let size = |c: &Corners| c.scales.first().map(|s| (s.image.width, s.image.height));
-    let (first, second) = (size(&out.corners[0])?, size(&out.corners[1])?);
-    let middle = |n: usize| 0.5 * (n as f64 - 1.0);
-    (!out.undistorted && first == second).then(|| Vector2::new(middle(first.0), middle(first.1)))
-}
-
-/// The F of one camera ([`one_camera_fundamental`]), where it explains the matches no worse than `free` does: by a difference of chi-square
-/// that one number more would often make of noise alone, and by what no lens and no matching is better than.
-fn one_camera(
-    free: &Matrix3<f64>,
-    middle: Vector2<f64>,
-    u1: &[Vector2<f64>],
-    u2: &[Vector2<f64>],
-    sigma_px: f64,
-) -> Option<Matrix3<f64>> {
-    let scale = 1.0 / middle.amax();
-    // Pixels less the middle, over half the longer side.
-    let to_unit = Matrix3::new(scale, 0.0, -scale * middle.x, 0.0, scale, -scale * middle.y, 0.0, 0.0, 1.0);
-    let from_unit = to_unit.try_inverse()?;
-    let near: Vec<(Vector2<f64>, Vector2<f64>)> = u1
-        .iter()
-        .zip(u2)
-        .filter(|(a, b)| sampson_squared(free, a, b).sqrt() <= INLIER_SIGMAS * sigma_px)
-        .map(|(a, b)| ((a - middle) * scale, (b - middle) * scale))
-        .collect();
-    if near.len() < MIN_MATCHES {
-        return None;
-    }
-    let loss = Loss::Cauchy(2.0 * sigma_px * scale);
-    let start = from_unit.transpose() * free * from_unit;
-    let found = one_camera_fundamental(&start, near.iter().copied(), loss, &LmOptions::default())?;
-    let cost = |f: &Matrix3<f64>| sampson_cost(f, near.iter().copied(), &loss);
-    // In squared pixels: what noise makes of it, and what all matches of a part of the picture may be wrong by together.
-    let lost = (cost(&found) - cost(&start)) / (scale * scale);
-    let allowed = CHI2_ONE * sigma_px * sigma_px + near.len() as f64 * MIN_NOISE_PX * MIN_NOISE_PX;
-    let f = to_unit.transpose() * found * to_unit;
-    let norm = f.norm();
-    (lost <= allowed && norm > 0.0 && norm.is_finite()).then(|| f / norm)
-}
-
-/// F of least distance over what is within three sigma of `start`.
-fn refined(
-    start: &Matrix3<f64>,
-    u1: &[Vector2<f64>],
-    u2: &[Vector2<f64>],
-    residuals_px: &[f64],
-    sigma_px: f64,
-) -> Option<Matrix3<f64>> {
-    let conditioning = Conditioning::of(u1, u2)?;
-    let (to_first, to_second) = (conditioning.matrix1(), conditioning.matrix2());
-    let conditioned = to_second.try_inverse()?.transpose() * start * to_first.try_inverse()?;
-    let near: Vec<(Vector2<f64>, Vector2<f64>)> = (0..u1.len())
-        .filter(|i| residuals_px[*i] <= INLIER_SIGMAS * sigma_px)
-        .map(|i| (conditioning.first(&u1[i]), conditioning.second(&u2[i])))
-        .collect();
-    if near.len() < MIN_MATCHES {
-        return None;
-    }
-    let loss = Loss::Cauchy(2.0 * sigma_px * conditioning.scale);
-    let better = refine_fundamental(&conditioned, near.iter().copied(), loss, &LmOptions::default())?;
-    let f = to_second.transpose() * better * to_first;
-    let norm = f.norm();
-    (norm > 0.0 && norm.is_finite()).then(|| f / norm)
-}
-
 fn pose(out: &TwoView, cameras: &Cameras, options: &Options) -> PoseSteps {
     let normalised = |camera: &CameraModel, p: &Vector2<f64>| {
         Vector2::new((p.x - camera.cx) / camera.fx, (p.y - camera.cy) / camera.fy)
@@ -555,6 +429,3 @@ fn outcome_of(steps: &PoseSteps, matches: usize) -> Outcome {
         Err(other) => Outcome::NoPose { reason: other.to_string() },
     }
 }
-
-#[cfg(test)]
-mod tests;
