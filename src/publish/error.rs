@@ -32,7 +32,10 @@ pub enum PublishError {
     )]
     NoRoom { free_mb: u64, needed_mb: u64 },
     /// A picture does not fit into the memory reserved for it.
-    #[error("picture of {bytes} bytes exceeds the limit of {limit} bytes and is not sent")]
+    #[error(
+        "picture of {bytes} bytes exceeds the {limit} bytes that were reserved at start and is not sent: \
+         raise publish.max_frame_bytes to {bytes}, or start the daemon again with this camera plugged in"
+    )]
     FrameTooLarge { bytes: usize, limit: usize },
     /// A name that cannot be used.
     #[error(transparent)]
