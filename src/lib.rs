@@ -28,8 +28,12 @@
 //! - A start is a reference view, the newest one and up to eight in between, adjusted together; it is accepted once the direction of
 //!   the first motion is sure enough for how long the camera has moved, and most of the picture agrees with it, so neither standing
 //!   nor turning on the spot starts a map, nor (with a calibrated lens) something large that moves past.
+//! - A turn on the spot goes on where the map's landmarks leave the picture: corners without parallax become landmarks at an assumed
+//!   distance, which tracking eliminates and adjustments and planners never see; the first motion after the turn is found by two views
+//!   ([`reconstruction`]'s `assumed_distance` and `after_turn`), and log, health and covariance say what its scale rests on.
 //! - Local bundle adjustment runs in the mapping worker on a copy of the map's part, and is merged after a published pose, at
-//!   a fixed number of frames later in lock-step (waiting if need be), whenever it is done when live. Whenever a map of up to
+//!   a fixed number of frames later in lock-step (waiting if need be), whenever it is done when live; before the next frame is tracked
+//!   where frames come less than nine times a second. Whenever a map of up to
 //!   120 keyframes has grown by a third the whole of it is adjusted instead, and the intrinsics with it.
 //! - A camera without a calibration begins with a guess; its lens (distortion included) is refined the same way, at every keyframe of
 //!   a small map, and health says how surely it is known. What was found is kept for the next start, by `cli`.
@@ -48,7 +52,8 @@
 //! 7. Lock-step replay is deterministic, byte for byte: no clock in a decision, no iteration over hash maps, seeds from frame
 //!    numbers, sequential reductions.
 //! 8. Every queue and store is bounded and counts what it drops. A trajectory streams to disk as keyframe and relative pose.
-//! 9. No heap allocation from the decoded picture to the published pose once warm (`tests/allocations.rs`).
+//! 9. No heap allocation from the decoded picture to the published pose once warm (`tests/allocations.rs`), but where frames are 0.11 s
+//!    or more apart: there an adjusted map is merged first.
 //! 10. Unscaled lengths are never called metres: the wire says whether the scale is metric.
 //! 11. When tracking is lost the daemon keeps publishing, and says LOST. No pose is predicted into a trajectory.
 //! 12. Release builds run on any machine of the architecture: x86-64 baseline with run-time dispatch, NEON on aarch64.

@@ -70,6 +70,8 @@ struct Summary {
     landmarks: u32,
     resets: u64,
     relocalisations: u64,
+    /// Turns on the spot behind which the scale is an assumption.
+    blind_turns: u64,
     elapsed_s: f64,
     #[serde(flatten)]
     resources: Resources,
@@ -233,6 +235,7 @@ fn summarise(status: &Status, end: &End) -> Summary {
         landmarks: status.map_size().0,
         resets: status.resets.get(),
         relocalisations: status.relocalisations.get(),
+        blind_turns: status.blind_turns.get(),
         elapsed_s: 0.0,
         resources: Resources { cpu_ms_per_frame: 0.0, peak_rss_mb: 0.0 },
         intrinsics: IntrinsicsSummary::of(status),
@@ -266,6 +269,9 @@ fn text(s: &Summary) -> String {
         "  {} landmarks in the map, {} keyframes made, {} resets\n  {:.1} s, CPU {:.2} ms a frame, peak memory {:.0} MB\n",
         s.landmarks, s.keyframes, s.resets, s.elapsed_s, s.resources.cpu_ms_per_frame, s.resources.peak_rss_mb
     );
+    if s.blind_turns > 0 {
+        text += &format!("  {} turns on the spot behind which the scale is an assumption\n", s.blind_turns);
+    }
     let lens = &s.intrinsics;
     if lens.knowledge != LensKnowledge::Calibrated.name() {
         let said = match lens.knowledge == LensKnowledge::Estimated.name() {

@@ -22,7 +22,10 @@ pub fn advice(fault: &str) -> &'static str {
         "LOW_RATE" => {
             "the camera gives fewer frames than it granted: more light, camera.dynamic_rate = false, a fixed exposure"
         }
-        "PUBLISH_FAILED" => "look at free space of /dev/shm: `cairn doctor`",
+        "SCALE_ASSUMED" => {
+            "a turn on the spot left all known distances behind: see a place from before it again, turn in an arc, or use a wider lens"
+        }
+        "PUBLISH_FAILED" => "the record before says why; if /dev/shm is full, `cairn doctor` shows by what",
         "UNCALIBRATED" => "the lens is a guess: `cairn calibrate --camera auto`, or turn and move the camera",
         _ => "a fault of a newer version: `cairn doctor` of that version knows it",
     }
@@ -35,8 +38,8 @@ mod tests {
 
     #[test]
     fn every_fault_has_its_own_advice() {
-        let names: Vec<_> = error::names((1 << 15) - 1).collect();
-        assert!(names.len() >= 15 && !names.contains(&"UNKNOWN"), "{names:?}");
+        let names: Vec<_> = error::names((1 << 16) - 1).collect();
+        assert!(names.len() >= 16 && !names.contains(&"UNKNOWN"), "{names:?}");
         for name in &names {
             assert_ne!(advice(name), advice("UNKNOWN"), "{name}");
         }

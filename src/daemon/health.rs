@@ -275,6 +275,7 @@ impl HealthWatch {
             (seen_any && s.points_followed() < FEW, error::LOW_FEATURES),
             (s.calibration_refused(), error::BAD_CALIBRATION),
             (seen_any && s.lens().0 == LensKnowledge::Guessed, error::UNCALIBRATED),
+            (s.scale_is_assumed(), error::SCALE_ASSUMED),
             (!self.all_alive(now_ns), error::STALLED_STAGE),
             (state == TrackingState::Lost, error::LOST),
             (self.save_failed, error::SAVE_FAILED),

@@ -260,6 +260,7 @@ impl ReconstructStep {
             status.tracked.add(1);
         }
         status.set_frame(estimate, features.tracks.len());
+        status.set_scale_is_assumed(self.reconstruction.as_ref().is_some_and(Reconstruction::scale_is_assumed));
     }
 
     fn log_changes(&mut self, e: &PoseEstimate) {

@@ -41,6 +41,8 @@ pub struct Status {
     pub landmarks_made: Counter,
     pub resets: Counter,
     pub relocalisations: Counter,
+    /// Turns on the spot behind which the scale is an assumption.
+    pub blind_turns: Counter,
     pub adjustments: Counter,
     pub adjustments_late: Counter,
 
@@ -65,6 +67,7 @@ pub struct Status {
     /// What the camera granted, mHz; 0: not known.
     nominal_rate_mhz: AtomicU32,
     calibration_refused: AtomicBool,
+    scale_is_assumed: AtomicBool,
     state: AtomicU8,
     /// Of the current map, as of its last snapshot.
     map_landmarks: AtomicU32,
@@ -109,6 +112,7 @@ impl Default for Status {
             landmarks_made: Counter::default(),
             resets: Counter::default(),
             relocalisations: Counter::default(),
+            blind_turns: Counter::default(),
             adjustments: Counter::default(),
             adjustments_late: Counter::default(),
             decode: Histogram::default(),
@@ -122,6 +126,7 @@ impl Default for Status {
             source_present: AtomicBool::new(false),
             nominal_rate_mhz: AtomicU32::new(0),
             calibration_refused: AtomicBool::new(false),
+            scale_is_assumed: AtomicBool::new(false),
             state: AtomicU8::new(0),
             map_landmarks: AtomicU32::new(0),
             map_keyframes: AtomicU32::new(0),
@@ -176,6 +181,15 @@ impl Status {
 
     pub fn set_calibration_refused(&self, refused: bool) {
         self.calibration_refused.store(refused, Ordering::Relaxed);
+    }
+
+    /// The last pose lies behind a turn on the spot, at a scale that is assumed.
+    pub fn scale_is_assumed(&self) -> bool {
+        self.scale_is_assumed.load(Ordering::Relaxed)
+    }
+
+    pub fn set_scale_is_assumed(&self, assumed: bool) {
+        self.scale_is_assumed.store(assumed, Ordering::Relaxed);
     }
 
     /// State of tracking after the last frame.
@@ -287,6 +301,7 @@ impl Status {
         self.landmarks_made.set(c.landmarks_made);
         self.resets.set(c.resets);
         self.relocalisations.set(c.relocalisations);
+        self.blind_turns.set(c.blind_turns);
         self.adjustments.set(c.adjustments);
         self.adjustments_late.set(c.adjustments_late);
     }

@@ -33,6 +33,8 @@ pub struct ReplaySummary {
     pub landmarks: Option<u64>,
     pub resets: Option<u64>,
     pub relocalisations: Option<u64>,
+    /// Turns on the spot behind which the scale is an assumption.
+    pub blind_turns: Option<u64>,
     pub loops: Option<u64>,
     pub stages: Stages,
 }
@@ -324,8 +326,10 @@ pub fn table(result: &SuiteResult) -> String {
             RunStatus::Failed(reason) => Some(format!("failed: {reason}")),
             _ => None,
         };
+        let blind = row.replay.blind_turns.filter(|turns| *turns > 0);
+        let blind = blind.map(|turns| format!("{turns} turns on the spot behind which the scale is an assumption"));
         let notes = row.evaluation.iter().flat_map(|e| &e.notes).cloned();
-        for note in failed.into_iter().chain(notes) {
+        for note in failed.into_iter().chain(blind).chain(notes) {
             out += &format!("\n- {}: {note}\n", row.name);
         }
     }

@@ -30,6 +30,10 @@ pub struct LandmarkId(pub u32);
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Default)]
 pub struct MapId(pub u32);
 
+/// A turn on the spot of a map, from which on lengths are those of an assumed distance.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct TurnId(pub u16);
+
 /// Where a keyframe saw a landmark.
 #[derive(Debug, Clone, Copy)]
 pub struct Observation {
@@ -67,6 +71,8 @@ pub struct Keyframe {
     pub pyramid: Arc<Pyramid>,
     /// For relocalisation.
     pub thumbnail: Thumbnail,
+    /// The last turn that its scale came through; `None`: its scale is that of the map's start.
+    pub scale_from: Option<TurnId>,
     /// Ascending landmark id.
     pub observations: Vec<Observation>,
     /// Keyframes that share landmarks with this one and how many; ascending id.
@@ -302,6 +308,7 @@ mod tests {
             motion: None,
             pyramid: Arc::default(),
             thumbnail: Thumbnail::default(),
+            scale_from: None,
             observations: landmarks.iter().map(|&l| observation(l)).collect(),
             covisible: Vec::new(),
         }

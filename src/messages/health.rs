@@ -39,8 +39,11 @@ pub mod error {
     pub const UNCALIBRATED: u64 = 1 << 13;
     /// The camera lately gave less than three quarters of the rate that it said it would.
     pub const LOW_RATE: u64 = 1 << 14;
+    /// A turn on the spot has left everything behind whose distance was known: lengths since then are those of an assumed one,
+    /// and may be off by a factor from those before.
+    pub const SCALE_ASSUMED: u64 = 1 << 15;
 
-    const NAMES: [(u64, &str); 15] = [
+    const NAMES: [(u64, &str); 16] = [
         (NO_CAMERA, "NO_CAMERA"),
         (NO_FRAMES, "NO_FRAMES"),
         (NO_FEATURES, "NO_FEATURES"),
@@ -56,6 +59,7 @@ pub mod error {
         (PUBLISH_FAILED, "PUBLISH_FAILED"),
         (UNCALIBRATED, "UNCALIBRATED"),
         (LOW_RATE, "LOW_RATE"),
+        (SCALE_ASSUMED, "SCALE_ASSUMED"),
     ];
 
     /// Names of the bits that are set; bits of a newer daemon together are `UNKNOWN`.

@@ -17,7 +17,9 @@ use super::{CLOCK_MONOTONIC, Clock, NO_KEYFRAME, SCALE_UNKNOWN, STATE_INITIALIZI
 ///
 /// Positions in map units squared, angles in rad². It is relative to `anchor_keyframe`, scale removed: it says how well the
 /// pose is known within the map around it. An absolute one of a monocular map would be an artefact of where its origin
-/// lies. NaN means unknown. The clients unpack it (`covariance_matrix`) and turn it into the axes that `nav_msgs/Odometry` and
+/// lies. One part of it is not local: behind a turn on the spot that left everything behind whose distance was known, lengths are
+/// those of an assumed distance, and what that may be wrong makes of the way since the turn is in it, along that way, until the robot
+/// is located by what lies before the turn (health says `SCALE_ASSUMED` as long). NaN means unknown. The clients unpack it (`covariance_matrix`) and turn it into the axes that `nav_msgs/Odometry` and
 /// MAVLink want (`covariance_in_map_axes`).
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]

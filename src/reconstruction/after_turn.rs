@@ -12,7 +12,8 @@
 use nalgebra::Vector2;
 
 use super::Reconstruction;
-use super::assumed_distance::{Ray, is_held};
+use super::assumed_distance::{Ray, assumed_among, is_held};
+use super::free_rotation::median;
 use super::pose_optimisation::{PoseOptions, PosePair, optimise_pose};
 use super::search::Match;
 use crate::features::FrameFeatures;
@@ -43,13 +44,7 @@ impl Reconstruction {
         let readout_s = self.shutter.readout_s;
         for m in self.tracker.search.matches.iter().filter(|m| m.inlier) {
             let Some(ray) = Ray::of(m.landmark, &self.map, readout_s) else { continue };
-            let pair = PosePair {
-                point: m.point,
-                normalised: m.normalised - m.displacement * readout_s,
-                pixel_scale: self.camera.pixel_scale(&m.normalised),
-                inv_sigma_px: m.inv_sigma_px,
-            };
-            if let Some((pair, _)) = ray.eliminate(pose, &pair)
+            if let Some(pair) = ray.eliminate(pose, &m.pair(&self.camera, readout_s))
                 && let Some(landmark) = self.map.landmarks.get_mut(m.landmark.0)
             {
                 landmark.position = pair.point;
@@ -60,7 +55,8 @@ impl Reconstruction {
     /// The pose of a frame that comes out of a turn on the spot, from its parallax.
     pub(super) fn place_after_turn(&mut self, features: &FrameFeatures) -> Option<Se3<Camera, World>> {
         self.turned.filter(|parallax_deg| *parallax_deg > self.config.min_parallax_deg)?;
-        let pose = place(&mut self.map, &self.inliers, &self.camera, self.shutter.readout_s, features.sequence)?;
+        let placed = place(&mut self.map, &self.inliers, &self.camera, self.shutter.readout_s, features.sequence)?;
+        let pose = placed.camera_from_world;
         if let Some(last) = &mut self.last {
             (last.camera_from_world, last.motion) = (pose, None);
         }
@@ -69,19 +65,48 @@ impl Reconstruction {
             self.worker.discard();
         }
         self.turned = None;
-        self.counters.blind_turns += 1;
+        if placed.is_assumed {
+            self.counters.blind_turns += 1;
+            self.doubt_scale_behind(placed.from);
+        }
         Some(pose)
+    }
+
+    /// What has been seen since the turn at `from` began has the scale that was assumed, but for keyframes that saw enough of known distance.
+    fn doubt_scale_behind(&mut self, from: KeyframeId) {
+        let before = self.map.keyframe(from).and_then(|k| k.scale_from);
+        let Some(turn) = self.scale_doubt.add(&self.map, from, before) else { return };
+        let mut behind: Vec<KeyframeId> = self.map.keyframes.iter().map(|(id, _)| KeyframeId(id)).collect();
+        let blind = |id: &KeyframeId| {
+            let (assumed, all) = assumed_among(&self.map, *id);
+            is_due(assumed, all) || is_held(&self.map, *id)
+        };
+        let before_turn = behind.iter().rposition(|id| *id < from && !blind(id));
+        behind.drain(..before_turn.map_or(0, |last| last + 1));
+        behind.retain(|id| *id == from || blind(id));
+        for id in behind {
+            if let Some(keyframe) = self.map.keyframes.get_mut(id.0) {
+                keyframe.scale_from = Some(turn);
+            }
+        }
+        // The keyframe that this frame becomes has its scale from its reference.
+        if self.map.keyframe(self.reference).is_none_or(|k| k.scale_from != Some(turn)) {
+            self.reference = from;
+        }
     }
 }
 
-/// The newest frame's pose from its `matches`; `None` if there is no such keyframe, or not enough parallax yet.
-fn place(
-    map: &mut Map,
-    matches: &[Match],
-    camera: &CameraModel,
-    readout_s: f64,
-    seed: u64,
-) -> Option<Se3<Camera, World>> {
+/// Where two views have put a frame.
+struct Placed {
+    camera_from_world: Se3<Camera, World>,
+    /// The first of the two views.
+    from: KeyframeId,
+    /// The step between them is as long as assumed distances make it.
+    is_assumed: bool,
+}
+
+/// The newest frame's place from its `matches`; `None` if there is no such keyframe, or not enough parallax yet.
+fn place(map: &mut Map, matches: &[Match], camera: &CameraModel, readout_s: f64, seed: u64) -> Option<Placed> {
     // The oldest keyframe that sees nearly as many of them as any: it was placed before the camera began to move.
     let mut votes: Vec<(KeyframeId, usize)> = Vec::new();
     for m in matches {
@@ -106,7 +131,7 @@ fn place(
         let place = ray.as_ref().map_or(landmark.position, Ray::assumed);
         seen.push((m.landmark, (place - keyframe.centre()).norm(), ray.is_some()));
         first.push(o.at_middle_row(readout_s));
-        second.push(m.normalised - m.displacement * readout_s);
+        second.push(m.at_middle_row(readout_s));
     }
     let options = TwoViewOptions {
         seed,
@@ -120,12 +145,12 @@ fn place(
         let of_kind = seen.iter().zip(&solution.points).filter(|(s, _)| s.2 == assumed);
         of_kind.filter_map(|((_, distance, _), point)| Some(distance / (*point)?.norm())).collect()
     };
-    let mut known = lengths(false);
-    if known.len() < MIN_MEASURED {
-        known = lengths(true);
+    let measured = lengths(false);
+    let is_assumed = measured.len() < MIN_MEASURED;
+    let length = median(&if is_assumed { lengths(true) } else { measured });
+    if !(length > 0.0 && length.is_finite()) {
+        return None;
     }
-    let middle = known.len() / 2;
-    let (_, &mut length, _) = (middle < known.len()).then(|| known.select_nth_unstable_by(middle, f64::total_cmp))?;
     let mut step = solution.second_from_first.relabel::<Camera, Camera>();
     step.translation *= length;
     let from_world = keyframe.camera_from_world;
@@ -136,7 +161,7 @@ fn place(
         }
     }
     resolve_between(map, from, camera, readout_s);
-    Some(step * from_world)
+    Some(Placed { camera_from_world: step * from_world, from, is_assumed })
 }
 
 /// Keyframes after `from` were placed against distances that were wrong.
@@ -151,12 +176,7 @@ fn resolve_between(map: &mut Map, from: KeyframeId, camera: &CameraModel, readou
             .iter()
             .filter_map(|o| {
                 let landmark = map.landmark(o.landmark)?;
-                Some(PosePair {
-                    point: landmark.position,
-                    normalised: o.at_middle_row(readout_s),
-                    pixel_scale: camera.pixel_scale(&o.normalised),
-                    inv_sigma_px: o.inv_sigma_px,
-                })
+                Some(PosePair::observed(landmark.position, o, camera, readout_s))
             })
             .collect();
         let options = PoseOptions { first_round_relaxation: 25.0, ..PoseOptions::default() };
@@ -195,6 +215,7 @@ mod tests {
             motion: None,
             pyramid: Arc::default(),
             thumbnail: Thumbnail::default(),
+            scale_from: None,
             observations: Vec::new(),
             covisible: Vec::new(),
         }
@@ -257,7 +278,9 @@ mod tests {
             let truth = moved(by);
             let (mut map, matches) = scene(&truth);
             assert!(matches.len() > 80, "{} matches: the scene is too poor", matches.len());
-            let found = place(&mut map, &matches, &camera(), 0.0, 1).expect("a place");
+            let placed = place(&mut map, &matches, &camera(), 0.0, 1).expect("a place");
+            assert!(placed.is_assumed, "nothing here has a known distance");
+            let found = placed.camera_from_world;
             let turn = (found.rotation * truth.rotation.inverse()).angle().to_degrees();
             assert!(turn < 0.05, "moved by {by:?}: rotation off by {turn} degrees");
             let heading = found.translation.angle(&truth.translation).to_degrees();
@@ -282,27 +305,18 @@ mod tests {
         let (map, matches) = scene(&truth);
         let camera = camera();
         for m in &matches {
-            let pair = PosePair {
-                point: m.point,
-                normalised: m.normalised,
-                pixel_scale: camera.pixel_scale(&m.normalised),
-                inv_sigma_px: m.inv_sigma_px,
-            };
+            let pair = m.pair(&camera, 0.0);
             let ray = Ray::of(m.landmark, &map, 0.0).expect("assumed");
-            let (free, inverse) = ray.eliminate(&truth, &pair).expect("in front");
+            let free = ray.eliminate(&truth, &pair).expect("in front");
             // At the true pose it fits, at about the true distance, though the pair as it was is off by pixels.
             let p = truth.transform(&free.point);
             let e = free.pixel_scale * (p.xy() / p.z - free.normalised);
             assert!(e.norm() < 0.5, "off by {} px", e.norm());
-            assert!(inverse < ray_inverse(&map, m) * 1.05, "nearer than assumed");
+            assert!(free.point.norm() > m.point.norm() / 1.05, "nearer than assumed");
             // On the spot nothing is eliminated: the pair counts in full.
             let still = moved(Vector3::zeros());
-            let (kept, _) = ray.eliminate(&still, &pair).expect("in front");
+            let kept = ray.eliminate(&still, &pair).expect("in front");
             assert!((kept.pixel_scale - pair.pixel_scale).norm() < 1e-6 * pair.pixel_scale.norm());
         }
-    }
-
-    fn ray_inverse(map: &Map, m: &Match) -> f64 {
-        map.landmark(m.landmark).and_then(|l| l.assumed).map_or(0.0, |a| a.inverse)
     }
 }

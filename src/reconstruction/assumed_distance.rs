@@ -14,6 +14,7 @@
 
 use nalgebra::{Matrix2, Vector2, Vector3};
 
+use super::free_rotation::median;
 use super::keyframes::{refine_point, reprojection_chi2};
 use super::pose_optimisation::{CHI2_2D_95, PosePair, scaled};
 use super::search::Match;
@@ -58,7 +59,7 @@ impl Ray {
     }
 
     /// World coordinates at an inverse distance.
-    pub fn at(&self, inverse: f64) -> Vector3<f64> {
+    fn at(&self, inverse: f64) -> Vector3<f64> {
         self.centre + self.direction / inverse
     }
 
@@ -67,10 +68,10 @@ impl Ray {
         self.at(self.assumed.inverse)
     }
 
-    /// The pair for poses near `pose` with the distance eliminated, and its most likely inverse distance there. The pair is
-    /// linearised at that distance, and weighted by the covariance of the innovation from the assumed one (an iterated Kalman
+    /// The pair for poses near `pose` with the distance eliminated: its point lies at the most likely distance there, where the pair is
+    /// linearised, and it is weighted by the covariance of the innovation from the assumed one (an iterated Kalman
     /// update; Bar-Shalom, Li, Kirubarajan 2001, section 10.5.2). `None` behind the camera.
-    pub fn eliminate(&self, pose: &Se3<Camera, World>, pair: &PosePair) -> Option<(PosePair, f64)> {
+    pub fn eliminate(&self, pose: &Se3<Camera, World>, pair: &PosePair) -> Option<PosePair> {
         let AssumedDistance { inverse: mean, sigma } = self.assumed;
         let rotated = pose.rotation * self.direction;
         // Place on the plane z = 1 and its derivative by the inverse distance.
@@ -93,18 +94,13 @@ impl Ray {
         let whitening = (Matrix2::identity() + j * j.transpose()).cholesky()?.l().try_inverse()?;
         let normalised = pair.normalised - derivative * (mean - inverse);
         let pixel_scale = whitening * pair.pixel_scale;
-        Some((PosePair { point: self.at(inverse), normalised, pixel_scale, ..*pair }, inverse))
+        Some(PosePair { point: self.at(inverse), normalised, pixel_scale, ..*pair })
     }
 
     /// Whether the observation lies where some likely distance puts it.
     fn agrees(&self, pose: &Se3<Camera, World>, seen: &Observation, camera: &CameraModel, readout_s: f64) -> bool {
-        let pair = PosePair {
-            point: self.assumed(),
-            normalised: seen.at_middle_row(readout_s),
-            pixel_scale: camera.pixel_scale(&seen.normalised),
-            inv_sigma_px: seen.inv_sigma_px,
-        };
-        self.eliminate(pose, &pair).is_some_and(|(pair, _)| {
+        let pair = PosePair::observed(self.assumed(), seen, camera, readout_s);
+        self.eliminate(pose, &pair).is_some_and(|pair| {
             let p = pose.transform(&pair.point);
             let e = p.xy() / p.z - pair.normalised;
             scaled(&pair.pixel_scale, pair.inv_sigma_px, e.x, e.y).norm_squared() <= CHI2_2D_999
@@ -114,12 +110,11 @@ impl Ray {
 
 /// Median distance of the matches' landmarks from `centre`, if these are too few to go on with.
 pub fn distance_to_assume(matches: &[Match], centre: &Vector3<f64>) -> Option<f64> {
-    if matches.is_empty() || matches.len() >= FEW_MATCHES {
+    if matches.len() >= FEW_MATCHES {
         return None;
     }
-    let mut distances: Vec<f64> = matches.iter().map(|m| (m.point - centre).norm()).collect();
-    let middle = distances.len() / 2;
-    let (_, &mut median, _) = distances.select_nth_unstable_by(middle, f64::total_cmp);
+    let distances: Vec<f64> = matches.iter().map(|m| (m.point - centre).norm()).collect();
+    let median = median(&distances);
     (median.is_finite() && median > 1e-6).then_some(median)
 }
 
@@ -181,8 +176,13 @@ pub fn triangulate_assumed(map: &mut Map, newest: KeyframeId, camera: &CameraMod
 
 /// Whether so much of what a keyframe sees is at assumed distances that an adjustment, which leaves that out, cannot place it.
 pub fn is_held(map: &Map, keyframe: KeyframeId) -> bool {
-    let Some(keyframe) = map.keyframe(keyframe) else { return false };
+    let (assumed, all) = assumed_among(map, keyframe);
+    assumed > 0 && all - assumed < HELD_BELOW
+}
+
+/// Landmarks at assumed distances that a keyframe sees, and all that it sees.
+pub fn assumed_among(map: &Map, keyframe: KeyframeId) -> (usize, usize) {
+    let Some(keyframe) = map.keyframe(keyframe) else { return (0, 0) };
     let is_assumed = |o: &&Observation| map.landmark(o.landmark).is_some_and(|l| l.assumed.is_some());
-    let assumed = keyframe.observations.iter().filter(is_assumed).count();
-    assumed > 0 && keyframe.observations.len() - assumed < HELD_BELOW
+    (keyframe.observations.iter().filter(is_assumed).count(), keyframe.observations.len())
 }

@@ -32,7 +32,8 @@ pub struct ReconstructionConfig {
     pub fixed_keyframes: usize,
     /// Levenberg-Marquardt steps of each of a local adjustment's two passes, at the most. 1..=50.
     pub adjustment_steps: usize,
-    /// Lock-step replay merges a mapping result this many frames after its keyframe, waiting for it. 1..=30.
+    /// Lock-step replay merges a mapping result this many frames after its keyframe, waiting for it, or before a frame that comes 0.11 s or
+    /// more after the one before. 1..=30.
     pub merge_after_frames: u64,
     /// Keyframes a map holds at the most; beyond it the most redundant goes. 20..=2000.
     pub max_keyframes: usize,

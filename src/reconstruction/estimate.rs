@@ -76,7 +76,7 @@ impl Reconstruction {
             world_from_camera: Some(tracked.camera_from_world.inverse()),
             odom_from_camera: Some(self.odom_from_camera),
             anchor: Some(self.reference),
-            covariance: covariance(&tracked.information, &self.doubt(features, tracked)),
+            covariance: self.covariance(features, tracked),
             angular_velocity: angular,
             linear_velocity: linear,
             landmarks: tracked.landmarks as u32,
@@ -120,6 +120,15 @@ const GUESSED_LENS_QUALITY: f32 = 0.5;
 impl Reconstruction {
     fn lens_quality(&self) -> f32 {
         if self.intrinsics.is_found() { 1.0 } else { GUESSED_LENS_QUALITY }
+    }
+
+    fn covariance(&self, features: &FrameFeatures, tracked: &Tracked) -> Matrix6<f64> {
+        let mut covariance = covariance(&tracked.information, &self.doubt(features, tracked));
+        if let Some(turn) = self.map.keyframe(self.reference).and_then(|k| k.scale_from) {
+            let mut translation = covariance.fixed_view_mut::<3, 3>(3, 3);
+            translation += self.scale_doubt.covariance(&self.map, turn, &tracked.camera_from_world);
+        }
+        covariance
     }
 
     fn doubt(&self, features: &FrameFeatures, tracked: &Tracked) -> Doubt {

@@ -21,7 +21,7 @@ use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::image::Pyramid;
-use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, MapId, Observation};
+use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, MapId, Observation, TurnId};
 
 /// What the decision looks at.
 #[derive(Debug, Clone, Copy)]
@@ -75,6 +75,8 @@ pub struct NewKeyframe<'a> {
     pub matches: &'a [Match],
     pub motion: Option<CameraMotion>,
     pub shutter: &'a Shutter,
+    /// The last turn that the scale of its pose came through.
+    pub scale_from: Option<TurnId>,
     /// Its pose rests on assumed distances: nothing can be triangulated from it.
     pub unmeasured: bool,
     /// Distance at which corners without parallax become landmarks, map units; `None`: there are enough without them.
@@ -132,6 +134,7 @@ pub fn insert_keyframe(
         // A copy of its own: the frame's goes back to the pool, which so never has to allocate on the path of a pose.
         pyramid: Arc::new(Pyramid::clone(&new.features.pyramid)),
         thumbnail: thumbnail_of(&new.features.pyramid),
+        scale_from: new.scale_from,
         observations,
         covisible: Vec::new(),
     });

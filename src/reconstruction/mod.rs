@@ -1,9 +1,10 @@
 //! From features to poses and a map. Knows no V4L2, ring or iceoryx2.
 //!
 //! One frame's journey is [`Reconstruction::track`] (its pose, published at once) and then [`Reconstruction::map`] (what
-//! the map learns from it). Adjustment runs elsewhere, on copies ([`MappingJob`]), and is merged at the start of a later
-//! frame. In lock-step everything is a function of the input alone.
+//! the map learns from it). Adjustment runs elsewhere, on copies ([`MappingJob`]), and is merged after a later
+//! frame's pose (or before it, where frames come slowly). In lock-step everything is a function of the input alone.
 
+mod adjustments;
 mod after_turn;
 mod agreement;
 mod assumed_distance;
@@ -20,6 +21,7 @@ mod newcomers;
 pub mod pose_optimisation;
 pub mod relocalise;
 pub mod rolling_shutter;
+mod scale_doubt;
 pub mod search;
 mod start;
 pub mod tracking;
@@ -30,12 +32,14 @@ pub use intrinsics::{FOUND_SIGMA, LensEstimate, LensKnowledge, LensPrior, guesse
 pub use local_adjustment::{InlineWorker, MappingJob, MappingResult, MappingWorker};
 pub use types::*;
 
+use adjustments::{Merge, WHOLE_FIRST};
 use bindings::Bindings;
 use initialise::Initialiser;
 use intrinsics::Intrinsics;
 use keyframes::{KeyframeInputs, NewKeyframe};
 use relocalise::Relocaliser;
 use rolling_shutter::Shutter;
+use scale_doubt::ScaleDoubt;
 use search::Match;
 use tracking::{Frame, MAX_SHUTTER_STEP_S, Tracked, Tracker};
 
@@ -43,10 +47,6 @@ use crate::features::{Feedback, FrameFeatures};
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, Odom, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::map::{KeyframeId, Map, MapId};
-
-/// Keyframes at which the whole map is adjusted first; then whenever it has grown by a third, up to the limit.
-const WHOLE_FIRST: usize = 5;
-const WHOLE_LIMIT: usize = 120;
 
 /// Share of the landmarks looked for that are seen: below the first a frame is looked for elsewhere too (after a stretch of blur
 /// a few landmarks can hold a pose that has slid away), below the second it is no keyframe.
@@ -83,6 +83,8 @@ pub struct Reconstruction {
     frame: u64,
     last_keyframe_frame: u64,
     lost_frames: u64,
+    /// Timestamp of the newest frame, ns.
+    frame_ns: i64,
     /// Frame at which the job under way was posted.
     job_posted: Option<u64>,
     /// Newest keyframe that no adjustment has seen yet.
@@ -94,6 +96,7 @@ pub struct Reconstruction {
     pending: Option<Se3<Camera, World>>,
     /// Most of what the frame just tracked sees is at assumed distances; the median parallax if they are right, degrees.
     turned: Option<f64>,
+    scale_doubt: ScaleDoubt,
     events: Vec<TrajectoryEvent>,
     counters: Counters,
     inliers: Vec<Match>,
@@ -141,10 +144,12 @@ impl Reconstruction {
             frame: 0,
             last_keyframe_frame: 0,
             lost_frames: 0,
+            frame_ns: i64::MIN,
             job_posted: None,
             unadjusted: None,
             pending: None,
             turned: None,
+            scale_doubt: ScaleDoubt::default(),
             next_whole: WHOLE_FIRST,
             intrinsics: Intrinsics::new(camera, prior),
             events: Vec::new(),
@@ -157,12 +162,14 @@ impl Reconstruction {
         }
     }
 
-    /// The pose of a frame. Allocates nothing once warm.
+    /// The pose of a frame. Allocates nothing once warm, unless the frame before is so long ago that an adjustment is merged first.
     pub fn track(&mut self, features: &FrameFeatures) -> PoseEstimate {
         self.frame += 1;
         self.counters.frames += 1;
         self.pending = None;
         self.turned = None;
+        let before_ns = std::mem::replace(&mut self.frame_ns, features.timestamp_ns);
+        self.merge_after_gap(features.timestamp_ns.saturating_sub(before_ns));
         self.bindings.retain_living(&features.tracks);
         if self.state == TrackingState::Initializing {
             return self.try_start(features);
@@ -250,10 +257,9 @@ impl Reconstruction {
             let readout_s = self.shutter.readout_s;
             let measured = |m: &&Match| self.map.landmark(m.landmark).is_some_and(|l| l.assumed.is_none());
             let items = self.inliers.iter().filter(measured).map(|m| {
-                let seen = m.normalised - m.displacement * readout_s;
                 (
                     pose.transform(&m.point),
-                    seen,
+                    m.at_middle_row(readout_s),
                     m.displacement,
                     self.camera.pixel_scale(&m.normalised) * m.inv_sigma_px,
                 )
@@ -316,28 +322,8 @@ impl Reconstruction {
             self.insert_keyframe(features, pose, feedback);
             feedback.forget.sort_unstable();
         }
-        self.merge_adjustment(false);
-        if let Some(newest) = self.unadjusted
-            && self.job_posted.is_none()
-        {
-            self.unadjusted = None;
-            let keyframes = self.map.keyframes.len();
-            let job = if keyframes >= self.next_whole && keyframes <= WHOLE_LIMIT {
-                self.next_whole = self.intrinsics.next_whole(keyframes);
-                self.intrinsics.whole_job(
-                    &self.map,
-                    &self.camera,
-                    self.shutter.readout_s,
-                    self.config.refine_intrinsics,
-                )
-            } else {
-                MappingJob::local(&self.map, newest, &self.camera, self.shutter.readout_s, &self.config)
-            };
-            if let Some(job) = job {
-                self.worker.post(job);
-                self.job_posted = Some(self.frame);
-            }
-        }
+        self.merge_adjustment(Merge::WhenDue);
+        self.post_adjustment();
     }
 
     fn insert_keyframe(&mut self, features: &FrameFeatures, pose: Se3<Camera, World>, feedback: &mut Feedback) {
@@ -349,6 +335,7 @@ impl Reconstruction {
             matches: &self.inliers,
             motion,
             shutter: &self.shutter,
+            scale_from: self.map.keyframe(self.reference).and_then(|k| k.scale_from),
             unmeasured: self.turned.is_some(),
             assumed_distance: assumed_distance::distance_to_assume(&self.inliers, &pose.inverse().translation),
         };
@@ -369,39 +356,10 @@ impl Reconstruction {
         self.counters.landmarks_made += (self.map.landmarks.len() - before) as u64;
         self.last_keyframe_frame = self.frame;
         self.reference = id;
+        self.scale_doubt.follow(&self.map);
         self.counters.landmarks_culled += keyframes::cull_landmarks(&mut self.map, id);
         self.counters.keyframes_culled += keyframes::cull_keyframes(&mut self.map, id, &self.config, &mut self.events);
         self.unadjusted = Some(id);
-    }
-
-    /// Merges a finished adjustment when its time has come.
-    fn merge_adjustment(&mut self, now: bool) {
-        let Some(posted) = self.job_posted else { return };
-        let due = self.frame >= posted + self.config.merge_after_frames;
-        if !now && self.lockstep && !due {
-            return;
-        }
-        let Some(result) = self.worker.take(now || self.lockstep) else { return };
-        if !self.lockstep && self.frame > posted + self.config.merge_after_frames {
-            self.counters.adjustments_late += 1;
-        }
-        self.job_posted = None;
-        self.counters.adjustments += 1;
-        let Some(lens) = self.intrinsics.judge(&result, &self.camera) else {
-            // A lens that cannot be is not taken over, and its poses and points with it.
-            if self.intrinsics.wants_another() && self.unadjusted.is_none() {
-                self.unadjusted = self.map.keyframes.iter().last().map(|(id, _)| KeyframeId(id));
-            }
-            return;
-        };
-        let old_from_new = result.merge(&mut self.map);
-        self.intrinsics.merge(&result, lens, &mut self.map, &mut self.camera);
-        if let Some(last) = &mut self.last {
-            last.camera_from_world = last.camera_from_world * old_from_new;
-        }
-        if !now && self.intrinsics.wants_restart(&self.camera) {
-            self.reset();
-        }
     }
 
     /// Drops the map and starts over at the next frame.
@@ -417,6 +375,7 @@ impl Reconstruction {
         }
         self.intrinsics.end_map(&self.camera);
         self.map.clear();
+        self.scale_doubt.clear();
         self.initialiser.clear();
         self.bindings.clear();
         self.tracker = Tracker::default();
@@ -441,11 +400,6 @@ impl Reconstruction {
         self.shutter = Shutter::new(self.config.readout_ms * 1e-3, camera.height, self.config.estimate_readout);
     }
 
-    /// Waits for the job under way, if any, and merges it. Nothing is adjusted beyond it.
-    pub fn finish(&mut self) {
-        self.merge_adjustment(true);
-    }
-
     /// Events since the last call, in order; to be drained after every frame.
     pub fn take_trajectory_events(&mut self, out: &mut Vec<TrajectoryEvent>) {
         out.append(&mut self.events);
@@ -463,6 +417,12 @@ impl Reconstruction {
             timestamp_ns: k.timestamp_ns,
             world_from_camera: k.camera_from_world.inverse(),
         })
+    }
+
+    /// The last frame's pose lies behind a turn on the spot, and its distance from there is that of an assumption.
+    pub fn scale_is_assumed(&self) -> bool {
+        self.state == TrackingState::Tracking
+            && self.map.keyframe(self.reference).is_some_and(|k| k.scale_from.is_some())
     }
 
     pub fn counters(&self) -> Counters {

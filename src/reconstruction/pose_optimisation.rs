@@ -8,8 +8,9 @@
 
 use nalgebra::{Matrix2, Matrix6, Vector2, Vector3, Vector6};
 
-use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
+use crate::geometry::{CameraModel, Se3};
+use crate::map::Observation;
 
 /// 95 % limit of chi-square with two degrees of freedom.
 pub const CHI2_2D_95: f64 = 5.991;
@@ -25,6 +26,18 @@ pub struct PosePair {
     pub pixel_scale: Matrix2<f64>,
     /// One over the standard deviation, 1/px.
     pub inv_sigma_px: f64,
+}
+
+impl PosePair {
+    /// What a keyframe saw of `point`, as its middle row's pose would have seen it, for a readout time in seconds.
+    pub fn observed(point: Vector3<f64>, seen: &Observation, camera: &CameraModel, readout_s: f64) -> Self {
+        Self {
+            point,
+            normalised: seen.at_middle_row(readout_s),
+            pixel_scale: camera.pixel_scale(&seen.normalised),
+            inv_sigma_px: seen.inv_sigma_px,
+        }
+    }
 }
 
 /// Result of [`optimise_pose`].

@@ -182,6 +182,7 @@ mod tests {
                 motion: None,
                 pyramid: std::sync::Arc::default(),
                 thumbnail: Thumbnail::default(),
+                scale_from: None,
                 observations: Vec::new(),
                 covisible: Vec::new(),
             });

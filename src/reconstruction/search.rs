@@ -7,6 +7,7 @@
 
 use nalgebra::{Matrix2, Matrix2x3, Matrix3x2, Vector2, Vector3};
 
+use super::pose_optimisation::PosePair;
 use crate::features::alignment::{AlignOptions, Template, align};
 use crate::features::patch_sampling::warp_patch;
 use crate::geometry::frames::{Camera, World};
@@ -32,6 +33,23 @@ pub struct Match {
     pub inlier: bool,
     /// Keyframe that the template came from.
     pub template: KeyframeId,
+}
+
+impl Match {
+    /// Where the middle row's pose would have seen it, for a readout time in seconds.
+    pub fn at_middle_row(&self, readout_s: f64) -> Vector2<f64> {
+        self.normalised - self.displacement * readout_s
+    }
+
+    /// Its pair for the optimisation of the pose.
+    pub fn pair(&self, camera: &CameraModel, readout_s: f64) -> PosePair {
+        PosePair {
+            point: self.point,
+            normalised: self.at_middle_row(readout_s),
+            pixel_scale: camera.pixel_scale(&self.normalised),
+            inv_sigma_px: self.inv_sigma_px,
+        }
+    }
 }
 
 /// A landmark that should be in the picture.

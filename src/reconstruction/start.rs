@@ -177,6 +177,7 @@ impl Reconstruction {
             camera_from_world,
             motion: None,
             thumbnail: thumbnail_of(&view.pyramid),
+            scale_from: None,
             pyramid: view.pyramid.clone(),
             observations: Vec::new(),
             covisible: Vec::new(),

@@ -96,8 +96,9 @@ const SETTLED: f64 = 1e-5;
 /// Standard deviation of a frame-to-frame track's position, px (drifts; templates do not).
 const FLOW_SIGMA_PX: f64 = 2.0;
 
-/// Frames farther apart tell nothing of the motion within one of them, and so nothing of a rolling shutter, s.
-pub const MAX_SHUTTER_STEP_S: f64 = 0.19;
+/// Frames farther apart than this tell too little of the motion within one of them to correct a rolling shutter by it, s. (At 5 Hz
+/// it still pays: hand-held and walking, errors without the correction are larger than with it.)
+pub const MAX_SHUTTER_STEP_S: f64 = 0.3;
 
 /// Motion from the frame before to `pose`.
 pub fn motion_since(frame: &Frame<'_>, pose: &Se3<Camera, World>) -> Option<CameraMotion> {
@@ -292,9 +293,7 @@ impl Tracker {
                 Some(motion) if p.z > 1e-6 => shutter.displacement(motion, &p, m.pixel.y),
                 _ => Vector2::zeros(),
             };
-            let normalised = m.normalised - m.displacement * shutter.readout_s;
-            let pixel_scale = camera.pixel_scale(&m.normalised);
-            let pair = PosePair { point: m.point, normalised, pixel_scale, inv_sigma_px: m.inv_sigma_px };
+            let pair = m.pair(camera, shutter.readout_s);
             self.pairs.push(without_distance(frame, m.landmark, start, &pair).unwrap_or_else(|| {
                 let own = landmark_variance(frame, start, m, &p);
                 PosePair { inv_sigma_px: (m.inv_sigma_px.powi(-2) + 0.5 * (own.x + own.y)).sqrt().recip(), ..pair }
@@ -336,16 +335,14 @@ impl Tracker {
             if p.z < 1e-6 {
                 continue;
             }
-            let pixel_scale = frame.camera.pixel_scale(&(p.xy() / p.z));
-            let normalised = m.normalised - m.displacement * frame.shutter.readout_s;
-            let pair = PosePair { point: m.point, normalised, pixel_scale, inv_sigma_px: m.inv_sigma_px };
+            let pair = m.pair(frame.camera, frame.shutter.readout_s);
             if let Some(pair) = without_distance(frame, m.landmark, pose, &pair) {
                 let p = pose.transform(&pair.point);
                 let (jx, jy) = jacobian_rows(&p, &(pair.pixel_scale * pair.inv_sigma_px));
                 accumulate(&mut h, &jx, &jy, 1.0);
                 continue;
             }
-            let (jx, jy) = jacobian_rows(&p, &pixel_scale);
+            let (jx, jy) = jacobian_rows(&p, &frame.camera.pixel_scale(&(p.xy() / p.z)));
             let sigma2 = m.inv_sigma_px.powi(-2);
             let own = landmark_variance(frame, pose, m, &p);
             // The two rows are treated as independent: their cross term is small beside sigma^2.
@@ -369,7 +366,7 @@ fn without_distance(
     pair: &PosePair,
 ) -> Option<PosePair> {
     let ray = Ray::of(landmark, frame.map, frame.shutter.readout_s)?;
-    ray.eliminate(pose, pair).map(|(pair, _)| pair)
+    ray.eliminate(pose, pair)
 }
 
 impl Reconstruction {

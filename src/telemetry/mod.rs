@@ -235,7 +235,7 @@ mod tests {
             }
         }
         assert!(count > 20, "only {count} found");
-        for fault in crate::messages::error::names((1 << 15) - 1) {
+        for fault in crate::messages::error::names((1 << 16) - 1) {
             assert!(listed.contains(&format!("| {fault} |")), "{fault}");
         }
     }

@@ -31,6 +31,7 @@ ERRORS = (
     "PUBLISH_FAILED",
     "UNCALIBRATED",
     "LOW_RATE",
+    "SCALE_ASSUMED",
 )
 STAGES = ("capture", "features", "tracking", "mapping", "publishing", "end_to_end")
 

@@ -152,6 +152,7 @@ pub fn judge_health(report: &mut Report, health: &Health) {
         | error::LOST
         | error::LOW_RATE
         | error::DROPPED_FRAMES
+        | error::SCALE_ASSUMED
         | error::MAPPING_LATE;
     for (faults, fails) in [(health.errors & !passing, true), (health.errors & passing, false)] {
         for fault in error::names(faults) {
