@@ -54,6 +54,12 @@ impl Client {
         }
         let name = endpoint.service(topic::COMMAND)?;
         let fail = |doing, reason: String| ClientError::Ipc { service: name.to_string(), doing, reason };
+        while let Err(reason) = self.link.clear_unfilled() {
+            if start.elapsed() >= timeout {
+                return Err(fail("opening it", reason));
+            }
+            std::thread::sleep(LOOK_FOR_REPLY);
+        }
         let node = self.link.node()?;
         // After a kill the old daemon's remains would look like a daemon.
         node.try_cleanup_dead_nodes();

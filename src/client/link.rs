@@ -6,7 +6,7 @@ use std::time::Duration;
 use iceoryx2::prelude::{Node, NodeBuilder, NodeName, SignalHandlingMode, ipc_threadsafe};
 
 use super::ClientError;
-use crate::messages::{Endpoint, Presence};
+use crate::messages::{Endpoint, Presence, effective_uid};
 
 /// Ports of this flavour may move between threads; it meets every other flavour on the wire.
 pub(super) type Ipc = ipc_threadsafe::Service;
@@ -19,11 +19,12 @@ const CONNECTING: Duration = Duration::from_millis(50);
 pub(super) struct Link {
     endpoint: Endpoint,
     node: Mutex<Weak<Node<Ipc>>>,
+    root: bool,
 }
 
 impl Link {
     pub fn new(endpoint: Endpoint) -> Self {
-        Self { endpoint, node: Mutex::new(Weak::new()) }
+        Self { endpoint, node: Mutex::new(Weak::new()), root: effective_uid() == Some(0) }
     }
 
     pub fn endpoint(&self) -> &Endpoint {
@@ -37,6 +38,19 @@ impl Link {
             Presence::Ours => Ok(true),
             Presence::OtherOwner { path, owner } => Err(ClientError::OtherOwner { path, owner }),
         }
+    }
+
+    /// Clears away what a process killed in the middle of making it left unfilled; the error names what is in the way for now, be it
+    /// that it is just being made. To be called before anything is opened or cleared away: that could wait without end.
+    pub fn clear_unfilled(&self) -> Result<(), String> {
+        let in_the_way = self.endpoint.clear_unfilled();
+        in_the_way.map_or(Ok(()), |path| Err(format!("{} is empty, as if its maker had been killed", path.display())))
+    }
+
+    /// Whether receiving, too, should come after [`Self::clear_unfilled`]: what iceoryx2 leaves unfilled holds root only, and looking costs
+    /// more than receiving.
+    pub fn receiving_may_hang(&self) -> bool {
+        self.root
     }
 
     /// The node, made anew when nobody holds it. Call it only once a daemon's service was seen: a node creates folders.

@@ -16,6 +16,8 @@ use super::{ClientError, LOOK_EVERY};
 
 /// Silence after which it is checked whether the daemon has died.
 const SILENCE: Duration = Duration::from_secs(1);
+/// Messages of a daemon that runs come at shorter intervals, those of its map apart.
+const NEWCOMER: Duration = Duration::from_millis(20);
 /// A daemon that is restarted within this time finds the services as they were.
 const GRACE: Duration = Duration::from_millis(500);
 /// Something half made or half removed that stays so for this long is an error.
@@ -78,6 +80,10 @@ impl<T: Topic> Subscription<T> {
             self.connect()?;
         }
         let Some(open) = &mut self.open else { return Ok(None) };
+        // Receiving also connects to a daemon that is new.
+        if self.link.receiving_may_hang() && open.heard.elapsed() >= NEWCOMER && self.link.clear_unfilled().is_err() {
+            return Ok(None);
+        }
         match T::receive(&open.port) {
             Ok(Some(item)) => {
                 (open.heard, open.alone, self.trouble) = (Instant::now(), None, None);
@@ -157,6 +163,9 @@ impl<T: Topic> Subscription<T> {
             }
             // Silent: if it was killed, somebody has to clear its remains away, and that may be us.
             open.heard = Instant::now();
+            if self.link.clear_unfilled().is_err() {
+                return;
+            }
             open.node.try_cleanup_dead_nodes();
             if T::publishers(&open.port) > 0 {
                 return;
@@ -188,6 +197,9 @@ impl<T: Topic> Subscription<T> {
             return Ok(());
         }
         let name = self.name()?;
+        if let Err(reason) = self.link.clear_unfilled() {
+            return self.troubled("opening it", reason);
+        }
         let node = self.link.node()?;
         let port = match T::open(&node, &name) {
             Ok(port) => port,

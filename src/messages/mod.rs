@@ -39,6 +39,7 @@ mod map;
 mod pose;
 pub mod services;
 mod transform;
+mod unfilled;
 
 pub use command::{Command, CommandReply, TEXT_LEN, command_kind, reply_code};
 pub(crate) use endpoint::user_name;

@@ -45,6 +45,9 @@ const CLEAN_UP_EVERY: Duration = Duration::from_secs(1);
 /// How often what iceoryx2 cannot clear away itself is looked for.
 const SWEEP_EVERY: Duration = Duration::from_secs(60);
 
+/// Longest wait for what somebody is just making; health comes again soon.
+const HALF_MADE: Duration = Duration::from_millis(50);
+
 /// Sizes that shared memory is reserved for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
@@ -101,6 +104,7 @@ impl Publisher {
             return Err(PublishError::Squatted(squatter));
         }
         opening::check_room(limits.shared_memory_bytes())?;
+        opening::clear_unfilled(endpoint, opening::PATIENCE)?;
         opening::sweep(endpoint);
         let node = Arc::new(node(endpoint)?);
         let run_id = run_id();
@@ -402,6 +406,8 @@ impl HealthPublisher {
         health.realtime_minus_monotonic_ns = realtime_ns().saturating_sub(health.published_ns);
         health.pid = std::process::id();
         health.set_version(env!("CARGO_PKG_VERSION"));
+        // First, as all that follows opens what subscribers made: one that was killed over it would hold us.
+        opening::clear_unfilled(&self.endpoint, HALF_MADE)?;
         self.sequence += 1;
         let sent = self.port.send(health);
         for update in &self.others {

@@ -22,7 +22,7 @@ use crate::messages::{Endpoint, effective_uid};
 
 /// How long a service of another shape, or one that is just being made or cleared away, is waited for. Clients let go of
 /// theirs half a second after its daemon has gone.
-const PATIENCE: Duration = Duration::from_secs(3);
+pub(super) const PATIENCE: Duration = Duration::from_secs(3);
 /// Pause between two tries.
 const PAUSE: Duration = Duration::from_millis(50);
 /// A service is made within milliseconds. One that is still half made after this time has lost its maker.
@@ -124,6 +124,24 @@ impl Judged for RequestResponseOpenOrCreateError {
     }
 }
 
+/// Waits until nothing half made in shared memory would hold who opens or clears away something: as a rule not at all, else a moment, or
+/// until what a killed process left is old enough to be removed.
+pub(super) fn clear_unfilled(endpoint: &Endpoint, patience: Duration) -> Result<(), PublishError> {
+    let start = Instant::now();
+    while let Some(path) = endpoint.clear_unfilled() {
+        if start.elapsed() >= patience {
+            let reason = format!("{} is empty, as if its maker had been killed", path.display());
+            return Err(PublishError::Ipc {
+                service: endpoint.prefix().into(),
+                doing: "opening shared memory",
+                reason,
+            });
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    Ok(())
+}
+
 /// Opens or creates a service, again and again for a bounded time while that may help.
 ///
 /// A daemon that was killed while it made a service leaves a description that is never finished, and iceoryx2 0.10 then
@@ -136,6 +154,7 @@ pub(super) fn open_patiently<S, E: Judged>(
 ) -> Result<S, PublishError> {
     let start = Instant::now();
     loop {
+        clear_unfilled(endpoint, PATIENCE)?;
         let error = match open_or_create() {
             Ok(service) => return Ok(service),
             Err(e) => e,

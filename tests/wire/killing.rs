@@ -1,11 +1,14 @@
 //! Kills and stops on both sides: the other one goes on, and nothing piles up.
 
+use std::fs::{File, Permissions};
+use std::os::unix::fs::PermissionsExt;
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use cairn::messages::Health;
-use cairn::publish::Conversion;
+use cairn::publish::{Conversion, Publisher};
 
-use crate::support::{Place, Role, connect, estimate, next, until};
+use crate::support::{PATIENCE, Place, Role, connect, estimate, next, small, until};
 
 const ROUNDS: usize = 10;
 
@@ -163,4 +166,49 @@ fn subscribers_killed_while_they_connect_harm_nobody() {
         publisher.health.publish(&Health::default()).unwrap();
         publisher.poses.subscribers() == 1
     });
+}
+
+/// iceoryx2 makes its objects in /dev/shm empty and unreadable, and a daemon may be killed before it fills one.
+#[test]
+fn what_killed_processes_left_unfilled_holds_nobody() {
+    let place = Place::new();
+    drop(place.publisher());
+    let counter = place.objects(".global_mgmt");
+    assert_eq!(counter.len(), 1, "what every process opens, and nobody removes: {counter:?}");
+    leave_unfilled(&counter);
+    let endpoint = place.endpoint();
+    within_patience("a daemon opens its services", move || drop(Publisher::open(&endpoint, &small()).unwrap()));
+    let daemon = place.spawn(Role::Publisher);
+    let mut objects = Vec::new();
+    until("a daemon has made its services", || {
+        objects = place.objects(".dynamic");
+        objects.len() == 11
+    });
+    daemon.kill();
+    leave_unfilled(&objects);
+    let client = place.client();
+    let mut poses = within_patience("a client is not held", move || {
+        let mut poses = client.poses();
+        poses.try_next().unwrap();
+        poses
+    });
+    let _daemon = place.spawn(Role::Publisher);
+    next(&mut poses);
+    assert!(objects.iter().all(|path| !path.exists()), "they were cleared away");
+}
+
+/// As if their maker had been killed before it gave them a size.
+fn leave_unfilled(objects: &[PathBuf]) {
+    for path in objects {
+        let file = File::create(path).unwrap();
+        file.set_permissions(Permissions::from_mode(0o200)).unwrap();
+    }
+}
+
+/// What `work` gives; fails if it does not come back.
+#[track_caller]
+fn within_patience<T: Send + 'static>(what: &str, work: impl FnOnce() -> T + Send + 'static) -> T {
+    let (done, result) = std::sync::mpsc::channel();
+    std::thread::spawn(move || done.send(work()));
+    result.recv_timeout(PATIENCE).unwrap_or_else(|_| panic!("not within {PATIENCE:?}: {what}"))
 }

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::time::{Duration, Instant};
 
 use cairn::client::{Client, Subscription, Topic};
@@ -16,6 +17,8 @@ use nalgebra::{Matrix6, UnitQuaternion, Vector3};
 
 /// Every wait in these tests ends after this time.
 pub const PATIENCE: Duration = Duration::from_secs(10);
+/// No test takes as long.
+const LONGEST_TEST: Duration = Duration::from_secs(300);
 /// A helper ends by itself after this time, whatever happens to its test.
 const HELPER_LIFE: Duration = Duration::from_secs(60);
 
@@ -26,13 +29,28 @@ const ROLE: &str = "CAIRN_TEST_ROLE";
 pub struct Place {
     root: PathBuf,
     ipc_prefix: String,
+    /// Held as long as the test runs.
+    _running: Sender<()>,
+}
+
+/// Ends this process when a test that uses a place has not ended: a call that never comes back would hold the whole run.
+fn watch_over(test: String) -> Sender<()> {
+    let (running, ended) = channel();
+    std::thread::spawn(move || {
+        if ended.recv_timeout(LONGEST_TEST) == Err(RecvTimeoutError::Timeout) {
+            eprintln!("{test} has not ended within {LONGEST_TEST:?}");
+            std::process::abort();
+        }
+    });
+    running
 }
 
 impl Place {
     pub fn new() -> Self {
         static COUNT: AtomicU32 = AtomicU32::new(0);
         let name = format!("cw{}-{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
-        Self { root: Path::new("/tmp").join(&name), ipc_prefix: format!("{name}_") }
+        let test = std::thread::current().name().unwrap_or("a test").to_owned();
+        Self { root: Path::new("/tmp").join(&name), ipc_prefix: format!("{name}_"), _running: watch_over(test) }
     }
 
     pub fn endpoint(&self) -> Endpoint {
@@ -76,17 +94,19 @@ impl Place {
 
     /// Objects in /dev/shm and files under the root. Not counted: iceoryx2's one object that outlives everything.
     pub fn files(&self) -> (usize, usize) {
-        (self.shared_objects(|name| !name.ends_with(".global_mgmt")), count(&self.root))
+        (self.objects("").len() - self.objects(".global_mgmt").len(), count(&self.root))
     }
 
     /// Listeners of all services.
     pub fn listeners(&self) -> usize {
-        self.shared_objects(|name| name.ends_with(".event_mgmt"))
+        self.objects(".event_mgmt").len()
     }
 
-    fn shared_objects(&self, keep: impl Fn(&str) -> bool) -> usize {
-        let names = std::fs::read_dir("/dev/shm").expect("/dev/shm").flatten().map(|e| e.file_name());
-        names.filter_map(|n| n.into_string().ok()).filter(|n| n.starts_with(&self.ipc_prefix) && keep(n)).count()
+    /// Objects in /dev/shm whose names end so.
+    pub fn objects(&self, end: &str) -> Vec<PathBuf> {
+        let paths = std::fs::read_dir("/dev/shm").expect("/dev/shm").flatten().map(|e| e.path());
+        let name = |path: &Path| path.file_name().and_then(|n| n.to_str()).map(String::from);
+        paths.filter(|p| name(p).is_some_and(|n| n.starts_with(&self.ipc_prefix) && n.ends_with(end))).collect()
     }
 }
 
