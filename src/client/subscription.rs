@@ -16,8 +16,8 @@ use super::{ClientError, LOOK_EVERY};
 
 /// Silence after which it is checked whether the daemon has died.
 const SILENCE: Duration = Duration::from_secs(1);
-/// Messages of a daemon that runs come at shorter intervals, those of its map apart.
-const NEWCOMER: Duration = Duration::from_millis(20);
+/// A daemon that comes after this silence may be a new one. Poses and health come at shorter intervals.
+const NEWCOMER: Duration = Duration::from_millis(120);
 /// A daemon that is restarted within this time finds the services as they were.
 const GRACE: Duration = Duration::from_millis(500);
 /// Something half made or half removed that stays so for this long is an error.
@@ -81,7 +81,11 @@ impl<T: Topic> Subscription<T> {
         }
         let Some(open) = &mut self.open else { return Ok(None) };
         // Receiving also connects to a daemon that is new.
-        if self.link.receiving_may_hang() && open.heard.elapsed() >= NEWCOMER && self.link.clear_unfilled().is_err() {
+        if self.link.receiving_may_hang()
+            && open.heard.elapsed() >= NEWCOMER
+            && let Err(reason) = self.link.clear_unfilled()
+        {
+            self.troubled("receiving", reason)?;
             return Ok(None);
         }
         match T::receive(&open.port) {
@@ -90,6 +94,7 @@ impl<T: Topic> Subscription<T> {
                 Ok(Some(item))
             }
             Ok(None) => {
+                self.trouble = None;
                 self.tend();
                 Ok(None)
             }
@@ -141,7 +146,7 @@ impl<T: Topic> Subscription<T> {
                 continue;
             };
             // Shorter naps without a publisher: its going is noticed after GRACE, its coming is an event.
-            let nap = if open.alone.is_some() { LOOK_EVERY } else { NAP };
+            let nap = if open.alone.is_some() || self.trouble.is_some() { LOOK_EVERY } else { NAP };
             match open.listener.timed_wait(|_| (), left.min(nap)) {
                 Ok(_) => {}
                 Err(ListenerWaitError::InterruptSignal) => return Ok(None),

@@ -18,9 +18,9 @@ use super::epipolar::{sampson_cost, sampson_normal_equations};
 use super::essential::{Motion, decompose};
 use super::least_squares::{LeastSquares, LmOptions, Loss, NormalEquations, minimise};
 
-/// Focal lengths that the search starts from, over half the picture's width: fields of view of 90 to 30 degrees across.
+/// Focal lengths that the search starts from, over half the picture's longer side: fields of view of 90 to 30 degrees across.
 const START_FOCALS: [f64; 4] = [1.0, 1.5, 2.2, 3.7];
-/// A focal length is believed to be twice half the picture's width, to a factor whose logarithm has this sigma: 79 to 34 degrees across
+/// A focal length is believed to be twice half the picture's longer side, to a factor whose logarithm has this sigma: 79 to 34 degrees across
 /// within one sigma, 107 to 21 within two, as webcams, telephones and photographers' cameras have.
 const FOCAL_BELIEF: [f64; 2] = [2.0, 0.5];
 
@@ -96,7 +96,7 @@ impl<I: Iterator<Item = (Vector2<f64>, Vector2<f64>)> + Clone> LeastSquares<6> f
     }
 }
 
-/// See the module. The points are over half the picture's width, and so is `sigma`, that of their distances; `None` where nothing finite comes
+/// See the module. The points are over half the picture's longer side, and so is `sigma`, that of their distances; `None` where nothing finite comes
 /// of it. Gives its cost, that of the belief included, and F of unit norm.
 pub fn one_camera_fundamental(
     start: &Matrix3<f64>,

@@ -12,58 +12,74 @@ use std::time::Duration;
 use super::Endpoint;
 use super::endpoint::effective_uid;
 
-/// An object is filled within a millisecond or so. Whether the maker of one that takes longer still lives is looked up.
-const MOMENT: Duration = Duration::from_millis(100);
+/// An object is filled within a millisecond or so. One that is not after this time has lost its maker, unless that is seen to live.
+const LINGERS: Duration = Duration::from_secs(1);
+/// For root, whom it would hold all that time.
+const LINGERS_FOR_ROOT: Duration = Duration::from_millis(100);
 
-const MAY_READ: u32 = 0o400;
+const OWNER_READS: u32 = 0o400;
+const OTHERS_READ_AND_WRITE: u32 = 0o006;
 
 impl Endpoint {
-    /// Removes this user's unfilled objects whose makers are gone, and returns one with which opening anything now could wait without
-    /// end: it is either just being made, or another user's.
+    /// Removes unfilled objects whose makers are gone (this user's; root: everybody's), and returns one with which opening anything now
+    /// could wait without end: as a rule one that is just being made.
     pub(crate) fn clear_unfilled(&self) -> Option<PathBuf> {
         self.clear_unfilled_in(Path::new("/dev/shm"), effective_uid()?)
     }
 
     fn clear_unfilled_in(&self, folder: &Path, us: u32) -> Option<PathBuf> {
         let prefix = self.config().global.prefix.to_string();
+        let age = if us == 0 { LINGERS_FOR_ROOT } else { LINGERS };
         let (mut orphans, mut others) = (Vec::new(), Vec::new());
         for entry in std::fs::read_dir(folder).ok()?.flatten() {
             let ours = entry.file_name().to_str().is_some_and(|name| name.starts_with(&prefix));
             // Of the entry itself: a link is not followed.
             let Some(meta) = ours.then(|| entry.metadata().ok()).flatten() else { continue };
-            let (empty, readable) = (meta.len() == 0, meta.mode() & MAY_READ != 0);
-            if !meta.is_file() || (!empty && readable) {
+            if !meta.is_file() || (meta.len() > 0 && meta.mode() & OWNER_READS != 0) {
                 continue;
             }
-            let lingers = meta.modified().is_ok_and(|t| t.elapsed().is_ok_and(|age| age >= MOMENT));
-            // What only its owner could open, and that not even for reading, is refused to us in bounded time.
-            let holds_us = empty && (us == 0 || readable);
-            (if lingers && meta.uid() == us { &mut orphans } else { &mut others }).push((entry.path(), holds_us));
+            let lingers = meta.modified().is_ok_and(|t| t.elapsed().is_ok_and(|lasted| lasted >= age));
+            let mine = us == 0 || meta.uid() == us;
+            // What may not be read is refused in bounded time.
+            let readable = us == 0
+                || if mine {
+                    meta.mode() & OWNER_READS != 0
+                } else {
+                    meta.mode() & OTHERS_READ_AND_WRITE == OTHERS_READ_AND_WRITE
+                };
+            let found = Unfilled { path: entry.path(), inode: meta.ino(), holds_us: meta.len() == 0 && readable };
+            (if lingers && mine { &mut orphans } else { &mut others }).push(found);
         }
-        let held = open_files(orphans.iter().map(|(path, _)| path), us);
-        orphans.retain(|(path, _)| held.contains(path) || std::fs::remove_file(path).is_err());
-        orphans.into_iter().chain(others).find(|(_, holds_us)| *holds_us).map(|(path, _)| path)
+        if !orphans.is_empty() {
+            let open = open_inodes(us);
+            orphans
+                .retain(|o| open.contains(&o.inode) || !o.is_still_there() || std::fs::remove_file(&o.path).is_err());
+        }
+        orphans.into_iter().chain(others).find(|unfilled| unfilled.holds_us).map(|unfilled| unfilled.path)
     }
 }
 
-/// Those of the files that a living process of `user` has open or mapped.
-fn open_files<'a>(paths: impl Iterator<Item = &'a PathBuf>, user: u32) -> Vec<PathBuf> {
-    let mut closed: Vec<&PathBuf> = paths.collect();
-    let mut open = Vec::new();
-    let processes = std::fs::read_dir("/proc").into_iter().flatten().flatten().map(|entry| entry.path());
-    for process in processes.filter(|process| std::fs::metadata(process).is_ok_and(|meta| meta.uid() == user)) {
-        if closed.is_empty() {
-            break;
-        }
-        let descriptors = std::fs::read_dir(process.join("fd")).into_iter().flatten().flatten();
-        let mut seen: Vec<PathBuf> = descriptors.filter_map(|fd| std::fs::read_link(fd.path()).ok()).collect();
-        let maps = std::fs::read_to_string(process.join("maps")).unwrap_or_default();
-        seen.extend(maps.lines().filter_map(|line| Some(PathBuf::from(&line[line.find('/')?..]))));
-        let (held, rest) = closed.into_iter().partition(|path| seen.contains(path));
-        closed = rest;
-        open.extend(Vec::<&PathBuf>::into_iter(held).cloned());
+struct Unfilled {
+    path: PathBuf,
+    inode: u64,
+    /// Opening it could wait without end.
+    holds_us: bool,
+}
+
+impl Unfilled {
+    /// The name may have been taken anew meanwhile.
+    fn is_still_there(&self) -> bool {
+        std::fs::symlink_metadata(&self.path).is_ok_and(|meta| meta.ino() == self.inode)
     }
-    open
+}
+
+/// Inodes of the files that living processes have open (root: all processes, else `user`'s). Not all of them let themselves be looked into: a
+/// service has a user namespace of its own. So this saves what is seen, and time tells of the rest.
+fn open_inodes(user: u32) -> Vec<u64> {
+    let processes = std::fs::read_dir("/proc").into_iter().flatten().flatten().map(|entry| entry.path());
+    let ours = processes.filter(|process| user == 0 || std::fs::metadata(process).is_ok_and(|meta| meta.uid() == user));
+    let descriptors = ours.flat_map(|process| std::fs::read_dir(process.join("fd")).into_iter().flatten().flatten());
+    descriptors.filter_map(|fd| std::fs::metadata(fd.path()).ok().map(|meta| meta.ino())).collect()
 }
 
 #[cfg(test)]
@@ -86,7 +102,7 @@ mod tests {
             file.set_modified(SystemTime::now() - age).unwrap();
         };
         let there = |name: &str| folder.path().join(name).exists();
-        let old = MOMENT * 2;
+        let old = LINGERS * 2;
         make("cu_filled", 8, 0o600, old);
         make("elsewhere_empty", 0, 0o200, old);
         make("cu_empty", 0, 0o200, old);
@@ -109,10 +125,18 @@ mod tests {
         let young = folder.path().join("cu_young");
         let named = endpoint.clear_unfilled_in(folder.path(), us);
         assert_eq!(named, (us == 0).then(|| young.clone()), "who may not read it is refused in time");
-        std::fs::set_permissions(&young, Permissions::from_mode(0o600)).unwrap();
+        let mode = |mode| std::fs::set_permissions(&young, Permissions::from_mode(mode)).unwrap();
+        mode(0o600);
         assert_eq!(endpoint.clear_unfilled_in(folder.path(), us), Some(young.clone()));
-        make("cu_young", 0, 0o666, old);
-        assert_eq!(endpoint.clear_unfilled_in(folder.path(), us + 1), Some(young), "another user's is left alone");
+        File::options().write(true).open(&young).unwrap().set_modified(SystemTime::now() - old).unwrap();
+        assert_eq!(endpoint.clear_unfilled_in(folder.path(), us + 1), None, "another user's that we may not open");
+        mode(0o666);
+        assert_eq!(
+            endpoint.clear_unfilled_in(folder.path(), us + 1),
+            Some(young.clone()),
+            "another user's is left alone"
+        );
+        assert!(there("cu_young"));
         assert!(there("cu_sized"));
     }
 }

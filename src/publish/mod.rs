@@ -45,8 +45,9 @@ const CLEAN_UP_EVERY: Duration = Duration::from_secs(1);
 /// How often what iceoryx2 cannot clear away itself is looked for.
 const SWEEP_EVERY: Duration = Duration::from_secs(60);
 
-/// Longest wait for what somebody is just making, or until what a killed process left of it is known as such.
-const HALF_MADE: Duration = Duration::from_millis(250);
+/// Longest wait for what somebody is just making, or until what a killed process left of it is known as such; health is sent ten times a
+/// second.
+const HALF_MADE: Duration = Duration::from_millis(150);
 
 /// Sizes that shared memory is reserved for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -408,8 +409,9 @@ impl HealthPublisher {
         health.realtime_minus_monotonic_ns = realtime_ns().saturating_sub(health.published_ns);
         health.pid = std::process::id();
         health.set_version(env!("CARGO_PKG_VERSION"));
-        // First, as all that follows opens what subscribers made: one that was killed over it would hold us.
-        opening::clear_unfilled(&self.endpoint, HALF_MADE)?;
+        // First, as all that follows opens what subscribers made: one that was killed over it would hold us (root). This also frees another
+        // port's thread that such a one holds already. What cannot be removed is not ours, and as a rule nothing that we open.
+        let _ = opening::clear_unfilled(&self.endpoint, HALF_MADE);
         self.sequence += 1;
         let sent = self.port.send(health);
         for update in &self.others {

@@ -100,6 +100,8 @@ pub struct Initialiser {
     since_reference: u64,
     /// How often a start must still agree with the picture before one is believed.
     doubt: u32,
+    /// A start of this frame has been asked; another one shares its picture.
+    voted: bool,
     /// How long the camera has moved without a start, s: standing still takes it back. It outlasts the reference.
     trying_s: f64,
     last_ns: Option<i64>,
@@ -123,14 +125,19 @@ impl Initialiser {
         self.since_reference = 0;
     }
 
-    /// A start disagreed with most of the picture: something moves there. Of many tries one will seem to agree by chance, so the next
-    /// ones must agree as often as they disagreed before one is believed.
+    /// A start disagreed with too much of the picture: something moves there. Of many tries one will seem to agree by chance, so the
+    /// next ones must agree as often as they disagreed before one is believed.
     pub fn disagree(&mut self) {
-        self.doubt = (self.doubt + 1).min(MAX_DOUBT);
+        if !std::mem::replace(&mut self.voted, true) {
+            self.doubt = (self.doubt + 1).min(MAX_DOUBT);
+        }
     }
 
     /// A start agrees; true if nothing speaks against it any more.
     pub fn agree(&mut self) -> bool {
+        if std::mem::replace(&mut self.voted, true) {
+            return false;
+        }
         let settled = self.doubt == 0;
         self.doubt = self.doubt.saturating_sub(1);
         settled
@@ -164,6 +171,7 @@ impl Initialiser {
         freedom: Option<&LensFreedom>,
         config: &ReconstructionConfig,
     ) -> Vec<Start> {
+        self.voted = false;
         let frame = PendingFrame::of(features);
         self.pending.push_back(frame.clone());
         if self.pending.len() > MAX_PENDING {
@@ -182,6 +190,11 @@ impl Initialiser {
             return Vec::new();
         };
         self.views.drain(..dead);
+        if dead > 0 && self.views.len() <= MAX_BETWEEN / 2 {
+            // There is room again, and a view that took over needs some in between soon.
+            self.stride = 1;
+            self.since_reference = 0;
+        }
         let flow = rotation_compensated_flow(&pairs, camera);
         self.spend_patience(features.timestamp_ns, flow.0);
         let richer = |pairs: &Vec<Pair>| 2 * pairs.len() >= features.tracks.len();
@@ -397,9 +410,20 @@ mod tests {
 
     #[test]
     fn a_start_must_agree_as_often_as_it_disagreed_before() {
+        let camera = CameraModel::new(640, 480, 500.0, 500.0, 320.0, 240.0, [0.0; 5]).unwrap();
+        let config = ReconstructionConfig::default();
         let mut initialiser = Initialiser::default();
-        assert!(initialiser.agree());
-        (0..2).for_each(|_| initialiser.disagree());
-        assert_eq!([0; 3].map(|_| initialiser.agree()), [false, false, true]);
+        let mut in_a_frame = |ask: fn(&mut Initialiser) -> bool| {
+            initialiser.step(&FrameFeatures::default(), &camera, None, &config);
+            [ask(&mut initialiser), ask(&mut initialiser)]
+        };
+        let disagree = |i: &mut Initialiser| {
+            i.disagree();
+            false
+        };
+        assert_eq!(in_a_frame(Initialiser::agree), [true, false], "one vote a frame");
+        in_a_frame(disagree);
+        in_a_frame(disagree);
+        assert_eq!([0; 3].map(|_| in_a_frame(Initialiser::agree)[0]), [false, false, true]);
     }
 }

@@ -172,7 +172,9 @@ fn subscribers_killed_while_they_connect_harm_nobody() {
 #[test]
 fn what_killed_processes_left_unfilled_holds_nobody() {
     let place = Place::new();
-    drop(place.publisher());
+    let publisher = place.publisher();
+    let services = place.objects(".dynamic").len();
+    drop(publisher);
     let counter = place.objects(".global_mgmt");
     assert_eq!(counter.len(), 1, "what every process opens, and nobody removes: {counter:?}");
     leave_unfilled(&counter);
@@ -184,7 +186,7 @@ fn what_killed_processes_left_unfilled_holds_nobody() {
     let mut objects = Vec::new();
     until("a daemon has made its services", || {
         objects = place.objects(".dynamic");
-        objects.len() == 11
+        objects.len() == services
     });
     daemon.kill();
     leave_unfilled(&objects);
