@@ -13,7 +13,7 @@ use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Matrix6, SMatrix, Vector2, Ve
 mod shared;
 mod uncertainty;
 
-pub use shared::{CALIBRATED_SHARED, SHARED, Shared, SharedJacobian, SharedMatrix, SharedVector};
+pub use shared::{CALIBRATED_SHARED, Readout, SHARED, Shared, SharedJacobian, SharedMatrix, SharedVector};
 
 use super::pose_optimisation::{accumulate, is_diagonal, jacobian_rows, scaled};
 use crate::geometry::Se3;
@@ -31,8 +31,10 @@ pub struct BundleCamera {
 pub struct BundleObservation {
     /// Index into the cameras.
     pub camera: u32,
-    /// Undistorted, plane z = 1.
+    /// Undistorted, plane z = 1, as it was seen.
     pub normalised: Vector2<f64>,
+    /// How far a rolling shutter moved it, per second of readout time.
+    pub displacement: Vector2<f64>,
     /// Pixels that steps on that plane count as there.
     pub pixel_scale: Matrix2<f64>,
     /// One over the standard deviation, 1/px.
@@ -51,6 +53,7 @@ pub struct BundleProblem {
     /// `first[i]..first[i + 1]` are the observations of point i; one longer than `points`.
     pub first: Vec<u32>,
     pub observations: Vec<BundleObservation>,
+    pub readout: Readout,
     /// `None`: the intrinsics are right as they are.
     pub shared: Option<Shared>,
     /// Set by the adjustment: false = judged an outlier.
@@ -98,6 +101,12 @@ struct System {
     point_g: Vec<Vector3<f64>>,
     /// Camera-point block of each observation (zero for fixed cameras and outliers).
     cross: Vec<Matrix6x3>,
+    /// The same between cameras and the readout time, it and the points, it and the shared numbers, and its own.
+    camera_readout: Vec<Vector6<f64>>,
+    readout_point: Vec<Vector3<f64>>,
+    readout_shared: SharedVector,
+    readout_h: f64,
+    readout_g: f64,
     /// The same between cameras and shared numbers, shared numbers and points, and among the shared numbers.
     camera_shared: Vec<Matrix6xS>,
     shared_point: Vec<MatrixSx3>,
@@ -108,9 +117,11 @@ struct System {
 
 /// One step of everything.
 struct Step {
-    /// Stacked over the free cameras, then the shared numbers if there are any.
+    /// Stacked over the free cameras, then the readout time and the shared numbers if they are unknowns.
     cameras: DVector<f64>,
     points: Vec<Vector3<f64>>,
+    /// Information of the readout time at the point where the step was made, everything else free, without its prior.
+    readout_information: f64,
 }
 
 const FIXED: u32 = u32::MAX;
@@ -157,15 +168,16 @@ impl BundleProblem {
             return None;
         }
         let (iz, s) = (1.0 / p.z, observation.inv_sigma_px);
+        let at_middle_row = observation.normalised - observation.displacement * self.readout.seconds;
         let seen = match &self.shared {
             Some(shared) if shared.in_new_pixels => {
-                let seen = observation.normalised + shared.jacobians[k] * shared.without_focal();
+                let seen = at_middle_row + shared.jacobians[k] * shared.without_focal();
                 let scale = shared.focal_scale();
                 let (x, y) = (scale * p.x * iz - seen.x, scale * p.y * iz - seen.y);
                 return Some((scaled(&observation.pixel_scale, s, x, y), p));
             }
-            Some(shared) => observation.normalised + shared.jacobians[k] * shared.change,
-            None => observation.normalised,
+            Some(shared) => at_middle_row + shared.jacobians[k] * shared.change,
+            None => at_middle_row,
         };
         Some((scaled(&observation.pixel_scale, s, p.x * iz - seen.x, p.y * iz - seen.y), p))
     }
@@ -179,8 +191,12 @@ impl BundleProblem {
         self.first[point] as usize..self.first[point + 1] as usize
     }
 
+    fn prior_cost(&self) -> f64 {
+        self.readout.prior_cost() + self.shared.as_ref().map_or(0.0, Shared::prior_cost)
+    }
+
     fn cost(&self, delta2: f64) -> f64 {
-        let mut cost = self.shared.as_ref().map_or(0.0, Shared::prior_cost);
+        let mut cost = self.prior_cost();
         for (i, point) in self.points.iter().enumerate() {
             for k in self.range(i) {
                 if self.inlier[k] {
@@ -207,7 +223,13 @@ impl BundleProblem {
         system.shared_point.clear();
         system.shared_h = SharedMatrix::zeros();
         system.shared_g = SharedVector::zeros();
-        system.cost = self.shared.as_ref().map_or(0.0, Shared::prior_cost);
+        system.cost = self.prior_cost();
+        system.camera_readout.clear();
+        system.camera_readout.resize(free, Vector6::zeros());
+        system.readout_point.clear();
+        system.readout_shared = SharedVector::zeros();
+        (system.readout_h, system.readout_g) = (0.0, 0.0);
+        let find_readout = self.readout.unknowns() > 0;
         if self.shared.is_some() {
             system.camera_shared.resize(free, Matrix6xS::zeros());
         }
@@ -217,6 +239,7 @@ impl BundleProblem {
             self.cameras.iter().map(|c| *c.camera_from_world.rotation.to_rotation_matrix().matrix()).collect();
         for (i, point) in self.points.iter().enumerate() {
             let (mut h, mut g) = (Matrix3::zeros(), Vector3::zeros());
+            let mut with_readout = Vector3::zeros();
             let mut with_shared = MatrixSx3::zeros();
             for k in self.range(i) {
                 if !self.inlier[k] {
@@ -242,6 +265,17 @@ impl BundleProblem {
                     g[c] += w * (px[c] * e.x + py[c] * e.y);
                 }
                 let s = slot[o.camera as usize];
+                // d e / d readout: as the shared numbers, the observation moves against it.
+                let moved = pixels * o.displacement;
+                if find_readout {
+                    system.readout_h += moved.norm_squared() * w;
+                    system.readout_g += moved.dot(&e) * w;
+                    with_readout += (px * moved.x + py * moved.y).transpose() * w;
+                    if s != FIXED {
+                        system.camera_readout[s as usize] +=
+                            (Vector6::from(jx) * moved.x + Vector6::from(jy) * moved.y) * w;
+                    }
+                }
                 if let Some(shared) = &self.shared {
                     // d e / d shared: the observation moves, so the residual moves against it.
                     let d = &shared.jacobians[k];
@@ -255,6 +289,7 @@ impl BundleProblem {
                         dx[0] = pixels.m11 * scale * p.x / p.z + pixels.m12 * scale * p.y / p.z;
                         dy[0] = pixels.m22 * scale * p.y / p.z + pixels.m21 * scale * p.x / p.z;
                     }
+                    system.readout_shared += (dx * moved.x + dy * moved.y) * w;
                     system.shared_h += (dx * dx.transpose() + dy * dy.transpose()) * w;
                     system.shared_g += (dx * e.x + dy * e.y) * w;
                     with_shared += (dx * px + dy * py) * w;
@@ -281,6 +316,7 @@ impl BundleProblem {
             h[(2, 1)] = h[(1, 2)];
             system.point_h.push(h);
             system.point_g.push(g);
+            system.readout_point.push(with_readout);
             if self.shared.is_some() {
                 system.shared_point.push(with_shared);
             }
@@ -302,6 +338,7 @@ impl BundleProblem {
                 continue;
             };
             let (old_cameras, old_points) = (self.cameras.clone(), self.points.clone());
+            let old_readout = self.readout.seconds;
             let old_change = self.shared.as_ref().map(|s| s.change);
             for (camera, &s) in self.cameras.iter_mut().zip(slot) {
                 if s != FIXED {
@@ -309,9 +346,14 @@ impl BundleProblem {
                     camera.camera_from_world = camera.camera_from_world.perturb_left(&step);
                 }
             }
+            let at = 6 * free + self.readout.unknowns();
+            if at > 6 * free {
+                self.readout.seconds += step.cameras[6 * free];
+                self.readout.found_information = step.readout_information;
+            }
             if let Some(shared) = &mut self.shared {
                 let mut change = shared.change.rows_mut(0, shared.active);
-                change += step.cameras.rows(6 * free, shared.active);
+                change += step.cameras.rows(at, shared.active);
             }
             for (point, step) in self.points.iter_mut().zip(&step.points) {
                 *point += step;
@@ -328,6 +370,7 @@ impl BundleProblem {
                 self.linearise(slot, free, options.outlier_chi2, &mut system);
             } else {
                 (self.cameras, self.points) = (old_cameras, old_points);
+                self.readout.seconds = old_readout;
                 if let (Some(shared), Some(old)) = (&mut self.shared, old_change) {
                     shared.change = old;
                 }
@@ -344,8 +387,8 @@ impl BundleProblem {
         (done, initial, cost)
     }
 
-    /// The reduced system of cameras (and shared numbers) at this damping, right-hand side, and the inverted point blocks.
-    /// The prior of the shared numbers is left out.
+    /// The reduced system of cameras (readout time, and shared numbers) at this damping, right-hand side, and the inverted point
+    /// blocks. The prior of the shared numbers is left out, that of the readout time is in it.
     fn reduce(
         &self,
         slot: &[u32],
@@ -354,7 +397,9 @@ impl BundleProblem {
         lambda: f64,
     ) -> (DMatrix<f64>, DVector<f64>, Vec<Matrix3<f64>>) {
         let shared = self.shared.as_ref().map_or(0, |s| s.active);
-        let size = 6 * free + shared;
+        let readout = self.readout.unknowns();
+        let at = 6 * free + readout;
+        let size = at + shared;
         let mut s = DMatrix::<f64>::zeros(size, size);
         let mut g = DVector::<f64>::zeros(size);
         for (i, (h, gradient)) in system.camera_h.iter().zip(&system.camera_g).enumerate() {
@@ -366,13 +411,22 @@ impl BundleProblem {
                 g[6 * i + c] = -gradient[c];
             }
         }
+        if readout > 0 {
+            for (i, block) in system.camera_readout.iter().enumerate() {
+                s.fixed_view_mut::<6, 1>(6 * i, 6 * free).copy_from(block);
+            }
+            let (information, pull) = self.readout.prior();
+            s[(6 * free, 6 * free)] = system.readout_h + information;
+            s.view_mut((6 * free, at), (1, shared)).copy_from(&system.readout_shared.rows(0, shared).transpose());
+            g[6 * free] = pull - system.readout_g;
+        }
         if shared > 0 {
             for (i, block) in system.camera_shared.iter().enumerate() {
-                s.view_mut((6 * i, 6 * free), (6, shared)).copy_from(&block.columns(0, shared));
+                s.view_mut((6 * i, at), (6, shared)).copy_from(&block.columns(0, shared));
             }
             let own = system.shared_h.view((0, 0), (shared, shared));
-            s.view_mut((6 * free, 6 * free), (shared, shared)).copy_from(&own);
-            g.rows_mut(6 * free, shared).copy_from(&-system.shared_g.rows(0, shared));
+            s.view_mut((at, at), (shared, shared)).copy_from(&own);
+            g.rows_mut(at, shared).copy_from(&-system.shared_g.rows(0, shared));
         }
         let mut inverses = Vec::with_capacity(self.points.len());
         for i in 0..self.points.len() {
@@ -400,18 +454,32 @@ impl BundleProblem {
                     let mut block = s.fixed_view_mut::<6, 6>(6 * sa as usize, 6 * sb as usize);
                     block -= y * system.cross[b].transpose();
                 }
+                if readout > 0 {
+                    let mut border = s.fixed_view_mut::<6, 1>(6 * sa as usize, 6 * free);
+                    border -= y * system.readout_point[i];
+                }
                 if shared > 0 {
                     let border = y * system.shared_point[i].transpose();
-                    let mut block = s.view_mut((6 * sa as usize, 6 * free), (6, shared));
+                    let mut block = s.view_mut((6 * sa as usize, at), (6, shared));
+                    block -= border.columns(0, shared);
+                }
+            }
+            if readout > 0 {
+                let w = &system.readout_point[i];
+                s[(6 * free, 6 * free)] -= w.dot(&(inverse * w));
+                g[6 * free] += w.dot(&rest);
+                if shared > 0 {
+                    let border = (system.shared_point[i] * (inverse * w)).transpose();
+                    let mut block = s.view_mut((6 * free, at), (1, shared));
                     block -= border.columns(0, shared);
                 }
             }
             if shared > 0 {
                 let w = &system.shared_point[i];
                 let own = w * inverse * w.transpose();
-                let mut block = s.view_mut((6 * free, 6 * free), (shared, shared));
+                let mut block = s.view_mut((at, at), (shared, shared));
                 block -= own.view((0, 0), (shared, shared));
-                let mut part = g.rows_mut(6 * free, shared);
+                let mut part = g.rows_mut(at, shared);
                 part += (w * rest).rows(0, shared);
             }
             inverses.push(inverse);
@@ -427,19 +495,34 @@ impl BundleProblem {
     /// One step at this damping; `None` if the reduced system is not positive definite.
     fn solve(&self, slot: &[u32], free: usize, system: &System, lambda: f64) -> Option<Step> {
         let (mut s, mut g, inverses) = self.reduce(slot, free, system, lambda);
+        let readout = self.readout.unknowns();
+        let at = 6 * free + readout;
         if let Some(shared) = &self.shared {
             for i in 0..shared.active {
-                s[(6 * free + i, 6 * free + i)] += shared.information[i];
-                g[6 * free + i] += shared.information[i] * (shared.expected[i] - shared.change[i]);
+                s[(at + i, at + i)] += shared.information[i];
+                g[at + i] += shared.information[i] * (shared.expected[i] - shared.change[i]);
             }
         }
-        let cameras = if g.is_empty() { g } else { s.cholesky()?.solve(&g) };
+        let mut readout_information = 0.0;
+        let cameras = if g.is_empty() {
+            g
+        } else {
+            let factor = s.cholesky()?;
+            if readout > 0 {
+                // One over its variance, everything else free, without its prior.
+                let mut unit = DVector::zeros(g.len());
+                unit[6 * free] = 1.0;
+                let variance = factor.solve(&unit)[6 * free];
+                readout_information = (1.0 / variance - self.readout.prior().0).max(0.0);
+            }
+            factor.solve(&g)
+        };
         if !cameras.iter().all(|v| v.is_finite()) {
             return None;
         }
         let change = self.shared.as_ref().map(|shared| {
             let mut change = SharedVector::zeros();
-            change.rows_mut(0, shared.active).copy_from(&cameras.rows(6 * free, shared.active));
+            change.rows_mut(0, shared.active).copy_from(&cameras.rows(at, shared.active));
             change
         });
         let mut points = Vec::with_capacity(self.points.len());
@@ -451,13 +534,16 @@ impl BundleProblem {
                     rest -= system.cross[k].transpose() * cameras.fixed_rows::<6>(6 * sk as usize);
                 }
             }
+            if readout > 0 {
+                rest -= system.readout_point[i] * cameras[6 * free];
+            }
             if let Some(change) = &change {
                 rest -= system.shared_point[i].transpose() * change;
             }
             let step = inverses[i] * rest;
             points.push(if step.iter().all(|v| v.is_finite()) { step } else { Vector3::zeros() });
         }
-        Some(Step { cameras, points })
+        Some(Step { cameras, points, readout_information })
     }
 
     fn judge_outliers(&mut self, limit: f64) {

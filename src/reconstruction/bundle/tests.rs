@@ -33,6 +33,7 @@ fn problem(seed: u64, cameras: usize, points: usize, noise_px: f64) -> BundlePro
             p.observations.push(BundleObservation {
                 camera: c as u32,
                 normalised: Vector2::new(q.x / q.z, q.y / q.z) + noise,
+                displacement: Vector2::zeros(),
                 pixel_scale: Matrix2::new(500.0, 0.0, 0.0, 510.0),
                 inv_sigma_px: 1.0,
             });
