@@ -8,8 +8,8 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 
 use super::assumed_distance;
 use super::bundle::{
-    BundleCamera, BundleObservation, BundleOptions, BundleProblem, BundleReport, Readout, Shared, SharedJacobian, SharedMatrix,
-    SharedVector,
+    BundleCamera, BundleObservation, BundleOptions, BundleProblem, BundleReport, Readout, Shared, SharedJacobian,
+    SharedMatrix, SharedVector,
 };
 use super::config::ReconstructionConfig;
 use crate::geometry::frames::{Camera, World};

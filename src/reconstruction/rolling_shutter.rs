@@ -4,10 +4,10 @@
 //! z = 1) is seen displaced by `g T`, `g = flow (row / height - 1/2)`, T the readout time. Observations are kept as they were
 //! seen and corrected by `- g T` wherever they are compared with a projection.
 //!
-//! T is a property of the camera that nobody writes on the box, so it is estimated from the residuals: with e the residuals
-//! of a frame at its best pose, J the pose's Jacobian and H = JᵀJ, the step `dT = eᵀg / (gᵀg - gᵀJ H⁻¹ Jᵀg)` is the joint
-//! least-squares step of pose and T. Frames are added up as in a Kalman filter of one constant. A global shutter comes out as
-//! zero. Not here: acceleration within a frame, exposure time.
+//! T is a property of the camera that nobody writes on the box. It is one more unknown of every adjustment, which solves for it together
+//! with poses and landmarks: against a map taken as true, what young landmarks' depths are wrong by looks like a shutter. From one
+//! adjustment to the next it is carried as in a Kalman filter of one constant. A global shutter comes out as zero. Not here: acceleration
+//! within a frame, exposure time.
 
 use nalgebra::{Vector2, Vector3};
 
@@ -29,16 +29,18 @@ pub struct Shutter {
 const MAX_READOUT_S: f64 = 0.04;
 /// Standard deviation of the readout time before anything is known, s.
 const PRIOR_SIGMA_S: f64 = 0.01;
-/// What the past counts after one more frame: half after 23. Short, because frames that were tracked against a map made with
-/// another readout time agree with that one.
+/// What the past counts after one more adjustment. Adjustments before had fewer landmarks, placed with another readout time.
 const MEMORY: f64 = 0.9;
-/// Share of an adjustment's information that is believed: an observation is in ten of them.
+/// Share of an adjustment's information that is believed: an observation is in some ten of them, and neighbouring keyframes share the
+/// errors of their templates.
 const BELIEVED: f64 = 0.05;
+/// Never surer than this, s: what the motion between two frames says of the motion within one is not exact.
+const FLOOR_SIGMA_S: f64 = 0.001;
 
 impl Shutter {
     /// `estimate`: start at `readout_s` and learn; else it stays.
     pub fn new(readout_s: f64, height_px: u32, estimate: bool) -> Self {
-        let information = knob("RS_PRIOR", PRIOR_SIGMA_S).powi(-2);
+        let information = PRIOR_SIGMA_S.powi(-2);
         Self { readout_s, information, height_px: f64::from(height_px.max(1)), estimate }
     }
 
@@ -76,7 +78,7 @@ impl Shutter {
     /// As an adjustment takes it: an unknown, or held.
     pub fn to_adjust(&self) -> Readout {
         // Believing a part of the data is weighing the prior the more.
-        let expected = self.estimate.then_some((self.readout_s, self.information / knob("RS_BEL", BELIEVED)));
+        let expected = self.estimate.then_some((self.readout_s, self.information / BELIEVED));
         Readout { seconds: self.readout_s, expected, found_information: 0.0 }
     }
 
@@ -85,20 +87,8 @@ impl Shutter {
         if found.expected.is_none() || !(found.seconds.is_finite() && found.found_information.is_finite()) {
             return;
         }
-        self.information = self.information * knob("RS_MEM", MEMORY) + knob("RS_BEL", BELIEVED) * found.found_information;
+        let information = self.information * MEMORY + BELIEVED * found.found_information;
+        self.information = information.min(1.0 / (FLOOR_SIGMA_S * FLOOR_SIGMA_S));
         self.readout_s = found.seconds.clamp(-MAX_READOUT_S, MAX_READOUT_S);
-        if std::env::var_os("RS_LOG").is_some() {
-            eprintln!("readout {:.2} ms sigma {:.3} window {:.3}", self.readout_s * 1e3, 1e3 / self.information.sqrt(), 1e3 / found.found_information.sqrt());
-        }
-    }
-}
-
-
-pub fn knob(name: &str, default: f64) -> f64 {
-    std::env::var(name).ok().and_then(|v| v.parse().ok()).unwrap_or(default)
-}
-impl Shutter {
-    pub fn to_adjust_start(&self) -> Readout {
-        if knob("RS_START", 1.0) > 0.5 { self.to_adjust() } else { Readout { seconds: self.readout_s, ..Readout::default() } }
     }
 }

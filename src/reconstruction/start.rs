@@ -186,10 +186,10 @@ impl Reconstruction {
         })
     }
 
-    /// Adjusts the whole (new, small) map at once: how surely the newest camera's direction from the first is known (rad), or
-    /// `None` if too few landmarks hold.
+    /// Adjusts the whole (new, small) map at once: how surely the newest camera's direction from the first is known (rad), and the
+    /// readout time found with it; `None` if too few landmarks hold.
     fn adjust_whole(&mut self) -> Option<(f64, Readout)> {
-        let result = MappingJob::whole(&self.map, &self.camera, self.shutter.to_adjust_start(), START_STEPS)?.run();
+        let result = MappingJob::whole(&self.map, &self.camera, self.shutter.to_adjust(), START_STEPS)?.run();
         let supported = result.supported_landmarks();
         let (sigma, readout) = (result.direction_sigma(), *result.readout());
         result.merge(&mut self.map);

@@ -72,6 +72,7 @@ impl Readout {
 
     /// Information of the prior, and its part of the right-hand side.
     pub(super) fn prior(&self) -> (f64, f64) {
-        self.expected.map_or((0.0, 0.0), |(expected, information)| (information, information * (expected - self.seconds)))
+        self.expected
+            .map_or((0.0, 0.0), |(expected, information)| (information, information * (expected - self.seconds)))
     }
 }

@@ -4,7 +4,8 @@
 
 use nalgebra::{DMatrix, Matrix3, Vector3};
 
-use super::{BundleOptions, BundleProblem, FIXED, SharedMatrix, System, jacobian_rows};
+use super::{BundleOptions, BundleProblem, FIXED, SharedMatrix, System};
+use crate::reconstruction::pose_optimisation::jacobian_rows;
 
 /// Relative damping that holds what nothing holds (the scale, a point that one camera sees) while information is marginalised:
 /// far below what any of it costs, far above the loss of digits.
