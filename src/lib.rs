@@ -25,7 +25,8 @@
 //!   from the keyframe with the closest view. Templates belong to keyframes, so positions do not drift with the frames.
 //! - A robust motion-only adjustment over these gives pose and covariance; the covariance contains the landmarks' own.
 //! - Seeds (tracks without depth) become landmarks at keyframes, where their rays meet at a degree or more.
-//! - A start is a reference view, the newest one and up to eight in between, adjusted together; it is accepted once the direction of
+//! - A start is a reference view (once its tracks are gone a later one), the newest one and up to eight in between, adjusted together;
+//!   it is accepted once the direction of
 //!   the first motion is sure enough for how long the camera has moved, and most of the picture agrees with it, so neither standing
 //!   nor turning on the spot starts a map, nor (with a calibrated lens) something large that moves past.
 //! - A turn on the spot goes on where the map's landmarks leave the picture: corners without parallax become landmarks at an assumed

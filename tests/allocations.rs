@@ -44,8 +44,19 @@ static ALLOCATOR: Counting = Counting;
 
 #[test]
 fn from_picture_to_pose_nothing_is_allocated_once_warm() {
-    const WARM: u64 = 300;
-    let config = SimulatorConfig { seed: 3, ..SimulatorConfig::everything(Scenario::HandHeld) };
+    let keyframes = count_while_tracking(Scenario::HandHeld, 300, 120);
+    assert!(keyframes > 0, "the frames after keyframes must be among them");
+}
+
+/// It turns from second 10 on, at first away from all that is mapped.
+#[test]
+fn turning_on_the_spot_allocates_nothing_either() {
+    count_while_tracking(Scenario::MoveThenRotate, 360, 150);
+}
+
+/// Asserts that `frames` frames after `warm` others are tracked without an allocation, and gives the keyframes among them.
+fn count_while_tracking(scenario: Scenario, warm: u64, frames: u64) -> u32 {
+    let config = SimulatorConfig { seed: 3, ..SimulatorConfig::everything(scenario) };
     let mut simulator = Simulator::new(&config, Pacing::LockStep).unwrap();
     let camera = simulator.camera_model().clone();
     let mut stage = FeatureStage::new(&FeaturesConfig::default());
@@ -55,7 +66,7 @@ fn from_picture_to_pose_nothing_is_allocated_once_warm() {
         (FrameFeatures::default(), Feedback::default(), GreyImage::new(0, 0));
     let mut events = Vec::new();
     let (mut keyframes, mut allocations) = (0, Vec::new());
-    for sequence in 0..WARM + 120 {
+    for sequence in 0..warm + frames {
         simulator.render(sequence, &mut picture);
         let before = ALLOCATIONS.get();
         stage.step_grey(&picture, &mut features);
@@ -67,12 +78,12 @@ fn from_picture_to_pose_nothing_is_allocated_once_warm() {
         stage.feedback(&feedback);
         reconstruction.take_trajectory_events(&mut events);
         events.clear();
-        if sequence >= WARM {
+        if sequence >= warm {
             assert_eq!(estimate.state, TrackingState::Tracking, "frame {sequence}");
             allocations.extend((allocated > 0).then_some((sequence, allocated)));
             keyframes += u32::from(estimate.keyframe);
         }
     }
     assert!(allocations.is_empty(), "(frame, allocations): {allocations:?}");
-    assert!(keyframes > 0, "the frames after keyframes must be among them");
+    keyframes
 }

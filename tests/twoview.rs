@@ -389,10 +389,11 @@ fn data(name: &str) -> Option<PathBuf> {
 }
 
 /// `cairn compare` on a folder: the scores.
-fn scores(folder: &Path, matcher: &str) -> Vec<Value> {
+fn scores(folder: &Path, detectors: &str, matcher: &str, more: &[&str]) -> Vec<Value> {
     let output = tempfile::tempdir().unwrap();
     let mut arguments = vec!["compare", folder.to_str().unwrap(), "--output", output.path().to_str().unwrap()];
-    arguments.extend(["--detectors", "fast", "--matchers", matcher]);
+    arguments.extend(["--detectors", detectors, "--matchers", matcher]);
+    arguments.extend(more);
     assert!(cairn(&arguments).status.success());
     let document: Value = serde_json::from_slice(&std::fs::read(output.path().join("compare.json")).unwrap()).unwrap();
     document["scores"].as_array().unwrap().clone()
@@ -401,7 +402,7 @@ fn scores(folder: &Path, matcher: &str) -> Vec<Value> {
 #[test]
 fn f_of_listed_matches_brings_annotated_points_onto_their_lines() {
     let Some(folder) = data("fundamental") else { return };
-    let scores = scores(&folder, "descriptors");
+    let scores = scores(&folder, "fast", "descriptors", &[]);
     let of = |pair: &str| scores.iter().find(|s| s["pair"] == pair && s["detector"].is_null()).unwrap();
     for pair in ["booksh", "plant"] {
         let median = of(pair)["annotated_px"].as_f64().unwrap();
@@ -415,7 +416,7 @@ fn f_of_listed_matches_brings_annotated_points_onto_their_lines() {
 #[test]
 fn f_of_our_own_matches_brings_annotated_points_onto_their_lines() {
     let Some(folder) = data("fundamental") else { return };
-    let scores = scores(&folder, "gradients");
+    let scores = scores(&folder, "fast", "gradients", &[]);
     let of = |pair: &str| scores.iter().find(|s| s["pair"] == pair && s["detector"] == "fast").unwrap();
     for pair in ["booksh", "plant"] {
         let median = of(pair)["annotated_px"].as_f64().unwrap();
@@ -466,14 +467,23 @@ fn epipolar_lines_of_a_rectified_pair_of_known_cameras_are_rows() {
 }
 
 /// Without cameras F has two numbers more, and the pair's own pixels, which lie up to 0.1 px off their rows, would bend it by 0.2
-/// degrees; as the F of one camera it stays straight.
+/// degrees; as the F of one camera it stays straight, if that camera's focal length is one that cameras have.
 #[test]
 fn epipolar_lines_of_a_rectified_pair_of_unknown_cameras_are_rows() {
     let Some(folder) = data("motorcycle") else { return };
-    for matcher in ["flow", "descriptors", "gradients"] {
-        let scores = scores(&folder, matcher);
-        let figure = |key: &str| scores[0][key].as_f64().unwrap();
-        println!("{matcher}: tilt {:.3}, median {:.3} degrees", figure("row_tilt_deg"), figure("row_angle_deg"));
-        assert!(figure("row_tilt_deg") <= 0.1 && figure("row_angle_deg") <= 0.1, "{matcher}: {}", scores[0]);
+    for (matcher, more) in [
+        ("flow", &[][..]),
+        ("correlation", &[]),
+        ("descriptors", &[]),
+        ("descriptors", &["--guided"]),
+        ("gradients", &[]),
+        ("gradients", &["--guided"]),
+    ] {
+        for score in scores(&folder, "fast,susan", matcher, more) {
+            let figure = |key: &str| score[key].as_f64().unwrap();
+            let (tilt, angle) = (figure("row_tilt_deg"), figure("row_angle_deg"));
+            println!("{} {matcher} {more:?}: tilt {tilt:.3}, median {angle:.3} degrees", score["detector"]);
+            assert!(tilt.abs() <= 0.1 && angle <= 0.1, "{matcher} {more:?}: {score}");
+        }
     }
 }

@@ -16,6 +16,7 @@
 
 use nalgebra::{Matrix3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
 
+use super::displaced::{Displaced, any_cut_stands_out};
 use super::epipolar::{sampson_cost, sampson_normal_equations, sampson_squared, skew};
 use super::homography::{TwoWay, apply, estimate_homography};
 use super::least_squares::{LeastSquares, LmOptions, Loss, NormalEquations, minimise};
@@ -24,7 +25,6 @@ use super::point_set::{Conditioning, all_finite, bounding_box, chance_near_line,
 use super::polynomial::real_roots;
 use super::ransac::{self, Estimator, RansacOptions, Workspace};
 use super::rotation::rotation_nearest;
-use super::unknown_turn::chance_displaced;
 
 /// The equation of a match in the entries of F, row by row.
 #[inline]
@@ -326,8 +326,6 @@ struct Parallax<'a> {
     problem: &'a Problem,
     plane: &'a TwoWay,
     beside: Vec<usize>,
-    /// Suppose that matches beside the plane are on it and placed badly, not strangers.
-    misplaced: bool,
 }
 
 impl Parallax<'_> {
@@ -368,25 +366,19 @@ impl Estimator for Parallax<'_> {
         None
     }
 
-    /// A match beside the plane need not be a stranger: it may be on the plane and placed badly. Displaced by d in any direction, it
-    /// is within T of a given line through its true place with the chance `2/pi asin(T/d)`, for a small d far above a stranger's. Chances that
-    /// are not alike are taken for their mean: their elementary symmetric mean is below its power (Maclaurin).
     fn chance(&self, threshold: f64) -> f64 {
-        let stranger = self.problem.chance(threshold);
-        if !self.misplaced {
-            return stranger;
-        }
-        let displaced = |&i: &usize| chance_displaced(self.displacement(i), threshold).max(stranger);
-        let sum: f64 = self.beside.iter().map(displaced).sum();
-        if self.beside.is_empty() { stranger } else { sum / self.beside.len() as f64 }
+        self.problem.chance(threshold)
     }
 }
+
+/// Distances from the plane at which the matches beside it are asked, in thresholds.
+const CUTS: [f64; 3] = [1.0, 3.0, 6.0];
 
 /// Replaces F by one that shares the plane's homography when that explains more of the matches beside the plane: those
 /// on it fit every such F, and say nothing. Returns whether the matches beside the plane fix the epipole.
 fn plane_and_parallax(problem: &Problem, options: &RansacOptions, h: &TwoWay, model: &mut Matrix3<f64>) -> Epipole {
     let beside = (0..problem.data_count()).filter(|&i| !on_plane(problem, h, i, options.threshold)).collect();
-    let parallax = Parallax { problem, plane: h, beside, misplaced: false };
+    let parallax = Parallax { problem, plane: h, beside };
     let options = RansacOptions { max_iterations: options.max_iterations.min(1000), ..*options };
     let mut workspace = Workspace::default();
     if let Some(found) = ransac::estimate(&parallax, &options, &mut workspace) {
@@ -396,17 +388,12 @@ fn plane_and_parallax(problem: &Problem, options: &RansacOptions, h: &TwoWay, mo
     } else if ransac::judge(&parallax, model, &options, &mut workspace).is_none() {
         return Epipole::Open;
     }
-    // Those near the plane agree by chance so often that they can hide what the farther ones say.
-    let cuts = [1.0, 3.0, 6.0];
-    // One trial a cut.
-    let trials = (cuts.len() as f64).log10();
-    let options = RansacOptions { max_log10_false_alarms: options.max_log10_false_alarms - trials, ..options };
-    let sure = cuts.iter().any(|cut| {
-        let far = |&i: &usize| parallax.displacement(i) > cut * options.threshold;
-        let beside = parallax.beside.iter().copied().filter(far).collect();
-        let misplaced = Parallax { problem, plane: h, beside, misplaced: true };
-        ransac::judge(&misplaced, model, &options, &mut workspace).is_some()
+    let displaced = (0..parallax.beside.len()).map(|k| Displaced {
+        residual_squared: parallax.residual_squared(model, k),
+        distance: parallax.displacement(parallax.beside[k]),
     });
+    let stranger = problem.chance(options.threshold);
+    let sure = any_cut_stands_out(displaced, CUTS.map(|cut| cut * options.threshold), stranger, &options);
     if sure { Epipole::Sure } else { Epipole::UnlessTurned }
 }
 

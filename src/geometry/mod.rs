@@ -10,6 +10,7 @@
 pub mod alignment;
 pub mod camera_model;
 pub mod camera_motion;
+mod displaced;
 pub mod epipolar;
 pub mod essential;
 pub mod five_point;

@@ -112,6 +112,13 @@ pub fn chance_near_point(x: &[Vector2<f64>], threshold: f64) -> f64 {
     (std::f64::consts::PI * threshold * threshold / area).min(1.0)
 }
 
+/// Probability that a match which belongs somewhere else, displaced from there by `distance` in any direction, lies within `threshold`
+/// (a Sampson distance, which shares the error out between both pictures) of a given line through that place: `2/pi asin(T/d)`.
+pub fn chance_displaced(distance: f64, threshold: f64) -> f64 {
+    let across = std::f64::consts::SQRT_2 * threshold;
+    if distance > across { (across / distance).asin() * std::f64::consts::FRAC_2_PI } else { 1.0 }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

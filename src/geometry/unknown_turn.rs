@@ -13,10 +13,11 @@
 
 use nalgebra::{Matrix3, Rotation3, SVector, Vector2, Vector3};
 
+use super::displaced::{Displaced, any_cut_stands_out};
 use super::epipolar::sampson_squared;
 use super::least_squares::{LeastSquares, LmOptions, Loss, NormalEquations, minimise};
 use super::point_set::chance_near_line;
-use super::ransac::{self, Estimator, RansacOptions, Workspace};
+use super::ransac::RansacOptions;
 use super::rotation::fit_rotation;
 
 /// Fewer matches leave eleven unknowns too much freedom.
@@ -207,50 +208,7 @@ pub fn fit_unknown_turn(
     best.map(|(_, lens)| UnknownTurn { middle, half: half_width, lens })
 }
 
-/// Chance that a match which belongs somewhere else, displaced from there by `distance` in any direction, lies within `threshold`
-/// (a Sampson distance, which shares the error out between both pictures) of a given line through that place: `2/pi asin(T/d)`.
-pub(super) fn chance_displaced(distance: f64, threshold: f64) -> f64 {
-    let across = std::f64::consts::SQRT_2 * threshold;
-    if distance > across { (across / distance).asin() * std::f64::consts::FRAC_2_PI } else { 1.0 }
-}
-
-/// The matches beside a turn, for the count of false alarms.
-struct Beside<'a> {
-    matches: &'a [(Vector2<f64>, Vector2<f64>)],
-    distances: &'a [f64],
-    chosen: Vec<usize>,
-    /// Chance of a match that has nothing to do with the scene.
-    stranger: f64,
-}
-
-impl Estimator for Beside<'_> {
-    type Model = Matrix3<f64>;
-    /// Beyond the turn an F has its epipole: two matches.
-    const SAMPLE_SIZE: usize = 2;
-
-    fn data_count(&self) -> usize {
-        self.chosen.len()
-    }
-
-    fn solve_minimal(&self, _: &[usize], _: &mut Vec<Self::Model>) {}
-
-    fn residual_squared(&self, f: &Self::Model, i: usize) -> f64 {
-        let (a, b) = &self.matches[self.chosen[i]];
-        sampson_squared(f, a, b)
-    }
-
-    fn refit(&self, _: &Self::Model, _: &[usize]) -> Option<Self::Model> {
-        None
-    }
-
-    fn chance(&self, threshold: f64) -> f64 {
-        let sum: f64 =
-            self.chosen.iter().map(|&i| chance_displaced(self.distances[i], threshold).max(self.stranger)).sum();
-        if self.chosen.is_empty() { 1.0 } else { sum / self.chosen.len() as f64 }
-    }
-}
-
-/// Cuts of the distance at which [`shows_parallax`] looks: near ones agree by chance so often that they hide what far ones say.
+/// Distances at which [`shows_parallax`] looks, in the least.
 const CUTS: [f64; 3] = [1.0, 2.0, 4.0];
 
 /// Do the matches beside a turn agree with F more often than matches that are only placed badly would? `distances`: of each match from where
@@ -264,17 +222,11 @@ pub fn shows_parallax(
 ) -> bool {
     let (x1, x2): (Vec<_>, Vec<_>) = matches.iter().copied().unzip();
     let stranger = chance_near_line(&x1, options.threshold).max(chance_near_line(&x2, options.threshold));
-    // One trial a cut.
-    let options = RansacOptions {
-        max_log10_false_alarms: options.max_log10_false_alarms - (CUTS.len() as f64).log10(),
-        ..*options
-    };
-    let mut workspace = Workspace::default();
-    CUTS.iter().any(|cut| {
-        let chosen = (0..matches.len().min(distances.len())).filter(|&i| distances[i] > cut * least).collect();
-        let beside = Beside { matches, distances, chosen, stranger };
-        ransac::judge(&beside, f, &options, &mut workspace).is_some()
-    })
+    let displaced = matches
+        .iter()
+        .zip(distances)
+        .map(|((a, b), distance)| Displaced { residual_squared: sampson_squared(f, a, b), distance: *distance });
+    any_cut_stands_out(displaced, CUTS.map(|cut| cut * least), stranger, options)
 }
 
 #[cfg(test)]

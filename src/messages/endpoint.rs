@@ -8,8 +8,6 @@ use iceoryx2::prelude::{Config, FileName, MessagingPattern, SemanticString, Serv
 use iceoryx2::service::Service;
 use iceoryx2::service::service_hash::ServiceHash;
 
-use super::unfilled::UNFILLED_AGE;
-
 /// Prefix of the services unless chosen otherwise (`--prefix`, `CAIRN_PREFIX`, configuration).
 pub const DEFAULT_PREFIX: &str = "cairn";
 /// Characters of a prefix at most.
@@ -18,6 +16,8 @@ pub const MAX_PREFIX_LEN: usize = 64;
 const MAX_ROOT_LEN: usize = 48;
 /// End of the name of iceoryx2's common counter in /dev/shm; before it are the prefix, a digest and the version.
 const COUNTER_SUFFIX: &str = ".global_mgmt";
+/// A counter that is still empty after this time will not be filled.
+const COUNTER_AGE: std::time::Duration = std::time::Duration::from_secs(1);
 
 /// Name of a service: `service_name("cairn", "pose")` is `cairn/pose`.
 pub fn service_name(prefix: &str, topic: &str) -> Result<String, EndpointError> {
@@ -203,7 +203,7 @@ impl Endpoint {
             let Some(meta) = counter.then(|| entry.metadata().ok()).flatten() else { continue };
             let open_to_us = us == 0 || meta.uid() == us || meta.mode() & 0o006 == 0o006;
             // It is filled within a moment of being made.
-            let old = meta.modified().is_ok_and(|t| t.elapsed().is_ok_and(|age| age >= UNFILLED_AGE));
+            let old = meta.modified().is_ok_and(|t| t.elapsed().is_ok_and(|age| age >= COUNTER_AGE));
             let fault = match () {
                 () if !meta.is_file() => "is no file",
                 () if !open_to_us => "may not be written by others",
@@ -329,7 +329,7 @@ mod tests {
         mode(0o666);
         let file = std::fs::File::create(&path).unwrap();
         assert_eq!(fault(false, other), None, "just being made");
-        file.set_modified(std::time::SystemTime::now() - UNFILLED_AGE * 2).unwrap();
+        file.set_modified(std::time::SystemTime::now() - COUNTER_AGE * 2).unwrap();
         assert_eq!(fault(false, other), Some("is empty"));
         std::fs::remove_file(&path).unwrap();
         std::os::unix::fs::symlink("/etc/passwd", &path).unwrap();

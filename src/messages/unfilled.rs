@@ -12,8 +12,8 @@ use std::time::Duration;
 use super::Endpoint;
 use super::endpoint::effective_uid;
 
-/// An object is filled within milliseconds. One that is not after this time has lost its maker.
-pub(super) const UNFILLED_AGE: Duration = Duration::from_secs(2);
+/// An object is filled within a millisecond or so. Whether the maker of one that takes longer still lives is looked up.
+const MOMENT: Duration = Duration::from_millis(100);
 
 const MAY_READ: u32 = 0o400;
 
@@ -26,7 +26,7 @@ impl Endpoint {
 
     fn clear_unfilled_in(&self, folder: &Path, us: u32) -> Option<PathBuf> {
         let prefix = self.config().global.prefix.to_string();
-        let mut in_the_way = None;
+        let (mut orphans, mut others) = (Vec::new(), Vec::new());
         for entry in std::fs::read_dir(folder).ok()?.flatten() {
             let ours = entry.file_name().to_str().is_some_and(|name| name.starts_with(&prefix));
             // Of the entry itself: a link is not followed.
@@ -35,17 +35,35 @@ impl Endpoint {
             if !meta.is_file() || (!empty && readable) {
                 continue;
             }
-            let old = meta.modified().is_ok_and(|t| t.elapsed().is_ok_and(|age| age >= UNFILLED_AGE));
-            if old && meta.uid() == us && std::fs::remove_file(entry.path()).is_ok() {
-                continue;
-            }
+            let lingers = meta.modified().is_ok_and(|t| t.elapsed().is_ok_and(|age| age >= MOMENT));
             // What only its owner could open, and that not even for reading, is refused to us in bounded time.
-            if empty && (us == 0 || readable) {
-                in_the_way = Some(entry.path());
-            }
+            let holds_us = empty && (us == 0 || readable);
+            (if lingers && meta.uid() == us { &mut orphans } else { &mut others }).push((entry.path(), holds_us));
         }
-        in_the_way
+        let held = open_files(orphans.iter().map(|(path, _)| path), us);
+        orphans.retain(|(path, _)| held.contains(path) || std::fs::remove_file(path).is_err());
+        orphans.into_iter().chain(others).find(|(_, holds_us)| *holds_us).map(|(path, _)| path)
     }
+}
+
+/// Those of the files that a living process of `user` has open or mapped.
+fn open_files<'a>(paths: impl Iterator<Item = &'a PathBuf>, user: u32) -> Vec<PathBuf> {
+    let mut closed: Vec<&PathBuf> = paths.collect();
+    let mut open = Vec::new();
+    let processes = std::fs::read_dir("/proc").into_iter().flatten().flatten().map(|entry| entry.path());
+    for process in processes.filter(|process| std::fs::metadata(process).is_ok_and(|meta| meta.uid() == user)) {
+        if closed.is_empty() {
+            break;
+        }
+        let descriptors = std::fs::read_dir(process.join("fd")).into_iter().flatten().flatten();
+        let mut seen: Vec<PathBuf> = descriptors.filter_map(|fd| std::fs::read_link(fd.path()).ok()).collect();
+        let maps = std::fs::read_to_string(process.join("maps")).unwrap_or_default();
+        seen.extend(maps.lines().filter_map(|line| Some(PathBuf::from(&line[line.find('/')?..]))));
+        let (held, rest) = closed.into_iter().partition(|path| seen.contains(path));
+        closed = rest;
+        open.extend(Vec::<&PathBuf>::into_iter(held).cloned());
+    }
+    open
 }
 
 #[cfg(test)]
@@ -68,7 +86,7 @@ mod tests {
             file.set_modified(SystemTime::now() - age).unwrap();
         };
         let there = |name: &str| folder.path().join(name).exists();
-        let old = UNFILLED_AGE * 2;
+        let old = MOMENT * 2;
         make("cu_filled", 8, 0o600, old);
         make("elsewhere_empty", 0, 0o200, old);
         make("cu_empty", 0, 0o200, old);
@@ -76,6 +94,14 @@ mod tests {
         assert_eq!(endpoint.clear_unfilled_in(folder.path(), us), None);
         assert!(there("cu_filled") && there("elsewhere_empty"), "not ours to judge");
         assert!(!there("cu_empty") && !there("cu_unreadable"));
+
+        make("cu_slow", 8, 0o200, old);
+        let maker = File::options().write(true).open(folder.path().join("cu_slow")).unwrap();
+        assert_eq!(endpoint.clear_unfilled_in(folder.path(), us), None);
+        assert!(there("cu_slow"), "its maker lives");
+        drop(maker);
+        assert_eq!(endpoint.clear_unfilled_in(folder.path(), us), None);
+        assert!(!there("cu_slow"));
 
         make("cu_sized", 8, 0o200, Duration::ZERO);
         assert_eq!(endpoint.clear_unfilled_in(folder.path(), us), None, "opening it has a time-out");

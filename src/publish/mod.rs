@@ -45,8 +45,8 @@ const CLEAN_UP_EVERY: Duration = Duration::from_secs(1);
 /// How often what iceoryx2 cannot clear away itself is looked for.
 const SWEEP_EVERY: Duration = Duration::from_secs(60);
 
-/// Longest wait for what somebody is just making; health comes again soon.
-const HALF_MADE: Duration = Duration::from_millis(50);
+/// Longest wait for what somebody is just making, or until what a killed process left of it is known as such.
+const HALF_MADE: Duration = Duration::from_millis(250);
 
 /// Sizes that shared memory is reserved for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -100,6 +100,8 @@ impl Publisher {
         if let Presence::OtherOwner { path, owner } = endpoint.probe(&endpoint.service(topic::POSE)?) {
             return Err(PublishError::OtherOwner { path, owner });
         }
+        // What a daemon of ours was killed over is cleared away before it is taken for somebody else's.
+        endpoint.clear_unfilled();
         if let Some(squatter) = endpoint.squatter(false) {
             return Err(PublishError::Squatted(squatter));
         }

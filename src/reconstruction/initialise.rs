@@ -1,10 +1,11 @@
 //! From tracks alone to a first map.
 //!
-//! A reference frame is held while its tracks live. Once the flow that a rotation cannot explain is large enough, two-view
-//! geometry is tried (essential matrix or homography, [`two_view`](crate::geometry::two_view)). Standing still and turning on the spot never pass: their
-//! rotation-compensated flow stays at the noise. Of a lens that is a guess, what a rotation seen through another lens explains is taken out
-//! as well (`free_rotation`). All frames in between are remembered by their tracks, so that their poses
-//! can be solved once there is a map.
+//! Views are held while their tracks live, and the oldest of them is the reference. Once the flow that a rotation cannot explain is
+//! large enough, two-view geometry is tried (essential matrix or homography, [`two_view`](crate::geometry::two_view)): from the
+//! oldest view, which has the longest baseline, and from the oldest that shares half of today's tracks, which has more points.
+//! Standing still and turning on the spot never pass: their rotation-compensated flow stays at the noise. Of a lens that is a guess,
+//! what a rotation seen through another lens explains is taken out as well (`free_rotation`). All frames in between are remembered by
+//! their tracks, so that their poses can be solved once there is a map.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -79,8 +80,10 @@ const MAX_PENDING: usize = 900;
 const START_SIGMA_PX: f64 = 1.0;
 /// Views kept between the reference and the newest frame; when there would be more every other one is dropped.
 const MAX_BETWEEN: usize = 8;
-/// The reference frame is given up below this many common tracks.
+/// A view is given up below this many tracks in common with the newest frame, or a quarter of its own, and the next one takes over.
 const MIN_COMMON: usize = 60;
+/// Further times that a start must agree with the picture, at the most.
+const MAX_DOUBT: u32 = 5;
 /// Rotation-compensated flow since the reference at which the camera counts as moving, px.
 const MOVING_FLOW_PX: f64 = 1.0;
 /// A camera without such flow for so long since the reference stands, s.
@@ -91,11 +94,12 @@ const LONGEST_STEP_S: f64 = 0.5;
 /// Waits for a start.
 #[derive(Debug, Default)]
 pub struct Initialiser {
-    reference: Option<View>,
-    /// Views since the reference, every `stride`-th frame.
-    between: Vec<View>,
+    /// The reference, and views since then, every `stride`-th frame.
+    views: Vec<View>,
     stride: u64,
     since_reference: u64,
+    /// How often a start must still agree with the picture before one is believed.
+    doubt: u32,
     /// How long the camera has moved without a start, s: standing still takes it back. It outlasts the reference.
     trying_s: f64,
     last_ns: Option<i64>,
@@ -105,17 +109,31 @@ pub struct Initialiser {
 
 impl Initialiser {
     pub fn clear(&mut self) {
-        self.set_reference(None);
+        self.begin_at(None);
         self.pending.clear();
         self.trying_s = 0.0;
         self.last_ns = None;
+        self.doubt = 0;
     }
 
-    fn set_reference(&mut self, reference: Option<View>) {
-        self.reference = reference;
-        self.between.clear();
+    fn begin_at(&mut self, reference: Option<View>) {
+        self.views.clear();
+        self.views.extend(reference);
         self.stride = 1;
         self.since_reference = 0;
+    }
+
+    /// A start disagreed with most of the picture: something moves there. Of many tries one will seem to agree by chance, so the next
+    /// ones must agree as often as they disagreed before one is believed.
+    pub fn disagree(&mut self) {
+        self.doubt = (self.doubt + 1).min(MAX_DOUBT);
+    }
+
+    /// A start agrees; true if nothing speaks against it any more.
+    pub fn agree(&mut self) -> bool {
+        let settled = self.doubt == 0;
+        self.doubt = self.doubt.saturating_sub(1);
+        settled
     }
 
     /// Keeps every `stride`-th view; the stride doubles as often as there is no more room.
@@ -124,28 +142,28 @@ impl Initialiser {
         if !self.since_reference.is_multiple_of(self.stride) {
             return;
         }
-        if self.between.len() == MAX_BETWEEN {
+        if self.views.len() > MAX_BETWEEN {
             let mut n = 0;
-            self.between.retain(|_| {
+            self.views.retain(|_| {
                 n += 1;
-                n % 2 == 0
+                n % 2 == 1
             });
             self.stride *= 2;
             if !self.since_reference.is_multiple_of(self.stride) {
                 return;
             }
         }
-        self.between.push(view());
+        self.views.push(view());
     }
 
-    /// Takes a frame; `Some` when it makes a start together with the reference frame. `freedom`: of a lens that is a guess.
+    /// Takes a frame; what it could start together with a view before, best first. `freedom`: of a lens that is a guess.
     pub fn step(
         &mut self,
         features: &FrameFeatures,
         camera: &CameraModel,
         freedom: Option<&LensFreedom>,
         config: &ReconstructionConfig,
-    ) -> Option<Start> {
+    ) -> Vec<Start> {
         let frame = PendingFrame::of(features);
         self.pending.push_back(frame.clone());
         if self.pending.len() > MAX_PENDING {
@@ -153,21 +171,36 @@ impl Initialiser {
         }
         // A copy of its own: the frame's goes back to the pool.
         let view = || View { frame, pyramid: Arc::new(Pyramid::clone(&features.pyramid)) };
-        let pairs = self.reference.as_ref().map(|r| common(&r.frame, &features.tracks, camera)).unwrap_or_default();
-        let needed = self.reference.as_ref().map_or(0, |r| MIN_COMMON.max(r.frame.tracks.len() / 4));
-        if self.reference.is_none() || pairs.len() < needed {
-            self.set_reference((features.tracks.len() >= MIN_COMMON).then(view));
-            return None;
-        }
-        let (mut flow, turn) = rotation_compensated_flow(&pairs, camera);
-        self.spend_patience(features.timestamp_ns, flow);
-        if let Some(freedom) = freedom.filter(|_| flow >= config.start_flow_px) {
-            let places: Vec<_> = pairs.iter().map(|p| (p.first, p.second)).collect();
-            flow = flow.min(unexplained_flow(&places, &turn, camera, freedom));
-        }
-        let start = if flow < config.start_flow_px { None } else { self.attempt(features, &pairs, camera, config) };
+        let pairs_with = |view: &View| {
+            let pairs = common(&view.frame, &features.tracks, camera);
+            (pairs.len() >= MIN_COMMON.max(view.frame.tracks.len() / 4)).then_some(pairs)
+        };
+        // Views that have lost their tracks make room for the next ones, which have some of the way behind them, too.
+        let alive = self.views.iter().enumerate().find_map(|(i, v)| Some((i, pairs_with(v)?)));
+        let Some((dead, pairs)) = alive else {
+            self.begin_at((features.tracks.len() >= MIN_COMMON).then(view));
+            return Vec::new();
+        };
+        self.views.drain(..dead);
+        let flow = rotation_compensated_flow(&pairs, camera);
+        self.spend_patience(features.timestamp_ns, flow.0);
+        let richer = |pairs: &Vec<Pair>| 2 * pairs.len() >= features.tracks.len();
+        let second = if richer(&pairs) {
+            None
+        } else {
+            self.views.iter().enumerate().skip(1).find_map(|(i, v)| Some((i, pairs_with(v).filter(richer)?)))
+        };
+        let second = second.map(|(i, pairs)| (i, rotation_compensated_flow(&pairs, camera), pairs));
+        let starts = std::iter::once((0, flow, pairs)).chain(second).filter_map(|(i, (mut flow, turn), pairs)| {
+            if let Some(freedom) = freedom.filter(|_| flow >= config.start_flow_px) {
+                let places: Vec<_> = pairs.iter().map(|p| (p.first, p.second)).collect();
+                flow = flow.min(unexplained_flow(&places, &turn, camera, freedom));
+            }
+            (flow >= config.start_flow_px).then(|| self.attempt(i, &pairs, features, camera, config))?
+        });
+        let starts = starts.collect();
         self.keep(view);
-        start
+        starts
     }
 
     /// Notes for how long the camera has moved, or stood: `flow_px` since the reference, compensated for rotation.
@@ -177,20 +210,21 @@ impl Initialiser {
         self.last_ns = Some(timestamp_ns);
         if flow_px >= MOVING_FLOW_PX {
             self.trying_s += step_s;
-        } else if self.reference.as_ref().is_some_and(|r| since(r.frame.timestamp_ns) > STANDING_S) {
+        } else if self.views.first().is_some_and(|r| since(r.frame.timestamp_ns) > STANDING_S) {
             self.trying_s = (self.trying_s - step_s).max(0.0);
         }
     }
 
-    /// Two-view geometry between the reference and this frame.
+    /// Two-view geometry between the view of this index and this frame.
     fn attempt(
         &self,
-        features: &FrameFeatures,
+        index: usize,
         pairs: &[Pair],
+        features: &FrameFeatures,
         camera: &CameraModel,
         config: &ReconstructionConfig,
     ) -> Option<Start> {
-        let reference = self.reference.as_ref()?;
+        let (reference, between) = self.views.get(index..)?.split_first()?;
         let first: Vec<Vector2<f64>> = pairs.iter().map(|p| p.first).collect();
         let second: Vec<Vector2<f64>> = pairs.iter().map(|p| p.second).collect();
         let options =
@@ -214,7 +248,7 @@ impl Initialiser {
         Some(Start {
             first: reference.clone(),
             trying_s: self.trying_s,
-            between: self.between.clone(),
+            between: between.to_vec(),
             second_from_first: solution.second_from_first,
             points,
         })
@@ -329,7 +363,7 @@ mod tests {
                     tracks: tracks.collect(),
                     ..FrameFeatures::default()
                 };
-                assert!(initialiser.step(&features, &camera, None, &config).is_none());
+                assert!(initialiser.step(&features, &camera, None, &config).is_empty());
                 frames += 1;
             }
             initialiser.trying_s
@@ -340,5 +374,32 @@ mod tests {
         let again = go_on(1.0, 1000, 0.02);
         assert!(again > moving + 0.5, "{again} s after another with new tracks");
         assert_eq!(go_on(4.0, 2000, 0.0), 0.0, "after standing again");
+    }
+
+    #[test]
+    fn a_view_that_has_lost_its_tracks_gives_way_to_the_next_one() {
+        let camera = CameraModel::new(640, 480, 500.0, 500.0, 320.0, 240.0, [0.0; 5]).unwrap();
+        let config = ReconstructionConfig { start_flow_px: 100.0, ..ReconstructionConfig::default() };
+        let mut initialiser = Initialiser::default();
+        // Five of eighty tracks are lost in every frame: after four of them sixty are left.
+        for n in 0..6 {
+            let tracks = pairs(Rotation3::identity(), Vector3::zeros()).into_iter().enumerate().map(|(i, p)| Track {
+                id: 5 * n + i as u64,
+                position: (p.second * 500.0 + Vector2::new(320.0, 240.0)).cast(),
+                age: 1,
+            });
+            let features = FrameFeatures { sequence: n, tracks: tracks.collect(), ..FrameFeatures::default() };
+            initialiser.step(&features, &camera, None, &config);
+        }
+        let held: Vec<u64> = initialiser.views.iter().map(|v| v.frame.sequence).collect();
+        assert_eq!(held, [1, 2, 3, 4, 5]);
+    }
+
+    #[test]
+    fn a_start_must_agree_as_often_as_it_disagreed_before() {
+        let mut initialiser = Initialiser::default();
+        assert!(initialiser.agree());
+        (0..2).for_each(|_| initialiser.disagree());
+        assert_eq!([0; 3].map(|_| initialiser.agree()), [false, false, true]);
     }
 }

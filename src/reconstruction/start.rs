@@ -40,14 +40,16 @@ const REFINE_PX: f64 = 2.0;
 impl Reconstruction {
     /// A frame without a map: perhaps the one that makes it.
     pub(super) fn try_start(&mut self, features: &FrameFeatures) -> PoseEstimate {
-        let Some(start) =
-            self.initialiser.step(features, &self.camera, self.intrinsics.freedom().as_ref(), &self.config)
-        else {
-            return self.estimate_none(features);
-        };
-        if !self.build_map(&start, features) {
-            self.map.clear();
-            self.bindings.clear();
+        let starts = self.initialiser.step(features, &self.camera, self.intrinsics.freedom().as_ref(), &self.config);
+        let begun = starts.iter().any(|start| {
+            let begun = self.build_map(start, features);
+            if !begun {
+                self.map.clear();
+                self.bindings.clear();
+            }
+            begun
+        });
+        if !begun {
             return self.estimate_none(features);
         }
         self.solve_frames_before(features.sequence);
@@ -149,8 +151,14 @@ impl Reconstruction {
         if sigma > MAX_DIRECTION_SIGMA * (1.0 + start.trying_s / PATIENCE_S).min(LARGEST_RELAXATION) {
             return false;
         }
-        if self.intrinsics.freedom().is_none() && !self.most_agrees(&views, start.trying_s) {
-            return false;
+        if self.intrinsics.freedom().is_none() {
+            if !self.most_agrees(&views, start.trying_s) {
+                self.initialiser.disagree();
+                return false;
+            }
+            if !self.initialiser.agree() {
+                return false;
+            }
         }
         self.shutter.learn(&readout);
         let Some(k) = self.map.keyframe(b) else { return false };

@@ -7,10 +7,11 @@
 //! - or whose second place, a corner or not, has the patch that correlates best along the line ([`correlate_along_lines`]: the
 //!   study's way).
 //!
-//! Cost: n m line distances and a descriptor comparison for the few within the band; 40 us a corner for the correlation.
+//! Cost: up to 2 n m line distances and a descriptor comparison for those within the band, one corner's candidates at a time in memory; 40 us
+//! a corner for the correlation.
 //! Deliberately not here: estimating F again (`super::two_view`), lines that a lens bends.
 
-use nalgebra::{Matrix3, Vector2};
+use nalgebra::{Matrix3, Vector2, Vector3};
 
 use super::detect::{Corners, Keypoint};
 use super::pairing::{Pair, gradients_of};
@@ -82,40 +83,41 @@ pub fn match_along_lines(
     distance: impl Fn(usize, usize) -> Option<f64>,
 ) -> Vec<Pair> {
     let [first, second] = corners.map(|c| c.keypoints.as_slice());
-    let mut rows: Vec<Vec<(usize, f64)>> = vec![Vec::new(); first.len()];
-    let mut columns: Vec<Vec<(usize, f64)>> = vec![Vec::new(); second.len()];
-    for (i, (p, at)) in first.iter().zip(ideal[0]).enumerate() {
-        let Some(at) = at else { continue };
-        let line = fundamental * at.push(1.0);
+    let line = |at: &Option<Vector2<f64>>| {
+        let line = fundamental * at.as_ref()?.push(1.0);
         let norm = line.xy().norm();
-        if !(norm > 0.0) {
-            continue;
-        }
-        let line = line / norm;
-        for (j, (q, to)) in second.iter().zip(ideal[1]).enumerate() {
-            let Some(to) = to else { continue };
-            let off = (line.x * to.x + line.y * to.y + line.z).abs();
-            if off > rule.band_px || p.scale.abs_diff(q.scale) > rule.max_scale_steps {
-                continue;
-            }
-            if let Some(distance) = distance(i, j) {
-                rows[i].push((j, distance));
-                columns[j].push((i, distance));
-            }
-        }
-    }
+        (norm > 0.0).then(|| line / norm)
+    };
+    let lines: Vec<Option<Vector3<f64>>> = ideal[0].iter().map(line).collect();
+    // What corner j of the second picture is to corner i of the first, where it is a candidate.
+    let candidate = |i: usize, j: usize| {
+        let (line, to) = (lines.get(i)?.as_ref()?, ideal[1].get(j)?.as_ref()?);
+        let off = (line.x * to.x + line.y * to.y + line.z).abs();
+        let near = off <= rule.band_px && first[i].scale.abs_diff(second[j].scale) <= rule.max_scale_steps;
+        near.then(|| distance(i, j)).flatten()
+    };
     let same = |all: &[Keypoint], i: usize, j: usize| {
         let (p, q) = (&all[i], &all[j]);
         (p.position - q.position).norm() <= rule.same_place_px * p.size_px.max(q.size_px)
     };
-    let clear = |(_, least, elsewhere): (usize, f64, f64)| {
-        least <= rule.max_distance && (elsewhere.is_infinite() || least < rule.max_ratio * elsewhere)
+    let clear = |(_, least, elsewhere): &(usize, f64, f64)| {
+        *least <= rule.max_distance && (elsewhere.is_infinite() || *least < rule.max_ratio * elsewhere)
     };
+    // One corner's candidates at a time: all of them together would be gigabytes for many corners and wide bands. Of the second
+    // picture's corners only those are asked that are somebody's nearest.
+    let mut candidates = Vec::new();
+    let mut backward = vec![None; second.len()];
     let mut pairs = Vec::new();
-    for (i, row) in rows.iter().enumerate() {
-        let Some(there) = nearest(row, |a, b| same(second, a, b)) else { continue };
-        let Some(back) = nearest(&columns[there.0], |a, b| same(first, a, b)) else { continue };
-        if back.0 == i && clear(there) && clear(back) {
+    for i in 0..first.len() {
+        candidates.clear();
+        candidates.extend((0..second.len()).filter_map(|j| Some((j, candidate(i, j)?))));
+        let Some(there) = nearest(&candidates, |a, b| same(second, a, b)).filter(clear) else { continue };
+        let back = *backward[there.0].get_or_insert_with(|| {
+            candidates.clear();
+            candidates.extend((0..first.len()).filter_map(|k| Some((k, candidate(k, there.0)?))));
+            nearest(&candidates, |a, b| same(first, a, b))
+        });
+        if back.filter(clear).is_some_and(|back| back.0 == i) {
             let (p, q) = (&first[i], &second[there.0]);
             pairs.push(Pair {
                 a: p.position,

@@ -176,6 +176,8 @@ fn what_killed_processes_left_unfilled_holds_nobody() {
     let counter = place.objects(".global_mgmt");
     assert_eq!(counter.len(), 1, "what every process opens, and nobody removes: {counter:?}");
     leave_unfilled(&counter);
+    // Long enough to be taken for another user's who keeps everybody out.
+    std::thread::sleep(Duration::from_millis(1100));
     let endpoint = place.endpoint();
     within_patience("a daemon opens its services", move || drop(Publisher::open(&endpoint, &small()).unwrap()));
     let daemon = place.spawn(Role::Publisher);

@@ -19,8 +19,8 @@ use crate::geometry::ransac::RansacOptions;
 use crate::workbench::detect::Corners;
 use crate::workbench::pose::{INLIER_SIGMAS, LINE_SIGMAS, MIN_NOISE_PX, median, noise};
 
-/// 95 % point of chi-square with one degree of freedom.
-const CHI2_ONE: f64 = 3.84;
+/// 95 % point of chi-square with two degrees of freedom.
+const CHI2_TWO: f64 = 5.99;
 
 /// Share of the free F's inliers that the F of one camera must have.
 const KEPT_INLIERS: f64 = 0.95;
@@ -87,8 +87,10 @@ pub(super) fn epipolar(out: &TwoView, options: &Options) -> Option<Epipolar> {
         let limit = threshold.min(INLIER_SIGMAS * noise_px.clamp(MIN_NOISE_PX, options.sigma_px));
         let inliers: Vec<bool> = moved.iter().map(|r| *r <= limit).collect();
         let count = inliers.iter().filter(|i| **i).count();
-        // The same matches must stand for it: the costs that were compared are a sum, which a few matches hide in.
-        is_one_camera = count as f64 >= KEPT_INLIERS * estimate.inlier_count as f64;
+        // The same matches must stand for it: the costs that were compared are a sum, which a few matches hide in. Within the same limit:
+        // that of `estimate` may be an earlier, wider one.
+        let of_free = residuals_px.iter().filter(|r| **r <= limit).count();
+        is_one_camera = count as f64 >= KEPT_INLIERS * of_free as f64;
         if is_one_camera {
             noise_px = noise(moved.iter().zip(&inliers).filter(|(_, i)| **i).map(|(r, _)| *r));
             (estimate.fundamental, estimate.inliers, estimate.inlier_count) = (f, inliers, count);
@@ -110,7 +112,8 @@ fn one_cameras_middle(out: &TwoView) -> Option<Vector2<f64>> {
 }
 
 /// The F of one camera ([`one_camera_fundamental`]), where it explains the matches no worse than `free` does: by a difference of chi-square
-/// that one number more would often make of noise alone, and by what no lens and no matching is better than.
+/// that the two numbers it is held by (the seventh of F, and a focal length as cameras have) often make of noise alone, and by what no lens
+/// and no matching is better than.
 fn one_camera(
     free: &Matrix3<f64>,
     middle: Vector2<f64>,
@@ -133,11 +136,12 @@ fn one_camera(
     }
     let loss = Loss::Cauchy(2.0 * sigma_px * scale);
     let start = from_unit.transpose() * free * from_unit;
-    let found = one_camera_fundamental(&start, near.iter().copied(), loss, &LmOptions::default())?;
+    let (with_belief, found) =
+        one_camera_fundamental(&start, near.iter().copied(), loss, sigma_px * scale, &LmOptions::default())?;
     let cost = |f: &Matrix3<f64>| sampson_cost(f, near.iter().copied(), &loss);
     // In squared pixels: what noise makes of it, and what all matches of a part of the picture may be wrong by together.
-    let lost = (cost(&found) - cost(&start)) / (scale * scale);
-    let allowed = CHI2_ONE * sigma_px * sigma_px + near.len() as f64 * MIN_NOISE_PX * MIN_NOISE_PX;
+    let lost = (with_belief - cost(&start)) / (scale * scale);
+    let allowed = CHI2_TWO * sigma_px * sigma_px + near.len() as f64 * MIN_NOISE_PX * MIN_NOISE_PX;
     let f = to_unit.transpose() * found * to_unit;
     let norm = f.norm();
     (lost <= allowed && norm > 0.0 && norm.is_finite()).then(|| f / norm)
