@@ -39,11 +39,11 @@ impl Reconstruction {
                 self.intrinsics.whole_job(
                     &self.map,
                     &self.camera,
-                    self.shutter.readout_s,
+                    self.shutter.to_adjust(),
                     self.config.refine_intrinsics,
                 )
             } else {
-                MappingJob::local(&self.map, newest, &self.camera, self.shutter.readout_s, &self.config)
+                MappingJob::local(&self.map, newest, &self.camera, self.shutter.to_adjust(), &self.config)
             };
             if let Some(job) = job {
                 self.worker.post(job);
@@ -79,6 +79,7 @@ impl Reconstruction {
             }
             return;
         };
+        self.shutter.learn(result.readout());
         let old_from_new = result.merge(&mut self.map);
         self.intrinsics.merge(&result, lens, &mut self.map, &mut self.camera);
         if let Some(last) = &mut self.last {

@@ -22,7 +22,7 @@
 //! Not here: distortion of a lens that was calibrated; k3; wide-angle lenses that nobody calibrated (they are taken for pinholes, and k1
 //! to p2 cannot bend those so far: a fisheye needs a calibration); finding a focal length without translation.
 
-use super::bundle::{CALIBRATED_SHARED, SHARED, SharedMatrix, SharedVector};
+use super::bundle::{CALIBRATED_SHARED, Readout, SHARED, SharedMatrix, SharedVector};
 use super::free_rotation::LensFreedom;
 use super::local_adjustment::{MappingJob, MappingResult};
 use crate::geometry::{CameraModel, LensModel};
@@ -219,9 +219,9 @@ impl Intrinsics {
     }
 
     /// Adjustment of the whole map, and with `refine` of the intrinsics.
-    pub fn whole_job(&self, map: &Map, camera: &CameraModel, readout_s: f64, refine: bool) -> Option<MappingJob> {
+    pub fn whole_job(&self, map: &Map, camera: &CameraModel, readout: Readout, refine: bool) -> Option<MappingJob> {
         let steps = if self.guessed { GUESSED_STEPS } else { STEPS };
-        let mut job = MappingJob::whole(map, camera, readout_s, steps)?;
+        let mut job = MappingJob::whole(map, camera, readout, steps)?;
         if refine || self.guessed {
             // Of a pinhole lens; a wide-angle one is calibrated, and its distortion stays.
             let off = |i: usize| match (self.expected.lens, camera.lens) {

@@ -8,8 +8,8 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 
 use super::assumed_distance;
 use super::bundle::{
-    BundleCamera, BundleObservation, BundleOptions, BundleProblem, BundleReport, Shared, SharedJacobian, SharedMatrix,
-    SharedVector,
+    BundleCamera, BundleObservation, BundleOptions, BundleProblem, BundleReport, Readout, Shared, SharedJacobian,
+    SharedMatrix, SharedVector,
 };
 use super::config::ReconstructionConfig;
 use crate::geometry::frames::{Camera, World};
@@ -39,12 +39,12 @@ pub struct MappingResult {
 
 impl MappingJob {
     /// The local problem around `newest`; `None` if it has nothing to move.
-    /// `readout_s`: the camera's rolling shutter.
+    /// `readout`: the camera's rolling shutter, and how surely that is known.
     pub fn local(
         map: &Map,
         newest: KeyframeId,
         camera: &CameraModel,
-        readout_s: f64,
+        readout: Readout,
         config: &ReconstructionConfig,
     ) -> Option<Self> {
         let mut around = Vec::new();
@@ -78,18 +78,18 @@ impl MappingJob {
             keyframes.first_mut()?.1 = true;
         }
         let options = BundleOptions { steps: [config.adjustment_steps; 2], ..BundleOptions::default() };
-        Self::build(map, &keyframes, landmarks, newest, camera, readout_s, options)
+        Self::build(map, &keyframes, landmarks, newest, camera, readout, options)
     }
 
     /// The whole map, its first keyframe held.
-    pub fn whole(map: &Map, camera: &CameraModel, readout_s: f64, steps: usize) -> Option<Self> {
+    pub fn whole(map: &Map, camera: &CameraModel, readout: Readout, steps: usize) -> Option<Self> {
         let mut keyframes: Vec<(KeyframeId, bool)> =
             map.keyframes.iter().map(|(id, _)| (KeyframeId(id), false)).collect();
         keyframes.first_mut()?.1 = true;
         let newest = keyframes.last()?.0;
         let landmarks = map.landmarks.iter().map(|(id, _)| LandmarkId(id)).collect();
         let options = BundleOptions { steps: [steps; 2], relative_gain: 1e-5, ..BundleOptions::default() };
-        Self::build(map, &keyframes, landmarks, newest, camera, readout_s, options)
+        Self::build(map, &keyframes, landmarks, newest, camera, readout, options)
     }
 
     fn build(
@@ -98,10 +98,10 @@ impl MappingJob {
         mut landmarks: Vec<LandmarkId>,
         newest: KeyframeId,
         camera: &CameraModel,
-        readout_s: f64,
+        readout: Readout,
         options: BundleOptions,
     ) -> Option<Self> {
-        let mut problem = BundleProblem { first: vec![0], ..BundleProblem::default() };
+        let mut problem = BundleProblem { first: vec![0], readout, ..BundleProblem::default() };
         for &(id, fixed) in keyframes {
             let fixed = fixed || assumed_distance::is_held(map, id);
             problem.cameras.push(BundleCamera { camera_from_world: map.keyframe(id)?.camera_from_world, fixed });
@@ -114,7 +114,8 @@ impl MappingJob {
                 let Some(o) = map.keyframe(k).and_then(|k| k.observation(id)) else { continue };
                 problem.observations.push(BundleObservation {
                     camera: index as u32,
-                    normalised: o.at_middle_row(readout_s),
+                    normalised: o.normalised,
+                    displacement: o.displacement,
                     pixel_scale: camera.pixel_scale(&o.normalised),
                     inv_sigma_px: o.inv_sigma_px,
                 });
@@ -196,6 +197,11 @@ fn intrinsics_jacobian(o: &Observation, camera: &CameraModel) -> SharedJacobian 
 }
 
 impl MappingResult {
+    /// The readout time that the adjustment ended with.
+    pub fn readout(&self) -> &Readout {
+        &self.job.problem.readout
+    }
+
     pub fn shared(&self) -> Option<&Shared> {
         self.job.problem.shared.as_ref()
     }

@@ -41,7 +41,7 @@ use relocalise::Relocaliser;
 use rolling_shutter::Shutter;
 use scale_doubt::ScaleDoubt;
 use search::Match;
-use tracking::{Frame, MAX_SHUTTER_STEP_S, Tracked, Tracker};
+use tracking::{Frame, Tracked, Tracker};
 
 use crate::features::{Feedback, FrameFeatures};
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, Odom, World};
@@ -253,19 +253,6 @@ impl Reconstruction {
             motion = (dt > 0.0 && !resumed).then_some((step, dt));
         }
         self.last = Some(LastFrame { timestamp_ns: features.timestamp_ns, camera_from_world: pose, motion });
-        if motion.is_some_and(|(_, dt)| dt < MAX_SHUTTER_STEP_S) {
-            let readout_s = self.shutter.readout_s;
-            let measured = |m: &&Match| self.map.landmark(m.landmark).is_some_and(|l| l.assumed.is_none());
-            let items = self.inliers.iter().filter(measured).map(|m| {
-                (
-                    pose.transform(&m.point),
-                    m.at_middle_row(readout_s),
-                    m.displacement,
-                    self.camera.pixel_scale(&m.normalised) * m.inv_sigma_px,
-                )
-            });
-            self.shutter.learn(items);
-        }
         // A blurred or covered picture gives poor templates, and its pose rests on little.
         let clear = !resumed && tracked.share() >= KEYFRAME_SHARE;
         let keyframe = clear && self.decide_keyframe(&pose);

@@ -4,14 +4,14 @@
 //! z = 1) is seen displaced by `g T`, `g = flow (row / height - 1/2)`, T the readout time. Observations are kept as they were
 //! seen and corrected by `- g T` wherever they are compared with a projection.
 //!
-//! T is a property of the camera that nobody writes on the box, so it is estimated from the residuals: with e the residuals
-//! of a frame at its best pose, J the pose's Jacobian and H = JᵀJ, the step `dT = eᵀg / (gᵀg - gᵀJ H⁻¹ Jᵀg)` is the joint
-//! least-squares step of pose and T. Frames are added up as in a Kalman filter of one constant. A global shutter comes out as
-//! zero. Not here: acceleration within a frame, exposure time.
+//! T is a property of the camera that nobody writes on the box. It is one more unknown of every adjustment, which solves for it together
+//! with poses and landmarks: against a map taken as true, what young landmarks' depths are wrong by looks like a shutter. From one
+//! adjustment to the next it is carried as in a Kalman filter of one constant. A global shutter comes out as zero. Not here: acceleration
+//! within a frame, exposure time.
 
-use nalgebra::{Matrix2, Matrix6, Vector2, Vector3, Vector6};
+use nalgebra::{Vector2, Vector3};
 
-use super::pose_optimisation::jacobian_rows;
+use super::bundle::Readout;
 use crate::geometry::camera_motion::CameraMotion;
 
 /// Readout time and how surely it is known.
@@ -29,14 +29,18 @@ pub struct Shutter {
 const MAX_READOUT_S: f64 = 0.04;
 /// Standard deviation of the readout time before anything is known, s.
 const PRIOR_SIGMA_S: f64 = 0.01;
-/// What the past counts after one more frame: half after 23. Short, because frames that were tracked against a map made with
-/// another readout time agree with that one.
-const MEMORY: f64 = 0.97;
+/// What the past counts after one more adjustment. Adjustments before had fewer landmarks, placed with another readout time.
+const MEMORY: f64 = 0.9;
+/// Share of an adjustment's information that is believed: an observation is in some ten of them, and neighbouring keyframes share the
+/// errors of their templates.
+const BELIEVED: f64 = 0.05;
+/// Never surer than this, s: what the motion between two frames says of the motion within one is not exact.
+const FLOOR_SIGMA_S: f64 = 0.001;
 
 impl Shutter {
     /// `estimate`: start at `readout_s` and learn; else it stays.
     pub fn new(readout_s: f64, height_px: u32, estimate: bool) -> Self {
-        let information = 1.0 / (PRIOR_SIGMA_S * PRIOR_SIGMA_S);
+        let information = PRIOR_SIGMA_S.powi(-2);
         Self { readout_s, information, height_px: f64::from(height_px.max(1)), estimate }
     }
 
@@ -71,69 +75,20 @@ impl Shutter {
         }
     }
 
-    /// Learns from one frame. Each item: the point in camera coordinates at the frame's pose, the corrected observation, the
-    /// displacement g, and pixels that steps on z = 1 count as there, over sigma.
-    pub fn learn(&mut self, items: impl Iterator<Item = (Vector3<f64>, Vector2<f64>, Vector2<f64>, Matrix2<f64>)>) {
-        if !self.estimate {
-            return;
-        }
-        let (mut h, mut jg) = (Matrix6::zeros(), Vector6::zeros());
-        let (mut gg, mut eg) = (0.0, 0.0);
-        for (p, seen, g, scale) in items {
-            let e = scale * (seen - Vector2::new(p.x / p.z, p.y / p.z));
-            let g = scale * g;
-            // Large residuals count less, as everywhere.
-            let w = 1.0 / (1.0 + e.norm_squared());
-            let (jx, jy) = jacobian_rows(&p, &scale);
-            let (jx, jy) = (Vector6::from(jx), Vector6::from(jy));
-            h += (jx * jx.transpose() + jy * jy.transpose()) * w;
-            jg += (jx * g.x + jy * g.y) * w;
-            gg += g.norm_squared() * w;
-            eg += e.dot(&g) * w;
-        }
-        let Some(factor) = h.cholesky() else { return };
-        let den = gg - jg.dot(&factor.solve(&jg));
-        if !(den.is_finite() && eg.is_finite()) || den <= 0.0 {
-            return;
-        }
-        self.information = self.information * MEMORY + den;
-        self.readout_s = (self.readout_s + eg / self.information).clamp(-MAX_READOUT_S, MAX_READOUT_S);
+    /// As an adjustment takes it: an unknown, or held.
+    pub fn to_adjust(&self) -> Readout {
+        // Believing a part of the data is weighing the prior the more.
+        let expected = self.estimate.then_some((self.readout_s, self.information / BELIEVED));
+        Readout { seconds: self.readout_s, expected, found_information: 0.0 }
     }
-}
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn readout_time_is_learnt_from_what_it_does_to_the_picture() {
-        for truth in [0.0, 0.02, -0.015] {
-            let mut shutter = Shutter::new(0.0, 480, true);
-            let scale = Matrix2::identity() * 500.0;
-            let mut state = 7u64;
-            let mut random = || {
-                state ^= state << 13;
-                state ^= state >> 7;
-                state ^= state << 17;
-                (state >> 11) as f64 / (1u64 << 53) as f64 * 2.0 - 1.0
-            };
-            for _ in 0..60 {
-                let camera = CameraMotion {
-                    turn: Vector3::new(random(), random(), random()),
-                    shift: Vector3::new(random(), random(), random()),
-                };
-                let items: Vec<_> = (0..120)
-                    .map(|_| {
-                        let p = Vector3::new(random(), random() * 0.8, 2.0 + random());
-                        let row = (240.0 + 250.0 * p.y / p.z) as f32;
-                        let g = shutter.displacement(&camera, &p, row);
-                        let seen = Vector2::new(p.x / p.z, p.y / p.z) + g * (truth - shutter.readout_s);
-                        (p, seen + Vector2::new(random(), random()) * 0.001, g, scale)
-                    })
-                    .collect();
-                shutter.learn(items.into_iter());
-            }
-            assert!((shutter.readout_s - truth).abs() < 1e-3, "{} instead of {truth}", shutter.readout_s);
+    /// Takes over what an adjustment found.
+    pub fn learn(&mut self, found: &Readout) {
+        if found.expected.is_none() || !(found.seconds.is_finite() && found.found_information.is_finite()) {
+            return;
         }
+        let information = self.information * MEMORY + BELIEVED * found.found_information;
+        self.information = information.min(1.0 / (FLOOR_SIGMA_S * FLOOR_SIGMA_S));
+        self.readout_s = found.seconds.clamp(-MAX_READOUT_S, MAX_READOUT_S);
     }
 }

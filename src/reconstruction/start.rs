@@ -4,6 +4,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::agreement::agreeing_share;
 use super::bindings::{Seed, Target};
+use super::bundle::Readout;
 use super::initialise::{PendingFrame, Start, View};
 use super::keyframes::{observe, refine_point};
 use super::local_adjustment::MappingJob;
@@ -146,7 +147,7 @@ impl Reconstruction {
         self.refine_views(a);
         self.note_motion();
         self.reference = b;
-        let Some(sigma) = self.adjust_whole() else { return false };
+        let Some((sigma, readout)) = self.adjust_whole() else { return false };
         if sigma > MAX_DIRECTION_SIGMA * (1.0 + start.trying_s / PATIENCE_S).min(LARGEST_RELAXATION) {
             return false;
         }
@@ -159,6 +160,7 @@ impl Reconstruction {
                 return false;
             }
         }
+        self.shutter.learn(&readout);
         let Some(k) = self.map.keyframe(b) else { return false };
         self.last = Some(LastFrame {
             timestamp_ns: features.timestamp_ns,
@@ -192,14 +194,14 @@ impl Reconstruction {
         })
     }
 
-    /// Adjusts the whole (new, small) map at once: how surely the newest camera's direction from the first is known (rad), or
-    /// `None` if too few landmarks hold.
-    fn adjust_whole(&mut self) -> Option<f64> {
-        let result = MappingJob::whole(&self.map, &self.camera, self.shutter.readout_s, START_STEPS)?.run();
+    /// Adjusts the whole (new, small) map at once: how surely the newest camera's direction from the first is known (rad), and the
+    /// readout time found with it; `None` if too few landmarks hold.
+    fn adjust_whole(&mut self) -> Option<(f64, Readout)> {
+        let result = MappingJob::whole(&self.map, &self.camera, self.shutter.to_adjust(), START_STEPS)?.run();
         let supported = result.supported_landmarks();
-        let sigma = result.direction_sigma();
+        let (sigma, readout) = (result.direction_sigma(), *result.readout());
         result.merge(&mut self.map);
-        (supported >= self.config.start_landmarks).then_some(sigma)
+        (supported >= self.config.start_landmarks).then_some((sigma, readout))
     }
 
     /// Replaces the tracked places in the later views by alignment with the first one's templates: flow drifts.

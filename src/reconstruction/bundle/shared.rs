@@ -48,3 +48,31 @@ impl Shared {
         off.component_mul(&off).dot(&self.information)
     }
 }
+
+/// Readout time of a rolling shutter, refined with the rest: observation k is expected at `normalised - displacement * seconds`.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Readout {
+    /// Moved by the adjustment, s.
+    pub seconds: f64,
+    /// What it is expected to be (s), and one over the variance of that (1/s^2). `None`: it is known, and held.
+    pub expected: Option<(f64, f64)>,
+    /// Set by the adjustment: information on it, everything else free, the prior left out, 1/s^2.
+    pub found_information: f64,
+}
+
+impl Readout {
+    /// One if it is an unknown of the problem.
+    pub(super) fn unknowns(&self) -> usize {
+        usize::from(self.expected.is_some())
+    }
+
+    pub(super) fn prior_cost(&self) -> f64 {
+        self.expected.map_or(0.0, |(expected, information)| information * (self.seconds - expected).powi(2))
+    }
+
+    /// Information of the prior, and its part of the right-hand side.
+    pub(super) fn prior(&self) -> (f64, f64) {
+        self.expected
+            .map_or((0.0, 0.0), |(expected, information)| (information, information * (expected - self.seconds)))
+    }
+}

@@ -33,6 +33,7 @@ fn problem(seed: u64, cameras: usize, points: usize, noise_px: f64) -> BundlePro
             p.observations.push(BundleObservation {
                 camera: c as u32,
                 normalised: Vector2::new(q.x / q.z, q.y / q.z) + noise,
+                displacement: Vector2::zeros(),
                 pixel_scale: Matrix2::new(500.0, 0.0, 0.0, 510.0),
                 inv_sigma_px: 1.0,
             });
@@ -66,6 +67,29 @@ fn noiseless_problem_comes_back_to_the_truth() {
         for (a, b) in p.points.iter().zip(&truth.points) {
             assert!((a - b).norm() < 1e-6, "seed {seed}");
         }
+    }
+}
+
+#[test]
+fn readout_time_is_found_with_poses_and_points_and_a_held_one_stays() {
+    for (seed, truth) in [(1, 0.0), (2, 0.02), (3, -0.015), (4, 0.03)] {
+        let mut p = problem(seed, 6, 120, 0.5);
+        let mut random = Random(seed + 7);
+        let flows: Vec<_> = (0..6).map(|_| Vector2::new(random.unit(), random.unit())).collect();
+        for o in &mut p.observations {
+            o.displacement = flows[o.camera as usize] * o.normalised.y;
+            o.normalised += o.displacement * truth;
+        }
+        disturb(&mut p, seed + 100);
+        let options = BundleOptions { steps: [30, 30], ..BundleOptions::default() };
+        let mut held = p.clone();
+        held.adjust(&options);
+        assert_eq!((held.readout.seconds, held.readout.found_information), (0.0, 0.0));
+        p.readout.expected = Some((0.0, 1e4));
+        p.adjust(&options);
+        let sigma = p.readout.found_information.sqrt().recip();
+        let off = p.readout.seconds - truth;
+        assert!(sigma < 2e-3 && off.abs() < 4.0 * sigma, "seed {seed}: {off} s off, sigma {sigma} s");
     }
 }
 

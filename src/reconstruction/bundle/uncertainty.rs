@@ -4,25 +4,27 @@
 
 use nalgebra::{DMatrix, Matrix3, Vector3};
 
-use super::{BundleOptions, BundleProblem, FIXED, SharedMatrix, System, jacobian_rows};
+use super::{BundleOptions, BundleProblem, FIXED, SharedMatrix, System};
+use crate::reconstruction::pose_optimisation::jacobian_rows;
 
 /// Relative damping that holds what nothing holds (the scale, a point that one camera sees) while information is marginalised:
 /// far below what any of it costs, far above the loss of digits.
 const GAUGE_DAMPING: [f64; 3] = [1e-9, 1e-7, 1e-5];
 
 impl BundleProblem {
-    /// Information of the shared numbers with cameras and points free (Schur complement), without their prior.
+    /// Information of the shared numbers with cameras, points and readout time free (Schur complement), without their prior.
     pub(super) fn shared_information(&self, slot: &[u32], free: usize, system: &System) -> Option<SharedMatrix> {
         GAUGE_DAMPING.iter().find_map(|&damping| self.shared_information_at(slot, free, system, damping))
     }
 
     fn shared_information_at(&self, slot: &[u32], free: usize, system: &System, damping: f64) -> Option<SharedMatrix> {
         let (s, _, _) = self.reduce(slot, free, system, damping);
-        let active = s.nrows() - 6 * free;
-        let mut own = s.view((6 * free, 6 * free), (active, active)).into_owned();
-        if free > 0 {
-            let cross = s.view((0, 6 * free), (6 * free, active)).into_owned();
-            let solved = s.view((0, 0), (6 * free, 6 * free)).into_owned().cholesky()?.solve(&cross);
+        let at = 6 * free + self.readout.unknowns();
+        let active = s.nrows() - at;
+        let mut own = s.view((at, at), (active, active)).into_owned();
+        if at > 0 {
+            let cross = s.view((0, at), (at, active)).into_owned();
+            let solved = s.view((0, 0), (at, at)).into_owned().cholesky()?.solve(&cross);
             own -= cross.transpose() * solved;
         }
         if !(own.diagonal().min() >= 0.0 && own.clone().symmetric_eigenvalues().min() > -1e-6 * own.diagonal().max()) {
