@@ -1,7 +1,8 @@
 //! The adjustment against known truth, and its Schur complement against the full system.
 
+use nalgebra::{DMatrix, UnitQuaternion, Vector6};
+
 use super::*;
-use nalgebra::UnitQuaternion;
 
 struct Random(u64);
 impl Random {
