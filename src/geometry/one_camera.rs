@@ -6,7 +6,7 @@
 //! Why: on what hardly shows the seventh number (a sideways motion, small depths) it soaks up the last hundredths of a pixel that all
 //! matches of a part of the picture are wrong by, and turns epipolar lines by tenths of a degree (Hartley & Zisserman, 2nd ed., 11.7 and
 //! 19.3, on constraints by partial knowledge of the cameras). The sixth does the same where nothing holds it: f is then anything from a
-//! twentieth to twenty times half the picture, so what is believed of cameras counts as one more measurement ([`FOCAL_BELIEF`]). Whether
+//! twentieth to twenty times half the picture, so what is believed of cameras counts as one more measurement (`FOCAL_BELIEF`). Whether
 //! the matches allow all that is the caller's to ask: [`sampson_cost`] of both.
 //! Cost: four starts of a few iterations, 2 ms for 300 matches.
 //!
