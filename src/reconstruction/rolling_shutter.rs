@@ -59,22 +59,6 @@ impl Shutter {
         motion.flow(point) * self.delay(row_px)
     }
 
-    /// Where the middle row's pose would have seen it.
-    pub fn corrected(
-        &self,
-        seen: &Vector2<f64>,
-        motion: Option<&CameraMotion>,
-        point: &Vector3<f64>,
-        row_px: f32,
-    ) -> Vector2<f64> {
-        match motion {
-            Some(motion) if self.readout_s != 0.0 && point.z > 1e-6 => {
-                seen - self.displacement(motion, point, row_px) * self.readout_s
-            }
-            _ => *seen,
-        }
-    }
-
     /// As an adjustment takes it: an unknown, or held.
     pub fn to_adjust(&self) -> Readout {
         // Believing a part of the data is weighing the prior the more.
