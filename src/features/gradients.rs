@@ -57,6 +57,13 @@ impl GradientDescriptor {
     }
 }
 
+/// A descriptor and the direction that its patch was turned by, radians from x towards y.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TurnedGradients {
+    pub descriptor: GradientDescriptor,
+    pub turn_rad: f32,
+}
+
 /// Size and direction of the gradient at every pixel of a smoothed picture.
 #[derive(Debug, Clone, Default)]
 pub struct GradientMap {
@@ -87,12 +94,13 @@ impl GradientMap {
 
     /// Descriptors of the surroundings of (`x`, `y`), the strongest direction's first; nothing within [`BORDER`] of the edge, where
     /// there is no gradient, and for positions that are not numbers.
-    pub fn describe(&self, x: f32, y: f32) -> Vec<GradientDescriptor> {
+    pub fn describe(&self, x: f32, y: f32) -> Vec<TurnedGradients> {
         let inside = |v: f32, size: usize| v >= BORDER as f32 && v + BORDER as f32 <= size as f32 - 1.0;
         if !inside(x, self.width) || !inside(y, self.height) {
             return Vec::new();
         }
-        self.turns(x, y).into_iter().filter_map(|turn| self.histograms(x, y, turn)).collect()
+        let described = |turn| Some(TurnedGradients { descriptor: self.histograms(x, y, turn)?, turn_rad: turn });
+        self.turns(x, y).into_iter().filter_map(described).collect()
     }
 
     /// Pixels around a place up to a radius: offset from it, size and angle of the gradient.

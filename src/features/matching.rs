@@ -19,7 +19,7 @@ use nalgebra::Vector2;
 pub use attributes::{AttributeMatching, match_attributes, match_attributes_within};
 pub use descriptors::{DescriptorMatcher, DescriptorMatching};
 pub use flow::{FlowMatching, match_flow};
-pub use places::{Place, PlaceMatching, match_places};
+pub use places::{Comparable, Place, PlaceMatching, SAME_CORNER_PX, match_places};
 pub use point_grid::PointGrid;
 
 /// Two corners that are taken for the same.

@@ -14,10 +14,11 @@
 
 use nalgebra::{Matrix2, Vector2};
 
-use super::scales::{Scale, scales};
+use super::scales::{Scale, scales, tilted};
 use crate::features::attributes::{Attributes, attributes};
-use crate::features::descriptor::{Descriptor, Orientation, describe};
+use crate::features::descriptor::{Description, Orientation, describe};
 use crate::features::fast::FastDetector;
+use crate::features::gradients::BORDER as GRADIENT_BORDER;
 use crate::features::susan::{Similarity, SusanConfig, SusanDetector, SusanResponse};
 use crate::features::susan_large::{LargeSusanConfig, LargeSusanDetector, LargeSusanScheme};
 use crate::features::{CellGrid, Corner, CornerDetector};
@@ -111,7 +112,7 @@ pub struct Detection {
 pub struct Keypoint {
     /// Pixels of the picture.
     pub position: Vector2<f64>,
-    /// Scale that it was found at, 0 = the picture itself.
+    /// Scale or tilted view that it was found in, 0 = the picture itself.
     pub scale: usize,
     /// Pixels of the picture a pixel of that scale: what its position is uncertain by.
     pub size_px: f64,
@@ -120,7 +121,7 @@ pub struct Keypoint {
     /// `None` where the mask leaves the picture.
     pub attributes: Option<Attributes>,
     /// `None` near the edge.
-    pub descriptor: Option<Descriptor>,
+    pub descriptor: Option<Description>,
 }
 
 /// The corners of one picture.
@@ -129,38 +130,76 @@ pub struct Corners {
     pub keypoints: Vec<Keypoint>,
     /// Corners found, before the strongest were taken.
     pub found: usize,
+    /// The picture's own first, then those of tilted views.
     pub scales: Vec<Scale>,
+}
+
+impl Corners {
+    /// How many of the keypoints are of the picture as the camera took it: the first ones.
+    pub fn plain_count(&self) -> usize {
+        self.keypoints.partition_point(|k| self.scales.get(k.scale).is_none_or(Scale::is_plain))
+    }
+
+    /// The picture's own scale whose pixels are nearest to this size, pixels of the picture.
+    pub fn nearest_scale(&self, size_px: f64) -> Option<&Scale> {
+        let far = |s: &Scale| (s.size_px() / size_px).ln().abs();
+        self.scales.iter().filter(|s| s.is_plain()).min_by(|a, b| far(a).total_cmp(&far(b)))
+    }
 }
 
 /// Finds and describes the corners of a picture.
 pub fn detect(picture: &GreyImage, options: &Detection) -> Corners {
-    let scales = scales(picture, options.scales.max(1));
+    let mut corners = Corners::default();
+    add(&mut corners, scales(picture, options.scales.max(1)), options.max_corners, options);
+    corners
+}
+
+/// Adds those of the picture as it were seen at slants ([`tilted`]): of each view fewer the more it is squeezed.
+pub fn add_tilted(corners: &mut Corners, picture: &GreyImage, options: &Detection) {
+    for view in tilted(picture, options.scales.max(1)) {
+        let tilt = view.first().map_or(1.0, |scale| scale.tilt);
+        add(corners, view, (options.max_corners as f64 / tilt).round() as usize, options);
+    }
+}
+
+/// Finds and describes the corners of a picture's or a view's scales, at most `count` of them.
+fn add(corners: &mut Corners, scales: Vec<Scale>, count: usize, options: &Detection) {
     let similarity = options.detector.similarity();
     let mut detector = options.detector.make();
     // A share of the corners by the side of the scale, as their number goes.
     let weights: Vec<f64> = scales.iter().map(|s| 1.0 / s.size_px()).collect();
     let total: f64 = weights.iter().sum();
-    let mut corners = Corners::default();
-    for (k, scale) in scales.iter().enumerate() {
-        let found = search(detector.as_mut(), &scale.image, options.detector.thresholds());
+    let size = corners.scales.first().or(scales.first()).map(|s| (s.image.width, s.image.height));
+    let Some(size) = size else { return };
+    for (scale, weight) in scales.into_iter().zip(weights) {
+        let mut found = search(detector.as_mut(), &scale.image, options.detector.thresholds());
+        found.retain(|c| scale.is_plain() || shows_the_picture(&scale, c, size));
         corners.found += found.len();
-        let share = (options.max_corners as f64 * weights[k] / total).round() as usize;
+        let share = (count as f64 * weight / total).round() as usize;
         for corner in strongest(found, &scale.image, share) {
             let at = Vector2::new(f64::from(corner.x), f64::from(corner.y));
             let at = refine(&scale.image, at).unwrap_or(at);
             corners.keypoints.push(Keypoint {
                 position: scale.base(&at),
-                scale: k,
+                scale: corners.scales.len(),
                 size_px: scale.size_px(),
                 response: corner.response,
                 attributes: attributes(&scale.image, &corner, &similarity),
-                descriptor: describe(&scale.image, corner.x, corner.y, Orientation::IntensityCentroid)
-                    .map(|d| d.descriptor),
+                descriptor: describe(&scale.image, corner.x, corner.y, Orientation::IntensityCentroid),
             });
         }
+        corners.scales.push(scale);
     }
-    corners.scales = scales;
-    corners
+}
+
+/// A tilted view is a parallelogram in a rectangle: is what a corner is described by of the picture, of this `size`, and not of the rest?
+fn shows_the_picture(view: &Scale, corner: &Corner, (width, height): (usize, usize)) -> bool {
+    let at = Vector2::new(f64::from(corner.x), f64::from(corner.y));
+    let reach = GRADIENT_BORDER as f64;
+    [(-reach, 0.0), (reach, 0.0), (0.0, -reach), (0.0, reach)].into_iter().all(|(dx, dy)| {
+        let p = view.base(&(at + Vector2::new(dx, dy)));
+        p.x >= 0.0 && p.y >= 0.0 && p.x <= width as f64 - 1.0 && p.y <= height as f64 - 1.0
+    })
 }
 
 /// All corners at the usual threshold, and those of empty cells at the lower one; raster order in each part.

@@ -11,10 +11,10 @@
 //! a corner for the correlation.
 //! Deliberately not here: estimating F again (`super::two_view`), lines that a lens bends.
 
-use nalgebra::{Matrix3, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
 use super::detect::{Corners, Keypoint};
-use super::pairing::{Pair, gradients_of};
+use super::pairing::{Pair, gradients_of, pair_of};
 use crate::features::Corner;
 use crate::features::correlation::{CorrelationMatching, EpipolarCorrelator, EpipolarSearch};
 use crate::features::gradients::LENGTH;
@@ -47,21 +47,27 @@ impl Guidance {
     }
 }
 
+/// How unlike two keypoints are, and the direction of each that says so, radians.
+pub type Unlikeness = (f64, [f32; 2]);
+
 /// Distance of the binary descriptors of two keypoints.
-pub fn descriptor_distance(corners: [&Corners; 2]) -> impl Fn(usize, usize) -> Option<f64> {
+pub fn descriptor_distance(corners: [&Corners; 2]) -> impl Fn(usize, usize) -> Option<Unlikeness> {
     move |i, j| {
         let (a, b) = (&corners[0].keypoints.get(i)?.descriptor, &corners[1].keypoints.get(j)?.descriptor);
-        Some(f64::from(a.as_ref()?.distance(b.as_ref()?)))
+        let (a, b) = (a.as_ref()?, b.as_ref()?);
+        Some((f64::from(a.descriptor.distance(&b.descriptor)), [a.angle_rad, b.angle_rad]))
     }
 }
 
 /// Least distance of the histograms of gradients of two keypoints, each of which may have two.
-pub fn gradient_distance(corners: [&Corners; 2]) -> impl Fn(usize, usize) -> Option<f64> {
+pub fn gradient_distance(corners: [&Corners; 2]) -> impl Fn(usize, usize) -> Option<Unlikeness> {
     let all = corners.map(gradients_of);
     move |i, j| {
         let [a, b] = [all[0].get(i)?, all[1].get(j)?];
-        let least = a.iter().flat_map(|p| b.iter().map(move |q| p.distance_squared(q))).min()?;
-        Some(f64::from(least).sqrt() / f64::from(LENGTH))
+        let both = a.iter().flat_map(|p| b.iter().map(move |q| (p, q)));
+        let each = both.map(|(p, q)| (p.descriptor.distance_squared(&q.descriptor), [p.turn_rad, q.turn_rad]));
+        let (least, turns_rad) = each.min_by_key(|(squared, _)| *squared)?;
+        Some((f64::from(least).sqrt() / f64::from(LENGTH), turns_rad))
     }
 }
 
@@ -80,9 +86,10 @@ pub fn match_along_lines(
     ideal: [&[Option<Vector2<f64>>]; 2],
     fundamental: &Matrix3<f64>,
     rule: &Guidance,
-    distance: impl Fn(usize, usize) -> Option<f64>,
+    distance: impl Fn(usize, usize) -> Option<Unlikeness>,
 ) -> Vec<Pair> {
-    let [first, second] = corners.map(|c| c.keypoints.as_slice());
+    // Tilted views would show every place ten times over.
+    let [first, second] = corners.map(|c| &c.keypoints[..c.plain_count()]);
     let line = |at: &Option<Vector2<f64>>| {
         let line = fundamental * at.as_ref()?.push(1.0);
         let norm = line.xy().norm();
@@ -94,7 +101,7 @@ pub fn match_along_lines(
         let (line, to) = (lines.get(i)?.as_ref()?, ideal[1].get(j)?.as_ref()?);
         let off = (line.x * to.x + line.y * to.y + line.z).abs();
         let near = off <= rule.band_px && first[i].scale.abs_diff(second[j].scale) <= rule.max_scale_steps;
-        near.then(|| distance(i, j)).flatten()
+        near.then(|| distance(i, j)).flatten().map(|(unlike, _)| unlike)
     };
     let same = |all: &[Keypoint], i: usize, j: usize| {
         let (p, q) = (&all[i], &all[j]);
@@ -118,15 +125,8 @@ pub fn match_along_lines(
             nearest(&candidates, |a, b| same(first, a, b))
         });
         if back.filter(clear).is_some_and(|back| back.0 == i) {
-            let (p, q) = (&first[i], &second[there.0]);
-            pairs.push(Pair {
-                a: p.position,
-                b: q.position,
-                first: i,
-                second: Some(there.0),
-                distance: there.1,
-                size_px: [p.size_px, q.size_px],
-            });
+            let turns_rad = distance(i, there.0).map_or([0.0; 2], |(_, turns)| turns);
+            pairs.push(pair_of(corners, [i, there.0], there.1, turns_rad));
         }
     }
     pairs
@@ -161,6 +161,7 @@ pub fn correlate_along_lines(
                 second: None,
                 distance: f64::from(m.distance),
                 size_px: [1.0; 2],
+                map: Matrix2::identity(),
             }
         })
         .collect()

@@ -2,19 +2,19 @@
 //!
 //! Input: the [`Corners`] of both pictures and [`Matching`]. Output: [`Pair`]s of positions (pixels of each picture), each
 //! corner at most once, the likeliest first.
-//! - Binary descriptors: mutual nearest with a ratio test.
-//! - Histograms of gradients: the same, with a ratio test against what is elsewhere.
+//! - Binary descriptors and histograms of gradients: mutual nearest, with a ratio test against what is elsewhere; in tilted views, too,
+//!   where there are any.
 //! - The study's attributes: grey level, salient degree and direction within a threshold each.
 //! - Normalised cross-correlation of patches, over the whole picture; corners of the same scale with each other.
 //! - Optical flow from the first picture's corners; the places need not be corners of the second.
 //!
 //! Places found by comparing corners are aligned to a fraction of a pixel where the patches look alike without being
-//! turned ([`align_pairs`]), then all by an affine map ([`polish_pairs`]). Cost: 1.5 ns a pair of binary
+//! turned ([`align_pairs`]), then all by an affine map, turned as the descriptors were ([`polish_pairs`]). Cost: 1.5 ns a pair of binary
 //! descriptors, 20 ns of histograms, 50 ns of patches.
 //!
 //! Deliberately not here: geometry (`geometry::ransac`), matching guided by it ([`super::guided`]).
 
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::{Matrix2, Rotation2, Vector2};
 
 use super::detect::{Corners, Keypoint};
 use super::polish::polish;
@@ -22,10 +22,10 @@ use crate::features::Corner;
 use crate::features::alignment::{AlignOptions, PatchTemplate, align};
 use crate::features::correlation::{CornerCorrelator, CorrelationMatching};
 use crate::features::descriptor::Descriptor;
-use crate::features::gradients::{GradientDescriptor, GradientMap};
+use crate::features::gradients::{GradientDescriptor, GradientMap, TurnedGradients};
 use crate::features::matching::{
-    AttributeMatching, DescriptorMatcher, DescriptorMatching, FlowMatching, Match, Place, PlaceMatching,
-    match_attributes, match_flow, match_places,
+    AttributeMatching, Comparable, FlowMatching, Match, Place, PlaceMatching, SAME_CORNER_PX, match_attributes,
+    match_flow, match_places,
 };
 use crate::image::{GreyImage, Pyramid};
 
@@ -34,8 +34,8 @@ const FLOW_LEVELS: usize = 5;
 /// An alignment counts when the patches are this much alike, and it moves the place by no more pixels of its scale.
 const ALIGN_NCC: f32 = 0.85;
 const ALIGN_PX: f32 = 1.5;
-/// Scales from one polishing to the next: a factor of 1.7.
-const POLISH_STEPS: usize = 3;
+/// Pixels of one polishing by those of the next.
+const POLISH_STEP: f64 = 1.7;
 
 /// How corners are matched.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, clap::ValueEnum, serde::Serialize)]
@@ -89,12 +89,15 @@ pub struct Pair {
     pub distance: f64,
     /// What the positions are uncertain by: pixels of each picture a pixel of the scale that the corner was found at.
     pub size_px: [f64; 2],
+    /// Second picture's pixels by first picture's, around the place: as the descriptors were turned and their scales or views are, or as
+    /// the patches were laid onto each other.
+    pub map: Matrix2<f64>,
 }
 
 impl Pair {
     /// A match that came from elsewhere, of the picture's own scale.
     pub fn given(index: usize, a: Vector2<f64>, b: Vector2<f64>) -> Self {
-        Self { a, b, first: index, second: Some(index), distance: 0.0, size_px: [1.0; 2] }
+        Self { a, b, first: index, second: Some(index), distance: 0.0, size_px: [1.0; 2], map: Matrix2::identity() }
     }
 }
 
@@ -102,7 +105,7 @@ impl Pair {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Matching {
     pub matcher: Matcher,
-    pub descriptors: DescriptorMatching,
+    pub descriptors: PlaceMatching,
     pub gradients: PlaceMatching,
     pub attributes: AttributeMatching,
     pub correlation: CorrelationMatching,
@@ -114,7 +117,7 @@ impl Matching {
     pub fn new(matcher: Matcher) -> Self {
         Self {
             matcher,
-            descriptors: DescriptorMatching { max_distance: 80, max_ratio: 0.85 },
+            descriptors: PlaceMatching { max_distance: 80.0, max_ratio: 0.85 },
             gradients: PlaceMatching::default(),
             attributes: AttributeMatching::default(),
             correlation: CorrelationMatching::default(),
@@ -146,9 +149,8 @@ pub fn pair_corners(first: &Corners, second: &Corners, options: &Matching) -> Ve
 pub fn align_pairs(first: &Corners, second: &Corners, pairs: &mut [Pair]) {
     let options = AlignOptions { max_shift_px: ALIGN_PX, ..AlignOptions::default() };
     for pair in pairs {
-        let Some(k) = pair.second.and_then(|j| second.keypoints.get(j)).map(|q| q.scale) else { continue };
-        let scale = k.max(first.keypoints.get(pair.first).map_or(0, |p| p.scale));
-        let (Some(from), Some(to)) = (first.scales.get(scale), second.scales.get(scale)) else { continue };
+        let size_px = pair.size_px[0].max(pair.size_px[1]);
+        let (Some(from), Some(to)) = (first.nearest_scale(size_px), second.nearest_scale(size_px)) else { continue };
         let template = PatchTemplate::<16>::from_image(&from.image, from.local(&pair.a).cast::<f32>());
         let Some(template) = template else { continue };
         if let Ok(found) = align(&template, &to.image, to.local(&pair.b).cast::<f32>(), &options)
@@ -166,88 +168,150 @@ pub fn polish_pairs(first: &Corners, second: &Corners, pairs: &mut [Pair]) {
     }
 }
 
-/// Moves the second place of a pair to a small fraction of a pixel, by an affine map of its patch ([`polish`]): from the coarser
-/// scale of both down to the finest at which the patches are alike. Tells whether that was possible at all.
+/// Moves the second place of a pair to a small fraction of a pixel, by an affine map of its patch ([`polish`]) that starts from that of the
+/// descriptors: in the pictures as the camera took them, from the scales at which the corner was found down to the finest at which the
+/// patches are alike, always at such scales of both that the patches are equally large. Tells whether that was possible at all.
 pub fn polish_pair(first: &Corners, second: &Corners, pair: &mut Pair) -> bool {
-    let of = |corners: &Corners, index: Option<usize>| index.and_then(|i| corners.keypoints.get(i)).map(|k| k.scale);
-    let from = of(first, Some(pair.first)).unwrap_or(0);
-    let mut scale = from.max(of(second, pair.second).unwrap_or(from));
-    let mut map = Matrix2::identity() * (pair.size_px[1] / pair.size_px[0]);
+    // Pixels of a scale of the second picture by one of the first that show as much.
+    let ratio = |map: &Matrix2<f64>| map.determinant().abs().sqrt();
+    let finest = |ratio: f64| [(1.0 / ratio).max(1.0), ratio.max(1.0)];
+    let least = finest(ratio(&pair.map));
+    let mut coarseness = (pair.size_px[0] / least[0]).max(pair.size_px[1] / least[1]).max(1.0);
     let mut polished = false;
-    while let (Some(a), Some(b)) = (first.scales.get(scale), second.scales.get(scale)) {
+    loop {
+        let sizes = finest(ratio(&pair.map)).map(|px| px * coarseness);
+        let (Some(a), Some(b)) = (first.nearest_scale(sizes[0]), second.nearest_scale(sizes[1])) else { break };
+        let map = b.back() * pair.map * a.linear();
         let Some(found) = polish(&a.image, &b.image, &a.local(&pair.a), &b.local(&pair.b), &map) else { break };
-        (pair.b, map, polished) = (b.base(&found.place), found.map, true);
+        pair.b = b.base(&found.place);
+        pair.map = b.linear() * found.map * a.back();
         pair.size_px = [a.size_px(), b.size_px()];
-        if scale == 0 {
+        polished = true;
+        if coarseness <= 1.0 {
             break;
         }
-        scale = scale.saturating_sub(POLISH_STEPS);
+        coarseness = (coarseness / POLISH_STEP).max(1.0);
     }
     polished
 }
 
-fn pair(first: &[Keypoint], second: &[Keypoint], i: usize, j: usize, distance: f32) -> Pair {
-    let (p, q) = (&first[i], &second[j]);
-    Pair {
-        a: p.position,
-        b: q.position,
-        first: i,
-        second: Some(j),
-        distance: f64::from(distance),
-        size_px: [p.size_px, q.size_px],
+/// The pair of two keypoints whose patches were described under these directions, radians; alike in that their scales or views are.
+pub fn pair_of(corners: [&Corners; 2], [i, j]: [usize; 2], distance: f64, turns_rad: [f32; 2]) -> Pair {
+    let [first, second] = corners;
+    let (p, q) = (&first.keypoints[i], &second.keypoints[j]);
+    let turn = Rotation2::new(f64::from(turns_rad[1] - turns_rad[0]));
+    let (from, to) = (first.scales.get(p.scale), second.scales.get(q.scale));
+    let map = match (from, to) {
+        (Some(from), Some(to)) => to.linear() * turn.matrix() * from.back(),
+        _ => Matrix2::identity(),
+    };
+    let size_px = [p.size_px, q.size_px];
+    Pair { a: p.position, b: q.position, first: i, second: Some(j), distance, size_px, map }
+}
+
+/// What a picture's corners are compared by: each description with the keypoint that it is of, its direction, and where it was taken.
+struct Described<D> {
+    of: Vec<usize>,
+    descriptors: Vec<D>,
+    turns_rad: Vec<f32>,
+    places: Vec<Place>,
+    /// How many of them are of the picture as the camera took it: the first ones.
+    plain: usize,
+}
+
+impl<D> Described<D> {
+    fn new(corners: &Corners, each: impl Iterator<Item = (usize, D, f32)>) -> Self {
+        let mut out =
+            Self { of: Vec::new(), descriptors: Vec::new(), turns_rad: Vec::new(), places: Vec::new(), plain: 0 };
+        for (i, descriptor, turn) in each {
+            out.of.push(i);
+            out.descriptors.push(descriptor);
+            out.turns_rad.push(turn);
+            out.places.push(place(&corners.keypoints[i]));
+        }
+        let plain = corners.plain_count();
+        out.plain = out.of.partition_point(|i| *i < plain);
+        out
+    }
+
+    fn slice(&self, plain_only: bool) -> (&[D], &[Place]) {
+        let count = if plain_only { self.plain } else { self.of.len() };
+        (&self.descriptors[..count], &self.places[..count])
     }
 }
 
-fn by_descriptors(first: &Corners, second: &Corners, rule: &DescriptorMatching) -> Vec<Pair> {
-    // Those that have one, and where they come from.
-    let described = |corners: &Corners| -> (Vec<usize>, Vec<Descriptor>) {
-        corners.keypoints.iter().enumerate().filter_map(|(i, k)| k.descriptor.map(|d| (i, d))).unzip()
+fn place(k: &Keypoint) -> Place {
+    Place { at: k.position.cast::<f32>().into(), size_px: k.size_px as f32 }
+}
+
+fn by_descriptors(first: &Corners, second: &Corners, rule: &PlaceMatching) -> Vec<Pair> {
+    let described = |corners: &Corners| {
+        let each = corners.keypoints.iter().enumerate();
+        let each = each.filter_map(|(i, k)| k.descriptor.map(|d| (i, d.descriptor, d.angle_rad)));
+        Described::<Descriptor>::new(corners, each)
     };
-    let ((from_a, a), (from_b, b)) = (described(first), described(second));
-    let mut matches: Vec<Match> = Vec::new();
-    DescriptorMatcher::new().match_all(&a, &b, rule, &mut matches);
-    matches
-        .iter()
-        .map(|m| {
-            let (i, j) = (from_a[m.first as usize], from_b[m.second as usize]);
-            pair(&first.keypoints, &second.keypoints, i, j, m.distance)
-        })
-        .collect()
+    by_places([first, second], [described(first), described(second)], rule)
 }
 
 /// Histograms of gradients of each keypoint: none at the border, up to two for its directions.
-pub fn gradients_of(corners: &Corners) -> Vec<Vec<GradientDescriptor>> {
-    let maps: Vec<GradientMap> = corners.scales.iter().map(|s| GradientMap::new(&s.image)).collect();
-    let of = |k: &Keypoint| {
-        let at = corners.scales[k.scale].local(&k.position).cast::<f32>();
-        maps[k.scale].describe(at.x, at.y)
-    };
-    corners.keypoints.iter().map(of).collect()
+pub fn gradients_of(corners: &Corners) -> Vec<Vec<TurnedGradients>> {
+    let mut all = Vec::with_capacity(corners.keypoints.len());
+    // A scale's corners follow each other, so one map at a time is enough.
+    for of_scale in corners.keypoints.chunk_by(|a, b| a.scale == b.scale) {
+        let Some(scale) = of_scale.first().and_then(|k| corners.scales.get(k.scale)) else {
+            all.extend(of_scale.iter().map(|_| Vec::new()));
+            continue;
+        };
+        let map = GradientMap::new(&scale.image);
+        all.extend(of_scale.iter().map(|k| {
+            let at = scale.local(&k.position).cast::<f32>();
+            map.describe(at.x, at.y)
+        }));
+    }
+    all
 }
 
 fn by_gradients(first: &Corners, second: &Corners, rule: &PlaceMatching) -> Vec<Pair> {
-    // The descriptors, the keypoints that they are of, and their places.
-    let described = |corners: &Corners| -> (Vec<usize>, Vec<GradientDescriptor>, Vec<Place>) {
-        let (mut from, mut all, mut places) = (Vec::new(), Vec::new(), Vec::new());
-        for (i, (k, own)) in corners.keypoints.iter().zip(gradients_of(corners)).enumerate() {
-            for descriptor in own {
-                from.push(i);
-                all.push(descriptor);
-                places.push(Place { at: k.position.cast::<f32>().into(), size_px: k.size_px as f32 });
-            }
-        }
-        (from, all, places)
+    let described = |corners: &Corners| {
+        let all = gradients_of(corners);
+        let each = all.iter().enumerate().flat_map(|(i, own)| own.iter().map(move |d| (i, d.descriptor, d.turn_rad)));
+        Described::<GradientDescriptor>::new(corners, each)
     };
-    let ((from_a, a, places_a), (from_b, b, places_b)) = (described(first), described(second));
-    // The nearest first: a corner that was described twice keeps its better match.
-    let mut used = [vec![false; first.keypoints.len()], vec![false; second.keypoints.len()]];
+    by_places([first, second], [described(first), described(second)], rule)
+}
+
+/// Matches by descriptors of places: of what the camera took with each other, and with the other picture's tilted views, either way. The
+/// nearest first: a corner, in however many views and scales it was found, keeps its best match.
+fn by_places<D: Comparable>(
+    corners: [&Corners; 2],
+    [first, second]: [Described<D>; 2],
+    rule: &PlaceMatching,
+) -> Vec<Pair> {
+    let tilted = [first.plain < first.of.len(), second.plain < second.of.len()];
+    let mut found = match_places(first.slice(true), second.slice(false), rule);
+    if tilted[0] {
+        found.extend(match_places(first.slice(false), second.slice(true), rule));
+        // Stable: of equally near ones the first.
+        found.sort_by(|a, b| a.distance.total_cmp(&b.distance));
+    }
+    let mut used = [vec![false; corners[0].keypoints.len()], vec![false; corners[1].keypoints.len()]];
+    let mut kept: Vec<[Place; 2]> = Vec::new();
     let mut pairs = Vec::new();
-    for m in match_places((&a, &places_a), (&b, &places_b), rule) {
-        let (i, j) = (from_a[m.first as usize], from_b[m.second as usize]);
-        if !used[0][i] && !used[1][j] {
-            (used[0][i], used[1][j]) = (true, true);
-            pairs.push(pair(&first.keypoints, &second.keypoints, i, j, m.distance));
+    for m in found {
+        let (p, q) = (m.first as usize, m.second as usize);
+        let (i, j) = (first.of[p], second.of[q]);
+        if used[0][i] || used[1][j] {
+            continue;
         }
+        let places = [first.places[p], second.places[q]];
+        // One corner of the world is one witness, in however many views it was found.
+        let again = |k: &[Place; 2]| (0..2).any(|side| k[side].is_within(&places[side], SAME_CORNER_PX));
+        if (tilted[0] || tilted[1]) && kept.iter().any(again) {
+            continue;
+        }
+        (used[0][i], used[1][j]) = (true, true);
+        kept.push(places);
+        pairs.push(pair_of(corners, [i, j], f64::from(m.distance), [first.turns_rad[p], second.turns_rad[q]]));
     }
     pairs
 }
@@ -263,7 +327,7 @@ fn by_attributes(first: &Corners, second: &Corners, rule: &AttributeMatching) ->
         .iter()
         .map(|m| {
             let (i, j) = (from_a[m.first as usize], from_b[m.second as usize]);
-            pair(&first.keypoints, &second.keypoints, i, j, m.distance)
+            pair_of([first, second], [i, j], f64::from(m.distance), [0.0; 2])
         })
         .collect()
 }
@@ -281,12 +345,13 @@ fn by_correlation(first: &Corners, second: &Corners, rule: &CorrelationMatching)
     let Ok(mut correlator) = CornerCorrelator::new(*rule) else { return Vec::new() };
     let mut pairs = Vec::new();
     let mut matches: Vec<Match> = Vec::new();
-    for scale in 0..first.scales.len().min(second.scales.len()) {
+    let plain = |c: &Corners| c.scales.iter().take_while(|s| s.is_plain()).count();
+    for scale in 0..plain(first).min(plain(second)) {
         let ((from_a, a), (from_b, b)) = (of_scale(first, scale), of_scale(second, scale));
         correlator.match_all((&first.scales[scale].image, &a), (&second.scales[scale].image, &b), &mut matches);
         pairs.extend(matches.iter().map(|m| {
             let (i, j) = (from_a[m.first as usize], from_b[m.second as usize]);
-            pair(&first.keypoints, &second.keypoints, i, j, m.distance)
+            pair_of([first, second], [i, j], f64::from(m.distance), [0.0; 2])
         }));
     }
     pairs
@@ -314,6 +379,7 @@ fn by_flow(first: &Corners, second: &Corners, rule: &FlowMatching) -> Vec<Pair> 
                 second: None,
                 distance: f64::from(m.distance),
                 size_px: [1.0; 2],
+                map: Matrix2::identity(),
             }
         })
         .collect()

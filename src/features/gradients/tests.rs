@@ -23,8 +23,8 @@ fn texture(seed: u64) -> impl Fn(f32, f32) -> f32 {
 }
 
 /// Distance of the nearest two descriptors, as a share of the length.
-fn nearest(a: &[GradientDescriptor], b: &[GradientDescriptor]) -> f32 {
-    let all = a.iter().flat_map(|p| b.iter().map(move |q| p.distance_squared(q)));
+fn nearest(a: &[TurnedGradients], b: &[TurnedGradients]) -> f32 {
+    let all = a.iter().flat_map(|p| b.iter().map(move |q| p.descriptor.distance_squared(&q.descriptor)));
     (all.min().expect("descriptors") as f32).sqrt() / LENGTH
 }
 
@@ -62,7 +62,7 @@ fn borders_flat_pictures_and_bad_numbers_have_none() {
 #[test]
 fn a_row_of_distances_is_the_distances() {
     let all: Vec<GradientDescriptor> =
-        (0..9).flat_map(|s| GradientMap::new(&picture(texture(s))).describe(40.0, 40.0)).collect();
+        (0..9).flat_map(|s| GradientMap::new(&picture(texture(s))).describe(40.0, 40.0)).map(|d| d.descriptor).collect();
     let mut row = vec![0; all.len()];
     distances_squared(&all[0], &all, &mut row);
     for (found, other) in row.iter().zip(&all) {

@@ -1,20 +1,61 @@
-//! Which corner of one picture is which of another, by histograms of gradients, where a corner may have been described more than once.
+//! Which corner of one picture is which of another, by descriptors of either kind, where a corner may have been described more than once.
 //!
 //! Input: descriptors of both pictures, each with where it was taken and how large a pixel of its scale is; a rule. Output:
-//! pairs of indices with their distance (a share of a descriptor's length), the nearest first, no two of them between the same two corners.
-//! A corner is found again at the scales beside its own, and may have two directions: its second nearest is then itself, and the
+//! pairs of indices with their distance, the nearest first, no two of them between the same two corners.
+//! A corner is found again at the scales beside its own and in tilted views, and may have two directions: its second nearest is then itself, and the
 //! ratio test would refuse it for being found well. So the second nearest is the nearest *elsewhere* (as Lowe, IJCV 2004, 7.1, compares
 //! with a neighbour that is known to be of another object), and mutual means: the nearest of the nearest is at the same place.
 //! Of pairs between the same two corners one is kept: a model must not count one agreement several times.
 //! Cost: two sweeps of n m distances. It deliberately does not do: geometry (see `geometry::ransac`).
 
 use super::Match;
-use crate::features::gradients::{GradientDescriptor, LENGTH, distances_squared};
+use crate::features::descriptor::Descriptor;
+use crate::features::dispatch::simd_kernel;
+use crate::features::gradients::{self, GradientDescriptor};
 
 /// Nearer than this many pixels of the coarser scale is the same place: half a patch of either descriptor is the same picture there.
 const SAME_PLACE_PX: f32 = 4.0;
 /// Pairs whose ends are both nearer than this, in the same unit, are one corner found twice.
-const SAME_CORNER_PX: f32 = 1.5;
+pub const SAME_CORNER_PX: f32 = 1.5;
+
+/// What can be compared.
+pub trait Comparable: Sized {
+    /// What a [`Match::distance`] of 1 is.
+    const UNIT: f32;
+
+    /// Squared distances to all others, in their order.
+    fn distances_squared(&self, others: &[Self], out: &mut [u32]);
+}
+
+/// Distances are shares of a descriptor's length.
+impl Comparable for GradientDescriptor {
+    const UNIT: f32 = gradients::LENGTH;
+
+    fn distances_squared(&self, others: &[Self], out: &mut [u32]) {
+        gradients::distances_squared(self, others, out);
+    }
+}
+
+/// Distances are bits.
+impl Comparable for Descriptor {
+    const UNIT: f32 = 1.0;
+
+    fn distances_squared(&self, others: &[Self], out: &mut [u32]) {
+        bits_squared(self, others, out);
+    }
+}
+
+simd_kernel! {
+    fn bits_squared(of: &Descriptor, to: &[Descriptor], out: &mut [u32]) = bits_squared_body
+}
+
+#[inline(always)]
+fn bits_squared_body(of: &Descriptor, to: &[Descriptor], out: &mut [u32]) {
+    for (squared, other) in out.iter_mut().zip(to) {
+        let bits = of.distance(other);
+        *squared = bits * bits;
+    }
+}
 
 /// Where a descriptor was taken.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -26,7 +67,8 @@ pub struct Place {
 }
 
 impl Place {
-    fn is_within(&self, other: &Self, limit_px: f32) -> bool {
+    /// Nearer than so many pixels of the coarser scale of both.
+    pub fn is_within(&self, other: &Self, limit_px: f32) -> bool {
         let (dx, dy) = (self.at[0] - other.at[0], self.at[1] - other.at[1]);
         let reach = limit_px * self.size_px.max(other.size_px);
         dx * dx + dy * dy <= reach * reach
@@ -36,7 +78,7 @@ impl Place {
 /// When two descriptors belong together.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlaceMatching {
-    /// Largest distance, as a share of a descriptor's length.
+    /// Largest distance, in [`Comparable::UNIT`]s.
     pub max_distance: f32,
     /// The nearest must be nearer than this share of the nearest elsewhere, in both directions; 1 = any. Between 0.8 and 0.9 it makes
     /// little difference.
@@ -50,15 +92,15 @@ impl Default for PlaceMatching {
 }
 
 /// Of each descriptor: index of the nearest of the others, its squared distance, and that of the nearest elsewhere.
-fn nearest(
-    of: &[GradientDescriptor],
-    others: &[GradientDescriptor],
+fn nearest<D: Comparable>(
+    of: &[D],
+    others: &[D],
     places: &[Place],
 ) -> Vec<Option<(usize, u32, u32)>> {
     let mut row = vec![0; others.len()];
     of.iter()
         .map(|d| {
-            distances_squared(d, others, &mut row);
+            d.distances_squared(others, &mut row);
             // Of equally near ones the first.
             let (index, least) = row.iter().enumerate().min_by_key(|(_, distance)| **distance)?;
             let own = places.get(index)?;
@@ -75,9 +117,9 @@ fn nearest(
 }
 
 /// Matches; see the module. Descriptors without a place (a shorter slice) are left out.
-pub fn match_places(
-    (first, first_places): (&[GradientDescriptor], &[Place]),
-    (second, second_places): (&[GradientDescriptor], &[Place]),
+pub fn match_places<D: Comparable>(
+    (first, first_places): (&[D], &[Place]),
+    (second, second_places): (&[D], &[Place]),
     rule: &PlaceMatching,
 ) -> Vec<Match> {
     let first = &first[..first.len().min(first_places.len())];
@@ -92,7 +134,7 @@ pub fn match_places(
         let Some((j, distance, elsewhere)) = *there else { continue };
         let Some((back, _, elsewhere_back)) = backward[j] else { continue };
         let mutual = back == i || first_places[back].is_within(&first_places[i], SAME_PLACE_PX);
-        let share = (distance as f32).sqrt() / LENGTH;
+        let share = (distance as f32).sqrt() / D::UNIT;
         if mutual && share <= rule.max_distance && clear(distance, elsewhere) && clear(distance, elsewhere_back) {
             found.push(Match { first: i as u32, second: j as u32, distance: share });
         }
@@ -152,7 +194,7 @@ mod tests {
         let places: Vec<Place> = (0..50).map(|i| Place { at: [50.0 * i as f32, 0.0], size_px: 1.0 }).collect();
         let rule = PlaceMatching::default();
         assert!(match_places((&all, &places), (&more, &places), &rule).is_empty(), "seed 8");
-        assert!(match_places((&[], &[]), (&more, &places), &rule).is_empty());
+        assert!(match_places::<GradientDescriptor>((&[], &[]), (&more, &places), &rule).is_empty());
         assert!(match_places((&all, &places), (&more, &[]), &rule).is_empty());
     }
 }

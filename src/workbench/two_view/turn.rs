@@ -64,9 +64,9 @@ pub(super) fn turn_of_unknown_camera(
 fn is_found_again(out: &TwoView, pair: &Pair, turn: &UnknownTurn) -> bool {
     let found = || {
         let [first, second] = &out.corners;
-        let own = first.keypoints.get(pair.first)?.scale;
-        let scale = own.max(pair.second.and_then(|j| second.keypoints.get(j)).map_or(own, |k| k.scale));
-        let (from, to) = (first.scales.get(scale)?, second.scales.get(scale)?);
+        let own = first.keypoints.get(pair.first)?.size_px;
+        let size_px = own.max(pair.second.and_then(|j| second.keypoints.get(j)).map_or(own, |k| k.size_px));
+        let (from, to) = (first.nearest_scale(size_px)?, second.nearest_scale(size_px)?);
         let place = |a: Vector2<f64>| turn.place(&a, &pair.b);
         let there = place(pair.a)?;
         let map =
