@@ -12,7 +12,7 @@ use crate::atomic_file::write_atomically;
 use crate::plot::{Chart, write_chart};
 use crate::workbench::compare::pairs::{PairsError, find};
 use crate::workbench::compare::{Comparison, Plan, SequenceRule, compare, table};
-use crate::workbench::{Detector, Matcher, report};
+use crate::workbench::{Detector, Matcher, Views, report};
 
 /// Compare detectors and matchers on pairs of pictures: corners, repeatability, correct matches, inliers, pose errors, time
 ///
@@ -46,6 +46,9 @@ pub struct CompareArgs {
     /// Match again along the epipolar lines
     #[arg(long)]
     pub guided: bool,
+    /// Simulate tilted views of both pictures, for surfaces that are seen at very different slants
+    #[arg(long, value_enum, default_value = "auto")]
+    pub views: Views,
     /// Frames between the pictures of a sequence's pairs
     #[arg(long, value_name = "FRAMES", default_value_t = 15, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub step: u32,
@@ -83,6 +86,7 @@ pub fn run(args: &CompareArgs) -> Result<ExitCode, CliError> {
         max_corners: args.corners as usize,
         sigma_px: args.sigma,
         guided: args.guided,
+        views: args.views,
         seed: args.seed,
         always_answer: args.always_answer,
     };

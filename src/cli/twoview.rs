@@ -15,7 +15,7 @@ use crate::workbench::pose::{CANDIDATES, FourMotions};
 use crate::workbench::report;
 use crate::workbench::two_view::reconstruct_from_pairs;
 use crate::workbench::{
-    Cameras, Detection, Detector, Matcher, Matching, Options, Picture, PictureError, TwoView, reconstruct,
+    Cameras, Detection, Detector, Matcher, Matching, Options, Picture, PictureError, TwoView, Views, reconstruct,
 };
 
 /// Two pictures to corners, matches, epipolar geometry, relative pose and points, each step in the open
@@ -41,7 +41,7 @@ pub struct TwoViewArgs {
     #[arg(long, value_name = "DIR")]
     pub output: PathBuf,
     /// Take the matches from a text, "xa ya xb yb" or "xa ya 1 xb yb 1" a line, instead of finding corners
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["detector", "matcher", "scales", "corners", "guided"])]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["detector", "matcher", "scales", "corners", "views", "guided"])]
     pub matches: Option<PathBuf>,
     #[command(flatten)]
     pub method: MethodArgs,
@@ -62,6 +62,9 @@ pub struct MethodArgs {
     /// Most corners of a picture
     #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u32).range(8..=20_000))]
     pub corners: u32,
+    /// Simulate tilted views of both pictures, for surfaces that are seen at very different slants
+    #[arg(long, value_enum, default_value = "auto")]
+    pub views: Views,
     /// One sigma of a corner's place, px; inliers lie within 1.96 of it
     #[arg(long, value_name = "PX", default_value_t = 1.0, value_parser = positive_px)]
     pub sigma: f64,
@@ -91,6 +94,7 @@ impl MethodArgs {
                 max_corners: self.corners as usize,
             },
             matching: Matching::new(self.matcher),
+            views: self.views,
             sigma_px: self.sigma,
             guided: self.guided,
             seed: self.seed,
@@ -204,21 +208,42 @@ fn text(result: &TwoView, options: &Options, listed: bool, cameras: Option<&Came
     if listed {
         line("matches", format!("{} from the list", result.unguided));
     } else {
+        if let Some(first) = &result.first_try {
+            line(
+                "first try",
+                format!(
+                    "{} matches, {} inliers, {}  ({:.1} ms): once more with tilted views{}",
+                    first.matches,
+                    first.inliers,
+                    first.outcome.sentence(),
+                    ms("without tilted views"),
+                    if first.kept { ", which show no more; what follows is this try's" } else { "" }
+                ),
+            );
+        }
         let [a, b] = &result.corners;
+        let plain = a.scales.iter().filter(|s| s.is_plain()).count();
         line(
             "corners",
             format!(
                 "{} and {} of {} and {} found by {} at {} scale{}  ({:.1} ms)",
-                a.keypoints.len(),
-                b.keypoints.len(),
+                a.plain_count(),
+                b.plain_count(),
                 a.found,
                 b.found,
                 options.detection.detector.name(),
-                a.scales.len(),
-                if a.scales.len() == 1 { "" } else { "s" },
+                plain,
+                if plain == 1 { "" } else { "s" },
                 ms("corners")
             ),
         );
+        if plain < a.scales.len() {
+            let more = [a, b].map(|c| c.keypoints.len() - c.plain_count());
+            line(
+                "tilted views",
+                format!("{} and {} corners more  ({:.1} ms)", more[0], more[1], ms("tilted views")),
+            );
+        }
         line(
             "matches",
             format!("{} by {}  ({:.1} ms)", result.unguided, options.matching.matcher.name(), ms("matches")),

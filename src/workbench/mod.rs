@@ -22,4 +22,4 @@ pub mod two_view;
 pub use detect::{Detection, Detector};
 pub use pairing::{Matcher, Matching};
 pub use picture::{Picture, PictureError};
-pub use two_view::{Cameras, Options, Outcome, TwoView, reconstruct};
+pub use two_view::{Cameras, Options, Outcome, TwoView, Views, reconstruct};

@@ -67,6 +67,11 @@ impl Matcher {
         }
     }
 
+    /// Can it gain by tilted views? What is compared must know scale and direction.
+    pub fn knows_tilt(self) -> bool {
+        matches!(self, Self::Descriptors | Self::Gradients)
+    }
+
     /// Scales that corners are searched at when nobody says otherwise: what is compared must know scale to gain by it.
     pub fn default_scales(self) -> usize {
         match self {
@@ -170,8 +175,22 @@ pub fn polish_pairs(first: &Corners, second: &Corners, pairs: &mut [Pair]) {
 
 /// Moves the second place of a pair to a small fraction of a pixel, by an affine map of its patch ([`polish`]) that starts from that of the
 /// descriptors: in the pictures as the camera took them, from the scales at which the corner was found down to the finest at which the
-/// patches are alike, always at such scales of both that the patches are equally large. Tells whether that was possible at all.
+/// patches are alike, always at such scales of both that the patches are equally large. A direction may be wrong by more than the polishing
+/// can turn: then once more without one. Tells whether that was possible at all.
 pub fn polish_pair(first: &Corners, second: &Corners, pair: &mut Pair) -> bool {
+    let upright = Matrix2::identity() * pair.map.determinant().abs().sqrt();
+    polish_from(first, second, pair) || {
+        let turned = std::mem::replace(&mut pair.map, upright);
+        let polished = polish_from(first, second, pair);
+        if !polished {
+            pair.map = turned;
+        }
+        polished
+    }
+}
+
+/// [`polish_pair`] from the pair's own map on.
+fn polish_from(first: &Corners, second: &Corners, pair: &mut Pair) -> bool {
     // Pixels of a scale of the second picture by one of the first that show as much.
     let ratio = |map: &Matrix2<f64>| map.determinant().abs().sqrt();
     let finest = |ratio: f64| [(1.0 / ratio).max(1.0), ratio.max(1.0)];

@@ -163,8 +163,9 @@ pub fn document(result: &TwoView, pictures: [&str; 2], sizes: [(usize, usize); 2
             "width": sizes[k].0,
             "height": sizes[k].1,
             "corners_found": result.corners[k].found,
-            "corners": result.corners[k].keypoints.len(),
-            "scales": result.corners[k].scales.len(),
+            "corners": result.corners[k].plain_count(),
+            "corners_of_tilted_views": result.corners[k].keypoints.len() - result.corners[k].plain_count(),
+            "scales": result.corners[k].scales.iter().filter(|s| s.is_plain()).count(),
         })
     };
     let mut outcome = json!(result.outcome);
@@ -183,8 +184,15 @@ pub fn document(result: &TwoView, pictures: [&str; 2], sizes: [(usize, usize); 2
             "matcher": options.matching.matcher.name(),
             "sigma_px": options.sigma_px,
             "guided": options.guided,
+            "views": options.views.name(),
             "seed": options.seed,
         },
+        "first_try_without_tilted_views": result.first_try.as_ref().map(|t| json!({
+            "outcome": t.outcome,
+            "matches": t.matches,
+            "inliers": t.inliers,
+            "kept": t.kept,
+        })),
         "F": result.fundamental().map(|f| rows(&f)),
         "E": solution.map(|s| rows(&s.essential)),
         "R": solution.map(|s| rows(s.second_from_first.rotation.to_rotation_matrix().matrix())),

@@ -4,24 +4,27 @@
 //! gave, with its time, and one [`Outcome`] that says how far the chain came and why it ended there.
 //! F is estimated on undistorted pixels (`K` times the undistorted normalised point) when cameras are given and on the
 //! pictures' own pixels otherwise; [`TwoView::undistorted`] says which. Points are undistorted, pictures never.
+//! Where that gives no model, or one of few matches, it is tried again with simulated tilts of both pictures ([`Views`]).
 //! A guided round matches again along the lines of the first F, and estimates F once more from the union.
 //! Every random draw comes from one seed: the same input gives the same numbers (times aside).
 //!
-//! Cost: 50 to 500 ms for 640x480. Deliberately not here: reading files, drawing, printing.
+//! Cost: 50 to 500 ms for 640x480, with tilted views 0.5 to 4 s. Deliberately not here: reading files, drawing, printing.
 
 mod epipolar;
 #[cfg(test)]
 mod tests;
 mod turn;
+mod views;
 
 use std::time::Instant;
 
 use nalgebra::{Matrix3, Vector2};
 
 pub use self::epipolar::Epipolar;
+pub use self::views::{FirstTry, Views};
 use self::epipolar::epipolar;
 use super::adjustment::Observation;
-use super::detect::{Corners, Detection, detect};
+use super::detect::{Corners, Detection, add_tilted, detect};
 use super::guided::{Guidance, correlate_along_lines, descriptor_distance, gradient_distance, match_along_lines};
 use super::pairing::{Matcher, Matching, Pair, align_pairs, pair_corners, polish_pair, polish_pairs};
 use super::pose::{LINE_SIGMAS, PoseInput, PoseSteps, median, pose_steps};
@@ -40,6 +43,8 @@ pub const MIN_MATCHES: usize = 8;
 pub struct Options {
     pub detection: Detection,
     pub matching: Matching,
+    /// Of matchers that know no tilt (attributes, correlation, flow): never.
+    pub views: Views,
     /// One sigma of a corner's place, pixels; an inlier lies within 1.96 of it.
     pub sigma_px: f64,
     /// Match again along the epipolar lines.
@@ -150,6 +155,8 @@ pub struct TwoView {
     pub epipolar: Option<Epipolar>,
     pub pose: Option<PoseSteps>,
     pub outcome: Outcome,
+    /// What came without tilted views, where it was tried again with them.
+    pub first_try: Option<FirstTry>,
     /// Each step's name and milliseconds.
     pub times: Vec<(&'static str, f64)>,
 }
@@ -191,51 +198,38 @@ impl TwoView {
 
 /// Runs the chain.
 pub fn reconstruct(first: &GreyImage, second: &GreyImage, cameras: Option<&Cameras>, options: &Options) -> TwoView {
-    let mut chain = Chain { times: Vec::new(), last: Instant::now() };
-    let corners = [detect(first, &options.detection), detect(second, &options.detection)];
+    let views = if options.matching.matcher.knows_tilt() { options.views } else { Views::None };
+    let mut chain = Chain::new();
+    let mut corners = [detect(first, &options.detection), detect(second, &options.detection)];
     chain.done("corners");
-    let pairs = pair_corners(&corners[0], &corners[1], &options.matching);
-    chain.done("matches");
-    let mut out = TwoView {
-        unguided: pairs.len(),
-        corners,
-        pairs,
-        outside_lens: 0,
-        ideal: Vec::new(),
-        undistorted: cameras.is_some(),
-        epipolar: None,
-        pose: None,
-        outcome: Outcome::IdenticalPictures,
-        times: Vec::new(),
+    let identical = first == second;
+    let few = corners.iter().any(|c| c.keypoints.len() < MIN_MATCHES);
+    let tilt = |chain: &mut Chain, corners: &mut [Corners; 2]| {
+        add_tilted(&mut corners[0], first, &options.detection);
+        add_tilted(&mut corners[1], second, &options.detection);
+        chain.done("tilted views");
     };
-    out.keep_undistortable(cameras);
-    let outcome = chain.estimate(&mut out, first == second, cameras, options);
-    out.outcome = outcome;
-    out.times = chain.times;
-    out
+    if views == Views::Affine && !identical && !few {
+        tilt(&mut chain, &mut corners);
+    }
+    let result = chain.from_corners(corners, identical, cameras, options);
+    if views != Views::Auto || !views::wants_more(&result) {
+        return result;
+    }
+    let mut chain = Chain::new();
+    let mut corners = result.corners.clone();
+    tilt(&mut chain, &mut corners);
+    let again = chain.from_corners(corners, identical, cameras, options);
+    views::better(result, again)
 }
 
 /// Estimates from matches that came from elsewhere (a file's), without pictures; `size_px` of each is its uncertainty.
 pub fn reconstruct_from_pairs(pairs: Vec<Pair>, cameras: Option<&Cameras>, options: &Options) -> TwoView {
-    let mut chain = Chain { times: Vec::new(), last: Instant::now() };
-    let mut out = TwoView {
-        corners: [Corners::default(), Corners::default()],
-        unguided: pairs.len(),
-        pairs,
-        outside_lens: 0,
-        ideal: Vec::new(),
-        undistorted: cameras.is_some(),
-        epipolar: None,
-        pose: None,
-        outcome: Outcome::IdenticalPictures,
-        times: Vec::new(),
-    };
-    out.keep_undistortable(cameras);
+    let mut out = TwoView::of([Corners::default(), Corners::default()], pairs, cameras);
     let options = Options { guided: false, ..*options };
+    let mut chain = Chain::new();
     let outcome = chain.continue_with_matches(&mut out, cameras, &options);
-    out.outcome = outcome;
-    out.times = chain.times;
-    out
+    TwoView { outcome, times: chain.times, ..out }
 }
 
 /// Undistorted pixel of a pixel; none where the plane of a wide-angle lens is stretched, as F and E weigh all places alike.
@@ -245,6 +239,25 @@ fn ideal_pixel(camera: &CameraModel, pixel: &Vector2<f64>) -> Option<Vector2<f64
 }
 
 impl TwoView {
+    /// Corners and matches, with nothing estimated yet.
+    fn of(corners: [Corners; 2], pairs: Vec<Pair>, cameras: Option<&Cameras>) -> Self {
+        let mut out = Self {
+            unguided: pairs.len(),
+            corners,
+            pairs,
+            outside_lens: 0,
+            ideal: Vec::new(),
+            undistorted: cameras.is_some(),
+            epipolar: None,
+            pose: None,
+            outcome: Outcome::IdenticalPictures,
+            first_try: None,
+            times: Vec::new(),
+        };
+        out.keep_undistortable(cameras);
+        out
+    }
+
     /// Drops the matches that the lens model does not reach and sets the places of the others.
     fn keep_undistortable(&mut self, cameras: Option<&Cameras>) {
         let ideal = |p: &Pair| match cameras {
@@ -266,6 +279,10 @@ struct Chain {
 }
 
 impl Chain {
+    fn new() -> Self {
+        Self { times: Vec::new(), last: Instant::now() }
+    }
+
     /// Notes the time since the last step's end.
     fn done(&mut self, step: &'static str) {
         let now = Instant::now();
@@ -273,21 +290,26 @@ impl Chain {
         self.last = now;
     }
 
-    fn estimate(
-        &mut self,
-        out: &mut TwoView,
+    /// Everything from the corners on.
+    fn from_corners(
+        mut self,
+        corners: [Corners; 2],
         identical: bool,
         cameras: Option<&Cameras>,
         options: &Options,
-    ) -> Outcome {
+    ) -> TwoView {
+        let pairs = pair_corners(&corners[0], &corners[1], &options.matching);
+        self.done("matches");
+        let mut out = TwoView::of(corners, pairs, cameras);
         let [first, second] = [&out.corners[0], &out.corners[1]].map(|c| c.keypoints.len());
-        if first.min(second) < MIN_MATCHES {
-            return Outcome::TooFewCorners { first, second };
-        }
-        if identical {
-            return Outcome::IdenticalPictures;
-        }
-        self.continue_with_matches(out, cameras, options)
+        let outcome = if first.min(second) < MIN_MATCHES {
+            Outcome::TooFewCorners { first, second }
+        } else if identical {
+            Outcome::IdenticalPictures
+        } else {
+            self.continue_with_matches(&mut out, cameras, options)
+        };
+        TwoView { outcome, times: self.times, ..out }
     }
 
     fn continue_with_matches(&mut self, out: &mut TwoView, cameras: Option<&Cameras>, options: &Options) -> Outcome {

@@ -15,7 +15,7 @@ use super::detect::{Detection, Detector};
 use super::pairing::{Matcher, Matching, Pair};
 use super::picture::{Picture, PictureError};
 use super::pose::median;
-use super::two_view::{Options, reconstruct, reconstruct_from_pairs};
+use super::two_view::{Options, Views, reconstruct, reconstruct_from_pairs};
 pub use pairs::{SequenceRule, Task};
 pub use score::Score;
 
@@ -32,6 +32,7 @@ pub struct Plan {
     pub max_corners: usize,
     pub sigma_px: f64,
     pub guided: bool,
+    pub views: Views,
     pub seed: u64,
     /// As a program that always answers would: the best motion found, even where it is no better than chance.
     pub always_answer: bool,
@@ -78,6 +79,7 @@ impl Plan {
                 max_corners: self.max_corners,
             },
             matching: Matching::new(matcher),
+            views: self.views,
             sigma_px: self.sigma_px,
             guided: self.guided,
             seed: self.seed,

@@ -13,6 +13,7 @@ fn options() -> Options {
     Options {
         detection: Detection { detector: Detector::Fast, scales: 1, max_corners: 500 },
         matching: Matching::new(Matcher::Descriptors),
+        views: Views::Auto,
         sigma_px: 1.0,
         guided: false,
         seed: 1,
