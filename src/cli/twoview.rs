@@ -239,10 +239,7 @@ fn text(result: &TwoView, options: &Options, listed: bool, cameras: Option<&Came
         );
         if plain < a.scales.len() {
             let more = [a, b].map(|c| c.keypoints.len() - c.plain_count());
-            line(
-                "tilted views",
-                format!("{} and {} corners more  ({:.1} ms)", more[0], more[1], ms("tilted views")),
-            );
+            line("tilted views", format!("{} and {} corners more  ({:.1} ms)", more[0], more[1], ms("tilted views")));
         }
         line(
             "matches",

@@ -162,6 +162,7 @@ pub fn correlate_along_lines(
                 distance: f64::from(m.distance),
                 size_px: [1.0; 2],
                 map: Matrix2::identity(),
+                polished: false,
             }
         })
         .collect()

@@ -97,12 +97,23 @@ pub struct Pair {
     /// Second picture's pixels by first picture's, around the place: as the descriptors were turned and their scales or views are, or as
     /// the patches were laid onto each other.
     pub map: Matrix2<f64>,
+    /// Whether the patches could be laid onto each other.
+    pub polished: bool,
 }
 
 impl Pair {
     /// A match that came from elsewhere, of the picture's own scale.
     pub fn given(index: usize, a: Vector2<f64>, b: Vector2<f64>) -> Self {
-        Self { a, b, first: index, second: Some(index), distance: 0.0, size_px: [1.0; 2], map: Matrix2::identity() }
+        Self {
+            a,
+            b,
+            first: index,
+            second: Some(index),
+            distance: 0.0,
+            size_px: [1.0; 2],
+            map: Matrix2::identity(),
+            polished: false,
+        }
     }
 }
 
@@ -196,7 +207,6 @@ fn polish_from(first: &Corners, second: &Corners, pair: &mut Pair) -> bool {
     let finest = |ratio: f64| [(1.0 / ratio).max(1.0), ratio.max(1.0)];
     let least = finest(ratio(&pair.map));
     let mut coarseness = (pair.size_px[0] / least[0]).max(pair.size_px[1] / least[1]).max(1.0);
-    let mut polished = false;
     loop {
         let sizes = finest(ratio(&pair.map)).map(|px| px * coarseness);
         let (Some(a), Some(b)) = (first.nearest_scale(sizes[0]), second.nearest_scale(sizes[1])) else { break };
@@ -205,13 +215,13 @@ fn polish_from(first: &Corners, second: &Corners, pair: &mut Pair) -> bool {
         pair.b = b.base(&found.place);
         pair.map = b.linear() * found.map * a.back();
         pair.size_px = [a.size_px(), b.size_px()];
-        polished = true;
+        pair.polished = true;
         if coarseness <= 1.0 {
             break;
         }
         coarseness = (coarseness / POLISH_STEP).max(1.0);
     }
-    polished
+    pair.polished
 }
 
 /// The pair of two keypoints whose patches were described under these directions, radians; alike in that their scales or views are.
@@ -225,7 +235,7 @@ pub fn pair_of(corners: [&Corners; 2], [i, j]: [usize; 2], distance: f64, turns_
         _ => Matrix2::identity(),
     };
     let size_px = [p.size_px, q.size_px];
-    Pair { a: p.position, b: q.position, first: i, second: Some(j), distance, size_px, map }
+    Pair { a: p.position, b: q.position, first: i, second: Some(j), distance, size_px, map, polished: false }
 }
 
 /// What a picture's corners are compared by: each description with the keypoint that it is of, its direction, and where it was taken.
@@ -399,6 +409,7 @@ fn by_flow(first: &Corners, second: &Corners, rule: &FlowMatching) -> Vec<Pair> 
                 distance: f64::from(m.distance),
                 size_px: [1.0; 2],
                 map: Matrix2::identity(),
+                polished: false,
             }
         })
         .collect()

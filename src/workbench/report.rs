@@ -52,6 +52,11 @@ struct MatchRecord {
     a_undistorted: Option<[f64; 2]>,
     #[serde(skip_serializing_if = "Option::is_none")]
     b_undistorted: Option<[f64; 2]>,
+    /// What the places are uncertain by: pixels of each picture a pixel of the scale that the patches were laid onto each other at, or the
+    /// corner was found at.
+    size_px: [f64; 2],
+    /// Whether they could be laid onto each other.
+    polished: bool,
     /// The matcher's measure.
     distance: f64,
     /// Found along an epipolar line in the guided round.
@@ -149,6 +154,8 @@ pub fn document(result: &TwoView, pictures: [&str; 2], sizes: [(usize, usize); 2
             b: place(&p.b),
             a_undistorted: result.undistorted.then(|| place(&result.ideal[i][0])),
             b_undistorted: result.undistorted.then(|| place(&result.ideal[i][1])),
+            size_px: p.size_px,
+            polished: p.polished,
             distance: p.distance,
             guided: i >= result.unguided,
             inlier_fundamental: result.epipolar.as_ref().map(|e| e.estimate.inliers[i]),

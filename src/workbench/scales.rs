@@ -79,8 +79,7 @@ impl Scale {
 
     /// The same made smaller, whole pixels to a side.
     fn resampled(&self, width: usize, height: usize) -> Self {
-        let factor =
-            Vector2::new(self.image.width as f64 / width as f64, self.image.height as f64 / height as f64);
+        let factor = Vector2::new(self.image.width as f64 / width as f64, self.image.height as f64 / height as f64);
         let linear = self.linear * Matrix2::from_diagonal(&factor);
         let offset = self.base(&(0.5 * factor).add_scalar(-0.5));
         let image = resample(&self.image, width, height);
@@ -170,7 +169,8 @@ pub fn tilted(picture: &GreyImage, count: usize) -> Vec<Vec<Scale>> {
 fn linear_grey(image: &GreyImage, at: &Vector2<f64>) -> f64 {
     let x = at.x.clamp(0.0, image.width as f64 - 1.0);
     let y = at.y.clamp(0.0, image.height as f64 - 1.0);
-    let (left, top) = ((x as usize).min(image.width.saturating_sub(2)), (y as usize).min(image.height.saturating_sub(2)));
+    let (left, top) =
+        ((x as usize).min(image.width.saturating_sub(2)), (y as usize).min(image.height.saturating_sub(2)));
     let (right, bottom) = ((left + 1).min(image.width - 1), (top + 1).min(image.height - 1));
     let (across, down) = (x - left as f64, y - top as f64);
     let grey = |x: usize, y: usize| f64::from(image.at(x, y));

@@ -21,8 +21,8 @@ use std::time::Instant;
 use nalgebra::{Matrix3, Vector2};
 
 pub use self::epipolar::Epipolar;
-pub use self::views::{FirstTry, Views};
 use self::epipolar::epipolar;
+pub use self::views::{FirstTry, Views};
 use super::adjustment::Observation;
 use super::detect::{Corners, Detection, add_tilted, detect};
 use super::guided::{Guidance, correlate_along_lines, descriptor_distance, gradient_distance, match_along_lines};

@@ -61,8 +61,10 @@ fn borders_flat_pictures_and_bad_numbers_have_none() {
 
 #[test]
 fn a_row_of_distances_is_the_distances() {
-    let all: Vec<GradientDescriptor> =
-        (0..9).flat_map(|s| GradientMap::new(&picture(texture(s))).describe(40.0, 40.0)).map(|d| d.descriptor).collect();
+    let all: Vec<GradientDescriptor> = (0..9)
+        .flat_map(|s| GradientMap::new(&picture(texture(s))).describe(40.0, 40.0))
+        .map(|d| d.descriptor)
+        .collect();
     let mut row = vec![0; all.len()];
     distances_squared(&all[0], &all, &mut row);
     for (found, other) in row.iter().zip(&all) {

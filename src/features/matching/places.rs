@@ -92,11 +92,7 @@ impl Default for PlaceMatching {
 }
 
 /// Of each descriptor: index of the nearest of the others, its squared distance, and that of the nearest elsewhere.
-fn nearest<D: Comparable>(
-    of: &[D],
-    others: &[D],
-    places: &[Place],
-) -> Vec<Option<(usize, u32, u32)>> {
+fn nearest<D: Comparable>(of: &[D], others: &[D], places: &[Place]) -> Vec<Option<(usize, u32, u32)>> {
     let mut row = vec![0; others.len()];
     of.iter()
         .map(|d| {

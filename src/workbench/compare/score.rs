@@ -148,16 +148,10 @@ fn repeatability(h: &Matrix3<f64>, corners: &[Corners; 2], sizes: [(usize, usize
     };
     // Those that the other picture can show, in the second picture's pixels.
     let [a, b] = [&corners[0], &corners[1]].map(|c| &c.keypoints[..c.plain_count()]);
-    let first: Vec<Vector2<f64>> = a
-        .iter()
-        .map(|k| apply(&both.forward, &k.position))
-        .filter(|p| inside(p, sizes[1]))
-        .collect();
-    let second: Vec<Vector2<f64>> = b
-        .iter()
-        .map(|k| k.position)
-        .filter(|p| inside(&apply(&both.backward, p), sizes[0]))
-        .collect();
+    let first: Vec<Vector2<f64>> =
+        a.iter().map(|k| apply(&both.forward, &k.position)).filter(|p| inside(p, sizes[1])).collect();
+    let second: Vec<Vector2<f64>> =
+        b.iter().map(|k| k.position).filter(|p| inside(&apply(&both.backward, p), sizes[0])).collect();
     let smaller = first.len().min(second.len());
     if smaller == 0 {
         return None;
