@@ -133,7 +133,7 @@ impl Matching {
     pub fn new(matcher: Matcher) -> Self {
         Self {
             matcher,
-            descriptors: PlaceMatching { max_distance: 80.0, max_ratio: 0.85 },
+            descriptors: PlaceMatching { max_distance: 80.0, max_ratio: 0.8, noise: 8.0 },
             gradients: PlaceMatching::default(),
             attributes: AttributeMatching::default(),
             correlation: CorrelationMatching::default(),

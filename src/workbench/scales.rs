@@ -229,6 +229,55 @@ mod tests {
     }
 
     #[test]
+    fn a_tilted_view_shows_what_its_map_says_and_no_more_detail_than_it_has_pixels_for() {
+        let picture = |grey: &dyn Fn(f64, f64) -> f64| {
+            let mut picture = GreyImage::new(320, 280);
+            for (i, p) in picture.data.iter_mut().enumerate() {
+                *p = grey((i % 320) as f64, (i / 320) as f64).round() as u8;
+            }
+            picture
+        };
+        let smooth = |x: f64, y: f64| 128.0 + 50.0 * (x / 30.0).sin() + 50.0 * (y / 23.0).cos();
+        let views = tilted(&picture(&smooth), 3);
+        // 72 / t degrees apart: 180 t / 72.
+        assert_eq!(views.iter().filter(|v| v[0].tilt == 2.0).count(), 5);
+        assert_eq!(views.len(), 9);
+        for scale in views.iter().flatten() {
+            let middle = Vector2::new(159.5, 139.5);
+            let local = scale.local(&middle);
+            assert!((scale.base(&local) - middle).norm() < 1e-9);
+            let stretch = scale.linear().singular_values();
+            assert!((stretch.max() / stretch.min() - scale.tilt).abs() < 0.05, "{stretch}");
+            let whole = local.map(f64::round);
+            let base = scale.base(&whole);
+            let seen = f64::from(scale.image.at(whole.x as usize, whole.y as usize));
+            assert!((seen - smooth(base.x, base.y)).abs() < 8.0, "{seen} {}", smooth(base.x, base.y));
+        }
+        // Stripes five pixels wide: what is squeezed across them is grey, what is squeezed along them is not.
+        let striped = tilted(&picture(&|x, _| if (x / 2.5) as usize % 2 == 0 { 30.0 } else { 220.0 }), 1);
+        let contrast = |scale: &Scale| {
+            let at = scale.local(&Vector2::new(159.5, 139.5)).map(|v| v as usize);
+            let row: Vec<u8> =
+                (at.x - 8..at.x + 8).flat_map(|x| (at.y - 8..at.y + 8).map(move |y| scale.image.at(x, y))).collect();
+            f64::from(row.iter().max().unwrap() - row.iter().min().unwrap())
+        };
+        let of = |tilt: f64, along: f64| {
+            let view = striped
+                .iter()
+                .map(|v| &v[0])
+                .find(|v| v.tilt == tilt && (v.linear()[(0, 0)] / v.linear().column(0).norm() - along).abs() < 0.4);
+            contrast(view.expect("a view"))
+        };
+        assert!(of(2.0, 1.0) < 40.0 && of(2.0, 0.0) > 60.0, "{} {}", of(2.0, 1.0), of(2.0, 0.0));
+    }
+
+    #[test]
+    fn pictures_too_small_for_it_have_no_tilted_views() {
+        assert!(tilted(&GreyImage::new(200, 600), 8).is_empty());
+        assert!(tilted(&GreyImage::new(1, 1), 8).is_empty());
+    }
+
+    #[test]
     fn small_pictures_have_one_scale() {
         assert_eq!(scales(&GreyImage::new(64, 64), 8).len(), 1);
         assert_eq!(scales(&GreyImage::new(1, 1), 8).len(), 1);

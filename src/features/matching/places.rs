@@ -83,11 +83,14 @@ pub struct PlaceMatching {
     /// The nearest must be nearer than this share of the nearest elsewhere, in both directions; 1 = any. Between 0.8 and 0.9 it makes
     /// little difference.
     pub max_ratio: f32,
+    /// Nearer than this is no nearer: so much noise alone makes of one patch. Along a plain edge everything is alike to within less, and which
+    /// of it is nearest is chance.
+    pub noise: f32,
 }
 
 impl Default for PlaceMatching {
     fn default() -> Self {
-        Self { max_distance: 0.8, max_ratio: 0.85 }
+        Self { max_distance: 0.8, max_ratio: 0.85, noise: 0.15 }
     }
 }
 
@@ -123,7 +126,8 @@ pub fn match_places<D: Comparable>(
     let forward = nearest(first, second, second_places);
     let backward = nearest(second, first, first_places);
     let clear = |distance: u32, other: u32| {
-        rule.max_ratio >= 1.0 || (distance as f32) < rule.max_ratio * rule.max_ratio * other as f32
+        let distance = (distance as f32).max((rule.noise * D::UNIT).powi(2));
+        rule.max_ratio >= 1.0 || distance < rule.max_ratio * rule.max_ratio * other as f32
     };
     let mut found: Vec<Match> = Vec::new();
     for (i, there) in forward.iter().enumerate() {
@@ -180,6 +184,21 @@ mod tests {
         // The same at another place: neither is clear.
         let far: Vec<Place> = (0..40).map(|i| at(i, 1.0)).chain((0..40).map(|i| at(i + 100, 1.0))).collect();
         assert!(match_places((&both, &far), (&truth, &places[..40]), &rule).is_empty());
+    }
+
+    #[test]
+    fn along_a_plain_edge_nothing_matches_however_near_it_is() {
+        // A few bits of 256 apart, each at its own place: the nearest is nearest by chance.
+        let edge = |i: usize| Descriptor([0, 0, 0, (1 << (i % 5)) - 1]);
+        let all: Vec<Descriptor> = (0..30).map(edge).collect();
+        let places: Vec<Place> = (0..30).map(|i| Place { at: [50.0 * i as f32, 0.0], size_px: 1.0 }).collect();
+        let rule = PlaceMatching { max_distance: 80.0, max_ratio: 0.8, noise: 8.0 };
+        assert!(match_places((&all[..5], &places[..5]), (&all[..5], &places[..5]), &rule).is_empty());
+        // Corners that are far from each other do, and their distance is in bits.
+        let corner = |i: usize| Descriptor(std::array::from_fn(|k| if k == i { u64::MAX } else { 0 }));
+        let all: Vec<Descriptor> = (0..4).map(corner).collect();
+        let found = match_places((&all, &places[..4]), (&all, &places[..4]), &rule);
+        assert!(found.len() == 4 && found.iter().all(|m| m.first == m.second && m.distance == 0.0), "{found:?}");
     }
 
     #[test]

@@ -139,3 +139,80 @@ fn guided_matches_lie_where_the_scene_puts_them() {
         assert!((pair.b - pair.a + Vector2::new(12.0, 0.0)).norm() < 0.1, "seed 5: {pair:?}");
     }
 }
+
+/// Rectangles of every size and grey, and the same seen at a slant: squeezed by `tilt` across and turned, smoothed as a lens does.
+fn slanted(seed: u64, tilt: f64) -> ([GreyImage; 2], Matrix3<f64>) {
+    let mut random = Random::new(seed);
+    let (width, height) = (640usize, 480usize);
+    let mut first = GreyImage::new(width, height);
+    first.data.fill(120);
+    for _ in 0..700 {
+        let (w, h) = (6 + random.below(40), 6 + random.below(40));
+        let (x, y, grey) = (random.below(width), random.below(height), random.below(256) as u8);
+        for row in first.data.chunks_exact_mut(width).skip(y).take(h) {
+            row[x..(x + w).min(width)].fill(grey);
+        }
+    }
+    let middle = Vector2::new(319.5, 239.5);
+    let turn = |degrees: f64| *nalgebra::Rotation2::new(degrees.to_radians()).matrix();
+    let map = turn(15.0) * nalgebra::Matrix2::new(1.0 / tilt, 0.0, 0.0, 1.0) * turn(-35.0);
+    let back = map.try_inverse().expect("invertible");
+    let mut second = GreyImage::new(width, height);
+    for (i, pixel) in second.data.iter_mut().enumerate() {
+        let (mut sum, mut count) = (0.0, 0.0);
+        for k in 0..36 {
+            let off = Vector2::new(f64::from(k % 6) - 2.5, f64::from(k / 6) - 2.5) / 6.0;
+            let at = middle + back * (Vector2::new((i % width) as f64, (i / width) as f64) + off - middle);
+            let at = at.map(f64::round);
+            if at.x >= 0.0 && at.y >= 0.0 && at.x < width as f64 && at.y < height as f64 {
+                sum += f64::from(first.at(at.x as usize, at.y as usize));
+                count += 1.0;
+            }
+        }
+        *pixel = if count > 0.0 { (sum / count) as u8 } else { 120 };
+    }
+    let shift = middle - map * middle;
+    let homography = Matrix3::new(map.m11, map.m12, shift.x, map.m21, map.m22, shift.y, 0.0, 0.0, 1.0);
+    ([first, second], homography)
+}
+
+#[test]
+fn a_slanted_plane_is_matched_in_tilted_views_and_each_corner_once() {
+    for matcher in [Matcher::Gradients, Matcher::Descriptors] {
+        let ([first, second], homography) = slanted(3, 3.2);
+        let detection = Detection { detector: Detector::Fast, scales: 8, max_corners: 1000 };
+        let run = |views: Views| {
+            let options = Options { detection, matching: Matching::new(matcher), views, ..options() };
+            reconstruct(&first, &second, None, &options)
+        };
+        let correct = |result: &TwoView| {
+            let near = |p: &&Pair| (crate::geometry::homography::apply(&homography, &p.a) - p.b).norm() < 3.0;
+            result.pairs.iter().filter(near).count()
+        };
+        let (plain, views, auto) = (run(Views::None), run(Views::Affine), run(Views::Auto));
+        let counts = [&plain, &views, &auto].map(correct);
+        assert!(counts[0] < 10 && counts[1] >= 40 && counts[2] == counts[1], "seed 3: {matcher:?} {counts:?}");
+        let first_try = auto.first_try.as_ref().expect("a first try");
+        assert!(!first_try.kept && first_try.matches == plain.pairs.len() && plain.first_try.is_none());
+        for (i, p) in views.pairs.iter().enumerate() {
+            assert!(views.pairs[..i].iter().all(|q| (p.a - q.a).norm() > 0.5), "seed 3: {p:?} twice");
+        }
+        no_nan(&auto);
+    }
+}
+
+#[test]
+fn views_of_strangers_the_same_and_black_pictures_end_in_outcomes() {
+    let ([first, _], _) = slanted(4, 2.0);
+    let ([other, _], _) = slanted(5, 2.0);
+    let black = GreyImage::new(640, 480);
+    let detection = Detection { detector: Detector::Fast, scales: 8, max_corners: 600 };
+    for views in [Views::Auto, Views::Affine] {
+        let options = Options { detection, views, ..options() };
+        assert_eq!(reconstruct(&first, &first, None, &options).outcome, Outcome::IdenticalPictures);
+        assert!(matches!(reconstruct(&first, &black, None, &options).outcome, Outcome::TooFewCorners { .. }));
+        let strangers = reconstruct(&first, &other, None, &options);
+        let nothing = matches!(strangers.outcome, Outcome::NoModel { .. } | Outcome::TooFewMatches { .. });
+        assert!(nothing, "seeds 4 and 5: {:?}", strangers.outcome);
+    }
+}

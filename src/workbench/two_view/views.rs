@@ -48,9 +48,10 @@ pub struct FirstTry {
 /// Is more wanted than the pictures as they are gave?
 pub(super) fn wants_more(result: &TwoView) -> bool {
     match result.outcome {
-        // Nothing that views could help with.
-        Outcome::IdenticalPictures | Outcome::TooFewCorners { .. } => false,
-        _ => support(result) < FEW_INLIERS,
+        Outcome::TooFewMatches { .. } | Outcome::NoModel { .. } | Outcome::NoPose { .. } => true,
+        _ if result.outcome.is_success() => support(result) < FEW_INLIERS,
+        // Nothing that views could help with; what a plane leaves open, the less exact places of views would close wrongly.
+        _ => false,
     }
 }
 
