@@ -76,7 +76,7 @@ impl Reconstruction {
             world_from_camera: Some(tracked.camera_from_world.inverse()),
             odom_from_camera: Some(self.odom_from_camera),
             anchor: Some(self.reference),
-            covariance: self.covariance(features, tracked),
+            covariance: self.covariance(tracked),
             angular_velocity: angular,
             linear_velocity: linear,
             landmarks: tracked.landmarks as u32,
@@ -88,32 +88,26 @@ impl Reconstruction {
     }
 }
 
-/// What the inverse information of a pose does not contain: the map itself is bent, by what of rolling shutter, lens and depth is
-/// not known, the more the farther a pose is turned from its anchor and the younger the map is.
-#[derive(Debug, Clone, Copy)]
-struct Doubt {
-    /// Factor on the inverse information.
-    factor: f64,
-    /// Variance to add on each axis: rotation (rad^2), translation (map units^2).
-    rotation: f64,
-    translation: f64,
-}
-
-// Fitted (likelihood of Student's t with 8 degrees of freedom) to 6761 frames of 48 simulated runs with every flaw on, seeds 11 to 18
-// at 30 and 21 to 28 at 10 frames a second; then all brought to a mean of 6 over seeds 51 to 70 at 30; judged on others by
-// `tests/hard_cases.rs`. Of what was tried, the angle to the anchor tells most (rank correlation with the error 0.5); the speed of
-// the camera and its changes, the residuals and the readout time's own uncertainty add nothing to it.
-/// Landmarks' places in neighbouring frames share errors of their templates: more of them help less than they seem to.
-const INFORMATION_FACTOR: f64 = 1.23;
-/// Per-axis residual that nine in ten of those frames stay below, px: more tells of a lens that does not fit, or of blur.
-const USUAL_RESIDUAL_PX: f64 = 0.62;
-/// Standard deviation of rotation (rad) and translation (mean depths of the landmarks) for each radian from the anchor.
-const BENT_ROTATION: f64 = 2.37e-3;
-const BENT_TRANSLATION: f64 = 1.23e-3;
-/// A new map is bent by so much more, and for how long, s.
-const YOUNG_BENT: f64 = 7.0;
-const YOUNG_S: f64 = 1.9;
-
+// What the inverse information of a pose does not say: its landmarks' errors are not independent. What is known of them came through the
+// same few keyframes, so they share most of it; beside the anchor, whose templates they are, that cancels, and it shows as the camera
+// leaves its place. With H the information, b the way from the anchor in mean depths, t the angle, d the mean depth, q the mean relative
+// deviation of the n landmarks' distances, r the residual, T the readout time and k = H⁻¹ sum Jᵀ W de/dT, the covariance is
+//
+//   P = f H⁻¹ + B² t² diag(1, 1, 1, d², d², d²) + var(T) k kᵀ
+//   f = A (q / n) (S + b / (b + D)) max(1, (r / R)²)
+//
+// Fitted (likelihood, Gaussian) to FITTED
+/// A, with landmarks.
+const SHARED_ERRORS: f64 = 5200.0;
+/// S and D: what remains of that beside the anchor, and the way, in mean depths, at which half of the rest is there.
+const BESIDE_ANCHOR: f64 = 0.014;
+const SHOWN_HALF: f64 = 0.005;
+/// q where no landmark's distance is known: that of a usual frame.
+const USUAL_DISTANCE_SIGMA: f64 = 0.02;
+/// R, px, on each axis.
+const USUAL_RESIDUAL_PX: f64 = 0.5;
+/// B: standard deviation of rotation (rad) and of translation (mean depths) for each radian from the anchor: map and lens are bent.
+const BENT: f64 = 2.1e-3;
 /// Factor on the quality of a pose while the lens is a guess: angles and depths are off by as much as the focal length is.
 const GUESSED_LENS_QUALITY: f32 = 0.5;
 
@@ -122,8 +116,8 @@ impl Reconstruction {
         if self.intrinsics.is_found() { 1.0 } else { GUESSED_LENS_QUALITY }
     }
 
-    fn covariance(&self, features: &FrameFeatures, tracked: &Tracked) -> Matrix6<f64> {
-        let mut covariance = covariance(&tracked.information, &self.doubt(features, tracked));
+    fn covariance(&self, tracked: &Tracked) -> Matrix6<f64> {
+        let mut covariance = self.covariance_in_map(tracked);
         if let Some(turn) = self.map.keyframe(self.reference).and_then(|k| k.scale_from) {
             let mut translation = covariance.fixed_view_mut::<3, 3>(3, 3);
             translation += self.scale_doubt.covariance(&self.map, turn, &tracked.camera_from_world);
@@ -131,36 +125,35 @@ impl Reconstruction {
         covariance
     }
 
-    fn doubt(&self, features: &FrameFeatures, tracked: &Tracked) -> Doubt {
-        let age_s = features.timestamp_ns.saturating_sub(self.map_began_ns).max(0) as f64 * 1e-9;
-        let anchor = self.map.keyframe(self.reference);
-        let angle = anchor.map_or(0.0, |k| k.camera_from_world.rotation.angle_to(&tracked.camera_from_world.rotation));
-        let bent = angle * (1.0 + YOUNG_BENT * (-age_s / YOUNG_S).exp());
+    /// The formula above; NaN where the information cannot be inverted.
+    fn covariance_in_map(&self, tracked: &Tracked) -> Matrix6<f64> {
+        let unknown = Matrix6::from_element(f64::NAN);
+        let Some(inverse) = tracked.information.matrix.cholesky().map(|c| c.inverse()) else { return unknown };
         let depth = mean_depth(tracked, &self.inliers).unwrap_or(1.0);
+        let pose = &tracked.camera_from_world;
+        let (angle, way) = self.map.keyframe(self.reference).map_or((0.0, 0.0), |anchor| {
+            let step = *pose * anchor.camera_from_world.inverse();
+            (step.rotation.angle(), step.translation.norm() / depth)
+        });
+        let distance_sigma = tracked.information.distance_sigma.unwrap_or(USUAL_DISTANCE_SIGMA);
         let residual_px = tracked.rms_px / std::f64::consts::SQRT_2;
-        Doubt {
-            factor: INFORMATION_FACTOR * (residual_px / USUAL_RESIDUAL_PX).powi(2).max(1.0),
-            rotation: (BENT_ROTATION * bent).powi(2),
-            translation: (BENT_TRANSLATION * bent * depth).powi(2),
+        let factor = SHARED_ERRORS * distance_sigma / tracked.landmarks.max(1) as f64
+            * (BESIDE_ANCHOR + way / (way + SHOWN_HALF))
+            * (residual_px / USUAL_RESIDUAL_PX).powi(2).max(1.0);
+        let pushed = inverse * tracked.information.readout;
+        let mut covariance = inverse * factor + pushed * pushed.transpose() * self.shutter.variance();
+        for i in 0..3 {
+            covariance[(i, i)] += (BENT * angle).powi(2);
+            covariance[(i + 3, i + 3)] += (BENT * angle * depth).powi(2);
         }
+        covariance
     }
 }
 
 /// Mean depth of the landmarks that a pose rests on, map units.
 fn mean_depth(tracked: &Tracked, inliers: &[Match]) -> Option<f64> {
     let sum: f64 = inliers.iter().map(|m| tracked.camera_from_world.transform(&m.point).z).sum();
-    Some(sum / inliers.len() as f64).filter(|d| d.is_finite())
-}
-
-/// Inverse of the information with what it does not contain; NaN where it cannot be inverted.
-fn covariance(information: &Matrix6<f64>, doubt: &Doubt) -> Matrix6<f64> {
-    let Some(factor) = information.cholesky() else { return Matrix6::from_element(f64::NAN) };
-    let mut covariance = factor.inverse() * doubt.factor;
-    for i in 0..3 {
-        covariance[(i, i)] += doubt.rotation;
-        covariance[(i + 3, i + 3)] += doubt.translation;
-    }
-    covariance
+    Some(sum / inliers.len() as f64).filter(|d| d.is_finite() && *d > 0.0)
 }
 
 /// Share of the sought landmarks that agree, less when they are few (100 are plenty).

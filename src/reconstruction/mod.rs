@@ -18,6 +18,7 @@ mod intrinsics;
 pub mod keyframes;
 pub mod local_adjustment;
 mod newcomers;
+mod pose_information;
 pub mod pose_optimisation;
 pub mod relocalise;
 pub mod rolling_shutter;

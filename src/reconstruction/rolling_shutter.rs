@@ -49,6 +49,11 @@ impl Shutter {
         !self.estimate && self.readout_s == 0.0
     }
 
+    /// Variance of the readout time, s^2; zero where it is held.
+    pub fn variance(&self) -> f64 {
+        if self.estimate { self.information.recip() } else { 0.0 }
+    }
+
     /// Share of the readout that a row is late by, against the middle one: -1/2 to 1/2.
     fn delay(&self, row_px: f32) -> f64 {
         (f64::from(row_px) + 0.5) / self.height_px - 0.5

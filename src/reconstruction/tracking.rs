@@ -10,14 +10,15 @@
 //!
 //! Everything reads the map and writes only its own buffers.
 
-use nalgebra::{Matrix6, Vector2, Vector3};
+use nalgebra::{Vector2, Vector3};
 
 use super::Reconstruction;
 use super::assumed_distance::Ray;
 use super::bindings::{Bindings, Target};
 use super::config::ReconstructionConfig;
 use super::newcomers::{ESTABLISHED_FOUND, Newcomers};
-use super::pose_optimisation::{PoseOptions, PosePair, PoseSolution, accumulate, jacobian_rows, optimise_pose};
+use super::pose_information::PoseInformation;
+use super::pose_optimisation::{PoseOptions, PosePair, PoseSolution, jacobian_rows, optimise_pose};
 use super::relocalise::Guess;
 use super::rolling_shutter::Shutter;
 use super::search::{Match, Search, SearchOptions};
@@ -31,8 +32,7 @@ use crate::map::{KeyframeId, LandmarkId, Map};
 #[derive(Debug, Clone, Copy)]
 pub struct Tracked {
     pub camera_from_world: Se3<Camera, World>,
-    /// Inverse is the covariance of the left perturbation; landmarks' own uncertainty is in it.
-    pub information: Matrix6<f64>,
+    pub information: PoseInformation,
     /// Landmarks that were found and agree.
     pub landmarks: usize,
     pub sought: usize,
@@ -267,10 +267,10 @@ impl Tracker {
         if landmarks < config.min_landmarks || chance {
             return None;
         }
-        let information = self.information(frame, &solution);
+        let pose = solution.camera_from_world;
         Some(Tracked {
-            camera_from_world: solution.camera_from_world,
-            information,
+            camera_from_world: pose,
+            information: PoseInformation::of(frame, self.inliers(), &pose),
             landmarks,
             sought,
             rms_px: solution.rms_px,
@@ -325,33 +325,6 @@ impl Tracker {
         }
         judged.unwrap_or(solution)
     }
-
-    /// Information of the pose where every observation's covariance is `sigma^2 I + J_l P_l J_lᵀ`, P_l the landmark's own.
-    fn information(&self, frame: &Frame<'_>, solution: &PoseSolution) -> Matrix6<f64> {
-        let pose = &solution.camera_from_world;
-        let mut h = Matrix6::zeros();
-        for m in self.search.matches.iter().filter(|m| m.inlier) {
-            let p = pose.transform(&m.point);
-            if p.z < 1e-6 {
-                continue;
-            }
-            let pair = m.pair(frame.camera, frame.shutter.readout_s);
-            if let Some(pair) = without_distance(frame, m.landmark, pose, &pair) {
-                let p = pose.transform(&pair.point);
-                let (jx, jy) = jacobian_rows(&p, &(pair.pixel_scale * pair.inv_sigma_px));
-                accumulate(&mut h, &jx, &jy, 1.0);
-                continue;
-            }
-            let (jx, jy) = jacobian_rows(&p, &frame.camera.pixel_scale(&(p.xy() / p.z)));
-            let sigma2 = m.inv_sigma_px.powi(-2);
-            let own = landmark_variance(frame, pose, m, &p);
-            // The two rows are treated as independent: their cross term is small beside sigma^2.
-            let (wx, wy) = (1.0 / (sigma2 + own.x), 1.0 / (sigma2 + own.y));
-            accumulate(&mut h, &jx.map(|v| v * wx.sqrt()), &jy.map(|v| v * wy.sqrt()), 1.0);
-        }
-        h.fill_lower_triangle_with_upper_triangle();
-        h
-    }
 }
 
 fn is_assumed(frame: &Frame<'_>, landmark: LandmarkId) -> bool {
@@ -359,7 +332,7 @@ fn is_assumed(frame: &Frame<'_>, landmark: LandmarkId) -> bool {
 }
 
 /// The pair with the landmark's distance eliminated, if that is assumed.
-fn without_distance(
+pub(super) fn without_distance(
     frame: &Frame<'_>,
     landmark: LandmarkId,
     pose: &Se3<Camera, World>,
@@ -398,7 +371,12 @@ impl Reconstruction {
 
 /// Variance of a match's place that comes from its landmark's own uncertainty, px^2 in x and y; `p`: the landmark in the
 /// coordinates of the camera at `pose`. Zero where it is not known.
-fn landmark_variance(frame: &Frame<'_>, pose: &Se3<Camera, World>, m: &Match, p: &Vector3<f64>) -> Vector2<f64> {
+pub(super) fn landmark_variance(
+    frame: &Frame<'_>,
+    pose: &Se3<Camera, World>,
+    m: &Match,
+    p: &Vector3<f64>,
+) -> Vector2<f64> {
     let Some(landmark) = frame.map.landmark(m.landmark).filter(|_| p.z > 1e-6) else { return Vector2::zeros() };
     let (jx, jy) = jacobian_rows(p, &frame.camera.pixel_scale(&(p.xy() / p.z)));
     let world_from_camera = pose.rotation.inverse();
