@@ -23,6 +23,7 @@ pub mod relocalise;
 pub mod rolling_shutter;
 mod scale_doubt;
 pub mod search;
+mod seed_rays;
 mod start;
 pub mod tracking;
 pub mod types;

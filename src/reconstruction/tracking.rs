@@ -21,6 +21,7 @@ use super::pose_optimisation::{PoseOptions, PosePair, PoseSolution, accumulate, 
 use super::relocalise::Guess;
 use super::rolling_shutter::Shutter;
 use super::search::{Match, Search, SearchOptions};
+use super::seed_rays::SeedRays;
 use crate::features::FrameFeatures;
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, World};
@@ -79,6 +80,7 @@ pub struct Tracker {
     local_of: Option<(KeyframeId, u64)>,
     votes: Vec<(KeyframeId, u32)>,
     newcomers: Newcomers,
+    seeds: SeedRays,
 }
 
 /// Keyframes around the reference whose landmarks are looked for.
@@ -118,6 +120,7 @@ impl Default for Tracker {
             local_of: None,
             votes: Vec::with_capacity(1024),
             newcomers: Newcomers::with_capacity(2048),
+            seeds: SeedRays::with_capacity(2048),
         }
     }
 }
@@ -132,6 +135,7 @@ impl Tracker {
     ) -> Option<Tracked> {
         self.refresh_local(frame.map, reference);
         let radius_px = frame.config.search_radius_px;
+        self.seeds.collect(frame);
         let by_flow = guesses.iter().find_map(|guess| self.predict_by_flow(frame, guess));
         if let Some(pose) = by_flow
             && let Some(tracked) = self.refine(frame, &pose, radius_px, 0)
@@ -148,6 +152,7 @@ impl Tracker {
     /// guess is a pose solved from landmarks, not a neighbour's.
     pub fn relocalise(&mut self, frame: &Frame<'_>, guess: &Guess, precise: bool) -> Option<Tracked> {
         self.flow.clear();
+        self.seeds.clear();
         self.refresh_local(frame.map, guess.reference);
         let (radius, coarse_levels) = if precise { (2.0, 1) } else { (WIDE, 3) };
         self.refine(frame, &guess.camera_from_world, radius * frame.config.search_radius_px, coarse_levels)
@@ -206,6 +211,7 @@ impl Tracker {
             self.flow.push((*id, pair));
             self.pairs.push(pair);
         }
+        self.seeds.append_pairs(guess, frame.motion.as_ref(), frame.shutter, &mut self.pairs);
         if self.pairs.len() < MIN_FLOW {
             return None;
         }
@@ -247,7 +253,7 @@ impl Tracker {
             // The motion that the shutter saw is known only now.
             solution = self.solve(frame, &solution.camera_from_world, motion.as_ref())?;
         }
-        if self.search.matches.iter().any(|m| is_assumed(frame, m.landmark)) {
+        if !self.seeds.is_empty() || self.search.matches.iter().any(|m| is_assumed(frame, m.landmark)) {
             // Distances were eliminated at poses that did not know that the camera has moved.
             for _ in 0..MAX_ELIMINATIONS {
                 let before = solution.camera_from_world;
@@ -267,6 +273,7 @@ impl Tracker {
         if landmarks < config.min_landmarks || chance {
             return None;
         }
+        self.seeds.note_distance(&self.search.matches, &solution.camera_from_world.inverse().translation);
         let information = self.information(frame, &solution);
         Some(Tracked {
             camera_from_world: solution.camera_from_world,
@@ -305,6 +312,7 @@ impl Tracker {
                 self.pairs.push(without_distance(frame, *id, start, pair).unwrap_or(*pair));
             }
         }
+        self.seeds.append_pairs(start, motion, shutter, &mut self.pairs);
         let solution = optimise_pose(start, &self.pairs, &PoseOptions::default(), &mut self.inlier)?;
         for (m, &ok) in self.search.matches.iter_mut().zip(&self.inlier[..matched]) {
             m.inlier = ok;
