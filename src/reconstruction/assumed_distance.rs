@@ -22,8 +22,8 @@ use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::map::{AssumedDistance, KeyframeId, Landmark, LandmarkId, Map, Observation};
 
-/// A keyframe with fewer matches than this makes landmarks at an assumed distance.
-const FEW_MATCHES: usize = 60;
+/// A keyframe with fewer matches than this makes landmarks at an assumed distance, and in a quick turn seeds hold a frame's pose, too.
+pub const FEW_MATCHES: usize = 60;
 /// Standard deviation of the inverse distance in shares of it. A narrow one is worse than none: together, many landmarks would
 /// rather turn the camera than not lie on a sphere.
 const SIGMA_SHARE: f64 = 2.0;

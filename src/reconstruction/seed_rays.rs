@@ -7,12 +7,12 @@
 //! (`assumed_distance`), with the median distance of the landmarks seen last as the assumption.
 //!
 //! Input: the frame's tracks that are seeds. Output: pairs for the optimisation of its pose. They are no landmarks: a pose that is
-//! published rests on enough of these. Cost: some 0.5 us a seed and solution, only while few landmarks are in view. Allocates
+//! published rests on enough of these. Cost: some 0.5 us a seed and solution, only in a quick turn with few landmarks in view. Allocates
 //! nothing once warm. Not here: distances; two keyframes triangulate.
 
 use nalgebra::{Vector2, Vector3};
 
-use super::assumed_distance::Ray;
+use super::assumed_distance::{FEW_MATCHES, Ray};
 use super::bindings::{Seed, Target};
 use super::keyframes::observe;
 use super::pose_optimisation::PosePair;
@@ -26,6 +26,9 @@ use crate::map::{LandmarkId, Observation};
 
 /// Standard deviation of a track's place against its anchor's, px.
 const SIGMA_PX: f64 = 2.0;
+
+/// Between two frames of a quick turn the camera turns by more than this, rad: what comes into view has left it a few frames later.
+const QUICK_TURN_RAD: f64 = 0.05;
 
 /// A seed that the frame sees.
 #[derive(Debug, Clone, Copy)]
@@ -56,10 +59,11 @@ impl SeedRays {
         self.list.clear();
     }
 
-    /// Takes the seeds among the frame's tracks.
-    pub fn collect(&mut self, frame: &Frame<'_>) {
+    /// Takes the seeds among the frame's tracks, if the way from the pose before it to the one expected for it is a quick turn.
+    pub fn collect(&mut self, frame: &Frame<'_>, expected: &[Se3<Camera, World>]) {
         self.list.clear();
-        let Some(distance) = self.distance else { return };
+        let quick = matches!(expected, [next, last, ..] if next.rotation.angle_to(&last.rotation) > QUICK_TURN_RAD);
+        let Some(distance) = self.distance.filter(|_| quick) else { return };
         for track in &frame.features.tracks {
             if let Some(Target::Seed(seed)) = frame.bindings.get(track.id) {
                 self.list.extend(seed_ray(frame, seed, track.position, distance));
@@ -67,15 +71,22 @@ impl SeedRays {
         }
     }
 
-    /// Their pairs near `pose`, for a camera that moves as `motion` says.
+    /// Whether they take part beside so many landmarks.
+    pub fn are_heard(&self, landmarks: usize) -> bool {
+        !self.list.is_empty() && landmarks < FEW_MATCHES
+    }
+
+    /// Their pairs near `pose`, for a camera that moves as `motion` says, where there are few landmarks.
     pub fn append_pairs(
         &self,
+        landmarks: usize,
         pose: &Se3<Camera, World>,
         motion: Option<&CameraMotion>,
         shutter: &Shutter,
         pairs: &mut Vec<PosePair>,
     ) {
-        pairs.extend(self.list.iter().filter_map(|seed| {
+        let heard = if self.are_heard(landmarks) { self.list.as_slice() } else { &[] };
+        pairs.extend(heard.iter().filter_map(|seed| {
             let p = pose.transform(&seed.pair.point);
             let displacement = match motion {
                 Some(motion) if p.z > 1e-6 => shutter.displacement(motion, &p, seed.row_px),
@@ -96,10 +107,6 @@ impl SeedRays {
         let middle = self.distances.len() / 2;
         let (_, &mut median, _) = self.distances.select_nth_unstable_by(middle, f64::total_cmp);
         self.distance = (median.is_finite() && median > 1e-6).then_some(median);
-    }
-
-    pub fn is_empty(&self) -> bool {
-        self.list.is_empty()
     }
 }
 
