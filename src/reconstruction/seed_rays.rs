@@ -28,7 +28,7 @@ use crate::map::{LandmarkId, Observation};
 const SIGMA_PX: f64 = 2.0;
 
 /// Between two frames of a quick turn the camera turns by more than this, rad: what comes into view has left it a few frames later.
-const QUICK_TURN_RAD: f64 = 0.05;
+pub const QUICK_TURN_RAD: f64 = 0.05;
 
 /// A seed that the frame sees.
 #[derive(Debug, Clone, Copy)]
