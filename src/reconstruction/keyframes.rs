@@ -484,21 +484,14 @@ mod tests {
     #[test]
     fn a_keyframe_is_wanted_when_landmarks_run_out_or_the_view_has_changed() {
         let config = ReconstructionConfig::default();
-        let plenty = KeyframeInputs {
-            frames_since_keyframe: 30,
-            landmarks: 150,
-            reference_landmarks: 160,
-            ..Default::default()
-        };
+        let many = KeyframeInputs { landmarks: 150, reference_landmarks: 160, ..Default::default() };
+        let plenty = KeyframeInputs { frames_since_keyframe: 30, ..many };
         assert!(!wants_keyframe(&plenty, &config));
         assert!(wants_keyframe(&KeyframeInputs { landmarks: 80, ..plenty }, &config));
         assert!(wants_keyframe(&KeyframeInputs { parallax_deg: 10.0, ..plenty }, &config));
         let soon = KeyframeInputs { frames_since_keyframe: config.keyframe_gap_frames - 1, landmarks: 110, ..plenty };
         assert!(!wants_keyframe(&soon, &config));
-        assert!(
-            wants_keyframe(&KeyframeInputs { turn_rad: 0.2, ..soon }, &config),
-            "what comes into view leaves it soon"
-        );
+        assert!(wants_keyframe(&KeyframeInputs { turn_rad: 0.2, ..soon }, &config), "a quick turn");
         assert!(wants_keyframe(&KeyframeInputs { landmarks: 60, ..soon }, &config), "half of the view is gone already");
     }
 }
