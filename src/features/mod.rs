@@ -11,6 +11,7 @@ pub mod gradients;
 pub mod matching;
 pub mod optical_flow;
 pub mod patch_sampling;
+mod repetition;
 pub mod stage;
 pub mod susan;
 pub mod susan_large;

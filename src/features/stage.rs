@@ -1,7 +1,8 @@
 //! The feature thread's work as a plain step: decode, pyramid, follow tracks, start new ones where cells are empty.
 //!
 //! Where a track is looked for comes from the motion between blurred thumbnails of the two pictures (fast turns); a track
-//! that is lost there gets a second chance at the median motion of its neighbours. Corners are detected in cells without
+//! that is lost there gets a second chance at the median motion of its neighbours. Where the picture moves quickly, corners that
+//! look like others nearby ([`repetition`](super::repetition)) are followed last and only near where their neighbours went. Corners are detected in cells without
 //! a track, each cell at a threshold of its own that follows its texture. Deterministic; allocates nothing once warm.
 
 use std::sync::Arc;
@@ -12,6 +13,7 @@ use super::alignment::Template;
 use super::config::{DetectorKind, FeaturesConfig};
 use super::fast::FastDetector;
 use super::optical_flow::{FlowOptions, follow};
+use super::repetition::is_repeated;
 use super::susan::SusanDetector;
 use super::thumbnail::{Thumbnail, ThumbnailAligner};
 use super::{CellGrid, Corner, CornerDetector, Feedback, FrameFeatures, Track};
@@ -30,6 +32,8 @@ const BORDER_PX: f32 = 10.0;
 const THUMBNAIL_NCC: f32 = 0.5;
 /// Neighbours whose median motion gives a lost track its second chance.
 const NEIGHBOURS: usize = 5;
+/// Between pictures that moved by more than this a guess can be off by half the period of a pattern, px.
+const QUICK_PX: f32 = 32.0;
 /// Corners are detected when tracks fill less than this share of the cells.
 const FILLED_SHARE: f32 = 0.95;
 /// How much a cell without a corner lowers its threshold, and how often at once in a first picture.
@@ -42,6 +46,8 @@ struct Step {
     track: Track,
     guess: Vector2<f32>,
     found: Option<Vector2<f32>>,
+    /// Followed last.
+    repeated: bool,
 }
 
 /// See the module.
@@ -57,6 +63,8 @@ pub struct FeatureStage {
     aligner: ThumbnailAligner,
     tracks: Vec<Track>,
     steps: Vec<Step>,
+    /// Tracks whose corner looks like another one nearby, ascending id.
+    repeated: Vec<u64>,
     next_id: u64,
     grid: CellGrid,
     /// Threshold of each cell, grey levels.
@@ -85,6 +93,7 @@ impl FeatureStage {
             aligner: ThumbnailAligner::default(),
             tracks: Vec::new(),
             steps: Vec::new(),
+            repeated: Vec::with_capacity(config.max_tracks),
             next_id: 0,
             grid: CellGrid::new(0, 0, config.cell_px, config.threshold),
             thresholds: Vec::new(),
@@ -159,20 +168,28 @@ impl FeatureStage {
             max_return_px: self.config.max_return_px,
             ..FlowOptions::default()
         };
+        let quick = motion.is_some_and(|m| m.shift_px.norm() > QUICK_PX);
         self.steps.clear();
         for &track in &self.tracks {
             let guess = motion.map_or(track.position, |m| m.apply(track.position));
-            let found = follow(previous, current, track.position, guess, &options);
-            self.steps.push(Step { track, guess, found });
+            let repeated = quick && self.repeated.binary_search(&track.id).is_ok();
+            let found = if repeated { None } else { follow(previous, current, track.position, guess, &options) };
+            self.steps.push(Step { track, guess, found, repeated });
         }
         let wide = FlowOptions { coarsest_level: 3, ..options };
-        for i in 0..self.steps.len() {
-            let step = self.steps[i];
-            if step.found.is_none() {
-                let guess = step.guess + neighbours_residual(&self.steps, step.track.position);
-                self.steps[i].found = follow(previous, current, step.track.position, guess, &wide);
+        let close = FlowOptions { coarsest_level: 1, ..options };
+        for (repeated, options) in [(false, wide), (true, close)] {
+            for i in 0..self.steps.len() {
+                let step = self.steps[i];
+                if step.found.is_none() && step.repeated == repeated {
+                    let guess = step.guess + neighbours_residual(&self.steps, step.track.position);
+                    self.steps[i].found = follow(previous, current, step.track.position, guess, &options);
+                }
             }
         }
+        let steps = &self.steps;
+        let living = |id: &u64| steps.binary_search_by_key(id, |s| s.track.id).is_ok_and(|i| steps[i].found.is_some());
+        self.repeated.retain(living);
         self.tracks.clear();
         for step in &self.steps {
             if let Some(position) = step.found {
@@ -255,6 +272,11 @@ impl FeatureStage {
             };
             *threshold = (*threshold * 1.1).min(self.config.threshold);
             if started < room {
+                if Template::from_image(image, *position)
+                    .is_some_and(|t| is_repeated(image, &t, *position, &self.corners))
+                {
+                    self.repeated.push(self.next_id);
+                }
                 self.tracks.push(Track { id: self.next_id, position: *position, age: 0 });
                 self.next_id += 1;
                 started += 1;
@@ -263,12 +285,12 @@ impl FeatureStage {
     }
 }
 
-/// Median of how far the nearest found tracks lie from their guesses.
+/// Median of how far the nearest found tracks, of corners that look like no other, lie from their guesses.
 fn neighbours_residual(steps: &[Step], position: Vector2<f32>) -> Vector2<f32> {
     let mut near = [(f32::INFINITY, Vector2::zeros()); NEIGHBOURS];
     let mut count = 0;
     for step in steps {
-        let Some(found) = step.found else { continue };
+        let Some(found) = step.found.filter(|_| !step.repeated) else { continue };
         let distance = (step.track.position - position).norm_squared();
         if distance < near[NEIGHBOURS - 1].0 {
             let mut i = NEIGHBOURS - 1;

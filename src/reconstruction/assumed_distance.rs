@@ -22,8 +22,8 @@ use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::map::{AssumedDistance, KeyframeId, Landmark, LandmarkId, Map, Observation};
 
-/// A keyframe with fewer matches than this makes landmarks at an assumed distance.
-const FEW_MATCHES: usize = 60;
+/// A keyframe with fewer matches than this makes landmarks at an assumed distance, and in a quick turn seeds hold a frame's pose, too.
+pub const FEW_MATCHES: usize = 60;
 /// Standard deviation of the inverse distance in shares of it. A narrow one is worse than none: together, many landmarks would
 /// rather turn the camera than not lie on a sphere.
 const SIGMA_SHARE: f64 = 2.0;
@@ -50,6 +50,12 @@ impl Ray {
         let assumed = landmark.assumed?;
         let anchor = map.keyframe(*landmark.observers.first()?)?;
         Some(Self::from_anchor(&anchor.camera_from_world, anchor.observation(id)?, readout_s, assumed))
+    }
+
+    /// Of what a keyframe at `anchor` saw, with next to nothing known of its distance but how far away the scene is.
+    pub fn at_distance(anchor: &Se3<Camera, World>, seen: &Observation, readout_s: f64, distance: f64) -> Self {
+        let assumed = AssumedDistance { inverse: 1.0 / distance, sigma: SIGMA_SHARE / distance };
+        Self::from_anchor(anchor, seen, readout_s, assumed)
     }
 
     fn from_anchor(anchor: &Se3<Camera, World>, seen: &Observation, readout_s: f64, assumed: AssumedDistance) -> Self {
@@ -126,9 +132,8 @@ pub fn assume(
     camera: &CameraModel,
     readout_s: f64,
 ) -> Option<Landmark> {
-    let assumed = AssumedDistance { inverse: 1.0 / distance, sigma: SIGMA_SHARE / distance };
     let (&(anchor, first), others) = seen.split_first()?;
-    let ray = Ray::from_anchor(&map.keyframe(anchor)?.camera_from_world, &first, readout_s, assumed);
+    let ray = Ray::at_distance(&map.keyframe(anchor)?.camera_from_world, &first, readout_s, distance);
     let agree = others
         .iter()
         .all(|(k, o)| map.keyframe(*k).is_some_and(|k| ray.agrees(&k.camera_from_world, o, camera, readout_s)));
@@ -138,7 +143,7 @@ pub fn assume(
         covariance: along * along.transpose(),
         observers: Vec::new(),
         created_by: others.last().map_or(anchor, |o| o.0),
-        assumed: Some(assumed),
+        assumed: Some(ray.assumed),
         sought: 1,
         found: 1,
         disagreed: 0,

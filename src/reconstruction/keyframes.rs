@@ -15,6 +15,7 @@ use super::pose_optimisation::{CHI2_2D_95, jacobian_rows};
 use super::relocalise::thumbnail_of;
 use super::rolling_shutter::Shutter;
 use super::search::{Match, SearchOptions, affine_warp, align_template};
+use super::seed_rays::QUICK_TURN_RAD;
 use super::types::TrajectoryEvent;
 use crate::features::{Feedback, FrameFeatures};
 use crate::geometry::camera_motion::CameraMotion;
@@ -24,7 +25,7 @@ use crate::image::Pyramid;
 use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, MapId, Observation, TurnId};
 
 /// What the decision looks at.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub struct KeyframeInputs {
     pub frames_since_keyframe: u64,
     /// Landmarks the frame's pose rests on.
@@ -33,14 +34,20 @@ pub struct KeyframeInputs {
     pub reference_landmarks: usize,
     /// Median angle between the rays to the frame's landmarks from here and from the reference keyframe, degrees.
     pub parallax_deg: f64,
+    /// How far the camera has turned since the frame before; 0 if that is not known.
+    pub turn_rad: f64,
 }
+
+/// In a quick turn every frame with fewer landmarks than this becomes a keyframe.
+const FEW_IN_QUICK_TURN: usize = 120;
 
 /// Whether a frame becomes a keyframe.
 pub fn wants_keyframe(inputs: &KeyframeInputs, config: &ReconstructionConfig) -> bool {
     let expected = inputs.reference_landmarks.min(config.landmarks_per_frame) as f64;
     // A view that changes within two frames (fast turn, low frame rate) leaves no time to wait; nor do the last landmarks.
     let urgent = (inputs.landmarks as f64) < config.keyframe_share * config.keyframe_share * expected
-        || inputs.landmarks < 3 * config.min_landmarks && inputs.parallax_deg > config.min_parallax_deg;
+        || inputs.landmarks < 3 * config.min_landmarks && inputs.parallax_deg > config.min_parallax_deg
+        || inputs.landmarks < FEW_IN_QUICK_TURN && inputs.turn_rad > QUICK_TURN_RAD;
     if inputs.frames_since_keyframe < config.keyframe_gap_frames && !urgent {
         return false;
     }
@@ -477,13 +484,14 @@ mod tests {
     #[test]
     fn a_keyframe_is_wanted_when_landmarks_run_out_or_the_view_has_changed() {
         let config = ReconstructionConfig::default();
-        let plenty =
-            KeyframeInputs { frames_since_keyframe: 30, landmarks: 150, reference_landmarks: 160, parallax_deg: 0.5 };
+        let many = KeyframeInputs { landmarks: 150, reference_landmarks: 160, ..Default::default() };
+        let plenty = KeyframeInputs { frames_since_keyframe: 30, ..many };
         assert!(!wants_keyframe(&plenty, &config));
         assert!(wants_keyframe(&KeyframeInputs { landmarks: 80, ..plenty }, &config));
         assert!(wants_keyframe(&KeyframeInputs { parallax_deg: 10.0, ..plenty }, &config));
         let soon = KeyframeInputs { frames_since_keyframe: config.keyframe_gap_frames - 1, landmarks: 110, ..plenty };
         assert!(!wants_keyframe(&soon, &config));
+        assert!(wants_keyframe(&KeyframeInputs { turn_rad: 0.2, ..soon }, &config), "a quick turn");
         assert!(wants_keyframe(&KeyframeInputs { landmarks: 60, ..soon }, &config), "half of the view is gone already");
     }
 }

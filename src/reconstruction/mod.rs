@@ -24,6 +24,7 @@ pub mod relocalise;
 pub mod rolling_shutter;
 mod scale_doubt;
 pub mod search;
+mod seed_rays;
 mod start;
 pub mod tracking;
 pub mod types;
@@ -272,6 +273,7 @@ impl Reconstruction {
             landmarks: self.inliers.len(),
             reference_landmarks: reference.observations.len(),
             parallax_deg: keyframes::median_parallax_deg(self.inliers.iter(), &here, &there, &mut self.angles),
+            turn_rad: self.last.and_then(|last| last.motion).map_or(0.0, |(step, _)| step.rotation.angle()),
         };
         let is_assumed = |m: &&Match| self.map.landmark(m.landmark).is_some_and(|l| l.assumed.is_some());
         let assumed = self.inliers.iter().filter(is_assumed).count();

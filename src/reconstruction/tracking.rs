@@ -4,7 +4,8 @@
 //!    optimisation): it follows any acceleration that the flow could follow.
 //! 2. *Search*: local landmarks are projected and aligned against keyframe templates ([`search`](super::search)).
 //! 3. *Optimisation*: robust, motion-only, over everything found; tracks whose template was not found (blur) help with a
-//!    smaller weight.
+//!    smaller weight. In a quick turn that leaves few landmarks in view, tracks without depth hold the pose across their epipolar lines
+//!    (`seed_rays`).
 //!    Newcomers among the landmarks must then agree with the established ones (`newcomers`).
 //! 4. If that rests on too few landmarks: once more with a wide, coarse-to-fine search from each other guess that there is.
 //!
@@ -22,6 +23,7 @@ use super::pose_optimisation::{PoseOptions, PosePair, PoseSolution, jacobian_row
 use super::relocalise::Guess;
 use super::rolling_shutter::Shutter;
 use super::search::{Match, Search, SearchOptions};
+use super::seed_rays::SeedRays;
 use crate::features::FrameFeatures;
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, World};
@@ -79,6 +81,7 @@ pub struct Tracker {
     local_of: Option<(KeyframeId, u64)>,
     votes: Vec<(KeyframeId, u32)>,
     newcomers: Newcomers,
+    seeds: SeedRays,
 }
 
 /// Keyframes around the reference whose landmarks are looked for.
@@ -118,6 +121,7 @@ impl Default for Tracker {
             local_of: None,
             votes: Vec::with_capacity(1024),
             newcomers: Newcomers::with_capacity(2048),
+            seeds: SeedRays::with_capacity(2048),
         }
     }
 }
@@ -132,6 +136,7 @@ impl Tracker {
     ) -> Option<Tracked> {
         self.refresh_local(frame.map, reference);
         let radius_px = frame.config.search_radius_px;
+        self.seeds.collect(frame, guesses);
         let by_flow = guesses.iter().find_map(|guess| self.predict_by_flow(frame, guess));
         if let Some(pose) = by_flow
             && let Some(tracked) = self.refine(frame, &pose, radius_px, 0)
@@ -148,6 +153,7 @@ impl Tracker {
     /// guess is a pose solved from landmarks, not a neighbour's.
     pub fn relocalise(&mut self, frame: &Frame<'_>, guess: &Guess, precise: bool) -> Option<Tracked> {
         self.flow.clear();
+        self.seeds.clear();
         self.refresh_local(frame.map, guess.reference);
         let (radius, coarse_levels) = if precise { (2.0, 1) } else { (WIDE, 3) };
         self.refine(frame, &guess.camera_from_world, radius * frame.config.search_radius_px, coarse_levels)
@@ -206,6 +212,7 @@ impl Tracker {
             self.flow.push((*id, pair));
             self.pairs.push(pair);
         }
+        self.seeds.append_pairs(self.flow.len(), guess, frame.motion.as_ref(), frame.shutter, &mut self.pairs);
         if self.pairs.len() < MIN_FLOW {
             return None;
         }
@@ -247,7 +254,8 @@ impl Tracker {
             // The motion that the shutter saw is known only now.
             solution = self.solve(frame, &solution.camera_from_world, motion.as_ref())?;
         }
-        if self.search.matches.iter().any(|m| is_assumed(frame, m.landmark)) {
+        let matches = &self.search.matches;
+        if self.seeds.are_heard(matches.len()) || matches.iter().any(|m| is_assumed(frame, m.landmark)) {
             // Distances were eliminated at poses that did not know that the camera has moved.
             for _ in 0..MAX_ELIMINATIONS {
                 let before = solution.camera_from_world;
@@ -268,6 +276,7 @@ impl Tracker {
             return None;
         }
         let pose = solution.camera_from_world;
+        self.seeds.note_distance(&self.search.matches, &pose.inverse().translation);
         Some(Tracked {
             camera_from_world: pose,
             information: PoseInformation::of(frame, self.inliers(), &pose),
@@ -305,6 +314,7 @@ impl Tracker {
                 self.pairs.push(without_distance(frame, *id, start, pair).unwrap_or(*pair));
             }
         }
+        self.seeds.append_pairs(self.search.matches.len(), start, motion, shutter, &mut self.pairs);
         let solution = optimise_pose(start, &self.pairs, &PoseOptions::default(), &mut self.inlier)?;
         for (m, &ok) in self.search.matches.iter_mut().zip(&self.inlier[..matched]) {
             m.inlier = ok;
