@@ -2,7 +2,7 @@
 //!
 //! Where a track is looked for comes from the motion between blurred thumbnails of the two pictures (fast turns); a track
 //! that is lost there gets a second chance at the median motion of its neighbours. Where the picture moves quickly, corners that
-//! look like others nearby ([`repetition`](super::repetition)) are followed last and only near where their neighbours went. Corners are detected in cells without
+//! look like others nearby (`repetition`) are followed last and only near where their neighbours went. Corners are detected in cells without
 //! a track, each cell at a threshold of its own that follows its texture. Deterministic; allocates nothing once warm.
 
 use std::sync::Arc;
@@ -155,6 +155,7 @@ impl FeatureStage {
     fn start_over(&mut self, pyramid: &Pyramid) {
         let (width, height) = pyramid.size();
         self.tracks.clear();
+        self.repeated.clear();
         self.fresh = true;
         self.grid = CellGrid::new(width, height, self.config.cell_px, self.config.threshold);
         self.thresholds.clear();

@@ -38,8 +38,8 @@ pub struct KeyframeInputs {
     pub turn_rad: f64,
 }
 
-/// In a quick turn every frame with fewer landmarks than this becomes a keyframe.
-const FEW_IN_QUICK_TURN: usize = 120;
+/// In a quick turn every frame with less than this share of the landmarks that a frame may have becomes a keyframe.
+const FEW_IN_QUICK_TURN: f64 = 0.55;
 
 /// Whether a frame becomes a keyframe.
 pub fn wants_keyframe(inputs: &KeyframeInputs, config: &ReconstructionConfig) -> bool {
@@ -47,7 +47,8 @@ pub fn wants_keyframe(inputs: &KeyframeInputs, config: &ReconstructionConfig) ->
     // A view that changes within two frames (fast turn, low frame rate) leaves no time to wait; nor do the last landmarks.
     let urgent = (inputs.landmarks as f64) < config.keyframe_share * config.keyframe_share * expected
         || inputs.landmarks < 3 * config.min_landmarks && inputs.parallax_deg > config.min_parallax_deg
-        || inputs.landmarks < FEW_IN_QUICK_TURN && inputs.turn_rad > QUICK_TURN_RAD;
+        || inputs.turn_rad > QUICK_TURN_RAD
+            && (inputs.landmarks as f64) < FEW_IN_QUICK_TURN * config.landmarks_per_frame as f64;
     if inputs.frames_since_keyframe < config.keyframe_gap_frames && !urgent {
         return false;
     }

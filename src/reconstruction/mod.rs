@@ -105,8 +105,6 @@ pub struct Reconstruction {
     angles: Vec<f64>,
     relocaliser: Relocaliser,
     shutter: Shutter,
-    /// When the present map was started; the least time for one that was loaded.
-    map_began_ns: i64,
 }
 
 impl Reconstruction {
@@ -160,7 +158,6 @@ impl Reconstruction {
             angles: Vec::with_capacity(1024),
             relocaliser: Relocaliser::default(),
             shutter: Shutter::new(config.readout_ms * 1e-3, camera.height, config.estimate_readout),
-            map_began_ns: i64::MIN,
         }
     }
 
@@ -247,6 +244,7 @@ impl Reconstruction {
         self.reference = self.tracker.best_reference(&self.map).unwrap_or(self.reference);
         self.inliers.clear();
         self.inliers.extend(self.tracker.inliers());
+        self.tracker.note_distance(&pose.inverse().translation);
         let mut motion = None;
         if let Some(last) = &self.last {
             let dt = (features.timestamp_ns - last.timestamp_ns) as f64 * 1e-9;

@@ -42,8 +42,11 @@ impl PoseInformation {
             let pair = m.pair(frame.camera, frame.shutter.readout_s);
             if let Some(pair) = without_distance(frame, m.landmark, pose, &pair) {
                 let p = pose.transform(&pair.point);
-                let (jx, jy) = jacobian_rows(&p, &(pair.pixel_scale * pair.inv_sigma_px));
+                let scale = pair.pixel_scale * pair.inv_sigma_px;
+                let (jx, jy) = jacobian_rows(&p, &scale);
                 accumulate(&mut matrix, &jx, &jy, 1.0);
+                let moved = scale * m.displacement;
+                readout += Vector6::from(jx) * moved.x + Vector6::from(jy) * moved.y;
                 continue;
             }
             let scale = frame.camera.pixel_scale(&(p.xy() / p.z));
@@ -59,7 +62,8 @@ impl PoseInformation {
             let ray: Vector3<f64> = world_from_camera * p.normalize();
             let sigma = ray.dot(&(landmark.covariance * ray)).sqrt() / p.norm();
             if sigma.is_finite() {
-                sigmas += sigma;
+                // A distance can be no less known than not at all.
+                sigmas += sigma.min(1.0);
                 count += 1;
             }
         }

@@ -61,7 +61,6 @@ impl Reconstruction {
             }
         }
         self.state = TrackingState::Tracking;
-        self.map_began_ns = features.timestamp_ns;
         self.last_keyframe_frame = self.frame;
         self.counters.keyframes_made += self.map.keyframes.len() as u64;
         self.counters.landmarks_made += self.map.landmarks.len() as u64;

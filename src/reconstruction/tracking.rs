@@ -197,7 +197,7 @@ impl Tracker {
         self.local.dedup();
     }
 
-    /// Pose from the tracks that are bound to landmarks; `None` if too few of them agree.
+    /// Pose from the tracks that are bound to landmarks, and in a quick turn from seeds beside them; `None` if too few agree.
     fn predict_by_flow(&mut self, frame: &Frame<'_>, guess: &Se3<Camera, World>) -> Option<Se3<Camera, World>> {
         let Frame { map, bindings, features, camera, .. } = *frame;
         self.flow.clear();
@@ -213,7 +213,8 @@ impl Tracker {
             self.pairs.push(pair);
         }
         self.seeds.append_pairs(self.flow.len(), guess, frame.motion.as_ref(), frame.shutter, &mut self.pairs);
-        if self.pairs.len() < MIN_FLOW {
+        // Seeds alone would rest on a distance that nobody knows.
+        if self.flow.is_empty() || self.pairs.len() < MIN_FLOW {
             return None;
         }
         let options = PoseOptions { first_round_relaxation: 25.0, ..PoseOptions::default() };
@@ -221,6 +222,11 @@ impl Tracker {
         let mut flags = self.inlier.iter();
         self.flow.retain(|_| flags.next().copied().unwrap_or(false));
         (solution.inliers >= MIN_FLOW && 2 * solution.inliers >= self.pairs.len()).then_some(solution.camera_from_world)
+    }
+
+    /// Notes how far away is what the frame that was accepted has seen, from its place in the world.
+    pub(super) fn note_distance(&mut self, centre: &Vector3<f64>) {
+        self.seeds.note_distance(&self.search.matches, centre);
     }
 
     /// Search at `guess` and optimise; a second search at the result when the first had to look widely.
@@ -276,7 +282,6 @@ impl Tracker {
             return None;
         }
         let pose = solution.camera_from_world;
-        self.seeds.note_distance(&self.search.matches, &pose.inverse().translation);
         Some(Tracked {
             camera_from_world: pose,
             information: PoseInformation::of(frame, self.inliers(), &pose),

@@ -128,7 +128,7 @@ pub struct Keypoint {
 #[derive(Debug, Clone, Default)]
 pub struct Corners {
     pub keypoints: Vec<Keypoint>,
-    /// Corners found, before the strongest were taken.
+    /// Corners found in the picture's own scales, before the strongest were taken.
     pub found: usize,
     /// The picture's own first, then those of tilted views.
     pub scales: Vec<Scale>,
@@ -174,7 +174,9 @@ fn add(corners: &mut Corners, scales: Vec<Scale>, count: usize, options: &Detect
     for (scale, weight) in scales.into_iter().zip(weights) {
         let mut found = search(detector.as_mut(), &scale.image, options.detector.thresholds());
         found.retain(|c| scale.is_plain() || shows_the_picture(&scale, c, size));
-        corners.found += found.len();
+        if scale.is_plain() {
+            corners.found += found.len();
+        }
         let share = (count as f64 * weight / total).round() as usize;
         for corner in strongest(found, &scale.image, share) {
             let at = Vector2::new(f64::from(corner.x), f64::from(corner.y));
@@ -196,7 +198,7 @@ fn add(corners: &mut Corners, scales: Vec<Scale>, count: usize, options: &Detect
 fn shows_the_picture(view: &Scale, corner: &Corner, (width, height): (usize, usize)) -> bool {
     let at = Vector2::new(f64::from(corner.x), f64::from(corner.y));
     let reach = GRADIENT_BORDER as f64;
-    [(-reach, 0.0), (reach, 0.0), (0.0, -reach), (0.0, reach)].into_iter().all(|(dx, dy)| {
+    [(-reach, -reach), (reach, -reach), (-reach, reach), (reach, reach)].into_iter().all(|(dx, dy)| {
         let p = view.base(&(at + Vector2::new(dx, dy)));
         p.x >= 0.0 && p.y >= 0.0 && p.x <= width as f64 - 1.0 && p.y <= height as f64 - 1.0
     })

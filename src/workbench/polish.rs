@@ -8,7 +8,7 @@
 //! - The patch is cut around a whole pixel, so that only the second picture is interpolated (cubic, Keys 1981): an interpolated
 //!   template is blurred, and pulls.
 //!
-//! Cost: 20 us a match. Deliberately not here: finding the place (`super::pairing`), turned patches: the map starts unturned.
+//! Cost: 20 us a match. Deliberately not here: finding the place or the turn (`super::pairing`).
 
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 

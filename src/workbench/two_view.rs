@@ -28,6 +28,7 @@ use super::detect::{Corners, Detection, add_tilted, detect};
 use super::guided::{Guidance, correlate_along_lines, descriptor_distance, gradient_distance, match_along_lines};
 use super::pairing::{Matcher, Matching, Pair, align_pairs, pair_corners, polish_pair, polish_pairs};
 use super::pose::{LINE_SIGMAS, PoseInput, PoseSteps, median, pose_steps};
+use crate::features::matching::SAME_CORNER_PX;
 use crate::geometry::LensModel;
 use crate::geometry::camera_model::CameraModel;
 use crate::geometry::epipolar::sampson_squared;
@@ -212,14 +213,14 @@ pub fn reconstruct(first: &GreyImage, second: &GreyImage, cameras: Option<&Camer
     if views == Views::Affine && !identical && !few {
         tilt(&mut chain, &mut corners);
     }
-    let result = chain.from_corners(corners, identical, cameras, options);
+    let result = chain.after_corners(corners, identical, cameras, options);
     if views != Views::Auto || !views::wants_more(&result) {
         return result;
     }
     let mut chain = Chain::new();
     let mut corners = result.corners.clone();
     tilt(&mut chain, &mut corners);
-    let again = chain.from_corners(corners, identical, cameras, options);
+    let again = chain.after_corners(corners, identical, cameras, options);
     views::better(result, again)
 }
 
@@ -291,7 +292,7 @@ impl Chain {
     }
 
     /// Everything from the corners on.
-    fn from_corners(
+    fn after_corners(
         mut self,
         corners: [Corners; 2],
         identical: bool,
@@ -388,7 +389,12 @@ impl Chain {
         let mut first = first;
         let mut more = Vec::new();
         for pair in found {
-            let free = !first[pair.first] && pair.second.is_none_or(|j| !second[j]);
+            // The same corner may have been matched in a tilted view, where it has another number.
+            let again = out.pairs.iter().zip(&inliers).any(|(p, inlier)| {
+                let reach = f64::from(SAME_CORNER_PX) * p.size_px[0].max(pair.size_px[0]);
+                *inlier && (p.a - pair.a).norm() <= reach
+            });
+            let free = !again && !first[pair.first] && pair.second.is_none_or(|j| !second[j]);
             if free && !out.pairs.iter().any(|p| p.first == pair.first && p.second == pair.second) {
                 first[pair.first] = true;
                 more.push(pair);

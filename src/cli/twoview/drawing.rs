@@ -76,8 +76,7 @@ pub fn write(
 }
 
 fn corner_marks(corners: &Corners) -> Vec<CornerMark> {
-    corners
-        .keypoints
+    corners.keypoints[..corners.plain_count()]
         .iter()
         .map(|k| CornerMark {
             at: k.position,

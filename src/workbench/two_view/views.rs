@@ -55,14 +55,24 @@ pub(super) fn wants_more(result: &TwoView) -> bool {
     }
 }
 
-/// The result that more inliers of a model stand for; of equals that with views.
+/// A success before what is none, then what more inliers of a model stand for; of equals that with views. Its corners' time is the first
+/// try's, who found them; what else the other try took is a step of its own.
 pub(super) fn better(first: TwoView, second: TwoView) -> TwoView {
-    let kept = support(&first) > support(&second);
+    let rank = |r: &TwoView| (r.outcome.is_success(), support(r));
+    let kept = rank(&first) > rank(&second);
     let [matches, inliers] = [first.pairs.len(), inliers(&first)];
     let first_try = FirstTry { outcome: first.outcome.clone(), matches, inliers, kept };
-    let spent = ("without tilted views", first.total_ms());
-    let mut out = if kept { TwoView { times: second.times, ..first } } else { second };
-    out.times.insert(0, spent);
+    let mut out = if kept {
+        let mut out = first;
+        out.times.push(("with tilted views", second.total_ms()));
+        out
+    } else {
+        let corners = first.times.iter().find(|(step, _)| *step == "corners").copied();
+        let spent = ("without tilted views", first.total_ms() - corners.map_or(0.0, |c| c.1));
+        let mut out = second;
+        out.times.splice(0..0, corners.into_iter().chain([spent]));
+        out
+    };
     out.first_try = Some(first_try);
     out
 }
