@@ -191,7 +191,7 @@ fn a_slanted_plane_is_matched_in_tilted_views_and_each_corner_once() {
         };
         let (plain, views, auto) = (run(Views::None), run(Views::Affine), run(Views::Auto));
         let counts = [&plain, &views, &auto].map(correct);
-        assert!(counts[0] < 10 && counts[1] >= 20 && counts[2] == counts[1], "seed 3: {matcher:?} {counts:?}");
+        assert!(counts[0] < 5 && counts[1] >= 15 && counts[2] == counts[1], "seed 3: {matcher:?} {counts:?}");
         let first_try = auto.first_try.as_ref().expect("a first try");
         assert!(!first_try.kept && first_try.matches == plain.pairs.len() && plain.first_try.is_none());
         for (i, p) in views.pairs.iter().enumerate() {
