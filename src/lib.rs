@@ -23,8 +23,11 @@
 //! - Frame-to-frame tracks (optical flow on 8x8 patches, started from the motion of a blurred thumbnail) predict the pose.
 //! - Landmarks of the covisible keyframes are projected with it and aligned, to sub-pixel places, against templates cut
 //!   from the keyframe with the closest view. Templates belong to keyframes, so positions do not drift with the frames.
-//! - A robust motion-only adjustment over these gives pose and covariance; the covariance contains the landmarks' own.
-//! - Seeds (tracks without depth) become landmarks at keyframes, where their rays meet at a degree or more.
+//! - A robust motion-only adjustment over these gives pose and covariance; the covariance contains the landmarks' own, what of it they
+//!   share, and the readout time's.
+//! - Seeds (tracks without depth) become landmarks at keyframes, where their rays meet at a degree or more. In a quick turn with few
+//!   landmarks they hold a frame's pose across their epipolar lines (`seed_rays`), every frame is a keyframe, and tracks on
+//!   patterns are followed last (`features::repetition`).
 //! - A start is a reference view (once its tracks are gone a later one), the newest one and up to eight in between, adjusted together;
 //!   it is accepted once the direction of
 //!   the first motion is sure enough for how long the camera has moved, and most of the picture agrees with it, so neither standing

@@ -198,7 +198,7 @@ fn add(corners: &mut Corners, scales: Vec<Scale>, count: usize, options: &Detect
 fn shows_the_picture(view: &Scale, corner: &Corner, (width, height): (usize, usize)) -> bool {
     let at = Vector2::new(f64::from(corner.x), f64::from(corner.y));
     let reach = GRADIENT_BORDER as f64;
-    [(-reach, -reach), (reach, -reach), (-reach, reach), (reach, reach)].into_iter().all(|(dx, dy)| {
+    [(-reach, 0.0), (reach, 0.0), (0.0, -reach), (0.0, reach)].into_iter().all(|(dx, dy)| {
         let p = view.base(&(at + Vector2::new(dx, dy)));
         p.x >= 0.0 && p.y >= 0.0 && p.x <= width as f64 - 1.0 && p.y <= height as f64 - 1.0
     })
