@@ -387,12 +387,13 @@ impl Chain {
         let first = taken(|p| Some(p.first), ideal[0].len());
         let second = taken(|p| p.second, ideal[1].len());
         let mut first = first;
+        let plain = out.corners[0].plain_count();
         let mut more = Vec::new();
         for pair in found {
             // The same corner may have been matched in a tilted view, where it has another number.
             let again = out.pairs.iter().zip(&inliers).any(|(p, inlier)| {
                 let reach = f64::from(SAME_CORNER_PX) * p.size_px[0].max(pair.size_px[0]);
-                *inlier && (p.a - pair.a).norm() <= reach
+                *inlier && p.first >= plain && (p.a - pair.a).norm() <= reach
             });
             let free = !again && !first[pair.first] && pair.second.is_none_or(|j| !second[j]);
             if free && !out.pairs.iter().any(|p| p.first == pair.first && p.second == pair.second) {
