@@ -62,7 +62,8 @@ pub(super) fn any_cut_stands_out(
     options: &RansacOptions,
 ) -> bool {
     let trials = (cuts.len() as f64).log10();
-    let options = RansacOptions { max_log10_false_alarms: options.max_log10_false_alarms - trials, ..*options };
+    let max_log10_false_alarms = options.max_log10_false_alarms - trials;
+    let options = RansacOptions { max_log10_false_alarms, least_share: 1.0, ..*options };
     let mut workspace = Workspace::default();
     cuts.iter().any(|cut| {
         let beside = Beside { matches: matches.clone().filter(|m| m.distance > *cut).collect(), stranger };

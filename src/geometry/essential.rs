@@ -327,7 +327,7 @@ pub fn estimate_essential(
         inlier_count: workspace.inliers().len(),
         inliers: workspace.mask().to_vec(),
         iterations: found.iterations,
-        score: ransac::score(&problem, &essential, threshold, f64::INFINITY)?,
+        score: ransac::score(&problem, &essential, &ransac::Cost::msac(threshold), f64::INFINITY)?,
         log10_false_alarms,
     })
 }
@@ -360,7 +360,7 @@ fn plane_twins(
             let Some(better) = problem.refit(&e, &near) else { break };
             e = better;
         }
-        if let Some(score) = ransac::score(problem, &e, options.threshold, best.1) {
+        if let Some(score) = ransac::score(problem, &e, &options.cost(), best.1) {
             best = (e, score);
         }
     }

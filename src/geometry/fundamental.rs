@@ -23,7 +23,7 @@ use super::least_squares::{LeastSquares, LmOptions, Loss, NormalEquations, minim
 use super::null_space::{RowTriangle, null_space};
 use super::point_set::{Conditioning, all_finite, bounding_box, chance_near_line, spread};
 use super::polynomial::real_roots;
-use super::ransac::{self, Estimator, RansacOptions, Workspace};
+use super::ransac::{self, Cost, Estimator, RansacOptions, Workspace};
 use super::rotation::rotation_nearest;
 
 /// The equation of a match in the entries of F, row by row.
@@ -166,6 +166,8 @@ pub fn refine_fundamental(
 struct Problem {
     x1: Vec<Vector2<f64>>,
     x2: Vec<Vector2<f64>>,
+    /// Of the local refits.
+    loss: Loss,
 }
 
 impl Problem {
@@ -210,7 +212,7 @@ impl Estimator for Problem {
             return None;
         }
         let options = LmOptions { max_iterations: 6, relative_cost: 1e-4, ..LmOptions::default() };
-        refine_fundamental(f, inliers.iter().map(|&i| self.at(i)), Loss::Squared, &options)
+        refine_fundamental(f, inliers.iter().map(|&i| self.at(i)), self.loss, &options)
     }
 
     fn chance(&self, threshold: f64) -> f64 {
@@ -258,11 +260,16 @@ pub fn estimate_fundamental(
     if !all_finite(x1) || !all_finite(x2) {
         return None;
     }
+    let options = RansacOptions { threshold: options.threshold * conditioning.scale, ..*options };
+    // Where the noise is not one, the exact matches count most in every fit.
+    let least = Loss::Cauchy(options.least_share * options.threshold);
+    let (loss, last_loss) =
+        if options.least_share < 1.0 { (least, least) } else { (Loss::Squared, Loss::Cauchy(2.0 * options.threshold)) };
     let problem = Problem {
         x1: x1.iter().map(|x| conditioning.first(x)).collect(),
         x2: x2.iter().map(|x| conditioning.second(x)).collect(),
+        loss,
     };
-    let options = RansacOptions { threshold: options.threshold * conditioning.scale, ..*options };
     let threshold = options.threshold;
     let mut workspace = Workspace::default();
     let found = ransac::estimate(&problem, &options, &mut workspace)?;
@@ -278,7 +285,7 @@ pub fn estimate_fundamental(
     for _ in 0..2 {
         ransac::collect_inliers(&problem, &model, ransac::REFIT_WIDTH * threshold, &mut near);
         let matches = near.iter().map(|&i| problem.at(i));
-        model = refine_fundamental(&model, matches, Loss::Cauchy(2.0 * threshold), &LmOptions::default())?;
+        model = refine_fundamental(&model, matches, last_loss, &LmOptions::default())?;
     }
     let log10_false_alarms = ransac::judge(&problem, &model, &options, &mut workspace)?;
     let inliers = workspace.inliers();
@@ -295,7 +302,7 @@ pub fn estimate_fundamental(
         inlier_count: inliers.len(),
         inliers: workspace.mask().to_vec(),
         iterations: found.iterations,
-        score: ransac::score(&problem, &model, threshold, f64::INFINITY)?,
+        score: ransac::score(&problem, &model, &Cost::msac(threshold), f64::INFINITY)?,
         log10_false_alarms,
         degeneracy,
     })
@@ -313,6 +320,7 @@ fn dominant_plane(problem: &Problem, options: &RansacOptions, workspace: &Worksp
     let pick = |x: &[Vector2<f64>]| inliers.iter().map(|&i| x[i]).collect::<Vec<_>>();
     let options = RansacOptions {
         threshold: 2.0 * options.threshold,
+        least_share: 1.0,
         max_iterations: 300,
         min_inliers: inliers.len() / 2 + 1,
         ..*options
@@ -382,7 +390,7 @@ fn plane_and_parallax(problem: &Problem, options: &RansacOptions, h: &TwoWay, mo
     let options = RansacOptions { max_iterations: options.max_iterations.min(1000), ..*options };
     let mut workspace = Workspace::default();
     if let Some(found) = ransac::estimate(&parallax, &options, &mut workspace) {
-        if ransac::score(&parallax, model, options.threshold, found.score).is_none() {
+        if ransac::score(&parallax, model, &options.cost(), found.score).is_none() {
             *model = found.model;
         }
     } else if ransac::judge(&parallax, model, &options, &mut workspace).is_none() {

@@ -271,7 +271,7 @@ pub fn estimate_homography(
         inlier_count: inliers.len(),
         inliers: workspace.mask().to_vec(),
         iterations: found.iterations,
-        score: ransac::score(&problem, &model, options.threshold, f64::INFINITY)?,
+        score: ransac::score(&problem, &model, &ransac::Cost::msac(options.threshold), f64::INFINITY)?,
         log10_false_alarms,
     })
 }

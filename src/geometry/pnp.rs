@@ -185,7 +185,7 @@ pub fn estimate_pose<To, From>(
         inlier_count: workspace.inliers().len(),
         inliers: workspace.mask().to_vec(),
         iterations: found.iterations,
-        score: ransac::score(&problem, &pose, options.threshold, f64::INFINITY)?,
+        score: ransac::score(&problem, &pose, &ransac::Cost::msac(options.threshold), f64::INFINITY)?,
         log10_false_alarms,
     })
 }

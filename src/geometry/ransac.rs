@@ -3,12 +3,14 @@
 //! Data with outliers -> model, inlier mask, statistics; `None` when no model stands out from chance.
 //! - Random samples without replacement (Fischler & Bolles 1981) from a seeded generator.
 //! - MSAC score (Torr & Zisserman 2000): `sum min(r² / T², 1)`, lower is better, and its evaluation stops as soon as it
-//!   is worse than the best. Each new best is locally optimised (Chum, Matas, Kittler 2003) by the estimator's
-//!   non-minimal refit.
+//!   is worse than the best; where the data's noise is not one, averaged over thresholds ([`Cost`]). Each new best is locally
+//!   optimised (Chum, Matas, Kittler 2003) by the estimator's non-minimal refit. With many models of nearly equal score several
+//!   searches are run and their refined models compared.
 //! - Stops when a sample better than the best would have been found with the asked confidence; bounded by
 //!   `max_iterations` whatever the data.
-//! - A model is told from an accident by its expected number of false alarms (Moisan & Stival 2004): the chance that
-//!   random data contain any model with as many inliers. So pure noise gives `None`, however good its best fit looks.
+//! - A model is told from an accident by its expected number of false alarms (Moisan & Stival 2004), the least of those at the
+//!   thresholds of its cost: the chance that random data contain any model with as many inliers. So pure noise gives `None`,
+//!   however good its best fit looks.
 //!
 //! The [`Workspace`] keeps every buffer: a warm one allocates nothing. Residuals and thresholds are in the estimator's
 //! unit. Cost: `iterations * models * data * residual`, the last factor cut by the early stop.
@@ -42,10 +44,15 @@ pub trait Estimator {
 pub struct RansacOptions {
     /// Largest residual of an inlier, in the estimator's unit. About 2 to 2.5 sigma of the noise.
     pub threshold: f64,
+    /// The same of the most exact data that there may be, as a share of it; 1 where all are alike ([`Cost`]).
+    pub least_share: f64,
     /// Probability of having drawn an outlier-free sample when the loop stops early.
     pub confidence: f64,
     pub min_iterations: usize,
     pub max_iterations: usize,
+    /// A search starts afresh after so many samples, and the best of all searches counts: once a model is well refined, samples that could be
+    /// refined to a better one are no longer better by themselves.
+    pub search_iterations: usize,
     /// Refits of each new best model; 0 switches local optimisation off.
     pub local_iterations: usize,
     /// Refits to random subsets of a new best model's inliers.
@@ -65,9 +72,11 @@ impl RansacOptions {
     pub fn new(threshold: f64) -> Self {
         Self {
             threshold,
+            least_share: 1.0,
             confidence: 0.9999,
             min_iterations: 50,
             max_iterations: 5000,
+            search_iterations: usize::MAX,
             local_iterations: 4,
             inner_samples: 5,
             local_data: 150,
@@ -75,6 +84,11 @@ impl RansacOptions {
             max_log10_false_alarms: -3.0,
             seed: 1,
         }
+    }
+
+    /// What a datum costs.
+    pub fn cost(&self) -> Cost {
+        Cost::new(self.least_share * self.threshold, self.threshold)
     }
 
     /// The settings for a single pair with few or poor matches, where the best model and not the first good one is
@@ -117,7 +131,7 @@ pub struct Consensus<M> {
     pub inlier_count: usize,
     /// Samples drawn.
     pub iterations: usize,
-    /// `sum min(r² / T², 1)` over all data.
+    /// Sum of all data's [`Cost`].
     pub score: f64,
     /// log10 of the expected number of models as good as this one in random data.
     pub log10_false_alarms: f64,
@@ -141,7 +155,11 @@ pub fn estimate<E: Estimator>(
     let mut best: Option<(E::Model, f64)> = None;
     let mut needed = options.max_iterations;
     let mut iterations = 0;
+    let mut current: Option<(E::Model, f64)> = None;
     while iterations < needed.max(options.min_iterations).min(options.max_iterations) {
+        if iterations % options.search_iterations.max(1) == 0 {
+            current = None;
+        }
         iterations += 1;
         let mut sample = [0; MAX_SAMPLE];
         let sample = &mut sample[..E::SAMPLE_SIZE];
@@ -150,18 +168,22 @@ pub fn estimate<E: Estimator>(
         estimator.solve_minimal(sample, &mut workspace.models);
         let mut improved = false;
         for model in &workspace.models {
-            let limit = best.as_ref().map_or(f64::INFINITY, |b| b.1);
-            if let Some(score) = score(estimator, model, options.threshold, limit) {
-                best = Some((model.clone(), score));
+            let limit = current.as_ref().map_or(f64::INFINITY, |b| b.1);
+            if let Some(score) = score(estimator, model, &options.cost(), limit) {
+                current = Some((model.clone(), score));
                 improved = true;
             }
         }
-        if let (true, Some(found)) = (improved, best.as_mut()) {
+        if let (true, Some(found)) = (improved, current.as_mut()) {
             let rounds = options.local_iterations;
             optimise(estimator, options, found, rounds, options.local_data, &mut workspace.inliers);
             resample(estimator, options, found, &mut random, workspace);
+            if best.as_ref().is_some_and(|b| b.1 <= found.1) {
+                continue;
+            }
             collect_inliers(estimator, &found.0, options.threshold, &mut workspace.inliers);
             needed = iterations_needed(workspace.inliers.len(), count, E::SAMPLE_SIZE, options.confidence);
+            best = Some(found.clone());
         }
     }
     let mut best = best?;
@@ -170,6 +192,9 @@ pub fn estimate<E: Estimator>(
     let log10_false_alarms = judge(estimator, &model, options, workspace)?;
     Some(Consensus { model, inlier_count: workspace.inliers.len(), iterations, score, log10_false_alarms })
 }
+
+/// Ratio of one threshold that a model is judged at to the next.
+const STEP_OF_THRESHOLDS: f64 = 1.25;
 
 /// Collects the inliers of `model` into the workspace and returns its log10 number of false alarms; `None` when it
 /// does not stand out. For models that were refined after the loop.
@@ -185,31 +210,77 @@ pub fn judge<E: Estimator>(
     workspace.mask.resize(count, false);
     workspace.inliers.iter().for_each(|&i| workspace.mask[i] = true);
     let inliers = workspace.inliers.len();
-    let false_alarms = log10_false_alarms(inliers, count, E::SAMPLE_SIZE, estimator.chance(options.threshold));
+    // The number of false alarms has the choice of a threshold in it already.
+    let steps = ((1.0 / options.least_share).ln() / STEP_OF_THRESHOLDS.ln()).clamp(0.0, 100.0);
+    let false_alarms = (0..=steps as i32).map(|k| {
+        let threshold = options.threshold / STEP_OF_THRESHOLDS.powi(k);
+        let is_within = |i: &&usize| estimator.residual_squared(model, **i) <= threshold * threshold;
+        let within = if k == 0 { inliers } else { workspace.inliers.iter().filter(is_within).count() };
+        log10_false_alarms(within, count, E::SAMPLE_SIZE, estimator.chance(threshold))
+    });
+    let false_alarms = false_alarms.fold(f64::INFINITY, f64::min);
     let accepted = inliers >= options.min_inliers.max(E::SAMPLE_SIZE) && false_alarms <= options.max_log10_false_alarms;
     accepted.then_some(false_alarms)
 }
 
-/// MSAC score, or `None` as soon as it is not below `limit`. A residual that is not a number counts as an outlier.
+/// What a residual costs: MSAC's `min(r² / t², 1)`, averaged over the thresholds t from `least` to `most` with their logarithm uniform, as
+/// of a noise that is known to no more than its order (Barath, Noskova, Matas: Marginalizing sample consensus, PAMI 2022). One for an
+/// outlier; with `least = most` MSAC itself.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Cost {
+    least_squared: f64,
+    most_squared: f64,
+    /// ln(most / least)
+    range: f64,
+}
+
+impl Cost {
+    /// Thresholds in the unit of the residuals; `least` down to a thousandth of `most`.
+    pub fn new(least: f64, most: f64) -> Self {
+        let least = least.max(1e-3 * most).min(most);
+        Self { least_squared: least * least, most_squared: most * most, range: (most / least).ln() }
+    }
+
+    pub fn msac(threshold: f64) -> Self {
+        Self::new(threshold, threshold)
+    }
+
+    /// Of a squared residual, times the largest threshold squared. One that is not a number counts as an outlier.
+    #[inline]
+    fn scaled(&self, squared: f64) -> f64 {
+        // f64::min drops a NaN.
+        let squared = squared.min(self.most_squared);
+        if self.least_squared == self.most_squared {
+            return squared;
+        }
+        // The integral of min(r² / t², 1) / t from least to most.
+        let sum = if squared < self.least_squared {
+            0.5 * squared * (1.0 / self.least_squared - 1.0 / self.most_squared)
+        } else {
+            0.5 * ((squared / self.least_squared).ln() + 1.0 - squared / self.most_squared)
+        };
+        sum * self.most_squared / self.range
+    }
+}
+
+/// Sum of the data's [`Cost`], or `None` as soon as it is not below `limit`.
 #[inline]
-pub fn score<E: Estimator>(estimator: &E, model: &E::Model, threshold: f64, limit: f64) -> Option<f64> {
-    let squared = threshold * threshold;
-    let limit = limit * squared;
+pub fn score<E: Estimator>(estimator: &E, model: &E::Model, cost: &Cost, limit: f64) -> Option<f64> {
+    let limit = limit * cost.most_squared;
     let count = estimator.data_count();
     let mut sum = 0.0;
     let mut next = 0;
     while next < count {
         let end = (next + 16).min(count);
         for datum in next..end {
-            // f64::min drops a NaN.
-            sum += estimator.residual_squared(model, datum).min(squared);
+            sum += cost.scaled(estimator.residual_squared(model, datum));
         }
         if sum >= limit {
             return None;
         }
         next = end;
     }
-    Some(sum / squared)
+    Some(sum / cost.most_squared)
 }
 
 /// Refits `best` (a model and its score) to its own inliers while that lowers the score. `inliers` is a buffer.
@@ -234,7 +305,7 @@ pub fn optimise<E: Estimator>(
             inliers.truncate(data);
         }
         let Some(model) = estimator.refit(&best.0, inliers) else { return };
-        let Some(score) = score(estimator, &model, options.threshold, best.1) else { return };
+        let Some(score) = score(estimator, &model, &options.cost(), best.1) else { return };
         let gain = best.1 - score;
         *best = (model, score);
         if gain < 1e-3 * score {
@@ -265,7 +336,7 @@ fn resample<E: Estimator>(
             workspace.inliers.swap(i, j);
         }
         let Some(model) = estimator.refit(&best.0, &workspace.inliers[..size]) else { continue };
-        if let Some(score) = score(estimator, &model, options.threshold, best.1) {
+        if let Some(score) = score(estimator, &model, &options.cost(), best.1) {
             *best = (model, score);
             optimise(estimator, options, best, options.local_iterations, options.local_data, &mut workspace.inliers);
         }
@@ -358,6 +429,20 @@ mod tests {
             points.push((random.uniform(-10.0, 10.0), random.uniform(-10.0, 10.0)));
         }
         Line { points }
+    }
+
+    #[test]
+    fn the_cost_is_msac_averaged_over_the_logarithm_of_the_threshold() {
+        let (least, most) = (0.3f64, 2.0f64);
+        let cost = |c: &Cost, r: f64| c.scaled(r * r) / c.most_squared;
+        for r in [0.0, 0.1, 0.299, 0.301, 1.0, 1.999, 2.001, 50.0] {
+            let at = |k: usize| least * (most / least).powf((k as f64 + 0.5) / 10_000.0);
+            let mean = (0..10_000).map(|k| cost(&Cost::msac(at(k)), r)).sum::<f64>() / 10_000.0;
+            let found = cost(&Cost::new(least, most), r);
+            assert!((found - mean).abs() < 1e-3, "{r}: {found} {mean}");
+        }
+        assert!((cost(&Cost::new(least, most), f64::NAN) - 1.0).abs() < 1e-12);
+        assert!((cost(&Cost::msac(most), 1.0) - 0.25).abs() < 1e-15);
     }
 
     #[test]

@@ -3,8 +3,10 @@
 //! Input: the matches as undistorted pixels, or as the pictures' own where no camera is known. Output: [`Epipolar`], F with `x_Bᵀ F x_A = 0`
 //! in those pixels. Without cameras, F is that of one camera (eq. 6's assumption) with its centre in the middle wherever the matches do
 //! not speak against it.
+//! Matches are placed to between a tenth of a pixel and several, by the scale they were found at and whether they could be polished: the search
+//! takes no noise for known ([`crate::geometry::ransac::Cost`]).
 //!
-//! Cost: that of the robust loop (`geometry::fundamental`), 1 to 100 ms by the share of outliers.
+//! Cost: that of the robust loop (`geometry::fundamental`), 10 to 300 ms by the share of outliers.
 
 use nalgebra::{Matrix3, Vector2};
 
@@ -21,6 +23,12 @@ use crate::workbench::pose::{INLIER_SIGMAS, LINE_SIGMAS, MIN_NOISE_PX, median, n
 
 /// 95 % point of chi-square with two degrees of freedom.
 const CHI2_TWO: f64 = 5.99;
+
+/// Least threshold of an inlier, as a share of the largest: matches of fine scales that were laid onto each other are several times as exact as
+/// those of coarse scales that were not, and a few exact ones say more of F than many that are near many F.
+const LEAST_SHARE: f64 = 0.3;
+/// Samples of one search: several F are about as good at first, and it is the refined ones that must be compared.
+const SEARCH_ITERATIONS: usize = 100;
 
 /// Share of the free F's inliers that the F of one camera must have.
 const KEPT_INLIERS: f64 = 0.95;
@@ -45,15 +53,24 @@ pub struct Epipolar {
 pub(super) fn epipolar(out: &TwoView, options: &Options) -> Option<Epipolar> {
     let (u1, u2): (Vec<_>, Vec<_>) = out.ideal.iter().map(|[a, b]| (*a, *b)).unzip();
     let threshold = LINE_SIGMAS * options.sigma_px;
-    let ransac = RansacOptions { seed: options.seed, ..RansacOptions::thorough(threshold) };
+    let ransac = RansacOptions {
+        seed: options.seed,
+        least_share: LEAST_SHARE,
+        search_iterations: SEARCH_ITERATIONS,
+        ..RansacOptions::thorough(threshold)
+    };
     let mut estimate = estimate_fundamental(&u1, &u2, &ransac)?;
     let distances =
         |f: &Matrix3<f64>| -> Vec<f64> { u1.iter().zip(&u2).map(|(a, b)| sampson_squared(f, a, b).sqrt()).collect() };
     let mut residuals_px = distances(&estimate.fundamental);
     let mut noise_px = noise(residuals_px.iter().zip(&estimate.inliers).filter(|(_, i)| **i).map(|(r, _)| *r));
+    // Where not all places are exact, those that are still count most, as they did in the search.
+    let loss_px = |sigma_px: f64| (2.0 * sigma_px).min(LEAST_SHARE * threshold);
     for _ in 0..2 {
         let sigma = noise_px.clamp(MIN_NOISE_PX, options.sigma_px);
-        let Some(better) = refined(&estimate.fundamental, &u1, &u2, &residuals_px, sigma) else { break };
+        let Some(better) = refined(&estimate.fundamental, &u1, &u2, &residuals_px, sigma, loss_px(sigma)) else {
+            break;
+        };
         let limit = threshold.min(INLIER_SIGMAS * sigma);
         let moved = distances(&better);
         let inliers: Vec<bool> = moved.iter().map(|r| *r <= limit).collect();
@@ -154,6 +171,7 @@ fn refined(
     u2: &[Vector2<f64>],
     residuals_px: &[f64],
     sigma_px: f64,
+    loss_px: f64,
 ) -> Option<Matrix3<f64>> {
     let conditioning = Conditioning::of(u1, u2)?;
     let (to_first, to_second) = (conditioning.matrix1(), conditioning.matrix2());
@@ -165,7 +183,7 @@ fn refined(
     if near.len() < MIN_MATCHES {
         return None;
     }
-    let loss = Loss::Cauchy(2.0 * sigma_px * conditioning.scale);
+    let loss = Loss::Cauchy(loss_px * conditioning.scale);
     let better = refine_fundamental(&conditioned, near.iter().copied(), loss, &LmOptions::default())?;
     let f = to_second.transpose() * better * to_first;
     let norm = f.norm();
@@ -192,7 +210,7 @@ mod tests {
         let u2: Vec<_> = scene.x2.iter().map(|x| noisy(x * focal + MIDDLE + off)).collect();
         let start = eight_point(&u1, &u2).expect("F");
         let far = vec![0.0; u1.len()];
-        let free = refined(&start, &u1, &u2, &far, SIGMA_PX).expect("F of least distance");
+        let free = refined(&start, &u1, &u2, &far, SIGMA_PX, 2.0 * SIGMA_PX).expect("F of least distance");
         let f = one_camera(&free, MIDDLE, &u1, &u2, SIGMA_PX)?;
         let mut distances: Vec<f64> = u1.iter().zip(&u2).map(|(a, b)| sampson_squared(&f, a, b).sqrt()).collect();
         Some(median(&mut distances))
