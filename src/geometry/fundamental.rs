@@ -321,6 +321,7 @@ fn dominant_plane(problem: &Problem, options: &RansacOptions, workspace: &Worksp
     let options = RansacOptions {
         threshold: 2.0 * options.threshold,
         least_share: 1.0,
+        search_iterations: usize::MAX,
         max_iterations: 300,
         min_inliers: inliers.len() / 2 + 1,
         ..*options
@@ -387,7 +388,8 @@ const CUTS: [f64; 3] = [1.0, 3.0, 6.0];
 fn plane_and_parallax(problem: &Problem, options: &RansacOptions, h: &TwoWay, model: &mut Matrix3<f64>) -> Epipole {
     let beside = (0..problem.data_count()).filter(|&i| !on_plane(problem, h, i, options.threshold)).collect();
     let parallax = Parallax { problem, plane: h, beside };
-    let options = RansacOptions { max_iterations: options.max_iterations.min(1000), ..*options };
+    let max_iterations = options.max_iterations.min(1000);
+    let options = RansacOptions { max_iterations, search_iterations: usize::MAX, ..*options };
     let mut workspace = Workspace::default();
     if let Some(found) = ransac::estimate(&parallax, &options, &mut workspace) {
         if ransac::score(&parallax, model, &options.cost(), found.score).is_none() {
