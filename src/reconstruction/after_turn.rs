@@ -179,7 +179,7 @@ fn resolve_between(map: &mut Map, from: KeyframeId, camera: &CameraModel, readou
                 Some(PosePair::observed(landmark.position, o, camera, readout_s))
             })
             .collect();
-        let options = PoseOptions { first_round_relaxation: 25.0, ..PoseOptions::default() };
+        let options = PoseOptions { first_round_relaxation: 25.0, leverage: false, ..PoseOptions::default() };
         let solved = optimise_pose(&keyframe.camera_from_world, &pairs, &options, &mut inlier);
         if let Some(solved) = solved.filter(|s| 2 * s.inliers > pairs.len())
             && let Some(keyframe) = map.keyframes.get_mut(id.0)

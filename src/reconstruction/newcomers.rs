@@ -6,22 +6,31 @@
 //! uncertainty, lets it lie. If those together still move the pose by more than its uncertainty, they lie there because they move
 //! together, and only those are left that agree without that allowance.
 //!
-//! Input: the pairs of one frame (world point, undistorted observation), which of them are established, the solution over all.
-//! Output: the solution over the established and the newcomers that agree. Test: chi-square of the innovation, `e' (s² I + J P
-//! J')⁻¹ e`, P the covariance of the established solution (Bar-Shalom, Li, Kirubarajan 2001, section 5.4). Cost: two or three
+//! Input: the pairs of one frame (world point, undistorted observation), which of them are established, the solution over all and the
+//! options that it was made with. Output: the solution over the established and the newcomers that agree. Test: chi-square of the
+//! innovation, `e' (s² I + J P J')⁻¹ e`, P the covariance of the established solution (Bar-Shalom, Li, Kirubarajan 2001, section 5.4): at
+//! the scale of its own residuals, or, where most newcomers contradict that, at that of the standard deviations. Cost: two or three
 //! warm motion-only optimisations. It does not judge the established ones: the optimisation's own outlier test does.
 
 use nalgebra::{Matrix2, Matrix6, Vector6};
 
 use super::pose_optimisation::{CHI2_2D_95, PoseOptions, PosePair, PoseSolution, jacobian_rows, optimise_pose, scaled};
 
-/// Frames in which a landmark must have been found to be established.
-pub const ESTABLISHED_FOUND: u32 = 20;
+/// A landmark is established once it was found in as many frames as this time holds, s, and in that many at the least.
+const ESTABLISHED_S: f64 = 0.65;
+const ESTABLISHED_FRAMES: u32 = 5;
+/// The same in frames where the time between them is not known.
+const ESTABLISHED_FOUND: u32 = 20;
 /// Established pairs that must agree to be asked.
 const MIN_ESTABLISHED: usize = 15;
 
 /// 99 % limit of chi-square with six degrees of freedom.
 const CHI2_6D_99: f64 = 16.812;
+
+/// Frames in which a landmark must have been found to be established; `step_s`: time from frame to frame.
+pub fn established_found(step_s: Option<f64>) -> u32 {
+    step_s.map_or(ESTABLISHED_FOUND, |s| ((ESTABLISHED_S / s).ceil() as u32).max(ESTABLISHED_FRAMES))
+}
 
 /// Buffers, kept between frames.
 #[derive(Debug, Default)]
@@ -47,6 +56,7 @@ impl Newcomers {
         pairs: &[PosePair],
         established: impl Fn(usize) -> bool,
         solution: &PoseSolution,
+        options: &PoseOptions,
         inlier: &mut [bool],
     ) -> Option<PoseSolution> {
         self.established.clear();
@@ -54,25 +64,23 @@ impl Newcomers {
         if !inlier.iter().zip(&self.established).any(|(&inlier, &established)| inlier && !established) {
             return None;
         }
-        let options = PoseOptions::default();
         take(pairs, &self.established, &mut self.pairs);
-        self.heard.clear();
-        self.heard.resize(pairs.len(), false);
-        let own = optimise_pose(&solution.camera_from_world, &self.pairs, &options, &mut self.inlier)?;
+        let own = optimise_pose(&solution.camera_from_world, &self.pairs, options, &mut self.inlier)?;
         if own.inliers < MIN_ESTABLISHED || 2 * own.inliers < self.pairs.len() {
             return None;
         }
         let doubt = own.information.cholesky()?.inverse();
+        // The established pose is as sure as its own residuals say, unless most newcomers say that it is not: they are seldom wrong
+        // all over, it is where a turn leaves it little at the edge of the picture.
+        let sure = doubt * (own.scale * own.scale);
+        let doubt = if 2 * self.hear(pairs, &own, &sure) < self.hear(pairs, &own, &doubt) { doubt } else { sure };
         let mut agreed = own;
         // Together they may still pull further than one alone could: then only those count that lie just where the established
         // pose puts them.
         for doubt in [doubt, Matrix6::zeros()] {
-            for (i, pair) in pairs.iter().enumerate() {
-                self.heard[i] =
-                    self.established[i] || innovation(pair, &own, &doubt).is_some_and(|chi2| chi2 <= CHI2_2D_95);
-            }
+            self.hear(pairs, &own, &doubt);
             take(pairs, &self.heard, &mut self.pairs);
-            agreed = optimise_pose(&own.camera_from_world, &self.pairs, &options, &mut self.inlier)?;
+            agreed = optimise_pose(&own.camera_from_world, &self.pairs, options, &mut self.inlier)?;
             let step = agreed.camera_from_world * own.camera_from_world.inverse();
             let (w, v) = (step.rotation.scaled_axis(), step.translation);
             let pull = Vector6::new(w.x, w.y, w.z, v.x, v.y, v.z);
@@ -85,6 +93,18 @@ impl Newcomers {
             *to = *heard && flags.next().copied().unwrap_or(false);
         }
         Some(agreed)
+    }
+
+    /// Hears the established, and the newcomers that lie where a pose of that covariance lets them lie; how many these are.
+    fn hear(&mut self, pairs: &[PosePair], own: &PoseSolution, doubt: &Matrix6<f64>) -> usize {
+        let mut newcomers = 0;
+        self.heard.clear();
+        for (pair, &established) in pairs.iter().zip(&self.established) {
+            let agrees = !established && innovation(pair, own, doubt).is_some_and(|chi2| chi2 <= CHI2_2D_95);
+            newcomers += usize::from(agrees);
+            self.heard.push(established || agrees);
+        }
+        newcomers
     }
 }
 
@@ -169,7 +189,9 @@ mod tests {
             let bent = off(&all);
             let newcomers = |inlier: &[bool]| inlier[60..].iter().filter(|i| **i).count();
             assert!(bent > 0.004 && newcomers(&inlier) > 60, "seed {seed}: the scene is too easy, off by {bent}");
-            let asked = Newcomers::default().judge(&pairs, |i| i < 60, &all, &mut inlier).expect("a judgement");
+            let asked = Newcomers::default()
+                .judge(&pairs, |i| i < 60, &all, &PoseOptions::default(), &mut inlier)
+                .expect("a judgement");
             assert!(off(&asked) < 0.5 * bent, "seed {seed}: off by {} and before by {bent}", off(&asked));
             assert!(newcomers(&inlier) < 45, "seed {seed}: {} newcomers took part", newcomers(&inlier));
         }
@@ -183,11 +205,19 @@ mod tests {
             let (truth, pairs) = scene(seed, 60, 90, Vector3::zeros());
             let (all, mut inlier) = solved(&truth, &pairs);
             before += count(&inlier);
-            Newcomers::default().judge(&pairs, |i| i < 60, &all, &mut inlier).expect("a judgement");
+            Newcomers::default()
+                .judge(&pairs, |i| i < 60, &all, &PoseOptions::default(), &mut inlier)
+                .expect("a judgement");
             after += count(&inlier);
         }
         // One set in a hundred looks by chance as if it moved.
         assert!(100 * after >= 97 * before, "seeds 1 to 19: {after} of {before} take part");
+    }
+
+    #[test]
+    fn established_is_a_matter_of_time() {
+        let frames = [60.0, 30.0, 10.0, 5.0].map(|rate_hz: f64| established_found(Some(rate_hz.recip())));
+        assert_eq!((frames, established_found(None)), ([39, 20, 7, 5], 20));
     }
 
     #[test]
@@ -196,7 +226,8 @@ mod tests {
         let (all, inlier) = solved(&truth, &pairs);
         let mut asked = inlier.clone();
         for established in [0, MIN_ESTABLISHED - 1, pairs.len()] {
-            let judged = Newcomers::default().judge(&pairs, |i| i < established, &all, &mut asked);
+            let judged =
+                Newcomers::default().judge(&pairs, |i| i < established, &all, &PoseOptions::default(), &mut asked);
             assert!(judged.is_none() && asked == inlier, "{established}");
         }
     }

@@ -17,7 +17,7 @@ use super::Reconstruction;
 use super::assumed_distance::Ray;
 use super::bindings::{Bindings, Target};
 use super::config::ReconstructionConfig;
-use super::newcomers::{ESTABLISHED_FOUND, Newcomers};
+use super::newcomers::{Newcomers, established_found};
 use super::pose_information::PoseInformation;
 use super::pose_optimisation::{PoseOptions, PosePair, PoseSolution, jacobian_rows, optimise_pose};
 use super::relocalise::Guess;
@@ -176,7 +176,7 @@ impl Tracker {
     }
 
     /// Inlier matches of the last tracked frame.
-    pub fn inliers(&self) -> impl Iterator<Item = &Match> {
+    pub fn inliers(&self) -> impl Iterator<Item = &Match> + Clone {
         self.search.matches.iter().filter(|m| m.inlier)
     }
 
@@ -217,7 +217,7 @@ impl Tracker {
         if self.flow.is_empty() || self.pairs.len() < MIN_FLOW {
             return None;
         }
-        let options = PoseOptions { first_round_relaxation: 25.0, ..PoseOptions::default() };
+        let options = PoseOptions { first_round_relaxation: 25.0, ..self.options(frame, self.flow.len(), &[]) };
         let solution = optimise_pose(guess, &self.pairs, &options, &mut self.inlier)?;
         let mut flags = self.inlier.iter();
         self.flow.retain(|_| flags.next().copied().unwrap_or(false));
@@ -320,21 +320,35 @@ impl Tracker {
             }
         }
         self.seeds.append_pairs(self.search.matches.len(), start, motion, shutter, &mut self.pairs);
-        let solution = optimise_pose(start, &self.pairs, &PoseOptions::default(), &mut self.inlier)?;
+        let solution = optimise_pose(
+            start,
+            &self.pairs,
+            &self.options(frame, self.search.matches.len(), &self.search.matches),
+            &mut self.inlier,
+        )?;
         for (m, &ok) in self.search.matches.iter_mut().zip(&self.inlier[..matched]) {
             m.inlier = ok;
         }
         Some(solution)
     }
 
+    /// For pairs of `matches` and of the flow, and of seeds where they are heard `beside` so many landmarks: leverage is judged where all
+    /// distances are measured.
+    fn options(&self, frame: &Frame<'_>, beside: usize, matches: &[Match]) -> PoseOptions {
+        let mut landmarks = matches.iter().map(|m| m.landmark).chain(self.flow.iter().map(|f| f.0));
+        let assumed = self.seeds.are_heard(beside) || landmarks.any(|id| is_assumed(frame, id));
+        PoseOptions { leverage: !assumed, ..PoseOptions::default() }
+    }
+
     /// The last solution with the newcomers that agree with established landmarks only.
     fn hear_newcomers(&mut self, frame: &Frame<'_>, solution: PoseSolution) -> PoseSolution {
         let matches = &self.search.matches;
+        let enough = established_found(frame.before.map(|(_, step_s)| step_s));
         // Tracks whose template was not found come after the matches; nothing vouches for them.
-        let established = |i: usize| {
-            matches.get(i).and_then(|m| frame.map.landmark(m.landmark)).is_some_and(|l| l.found >= ESTABLISHED_FOUND)
-        };
-        let judged = self.newcomers.judge(&self.pairs, established, &solution, &mut self.inlier);
+        let established =
+            |i: usize| matches.get(i).and_then(|m| frame.map.landmark(m.landmark)).is_some_and(|l| l.found >= enough);
+        let options = self.options(frame, matches.len(), matches);
+        let judged = self.newcomers.judge(&self.pairs, established, &solution, &options, &mut self.inlier);
         for (m, &ok) in self.search.matches.iter_mut().zip(&self.inlier) {
             m.inlier = ok;
         }
