@@ -25,18 +25,24 @@ pub struct PoseInformation {
     pub distance_sigma: Option<f64>,
 }
 
+/// Landmarks nearer than this many mean depths say nothing here: a pose would be as sure as if nothing were wrong with the one nearest
+/// thing, and what comes that near is as a rule something that moves.
+const NEAREST: f64 = 0.1;
+
 impl PoseInformation {
     pub(super) fn of<'a>(
         frame: &Frame<'_>,
-        matches: impl Iterator<Item = &'a Match>,
+        matches: impl Iterator<Item = &'a Match> + Clone,
         pose: &Se3<Camera, World>,
     ) -> Self {
+        let depths = || matches.clone().map(|m| pose.transform(&m.point).z);
+        let nearest = (NEAREST * depths().sum::<f64>() / depths().count() as f64).max(1e-6);
         let (mut matrix, mut readout) = (Matrix6::zeros(), Vector6::zeros());
         let (mut sigmas, mut count) = (0.0, 0usize);
         let world_from_camera = pose.rotation.inverse();
         for m in matches {
             let p = pose.transform(&m.point);
-            if p.z < 1e-6 {
+            if p.z < nearest {
                 continue;
             }
             let pair = m.pair(frame.camera, frame.shutter.readout_s);
