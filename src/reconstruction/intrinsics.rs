@@ -206,6 +206,11 @@ impl Intrinsics {
         }
     }
 
+    /// By its owner, not from the motion.
+    pub fn is_calibrated(&self) -> bool {
+        !self.guessed
+    }
+
     /// Calibrated, or found from the motion.
     pub fn is_found(&self) -> bool {
         !self.guessed || self.published_focal_sigma() <= FOUND_SIGMA

@@ -183,6 +183,7 @@ impl Reconstruction {
             before: self.frame_before(features.timestamp_ns),
             motion: self.last_motion(),
             shutter: &self.shutter,
+            is_calibrated: self.intrinsics.is_calibrated(),
         };
         let near = &near.0[..near.1];
         let mut tracked = self.tracker.track(&frame, self.reference, near);

@@ -73,6 +73,7 @@ impl Reconstruction {
             camera: &self.camera,
             config: &self.config,
             shutter: &self.shutter,
+            is_calibrated: self.intrinsics.is_calibrated(),
             before: None,
             motion: None,
         };
@@ -327,7 +328,8 @@ impl Reconstruction {
             pairs.push(PosePair { point, normalised, pixel_scale, inv_sigma_px: 1.0 / TRACK_SIGMA_PX });
         }
         let mut inlier = Vec::new();
-        let solution = optimise_pose(guess, &pairs, &PoseOptions::default(), &mut inlier)?;
+        let solution =
+            optimise_pose(guess, &pairs, &PoseOptions { leverage: false, ..PoseOptions::default() }, &mut inlier)?;
         (solution.inliers >= self.config.min_landmarks && 2 * solution.inliers >= pairs.len())
             .then_some(solution.camera_from_world)
     }

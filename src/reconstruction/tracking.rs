@@ -66,6 +66,8 @@ pub struct Frame<'a> {
     /// Motion that is expected (that of the frame before).
     pub motion: Option<CameraMotion>,
     pub shutter: &'a Shutter,
+    /// The lens is not one that is still being found.
+    pub is_calibrated: bool,
 }
 
 /// Buffers of tracking, kept between frames.
@@ -333,11 +335,11 @@ impl Tracker {
     }
 
     /// For pairs of `matches` and of the flow, and of seeds where they are heard `beside` so many landmarks: leverage is judged where all
-    /// distances are measured.
+    /// distances are measured, and through a lens that is known (a wrong one bends the picture most where leverage is).
     fn options(&self, frame: &Frame<'_>, beside: usize, matches: &[Match]) -> PoseOptions {
         let mut landmarks = matches.iter().map(|m| m.landmark).chain(self.flow.iter().map(|f| f.0));
         let assumed = self.seeds.are_heard(beside) || landmarks.any(|id| is_assumed(frame, id));
-        PoseOptions { leverage: !assumed, ..PoseOptions::default() }
+        PoseOptions { leverage: frame.is_calibrated && !assumed, ..PoseOptions::default() }
     }
 
     /// The last solution with the newcomers that agree with established landmarks only.
