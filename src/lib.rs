@@ -1,6 +1,7 @@
 //! Cairn: one webcam in, the robot's pose and a sparse map out, in shared memory.
 //!
-//! This is the architecture: what each room does, what it must not know, and why. `tests/architecture.rs` holds the edges.
+//! This is the architecture: what each room does, what it must not know, and why. `tests/architecture` holds the edges:
+//! no room is known by what it knows, and within a room no file is.
 //!
 //! # Data flow, one direction
 //!
@@ -28,6 +29,10 @@
 //! - Seeds (tracks without depth) become landmarks at keyframes, where their rays meet at a degree or more. In a quick turn with few
 //!   landmarks they hold a frame's pose across their epipolar lines (`seed_rays`), every frame is a keyframe, and tracks on
 //!   patterns are followed last (`features::repetition`).
+//! - A keyframe that sees fewer than 120 landmarks is completed: corners of its neighbours that never became landmarks, as their tracks were
+//!   cut, are looked for in it along their epipolar lines (`reconstruction`'s `epipolar`).
+//! - In a blurred picture what is not found at its own level is measured on coarser ones, as exactly as these are; a frame that rests mostly
+//!   on such is a keyframe only where landmarks run out.
 //! - A start is a reference view (once its tracks are gone a later one), the newest one and up to eight in between, adjusted together;
 //!   it is accepted once the direction of
 //!   the first motion is sure enough for how long the camera has moved, and most of the picture agrees with it, so neither standing
@@ -43,7 +48,8 @@
 //!   a small map, and health says how surely it is known. What was found is kept for the next start, by `cli`.
 //! - Points are undistorted onto the plane z = 1 whatever the lens, so the geometry knows one kind of camera. That plane is stretched off
 //!   the axis of a wide-angle lens; errors on it are weighed by the lens's own pixels there ([`geometry::CameraModel::pixel_scale`]).
-//! - A frame that prediction cannot place is looked for at once by thumbnails and descriptors (P3P) in a bounded number of keyframes.
+//! - A frame that prediction cannot place, or only weakly, is looked for at once by thumbnails and descriptors (P3P) in a bounded number of
+//!   keyframes; near the frame before, half the landmarks are asked for that a place anywhere in the map needs.
 //!
 //! # Invariants
 //! 1. [`messages`] and [`client`] build alone (`default-features = false, features = ["client"]`).
@@ -73,8 +79,20 @@
 //!   would otherwise put files and clocks into `features` and `geometry`; it knows these two, and only `cli` knows it.
 //!
 //! # Features
-//! `client` (wire types and subscriptions, iceoryx2 only), `c` (the same as a C library, for `--crate-type cdylib`) and `daemon` (default:
-//! everything). Planners in other languages live in `clients/`: header and examples for C and C++, a package for Python that talks to
+//!
+//! | feature | what it is | package |
+//! |---|---|---|
+//! | `client` | wire types and subscriptions, iceoryx2 only | |
+//! | `c` | the same as a C library, for `--crate-type cdylib` | |
+//! | `robot` | the daemon: camera, services, calibration, and the commands run, doctor, watch, command, calibrate, replay | `cairn` |
+//! | `tools` (default) | the whole: also simulator, plot, workbench, evaluation, and the commands demo, simulate, evaluate, twoview, compare | `cairn-tools` |
+//!
+//! Each contains those above it but `c`. What a room of its own brings along that a robot may do without (a console, a recorder to share, a
+//! fleet) is a feature of its own, which `tools` contains. Rooms are left out whole: below `cli`, `cfg` stands at a room's door and hardly anywhere
+//! else. The robot's build replays, because a recording gives the same bytes only from the same build on the same kind of processor;
+//! it reads and checks the configuration of what it leaves out, so that one file serves both, and answers what it cannot do with one sentence.
+//!
+//! Planners in other languages live in `clients/`: header and examples for C and C++, a package for Python that talks to
 //! iceoryx2 itself. What the wire is stands in `src/messages/WIRE.md`, whose tables are made from the sources, as `cairn.h` is.
 
 #[cfg(feature = "client")]
@@ -82,41 +100,41 @@ pub mod client;
 #[cfg(feature = "client")]
 pub mod messages;
 
-#[cfg(feature = "daemon")]
+#[cfg(feature = "robot")]
 pub mod atomic_file;
-#[cfg(feature = "daemon")]
+#[cfg(feature = "robot")]
 pub mod calibration;
-#[cfg(feature = "daemon")]
+#[cfg(feature = "robot")]
 pub mod camera;
-#[cfg(feature = "daemon")]
+#[cfg(feature = "robot")]
 pub mod cli;
-#[cfg(feature = "daemon")]
+#[cfg(feature = "robot")]
 pub mod config;
-#[cfg(feature = "daemon")]
+#[cfg(feature = "robot")]
 pub mod daemon;
-#[cfg(feature = "daemon")]
+#[cfg(feature = "tools")]
 pub mod evaluation;
-#[cfg(feature = "daemon")]
+#[cfg(feature = "robot")]
 pub mod features;
-#[cfg(feature = "daemon")]
+#[cfg(feature = "robot")]
 pub mod frame;
-#[cfg(feature = "daemon")]
+#[cfg(feature = "robot")]
 pub mod geometry;
-#[cfg(feature = "daemon")]
+#[cfg(feature = "robot")]
 pub mod image;
-#[cfg(feature = "daemon")]
+#[cfg(feature = "robot")]
 pub mod map;
-#[cfg(feature = "daemon")]
+#[cfg(feature = "tools")]
 pub mod plot;
-#[cfg(feature = "daemon")]
+#[cfg(feature = "robot")]
 pub mod publish;
-#[cfg(feature = "daemon")]
+#[cfg(feature = "robot")]
 pub mod reconstruction;
-#[cfg(feature = "daemon")]
+#[cfg(feature = "robot")]
 pub mod ring;
-#[cfg(feature = "daemon")]
+#[cfg(feature = "robot")]
 pub mod telemetry;
-#[cfg(feature = "daemon")]
+#[cfg(feature = "robot")]
 pub mod trajectory;
-#[cfg(feature = "daemon")]
+#[cfg(feature = "tools")]
 pub mod workbench;

@@ -10,6 +10,10 @@ fn main() -> ExitCode {
     let arguments = match cli::Arguments::try_parse() {
         Ok(arguments) => arguments,
         Err(error) => {
+            if let Some(sentence) = cli::elsewhere(&error) {
+                telemetry::say_error(&format!("cairn: {sentence}"));
+                return ExitCode::from(exit_code::USAGE);
+            }
             // Help and version are no errors; a terminal that has gone needs neither.
             let _ = error.print();
             return if error.use_stderr() { ExitCode::from(exit_code::USAGE) } else { ExitCode::SUCCESS };

@@ -1,4 +1,5 @@
-//! Our calibration beside OpenCV's, on the same pictures in the same run. Skipped with a message where the pictures or OpenCV are missing.
+//! Our calibration beside OpenCV's, on the same pictures in the same run, as Markdown. Skipped with a message where the pictures or OpenCV
+//! are missing.
 
 use std::fmt::Write as _;
 use std::io::Write as _;
@@ -99,6 +100,8 @@ fn compare(set: &str, columns: u32, rows: u32, extension: &str) {
         .collect();
     let (wide, _) = fisheye_peer(&views, size).expect("OpenCV is here");
     let mut compared = Vec::new();
+    println!("\n| OpenCV's corners through both solvers | fx fy cx cy within px | RMS px | OpenCV's RMS px |");
+    println!("|---|---:|---:|---:|");
     for (name, theirs) in peer.models.iter().map(|(n, m)| (n.as_str(), m)).chain([("fisheye", &wide)]) {
         let distortion = match name {
             "none" => Distortion::None,
@@ -111,17 +114,11 @@ fn compare(set: &str, columns: u32, rows: u32, extension: &str) {
         let (used, all) = (same.used_points(), views.iter().map(|v| v.pixels.len()).sum::<usize>());
         if used < all {
             // A lens model that does not fit makes outliers of good corners; OpenCV keeps them.
-            println!(
-                "{set}: OpenCV's corners, {name}: {} of {all} corners do not fit the model, not compared",
-                all - used
-            );
+            println!("| {set}, {name} | {} of {all} corners do not fit the model | – | – |", all - used);
             continue;
         }
         let off = (0..4).map(|i| (same.intrinsics[i] - theirs[i + 1]).abs()).fold(0.0, f64::max);
-        println!(
-            "{set}: OpenCV's corners, {name}: fx fy cx cy within {off:.5} px of OpenCV's, RMS {:.5}, OpenCV's {:.5} px",
-            same.rms_px, theirs[0]
-        );
+        println!("| {set}, {name} | {off:.5} | {:.5} | {:.5} |", same.rms_px, theirs[0]);
         assert!(off < 0.01, "{set}, {name}: {off} px from OpenCV's on its own corners");
         assert!((same.rms_px / theirs[0] - 1.0).abs() < 1e-3, "{set}, {name}: RMS {} {}", same.rms_px, theirs[0]);
         compared.push(name);
@@ -150,23 +147,32 @@ fn compare(set: &str, columns: u32, rows: u32, extension: &str) {
     }
     let ours = ours.expect("solved");
     assert!(boards.len() >= peer.corners.len(), "{set}: {} views, the peer has {}", boards.len(), peer.corners.len());
-    let mut text = String::new();
-    for i in 0..4 {
+    let mut rows = String::new();
+    for (i, name) in ["fx", "fy", "cx", "cy"].into_iter().enumerate() {
         let deviations = (ours.solved.intrinsics[i] - peer.result[i + 1]) / peer.sigma[i];
-        text += &format!(" {:.3} ({deviations:+.2} of its sigmas)", ours.solved.intrinsics[i]);
+        rows += &format!(
+            "| {set}, {name} | {:.3} | {:.3} | {deviations:+.2} |\n",
+            ours.solved.intrinsics[i],
+            peer.result[i + 1]
+        );
         assert!(deviations.abs() < 2.0, "{set}: parameter {i} is {deviations} of the peer's sigmas off");
     }
     let (rms, peer_rms) = (ours.solved.rms_px, peer.result[0]);
     assert!(rms <= 1.01 * peer_rms, "{set}: RMS {rms} px, the peer has {peer_rms} px");
     let ratio = (detection_ms + solve_ms) / (peer.time_ms[0] + peer.time_ms[1]);
     println!(
-        "{set}: {} of {} views, OpenCV {};{text}; RMS {rms:.4}, OpenCV {peer_rms:.4} px; detection {detection_ms:.0} + solve {solve_ms:.1} ms, OpenCV {:.0} + {:.1} ms: {ratio:.2} of its time",
-        boards.len(),
+        "\n| each with its own corners | pictures | views | OpenCV's views | RMS px | OpenCV's RMS px | detection ms | solving ms | OpenCV's detection ms | OpenCV's solving ms | share of OpenCV's time |"
+    );
+    println!("|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|");
+    println!(
+        "| {set} | {} | {} | {} | {rms:.4} | {peer_rms:.4} | {detection_ms:.0} | {solve_ms:.1} | {:.0} | {:.1} | {ratio:.2} |",
         files.len(),
+        boards.len(),
         peer.corners.len(),
         peer.time_ms[0],
         peer.time_ms[1],
     );
+    println!("\n| parameter | Cairn px | OpenCV px | difference, OpenCV's sigmas |\n|---|---:|---:|---:|\n{rows}");
 }
 
 #[test]
@@ -249,15 +255,16 @@ fn a_fisheye_is_calibrated_as_by_opencvs_fisheye_module_on_the_same_corners() {
     let sigmas = ours.solved.sigmas();
     let used = |v: &cairn::geometry::plane_calibration::SolvedView| v.used && v.used_points.iter().all(|u| *u);
     assert!(ours.solved.views.iter().all(used), "left out corners that the peer has");
-    let mut text = String::new();
+    println!("\n| wide-angle parameter | Cairn | OpenCV | difference, sigmas |\n|---|---:|---:|---:|");
     for (i, name) in ours.solved.lens.parameter_names().iter().enumerate() {
         let off = (ours.solved.intrinsics[i] - peer[i + 1]) / sigmas[i];
-        text += &format!(" {name} {:.4} ({off:+.3} sigma)", ours.solved.intrinsics[i]);
+        println!("| {name} | {:.4} | {:.4} | {off:+.3} |", ours.solved.intrinsics[i], peer[i + 1]);
         assert!(off.abs() < 0.2, "{name}: {} instead of {}", ours.solved.intrinsics[i], peer[i + 1]);
     }
     let (rms, peer_rms) = (ours.solved.rms_px, peer[0]);
+    println!("\n| wide-angle, the same corners | RMS px | OpenCV's RMS px | solving ms | OpenCV's solving ms |");
     println!(
-        "{} views;{text}; RMS {rms:.5}, peer {peer_rms:.5} px; solve {ms:.1} ms, peer {peer_ms:.1} ms",
+        "|---|---:|---:|---:|---:|\n| {} views | {rms:.5} | {peer_rms:.5} | {ms:.1} | {peer_ms:.1} |",
         boards.len()
     );
     assert!(rms <= 1.001 * peer_rms, "RMS {rms} px, the peer has {peer_rms} px");

@@ -80,6 +80,28 @@ fn inputs_that_are_not_there_are_named() {
 }
 
 #[test]
+fn a_demo_run_by_a_script_tells_its_result_and_nothing_else() {
+    let dir = tempfile::tempdir().unwrap();
+    let config = dir.path().join("cairn.toml");
+    std::fs::write(&config, SIMULATOR).unwrap();
+    let folder = dir.path().join("demo");
+    let demo = ["demo", "--seconds", "4", "--config", path(&config), "--output", path(&folder)];
+    let Output { stdout, stderr, .. } = cairn("demo").args(demo).output().unwrap();
+    let (stdout, stderr) = (String::from_utf8_lossy(&stdout), String::from_utf8_lossy(&stderr));
+    assert!(stdout.contains("poses published") && stdout.contains("summary.json"), "{stdout}");
+    // A slow machine may have warnings, as text; progress is for terminals.
+    let told = stderr.contains('\r') || stderr.contains("INFO") || stderr.lines().any(|line| line.starts_with('{'));
+    assert!(!told, "{stderr}");
+
+    let Output { stdout, stderr, status } = cairn("demo").args(demo).args(["--json", "--quiet"]).output().unwrap();
+    let summary: serde_json::Value = serde_json::from_slice(&stdout).unwrap();
+    assert!(summary["frames"].as_u64().unwrap() > 0, "{summary}");
+    assert_eq!(summary["files"].as_array().unwrap().len(), 6, "{summary}");
+    assert_eq!(std::fs::read(folder.join("summary.json")).unwrap(), stdout);
+    assert!(!status.success() || stderr.is_empty(), "{}", String::from_utf8_lossy(&stderr));
+}
+
+#[test]
 fn a_second_daemon_is_refused_a_watcher_receives_and_sigterm_ends_within_a_second() {
     let dir = tempfile::tempdir().unwrap();
     let config = dir.path().join("cairn.toml");

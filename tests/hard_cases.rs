@@ -71,6 +71,9 @@ fn a_place_is_found_again_without_a_guess() {
 /// NEES of all judged frames of runs with every flaw on.
 fn errors_over(seeds: std::ops::Range<u64>, seconds: f64, rate_hz: f64) -> Vec<Nees> {
     let folder = tempfile::tempdir().expect("a folder");
+    println!(
+        "\n| run at {rate_hz} Hz | frames | mean NEES | of the rotation | of the translation |\n|---|---:|---:|---:|---:|"
+    );
     let mut all = Vec::new();
     for seed in seeds {
         for scenario in [Scenario::HandHeld, Scenario::RoomTour, Scenario::DeskOrbit] {
@@ -86,7 +89,7 @@ fn errors_over(seeds: std::ops::Range<u64>, seconds: f64, rate_hz: f64) -> Vec<N
             let own = consistency::judge(&run.records);
             let mean = |f: fn(&Nees) -> f64| own.iter().map(f).sum::<f64>() / own.len().max(1) as f64;
             println!(
-                "seed {seed} {:10} {rate_hz:4} Hz: {:3} frames, mean NEES {:6.1}, rotation {:6.1}, translation {:6.1}",
+                "| {} seed {seed} | {} | {:.1} | {:.1} | {:.1} |",
                 scenario.name(),
                 own.len(),
                 mean(|n| n.pose),
@@ -100,17 +103,27 @@ fn errors_over(seeds: std::ops::Range<u64>, seconds: f64, rate_hz: f64) -> Vec<N
 }
 
 fn told(errors: &[Nees]) -> Consistency {
-    let of = |f: fn(&Nees) -> f64, d| {
+    println!(
+        "\n| NEES of all runs | degrees of freedom | mean | honest from | honest to | frames | in their own 95 % interval % | above it % | below it % |"
+    );
+    println!("|---|---:|---:|---:|---:|---:|---:|---:|---:|");
+    let of = |what, f: fn(&Nees) -> f64, d| {
         let c = Consistency::of(&errors.iter().map(f).collect::<Vec<_>>(), d).expect("judged frames");
         println!(
-            "{d} degrees of freedom: mean NEES {:.2}, band {:.2} to {:.2}; {:.0} % of {} frames in their own 95 % interval, {:.0} % above",
-            c.mean, c.band[0], c.band[1], c.inside_percent, c.frames, c.above_percent
+            "| {what} | {d} | {:.2} | {:.2} | {:.2} | {} | {:.0} | {:.0} | {:.0} |",
+            c.mean,
+            c.band[0],
+            c.band[1],
+            c.frames,
+            c.inside_percent,
+            c.above_percent,
+            100.0 - c.inside_percent - c.above_percent
         );
         c
     };
-    of(|n| n.rotation, 3);
-    of(|n| n.translation, 3);
-    of(|n| n.pose, 6)
+    of("rotation", |n| n.rotation, 3);
+    of("translation", |n| n.translation, 3);
+    of("pose", |n| n.pose, 6)
 }
 
 #[test]
@@ -185,17 +198,19 @@ fn mean(values: &[f64]) -> f64 {
 /// Turns of several seeds; the errors along the way behind those that left all known distances behind, and log of the scale's ratios.
 fn behind_turns(seeds: std::ops::Range<u64>) -> (Vec<f64>, Vec<f64>) {
     let (mut along, mut ratios) = (Vec::new(), Vec::new());
+    println!("\n| behind a turn | scale | of that before | NEES along the way (1) | of the position (3) |");
+    println!("|---|---|---:|---:|---:|");
     for seed in seeds {
         for (scenario, turn_s, seconds) in
             [(Scenario::Square, [9.3, 12.4], 18.0), (Scenario::Corridor, [23.3, 28.6], 34.0)]
         {
             let config = SimulatorConfig { scenario, seed, rate_hz: 15.0, ..SimulatorConfig::default() };
             let Some(b) = behind_turn(&config, turn_s, seconds) else {
-                println!("seed {seed} {:8}: no pose behind the turn", scenario.name());
+                println!("| {} seed {seed} | no pose | – | – | – |", scenario.name());
                 continue;
             };
             println!(
-                "seed {seed} {:8}: scale {}, {:.2} of that before; NEES along the way {:.2} (1 degree of freedom), of the position {:.1} (3)",
+                "| {} seed {seed} | {} | {:.2} | {:.2} | {:.1} |",
                 scenario.name(),
                 if b.assumed { "assumed" } else { "measured" },
                 b.ratio,
@@ -218,7 +233,7 @@ fn the_covariance_knows_that_the_scale_behind_a_turn_is_assumed() {
     let rms = mean(&ratios.iter().map(|r| r * r).collect::<Vec<_>>()).sqrt();
     let nees = mean(&along);
     println!(
-        "{} turns at an assumed scale: its logarithm off by {rms:.2} (RMS); mean NEES along the way {nees:.2}",
+        "\n| turns at an assumed scale | logarithm of the scale off, RMS | mean NEES along the way |\n|---|---:|---:|\n| {} | {rms:.2} | {nees:.2} |",
         ratios.len()
     );
     assert!(ratios.len() >= 4, "seeds 1 to 6: only {} turns left all known distances behind", ratios.len());

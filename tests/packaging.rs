@@ -1,5 +1,6 @@
 //! What a distribution installs: that its parts name the same paths, users and folders, and how little the service may do.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 use std::process::Command;
@@ -21,9 +22,12 @@ fn metadata() -> toml::Table {
     deb.as_table().expect("metadata").clone()
 }
 
-/// Source and destination of what the package installs.
+/// Source and destination of what a package installs.
 fn assets() -> Vec<(String, String)> {
-    let metadata = metadata();
+    assets_of(&metadata())
+}
+
+fn assets_of(metadata: &toml::Table) -> Vec<(String, String)> {
     let assets = metadata["assets"].as_array().expect("assets").iter();
     let word = |asset: &toml::Value, key: &str| asset[key].as_str().expect("text").to_owned();
     assets.map(|asset| (word(asset, "source"), word(asset, "dest"))).collect()
@@ -51,6 +55,56 @@ fn every_file_of_the_package_exists_and_the_configuration_is_kept_on_upgrades() 
     // What the package brings is where calibrations are looked for.
     let brought = assets().iter().any(|(_, to)| to == "usr/share/cairn/cameras/");
     assert!(brought && cairn::calibration::store::search_folders().contains(&"/usr/share/cairn/cameras".into()));
+}
+
+#[test]
+fn the_tools_lie_beside_the_robots_package_and_share_no_file_with_it() {
+    let metadata = metadata();
+    assert_eq!(metadata["features"].as_array().expect("features")[0].as_str(), Some("robot"));
+    assert_eq!(metadata["default-features"].as_bool(), Some(false));
+    let tools = metadata["variants"]["tools"].as_table().expect("variant");
+    assert_eq!((tools["name"].as_str(), metadata["name"].as_str()), (Some("cairn-tools"), Some("cairn")));
+    // Conffiles, units and scripts are inherited unless they are named.
+    for (key, empty) in [("conf-files", "[]"), ("systemd-units", "[]"), ("maintainer-scripts", "\"\"")] {
+        assert_eq!(tools[key].to_string(), empty, "{key}");
+    }
+    let tools = assets_of(tools);
+    assert!(tools.contains(&("target/release/cairn".into(), "usr/bin/cairn-tools".into())), "{tools:?}");
+    for (source, to) in tools {
+        assert!(!assets().iter().any(|(_, other)| *other == to), "{to} is in both packages");
+        assert!(
+            source.starts_with("target/") || Path::new(env!("CARGO_MANIFEST_DIR")).join(&source).exists(),
+            "{source}"
+        );
+    }
+}
+
+/// Names of the crates that a build consists of.
+fn crates(options: &[&str]) -> BTreeSet<String> {
+    let output = Command::new(env!("CARGO"))
+        .args(["tree", "--locked", "--offline", "--edges", "normal", "--prefix", "none", "--format", "{p}"])
+        .args(options)
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .output()
+        .expect("cargo tree");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let text = String::from_utf8(output.stdout).expect("text");
+    text.lines().filter_map(|line| line.split(' ').next()).map(str::to_owned).collect()
+}
+
+#[test]
+fn the_robots_build_consists_of_what_a_robot_uses() {
+    let robot = crates(&["--no-default-features", "--features", "robot"]);
+    let tools = crates(&[]);
+    let client = crates(&["--no-default-features", "--features", "client"]);
+    let only_tools: Vec<&str> = tools.difference(&robot).map(String::as_str).collect();
+    for name in ["tiny-skia", "tiny-skia-path", "ab_glyph", "ttf-parser", "dejavu"] {
+        assert!(only_tools.contains(&name), "{name} is not among what the tools alone bring: {only_tools:?}");
+    }
+    assert!(robot.is_superset(&client) && tools.is_superset(&robot), "a build lacks what a smaller one has");
+    for name in ["v4l", "iceoryx2", "sd-notify", "roxmltree"] {
+        assert!(robot.contains(name), "{name}");
+    }
 }
 
 #[test]

@@ -13,7 +13,7 @@ use super::store::CameraIdentity;
 use super::verdict::{Verdict, judge};
 use crate::geometry::CameraModel;
 use crate::geometry::plane_calibration::{
-    Distortion, PlaneCalibration, PlaneCalibrationError, Readout, View, calibrate,
+    Distortion, MIN_POINTS, PlaneCalibration, PlaneCalibrationError, Readout, SolvedView, View, calibrate,
 };
 
 /// The picture must be one to one but for its outermost 5 %.
@@ -166,6 +166,23 @@ impl Calibrated {
         text
     }
 
+    /// A view in words: its residual, or why it was left out.
+    pub fn view_words(&self, view: &SolvedView) -> String {
+        if view.used && view.used_points.contains(&true) {
+            return format!("{:.3} px RMS", view.rms_px);
+        }
+        match view.residuals.len() {
+            n if n < MIN_POINTS => format!("left out: {n} corners are too few, {MIN_POINTS} are needed"),
+            _ if !view.rms_px.is_finite() => {
+                "left out: its corners fix no pose of a board in front of the camera".into()
+            }
+            _ => format!(
+                "left out: it does not fit the other views, {:.3} px RMS where all of them have {:.3} px",
+                view.rms_px, self.solved.rms_px
+            ),
+        }
+    }
+
     /// Quality in words, one statement a line.
     pub fn words(&self) -> String {
         let v = &self.verdict;
@@ -198,5 +215,5 @@ impl Calibrated {
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "tools"))]
 mod tests;

@@ -321,5 +321,5 @@ impl Guide {
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "tools"))]
 mod tests;

@@ -1,12 +1,15 @@
 //! Cameras' calibrations: made from views of a chessboard, read and written, found again.
 //!
 //! `chessboard` finds the board in a picture; `boards` makes a camera of many of them, with `verdict` on what is missing; `guide`
-//! does both live. `file`, `yaml` and `foreign` are the formats, `store` is where calibrations lie, `pattern_sheet` prints the board.
+//! does both live. `file`, `yaml` and `foreign` read the formats and `export` writes them, `store` is where calibrations lie, `pattern_sheet` prints the board.
 
 pub mod boards;
 pub mod chessboard;
+mod error;
+pub mod export;
+mod field;
 pub mod file;
-pub mod foreign;
+mod foreign;
 pub mod guide;
 pub mod pattern_sheet;
 pub mod store;

@@ -21,7 +21,8 @@
 //!
 //! Cost: linear in the text.
 
-use super::file::{CalibrationError, Field, camera};
+use super::error::CalibrationError;
+use super::field::{Field, camera};
 use crate::geometry::CameraModel;
 use crate::geometry::plane_calibration::LensKind;
 

@@ -1,7 +1,9 @@
 //! Frames from anywhere through one door, [`FrameSource`].
 
 pub mod recording;
+#[cfg(feature = "tools")]
 pub mod simulator;
+pub mod simulator_config;
 #[cfg(target_os = "linux")]
 pub mod v4l2;
 

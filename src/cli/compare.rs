@@ -5,7 +5,7 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use super::session::print;
+use super::session::{self, ResultArgs, StatusLine, print};
 use super::twoview::{picture_error, positive_px};
 use super::{CliError, exit_code};
 use crate::atomic_file::write_atomically;
@@ -61,6 +61,8 @@ pub struct CompareArgs {
     /// Score the best motion found even where it is no better than chance, as programs that always answer do
     #[arg(long)]
     pub always_answer: bool,
+    #[command(flatten)]
+    pub result: ResultArgs,
 }
 
 /// Runs the command.
@@ -91,10 +93,12 @@ pub fn run(args: &CompareArgs) -> Result<ExitCode, CliError> {
         always_answer: args.always_answer,
     };
     let count = tasks.len();
-    let result = compare(&tasks, &plan, |index, task| eprintln!("{} of {count}: {}", index + 1, task.name))
-        .map_err(|e| picture_error(&e))?;
+    let mut line = StatusLine::new(args.result.quiet);
+    let result = compare(&tasks, &plan, |index, task| line.show(&format!("{} of {count}: {}", index + 1, task.name)));
+    line.clear();
+    let result = result.map_err(|e| picture_error(&e))?;
     let summary = table::summary(&result);
-    print(&summary)?;
+    print(&if args.result.json { session::json(&result)? } else { summary.clone() })?;
     let markdown = format!("{summary}\n{}", table::details(&result));
     write_atomically(&args.output.join("compare.md"), |out| std::io::Write::write_all(out, markdown.as_bytes()))
         .map_err(|e| cannot(e.to_string()))?;
@@ -102,7 +106,7 @@ pub fn run(args: &CompareArgs) -> Result<ExitCode, CliError> {
         .map_err(|e| CliError::new(exit_code::FAILURE, format!("cannot print as JSON: {e}")))?;
     report::write_json(&args.output.join("compare.json"), &document).map_err(|e| cannot(e.to_string()))?;
     write_chart(&args.output.join("compare.png"), &chart(&result, count)).map_err(|e| cannot(e.to_string()))?;
-    eprintln!("tables, figures and chart: {}", args.output.display());
+    line.note(&format!("tables, figures and chart: {}", args.output.display()));
     Ok(ExitCode::SUCCESS)
 }
 

@@ -2,14 +2,14 @@
 
 use std::fs;
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::Duration;
 
 use serde::Serialize;
 
-use super::session::{self, Resources, SessionArgs, StageLatencies, StatusLine};
+use super::session::{self, Resources, ResultArgs, SessionArgs, StageLatencies, StatusLine};
 use super::{CliError, exit_code};
 use crate::atomic_file::write_atomically;
 use crate::camera::simulator::{Simulator, Trajectory};
@@ -28,6 +28,8 @@ pub struct DemoArgs {
     /// Folder for trajectory, truth, map, picture and summary
     #[arg(long, value_name = "DIR", default_value = "cairn-demo")]
     pub output: PathBuf,
+    #[command(flatten)]
+    pub result: ResultArgs,
     #[command(flatten)]
     pub session: SessionArgs,
 }
@@ -58,10 +60,11 @@ struct Summary {
     #[serde(flatten)]
     resources: Resources,
     simulator: String,
+    files: Vec<PathBuf>,
 }
 
 pub fn run(args: &DemoArgs) -> Result<ExitCode, CliError> {
-    let mut config = args.session.open(true)?;
+    let mut config = args.session.open_for_result(args.result.quiet)?;
     let stop = session::stop_flag()?;
     config.simulator.duration_s = args.seconds as f64;
     fs::create_dir_all(&args.output)
@@ -95,7 +98,7 @@ pub fn run(args: &DemoArgs) -> Result<ExitCode, CliError> {
         status: status.clone(),
     };
     let cpu_before_ns = process_cpu_ns();
-    let mut line = StatusLine::new();
+    let mut line = StatusLine::new(args.result.quiet);
     let length = Duration::from_secs(args.seconds);
     let end = daemon::supervise(parts, Some(desk), Clock::Monotonic, &stop, &mut |tick| {
         line.show(&status_line(tick, length));
@@ -112,11 +115,13 @@ pub fn run(args: &DemoArgs) -> Result<ExitCode, CliError> {
     files.push(truth_path);
     let estimate = outputs.trajectory.as_deref().map(read_tum).and_then(Result::ok).unwrap_or_default();
     let resources = Resources::now(status.processed.get(), cpu_before_ns);
-    let summary = summarise(&status, &estimate, truth, resources, name);
     let summary_path = file("summary.json");
-    write_summary(&summary_path, &summary)?;
-    files.push(summary_path);
-    session::print(&text(&summary, &files))?;
+    files.push(summary_path.clone());
+    let summary = Summary { files, ..summarise(&status, &estimate, truth, resources, name) };
+    let json = session::json(&summary)?;
+    write_atomically(&summary_path, |out| out.write_all(json.as_bytes()))
+        .map_err(|e| CliError::new(exit_code::CANNOT_CREATE, e.to_string()))?;
+    session::print(&if args.result.json { json } else { text(&summary) })?;
     if status.tracked.get() == 0 {
         return Err(CliError::new(exit_code::FAILURE, "no frame was tracked"));
     }
@@ -197,17 +202,11 @@ fn summarise(
         stages: StageLatencies::of(status),
         resources,
         simulator,
+        files: Vec::new(),
     }
 }
 
-fn write_summary(path: &Path, summary: &Summary) -> Result<(), CliError> {
-    let text = serde_json::to_string_pretty(summary)
-        .map_err(|e| CliError::new(exit_code::FAILURE, format!("summary: {e}")))?;
-    write_atomically(path, |out| writeln!(out, "{text}"))
-        .map_err(|e| CliError::new(exit_code::CANNOT_CREATE, e.to_string()))
-}
-
-fn text(s: &Summary, files: &[PathBuf]) -> String {
+fn text(s: &Summary) -> String {
     let percent = |v: Option<f64>| v.map_or("unknown".into(), |v| format!("{v:.2} %"));
     let mut text = format!(
         "{}\n  {} frames, {} poses published, coverage {:.1} %, {} frames dropped\n",
@@ -224,7 +223,7 @@ fn text(s: &Summary, files: &[PathBuf]) -> String {
         s.landmarks, s.keyframes, s.resets, s.resources.cpu_ms_per_frame, s.resources.peak_rss_mb
     );
     text += &s.stages.table();
-    for file in files {
+    for file in &s.files {
         text += &format!("wrote {}\n", file.display());
     }
     text

@@ -2,77 +2,25 @@
 //!
 //! Figures go to stdout (text, `--json`, or the suite's Markdown table), notes and progress to stderr.
 
+mod args;
+mod drawing;
 mod simulated;
 
 use std::ffi::OsString;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::ExitCode;
 use std::time::Duration;
 
-use super::session::{config_error, print};
+pub use args::EvaluateArgs;
+use drawing::write_comparison;
+
+use super::session::{StatusLine, config_error, json, print};
 use super::{CliError, exit_code};
 use crate::config::{self, Config};
 use crate::evaluation::association::CoverageBasis;
 use crate::evaluation::suite::{self, SuiteError, SuiteOptions};
 use crate::evaluation::{Evaluation, EvaluationError, Reference, evaluate};
-use crate::plot::write_comparison;
 use crate::trajectory::{TrajectoryError, read_tum};
-
-/// How far off is a trajectory, and how much of it is there?
-///
-/// Coverage is of every frame of rgb.txt that has ground truth within 20 ms. Errors are taken after one Sim(3) alignment of
-/// the whole file.
-#[derive(Debug, Clone, clap::Args)]
-pub struct EvaluateArgs {
-    /// Estimated trajectory: TUM lines, "timestamp tx ty tz qx qy qz qw"
-    #[arg(required_unless_present_any = ["suite", "simulator"], conflicts_with_all = ["suite", "simulator"])]
-    pub estimate: Option<PathBuf>,
-    /// Ground truth: a TUM file, or a sequence's folder with groundtruth.txt and rgb.txt
-    #[arg(required_unless_present_any = ["suite", "simulator"], conflicts_with_all = ["suite", "simulator"])]
-    pub ground_truth: Option<PathBuf>,
-    /// List of frames ("timestamp filename" a line) instead of the rgb.txt beside the ground truth
-    #[arg(long, value_name = "FILE", conflicts_with = "suite")]
-    pub frames: Option<PathBuf>,
-    /// Picture to write [default: beside the estimate, ending in .png]
-    #[arg(long, value_name = "OUT.png", conflicts_with = "suite")]
-    pub plot: Option<PathBuf>,
-    /// Print one JSON object instead of text or a table
-    #[arg(long)]
-    pub json: bool,
-    /// Replay these sequences' folders in lock-step, one after the other, and tabulate them
-    #[arg(long, value_name = "DIR", num_args = 1..)]
-    pub suite: Vec<PathBuf>,
-    /// Run the simulator's hard cases and tabulate them; fails when one misses its limits
-    #[arg(long, conflicts_with = "suite")]
-    pub simulator: bool,
-    /// The hard cases' long form: up to ten minutes each
-    #[arg(long, requires = "simulator")]
-    pub long: bool,
-    /// Only these of the hard cases
-    #[arg(long, value_name = "NAME", num_args = 1.., requires = "simulator")]
-    pub case: Vec<String>,
-    /// Run each hard case in so many rooms
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=100))]
-    pub seeds: u64,
-    /// Folder for the suite's table, trajectories, logs and pictures
-    #[arg(long, value_name = "DIR", default_value = "cairn-suite")]
-    pub output: PathBuf,
-    /// Longest time that one sequence of the suite may take, in seconds
-    #[arg(long, value_name = "SECONDS", default_value_t = 1800, value_parser = clap::value_parser!(u64).range(1..=86_400))]
-    pub timeout: u64,
-    /// What to call this machine in the suite's table [default: its processor]
-    #[arg(long, value_name = "NAME")]
-    pub machine: Option<String>,
-    /// Configuration file of the suite's replays and of the hard cases (its sections features and reconstruction) [default: for the hard cases none]
-    #[arg(long, value_name = "FILE", conflicts_with = "estimate")]
-    pub config: Option<PathBuf>,
-    /// Prefix of the services that the suite's replays use
-    #[arg(long, env = "CAIRN_PREFIX", value_name = "PREFIX")]
-    pub prefix: Option<String>,
-    /// Handed to every replay of the suite, after "--"
-    #[arg(last = true, value_name = "REPLAY_OPTIONS")]
-    pub replay_options: Vec<OsString>,
-}
 
 /// Runs the command.
 pub fn run(args: &EvaluateArgs) -> Result<ExitCode, CliError> {
@@ -125,7 +73,7 @@ fn judge_one(args: &EvaluateArgs, estimate_path: &Path, ground_truth: &Path) -> 
     let title = estimate_path.file_name().map_or("trajectory".into(), |n| n.to_string_lossy());
     let written = write_comparison(&plot_path, &outcome, &title);
     let plot = written.is_ok().then(|| plot_path.display().to_string());
-    let text = if args.json {
+    let text = if args.result.json {
         let report = JsonReport {
             estimate: estimate_path.display().to_string(),
             ground_truth: reference.ground_truth_path.display().to_string(),
@@ -133,22 +81,21 @@ fn judge_one(args: &EvaluateArgs, estimate_path: &Path, ground_truth: &Path) -> 
             plot,
             figures,
         };
-        let json = serde_json::to_string(&report)
-            .map_err(|e| CliError::new(exit_code::FAILURE, format!("cannot print as JSON: {e}")))?;
-        json + "\n"
+        json(&report)?
     } else {
         report(figures, plot.as_deref())
     };
     print(&text)?;
+    let mut line = StatusLine::new(args.result.quiet);
     for note in &figures.notes {
-        eprintln!("note: {note}");
+        line.note(&format!("note: {note}"));
     }
     if let Err(error) = written {
         // The figures are out; a picture that nobody asked for by name is not worth a failure.
         if args.plot.is_some() {
             return Err(CliError::new(exit_code::CANNOT_CREATE, error.to_string()));
         }
-        eprintln!("note: no picture: {error}");
+        line.note(&format!("note: no picture: {error}"));
     }
     if figures.matched_poses == 0 {
         return Err(CliError::new(
@@ -208,11 +155,15 @@ fn run_suite(args: &EvaluateArgs) -> Result<ExitCode, CliError> {
         program,
         leading_arguments: vec!["replay".into()],
         more_arguments,
+        lockstep: !args.real_time,
         output: args.output.clone(),
         limit: Duration::from_secs(args.timeout),
         machine: args.machine.clone().unwrap_or_else(suite::machine_name),
     };
-    let result = suite::run_suite(&args.suite, &options, |line| eprintln!("{line}")).map_err(|error| match error {
+    let mut line = StatusLine::new(args.result.quiet);
+    let result = suite::run_suite(&args.suite, &options, |text| line.show(text));
+    line.clear();
+    let result = result.map_err(|error| match error {
         SuiteError::Evaluation(e) => evaluation_error(e),
         SuiteError::NoFolder(_) => CliError::new(exit_code::NO_INPUT, error.to_string()),
         _ => CliError::new(exit_code::CANNOT_CREATE, error.to_string()),
@@ -224,14 +175,8 @@ fn run_suite(args: &EvaluateArgs) -> Result<ExitCode, CliError> {
                 .map_err(|e| CliError::new(exit_code::CANNOT_CREATE, e.to_string()))?;
         }
     }
-    if args.json {
-        let json = serde_json::to_string(&result)
-            .map_err(|e| CliError::new(exit_code::FAILURE, format!("cannot print as JSON: {e}")))?;
-        print(&(json + "\n"))?;
-    } else {
-        print(&suite::table(&result))?;
-    }
-    eprintln!("table, figures, trajectories, logs and pictures: {}", args.output.display());
+    print(&if args.result.json { json(&result)? } else { suite::table(&result) })?;
+    line.note(&format!("table, figures, trajectories, logs and pictures: {}", args.output.display()));
     if result.is_complete() {
         Ok(ExitCode::SUCCESS)
     } else {

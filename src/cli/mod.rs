@@ -1,67 +1,42 @@
 //! One file a subcommand: `Args` (clap) and `run(&Args) -> Result<ExitCode, CliError>`. Results on stdout, all else on stderr.
 
+mod builds;
 pub mod calibrate;
 mod camera_calibration;
 pub mod command;
+#[cfg(feature = "tools")]
 pub mod compare;
+#[cfg(feature = "tools")]
 pub mod demo;
 pub mod doctor;
 pub mod endpoint_args;
+mod error;
+#[cfg(feature = "tools")]
 pub mod evaluate;
 mod reload;
 pub mod replay;
 pub mod run;
 mod session;
+#[cfg(feature = "tools")]
 pub mod simulate;
+#[cfg(feature = "tools")]
 pub mod twoview;
 pub mod watch;
 
-use std::fmt;
 use std::process::ExitCode;
 
-/// Exit codes (sysexits.h where one fits).
-pub mod exit_code {
-    /// Something failed that no other code names; also a replay in which no frame was tracked.
-    pub const FAILURE: u8 = 1;
-    /// The two pictures give no model or no pose: an outcome with a name, on stdout and in `twoview.json`.
-    pub const NO_MODEL: u8 = 3;
-    /// The command line is wrong (EX_USAGE).
-    pub const USAGE: u8 = 64;
-    /// Input data is malformed (EX_DATAERR).
-    pub const DATA: u8 = 65;
-    /// An input does not exist or cannot be read (EX_NOINPUT).
-    pub const NO_INPUT: u8 = 66;
-    /// Another daemon has this prefix, or a service is missing (EX_UNAVAILABLE).
-    pub const UNAVAILABLE: u8 = 69;
-    /// An output file cannot be written (EX_CANTCREAT).
-    pub const CANNOT_CREATE: u8 = 73;
-    /// The configuration is wrong (EX_CONFIG).
-    pub const CONFIG: u8 = 78;
-}
-
-/// A failed subcommand: one message for a person, one code for a script.
-#[derive(Debug)]
-pub struct CliError {
-    pub code: u8,
-    pub message: String,
-}
-
-impl CliError {
-    pub fn new(code: u8, message: impl Into<String>) -> Self {
-        Self { code, message: message.into() }
-    }
-}
-
-impl fmt::Display for CliError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.message)
-    }
-}
-impl std::error::Error for CliError {}
+pub use builds::{TOOLS_COMMANDS, elsewhere};
+pub use error::{CliError, exit_code};
 
 /// Monocular SLAM for small robots: one webcam in, pose and sparse map out, in shared memory
 #[derive(Debug, clap::Parser)]
 #[command(name = "cairn", version)]
+#[cfg_attr(
+    not(feature = "tools"),
+    command(
+        after_help = "In the package cairn-tools, as commands of `cairn-tools`: compare, demo, evaluate, simulate, twoview."
+    )
+)]
 pub struct Arguments {
     #[command(subcommand)]
     command: Command,
@@ -70,15 +45,20 @@ pub struct Arguments {
 #[derive(Debug, clap::Subcommand)]
 enum Command {
     Run(run::RunArgs),
+    #[cfg(feature = "tools")]
     Demo(demo::DemoArgs),
     Replay(replay::ReplayArgs),
     Watch(watch::WatchArgs),
     Calibrate(calibrate::CalibrateArgs),
     Doctor(doctor::DoctorArgs),
+    #[cfg(feature = "tools")]
     Evaluate(evaluate::EvaluateArgs),
+    #[cfg(feature = "tools")]
     Simulate(simulate::SimulateArgs),
+    #[cfg(feature = "tools")]
     #[command(name = "twoview")]
     TwoView(twoview::TwoViewArgs),
+    #[cfg(feature = "tools")]
     Compare(compare::CompareArgs),
     #[command(name = "command")]
     Send(command::CommandArgs),
@@ -88,15 +68,55 @@ enum Command {
 pub fn run(arguments: &Arguments) -> Result<ExitCode, CliError> {
     match &arguments.command {
         Command::Run(args) => run::run(args),
+        #[cfg(feature = "tools")]
         Command::Demo(args) => demo::run(args),
         Command::Replay(args) => replay::run(args),
         Command::Watch(args) => watch::run(args),
         Command::Calibrate(args) => calibrate::run(args),
         Command::Doctor(args) => doctor::run(args),
+        #[cfg(feature = "tools")]
         Command::Evaluate(args) => evaluate::run(args),
+        #[cfg(feature = "tools")]
         Command::Simulate(args) => simulate::run(args),
+        #[cfg(feature = "tools")]
         Command::TwoView(args) => twoview::run(args),
+        #[cfg(feature = "tools")]
         Command::Compare(args) => compare::run(args),
         Command::Send(args) => command::run(args),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::builds::needs_tools;
+    use super::*;
+    use clap::{CommandFactory, Parser};
+
+    /// The commands that the robot's build has; so it is said in `src/lib.rs`.
+    const ROBOT_COMMANDS: [&str; 6] = ["calibrate", "command", "doctor", "replay", "run", "watch"];
+
+    #[test]
+    fn each_build_has_the_commands_that_its_package_promises() {
+        let command = Arguments::command();
+        let mut have: Vec<&str> = command.get_subcommands().map(clap::Command::get_name).collect();
+        have.sort_unstable();
+        let mut promised = ROBOT_COMMANDS.to_vec();
+        if cfg!(feature = "tools") {
+            promised.extend(TOOLS_COMMANDS);
+        }
+        promised.sort_unstable();
+        assert_eq!(have, promised);
+    }
+
+    #[test]
+    fn a_command_of_the_other_build_is_answered_with_where_it_is() {
+        let answer = |words: &[&str]| Arguments::try_parse_from(words).err().and_then(|e| elsewhere(&e));
+        for name in TOOLS_COMMANDS {
+            let text = answer(&["cairn", name, "--seconds", "3"]).unwrap_or_default();
+            let sentence = text.contains("not in this build") && text.ends_with(&format!(": `cairn-tools {name}`"));
+            assert_eq!(sentence, !cfg!(feature = "tools"), "{name}: {text}");
+        }
+        assert_eq!(answer(&["cairn", "dmeo"]), None);
+        assert_eq!(needs_tools("`--overview`").is_err(), !cfg!(feature = "tools"));
     }
 }

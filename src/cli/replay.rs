@@ -8,7 +8,7 @@ use std::time::Instant;
 use serde::Serialize;
 use tracing::{info, warn};
 
-use super::session::{self, Resources, SessionArgs, StageLatencies, StatusLine};
+use super::session::{self, Resources, ResultArgs, SessionArgs, StageLatencies, StatusLine};
 use super::{CliError, camera_calibration, exit_code};
 use crate::calibration::{Unsaid, load_camera_with};
 use crate::camera::recording::OwnCalibration;
@@ -44,9 +44,8 @@ pub struct ReplayArgs {
     /// Write a picture of map and trajectory from above (PNG)
     #[arg(long, value_name = "OUT.png")]
     pub overview: Option<PathBuf>,
-    /// Print the summary as JSON
-    #[arg(long)]
-    pub json: bool,
+    #[command(flatten)]
+    pub result: ResultArgs,
     #[command(flatten)]
     pub session: SessionArgs,
 }
@@ -105,7 +104,10 @@ impl IntrinsicsSummary {
 }
 
 pub fn run(args: &ReplayArgs) -> Result<ExitCode, CliError> {
-    let config = args.session.open(true)?;
+    if args.overview.is_some() {
+        super::builds::needs_tools("`--overview`")?;
+    }
+    let config = args.session.open_for_result(args.result.quiet)?;
     let stop = session::stop_flag()?;
     let outputs = Outputs {
         trajectory: args.trajectory.clone(),
@@ -134,7 +136,7 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode, CliError> {
         status: status.clone(),
     };
     let (began, cpu_before_ns) = (Instant::now(), process_cpu_ns());
-    let mut line = StatusLine::new();
+    let mut line = StatusLine::new(args.result.quiet);
     let mut show = |status: &Status| line.show(&progress(status, description.frames));
     let end = if args.lockstep {
         let (mut shown, mut logged) = (Instant::now(), Instant::now());
@@ -180,7 +182,7 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode, CliError> {
         resources: Resources::now(status.processed.get(), cpu_before_ns),
         ..summarise(&status, &end)
     };
-    session::print(&if args.json { json(&summary) } else { text(&summary) })?;
+    session::print(&if args.result.json { session::json(&summary)? } else { text(&summary) })?;
     session::judge(&end)?;
     if status.tracked.get() == 0 {
         return Err(CliError::new(exit_code::FAILURE, "no frame was tracked"));
@@ -242,10 +244,6 @@ fn summarise(status: &Status, end: &End) -> Summary {
         stages: StageLatencies::of(status),
         files: end.written.files.clone(),
     }
-}
-
-fn json(summary: &Summary) -> String {
-    serde_json::to_string_pretty(summary).map(|text| text + "\n").unwrap_or_default()
 }
 
 fn text(s: &Summary) -> String {

@@ -11,9 +11,8 @@ use super::session::{self, SessionArgs};
 use super::{CliError, camera_calibration, exit_code};
 use crate::atomic_file::remove_stale;
 use crate::calibration::{Unsaid, load_camera_with};
-use crate::camera::simulator::Simulator;
+use crate::camera::FrameSource;
 use crate::camera::v4l2::Finder;
-use crate::camera::{FrameSource, Pacing};
 use crate::config::{Config, SourceKind};
 use crate::daemon::{self, Calibration, Desk, KeepLens, Opener, Outputs, Parts, Status, Supply};
 use crate::frame::Clock;
@@ -26,7 +25,7 @@ pub struct RunArgs {
 }
 
 pub fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
-    let config = args.session.open(false)?;
+    let config = args.session.open()?;
     let mut reloader = Reloader::new(&args.session, &config)?;
     let stop = session::stop_flag()?;
     let outputs = outputs(&config);
@@ -34,7 +33,7 @@ pub fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
     session::check_outputs([&outputs.trajectory, &outputs.live_trajectory, &outputs.map, &outputs.overview])?;
     let prepared = prepare(&config)?;
     let (outlet, mut desk) =
-        session::open_wire(&config, Clock::Monotonic, Some(prepared.size())).map_err(|e| session::wire_error(&e))?;
+        session::open_wire(&config, Clock::Monotonic, Some(prepared.size)).map_err(|e| session::wire_error(&e))?;
     let Some(Source { supply, calibration, keep_lens }) = prepared.source(&config, &mut desk, &stop, &mut reloader)?
     else {
         return Ok(ExitCode::SUCCESS);
@@ -67,43 +66,51 @@ struct Source {
 }
 
 /// What can be said before the services are open; a configuration that cannot work fails here.
-enum Prepared {
-    Simulator(Box<Simulator>),
-    /// Without a calibration it is the camera's identity that tells it.
-    Camera {
-        calibration: Option<Calibration>,
-        size: (u32, u32),
-    },
+struct Prepared {
+    /// Open already, if it is no camera.
+    source: Option<Box<dyn FrameSource>>,
+    /// Without one it is the camera's identity that tells it.
+    calibration: Option<Calibration>,
+    /// Size of picture that is expected.
+    size: (u32, u32),
 }
 
 fn prepare(config: &Config) -> Result<Prepared, CliError> {
-    let wrong = |e: String| CliError::new(exit_code::CONFIG, e);
     match config.daemon.source {
-        SourceKind::Simulator => {
-            let simulator = Simulator::new(&config.simulator, Pacing::RealTime).map_err(|e| wrong(e.to_string()))?;
-            Ok(Prepared::Simulator(Box::new(simulator)))
-        }
+        SourceKind::Simulator => simulated(config),
         SourceKind::Camera => {
             let path = &config.calibration.file;
             let unsaid = Unsaid { size: None, lens: config.calibration.unsaid_lens() };
-            let load = || load_camera_with(path, &unsaid).map_err(|e| wrong(e.to_string()));
+            let load = || load_camera_with(path, &unsaid).map_err(|e| CliError::new(exit_code::CONFIG, e.to_string()));
             let named = !path.as_os_str().is_empty() && !config.calibration.ignore;
             let model = if named { Some(load()?) } else { None };
             let calibration = model.map(|model| Calibration::known(model, path.display().to_string()));
-            Ok(Prepared::Camera { calibration, size: (config.camera.width_px, config.camera.height_px) })
+            Ok(Prepared { source: None, calibration, size: (config.camera.width_px, config.camera.height_px) })
         }
     }
 }
 
-impl Prepared {
-    /// Size of picture that is expected.
-    fn size(&self) -> (u32, u32) {
-        match self {
-            Self::Simulator(simulator) => simulator.description().size.unwrap_or_default(),
-            Self::Camera { size, .. } => *size,
-        }
-    }
+#[cfg(feature = "tools")]
+fn simulated(config: &Config) -> Result<Prepared, CliError> {
+    use crate::camera::{Pacing, simulator::Simulator};
+    let simulator = Simulator::new(&config.simulator, Pacing::RealTime)
+        .map_err(|e| CliError::new(exit_code::CONFIG, e.to_string()))?;
+    let size = (config.simulator.width, config.simulator.height);
+    let calibration = if config.calibration.ignore {
+        camera_calibration::guess(size, config.calibration.supposed_view_deg)?
+    } else {
+        Calibration::known(simulator.camera_model().clone(), simulator.description().name.clone())
+    };
+    Ok(Prepared { source: Some(Box::new(simulator)), calibration: Some(calibration), size })
+}
 
+/// The configuration has refused it already.
+#[cfg(not(feature = "tools"))]
+fn simulated(_: &Config) -> Result<Prepared, CliError> {
+    Err(CliError::new(exit_code::CONFIG, super::builds::not_in_this_build("the simulator")))
+}
+
+impl Prepared {
     /// The configured source and the camera model that belongs to it. Waits for the camera if only that tells the calibration;
     /// `None`: told to stop before it came.
     fn source(
@@ -114,20 +121,12 @@ impl Prepared {
         reloader: &mut Reloader,
     ) -> Result<Option<Source>, CliError> {
         let longest_pause = Duration::from_millis(config.daemon.camera_retry_ms);
-        let (calibration, keep_lens, mut first, mut finder) = match self {
-            Self::Simulator(simulator) => {
-                let calibration = if config.calibration.ignore {
-                    let size = (config.simulator.width, config.simulator.height);
-                    camera_calibration::guess(size, config.calibration.supposed_view_deg)?
-                } else {
-                    Calibration::known(simulator.camera_model().clone(), simulator.description().name.clone())
-                };
-                return Ok(Some(Source { supply: Supply::Once(simulator), calibration, keep_lens: None }));
+        let (calibration, keep_lens, mut first, mut finder) = match (self.calibration, self.source) {
+            (Some(calibration), Some(source)) => {
+                return Ok(Some(Source { supply: Supply::Once(source), calibration, keep_lens: None }));
             }
-            Self::Camera { calibration: Some(calibration), .. } => {
-                (calibration, None, None, Finder::new(config.camera.clone()))
-            }
-            Self::Camera { calibration: None, .. } => {
+            (Some(calibration), None) => (calibration, None, None, Finder::new(config.camera.clone())),
+            (None, _) => {
                 let sought = config.clone();
                 let find = move || camera_calibration::of_config(&sought);
                 let found = daemon::await_camera(desk, stop, longest_pause, find, &mut || reloader.turn())

@@ -14,7 +14,25 @@ use crate::daemon::{Desk, End, EndCause, Outlet, Status};
 use crate::frame::{Clock, process_cpu_ns};
 use crate::messages::Endpoint;
 use crate::publish::{PublishError, Publisher};
-use crate::telemetry::{self, Percentiles};
+use crate::telemetry::{self, LogFormat, Percentiles};
+
+/// How a command that ends with a result tells it. The result is on stdout; on stderr are progress, on a terminal only, notes and the log.
+#[derive(Debug, Clone, Copy, Default, clap::Args)]
+pub struct ResultArgs {
+    /// Print the result as one JSON object
+    #[arg(long)]
+    pub json: bool,
+    #[command(flatten)]
+    pub quiet: QuietArgs,
+}
+
+/// `--quiet` alone, for commands whose result is files.
+#[derive(Debug, Clone, Copy, Default, clap::Args)]
+pub struct QuietArgs {
+    /// Nothing on stderr but errors: no progress (which only a terminal gets), no notes, no warnings
+    #[arg(long, short)]
+    pub quiet: bool,
+}
 
 /// Options of every command that runs the pipeline.
 #[derive(Debug, Clone, Default, clap::Args)]
@@ -25,19 +43,35 @@ pub struct SessionArgs {
     /// First part of the services' names
     #[arg(long, env = "CAIRN_PREFIX", value_name = "PREFIX")]
     pub prefix: Option<String>,
-    /// Log level or directives, such as info or warn,cairn::daemon=debug
+    /// Log level or directives, such as info or warn,cairn::daemon=debug [default: the configuration's; warn where the
+    /// command ends with a result]
     #[arg(long, env = "CAIRN_LOG", value_name = "LEVEL")]
     pub log: Option<String>,
 }
 
 impl SessionArgs {
-    /// The configuration with the command line's changes, and logging started. `interactive`: a status line will be shown
-    /// on a terminal, so only warnings are logged there unless more is asked for.
-    pub fn open(&self, interactive: bool) -> Result<Config, CliError> {
+    /// The configuration with the command line's changes, and logging started as the daemon logs.
+    pub fn open(&self) -> Result<Config, CliError> {
+        let (config, origin) = self.read()?;
+        Self::start_logging(config, &origin)
+    }
+
+    /// The same for a command that ends with a result: only warnings are logged unless more is asked for, as text wherever they go,
+    /// because a person reads them.
+    pub fn open_for_result(&self, quiet: QuietArgs) -> Result<Config, CliError> {
         let (mut config, origin) = self.read()?;
-        if self.log.is_none() && interactive && io::stderr().is_terminal() {
+        if quiet.quiet {
+            config.log.level = "error".into();
+        } else if self.log.is_none() {
             config.log.level = "warn".into();
         }
+        if config.log.format == LogFormat::Auto {
+            config.log.format = LogFormat::Human;
+        }
+        Self::start_logging(config, &origin)
+    }
+
+    fn start_logging(config: Config, origin: &str) -> Result<Config, CliError> {
         telemetry::init(&config.log).map_err(|reason| CliError::new(exit_code::USAGE, format!("--log: {reason}")))?;
         tracing::info!(configuration = origin, prefix = config.prefix, version = env!("CARGO_PKG_VERSION"), "starting");
         Ok(config)
@@ -144,17 +178,33 @@ pub fn print(text: &str) -> Result<(), CliError> {
     }
 }
 
-/// One line on a terminal that is written over and over.
+/// A result as JSON, for stdout.
+pub fn json(result: &impl Serialize) -> Result<String, CliError> {
+    let text = serde_json::to_string_pretty(result)
+        .map_err(|e| CliError::new(exit_code::FAILURE, format!("cannot print as JSON: {e}")))?;
+    Ok(text + "\n")
+}
+
+/// What is said on stderr beside a result: progress, as one line on a terminal that is written over and over, and notes.
 #[derive(Debug)]
 pub struct StatusLine {
+    quiet: bool,
     terminal: bool,
     shown: usize,
 }
 
 impl StatusLine {
-    /// Shows nothing unless stderr is a terminal.
-    pub fn new() -> Self {
-        Self { terminal: io::stderr().is_terminal(), shown: 0 }
+    /// Shows no progress unless stderr is a terminal, and nothing at all where it is to be quiet.
+    pub fn new(args: QuietArgs) -> Self {
+        Self { quiet: args.quiet, terminal: io::stderr().is_terminal() && !args.quiet, shown: 0 }
+    }
+
+    /// A line that stays, on a terminal or not.
+    pub fn note(&mut self, text: &str) {
+        if !self.quiet {
+            self.clear();
+            telemetry::say(text);
+        }
     }
 
     /// Replaces the line.
@@ -174,12 +224,6 @@ impl StatusLine {
             let _ = write!(io::stderr().lock(), "\r");
             self.shown = 0;
         }
-    }
-}
-
-impl Default for StatusLine {
-    fn default() -> Self {
-        Self::new()
     }
 }
 

@@ -5,6 +5,7 @@ use std::process::ExitCode;
 
 use clap::{Args, ValueEnum};
 
+use super::session::{QuietArgs, StatusLine, print};
 use super::{CliError, exit_code};
 use crate::camera::Pacing;
 use crate::camera::simulator::{Scenario, Simulator, SimulatorConfig};
@@ -98,6 +99,8 @@ pub struct SimulateArgs {
     /// Time from the first row to the last, ms
     #[arg(long, value_name = "MS")]
     pub readout_ms: Option<f64>,
+    #[command(flatten)]
+    pub quiet: QuietArgs,
 }
 
 fn parse_size(text: &str) -> Result<(u32, u32), String> {
@@ -144,8 +147,9 @@ pub fn run(args: &SimulateArgs) -> Result<ExitCode, CliError> {
     let written = simulator
         .write_recording(&args.output, args.seconds)
         .map_err(|e| CliError::new(exit_code::CANNOT_CREATE, e.to_string()))?;
-    eprintln!("{} frames of scenario {} (seed {})", written.frames, config.scenario.name(), config.seed);
-    println!("{}", args.output.display());
+    let (scenario, seed) = (config.scenario.name(), config.seed);
+    StatusLine::new(args.quiet).note(&format!("{} frames of scenario {scenario} (seed {seed})", written.frames));
+    print(&format!("{}\n", args.output.display()))?;
     Ok(ExitCode::SUCCESS)
 }
 

@@ -46,8 +46,8 @@ use std::time::{Duration, Instant};
 use iceoryx2_bb_posix::clock::{ClockType, Time};
 
 pub use error::ClientError;
-pub use subscription::Subscription;
-pub use topics::{Frame, Frames, Healths, Keyframes, KeyframesSnapshot, Map, MapSnapshot, Poses, Slice, Topic};
+pub use subscription::{Frames, Healths, Keyframes, Map, Poses, Subscription};
+pub use topics::{Frame, KeyframesSnapshot, MapSnapshot, Slice, Topic};
 
 use crate::messages::services::topic;
 use crate::messages::{DEFAULT_PREFIX, Endpoint};

@@ -11,7 +11,7 @@ use iceoryx2::service::builder::event::EventOpenError;
 use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
 
 use super::link::{Ipc, Link};
-use super::topics::{OpenFailure, Topic};
+use super::topics::{FrameTopic, HealthTopic, KeyframesTopic, MapTopic, OpenFailure, PoseTopic, Topic};
 use super::{ClientError, LOOK_EVERY};
 
 /// Silence after which it is checked whether the daemon has died.
@@ -41,6 +41,17 @@ pub struct Subscription<T: Topic> {
     /// The iterator has given its error.
     ended: bool,
 }
+
+/// Subscription to poses; its items are copies (424 bytes).
+pub type Poses = Subscription<PoseTopic>;
+/// Subscription to health; its items are copies.
+pub type Healths = Subscription<HealthTopic>;
+/// Subscription to the map.
+pub type Map = Subscription<MapTopic>;
+/// Subscription to keyframes.
+pub type Keyframes = Subscription<KeyframesTopic>;
+/// Subscription to grey pictures.
+pub type Frames = Subscription<FrameTopic>;
 
 /// Ports of a connected subscription, dropped in this order.
 struct Open<T: Topic> {

@@ -12,21 +12,9 @@ use iceoryx2::sample::Sample;
 use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
-use super::Subscription;
 use super::link::Ipc;
 use crate::messages::services::topic;
 use crate::messages::{FrameHeader, Health, Keyframe, KeyframesHeader, Landmark, MapHeader, Pose};
-
-/// Subscription to poses; its items are copies (424 bytes).
-pub type Poses = Subscription<PoseTopic>;
-/// Subscription to health; its items are copies.
-pub type Healths = Subscription<HealthTopic>;
-/// Subscription to the map.
-pub type Map = Subscription<MapTopic>;
-/// Subscription to keyframes.
-pub type Keyframes = Subscription<KeyframesTopic>;
-/// Subscription to grey pictures.
-pub type Frames = Subscription<FrameTopic>;
 
 /// The map as it was at one moment: a slice of [`Landmark`] in shared memory.
 pub type MapSnapshot = Slice<Landmark, MapHeader>;

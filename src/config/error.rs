@@ -5,7 +5,20 @@ use std::ops::Range;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use super::Invalid;
+/// A value that a room cannot use; [`parse`](super::parse) adds where it stands.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Invalid {
+    /// Dotted path from the top of the file.
+    pub key: String,
+    /// Lower case, with what would be right: `must be 1 or 2`.
+    pub reason: String,
+}
+
+impl Invalid {
+    pub fn new(key: impl Into<String>, reason: impl Into<String>) -> Self {
+        Self { key: key.into(), reason: reason.into() }
+    }
+}
 
 /// Why there is no usable configuration.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

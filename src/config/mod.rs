@@ -5,6 +5,8 @@
 //! - A key that nobody knows is an error, because a typo that is silently ignored runs a robot with the default. Units
 //!   stand in the keys' names (`_px`, `_ms`, `_hz`, `_m`, `_deg`), so a wrong unit is an unknown key, and the message says which is meant.
 //! - A missing key has its default; an empty file is a complete configuration. `config/cairn.toml` shows every key.
+//! - A file is right or wrong whichever build reads it (`[simulator]` is checked where there is no simulator); but the robot's build refuses
+//!   to run on the simulator or to draw an overview, by the key that asks for it.
 //! - The rooms own their structs and what values they can use (`validate`); this room knows the file.
 
 mod error;
@@ -12,10 +14,10 @@ mod mount;
 
 use std::path::{Path, PathBuf};
 
-pub use error::ConfigError;
+pub use error::{ConfigError, Invalid};
 pub use mount::{BodyFromCamera, MountConfig};
 
-use crate::camera::simulator::SimulatorConfig;
+use crate::camera::simulator_config::SimulatorConfig;
 use crate::camera::v4l2::V4l2Config;
 use crate::features::FeaturesConfig;
 use crate::geometry::plane_calibration::LensKind;
@@ -183,21 +185,6 @@ pub struct OutputConfig {
     pub overview: PathBuf,
 }
 
-/// A value that a room cannot use; [`parse`] adds where it stands.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Invalid {
-    /// Dotted path from the top of the file.
-    pub key: String,
-    /// Lower case, with what would be right: `must be 1 or 2`.
-    pub reason: String,
-}
-
-impl Invalid {
-    pub fn new(key: impl Into<String>, reason: impl Into<String>) -> Self {
-        Self { key: key.into(), reason: reason.into() }
-    }
-}
-
 impl Config {
     /// Checks everything that the types alone cannot.
     pub fn validate(&self) -> Result<(), Invalid> {
@@ -228,8 +215,28 @@ impl Config {
         self.camera.validate().map_err(|(key, reason)| in_room("camera", key, reason))?;
         self.simulator.validate().map_err(|e| in_room("simulator", e.key, e.reason))?;
         self.publish.validate()?;
+        self.refuse_what_is_not_built()?;
         self.log.filter().map_err(|reason| Invalid::new("log.level", reason))?;
         self.mount.validate()
+    }
+}
+
+impl Config {
+    /// One file serves both builds: the robot's reads and checks every key, and refuses only to do what it cannot.
+    fn refuse_what_is_not_built(&self) -> Result<(), Invalid> {
+        if cfg!(feature = "tools") {
+            return Ok(());
+        }
+        if self.daemon.source == SourceKind::Simulator {
+            return Err(Invalid::new("daemon.source", "this build, the robot's, has no simulator; cairn-tools has"));
+        }
+        if !self.output.overview.as_os_str().is_empty() {
+            return Err(Invalid::new(
+                "output.overview",
+                "this build, the robot's, draws no pictures; cairn-tools does",
+            ));
+        }
+        Ok(())
     }
 }
 

@@ -131,3 +131,24 @@ fn units_are_read_from_the_end_of_the_key() {
         assert_eq!(error::unit(key), unit, "{key}");
     }
 }
+
+#[test]
+fn both_builds_check_the_simulators_keys_and_the_robots_refuses_only_what_it_cannot_do() {
+    assert!(parse("[simulator]\nscenario = \"corridor\"\n[simulator.noise]\nread_sigma = 3.0\n", "f").is_ok());
+    let message = refused("[simulator]\nscenrio = \"corridor\"\n");
+    assert!(message.contains("`scenario` is meant"), "{message}");
+    let message = refused("[simulator]\nrate_hz = 1000.0\n");
+    assert!(message.starts_with("robot.toml:2: simulator.rate_hz = 1000.0 Hz: "), "{message}");
+    for (text, key) in [
+        ("[daemon]\nsource = \"simulator\"\n", "daemon.source = \"simulator\""),
+        ("[output]\noverview = \"map.png\"\n", "output.overview = \"map.png\""),
+    ] {
+        let outcome = parse(text, "robot.toml");
+        assert_eq!(outcome.is_ok(), cfg!(feature = "tools"), "{key}");
+        if let Err(error) = outcome {
+            let message = error.to_string();
+            assert!(message.starts_with(&format!("robot.toml:2: {key}: ")), "{message}");
+            assert!(message.contains("cairn-tools"), "{message}");
+        }
+    }
+}

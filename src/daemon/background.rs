@@ -10,6 +10,9 @@ use std::time::{Duration, Instant};
 
 use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
 
+/// Longest wait of any stage: how late a stop is seen at the most.
+pub const TURN: Duration = Duration::from_millis(100);
+
 /// Something to be closed, and an attempt to open: more is never waiting.
 const QUEUE: usize = 2;
 

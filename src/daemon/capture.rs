@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use tracing::{info, warn};
 
-use super::TURN;
+use super::background::TURN;
 use super::background::{Background, Progress};
 use super::status::Status;
 use super::timestamps::{TimestampGate, Verdict};

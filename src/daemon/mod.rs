@@ -39,7 +39,7 @@ use std::time::{Duration, Instant};
 use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
 
 pub use advice::advice;
-pub use background::within;
+pub use background::{TURN, within};
 pub use capture::{Captured, Opener, Supply};
 pub use outlet::Outlet;
 pub use reconstruct::{Calibration, Request};
@@ -58,8 +58,6 @@ use reconstruct::ReconstructStep;
 use recorder::{Order, Recorder, RecorderLink, serve};
 use worker::ThreadWorker;
 
-/// Longest wait of any stage: how late a stop is seen at the most.
-pub const TURN: Duration = Duration::from_millis(100);
 /// Records on their way to the recorder: some 30 seconds of frames while a disk hangs.
 const RECORD_QUEUE: usize = 2048;
 /// Requests from the supervisor on their way to reconstruction.
@@ -271,5 +269,5 @@ fn reconstruct(
     outcome.map(|()| map)
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "tools"))]
 mod tests;

@@ -5,13 +5,13 @@ use crate::features::FrameFeatures;
 use crate::frame::{Clock, monotonic_ns};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Body, World};
-use crate::map::MapId;
+use crate::map::{MapId, MapSnapshot};
 use crate::messages::Pose;
 use crate::publish::convert::{self, Map};
 use crate::publish::{
     Conversion, FramePublisher, FrameStamp, MapContext, MapPublisher, PosePublisher, PublishError, ScaleEstimate,
 };
-use crate::reconstruction::{MapSnapshot, PoseEstimate};
+use crate::reconstruction::PoseEstimate;
 
 /// A pose that is older than this is not where the robot is now.
 const NOW_NS: i64 = 1_000_000_000;

@@ -16,11 +16,12 @@ use crate::features::{Feedback, FrameFeatures};
 use crate::frame::monotonic_ns;
 use crate::geometry::frames::Body;
 use crate::geometry::{CameraModel, Se3};
+use crate::map::MapSnapshot;
 use crate::publish::convert::Map;
 use crate::publish::{MapContext, PublishError};
 use crate::reconstruction::{
-    LensKnowledge, LensPrior, MapSnapshot, MappingWorker, PoseEstimate, Reconstruction, ReconstructionConfig,
-    TrackingState, TrajectoryEvent, guessed_camera,
+    LensKnowledge, LensPrior, MappingWorker, PoseEstimate, Reconstruction, ReconstructionConfig, TrackingState,
+    TrajectoryEvent, guessed_camera,
 };
 use crate::telemetry::RateLimiter;
 

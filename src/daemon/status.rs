@@ -3,7 +3,8 @@
 
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU32, Ordering};
 
-use crate::reconstruction::{Counters, LensEstimate, LensKnowledge, MapSnapshot, PoseEstimate, TrackingState};
+use crate::map::MapSnapshot;
+use crate::reconstruction::{Counters, LensEstimate, LensKnowledge, PoseEstimate, TrackingState};
 use crate::telemetry::{Counter, Heartbeat, Histogram};
 
 /// State and statistics of one run.

@@ -1,4 +1,4 @@
-//! Many sequences, one table: each is replayed in lock-step by a process of its own and judged over all its frames.
+//! Many sequences, one table: each is replayed by a process of its own and judged over all its frames.
 //!
 //! Input: sequence folders (`rgb.txt`, `groundtruth.txt`, pictures, calibration). Output: a [`SuiteResult`], and in the output
 //! folder per sequence the trajectory, the live one, the log and replay's summary, and of all of them `table.md` and
@@ -76,6 +76,8 @@ pub struct SuiteOptions {
     pub leading_arguments: Vec<OsString>,
     /// Passed on to every replay, after everything else.
     pub more_arguments: Vec<OsString>,
+    /// Every frame, with the same result every time; otherwise at the camera's pace.
+    pub lockstep: bool,
     pub output: PathBuf,
     /// Longest time for one sequence.
     pub limit: Duration,
@@ -134,6 +136,7 @@ pub struct SequenceResult {
 pub struct SuiteResult {
     pub machine: String,
     pub version: String,
+    pub lockstep: bool,
     pub sequences: Vec<SequenceResult>,
 }
 
@@ -163,6 +166,7 @@ pub fn run_suite(
     let mut result = SuiteResult {
         machine: options.machine.clone(),
         version: env!("CARGO_PKG_VERSION").to_string(),
+        lockstep: options.lockstep,
         sequences: Vec::with_capacity(jobs.len()),
     };
     for (i, job) in jobs.iter().enumerate() {
@@ -229,7 +233,7 @@ fn replay_and_judge(job: &Job, options: &SuiteOptions, row: &mut SequenceResult)
     }
     let create = |path: &Path| File::create(path).map_err(|e| format!("cannot write {}: {e}", path.display()));
     let mut command = Command::new(&options.program);
-    command.args(&options.leading_arguments).arg(&job.folder).arg("--lockstep");
+    command.args(&options.leading_arguments).arg(&job.folder).args(options.lockstep.then_some("--lockstep"));
     command.arg("--trajectory").arg(&trajectory).arg("--live-trajectory").arg(&live).arg("--json");
     command.args(&options.more_arguments).stdin(Stdio::null()).stdout(create(&summary)?).stderr(create(&log)?);
 
@@ -317,9 +321,11 @@ pub fn table(result: &SuiteResult) -> String {
         out += &table_row(row);
     }
     out += &format!(
-        "\nCairn {}, {}. Lock-step, one run, every frame of `rgb.txt` that has ground truth within 20 ms; one Sim(3) a file; \
+        "\nCairn {}, {}. {}, one run, every frame of `rgb.txt` that has ground truth within 20 ms; one Sim(3) a file; \
          RMSE. Picture to pose: features and tracking, without decoding. CPU and memory: the whole process, decoding included.\n",
-        result.version, result.machine
+        result.version,
+        result.machine,
+        if result.lockstep { "Lock-step" } else { "At the camera's pace" }
     );
     for row in &result.sequences {
         let failed = match &row.status {

@@ -232,19 +232,6 @@ impl<const N: usize> PatchTemplate<N> {
         self.min_eigenvalue
     }
 
-    /// Structure tensor of the same: [xx, xy, yy], grey²/px², mean over the patch. Its inverse, times sigma² * 2 / N²,
-    /// is the covariance of the position.
-    #[inline]
-    pub fn structure_tensor(&self) -> [f32; 3] {
-        self.tensor
-    }
-
-    /// Variance of the grey values, grey².
-    #[inline]
-    pub fn variance(&self) -> f32 {
-        self.energy / (N * N) as f32
-    }
-
     /// Normalised cross-correlation with the picture at `position`, -1 to 1; `None` outside, 0 where either is flat.
     pub fn ncc(&self, image: &GreyImage, position: Vector2<f32>) -> Option<f32> {
         let mut patch = [[0; N]; N];

@@ -1,7 +1,7 @@
 //! Matching by normalised cross-correlation of patches: the study's other way.
 //!
 //! Two searches share one measure. [`CornerCorrelator`]: corners of one picture with corners of the other, over the whole
-//! picture or in windows. [`EpipolarCorrelator`]: each corner of the first picture with every pixel along its epipolar line
+//! picture. [`EpipolarCorrelator`]: each corner of the first picture with every pixel along its epipolar line
 //! in the second, once F is known; the places found need not be corners, so this is the dense way.
 //!
 //! Measure: patches of (2 r + 1)² pixels with mean 0 and length 1; their product is

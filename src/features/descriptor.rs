@@ -12,6 +12,7 @@
 use std::sync::LazyLock;
 
 use super::dispatch::simd_kernel;
+use crate::geometry::random::Random;
 use crate::image::{GreyImage, Pyramid};
 
 /// Bits of a descriptor.
@@ -60,8 +61,8 @@ impl Descriptor {
 /// How a patch is turned before it is compared with itself.
 ///
 /// Measured (strongest 1000 FAST corners, at most 64 bits, ratio 0.8; right under the known homography, else inliers of a
-/// robust F): graffiti 143 matches, 83 % right by the centroid, 48 and 53 % upright, 115 and 74 % by the SUSAN direction
-/// ([`describe_turned`]); frames 15 apart 110 and 89 %, 145 and 92 %, 80 and 74 %; stereo 282 and 90 %, 441 and 90 %, 234
+/// robust F): graffiti 143 matches, 83 % right by the centroid, 48 and 53 % upright, 115 and 74 % by the SUSAN direction;
+/// frames 15 apart 110 and 89 %, 145 and 92 %, 80 and 74 %; stereo 282 and 90 %, 441 and 90 %, 234
 /// and 88 %. So upright for a camera that is known not to roll, the centroid where nothing is known; SUSAN's direction, from 37
 /// pixels, loses to it everywhere.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Deserialize, serde::Serialize)]
@@ -104,16 +105,6 @@ pub fn describe(level: &GreyImage, x: f32, y: f32, orientation: Orientation) -> 
         Orientation::IntensityCentroid => None,
     };
     describe_towards(level, x, y, direction)
-}
-
-/// The same, turned by an angle that the caller knows (radians from x towards y, to the nearest 1 / 32 turn), such as the
-/// direction of a SUSAN corner.
-pub fn describe_turned(level: &GreyImage, x: f32, y: f32, angle_rad: f32) -> Option<Description> {
-    let steps = (angle_rad * (DIRECTIONS as f32 / std::f32::consts::TAU)).round();
-    if !steps.is_finite() {
-        return None;
-    }
-    describe_towards(level, x, y, Some(steps.rem_euclid(DIRECTIONS as f32) as usize % DIRECTIONS))
 }
 
 /// `direction`: number of the direction that the patch is turned by; `None`: that of its centre of brightness.
@@ -266,17 +257,9 @@ impl Tables {
 fn draw_pairs() -> [[[f64; 2]; 2]; BITS as usize] {
     const SEED: u64 = 0x0043_6169_726e;
     const SIGMA: f64 = 31.0 / 5.0;
-    let mut state = SEED;
-    // SplitMix64.
-    let mut uniform = move || {
-        state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = state;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
-    };
+    let mut random = Random::new(SEED);
     // Twelve uniform numbers have variance 1 together: no logarithm, so the same bits on every machine.
-    let mut normal = move || ((0..12).map(|_| uniform()).sum::<f64>() - 6.0) * SIGMA;
+    let mut normal = move || ((0..12).map(|_| random.unit()).sum::<f64>() - 6.0) * SIGMA;
     let mut pairs: [[[f64; 2]; 2]; BITS as usize] = [[[0.0; 2]; 2]; BITS as usize];
     let mut drawn = 0;
     while drawn < pairs.len() {

@@ -16,7 +16,7 @@ mod point_grid;
 
 use nalgebra::Vector2;
 
-pub use attributes::{AttributeMatching, match_attributes, match_attributes_within};
+pub use attributes::{AttributeMatching, match_attributes};
 pub use descriptors::{DescriptorMatcher, DescriptorMatching};
 pub use flow::{FlowMatching, match_flow};
 pub use places::{Comparable, Place, PlaceMatching, SAME_CORNER_PX, match_places};

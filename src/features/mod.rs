@@ -12,6 +12,7 @@ pub mod matching;
 pub mod optical_flow;
 pub mod patch_sampling;
 mod repetition;
+pub mod spread;
 pub mod stage;
 pub mod susan;
 pub mod susan_large;

@@ -30,6 +30,8 @@ const POOL: usize = 6;
 const BORDER_PX: f32 = 10.0;
 /// Thumbnails less alike than this say nothing about the motion.
 const THUMBNAIL_NCC: f32 = 0.5;
+/// Smallest side of a cell of the detection grid, px.
+const MIN_CELL_PX: usize = 12;
 /// Neighbours whose median motion gives a lost track its second chance.
 const NEIGHBOURS: usize = 5;
 /// Between pictures that moved by more than this a guess can be off by half the period of a pattern, px.
@@ -157,7 +159,10 @@ impl FeatureStage {
         self.tracks.clear();
         self.repeated.clear();
         self.fresh = true;
-        self.grid = CellGrid::new(width, height, self.config.cell_px, self.config.threshold);
+        // A small picture has as many cells as a large one, or it could not be tracked.
+        let share = ((width * height) as f32 / self.config.max_tracks as f32).sqrt().round() as usize;
+        let cell_px = share.clamp(MIN_CELL_PX, self.config.cell_px.max(MIN_CELL_PX));
+        self.grid = CellGrid::new(width, height, cell_px, self.config.threshold);
         self.thresholds.clear();
         self.thresholds.resize(self.grid.cells.len(), self.config.threshold);
     }
@@ -341,5 +346,17 @@ mod tests {
             "{first} at first, {} later",
             features.tracks.len()
         );
+    }
+
+    #[test]
+    fn a_small_picture_has_about_as_many_cells_as_a_large_one() {
+        let cells = |width, height| {
+            let mut stage = FeatureStage::new(&FeaturesConfig::default());
+            stage.step_grey(&GreyImage::new(width, height), &mut FrameFeatures::default());
+            stage.grid.cells.len()
+        };
+        assert_eq!(cells(640, 480), 300, "as configured");
+        assert!((240..=400).contains(&cells(414, 125)), "{}", cells(414, 125));
+        assert!((240..=400).contains(&cells(320, 240)), "{}", cells(320, 240));
     }
 }

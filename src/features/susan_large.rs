@@ -7,34 +7,19 @@
 //! Mask: the 1257 pixels within 20 of the nucleus; a perfect corner has sd 0.266 (along the axes) or 0.262 (diagonal),
 //! an edge 0.52. Paper: Smith and Brady, SUSAN, IJCV 1997; the two passes are the method's own.
 //! A corner is a pixel whose area is below g and the smallest within the suppression radius, of equals the first in raster
-//! order. [`LargeSusanScheme`]: the single pass; the method's two passes; and a first pass that bounds the area, which
-//! gives the single pass's corners always (`tiles`), with a second that measures only what can still decide (`lowest`). The method's second pass starts at the pixels that the small mask answered to
-//! and goes downhill from each, also over pixels that it did not answer to: what it finds is always a corner of the single
-//! pass, but it misses those that lie in soft shades, which seven pixels do not see.
-//! Cost: 0.06 us a pixel measured (AVX2, hard step): for 640x480 15 ms in a single pass. Bounded, at the study's t = 90 and
-//! over eight pictures of as many cameras and places, 5.5 times fewer instructions at 280x200 and 11 times at 640x480 (both
-//! with the same counting); at t = 20, where a fifth of a textured picture is below g, 2 to 3 times (`tests/bench/susan.rs`).
-//! It deliberately does not do: corners within 20 pixels of the edge, texture (a large mask fails there).
+//! order. [`LargeSusanScheme`]: the single pass, and the method's two passes. The second of these starts at the pixels that the
+//! small mask answered to and goes downhill from each, also over pixels that it did not answer to: what it finds is always a
+//! corner of the single pass, but it misses those that lie in soft shades, which seven pixels do not see.
+//! Cost: 0.06 us a pixel measured (AVX2, hard step): for 640x480 15 ms in a single pass; what two passes save is measured by
+//! `tests/bench/susan.rs`. It deliberately does not do: corners within 20 pixels of the edge, texture (a large mask fails there).
 
 mod counting;
-mod lowest;
-mod tiles;
 
 use super::susan::{MASK_AREA, MASK_RADIUS, MAX_SUPPRESSION_PX, Similarity, SusanResponse, WHOLE, similar_counts};
 use super::{CellGrid, Corner, CornerDetector};
 use crate::image::GreyImage;
-use counting::count_similar;
-use lowest::record_bounds;
-use tiles::{WINDOW_AREA, Windows};
-
-/// Radius of the large mask, pixels; corners are at least this far from the picture's edge.
-pub const LARGE_RADIUS: usize = 20;
-
-/// Pixels of the large mask, the nucleus with them.
-pub const LARGE_AREA: u32 = 1257;
-
-/// Rows and columns of the large mask.
-const SIDE: usize = 2 * LARGE_RADIUS + 1;
+use counting::{HALF_WIDTHS, count_similar};
+pub use counting::{LARGE_AREA, LARGE_RADIUS};
 
 /// Areas are kept in 1 / 32 pixel: 1257 of them fit 16 bits.
 const AREA_SCALE: u32 = 32;
@@ -62,10 +47,8 @@ pub enum LargeSusanScheme {
     /// On every pixel.
     SinglePass,
     /// Where the 37-pixel mask answers, and downhill from there: the method's two passes.
-    SmallMask,
-    /// Where a bound from below on its area leaves a corner possible: the single pass's corners, without exception.
     #[default]
-    Bounded,
+    SmallMask,
 }
 
 /// How the large mask decides.
@@ -89,7 +72,7 @@ impl Default for LargeSusanConfig {
             response: SusanResponse::Step,
             geometric_threshold: 0.4,
             suppression_px: 5,
-            scheme: LargeSusanScheme::Bounded,
+            scheme: LargeSusanScheme::SmallMask,
             small_mask_below: 0.65,
         }
     }
@@ -112,19 +95,12 @@ pub struct LargeSusanDetector {
     similarities: Vec<Option<(Similarity, Bound)>>,
     /// Area of each pixel times [`AREA_SCALE`], or [`LARGE`], or [`UNKNOWN`].
     areas: Vec<u16>,
-    /// Least area that each pixel can have, in the same unit; 0 where no bound was asked for.
-    bounds: Vec<u16>,
-    /// Smallest area measured so far within the suppression radius of each pixel.
-    low: Vec<u16>,
     /// Brightness threshold of each pixel's cell; 0 = none.
     t: Vec<u8>,
     /// Pixels to start from, as indices.
     starts: Vec<u32>,
-    /// The same in the order in which they are measured.
-    order: Vec<u32>,
     found: Vec<u32>,
     rows: FirstPassRows,
-    windows: Windows,
     counts: LargeSusanCounts,
 }
 
@@ -168,20 +144,12 @@ impl LargeSusanDetector {
             config,
             similarities: vec![None; 256],
             areas: Vec::new(),
-            bounds: Vec::new(),
-            low: Vec::new(),
             t: Vec::new(),
             starts: Vec::new(),
-            order: Vec::new(),
             found: Vec::new(),
             rows: FirstPassRows::default(),
-            windows: Windows::default(),
             counts: LargeSusanCounts::default(),
         })
-    }
-
-    pub fn config(&self) -> &LargeSusanConfig {
-        &self.config
     }
 
     /// What the last detection did.
@@ -229,9 +197,6 @@ impl LargeSusanDetector {
             row.clear();
             row.resize(width, 0);
         }
-        if scheme == LargeSusanScheme::Bounded {
-            self.windows.fill(image);
-        }
         // sd < g leaves count + 1 < g * 37, the nucleus being one.
         let small_limit = ((self.config.small_mask_below * MASK_AREA as f32).ceil() as u8).saturating_sub(2);
         let side = cells.cell_px.max(1);
@@ -241,9 +206,6 @@ impl LargeSusanDetector {
                 rows.fill(&self.t[y * width..(y + 1) * width], y, cells, |t| match scheme {
                     LargeSusanScheme::SinglePass => Some((0, 1)),
                     LargeSusanScheme::SmallMask => Some((t - 1, small_limit)),
-                    LargeSusanScheme::Bounded => {
-                        self.similarities[usize::from(t)].as_ref().map(|(_, bound)| (bound.difference, bound.windows()))
-                    }
                 });
             }
             let FirstPassRows { difference, limit, left } = rows;
@@ -253,20 +215,6 @@ impl LargeSusanDetector {
                 LargeSusanScheme::SmallMask => {
                     let seven = std::array::from_fn(|i| image.row(y + i - MASK_RADIUS));
                     similar_counts(&seven, difference, limit, left);
-                }
-                LargeSusanScheme::Bounded => {
-                    let (difference, limit) = (&difference[inner.clone()], &limit[inner.clone()]);
-                    self.windows.bound_row(image, (r, y), difference, limit, &mut left[inner.clone()]);
-                    // What the bound excludes need not be measured as a neighbour either.
-                    let pixels = y * width + r..(y + 1) * width - r;
-                    let (areas, bounds) = (&mut self.areas[pixels.clone()], &mut self.bounds[pixels.clone()]);
-                    record_bounds(&left[inner.clone()], limit, (WINDOW_AREA * AREA_SCALE) as u16, areas, bounds);
-                    if self.config.response == SusanResponse::Exponential {
-                        for (bound, t) in self.bounds[pixels.clone()].iter_mut().zip(&self.t[pixels]) {
-                            let least = self.similarities[usize::from(*t)].as_ref().map_or(0, |(_, b)| b.least);
-                            *bound = (u32::from(*bound) * least / u32::from(WHOLE)) as u16;
-                        }
-                    }
                 }
             }
             for (chunk, bytes) in left[inner].chunks(8).enumerate() {
@@ -365,17 +313,10 @@ impl CornerDetector for LargeSusanDetector {
         self.fill_thresholds(image, cells);
         self.areas.clear();
         self.areas.resize(image.data.len(), UNKNOWN);
-        if self.config.scheme == LargeSusanScheme::Bounded {
-            self.bounds.clear();
-            self.bounds.resize(image.data.len(), 0);
-        }
         self.first_pass(image, cells);
         self.counts.answered = self.starts.len();
         self.found.clear();
-        match self.config.scheme {
-            LargeSusanScheme::Bounded => self.lowest_by_bounds(image),
-            LargeSusanScheme::SinglePass | LargeSusanScheme::SmallMask => self.descend_from_starts(image),
-        }
+        self.descend_from_starts(image);
         for &at in &self.found {
             let (x, y) = ((at as usize % image.width) as f32, (at as usize / image.width) as f32);
             if cells.index(x, y).is_some_and(|i| cells.cells[i].wanted) {
@@ -394,31 +335,21 @@ struct Bound {
     count: u32,
     /// with an area times [`WHOLE`] of this or more. `None`: the count is the area.
     area: Option<u32>,
-    /// What a pixel that differs by at most `difference` adds to the area at least, times [`WHOLE`].
-    least: u32,
 }
 
 impl Bound {
     fn new(config: &LargeSusanConfig, t: u8, similarity: &Similarity) -> Self {
         let limit = f64::from(config.geometric_threshold) * f64::from(LARGE_AREA);
         match config.response {
-            SusanResponse::Step => {
-                Self { difference: t.max(1) - 1, count: limit.ceil() as u32, area: None, least: WHOLE.into() }
-            }
+            SusanResponse::Step => Self { difference: t.max(1) - 1, count: limit.ceil() as u32, area: None },
             SusanResponse::Exponential => {
                 // The area is at least count * c(difference).
                 let difference = (7 * u32::from(t) / 10) as u8;
-                let least = u32::from(similarity.at_difference(difference));
-                let c = f64::from(least) / f64::from(WHOLE);
+                let c = f64::from(similarity.at_difference(difference)) / f64::from(WHOLE);
                 let area = (limit * f64::from(WHOLE)).ceil() as u32;
-                Self { difference, count: (limit / c).ceil() as u32, area: Some(area), least }
+                Self { difference, count: (limit / c).ceil() as u32, area: Some(area) }
             }
         }
-    }
-
-    /// Windows that hold that many pixels.
-    fn windows(&self) -> u8 {
-        self.count.div_ceil(WINDOW_AREA) as u8
     }
 }
 
@@ -434,20 +365,6 @@ fn measure(image: &GreyImage, (x, y): (usize, usize), bound: &Bound, similarity:
             .map_or(LARGE, |area| (area / (u32::from(WHOLE) / AREA_SCALE)) as u16),
     }
 }
-
-/// Half the width of the large mask's rows, top to bottom.
-const HALF_WIDTHS: [usize; SIDE] = {
-    let mut half = [0; SIDE];
-    let mut row = 0;
-    while row < SIDE {
-        let dy = row.abs_diff(LARGE_RADIUS);
-        while (half[row] + 1) * (half[row] + 1) + dy * dy <= LARGE_RADIUS * LARGE_RADIUS {
-            half[row] += 1;
-        }
-        row += 1;
-    }
-    half
-};
 
 /// Sum of the similarities times [`WHOLE`]; `None` as soon as it reaches `limit`.
 fn exact_area(image: &GreyImage, x: usize, y: usize, similarity: &Similarity, limit: u32) -> Option<u32> {

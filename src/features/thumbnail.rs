@@ -38,12 +38,6 @@ impl ImageMotion {
     pub fn apply(&self, previous: Vector2<f32>) -> Vector2<f32> {
         Rotation2::new(self.angle_rad) * (previous - self.center_px) + self.center_px + self.shift_px
     }
-
-    /// Where a level-0 position of the current picture lay in the previous one.
-    #[inline]
-    pub fn apply_inverse(&self, current: Vector2<f32>) -> Vector2<f32> {
-        Rotation2::new(-self.angle_rad) * (current - self.center_px - self.shift_px) + self.center_px
-    }
 }
 
 /// Thumbnails are at least this wide where the picture is, and less than twice as wide, pixels.
@@ -71,6 +65,13 @@ pub struct Thumbnail {
     pixels: Vec<f32>,
     half: Half,
     sharp: Vec<f32>,
+}
+
+/// A picture's thumbnail; empty (like no other) for a picture too small for one.
+pub fn thumbnail_of(pyramid: &Pyramid) -> Thumbnail {
+    let mut thumbnail = Thumbnail::default();
+    thumbnail.build(pyramid);
+    thumbnail
 }
 
 impl Thumbnail {

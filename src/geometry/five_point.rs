@@ -15,9 +15,6 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 use super::null_space::null_space;
 use super::polynomial::real_roots;
 
-/// Solutions: at most ten, one a real root of the determinant.
-pub const MAX_SOLUTIONS: usize = 10;
-
 /// Polynomial of degree 1 in x, y, z: coefficients of [x, y, z, 1].
 type Linear = [f64; 4];
 /// Degree 2: [x², y², z², xy, xz, yz, x, y, z, 1].
@@ -301,7 +298,8 @@ mod tests {
             let mut random = Random::new(seed);
             let scene = Scene::new(&mut random, Shape::Volume, 5, 0.5);
             let solutions = solve(&scene);
-            assert!(solutions.len() <= MAX_SOLUTIONS);
+            // One a real root of the determinant.
+            assert!(solutions.len() <= 10);
             let e = truth(&scene);
             let error = solutions.iter().map(|s| projective_distance(s, &e)).fold(f64::INFINITY, f64::min);
             errors.push((error, seed));

@@ -3,8 +3,7 @@
 //! Matched points in pixels -> F with `x2ᵀ F x1 = 0` (eq. 4), rank two, unit Frobenius norm; inliers, statistics and
 //! what the scene left open. Exactly one matrix, or `None`: too few, repeated, collinear or random matches, numbers that
 //! are not finite.
-//! - Seven-point: one to three matrices (Hartley & Zisserman, alg. 11.1, section 11.1.2); eight-point, normalised,
-//!   least squares, rank two forced (alg. 11.1).
+//! - Seven-point: one to three matrices (Hartley & Zisserman, alg. 11.1, section 11.1.2).
 //! - Robust: seven-point samples in the common loop with Sampson residuals; solutions that put sample points on opposite
 //!   sides of the cameras are dropped (Chum, Werner, Matas, ICPR 2004). Local optimisation and the last refinement:
 //!   Levenberg-Marquardt over the seven degrees of freedom, `F = U diag(1, s, 0) Vᵀ` (Bartoli & Sturm, PAMI 2004).
@@ -20,7 +19,7 @@ use super::displaced::{Displaced, any_cut_stands_out};
 use super::epipolar::{sampson_cost, sampson_normal_equations, sampson_squared, skew};
 use super::homography::{TwoWay, apply, estimate_homography};
 use super::least_squares::{LeastSquares, LmOptions, Loss, NormalEquations, minimise};
-use super::null_space::{RowTriangle, null_space};
+use super::null_space::null_space;
 use super::point_set::{Conditioning, all_finite, bounding_box, chance_near_line, spread};
 use super::polynomial::real_roots;
 use super::ransac::{self, Cost, Estimator, RansacOptions, Workspace};
@@ -53,25 +52,6 @@ pub fn seven_point(x1: &[Vector2<f64>; 7], x2: &[Vector2<f64>; 7], solutions: &m
         let f = a * *z + b;
         solutions.push(f / f.norm());
     }
-}
-
-/// Least squares F of eight or more matches, rank two forced; `None` when the matches leave it open (all on a plane).
-/// Any unit.
-pub fn eight_point(x1: &[Vector2<f64>], x2: &[Vector2<f64>]) -> Option<Matrix3<f64>> {
-    let conditioning = Conditioning::of(x1, x2)?;
-    if x1.len() < 8 {
-        return None;
-    }
-    let mut rows = RowTriangle::<9>::default();
-    for (a, b) in x1.iter().zip(x2) {
-        rows.push(equation(&conditioning.first(a), &conditioning.second(b)));
-    }
-    let solution = rows.solve()?;
-    if solution.next < 1e-9 * solution.largest {
-        return None;
-    }
-    let f = RankTwo::nearest(&Matrix3::from_row_slice(&solution.vector))?.matrix();
-    uncondition(&f, &conditioning)
 }
 
 /// F of the raw points, of unit norm.

@@ -2,12 +2,12 @@
 //!
 //! H in normalised coordinates (`x2 ~ H x1`) -> up to four `(R, t / d, n)` with `H ~ R + (t / d) nᵀ`, where the plane is
 //! `nᵀ X = d` in the first camera, n of unit length, d > 0. Two of them survive when the plane must be in front of
-//! both cameras ([`PlaneMotion::sees`]); which of the two is the true one a third view, or points beside the plane,
+//! both cameras; which of the two is the true one a third view, or points beside the plane,
 //! must say.
 //! Analytic, from the eigenvectors of `HᵀH` (Ma, Soatto, Kosecka, Sastry: An Invitation to 3-D Vision, section 5.3.3;
 //! the same four as Faugeras & Lustman 1988 and Malis & Vargas 2007). Cost: about 2 us.
 
-use nalgebra::{Matrix3, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
 use super::rotation::quaternion;
 
@@ -20,17 +20,6 @@ pub struct PlaneMotion {
     pub translation: Vector3<f64>,
     /// Unit normal of the plane in the first camera, pointing away from it.
     pub normal: Vector3<f64>,
-}
-
-impl PlaneMotion {
-    /// Is the plane's point seen at `x1` in front of both cameras?
-    #[inline]
-    pub fn sees(&self, x1: &Vector2<f64>) -> bool {
-        let ray = x1.push(1.0);
-        let along = self.normal.dot(&ray);
-        // X = ray / along; its depth in the second camera.
-        along > 0.0 && (self.rotation * ray + self.translation * along).z > 0.0
-    }
 }
 
 /// What a homography says about the motion.
@@ -84,6 +73,7 @@ mod tests {
     use super::super::random::Random;
     use super::super::synthetic::random_rotation;
     use super::*;
+    use nalgebra::Vector2;
 
     fn case(random: &mut Random) -> PlaneMotion {
         PlaneMotion {
@@ -124,6 +114,14 @@ mod tests {
         }
     }
 
+    /// Is the plane's point seen at `x1` in front of both cameras?
+    fn sees(motion: &PlaneMotion, x1: &Vector2<f64>) -> bool {
+        let ray = x1.push(1.0);
+        let along = motion.normal.dot(&ray);
+        // X = ray / along; its depth in the second camera.
+        along > 0.0 && (motion.rotation * ray + motion.translation * along).z > 0.0
+    }
+
     #[test]
     fn at_most_two_motions_see_the_plane() {
         for seed in 0..200 {
@@ -134,9 +132,9 @@ mod tests {
             };
             let points: Vec<Vector2<f64>> = (0..100)
                 .map(|_| Vector2::new(random.uniform(-0.6, 0.6), random.uniform(-0.5, 0.5)))
-                .filter(|x| truth.sees(x))
+                .filter(|x| sees(&truth, x))
                 .collect();
-            let full = found.iter().filter(|m| points.iter().all(|x| m.sees(x))).count();
+            let full = found.iter().filter(|m| points.iter().all(|x| sees(m, x))).count();
             assert!((1..=2).contains(&full), "seed {seed}: {full}");
         }
     }

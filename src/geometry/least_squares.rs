@@ -18,8 +18,6 @@ pub enum Loss {
     Huber(f64),
     /// Logarithmic with the given scale: outliers fade.
     Cauchy(f64),
-    /// Constant beyond the given residual (MSAC's own cost).
-    Truncated(f64),
 }
 
 impl Loss {
@@ -39,13 +37,6 @@ impl Loss {
             Loss::Cauchy(k) => {
                 let scale = k * k;
                 (scale * (s / scale).ln_1p(), scale / (scale + s))
-            }
-            Loss::Truncated(k) => {
-                if s <= k * k {
-                    (s, 1.0)
-                } else {
-                    (k * k, 0.0)
-                }
             }
         }
     }
@@ -249,7 +240,7 @@ mod tests {
 
     #[test]
     fn the_weight_is_the_derivative_of_the_cost() {
-        for loss in [Loss::Squared, Loss::Huber(0.7), Loss::Cauchy(0.7), Loss::Truncated(0.7)] {
+        for loss in [Loss::Squared, Loss::Huber(0.7), Loss::Cauchy(0.7)] {
             for s in [0.01, 0.3, 0.6, 2.0, 50.0] {
                 let h = 1e-6 * s;
                 let numeric = (loss.evaluate(s + h).0 - loss.evaluate(s - h).0) / (2.0 * h);

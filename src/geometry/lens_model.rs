@@ -95,14 +95,6 @@ impl LensModel {
         matches!(self, Self::KannalaBrandt(_))
     }
 
-    /// k1 k2 p1 p2 k3 of a radial-tangential lens.
-    pub fn radial_tangential(&self) -> Option<[f64; 5]> {
-        match self {
-            Self::RadialTangential(k) => Some(*k),
-            Self::KannalaBrandt(_) => None,
-        }
-    }
-
     /// Largest |n| up to which the lens is one to one.
     pub(super) fn valid_radius(&self) -> f64 {
         match self {

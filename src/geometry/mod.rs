@@ -31,6 +31,7 @@ pub mod ransac;
 pub mod rotation;
 pub mod se3;
 pub mod sim3;
+mod statistics;
 #[cfg(test)]
 pub(crate) mod synthetic;
 pub mod triangulation;
@@ -40,6 +41,7 @@ pub mod unknown_turn;
 pub use camera_model::{CameraModel, CameraModelError};
 pub use lens_model::LensModel;
 pub use se3::Se3;
+pub use statistics::median;
 
 /// Marker types of the coordinate frames that a [`Se3`] maps between.
 pub mod frames {

@@ -3,16 +3,15 @@
 //! Points (frame `From`, map unit) and undistorted normalised image points -> `to_from_from` (`To` = the camera), inliers,
 //! statistics; `None` when no pose stands out: too few, collinear or random matches, numbers that are not finite.
 //! Three-point samples ([`super::p3p`]) in the common loop with reprojection errors; local optimisation and the last
-//! refinement by Levenberg-Marquardt over the six degrees of freedom ([`refine_pose`], which the frame path may use
-//! alone when it has a good start).
+//! refinement by Levenberg-Marquardt over the six degrees of freedom.
 //!
 //! Thresholds are in normalised units: pixels divided by the focal length. Cost: about 0.3 ms for 300 points with 30 %
-//! outliers; `refine_pose` about 10 us an iteration for 300 points.
+//! outliers.
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector2, Vector3, Vector6};
 
 use super::Se3;
-use super::least_squares::{LeastSquares, LmOptions, LmSummary, Loss, NormalEquations, minimise};
+use super::least_squares::{LeastSquares, LmOptions, Loss, NormalEquations, minimise};
 use super::p3p::{Pose, p3p};
 use super::point_set::{all_finite, chance_near_point, spread};
 use super::ransac::{self, Estimator, RansacOptions, Workspace};
@@ -78,24 +77,8 @@ impl<I: Iterator<Item = (Vector3<f64>, Vector2<f64>)> + Clone> LeastSquares<6> f
     }
 }
 
-fn pose_of<To, From>(motion: &Se3<To, From>) -> Pose {
-    Pose { rotation: *motion.rotation.to_rotation_matrix().matrix(), translation: motion.translation }
-}
-
 fn motion_of<To, From>(pose: &Pose) -> Se3<To, From> {
     Se3::new(quaternion(&pose.rotation), pose.translation)
-}
-
-/// The pose of least reprojection error near `start`, and how the refinement went. Points behind the camera at the start
-/// make it come back unchanged.
-pub fn refine_pose<To, From>(
-    start: &Se3<To, From>,
-    matches: impl Iterator<Item = (Vector3<f64>, Vector2<f64>)> + Clone,
-    loss: Loss,
-    options: &LmOptions,
-) -> (Se3<To, From>, LmSummary) {
-    let (pose, summary) = minimise(&PoseProblem { matches, loss }, pose_of(start), options);
-    (motion_of(&pose), summary)
 }
 
 /// Poses for the robust loop.
@@ -231,6 +214,10 @@ mod tests {
         case
     }
 
+    fn pose_of<To, From>(motion: &Se3<To, From>) -> Pose {
+        Pose { rotation: *motion.rotation.to_rotation_matrix().matrix(), translation: motion.translation }
+    }
+
     #[test]
     fn rows_equal_numeric_differences() {
         for seed in 0..30 {
@@ -290,7 +277,9 @@ mod tests {
             let off =
                 Se3::<Camera, World>::new(random_rotation(&mut random, 0.1) * c.pose.rotation, c.pose.translation);
             let matches = c.points.iter().copied().zip(c.seen.iter().copied());
-            let (found, summary) = refine_pose(&off, matches, Loss::Huber(0.01), &LmOptions::default());
+            let problem = PoseProblem { matches, loss: Loss::Huber(0.01) };
+            let (found, summary) = minimise(&problem, pose_of(&off), &LmOptions::default());
+            let found: Se3<Camera, World> = motion_of(&found);
             let error = found.rotation.angle_to(&c.pose.rotation) + (found.translation - c.pose.translation).norm();
             assert!(error < 1e-6 && summary.converged, "seed {seed}: {error} {summary:?}");
         }

@@ -51,21 +51,6 @@ pub fn euclidean(x: &Vector4<f64>) -> Option<Vector3<f64>> {
     (x.w != 0.0 && point.iter().all(|v| v.is_finite())).then_some(point)
 }
 
-/// Sign of a homogeneous point's depth in a view whose left 3x3 part has a positive determinant (Hartley & Zisserman,
-/// eq. 6.15): is it in front?
-pub fn is_in_front(view: &Matrix3x4<f64>, x: &Vector4<f64>) -> bool {
-    (view * x).z * x.w > 0.0
-}
-
-/// Squared distance of the projected point from where it was seen, in the unit of `seen`. `None` for a point in the
-/// camera's focal plane; the side is not checked (see [`is_in_front`]).
-pub fn reprojection_squared(view: &Matrix3x4<f64>, x: &Vector4<f64>, seen: &Vector2<f64>) -> Option<f64> {
-    let p = view * x;
-    let error = Vector2::new(p.x / p.z, p.y / p.z) - seen;
-    let squared = error.norm_squared();
-    squared.is_finite().then_some(squared)
-}
-
 /// Where two rays meet.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Intersection {
@@ -106,14 +91,6 @@ pub fn intersect<Second, First>(
     point.iter().all(|v| v.is_finite()).then_some(found)
 }
 
-/// Angle between the rays of a match after the rotation is taken out, radians.
-#[inline]
-pub fn parallax<Second, First>(second_from_first: &Se3<Second, First>, x1: &Vector2<f64>, x2: &Vector2<f64>) -> f64 {
-    let a = second_from_first.rotation * x1.push(1.0);
-    let b = x2.push(1.0);
-    a.cross(&b).norm().atan2(a.dot(&b))
-}
-
 /// The match nearest to `(x1, x2)` that fulfils `x2ᵀ E x1 = 0` (Lindstrom's niter2).
 #[inline]
 pub fn nearest_match(e: &Matrix3<f64>, x1: &Vector2<f64>, x2: &Vector2<f64>) -> Option<(Vector2<f64>, Vector2<f64>)> {
@@ -141,6 +118,28 @@ mod tests {
     use super::super::random::Random;
     use super::super::synthetic::{FOCAL, Scene, Shape};
     use super::*;
+
+    /// Sign of a homogeneous point's depth in a view whose left 3x3 part has a positive determinant (Hartley & Zisserman,
+    /// eq. 6.15): is it in front?
+    fn is_in_front(view: &Matrix3x4<f64>, x: &Vector4<f64>) -> bool {
+        (view * x).z * x.w > 0.0
+    }
+
+    /// Squared distance of the projected point from where it was seen, in the unit of `seen`. `None` for a point in the
+    /// camera's focal plane; the side is not checked.
+    fn reprojection_squared(view: &Matrix3x4<f64>, x: &Vector4<f64>, seen: &Vector2<f64>) -> Option<f64> {
+        let p = view * x;
+        let error = Vector2::new(p.x / p.z, p.y / p.z) - seen;
+        let squared = error.norm_squared();
+        squared.is_finite().then_some(squared)
+    }
+
+    /// Angle between the rays of a match after the rotation is taken out, radians.
+    fn parallax<Second, First>(second_from_first: &Se3<Second, First>, x1: &Vector2<f64>, x2: &Vector2<f64>) -> f64 {
+        let a = second_from_first.rotation * x1.push(1.0);
+        let b = x2.push(1.0);
+        a.cross(&b).norm().atan2(a.dot(&b))
+    }
 
     fn scene(seed: u64) -> (Random, Scene) {
         let mut random = Random::new(seed);

@@ -25,6 +25,7 @@ use super::least_squares::{LmOptions, Loss};
 use super::point_set::all_finite;
 use super::ransac::{RansacOptions, Workspace};
 use super::rotation::estimate_rotation;
+use super::statistics::median;
 use super::triangulation::{intersect, nearest_match};
 
 /// 95 % points of chi-square with one and with two degrees of freedom.
@@ -238,12 +239,12 @@ impl Views<'_> {
         // Did the pictures turn at all?
         let mut flow: Vec<f64> =
             self.matches().map(|(a, b)| (apply(&found.model, &a) - a).norm().max((b - a).norm())).collect();
-        if median(&mut flow) > options.threshold {
+        if median(&mut flow).unwrap_or(0.0) > options.threshold {
             return Err(TwoViewFailure::PureRotation { angle_rad });
         }
         let mut parallax: Vec<f64> =
             self.matches().map(|(a, b)| (found.model * a.push(1.0)).angle(&b.push(1.0))).collect();
-        Err(TwoViewFailure::LowParallax { median_rad: median(&mut parallax), wide_points: 0 })
+        Err(TwoViewFailure::LowParallax { median_rad: median(&mut parallax).unwrap_or(0.0), wide_points: 0 })
     }
 
     /// Inverse variance of ORB-SLAM's scores. A distance carries the noise of both pictures, 2 sigma²; twice that, because
@@ -345,7 +346,7 @@ impl Views<'_> {
                 votes: t.votes,
                 votes_runner_up: other,
                 wide_points: parallax.iter().filter(|p| **p >= self.options.min_parallax_rad).count(),
-                median_parallax_rad: median(&mut parallax),
+                median_parallax_rad: median(&mut parallax).unwrap_or(0.0),
                 homography_ratio,
             }
         };
@@ -374,15 +375,6 @@ impl Views<'_> {
 /// Angle between the rotations plus angle between the translations, radians.
 fn difference(a: &Se3<Second, First>, b: &Se3<Second, First>) -> f64 {
     a.rotation.angle_to(&b.rotation) + a.translation.angle(&b.translation)
-}
-
-/// Upper median; zero of nothing.
-fn median(values: &mut [f64]) -> f64 {
-    let middle = values.len() / 2;
-    if values.is_empty() {
-        return 0.0;
-    }
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 #[cfg(test)]

@@ -13,26 +13,10 @@
 //!
 //! Not here: colour, scaling, undistortion, range expansion of YUYV's 16 to 235.
 
+use super::error::check_size;
+pub use super::error::{DecodeError, MAX_HEIGHT, MAX_WIDTH};
 use super::{GreyImage, jpeg, png};
 use crate::frame::{PixelFormat, RawFrame};
-
-/// Widest picture that is decoded, pixels.
-pub const MAX_WIDTH: usize = 1920;
-/// Highest picture that is decoded, pixels.
-pub const MAX_HEIGHT: usize = 1200;
-
-/// Why a frame could not be turned into a grey picture.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum DecodeError {
-    /// The bytes are not a whole picture of the stated format.
-    #[error("{format} picture of {bytes} bytes cannot be decoded: {reason}")]
-    Corrupt { format: &'static str, bytes: usize, reason: String },
-    /// The header states a size that is not handled.
-    #[error(
-        "{format} picture of {width}x{height} px is refused: sizes from 1x1 to {MAX_WIDTH}x{MAX_HEIGHT} px are handled"
-    )]
-    Size { format: &'static str, width: usize, height: usize },
-}
 
 /// Decodes with buffers kept between frames.
 #[derive(Debug, Default)]
@@ -83,14 +67,6 @@ pub fn picture_size(data: &[u8]) -> Option<(u32, u32)> {
         _ => png::read_size(data)?,
     };
     Some((u32::try_from(width).ok()?, u32::try_from(height).ok()?))
-}
-
-pub(super) fn check_size(format: &'static str, width: usize, height: usize) -> Result<(), DecodeError> {
-    if (1..=MAX_WIDTH).contains(&width) && (1..=MAX_HEIGHT).contains(&height) {
-        Ok(())
-    } else {
-        Err(DecodeError::Size { format, width, height })
-    }
 }
 
 /// Every `STEP`-th byte of each row: 1 copies GREY, 2 takes the luma of YUYV.

@@ -13,7 +13,7 @@
 //! row buffers is allocated for each. Not here: colour, arithmetic coding, 12 bit, CMYK and RGB JPEG (refused).
 
 use super::GreyImage;
-use super::decode::{DecodeError, check_size};
+use super::error::{DecodeError, check_size};
 use zune_jpeg::JpegDecoder;
 use zune_jpeg::zune_core::bytestream::ZCursor;
 use zune_jpeg::zune_core::colorspace::ColorSpace;

@@ -1,6 +1,7 @@
 //! Grey pictures and pyramids; decoding of what cameras and recordings deliver.
 
 pub mod decode;
+mod error;
 mod jpeg;
 mod png;
 pub mod pyramid;

@@ -8,7 +8,7 @@
 //! colour profiles and gamma, later frames of an animation.
 
 use super::GreyImage;
-use super::decode::{DecodeError, check_size};
+use super::error::{DecodeError, check_size};
 use ::png::{BitDepth, ColorType, Decoder, Limits, Transformations};
 use std::io::Cursor;
 

@@ -14,8 +14,8 @@ use std::path::Path;
 
 use nalgebra::Vector3;
 
+use super::MapSnapshot;
 use crate::atomic_file::{WriteError, write_atomically};
-use crate::reconstruction::MapSnapshot;
 
 const KEYFRAME_COLOUR: [u8; 3] = [255, 110, 20];
 
@@ -73,8 +73,7 @@ fn write_vertices(out: &mut impl Write, map: &MapSnapshot) -> io::Result<()> {
 mod tests {
     use super::*;
     use crate::geometry::Se3;
-    use crate::map::{KeyframeId, LandmarkId, MapId};
-    use crate::reconstruction::{KeyframeView, LandmarkView};
+    use crate::map::{KeyframeId, KeyframeView, LandmarkId, LandmarkView, MapId};
 
     fn landmark(id: u32, x: f64, sigma: f32, observations: u32) -> LandmarkView {
         LandmarkView { id: LandmarkId(id), position_world: Vector3::new(x, -2.0, 3.5), sigma, observations }

@@ -3,20 +3,22 @@
 //! One owner (reconstruction's thread) reads and writes it; mapping jobs work on copies of parts of it. World = the
 //! optical axes of the map's first keyframe; lengths are map units.
 
+pub mod export;
+mod snapshot;
 pub mod store;
 
 use std::sync::Arc;
 
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
+use crate::features::descriptor::Descriptor;
 use crate::features::thumbnail::Thumbnail;
 use crate::geometry::Se3;
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, World};
 use crate::image::Pyramid;
+pub use snapshot::{KeyframeView, LandmarkView, MapSnapshot, largest_sigma};
 use store::Store;
-
-pub mod export;
 
 /// A keyframe of a map; never reused within a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Default)]
@@ -57,6 +59,16 @@ impl Observation {
     }
 }
 
+/// A corner of a keyframe that is no landmark yet.
+#[derive(Debug, Clone, Copy)]
+pub struct FreeCorner {
+    /// Level-0 pixel, distorted as in the picture.
+    pub pixel: Vector2<f32>,
+    /// The same, undistorted, on the plane z = 1.
+    pub normalised: Vector2<f64>,
+    pub descriptor: Descriptor,
+}
+
 /// A frame that the map keeps, with its picture.
 #[derive(Debug, Clone)]
 pub struct Keyframe {
@@ -77,6 +89,8 @@ pub struct Keyframe {
     pub observations: Vec<Observation>,
     /// Keyframes that share landmarks with this one and how many; ascending id.
     pub covisible: Vec<(KeyframeId, u32)>,
+    /// Corners that may become landmarks once a later keyframe sees them, too.
+    pub corners: Vec<FreeCorner>,
 }
 
 impl Keyframe {
@@ -152,6 +166,23 @@ impl Map {
         }
         self.revision += 1;
         id
+    }
+
+    /// Gives a keyframe its free corners.
+    pub fn set_corners(&mut self, keyframe: KeyframeId, corners: Vec<FreeCorner>) {
+        if let Some(k) = self.keyframes.get_mut(keyframe.0) {
+            k.corners = corners;
+        }
+    }
+
+    /// Takes corners (by index) away from a keyframe: they are landmarks now.
+    pub fn drop_corners(&mut self, keyframe: KeyframeId, used: &mut [usize]) {
+        used.sort_unstable();
+        if let Some(k) = self.keyframes.get_mut(keyframe.0) {
+            for &i in used.iter().rev() {
+                k.corners.swap_remove(i);
+            }
+        }
     }
 
     /// Adds a landmark seen by the given keyframes.
@@ -298,6 +329,7 @@ fn change_covisibility(keyframes: &mut Store<Keyframe>, a: KeyframeId, b: Keyfra
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::random::Random;
 
     fn keyframe(landmarks: &[u32]) -> Keyframe {
         Keyframe {
@@ -311,6 +343,7 @@ mod tests {
             scale_from: None,
             observations: landmarks.iter().map(|&l| observation(l)).collect(),
             covisible: Vec::new(),
+            corners: Vec::new(),
         }
     }
 
@@ -341,13 +374,8 @@ mod tests {
     #[test]
     fn random_edits_keep_every_link_mutual_and_counted() {
         for seed in 0..20u64 {
-            let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
-            let mut random = |n: u32| {
-                state ^= state << 13;
-                state ^= state >> 7;
-                state ^= state << 17;
-                ((state >> 33) as u32) % n
-            };
+            let mut generator = Random::new(seed);
+            let mut random = |n: u32| generator.below(n as usize) as u32;
             let mut map = Map::default();
             for step in 0..300 {
                 match random(6) {

@@ -2,7 +2,6 @@
 
 use iceoryx2::prelude::ZeroCopySend;
 
-use super::transform::rotation_matrix;
 use super::{CLOCK_MONOTONIC, Clock, NO_KEYFRAME, SCALE_UNKNOWN, STATE_INITIALIZING, Scale, State, UNKNOWN_NS};
 
 /// One frame's pose. Unless `state` is [`super::STATE_TRACKING`], everything that belongs to the pose is NaN or zero.
@@ -189,6 +188,15 @@ impl Pose {
         }
         full
     }
+}
+
+/// Rotation matrix, row by row, of a unit quaternion (x, y, z, w).
+pub(super) fn rotation_matrix(&[x, y, z, w]: &[f64; 4]) -> [[f64; 3]; 3] {
+    [
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+        [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
+        [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
+    ]
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! Rigid motions for planners that have no library for them: compose, invert, apply.
 
-use super::Pose;
+use super::pose::{Pose, rotation_matrix};
 
 /// `a_from_b`: maps coordinates in `b` to coordinates in `a`, `x_a = R(orientation) * x_b + position`. It is also the place of
 /// `b` in `a`. Name it after both frames, and neighbours cancel: `map_from_odom * odom_from_body`.
@@ -95,15 +95,6 @@ impl Pose {
     pub fn map_from_odom(&self) -> Option<Transform> {
         Some(self.map_from_body()? * self.odom_from_body()?.inverse())
     }
-}
-
-/// Rotation matrix, row by row, of a unit quaternion (x, y, z, w).
-pub(super) fn rotation_matrix(&[x, y, z, w]: &[f64; 4]) -> [[f64; 3]; 3] {
-    [
-        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
-        [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
-        [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
-    ]
 }
 
 #[cfg(test)]

@@ -7,8 +7,9 @@ use tiny_skia::{
     Rect, Stroke, StrokeDash, Transform,
 };
 
+use super::error::PlotError;
+use super::palette;
 use super::text::Fonts;
-use super::{PlotError, palette};
 use crate::image::GreyImage;
 
 /// Pixels, y down.
@@ -190,6 +191,11 @@ impl Canvas {
     /// Text whose baseline is at `y`; returns its width.
     pub fn text(&mut self, text: &str, (x, y): Point, style: TextStyle) -> f32 {
         self.place_text(text, style, |dx| Transform::from_translate(x + dx, y))
+    }
+
+    /// How wide a text would be.
+    pub fn text_width(&self, text: &str, style: TextStyle) -> f32 {
+        self.fonts.outline(text, style.size_px, style.bold).1
     }
 
     /// Text that reads upwards, its baseline at `x`.

@@ -11,7 +11,7 @@ use nalgebra::Vector3;
 use super::axes::{Axes, Range, TICK_TEXT_PX};
 use super::canvas::{Anchor, Area, Canvas, Point, TextStyle};
 use super::{LengthUnit, PlotError, palette, save};
-use crate::reconstruction::MapSnapshot;
+use crate::map::MapSnapshot;
 use crate::trajectory::TumPose;
 
 const WIDTH: u32 = 1800;

@@ -25,6 +25,10 @@ const DISTANCE: f64 = 3.2;
 /// Turn about the vertical, and looking down, radians.
 const AZIMUTH: f64 = 0.55;
 const ELEVATION: f64 = 0.42;
+/// About so many numbers an axis.
+const TICKS: f64 = 6.0;
+/// Between an axis and its numbers, and between these and its name.
+const TEXT_GAP_PX: f64 = 9.0;
 
 /// A camera to draw.
 #[derive(Debug, Clone, PartialEq)]
@@ -154,19 +158,18 @@ pub fn write_space(
 fn grid(canvas: &mut Canvas, projection: &Projection, [x, y, z]: &[Range; 3], unit: &str) {
     // The floor is where y (down) is largest; the walls are the far ones: largest z, and the side away from the eye.
     let (floor, back, side) = (y.max, z.max, x.max);
-    let wanted = 6.0;
     let mut line = |a: Vector3<f64>, b: Vector3<f64>, width: f32, colour: u32| {
         canvas.line(&[projection.place(&a), projection.place(&b)], width, colour, 1.0, None);
     };
-    for (v, _) in ticks(x, wanted) {
+    for (v, _) in ticks(x, TICKS) {
         line(Vector3::new(v, floor, z.min), Vector3::new(v, floor, back), 1.0, palette::GRID);
         line(Vector3::new(v, y.min, back), Vector3::new(v, floor, back), 1.0, palette::GRID);
     }
-    for (v, _) in ticks(z, wanted) {
+    for (v, _) in ticks(z, TICKS) {
         line(Vector3::new(x.min, floor, v), Vector3::new(x.max, floor, v), 1.0, palette::GRID);
         line(Vector3::new(side, y.min, v), Vector3::new(side, floor, v), 1.0, palette::GRID);
     }
-    for (v, _) in ticks(y, wanted) {
+    for (v, _) in ticks(y, TICKS) {
         line(Vector3::new(x.min, v, back), Vector3::new(x.max, v, back), 1.0, palette::GRID);
         line(Vector3::new(side, v, z.min), Vector3::new(side, v, back), 1.0, palette::GRID);
     }
@@ -180,25 +183,80 @@ fn grid(canvas: &mut Canvas, projection: &Projection, [x, y, z]: &[Range; 3], un
     ] {
         line(a, b, 1.5, palette::FRAME);
     }
+    for text in axis_texts(canvas, projection, [x, y, z], unit) {
+        text.draw(canvas);
+    }
+}
+
+/// A text of an axis and the room that it takes on the sheet.
+struct AxisText {
+    text: String,
+    style: TextStyle,
+    upwards: bool,
+    centre: Vector2<f64>,
+    /// Half its width and height, px.
+    half: Vector2<f64>,
+}
+
+impl AxisText {
+    fn new(canvas: &Canvas, text: String, style: TextStyle, upwards: bool) -> Self {
+        // Capitals and digits are 0.73 of the size high.
+        let half = Vector2::new(f64::from(canvas.text_width(&text, style)), 0.73 * f64::from(style.size_px)) * 0.5;
+        let half = if upwards { half.yx() } else { half };
+        Self { text, style, upwards, centre: Vector2::zeros(), half }
+    }
+
+    /// How far it reaches from its centre in a direction.
+    fn reach(&self, direction: &Vector2<f64>) -> f64 {
+        direction.abs().dot(&self.half)
+    }
+
+    fn draw(&self, canvas: &mut Canvas) {
+        let (x, y) = (self.centre.x as f32, self.centre.y as f32);
+        if self.upwards {
+            canvas.text_upwards(&self.text, (x + self.half.x as f32, y), self.style);
+        } else {
+            canvas.text(&self.text, (x, y + self.half.y as f32), self.style);
+        }
+    }
+}
+
+/// Numbers and names of the three axes: outside their edges, the name outside the numbers.
+fn axis_texts(canvas: &Canvas, projection: &Projection, [x, y, z]: [&Range; 3], unit: &str) -> Vec<AxisText> {
     let number = TextStyle::new(16.0, palette::MUTED, Anchor::Centre);
     let label = TextStyle::new(19.0, palette::INK, Anchor::Centre);
-    let shifted = |(px, py): Point, dx: f32, dy: f32| (px + dx, py + dy);
-    for (v, text) in ticks(x, wanted) {
-        canvas.text(&text, shifted(projection.place(&Vector3::new(v, floor, z.min)), 6.0, 22.0), number);
+    let (floor, back) = (y.max, z.max);
+    let sheet = |p: Vector3<f64>| {
+        let (px, py) = projection.place(&p);
+        Vector2::new(f64::from(px), f64::from(py))
+    };
+    let middle = sheet(Vector3::new(x.centre(), y.centre(), z.centre()));
+    let up = Range { min: -y.max, max: -y.min };
+    type Edge<'a> = (String, bool, &'a Range, Box<dyn Fn(f64) -> Vector3<f64> + 'a>);
+    let edges: [Edge<'_>; 3] = [
+        (format!("right ({unit})"), false, x, Box::new(|v| Vector3::new(v, floor, z.min))),
+        ("forward".into(), false, z, Box::new(|v| Vector3::new(x.min, floor, v))),
+        ("up".into(), true, &up, Box::new(|v| Vector3::new(x.min, -v, back))),
+    ];
+    let mut texts = Vec::new();
+    for (name, upwards, range, at) in edges {
+        let along = sheet(at(range.max)) - sheet(at(range.min));
+        let across = Vector2::new(-along.y, along.x).try_normalize(1e-9).unwrap_or(Vector2::y());
+        let centre = sheet(at(range.centre()));
+        let outwards = if across.dot(&(centre - middle)) < 0.0 { -across } else { across };
+        let mut numbers_end = 0.0f64;
+        for (v, text) in ticks(range, TICKS) {
+            let mut text = AxisText::new(canvas, text, number, false);
+            let reach = text.reach(&outwards);
+            text.centre = sheet(at(v)) + outwards * (TEXT_GAP_PX + reach);
+            numbers_end = numbers_end.max(TEXT_GAP_PX + 2.0 * reach);
+            texts.push(text);
+        }
+        let mut name = AxisText::new(canvas, name, label, upwards);
+        name.centre = centre + outwards * (numbers_end + TEXT_GAP_PX + name.reach(&outwards));
+        texts.push(name);
     }
-    for (v, text) in ticks(z, wanted) {
-        canvas.text(&text, shifted(projection.place(&Vector3::new(x.min, floor, v)), -20.0, 14.0), number);
-    }
-    for (v, text) in ticks(&Range { min: -y.max, max: -y.min }, wanted) {
-        let at = projection.place(&Vector3::new(x.min, -v, back));
-        canvas.text(&text, shifted(at, -12.0, 5.0), TextStyle { anchor: Anchor::Right, ..number });
-    }
-    let right = projection.place(&Vector3::new(x.centre(), floor, z.min));
-    canvas.text(&format!("right ({unit})"), shifted(right, 10.0, 50.0), label);
-    let forward = projection.place(&Vector3::new(x.min, floor, z.centre()));
-    canvas.text("forward", shifted(forward, -68.0, 34.0), label);
-    let up = projection.place(&Vector3::new(x.min, y.centre(), back));
-    canvas.text_upwards("up", shifted(up, -62.0, 0.0), label);
+    texts
 }
 
 /// Cameras as open pyramids with their names, and the line between the first two.
@@ -250,6 +308,39 @@ mod tests {
             let corner = Vector3::from_fn(|k, _| if i >> k & 1 == 0 { ranges[k].min } else { ranges[k].max });
             let (x, y) = p.place(&corner);
             assert!((40.0..1360.0).contains(&x) && (90.0..1040.0).contains(&y), "{x} {y}");
+        }
+    }
+
+    #[test]
+    fn no_text_of_the_axes_lies_over_another() {
+        let canvas = Canvas::new(WIDTH, HEIGHT).unwrap();
+        for [right, up, forward] in [
+            [2.5, 1.8, 6.0],
+            [12.0, 8.0, 37.0],
+            [1.0, 1.0, 1.0],
+            [40.0, 10.0, 10.0],
+            [0.02, 0.01, 0.03],
+            [3e7, 3e7, 1e8],
+        ] {
+            let range = |width: f64| Range { min: -0.71 * width, max: 0.29 * width };
+            let ranges = [range(right), range(up), range(forward)];
+            let [x, y, z] = &ranges;
+            let texts = axis_texts(&canvas, &Projection::new(&ranges), [x, y, z], "baselines");
+            assert!(texts.len() >= 9, "{} texts", texts.len());
+            for (i, a) in texts.iter().enumerate() {
+                for b in &texts[..i] {
+                    let apart = (a.centre - b.centre).abs() - a.half - b.half;
+                    assert!(
+                        apart.max() > 0.0,
+                        "{} lies over {} in a box of {right} x {up} x {forward}",
+                        a.text,
+                        b.text
+                    );
+                }
+                let (low, high) = (a.centre - a.half, a.centre + a.half);
+                let inside = low.min() > 0.0 && high.x < f64::from(WIDTH) && high.y < f64::from(HEIGHT);
+                assert!(inside, "{} leaves the sheet in a box of {right} x {up} x {forward}", a.text);
+            }
         }
     }
 

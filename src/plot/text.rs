@@ -6,7 +6,7 @@
 use ab_glyph::{Font, FontRef, OutlineCurve};
 use tiny_skia::{Path, PathBuilder};
 
-use super::PlotError;
+use super::error::PlotError;
 
 /// The two faces of every picture.
 pub struct Fonts {

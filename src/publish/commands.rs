@@ -7,13 +7,11 @@ use iceoryx2::port::server::Server;
 use iceoryx2::prelude::{BackpressureStrategy, MessagingPattern, Node};
 use iceoryx2::service::port_factory::server::ServerCreateError;
 
+use super::PublishError;
+use super::opening::Ipc;
 use super::opening::open_patiently;
-use super::{Ipc, PublishError};
 use crate::messages::services::{MAX_COMMANDERS, MAX_NODES, topic};
 use crate::messages::{Command, CommandReply, Endpoint, reply_code};
-
-/// Commands carried out in one [`CommandServer::poll_commands`] at most, so that a flood delays no frame for long.
-const MAX_PER_POLL: usize = 4;
 
 /// Receives commands; may live in any thread.
 #[derive(Debug)]
@@ -63,17 +61,6 @@ impl CommandServer {
             reason: e.to_string(),
         })?;
         Ok(request.map(Request))
-    }
-
-    /// Carries out the commands that wait (a few at most) and returns how many. Without one it costs some 100 ns.
-    pub fn poll_commands(&mut self, mut handler: impl FnMut(&Command) -> CommandReply) -> Result<usize, PublishError> {
-        for done in 0..MAX_PER_POLL {
-            let Some(request) = self.receive()? else { return Ok(done) };
-            let reply = handler(request.command());
-            // A sender that has gone needs no reply.
-            let _ = request.reply(reply);
-        }
-        Ok(MAX_PER_POLL)
     }
 }
 

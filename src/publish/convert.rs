@@ -24,8 +24,9 @@ use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
 use crate::frame;
 use crate::geometry::frames::{Body, Camera, World};
 use crate::geometry::{Se3, ros_from_optical};
+use crate::map::{KeyframeView, LandmarkView};
 use crate::messages::{self, Keyframe, Landmark, NO_KEYFRAME, Pose};
-use crate::reconstruction::{KeyframeView, LandmarkView, LensKnowledge, PoseEstimate, TrackingState};
+use crate::reconstruction::{LensKnowledge, PoseEstimate, TrackingState};
 
 /// What is known of the length of a map unit.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]

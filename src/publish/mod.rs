@@ -23,7 +23,7 @@ use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use iceoryx2::port::update_connections::UpdateConnections;
-use iceoryx2::prelude::{Node, NodeBuilder, NodeName, SignalHandlingMode, ipc_threadsafe};
+use iceoryx2::prelude::{Node, NodeBuilder, NodeName, SignalHandlingMode};
 
 pub use commands::{CommandServer, Request};
 pub use convert::{Conversion, ScaleEstimate};
@@ -31,13 +31,12 @@ pub use error::PublishError;
 
 use crate::frame::{Clock, monotonic_ns};
 use crate::image::GreyImage;
+use crate::map::MapSnapshot;
 use crate::messages::services::{self, topic};
 use crate::messages::{Endpoint, FrameHeader, Health, Keyframe, KeyframesHeader, Landmark, MapHeader, Pose, Presence};
-use crate::reconstruction::{MapSnapshot, PoseEstimate};
+use crate::reconstruction::PoseEstimate;
+use opening::Ipc;
 use ports::{Loan, Port};
-
-/// Ports of this flavour may move between threads; it meets every other flavour on the wire.
-type Ipc = ipc_threadsafe::Service;
 
 /// How often the remains of processes that were killed are looked for.
 const CLEAN_UP_EVERY: Duration = Duration::from_secs(1);

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use iceoryx2::node::NodeView;
-use iceoryx2::prelude::{MessagingPattern, NodeState, ServiceName};
+use iceoryx2::prelude::{MessagingPattern, NodeState, ServiceName, ipc_threadsafe};
 use iceoryx2::service::Service as _;
 use iceoryx2::service::builder::event::{EventCreateError, EventOpenError, EventOpenOrCreateError};
 use iceoryx2::service::builder::publish_subscribe::{
@@ -17,8 +17,11 @@ use iceoryx2::service::builder::request_response::{
     RequestResponseCreateError, RequestResponseOpenError, RequestResponseOpenOrCreateError,
 };
 
-use super::{Ipc, PublishError};
+use super::PublishError;
 use crate::messages::{Endpoint, effective_uid};
+
+/// Ports of this flavour may move between threads; it meets every other flavour on the wire.
+pub(super) type Ipc = ipc_threadsafe::Service;
 
 /// How long a service of another shape, or one that is just being made or cleared away, is waited for. Clients let go of
 /// theirs half a second after its daemon has gone.

@@ -15,8 +15,9 @@ use iceoryx2::sample_mut::SampleMut;
 use iceoryx2::sample_mut_uninit::SampleMutUninit;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
+use super::PublishError;
+use super::opening::Ipc;
 use super::opening::open_patiently;
-use super::{Ipc, PublishError};
 use crate::messages::Endpoint;
 use crate::messages::services::{self, Qos};
 

@@ -5,10 +5,11 @@ use nalgebra::{Matrix6, UnitQuaternion, Vector3, Vector6};
 use super::convert::{self, Conversion, ScaleEstimate};
 use super::*;
 use crate::geometry::frames::{Body, Camera, Odom, World};
+use crate::geometry::random::Random;
 use crate::geometry::{Se3, ros_from_optical};
-use crate::map::{KeyframeId, LandmarkId, MapId};
+use crate::map::{KeyframeId, KeyframeView, LandmarkId, LandmarkView, MapId};
 use crate::messages::State;
-use crate::reconstruction::{KeyframeView, LandmarkView, TrackingState};
+use crate::reconstruction::TrackingState;
 
 fn estimate(world_from_camera: Se3<World, Camera>) -> PoseEstimate {
     PoseEstimate {
@@ -109,15 +110,8 @@ fn a_robot_that_turns_on_the_spot_stays_there_once_the_scale_is_metric() {
 #[test]
 fn covariance_equals_the_numeric_jacobian_of_the_body_pose() {
     let seed = 20_240_611u64;
-    let mut state = seed;
-    // SplitMix64, to [-1, 1].
-    let mut random = || {
-        state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = state;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 52) as f64 - 1.0
-    };
+    let mut generator = Random::new(seed);
+    let mut random = || generator.uniform(-1.0, 1.0);
     for case in 0..20 {
         let mut vector = || Vector3::new(random(), random(), random());
         let camera_from_world: Se3<Camera, World> = Se3::new(rotation(vector(), 3.0), 5.0 * vector());

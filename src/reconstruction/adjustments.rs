@@ -4,27 +4,15 @@
 //! come slowly, before the next one is tracked. Lock-step waits for results at fixed frames, live operation never waits.
 
 use super::Reconstruction;
-use super::local_adjustment::MappingJob;
+use super::local_adjustment::{MappingJob, Merge};
 use crate::map::KeyframeId;
 
-/// Keyframes at which the whole map is adjusted first; then whenever it has grown by a third, up to the limit.
-pub(super) const WHOLE_FIRST: usize = 5;
+/// Keyframes up to which the whole map is adjusted.
 const WHOLE_LIMIT: usize = 120;
 
 /// Between frames this far apart, ns, an adjustment has long been done (three frames of a usual camera): it is merged before the next one is
 /// tracked. A walk at 5 Hz sees a landmark in four or five frames; with a map adjusted three frames late it has lost most of them.
 const AMPLE_NS: i64 = 110_000_000;
-
-/// When an adjustment is merged.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Merge {
-    /// After a published pose: live as soon as it is done, in lock-step a fixed number of frames after it was posted.
-    WhenDue,
-    /// Before a frame that comes long after the last one.
-    BeforeTracking,
-    /// No frame will follow.
-    AtTheEnd,
-}
 
 impl Reconstruction {
     /// Posts a job around the newest keyframe that no adjustment has seen, unless one is under way.

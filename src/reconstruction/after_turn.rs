@@ -12,7 +12,7 @@
 use nalgebra::Vector2;
 
 use super::Reconstruction;
-use super::assumed_distance::{Ray, assumed_among, is_held};
+use super::assumed_distance::{Ray, assumed_among, is_held, mostly_assumed};
 use super::free_rotation::median;
 use super::pose_optimisation::{PoseOptions, PosePair, optimise_pose};
 use super::search::Match;
@@ -32,11 +32,6 @@ const NEARLY_ALL: f64 = 0.7;
 const MIN_MEASURED: usize = 10;
 /// Standard deviation of a place in either view, px.
 const SIGMA_PX: f64 = 1.0;
-
-/// Whether so much of what a frame's pose rests on is at assumed distances that only two views can tell its motion.
-pub fn is_due(assumed: usize, landmarks: usize) -> bool {
-    3 * assumed > 2 * landmarks
-}
 
 impl Reconstruction {
     /// Landmarks at assumed distances are looked for next where this frame makes them most likely.
@@ -79,7 +74,7 @@ impl Reconstruction {
         let mut behind: Vec<KeyframeId> = self.map.keyframes.iter().map(|(id, _)| KeyframeId(id)).collect();
         let blind = |id: &KeyframeId| {
             let (assumed, all) = assumed_among(&self.map, *id);
-            is_due(assumed, all) || is_held(&self.map, *id)
+            mostly_assumed(assumed, all) || is_held(&self.map, *id)
         };
         let before_turn = behind.iter().rposition(|id| *id < from && !blind(id));
         behind.drain(..before_turn.map_or(0, |last| last + 1));
@@ -198,7 +193,7 @@ mod tests {
     use super::*;
     use crate::features::thumbnail::Thumbnail;
     use crate::map::{AssumedDistance, Keyframe, Landmark, MapId};
-    use crate::reconstruction::keyframes::observe;
+    use crate::reconstruction::search::observe;
 
     const TRUE_OVER_ASSUMED: f64 = 2.0;
 
@@ -218,6 +213,7 @@ mod tests {
             scale_from: None,
             observations: Vec::new(),
             covisible: Vec::new(),
+            corners: Vec::new(),
         }
     }
 
@@ -261,6 +257,7 @@ mod tests {
                 normalised: camera.undistort(&pixel.cast()).expect("in the picture"),
                 displacement: Vector2::zeros(),
                 inv_sigma_px: 1.25,
+                blurred: false,
                 inlier: true,
                 template: keyframes[0].0,
             });

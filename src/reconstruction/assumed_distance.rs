@@ -15,7 +15,7 @@
 use nalgebra::{Matrix2, Vector2, Vector3};
 
 use super::free_rotation::median;
-use super::keyframes::{refine_point, reprojection_chi2};
+use super::point::{refine_point, reprojection_chi2};
 use super::pose_optimisation::{CHI2_2D_95, PosePair, scaled};
 use super::search::Match;
 use crate::geometry::frames::{Camera, World};
@@ -183,6 +183,11 @@ pub fn triangulate_assumed(map: &mut Map, newest: KeyframeId, camera: &CameraMod
 pub fn is_held(map: &Map, keyframe: KeyframeId) -> bool {
     let (assumed, all) = assumed_among(map, keyframe);
     assumed > 0 && all - assumed < HELD_BELOW
+}
+
+/// Whether so much of what a frame's pose rests on is at assumed distances that only two views can tell its motion.
+pub fn mostly_assumed(assumed: usize, landmarks: usize) -> bool {
+    3 * assumed > 2 * landmarks
 }
 
 /// Landmarks at assumed distances that a keyframe sees, and all that it sees.

@@ -8,58 +8,17 @@
 //! intrinsics, and a rolling shutter's readout time) can be unknowns as well: a border of the reduced system. Not here: gauge (hold at
 //! least one camera fixed, or rely on the damping for the scale).
 
-use nalgebra::{DVector, Matrix2, Matrix3, Vector2, Vector3};
+use nalgebra::{DVector, Vector3};
 
 mod normal_equations;
+mod problem;
 mod shared;
 mod uncertainty;
 
 use normal_equations::System;
+pub use problem::{BundleCamera, BundleObservation, BundleProblem};
+use problem::{FIXED, huber};
 pub use shared::{CALIBRATED_SHARED, Readout, SHARED, Shared, SharedJacobian, SharedMatrix, SharedVector};
-
-use super::pose_optimisation::scaled;
-use crate::geometry::Se3;
-use crate::geometry::frames::{Camera, World};
-
-/// A keyframe's pose in the problem.
-#[derive(Debug, Clone, Copy)]
-pub struct BundleCamera {
-    pub camera_from_world: Se3<Camera, World>,
-    pub fixed: bool,
-}
-
-/// One point seen by one camera.
-#[derive(Debug, Clone, Copy)]
-pub struct BundleObservation {
-    /// Index into the cameras.
-    pub camera: u32,
-    /// Undistorted, plane z = 1, as it was seen.
-    pub normalised: Vector2<f64>,
-    /// How far a rolling shutter moved it, per second of readout time.
-    pub displacement: Vector2<f64>,
-    /// Pixels that steps on that plane count as there.
-    pub pixel_scale: Matrix2<f64>,
-    /// One over the standard deviation, 1/px.
-    pub inv_sigma_px: f64,
-}
-
-/// A bundle adjustment problem and, after [`adjust`](Self::adjust), its solution.
-#[derive(Debug, Clone, Default)]
-pub struct BundleProblem {
-    pub cameras: Vec<BundleCamera>,
-    /// World coordinates.
-    pub points: Vec<Vector3<f64>>,
-    /// `first[i]..first[i + 1]` are the observations of point i; one longer than `points`.
-    pub first: Vec<u32>,
-    pub observations: Vec<BundleObservation>,
-    pub readout: Readout,
-    /// `None`: the intrinsics are right as they are.
-    pub shared: Option<Shared>,
-    /// Set by the adjustment: false = judged an outlier.
-    pub inlier: Vec<bool>,
-    /// Set by the adjustment: covariance of each point with the cameras held fixed, map units squared.
-    pub point_covariances: Vec<Matrix3<f64>>,
-}
 
 /// Options of [`BundleProblem::adjust`].
 #[derive(Debug, Clone, Copy)]
@@ -97,8 +56,6 @@ struct Step {
     readout_information: f64,
 }
 
-const FIXED: u32 = u32::MAX;
-
 impl BundleProblem {
     /// Minimises in place.
     pub fn adjust(&mut self, options: &BundleOptions) -> BundleReport {
@@ -118,54 +75,6 @@ impl BundleProblem {
         report.outliers = self.inlier.iter().filter(|ok| !**ok).count();
         self.fill_point_covariances();
         report
-    }
-
-    /// Index of each camera among the free ones (`FIXED` for the others), and how many are free.
-    fn slots(&self) -> (Vec<u32>, usize) {
-        let mut free = 0u32;
-        let slot = self.cameras.iter().map(|c| {
-            if c.fixed {
-                return FIXED;
-            }
-            free += 1;
-            free - 1
-        });
-        (slot.collect(), free as usize)
-    }
-
-    /// Residual of observation `k` of `point`, and the point in the camera's coordinates; `None` behind it.
-    fn residual(&self, point: &Vector3<f64>, k: usize) -> Option<(Vector2<f64>, Vector3<f64>)> {
-        let observation = &self.observations[k];
-        let p = self.cameras[observation.camera as usize].camera_from_world.transform(point);
-        if p.z < 1e-6 {
-            return None;
-        }
-        let (iz, s) = (1.0 / p.z, observation.inv_sigma_px);
-        let at_middle_row = observation.normalised - observation.displacement * self.readout.seconds;
-        let seen = match &self.shared {
-            Some(shared) if shared.in_new_pixels => {
-                let seen = at_middle_row + shared.jacobians[k] * shared.without_focal();
-                let scale = shared.focal_scale();
-                let (x, y) = (scale * p.x * iz - seen.x, scale * p.y * iz - seen.y);
-                return Some((scaled(&observation.pixel_scale, s, x, y), p));
-            }
-            Some(shared) => at_middle_row + shared.jacobians[k] * shared.change,
-            None => at_middle_row,
-        };
-        Some((scaled(&observation.pixel_scale, s, p.x * iz - seen.x, p.y * iz - seen.y), p))
-    }
-
-    /// Focal length of the residuals in units of the `pixel_scale`s'; exactly 1 unless they are in new pixels.
-    fn focal_scale(&self) -> f64 {
-        self.shared.as_ref().filter(|s| s.in_new_pixels).map_or(1.0, Shared::focal_scale)
-    }
-
-    fn range(&self, point: usize) -> std::ops::Range<usize> {
-        self.first[point] as usize..self.first[point + 1] as usize
-    }
-
-    fn prior_cost(&self) -> f64 {
-        self.readout.prior_cost() + self.shared.as_ref().map_or(0.0, Shared::prior_cost)
     }
 
     fn cost(&self, delta2: f64) -> f64 {
@@ -307,17 +216,6 @@ impl BundleProblem {
                 self.inlier[k] = self.residual(&self.points[i], k).is_some_and(|(e, _)| e.norm_squared() <= limit);
             }
         }
-    }
-}
-
-/// Huber's robust cost and weight of a squared residual.
-#[inline]
-fn huber(e2: f64, delta2: f64) -> (f64, f64) {
-    if e2 <= delta2 {
-        (e2, 1.0)
-    } else {
-        let root = (e2 * delta2).sqrt();
-        (2.0 * root - delta2, delta2 / root)
     }
 }
 

@@ -5,11 +5,11 @@ use nalgebra::{Matrix6, Vector3};
 use super::Reconstruction;
 use super::search::Match;
 use super::tracking::Tracked;
-use super::types::{KeyframeView, LandmarkView, MapSnapshot, PoseEstimate, TrackingState, largest_sigma};
+use super::types::{PoseEstimate, TrackingState};
 use crate::features::FrameFeatures;
 use crate::geometry::Se3;
 use crate::geometry::frames::Camera;
-use crate::map::{KeyframeId, LandmarkId};
+use crate::map::{KeyframeId, KeyframeView, LandmarkId, LandmarkView, MapSnapshot, largest_sigma};
 
 impl Reconstruction {
     /// Fills `out` with the current map.

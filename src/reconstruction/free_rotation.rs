@@ -150,9 +150,7 @@ pub fn unexplained_flow(
 
 /// The upper one of an even number; 0 of none.
 pub(super) fn median(values: &[f64]) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_unstable_by(f64::total_cmp);
-    sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
+    crate::geometry::median(&mut values.to_vec()).unwrap_or(0.0)
 }
 
 #[cfg(test)]

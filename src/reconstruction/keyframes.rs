@@ -6,17 +6,18 @@
 
 use std::sync::Arc;
 
-use nalgebra::{Matrix3, Vector2, Vector3};
+use nalgebra::{Vector2, Vector3};
 
 use super::assumed_distance::assume;
 use super::bindings::{Bindings, Seed, Target};
 use super::config::ReconstructionConfig;
-use super::pose_optimisation::{CHI2_2D_95, jacobian_rows};
-use super::relocalise::thumbnail_of;
+use super::frame::QUICK_TURN_RAD;
+use super::point::{refine_point, reprojection_chi2};
+use super::pose_optimisation::CHI2_2D_95;
 use super::rolling_shutter::Shutter;
-use super::search::{Match, SearchOptions, affine_warp, align_template};
-use super::seed_rays::QUICK_TURN_RAD;
+use super::search::{Match, SearchOptions, affine_warp, align_template, observe};
 use super::types::TrajectoryEvent;
+use crate::features::thumbnail::thumbnail_of;
 use crate::features::{Feedback, FrameFeatures};
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
@@ -98,25 +99,7 @@ const SAME_CORNER_PX: f32 = 2.0;
 /// A track that has left its landmark's found place by more than this has drifted, px.
 const DRIFTED_PX: f32 = 3.0;
 /// How far refinement may move a seed's tracked place, px.
-const SEED_REFINE_PX: f64 = 2.0;
-
-/// Observation of a pixel; `None` where the lens model does not reach.
-pub fn observe(
-    camera: &CameraModel,
-    landmark: LandmarkId,
-    pixel: Vector2<f32>,
-    inv_sigma_px: f64,
-) -> Option<Observation> {
-    let (normalised, normalised_from_pixel) = camera.undistort_jacobian(&pixel.cast())?;
-    Some(Observation {
-        landmark,
-        pixel,
-        normalised,
-        displacement: Vector2::zeros(),
-        inv_sigma_px,
-        normalised_from_pixel,
-    })
-}
+pub(super) const SEED_REFINE_PX: f64 = 2.0;
 
 fn observe_match(camera: &CameraModel, m: &Match) -> Option<Observation> {
     let o = observe(camera, m.landmark, m.pixel, m.inv_sigma_px)?;
@@ -145,6 +128,7 @@ pub fn insert_keyframe(
         scale_from: new.scale_from,
         observations,
         covisible: Vec::new(),
+        corners: Vec::new(),
     });
     for track in &new.features.tracks {
         match bindings.get(track.id).copied() {
@@ -182,6 +166,24 @@ pub fn insert_keyframe(
         }
     }
     id
+}
+
+/// Binds the tracks that follow a landmark of `keyframe` made since `first_new` to it.
+pub(super) fn bind_new(
+    map: &Map,
+    bindings: &mut Bindings,
+    features: &FrameFeatures,
+    keyframe: KeyframeId,
+    first_new: u32,
+) {
+    let Some(keyframe) = map.keyframe(keyframe) else { return };
+    let start = keyframe.observations.partition_point(|o| o.landmark.0 < first_new);
+    for o in &keyframe.observations[start..] {
+        let near = features.tracks.iter().find(|t| (t.position - o.pixel).norm() < SAME_CORNER_PX);
+        if let Some(track) = near.filter(|t| !matches!(bindings.get(t.id), Some(Target::Landmark(_)))) {
+            bindings.set(track.id, Target::Landmark(o.landmark));
+        }
+    }
 }
 
 fn find(matches: &[Match], landmark: LandmarkId) -> Option<&Match> {
@@ -239,15 +241,8 @@ fn triangulate_seed(
         (None, _) => return SeedOutcome::Waits,
     };
     // Refine the place in the new picture (and in those between) against the anchor's template.
-    let options = SearchOptions { radius_px: SEED_REFINE_PX, coarse_levels: 0, limit: 0, sigma_px: config.sigma_px };
-    let displaced = |keyframe: &Keyframe, o: Observation| {
-        let p = keyframe.camera_from_world.transform(&point);
-        let displacement = match &keyframe.motion {
-            Some(motion) if p.z > 1e-6 => new.shutter.displacement(motion, &p, o.pixel.y),
-            _ => Vector2::zeros(),
-        };
-        Observation { displacement, ..o }
-    };
+    let options = SearchOptions { radius_px: SEED_REFINE_PX, ..SearchOptions::precise(config.sigma_px) };
+    let displaced = |keyframe: &Keyframe, o: Observation| displaced(keyframe, o, &point, new.shutter);
     let readout_s = new.shutter.readout_s;
     let mut seen: Vec<(KeyframeId, Observation)> = vec![(anchor_id, displaced(anchor, a))];
     for &(id, pixel) in seed.observations().iter().chain(&[(newest, pixel)]) {
@@ -265,22 +260,54 @@ fn triangulate_seed(
             None => SeedOutcome::Wrong,
         };
     }
-    let (Some(&(_, first)), Some(&(_, last))) = (seen.first(), seen.last()) else { return SeedOutcome::Wrong };
-    let (first, last) = (first.at_middle_row(readout_s), last.at_middle_row(readout_s));
+    let (first, last) = (seen[0].1.at_middle_row(readout_s), seen[seen.len() - 1].1.at_middle_row(readout_s));
     let Some(met) = triangulate(&anchor.camera_from_world, &first, &new.camera_from_world, &last) else {
         return SeedOutcome::Wrong;
     };
     if !enough(&met) {
         return SeedOutcome::Waits;
     }
-    let mut point = met.0;
-    let Some(covariance) = refine_point(map, &seen, camera, readout_s, &mut point) else { return SeedOutcome::Wrong };
-    seen.retain(|(k, o)| {
+    match made_of(map, &seen, newest, camera, config, readout_s) {
+        Some((landmark, seen)) => SeedOutcome::Landmark(map.add_landmark(landmark, &seen)),
+        None => SeedOutcome::Wrong,
+    }
+}
+
+/// What a keyframe saw of `point`, with what a rolling shutter did to it.
+pub(super) fn displaced(keyframe: &Keyframe, o: Observation, point: &Vector3<f64>, shutter: &Shutter) -> Observation {
+    let p = keyframe.camera_from_world.transform(point);
+    let displacement = match &keyframe.motion {
+        Some(motion) if p.z > 1e-6 => shutter.displacement(motion, &p, o.pixel.y),
+        _ => Vector2::zeros(),
+    };
+    Observation { displacement, ..o }
+}
+
+/// The landmark that the observations, the anchor's first and the newest keyframe's last, make together, with those that agree;
+/// `None` if these two do not, or do not meet at `min_parallax_deg`.
+pub(super) fn made_of(
+    map: &Map,
+    seen: &[(KeyframeId, Observation)],
+    newest: KeyframeId,
+    camera: &CameraModel,
+    config: &ReconstructionConfig,
+    readout_s: f64,
+) -> Option<(Landmark, Vec<(KeyframeId, Observation)>)> {
+    let (&(anchor_id, first), &(last_id, last)) = (seen.first()?, seen.last()?);
+    let (anchor, newest_keyframe) = (map.keyframe(anchor_id)?, map.keyframe(last_id)?);
+    let (first, last) = (first.at_middle_row(readout_s), last.at_middle_row(readout_s));
+    let (mut point, angle) = triangulate(&anchor.camera_from_world, &first, &newest_keyframe.camera_from_world, &last)?;
+    if angle < config.min_parallax_deg.to_radians() {
+        return None;
+    }
+    let covariance = refine_point(map, seen, camera, readout_s, &mut point)?;
+    let agrees = |(k, o): &&(KeyframeId, Observation)| {
         map.keyframe(*k)
             .is_some_and(|k| reprojection_chi2(&k.camera_from_world, &point, o, camera, readout_s) <= CHI2_2D_95)
-    });
+    };
+    let seen: Vec<_> = seen.iter().filter(agrees).copied().collect();
     if seen.len() < 2 || seen[0].0 != anchor_id || seen.last().map(|s| s.0) != Some(newest) {
-        return SeedOutcome::Wrong;
+        return None;
     }
     let landmark = Landmark {
         position: point,
@@ -292,11 +319,11 @@ fn triangulate_seed(
         found: 1,
         disagreed: 0,
     };
-    SeedOutcome::Landmark(map.add_landmark(landmark, &seen))
+    Some((landmark, seen))
 }
 
 /// The place of `a`'s patch (in `anchor`) near `start` in another keyframe, given the point's position.
-fn refine_in(
+pub(super) fn refine_in(
     anchor: &Keyframe,
     a: &Observation,
     other: &Keyframe,
@@ -337,59 +364,6 @@ pub fn triangulate(
     }
     let point = 0.5 * (w1.translation + d1 * s1 + w2.translation + d2 * s2);
     Some((point, sine2.sqrt().atan2(cosine)))
-}
-
-pub(super) fn reprojection_chi2(
-    pose: &Se3<Camera, World>,
-    point: &Vector3<f64>,
-    o: &Observation,
-    camera: &CameraModel,
-    readout_s: f64,
-) -> f64 {
-    let p = pose.transform(point);
-    if p.z < 1e-6 {
-        return f64::INFINITY;
-    }
-    let e = Vector2::new(p.x / p.z, p.y / p.z) - o.at_middle_row(readout_s);
-    (camera.pixel_scale(&o.normalised) * e * o.inv_sigma_px).norm_squared()
-}
-
-/// Gauss-Newton on the point alone over its observations; its covariance with the keyframes held.
-pub(super) fn refine_point(
-    map: &Map,
-    seen: &[(KeyframeId, Observation)],
-    camera: &CameraModel,
-    readout_s: f64,
-    point: &mut Vector3<f64>,
-) -> Option<Matrix3<f64>> {
-    let mut covariance = None;
-    for _ in 0..5 {
-        let (mut h, mut g) = (Matrix3::zeros(), Vector3::zeros());
-        for (k, o) in seen {
-            let Some(keyframe) = map.keyframe(*k) else { continue };
-            let pose = &keyframe.camera_from_world;
-            let p = pose.transform(point);
-            if p.z < 1e-6 {
-                return None;
-            }
-            let scale = camera.pixel_scale(&o.normalised) * o.inv_sigma_px;
-            let (jx, jy) = jacobian_rows(&p, &scale);
-            let r = pose.rotation.inverse();
-            let (x, y) = (r * Vector3::new(jx[3], jx[4], jx[5]), r * Vector3::new(jy[3], jy[4], jy[5]));
-            h += x * x.transpose() + y * y.transpose();
-            let seen = o.at_middle_row(readout_s);
-            let (dx, dy) = (p.x / p.z - seen.x, p.y / p.z - seen.y);
-            g += x * scale.m11 * dx + y * scale.m22 * dy + (x * scale.m12 * dy + y * scale.m21 * dx);
-        }
-        let inverse = h.try_inverse()?;
-        let step = -(inverse * g);
-        *point += step;
-        covariance = Some(inverse);
-        if step.norm() < 1e-7 * point.norm() {
-            break;
-        }
-    }
-    covariance.filter(|c| c.iter().chain(point.iter()).all(|v| v.is_finite()))
 }
 
 /// Landmarks that were made lately and did not prove themselves, and those that disagree all the time, go.

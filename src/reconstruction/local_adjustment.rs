@@ -37,6 +37,19 @@ pub struct MappingResult {
     pub report: BundleReport,
 }
 
+/// When an adjustment is merged.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Merge {
+    /// After a published pose: live as soon as it is done, in lock-step a fixed number of frames after it was posted.
+    WhenDue,
+    /// Before a frame that comes long after the last one.
+    BeforeTracking,
+    /// No frame will follow.
+    AtTheEnd,
+}
+
+/// Keyframes at which the whole map is adjusted first; then whenever it has grown by a third, up to the limit.
+pub(super) const WHOLE_FIRST: usize = 5;
 impl MappingJob {
     /// The local problem around `newest`; `None` if it has nothing to move.
     /// `readout`: the camera's rolling shutter, and how surely that is known.

@@ -11,15 +11,19 @@ mod assumed_distance;
 pub mod bindings;
 pub mod bundle;
 pub mod config;
+mod epipolar;
 mod estimate;
+mod frame;
 mod free_rotation;
 pub mod initialise;
 mod intrinsics;
 pub mod keyframes;
 pub mod local_adjustment;
 mod newcomers;
+mod point;
 mod pose_information;
 pub mod pose_optimisation;
+mod prediction;
 pub mod relocalise;
 pub mod rolling_shutter;
 mod scale_doubt;
@@ -34,21 +38,24 @@ pub use intrinsics::{FOUND_SIGMA, LensEstimate, LensKnowledge, LensPrior, guesse
 pub use local_adjustment::{InlineWorker, MappingJob, MappingResult, MappingWorker};
 pub use types::*;
 
-use adjustments::{Merge, WHOLE_FIRST};
+use assumed_distance::mostly_assumed;
 use bindings::Bindings;
+use epipolar::{EpipolarMatcher, FED, Lens};
+use frame::Frame;
 use initialise::Initialiser;
 use intrinsics::Intrinsics;
 use keyframes::{KeyframeInputs, NewKeyframe};
+use local_adjustment::{Merge, WHOLE_FIRST};
 use relocalise::Relocaliser;
 use rolling_shutter::Shutter;
 use scale_doubt::ScaleDoubt;
 use search::Match;
-use tracking::{Frame, Tracked, Tracker};
+use tracking::{Tracked, Tracker};
 
 use crate::features::{Feedback, FrameFeatures};
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, Odom, World};
 use crate::geometry::{CameraModel, Se3};
-use crate::map::{KeyframeId, Map, MapId};
+use crate::map::{KeyframeId, KeyframeView, Map, MapId};
 
 /// Share of the landmarks looked for that are seen: below the first a frame is looked for elsewhere too (after a stretch of blur
 /// a few landmarks can hold a pose that has slid away), below the second it is no keyframe.
@@ -104,6 +111,7 @@ pub struct Reconstruction {
     inliers: Vec<Match>,
     angles: Vec<f64>,
     relocaliser: Relocaliser,
+    epipolar: EpipolarMatcher,
     shutter: Shutter,
 }
 
@@ -157,6 +165,7 @@ impl Reconstruction {
             inliers: Vec::with_capacity(1024),
             angles: Vec::with_capacity(1024),
             relocaliser: Relocaliser::default(),
+            epipolar: EpipolarMatcher::default(),
             shutter: Shutter::new(config.readout_ms * 1e-3, camera.height, config.estimate_readout),
         }
     }
@@ -194,7 +203,7 @@ impl Reconstruction {
         if tracked.as_ref().is_none_or(|t| t.share() < WEAK_SHARE) {
             let elsewhere = self.relocaliser.place(&mut self.tracker, &frame, self.reference);
             tracked = match (tracked, elsewhere) {
-                (Some(weak), Some(other)) if other.landmarks > 2 * weak.landmarks => Some(other),
+                (Some(weak), Some(other)) if 5 * other.landmarks > 6 * weak.landmarks => Some(other),
                 // The buffers hold the other attempt by now.
                 (Some(_), _) => self.tracker.track(&frame, self.reference, near),
                 (None, other) => other,
@@ -255,7 +264,8 @@ impl Reconstruction {
         }
         self.last = Some(LastFrame { timestamp_ns: features.timestamp_ns, camera_from_world: pose, motion });
         // A blurred or covered picture gives poor templates, and its pose rests on little.
-        let clear = !resumed && tracked.share() >= KEYFRAME_SHARE;
+        let blurred = 2 * self.inliers.iter().filter(|m| m.blurred).count() > self.inliers.len();
+        let clear = !resumed && tracked.share() >= KEYFRAME_SHARE && !(blurred && self.inliers.len() >= FED);
         let keyframe = clear && self.decide_keyframe(&pose);
         self.record_pose(features.timestamp_ns, &pose);
         self.pending = keyframe.then_some(pose);
@@ -276,7 +286,7 @@ impl Reconstruction {
         };
         let is_assumed = |m: &&Match| self.map.landmark(m.landmark).is_some_and(|l| l.assumed.is_some());
         let assumed = self.inliers.iter().filter(is_assumed).count();
-        self.turned = after_turn::is_due(assumed, inputs.landmarks).then_some(inputs.parallax_deg);
+        self.turned = mostly_assumed(assumed, inputs.landmarks).then_some(inputs.parallax_deg);
         keyframes::wants_keyframe(&inputs, &self.config)
     }
 
@@ -340,6 +350,12 @@ impl Reconstruction {
                 self.shutter.readout_s,
                 min_parallax,
             );
+        }
+        if self.turned.is_none() {
+            let first_new = self.map.landmarks.next_id();
+            let lens = Lens { camera: &self.camera, config: &self.config, shutter: &self.shutter };
+            self.epipolar.complete(&mut self.map, id, &lens);
+            keyframes::bind_new(&self.map, &mut self.bindings, features, id, first_new);
         }
         self.counters.keyframes_made += 1;
         self.counters.landmarks_made += (self.map.landmarks.len() - before) as u64;

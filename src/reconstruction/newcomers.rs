@@ -137,18 +137,14 @@ mod tests {
     use super::*;
     use crate::geometry::Se3;
     use crate::geometry::frames::{Camera, World};
+    use crate::geometry::random::Random;
 
     const FOCAL: Vector2<f64> = Vector2::new(500.0, 500.0);
 
     /// `still` points of a room, seen from the true pose, then `moved` near ones that went `by` since they were mapped.
     fn scene(seed: u64, still: usize, moved: usize, by: Vector3<f64>) -> (Se3<Camera, World>, Vec<PosePair>) {
-        let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
-        let mut random = move || {
-            state ^= state << 13;
-            state ^= state >> 7;
-            state ^= state << 17;
-            (state >> 11) as f64 / (1u64 << 53) as f64 * 2.0 - 1.0
-        };
+        let mut generator = Random::new(seed);
+        let mut random = move || generator.uniform(-1.0, 1.0);
         let truth = Se3::new(
             UnitQuaternion::from_scaled_axis(Vector3::new(random(), random(), random()) * 0.3),
             Vector3::new(random(), random(), random()),

@@ -7,9 +7,9 @@
 
 use nalgebra::{Matrix6, Vector3, Vector6};
 
+use super::frame::{Frame, landmark_variance, without_distance};
 use super::pose_optimisation::{accumulate, jacobian_rows};
 use super::search::Match;
-use super::tracking::{Frame, landmark_variance, without_distance};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 

@@ -12,20 +12,14 @@ mod descriptors;
 
 use nalgebra::{UnitQuaternion, Vector3};
 
-use super::tracking::{Frame, Tracked, Tracker};
+use super::frame::Frame;
+use super::tracking::{Guess, Tracked, Tracker};
 use crate::features::thumbnail::{ImageMotion, Thumbnail, ThumbnailAligner};
-use crate::geometry::frames::{Camera, World};
+use crate::geometry::frames::Camera;
 use crate::geometry::{CameraModel, Se3};
 use crate::image::Pyramid;
 use crate::map::{KeyframeId, Map};
 use descriptors::DescriptorSearch;
-
-/// A pose to start a search from, and the keyframe whose surroundings are searched.
-#[derive(Debug, Clone, Copy)]
-pub struct Guess {
-    pub camera_from_world: Se3<Camera, World>,
-    pub reference: KeyframeId,
-}
 
 /// Keyframes whose thumbnails are compared in one frame.
 const COMPARED: usize = 6;
@@ -149,13 +143,6 @@ fn in_turn(map: &Map, next: &mut usize, count: usize, out: &mut Vec<KeyframeId>)
     *next = (*next + count) % total;
 }
 
-/// A keyframe's thumbnail; empty (like no other) for a picture too small for one.
-pub fn thumbnail_of(pyramid: &Pyramid) -> Thumbnail {
-    let mut thumbnail = Thumbnail::default();
-    thumbnail.build(pyramid);
-    thumbnail
-}
-
 /// Rotation of the camera that moves the picture's centre and turns the picture as `motion` does.
 fn rotation_of(motion: &ImageMotion, camera: &CameraModel) -> UnitQuaternion<f64> {
     let roll = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), f64::from(motion.angle_rad));
@@ -185,6 +172,7 @@ mod tests {
                 scale_from: None,
                 observations: Vec::new(),
                 covisible: Vec::new(),
+                corners: Vec::new(),
             });
         }
         let (mut next, mut seen) = (0, Vec::new());

@@ -29,6 +29,8 @@ pub struct Match {
     /// How far a rolling shutter moved it, per second of readout time.
     pub displacement: Vector2<f64>,
     pub inv_sigma_px: f64,
+    /// Measured on a coarser level than its own, as the picture is blurred.
+    pub blurred: bool,
     /// Agreed with the pose in the end.
     pub inlier: bool,
     /// Keyframe that the template came from.
@@ -75,6 +77,15 @@ pub struct SearchOptions {
     pub limit: usize,
     /// Standard deviation at full resolution, px.
     pub sigma_px: f64,
+    /// Coarser levels than its own that may measure a landmark where the finer ones fail (a blurred picture), each half as exactly.
+    pub blurred_levels: usize,
+}
+
+impl SearchOptions {
+    /// For one patch near its place: on its own level only, within 6 px.
+    pub fn precise(sigma_px: f64) -> Self {
+        Self { radius_px: 6.0, coarse_levels: 0, limit: 0, sigma_px, blurred_levels: 0 }
+    }
 }
 
 /// Buffers of the search, kept between frames.
@@ -96,6 +107,27 @@ const BORDER_PX: f64 = 8.0;
 const MIN_VIEW_COSINE: f64 = 0.5;
 /// A found patch must correlate at least this well with its template.
 const MIN_CORRELATION: f32 = 0.75;
+/// Where less than this share of the landmarks is found, the others are looked for on so many coarser levels.
+const BLURRED_SHARE: f64 = 0.6;
+const BLURRED_LEVELS: usize = 2;
+
+/// Observation of a pixel; `None` where the lens model does not reach.
+pub fn observe(
+    camera: &CameraModel,
+    landmark: LandmarkId,
+    pixel: Vector2<f32>,
+    inv_sigma_px: f64,
+) -> Option<Observation> {
+    let (normalised, normalised_from_pixel) = camera.undistort_jacobian(&pixel.cast())?;
+    Some(Observation {
+        landmark,
+        pixel,
+        normalised,
+        displacement: Vector2::zeros(),
+        inv_sigma_px,
+        normalised_from_pixel,
+    })
+}
 
 impl Default for Search {
     fn default() -> Self {
@@ -172,7 +204,36 @@ impl Search {
                 None => self.missed.push(candidate.landmark),
             }
         }
+        let sought = self.matches.len() + self.missed.len();
+        if (self.matches.len() as f64) < BLURRED_SHARE * sought as f64 {
+            self.align_blurred(map, camera, pose, &centre, pyramid, options);
+        }
         self.matches.sort_unstable_by_key(|m| m.landmark);
+    }
+
+    /// Looks again, on coarser levels, for what was missed: there a streak of blur is short.
+    fn align_blurred(
+        &mut self,
+        map: &Map,
+        camera: &CameraModel,
+        pose: &Se3<Camera, World>,
+        centre: &Vector3<f64>,
+        pyramid: &Pyramid,
+        options: &SearchOptions,
+    ) {
+        let options = SearchOptions { blurred_levels: BLURRED_LEVELS, ..*options };
+        self.missed.clear();
+        let found = self.matches.len();
+        for i in 0..self.candidates.len().min(options.limit) {
+            let candidate = self.candidates[i];
+            if self.matches[..found].iter().any(|m| m.landmark == candidate.landmark) {
+                continue;
+            }
+            match align_candidate(map, camera, pose, centre, pyramid, &candidate, &options) {
+                Some(found) => self.matches.push(found),
+                None => self.missed.push(candidate.landmark),
+            }
+        }
     }
 }
 
@@ -197,6 +258,7 @@ fn align_candidate(
         normalised,
         displacement: Vector2::zeros(),
         inv_sigma_px: found.inv_sigma_px,
+        blurred: found.blurred,
         inlier: true,
         template,
     })
@@ -206,6 +268,8 @@ fn align_candidate(
 pub(super) struct Found {
     pub pixel: Vector2<f32>,
     pub inv_sigma_px: f64,
+    /// On a coarser level than its own.
+    pub blurred: bool,
 }
 
 /// Finds the patch around `observation` of `keyframe` near `start` (level-0 px) in `pyramid`; `affine` = d frame pixel / d
@@ -228,7 +292,8 @@ pub(super) fn align_template(
     let own = (log_scale.round().max(0.0) as usize).min(top);
     let mut position = start.cast::<f32>();
     let mut found_level = None;
-    for level in (own..=(own + options.coarse_levels).min(top)).rev() {
+    let coarse_levels = options.coarse_levels.max(options.blurred_levels);
+    for level in (own..=(own + coarse_levels).min(top)).rev() {
         let source_level = ((level as f64 - log_scale).round().max(0.0) as usize).min(top);
         let scale = (1u32 << level) as f64 / (1u32 << source_level) as f64;
         let source_from_patch = (inverse * scale).cast::<f32>();
@@ -245,14 +310,18 @@ pub(super) fn align_template(
             }
             // A coarse level may lack texture; the finest decides.
             _ if level > own => {}
-            _ => return None,
+            _ => break,
         }
     }
-    let level = found_level.filter(|&l| l == own)?;
+    let level = found_level.filter(|&l| l <= own + options.blurred_levels)?;
     if (position.cast::<f64>() - start).norm() > options.radius_px * (1u32 << level) as f64 {
         return None;
     }
-    Some(Found { pixel: position, inv_sigma_px: 1.0 / (options.sigma_px * (1u32 << level) as f64) })
+    Some(Found {
+        pixel: position,
+        inv_sigma_px: 1.0 / (options.sigma_px * (1u32 << level) as f64),
+        blurred: level > own,
+    })
 }
 
 /// The observation whose direction of view is closest to the present one.
@@ -316,4 +385,67 @@ pub(super) fn affine_warp(
         }
     };
     projection * in_plane * seen.normalised_from_pixel * depth
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::features::thumbnail::Thumbnail;
+    use crate::image::GreyImage;
+    use crate::map::MapId;
+
+    /// Discs of several sizes; `streak`: how far the camera moves to the right while the shutter is open, px.
+    fn picture(streak: usize) -> Pyramid {
+        let sharp = |x: f64, y: f64| {
+            let inside = |(cx, cy, r): &(f64, f64, f64)| (x - cx).hypot(y - cy) < *r;
+            40.0 + 50.0
+                * [(150.0, 118.0, 14.0), (173.0, 127.0, 9.0), (160.0, 104.0, 7.0)].iter().filter(|d| inside(d)).count()
+                    as f64
+        };
+        let mut picture = GreyImage::new(320, 240);
+        for (i, pixel) in picture.data.iter_mut().enumerate() {
+            let (x, y) = ((i % 320) as f64, (i / 320) as f64);
+            let n = 2 * streak + 1;
+            let sum: f64 = (0..n).map(|k| sharp(x + 0.5 * (k as f64 - streak as f64), y)).sum();
+            *pixel = (sum / n as f64).round() as u8;
+        }
+        let mut pyramid = Pyramid::new(4);
+        pyramid.build(&picture);
+        pyramid
+    }
+
+    fn find_in_blur(streak: usize, blurred_levels: usize) -> Option<Found> {
+        let camera = CameraModel::new(320, 240, 300.0, 300.0, 159.5, 119.5, [0.0; 5]).unwrap();
+        let keyframe = Keyframe {
+            sequence: 0,
+            timestamp_ns: 0,
+            map: MapId(0),
+            camera_from_world: Se3::identity(),
+            motion: None,
+            pyramid: Arc::new(picture(0)),
+            thumbnail: Thumbnail::default(),
+            scale_from: None,
+            observations: Vec::new(),
+            covisible: Vec::new(),
+            corners: Vec::new(),
+        };
+        let seen = observe(&camera, LandmarkId::default(), Vector2::new(163.0, 117.0), 1.0)?;
+        let options = SearchOptions { blurred_levels, ..SearchOptions::precise(0.8) };
+        align_template(&keyframe, &seen, &picture(streak), &Matrix2::identity(), Vector2::new(164.5, 116.0), &options)
+    }
+
+    #[test]
+    fn a_landmark_in_a_blurred_picture_is_measured_on_a_coarser_level_and_said_to_be_less_exact() {
+        let sharp = find_in_blur(0, BLURRED_LEVELS).unwrap();
+        assert!(!sharp.blurred && (sharp.pixel - Vector2::new(163.0, 117.0)).norm() < 0.05, "{}", sharp.pixel);
+        let found = |streak: &usize| find_in_blur(*streak, BLURRED_LEVELS).filter(|f| f.blurred);
+        let too_much = |streak: &usize| find_in_blur(*streak, 0).is_none() && found(streak).is_some();
+        let streak = (8..=40).find(too_much).expect("one that the finest level cannot bear");
+        let found = found(&streak).unwrap();
+        assert!(found.inv_sigma_px <= 0.5 * sharp.inv_sigma_px);
+        let off = (found.pixel - Vector2::new(163.0, 117.0)).norm();
+        assert!(f64::from(off) < 2.0 / found.inv_sigma_px, "a streak of {streak} px: off by {off} px");
+    }
 }

@@ -14,11 +14,10 @@ use nalgebra::{Vector2, Vector3};
 
 use super::assumed_distance::{FEW_MATCHES, Ray};
 use super::bindings::{Seed, Target};
-use super::keyframes::observe;
+use super::frame::{Frame, QUICK_TURN_RAD};
 use super::pose_optimisation::PosePair;
 use super::rolling_shutter::Shutter;
-use super::search::Match;
-use super::tracking::Frame;
+use super::search::{Match, observe};
 use crate::geometry::Se3;
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, World};
@@ -26,9 +25,6 @@ use crate::map::{LandmarkId, Observation};
 
 /// Standard deviation of a track's place against its anchor's, px.
 const SIGMA_PX: f64 = 2.0;
-
-/// Between two frames of a quick turn the camera turns by more than this, rad: what comes into view has left it a few frames later.
-pub const QUICK_TURN_RAD: f64 = 0.05;
 
 /// A seed that the frame sees.
 #[derive(Debug, Clone, Copy)]

@@ -5,16 +5,17 @@ use nalgebra::{Matrix3, Vector3};
 use super::agreement::agreeing_share;
 use super::bindings::{Seed, Target};
 use super::bundle::Readout;
+use super::frame::Frame;
 use super::initialise::{PendingFrame, Start, View};
-use super::keyframes::{observe, refine_point};
 use super::local_adjustment::MappingJob;
+use super::point::refine_point;
 use super::pose_optimisation::{PoseOptions, PosePair, optimise_pose};
-use super::relocalise::thumbnail_of;
-use super::search::{SearchOptions, affine_warp, align_template};
-use super::tracking::Frame;
+use super::search::{SearchOptions, affine_warp, align_template, observe};
+use super::tracking::Tracked;
 use super::types::{PoseEstimate, TrackingState, TrajectoryEvent};
-use super::{LastFrame, Reconstruction, Tracked};
+use super::{LastFrame, Reconstruction};
 use crate::features::FrameFeatures;
+use crate::features::thumbnail::thumbnail_of;
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::geometry::{CameraModel, Se3};
@@ -191,6 +192,7 @@ impl Reconstruction {
             pyramid: view.pyramid.clone(),
             observations: Vec::new(),
             covisible: Vec::new(),
+            corners: Vec::new(),
         })
     }
 
@@ -206,8 +208,7 @@ impl Reconstruction {
 
     /// Replaces the tracked places in the later views by alignment with the first one's templates: flow drifts.
     fn refine_views(&mut self, first: KeyframeId) {
-        let options =
-            SearchOptions { radius_px: REFINE_PX, coarse_levels: 0, limit: 0, sigma_px: self.config.sigma_px };
+        let options = SearchOptions { radius_px: REFINE_PX, ..SearchOptions::precise(self.config.sigma_px) };
         let ids: Vec<LandmarkId> = self.map.landmarks.iter().map(|(id, _)| LandmarkId(id)).collect();
         for id in ids {
             let Some(landmark) = self.map.landmark(id) else { continue };

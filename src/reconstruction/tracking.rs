@@ -13,21 +13,16 @@
 
 use nalgebra::{Vector2, Vector3};
 
-use super::Reconstruction;
-use super::assumed_distance::Ray;
-use super::bindings::{Bindings, Target};
-use super::config::ReconstructionConfig;
+use super::bindings::Target;
+use super::frame::{Frame, is_assumed, landmark_variance, motion_since, without_distance};
 use super::newcomers::{Newcomers, established_found};
 use super::pose_information::PoseInformation;
-use super::pose_optimisation::{PoseOptions, PosePair, PoseSolution, jacobian_rows, optimise_pose};
-use super::relocalise::Guess;
-use super::rolling_shutter::Shutter;
+use super::pose_optimisation::{PoseOptions, PosePair, PoseSolution, optimise_pose};
 use super::search::{Match, Search, SearchOptions};
 use super::seed_rays::SeedRays;
-use crate::features::FrameFeatures;
+use crate::geometry::Se3;
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, World};
-use crate::geometry::{CameraModel, Se3};
 use crate::map::{KeyframeId, LandmarkId, Map};
 
 /// A frame that was placed in the map.
@@ -53,21 +48,11 @@ impl Tracked {
     }
 }
 
-/// Everything that one frame's tracking reads.
-#[derive(Clone, Copy)]
-pub struct Frame<'a> {
-    pub features: &'a FrameFeatures,
-    pub map: &'a Map,
-    pub bindings: &'a Bindings,
-    pub camera: &'a CameraModel,
-    pub config: &'a ReconstructionConfig,
-    /// Pose of the frame before and how long ago it was taken (s), if it was tracked just before.
-    pub before: Option<(Se3<Camera, World>, f64)>,
-    /// Motion that is expected (that of the frame before).
-    pub motion: Option<CameraMotion>,
-    pub shutter: &'a Shutter,
-    /// The lens is not one that is still being found.
-    pub is_calibrated: bool,
+/// A pose to start a search from, and the keyframe whose surroundings are searched.
+#[derive(Debug, Clone, Copy)]
+pub struct Guess {
+    pub camera_from_world: Se3<Camera, World>,
+    pub reference: KeyframeId,
 }
 
 /// Buffers of tracking, kept between frames.
@@ -98,18 +83,12 @@ const WIDE: f64 = 4.0;
 /// way from the origin) below which that pose has settled.
 const MAX_ELIMINATIONS: usize = 8;
 const SETTLED: f64 = 1e-5;
+/// A frame is taken to lie within so much of a turn beyond the expected one (rad), and within this share of the mean depth, of the
+/// frame before: there half as many landmarks as anywhere else speak for a pose.
+const NEAR_RAD: f64 = 0.3;
+const NEAR_DEPTHS: f64 = 0.3;
 /// Standard deviation of a frame-to-frame track's position, px (drifts; templates do not).
 const FLOW_SIGMA_PX: f64 = 2.0;
-
-/// Frames farther apart than this tell too little of the motion within one of them to correct a rolling shutter by it, s. (At 5 Hz
-/// it still pays: hand-held and walking, errors without the correction are larger than with it.)
-pub const MAX_SHUTTER_STEP_S: f64 = 0.3;
-
-/// Motion from the frame before to `pose`.
-pub fn motion_since(frame: &Frame<'_>, pose: &Se3<Camera, World>) -> Option<CameraMotion> {
-    let (before, dt) = frame.before.as_ref()?;
-    Some(CameraMotion::over(&(*pose * before.inverse()), *dt))
-}
 
 impl Default for Tracker {
     /// Room for what a large local map needs, so that a growing map does not allocate on the path of a pose.
@@ -151,15 +130,32 @@ impl Tracker {
         by_flow.iter().chain(guesses).find_map(|guess| self.refine(frame, guess, WIDE * radius_px, 3))
     }
 
-    /// Places a frame at a guess anywhere in the map; asks for more landmarks, as nothing else speaks for it. `precise`: the
+    /// Places a frame at a guess anywhere in the map; asks for more landmarks, as nothing else speaks for it but that it may lie near the
+    /// frame before. `precise`: the
     /// guess is a pose solved from landmarks, not a neighbour's.
     pub fn relocalise(&mut self, frame: &Frame<'_>, guess: &Guess, precise: bool) -> Option<Tracked> {
         self.flow.clear();
         self.seeds.clear();
         self.refresh_local(frame.map, guess.reference);
         let (radius, coarse_levels) = if precise { (2.0, 1) } else { (WIDE, 3) };
-        self.refine(frame, &guess.camera_from_world, radius * frame.config.search_radius_px, coarse_levels)
-            .filter(|t| t.speaks_for_itself(frame.config.min_landmarks))
+        let min_landmarks = frame.config.min_landmarks;
+        let placed =
+            self.refine(frame, &guess.camera_from_world, radius * frame.config.search_radius_px, coarse_levels)?;
+        let near = || {
+            let pose = placed.camera_from_world;
+            let expected = |dt: f64| frame.motion.map_or(0.0, |motion| motion.turn.norm() * dt);
+            frame.before.is_some_and(|(before, dt)| {
+                is_near(&(pose * before.inverse()).relabel(), expected(dt), self.mean_depth(&pose))
+            })
+        };
+        let believed = placed.speaks_for_itself(min_landmarks) || placed.landmarks >= 2 * min_landmarks && near();
+        believed.then_some(placed)
+    }
+
+    /// Mean depth of the landmarks found, map units.
+    fn mean_depth(&self, pose: &Se3<Camera, World>) -> f64 {
+        let (sum, n) = self.inliers().fold((0.0, 0.0), |(sum, n), m| (sum + pose.transform(&m.point).z, n + 1.0));
+        sum / n
     }
 
     /// The keyframe that shares most landmarks with the frame just tracked (ties: the newer).
@@ -245,6 +241,7 @@ impl Tracker {
             coarse_levels,
             limit: if coarse_levels > 0 { config.landmarks_per_frame / 2 } else { config.landmarks_per_frame },
             sigma_px: config.sigma_px,
+            blurred_levels: 0,
         };
         self.search.select(map, &self.local, camera, guess, config.landmarks_per_frame);
         self.search.align(map, camera, guess, &features.pyramid, &options);
@@ -358,63 +355,24 @@ impl Tracker {
     }
 }
 
-fn is_assumed(frame: &Frame<'_>, landmark: LandmarkId) -> bool {
-    frame.map.landmark(landmark).is_some_and(|l| l.assumed.is_some())
+/// Whether the camera can have made this step (it was expected to turn by `expected_rad`) among landmarks at this mean depth.
+fn is_near(step: &Se3<Camera, Camera>, expected_rad: f64, depth: f64) -> bool {
+    step.rotation.angle() < NEAR_RAD + expected_rad && step.translation.norm() < NEAR_DEPTHS * depth
 }
 
-/// The pair with the landmark's distance eliminated, if that is assumed.
-pub(super) fn without_distance(
-    frame: &Frame<'_>,
-    landmark: LandmarkId,
-    pose: &Se3<Camera, World>,
-    pair: &PosePair,
-) -> Option<PosePair> {
-    let ray = Ray::of(landmark, frame.map, frame.shutter.readout_s)?;
-    ray.eliminate(pose, pair)
-}
+#[cfg(test)]
+mod tests {
+    use nalgebra::UnitQuaternion;
 
-impl Reconstruction {
-    /// Pose of the frame before and the time since, if that was tracked and not long ago.
-    pub(super) fn frame_before(&self, timestamp_ns: i64) -> Option<(Se3<Camera, World>, f64)> {
-        let last = self.last.as_ref().filter(|_| self.lost_frames == 0)?;
-        let dt = (timestamp_ns - last.timestamp_ns) as f64 * 1e-9;
-        (dt > 0.0 && dt < MAX_SHUTTER_STEP_S).then_some((last.camera_from_world, dt))
+    use super::*;
+
+    #[test]
+    fn a_step_is_near_by_what_was_expected_and_how_far_the_scene_is() {
+        let step =
+            |turn: f64, way: f64| Se3::new(UnitQuaternion::from_scaled_axis(Vector3::y() * turn), Vector3::x() * way);
+        assert!(is_near(&step(0.2, 0.2), 0.0, 1.0));
+        assert!(!is_near(&step(0.5, 0.2), 0.0, 1.0) && is_near(&step(0.5, 0.2), 0.3, 1.0), "a turn that was expected");
+        assert!(!is_near(&step(0.2, 0.4), 0.0, 1.0) && is_near(&step(0.2, 0.4), 0.0, 2.0), "a far scene");
+        assert!(!is_near(&step(0.2, 0.2), 0.0, f64::NAN), "nothing seen");
     }
-
-    /// How the camera moved at the last frame; nothing is known of that after frames that were lost.
-    pub(super) fn last_motion(&self) -> Option<CameraMotion> {
-        let (motion, dt) = self.last.as_ref().filter(|_| self.lost_frames == 0)?.motion?;
-        Some(CameraMotion::over(&motion, dt))
-    }
-
-    /// Constant velocity, then the last pose.
-    pub(super) fn near_poses(&self, timestamp_ns: i64) -> ([Se3<Camera, World>; 2], usize) {
-        let Some(last) = &self.last else { return ([Se3::identity(); 2], 0) };
-        let dt = (timestamp_ns - last.timestamp_ns) as f64 * 1e-9;
-        match &last.motion {
-            Some((motion, over)) if self.lost_frames == 0 && dt < 5.0 * over => {
-                ([motion.scaled(dt / over) * last.camera_from_world, last.camera_from_world], 2)
-            }
-            _ => ([last.camera_from_world; 2], 1),
-        }
-    }
-}
-
-/// Variance of a match's place that comes from its landmark's own uncertainty, px^2 in x and y; `p`: the landmark in the
-/// coordinates of the camera at `pose`. Zero where it is not known.
-pub(super) fn landmark_variance(
-    frame: &Frame<'_>,
-    pose: &Se3<Camera, World>,
-    m: &Match,
-    p: &Vector3<f64>,
-) -> Vector2<f64> {
-    let Some(landmark) = frame.map.landmark(m.landmark).filter(|_| p.z > 1e-6) else { return Vector2::zeros() };
-    let (jx, jy) = jacobian_rows(p, &frame.camera.pixel_scale(&(p.xy() / p.z)));
-    let world_from_camera = pose.rotation.inverse();
-    let variance = |j: &[f64; 6]| {
-        let a = world_from_camera * Vector3::new(j[3], j[4], j[5]);
-        a.dot(&(landmark.covariance * a))
-    };
-    let own = Vector2::new(variance(&jx), variance(&jy));
-    if own.iter().all(|v| v.is_finite() && *v >= 0.0) { own } else { Vector2::zeros() }
 }

@@ -1,10 +1,10 @@
-//! What reconstruction tells the outside: poses, map snapshots, trajectory events, counters.
+//! What reconstruction tells the outside: poses, trajectory events, counters.
 
-use nalgebra::{Matrix3, Matrix6, Vector3};
+use nalgebra::{Matrix6, Vector3};
 
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, Keyframe, Odom, World};
-use crate::map::{KeyframeId, LandmarkId, MapId};
+use crate::map::{KeyframeId, MapId};
 
 /// State of tracking as published.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -61,45 +61,6 @@ pub enum TrajectoryEvent {
     KeyframeRetired { keyframe: KeyframeId, world_from_camera: Se3<World, Camera> },
 }
 
-/// A landmark as the outside sees it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LandmarkView {
-    pub id: LandmarkId,
-    pub position_world: Vector3<f64>,
-    /// One sigma along the line of sight, map units; NaN = unknown.
-    pub sigma: f32,
-    /// Keyframes that observe it.
-    pub observations: u32,
-}
-
-/// Standard deviation along the worst direction of a covariance; NaN, which is not known, where that is not finite.
-pub(super) fn largest_sigma(covariance: &Matrix3<f64>) -> f64 {
-    if !covariance.iter().all(|v| v.is_finite()) {
-        return f64::NAN;
-    }
-    covariance.symmetric_eigenvalues().max().max(0.0).sqrt()
-}
-
-/// A keyframe as the outside sees it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct KeyframeView {
-    pub id: KeyframeId,
-    pub timestamp_ns: i64,
-    pub world_from_camera: Se3<World, Camera>,
-}
-
-/// The current map; buffers are reused by [`Reconstruction::snapshot`](super::Reconstruction::snapshot).
-#[derive(Debug, Clone, Default)]
-pub struct MapSnapshot {
-    pub map: MapId,
-    /// Grows with every change of the map.
-    pub revision: u64,
-    /// Ascending id.
-    pub landmarks: Vec<LandmarkView>,
-    /// Ascending id.
-    pub keyframes: Vec<KeyframeView>,
-}
-
 /// Counters since the start, for health and logs.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Counters {
@@ -116,16 +77,4 @@ pub struct Counters {
     pub relocalisations: u64,
     /// Turns on the spot that left all behind whose distance was known: the scale of what follows is an assumption.
     pub blind_turns: u64,
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn an_unknown_place_is_not_published_as_a_perfectly_known_one() {
-        assert!(largest_sigma(&Matrix3::from_element(f64::NAN)).is_nan());
-        let known = Matrix3::from_diagonal(&Vector3::new(0.01, 0.25, 0.04));
-        assert!((largest_sigma(&known) - 0.5).abs() < 1e-12);
-    }
 }

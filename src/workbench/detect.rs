@@ -20,7 +20,7 @@ use crate::features::descriptor::{Description, Orientation, describe};
 use crate::features::fast::FastDetector;
 use crate::features::gradients::BORDER as GRADIENT_BORDER;
 use crate::features::susan::{Similarity, SusanConfig, SusanDetector, SusanResponse};
-use crate::features::susan_large::{LargeSusanConfig, LargeSusanDetector, LargeSusanScheme};
+use crate::features::susan_large::{LargeSusanConfig, LargeSusanDetector};
 use crate::features::{CellGrid, Corner, CornerDetector};
 use crate::image::GreyImage;
 
@@ -87,12 +87,9 @@ impl Detector {
             Self::Fast => fallback(),
             Self::Susan => susan(SusanConfig::default()).unwrap_or_else(fallback),
             Self::SusanStudy => susan(SusanConfig::study()).unwrap_or_else(fallback),
-            Self::Susan41 => {
-                let config = LargeSusanConfig { scheme: LargeSusanScheme::SmallMask, ..LargeSusanConfig::default() };
-                LargeSusanDetector::new(config)
-                    .map(|d| Box::new(d) as Box<dyn CornerDetector>)
-                    .unwrap_or_else(|_| fallback())
-            }
+            Self::Susan41 => LargeSusanDetector::new(LargeSusanConfig::default())
+                .map(|d| Box::new(d) as Box<dyn CornerDetector>)
+                .unwrap_or_else(|_| fallback()),
         }
     }
 }

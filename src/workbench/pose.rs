@@ -371,11 +371,7 @@ pub(super) fn noise(distances: impl Iterator<Item = f64>) -> f64 {
     median(&mut all) / 0.6745
 }
 
-/// Upper median; NaN of nothing.
+/// [`geometry::median`](crate::geometry::median()); NaN of nothing.
 pub(super) fn median(values: &mut [f64]) -> f64 {
-    if values.is_empty() {
-        return f64::NAN;
-    }
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+    crate::geometry::median(values).unwrap_or(f64::NAN)
 }

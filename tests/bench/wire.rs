@@ -8,7 +8,7 @@
 //! "To the reader" begins on both sides when the message is filled and only the sending is left (that is where `published_ns` is
 //! stamped), and ends when the reader has been woken and holds it; of a map neither side's reader touches the landmarks. Filling
 //! is the producer's own work, the same on both sides, and stands beside it; "publishing" is all that the publisher's thread
-//! spends, filling and waking included.
+//! spends, filling and waking included. Printed as Markdown.
 
 mod wire_readers;
 
@@ -18,10 +18,10 @@ use std::time::{Duration, Instant};
 
 use cairn::client::{Client, monotonic_ns};
 use cairn::geometry::Se3;
-use cairn::map::{KeyframeId, LandmarkId, MapId};
+use cairn::map::{KeyframeId, KeyframeView, LandmarkId, LandmarkView, MapId, MapSnapshot};
 use cairn::messages::{Endpoint, Health};
 use cairn::publish::{Conversion, Limits, MapContext, Publisher, convert};
-use cairn::reconstruction::{KeyframeView, LandmarkView, MapSnapshot, PoseEstimate, TrackingState};
+use cairn::reconstruction::{PoseEstimate, TrackingState};
 use iceoryx2::prelude::*;
 use nalgebra::{Matrix6, Vector3};
 
@@ -45,23 +45,25 @@ fn measure() {
     let name = format!("cb{}", std::process::id());
     let root = Path::new("/tmp").join(&name);
     let endpoint = endpoint(&root);
-    println!("{MESSAGES} messages at {} Hz; medians and 99th percentiles in us", 1.0 / PERIOD.as_secs_f64());
-
     let bare = bare_publisher(&endpoint);
     let mut publisher = Publisher::open(&endpoint, &Limits::default()).expect("publisher");
-    println!("shared memory after opening with the default limits: {}", shared_memory(&name));
+    let at_the_start = shared_memory(&name);
     drop(publisher);
     publisher =
         Publisher::open(&endpoint, &Limits { landmarks: LARGEST, ..Limits::default() }).expect("a large publisher");
 
+    println!("{MESSAGES} messages at {} Hz, of maps a tenth of them.\n", 1.0 / PERIOD.as_secs_f64());
+    println!(
+        "| message | iceoryx2 alone p50 µs | iceoryx2 alone p99 µs | Cairn p50 µs | Cairn p99 µs | ratio of the medians | ratio of the 99th percentiles | whole call, iceoryx2 alone p50 µs | whole call, Cairn p50 µs |"
+    );
+    println!("|---|---:|---:|---:|---:|---:|---:|---:|---:|");
     if std::env::args().any(|argument| argument == "maps") {
         maps(&endpoint, &mut publisher, &root);
         drop((publisher, bare));
         return clean(&root, &name);
     }
 
-    let mut costs: Vec<i64> = (0..MESSAGES).map(|i| pose(&mut publisher, i)).collect();
-    row("pose, no reader", &mut costs, None);
+    let mut unheard: Vec<i64> = (0..MESSAGES).map(|i| pose(&mut publisher, i)).collect();
     let (plain, ours) = (Reader::start("bare", &root), Reader::start("poses", &root));
     plain.wait_for(|| bare.0.dynamic_config().number_of_subscribers() > 0);
     ours.wait_for(|| publisher.poses.subscribers() == 1);
@@ -71,7 +73,7 @@ fn measure() {
         plain_costs.push(bare_message(&bare));
         our_costs.push(pose(&mut publisher, sequence));
     }
-    compared("woken", (plain, &mut plain_costs), (ours, &mut our_costs));
+    row("pose, 424 bytes", (&plain.result(), &mut plain_costs), (&ours.result(), &mut our_costs));
     // One after the other: a machine of two cores has room for one that polls.
     let mut plain = Reader::start("bare-poll", &root);
     plain.wait_for(|| bare.0.dynamic_config().number_of_subscribers() > 0);
@@ -80,14 +82,22 @@ fn measure() {
     let ours = Reader::start("poses-poll", &root);
     ours.wait_for(|| publisher.poses.subscribers() == 1);
     let mut our_costs: Vec<i64> = (0..MESSAGES).map(|i| pose(&mut publisher, i)).collect();
-    compared("polling", (plain, &mut plain_costs), (ours, &mut our_costs));
-    crowds(&mut publisher, &root);
+    row("pose, to a reader that polls", (&plain.result(), &mut plain_costs), (&ours.result(), &mut our_costs));
     maps(&endpoint, &mut publisher, &root);
-    small_things(&mut publisher);
+    crowds(&mut publisher, &root);
+    calls(&mut publisher, &mut unheard);
 
     let reader = Reader::start("idle", &root);
-    println!("CPU of a reader while nothing comes: {:.3} %", reader.result()[0]);
-    println!("shared memory at the end, maps of {LARGEST}: {}", shared_memory(&name));
+    println!("\n### Resources\n\n| what | value |\n|---|---:|");
+    println!("| CPU of a reader while nothing comes % | {:.3} |", reader.result()[0]);
+    let at_the_end = shared_memory(&name);
+    for (when, [reserved, in_use]) in
+        [("at the start, default limits", at_the_start), ("at the end, the largest maps", at_the_end)]
+    {
+        println!(
+            "| shared memory reserved {when} MB | {reserved:.1} |\n| shared memory in use {when} MB | {in_use:.2} |"
+        );
+    }
     drop((publisher, bare));
     demo(&root);
     clean(&root, &name);
@@ -102,11 +112,20 @@ fn bare_message((_, publisher, notifier): &BarePublisher) -> i64 {
     start.elapsed().as_nanos() as i64
 }
 
-fn compared(how: &str, plain: (Reader, &mut Vec<i64>), ours: (Reader, &mut Vec<i64>)) {
-    let (plain_latency, our_latency) = (plain.0.result(), ours.0.result());
-    row(&format!("iceoryx2 alone, 424 bytes, {how}"), plain.1, Some(&plain_latency));
-    row(&format!("pose, {how}"), ours.1, Some(&our_latency));
-    ratio(&our_latency, &plain_latency);
+/// What readers measured and what publishing cost, of iceoryx2 alone and of ours.
+fn row(what: &str, plain: (&[f64], &mut [i64]), ours: (&[f64], &mut [i64])) {
+    let ((plain_us, plain_costs), (our_us, our_costs)) = (plain, ours);
+    println!(
+        "| {what} | {:.1} | {:.1} | {:.1} | {:.1} | {:.2} | {:.2} | {:.0} | {:.0} |",
+        plain_us[0],
+        plain_us[1],
+        our_us[0],
+        our_us[1],
+        our_us[0] / plain_us[0],
+        our_us[1] / plain_us[1],
+        percentiles(plain_costs).0,
+        percentiles(our_costs).0
+    );
 }
 
 /// Publishes one pose after a pause and returns what that cost, ns.
@@ -121,6 +140,11 @@ fn pose(publisher: &mut Publisher, sequence: u64) -> i64 {
 
 /// Several readers, one of them stopped in its tracks: what the others lose, and what the daemon pays.
 fn crowds(publisher: &mut Publisher, root: &Path) {
+    println!("\n### Several readers of the pose\n");
+    println!(
+        "| readers | poses lost by those that run | publishing p50 µs | publishing p99 µs | to the reader p50 µs | to the reader p99 µs |"
+    );
+    println!("|---|---:|---:|---:|---:|---:|");
     for readers in [1, 4, 8] {
         for stuck in [false, true] {
             let mut all: Vec<Reader> = (0..readers).map(|_| Reader::start("poses", root)).collect();
@@ -138,11 +162,13 @@ fn crowds(publisher: &mut Publisher, root: &Path) {
             // The median reader: the first one woken is not the last.
             results.sort_by(|a, b| a[0].total_cmp(&b[0]));
             let lost: u64 = results.iter().map(|r| r[2] as u64).sum();
-            let what = format!("pose, {readers} readers{}", if stuck { ", one stuck" } else { "" });
-            row(&what, &mut costs, results.get(results.len() / 2));
-            if !results.is_empty() {
-                println!("    poses lost by the {} that run: {lost}", results.len());
-            }
+            let (p50, p99) = percentiles(&mut costs);
+            let latency = results.get(results.len() / 2).map(|us| format!("{:.1} | {:.1}", us[0], us[1]));
+            println!(
+                "| {readers}{} | {lost} | {p50:.1} | {p99:.1} | {} |",
+                if stuck { ", one stuck" } else { "" },
+                latency.as_deref().unwrap_or("– | –")
+            );
             // What was killed is cleared away.
             std::thread::sleep(Duration::from_millis(1_100));
             publisher.health.publish(&Health::default()).expect("health");
@@ -162,14 +188,13 @@ fn maps(endpoint: &Endpoint, publisher: &mut Publisher, root: &Path) {
         let (bare, ours) = (Reader::start("bare-map", root), Reader::start("map", root));
         bare.wait_for(|| service.dynamic_config().number_of_subscribers() == 1);
         std::thread::sleep(Duration::from_millis(300));
-        let (mut plain_costs, mut fillings, mut costs) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut plain_costs, mut costs) = (Vec::new(), Vec::new());
         for _ in 0..MESSAGES / 10 {
             std::thread::sleep(PERIOD * 4);
             let start = Instant::now();
             // Filled as ours is, so that both leave the caches alike.
             let sample = plain.loan_slice_uninit(landmarks).expect("memory");
             let mut sample = sample.write_from_fn(|i| convert::landmark(&snapshot.landmarks[i], &map_from_optical));
-            fillings.push(start.elapsed().as_nanos() as i64);
             sample.user_header_mut().published_ns = monotonic_ns();
             sample.send().expect("send");
             notifier.notify().expect("notify");
@@ -179,16 +204,20 @@ fn maps(endpoint: &Endpoint, publisher: &mut Publisher, root: &Path) {
             publisher.map.publish(&snapshot, &Conversion::default(), &MapContext::default()).expect("map");
             costs.push(start.elapsed().as_nanos() as i64);
         }
-        let (bare, ours) = (bare.result(), ours.result());
-        row(&format!("iceoryx2 alone, {} kB", landmarks * 24 / 1000), &mut plain_costs, Some(&bare));
-        row("    of which filling, before the span", &mut fillings, None);
-        row(&format!("map of {landmarks} landmarks"), &mut costs, Some(&ours));
-        ratio(&ours, &bare);
+        let what = format!("map of {landmarks} landmarks");
+        row(&what, (&bare.result(), &mut plain_costs), (&ours.result(), &mut costs));
         std::thread::sleep(Duration::from_millis(300));
     }
 }
 
-fn small_things(publisher: &mut Publisher) {
+/// What the publisher's other calls cost.
+fn calls(publisher: &mut Publisher, unheard: &mut [i64]) {
+    println!("\n### The publisher's other calls\n\n| call | p50 µs | p99 µs |\n|---|---:|---:|");
+    let line = |what: &str, costs: &mut [i64]| {
+        let (p50, p99) = percentiles(costs);
+        println!("| {what} | {p50:.1} | {p99:.1} |");
+    };
+    line("pose, no reader", unheard);
     let mut costs: Vec<i64> = (0..100)
         .map(|_| {
             let start = Instant::now();
@@ -196,15 +225,15 @@ fn small_things(publisher: &mut Publisher) {
             start.elapsed().as_nanos() as i64
         })
         .collect();
-    row("health, no reader", &mut costs, None);
+    line("health, no reader", &mut costs);
     let mut costs: Vec<i64> = (0..1000)
         .map(|_| {
             let start = Instant::now();
-            publisher.commands.poll_commands(|_| Default::default()).expect("poll");
+            publisher.commands.receive().expect("poll");
             start.elapsed().as_nanos() as i64
         })
         .collect();
-    row("polling for commands", &mut costs, None);
+    line("polling for commands", &mut costs);
 }
 
 /// The whole way of a simulated camera's frames, to a planner in this process.
@@ -212,7 +241,7 @@ fn demo(root: &Path) {
     let name = root.file_name().expect("name").to_string_lossy().into_owned();
     let output = root.join("demo");
     let mut daemon = Command::new(env!("CARGO_BIN_EXE_cairn"))
-        .args(["demo", "--log", "error", "--seconds", &DEMO.as_secs().to_string(), "--output"])
+        .args(["demo", "--quiet", "--seconds", &DEMO.as_secs().to_string(), "--output"])
         .arg(&output)
         .env("CAIRN_PREFIX", "bench")
         .env("CAIRN_IPC_ROOT", root)
@@ -234,31 +263,20 @@ fn demo(root: &Path) {
     let _ = daemon.kill();
     let _ = daemon.wait();
     let ((p50, p99), (w50, w99)) = (percentiles(&mut whole), percentiles(&mut wire));
-    println!("cairn demo, {} poses, {tracked} tracked:", whole.len());
-    println!("    frame's arrival in the daemon to its pose in the planner {p50:7.0} {p99:7.0}");
-    println!("    of which from publishing                                 {w50:7.1} {w99:7.1}");
+    println!("\n### From a simulated frame to the planner\n");
+    println!("`cairn demo`, {} poses, {tracked} of them tracked.\n", whole.len());
+    println!("| span | p50 ms | p99 ms |\n|---|---:|---:|");
+    println!("| frame's arrival in the daemon to its pose in the planner | {:.1} | {:.1} |", p50 * 1e-3, p99 * 1e-3);
+    println!("| of which from publishing | {:.3} | {:.3} |", w50 * 1e-3, w99 * 1e-3);
 }
 
-fn row(what: &str, costs: &mut [i64], latency: Option<&Vec<f64>>) {
-    let (p50, p99) = percentiles(costs);
-    print!("{what:36} publishing {p50:7.1} {p99:7.1}");
-    match latency {
-        Some(l) => println!("   to the reader {:7.1} {:7.1}", l[0], l[1]),
-        None => println!(),
-    }
-}
-
-fn ratio(ours: &[f64], plain: &[f64]) {
-    println!("    ratio to the reader: median {:.2}, 99th percentile {:.2}", ours[0] / plain[0], ours[1] / plain[1]);
-}
-
-/// Apparent and resident size of this bench's objects in /dev/shm.
-fn shared_memory(name: &str) -> String {
+/// Apparent and resident size of this bench's objects in /dev/shm, MB.
+fn shared_memory(name: &str) -> [f64; 2] {
     use std::os::unix::fs::MetadataExt;
     let objects = std::fs::read_dir("/dev/shm").expect("/dev/shm").flatten();
     let sizes = objects.filter(|e| e.file_name().to_string_lossy().starts_with(name)).filter_map(|e| e.metadata().ok());
-    let (n, apparent, resident) = sizes.fold((0, 0, 0), |(n, a, r), m| (n + 1, a + m.len(), r + m.blocks() * 512));
-    format!("{n} objects, {:.1} MB reserved, {:.2} MB in use", apparent as f64 * 1e-6, resident as f64 * 1e-6)
+    let (apparent, resident) = sizes.fold((0, 0), |(a, r), m| (a + m.len(), r + m.blocks() * 512));
+    [apparent, resident].map(|bytes| bytes as f64 * 1e-6)
 }
 
 fn clean(root: &Path, name: &str) {

@@ -150,7 +150,10 @@ def main():
         print(f"| {path_a.stem} {path_b.stem} | {len(matches)} | {row[2]:.0f} | {row[0]:.2f} | {row[1]:.2f} | {ms:.0f} |")
     if rows:
         right = sum(r[0] <= 5 and r[1] <= 10 for r in rows)
-        print(f"| median, {right} of {len(rows)} right (5°, 10°) | | | {np.median([r[0] for r in rows]):.2f} | {np.median([r[1] for r in rows]):.2f} | |")
+        print("\n| way | poses right | rotation ° | translation ° |\n|---|---:|---:|---:|")
+        medians = " | ".join(f"{np.median([r[k] for r in rows]):.2f}" for k in range(2))
+        print(f"| ORB, {arguments.rule} | {right} of {len(rows)} | {medians} |")
+        print("\nMedians over the pairs; a pose is right within 5° of rotation and 10° of translation.")
 
 
 if __name__ == "__main__":

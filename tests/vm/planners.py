@@ -12,9 +12,16 @@ ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
 LIBRARY = ROOT / "target/release/libcairn.so"
 
 
-def make(folder):
+def demand():
+    """Ends the program, before anything was started, when what `make` needs is not there."""
     if not LIBRARY.is_file():
         raise SystemExit(f"tests/vm: {LIBRARY} is not there: cargo rustc --release --lib --crate-type cdylib --features c")
+    for compiler in "cc", "c++":
+        if not shutil.which(compiler):
+            raise SystemExit(f"tests/vm: there is no {compiler} here, for the planners in C and C++: apt-get install g++")
+
+
+def make(folder):
     folder.mkdir()
     shutil.copy(LIBRARY, folder)
     subprocess.run(["strip", "--strip-debug", folder / LIBRARY.name], check=True)

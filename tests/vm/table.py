@@ -1,4 +1,4 @@
-"""Results as Markdown."""
+"""Results as Markdown; `tests/results/make faults` keeps those of the full form."""
 
 HEAD = ["scenario", "what was done", "what was published (state, error bits)", "widest gap of health s", "recovery s", "note"]
 
@@ -15,11 +15,9 @@ def markdown(records, about):
     """One line for each row that a scenario reported; a failed scenario has its reason."""
     passed = sum(r["passed"] for r in records)
     clock = ("emulated; its clock counts instructions, one a nanosecond" if about["accelerator"] == "tcg" else "by KVM")
-    lines = [f"# Faults on real device nodes: {about['form']} run of {about['date']}", "",
-             f"{about['version']}, release build, in a Debian guest with systemd and one processor ({clock}). "
+    lines = [f"{about['version']}, {about['form']} form, release build, in a Debian guest with systemd and one processor ({clock}). "
              f"{passed} of {len(records)} scenarios passed, {about['minutes']:.0f} minutes.",
-             "Times are the guest's. Recovery: from the return of what was missing to frames (or, where said, poses) again. "
-             "Made by `tests/vm/run`.", "",
+             "Times are the guest's. Recovery: from the return of what was missing to frames (or, where said, poses) again.", "",
              "| " + " | ".join(HEAD) + " |", "|---|---|---|---:|---:|---|"]
     for record in records:
         if not record["passed"]:

@@ -254,20 +254,20 @@ fn commands_are_carried_out_and_answered() {
     let mut seen = Vec::new();
     let mut place_told = None;
     crate::support::until("two commands have come", || {
-        publisher
-            .commands
-            .poll_commands(|command| {
-                if command.kind == command_kind::SET_POSE {
-                    place_told = Some(Transform { position: command.position, orientation: command.orientation });
-                    return CommandReply::default();
-                }
-                seen.push((command.kind, command.path().unwrap().to_string()));
-                match command.kind {
-                    command_kind::RESET => CommandReply::default(),
-                    _ => CommandReply::new(reply_code::FAILED, "disk full"),
-                }
-            })
-            .unwrap();
+        while let Some(request) = publisher.commands.receive().unwrap() {
+            let command = request.command();
+            if command.kind == command_kind::SET_POSE {
+                place_told = Some(Transform { position: command.position, orientation: command.orientation });
+                request.reply(CommandReply::default());
+                continue;
+            }
+            seen.push((command.kind, command.path().unwrap().to_string()));
+            let reply = match command.kind {
+                command_kind::RESET => CommandReply::default(),
+                _ => CommandReply::new(reply_code::FAILED, "disk full"),
+            };
+            request.reply(reply);
+        }
         seen.len() == 2
     });
     let (reset, save) = sender.join().unwrap();

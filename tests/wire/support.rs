@@ -9,10 +9,10 @@ use std::time::{Duration, Instant};
 use cairn::client::{Client, Subscription, Topic};
 use cairn::frame::monotonic_ns;
 use cairn::geometry::Se3;
-use cairn::map::{KeyframeId, LandmarkId, MapId};
+use cairn::map::{KeyframeId, KeyframeView, LandmarkId, LandmarkView, MapId, MapSnapshot};
 use cairn::messages::{CommandReply, Endpoint, Health, reply_code};
 use cairn::publish::{Conversion, Limits, MapContext, PublishError, Publisher};
-use cairn::reconstruction::{KeyframeView, LandmarkView, MapSnapshot, PoseEstimate, TrackingState};
+use cairn::reconstruction::{PoseEstimate, TrackingState};
 use nalgebra::{Matrix6, UnitQuaternion, Vector3};
 
 /// Every wait in these tests ends after this time.
@@ -241,7 +241,9 @@ fn publish_until(end: Instant, root: &Path) {
                 .publish(&snapshot(sequence, 50), &Conversion::default(), &MapContext::default())
                 .expect("map");
         }
-        publisher.commands.poll_commands(|_| CommandReply::new(reply_code::OK, "done")).expect("commands");
+        while let Some(request) = publisher.commands.receive().expect("commands") {
+            request.reply(CommandReply::new(reply_code::OK, "done"));
+        }
         sequence += 1;
         std::thread::sleep(Duration::from_millis(5));
     }

@@ -43,7 +43,7 @@ class Daemon:
     def start(self):
         assert BINARY.exists(), f"{BINARY} is not there: cargo build --release, or set CAIRN_BINARY"
         self.process = subprocess.Popen(
-            [BINARY, "demo", "--seconds", "120", "--output", self.root / "demo", "--log", "error"],
+            [BINARY, "demo", "--seconds", "120", "--output", self.root / "demo", "--quiet"],
             env={**os.environ, **self.environment},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,

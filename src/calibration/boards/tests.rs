@@ -72,3 +72,21 @@ fn the_report_names_the_wide_angle_model_where_a_pinhole_does_not_fit_and_only_t
     let pinhole = solve(&views, &pattern(), (truth.width, truth.height), Distortion::Full).expect("calibrated");
     assert_eq!(pinhole.wide_angle_rms_px, None, "{}", pinhole.words());
 }
+
+#[test]
+fn a_view_that_was_left_out_says_why() {
+    let (mut views, truth) = sweep(false, 20);
+    // One view with its corners in disorder, and one of which too little was seen.
+    let count = views[3].board.corners.len();
+    for i in 0..count {
+        let other = views[7].board.corners[(i * 5) % views[7].board.corners.len()].pixel;
+        views[3].board.corners[i].pixel = other;
+    }
+    views[5].board.corners.truncate(6);
+    let solved = solve(&views, &pattern(), (truth.width, truth.height), Distortion::Full).expect("calibrated");
+    let words: Vec<String> = solved.solved.views.iter().map(|view| solved.view_words(view)).collect();
+    assert!(words[3].starts_with("left out: it does not fit the other views, "), "{}", words[3]);
+    assert_eq!(words[5], "left out: 6 corners are too few, 8 are needed");
+    assert!(words[0].ends_with(" px RMS") && !words[0].contains("left out"), "{}", words[0]);
+    assert!(words.iter().all(|w| !w.contains("inf") && !w.contains("NaN")), "{words:?}");
+}

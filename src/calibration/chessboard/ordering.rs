@@ -14,6 +14,7 @@ use super::grid::Grid;
 use super::profile::{XCorner, margin, two_fold};
 use super::saddle::SaddleMap;
 use super::{Pattern, SIDE_RANGE};
+use crate::geometry::median;
 
 /// A rim with a smaller share of corners may be cut off.
 const RIM_SHARE: f64 = 0.6;
@@ -185,8 +186,7 @@ pub fn fit(grid: Grid, map: &SaddleMap, corners: &[XCorner], pattern: &Pattern) 
 fn median_misfit(sheet: &Sheet) -> Option<f64> {
     let cells = (sheet.low.1..=sheet.high.1).flat_map(|j| (sheet.low.0..=sheet.high.0).map(move |i| (i, j)));
     let mut all: Vec<f64> = cells.filter_map(|cell| Some(misfit(&|c| sheet.place(c), cell)?.0)).collect();
-    all.sort_by(f64::total_cmp);
-    all.get(all.len() / 2).copied()
+    median(&mut all)
 }
 
 /// Longer and shorter side.
@@ -247,10 +247,9 @@ pub fn misfit(place: &impl Fn((i32, i32)) -> Option<Vector2<f64>>, (i, j): (i32,
     said.sort_by(|a, b| a.0.total_cmp(&b.0));
     let middle = |axis: usize| {
         let mut values: Vec<f64> = said.iter().map(|(_, p)| p[axis]).collect();
-        values.sort_by(f64::total_cmp);
-        values[values.len() / 2]
+        median(&mut values)
     };
-    Some((said[said.len() / 2].0, Vector2::new(middle(0), middle(1))))
+    Some((said[said.len() / 2].0, Vector2::new(middle(0)?, middle(1)?)))
 }
 
 /// Drops corners that are out of line, the worst first.
@@ -321,8 +320,7 @@ fn next_rim(sheet: &Sheet, map: &SaddleMap, contrast: f64, side: usize, belongs:
         }
     }
     let of = if belongs { sheet.rim(side, 1).len() } else { seen.max(MIN_BEYOND) };
-    clearness.sort_by(f64::total_cmp);
-    let is_clear = clearness.get(clearness.len() / 2).is_none_or(|c| *c > MIN_CLEARNESS);
+    let is_clear = median(&mut clearness).is_none_or(|c| c > MIN_CLEARNESS);
     (found.len() as f64 >= NEW_RIM_SHARE * of as f64 && !found.is_empty() && is_clear).then_some(found)
 }
 

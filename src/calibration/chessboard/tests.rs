@@ -6,6 +6,7 @@ use crate::camera::simulator::{Scenario, Simulator, SimulatorConfig};
 use crate::frame::{PixelFormat, RawFrame};
 use crate::geometry::random::Random;
 use crate::image::decode::Decoder;
+use nalgebra::Vector2;
 
 /// Pictures of the board and where its corners are in them, row by row; at (-1, -1) if a lens does not see them.
 fn pictures(frames: &[u64]) -> Vec<(GreyImage, Vec<Vector2<f64>>)> {

@@ -125,7 +125,8 @@ fn ours(text: &str) -> Result<CalibrationFile, CalibrationError> {
 }
 
 fn numbers(c: &CameraModel) -> ([u32; 2], [f64; 4], [f64; 5]) {
-    ([c.width, c.height], [c.fx, c.fy, c.cx, c.cy], c.lens.radial_tangential().expect("pinhole"))
+    let LensModel::RadialTangential(distortion) = c.lens else { panic!("{:?} is no pinhole's", c.lens) };
+    ([c.width, c.height], [c.fx, c.fy, c.cx, c.cy], distortion)
 }
 
 #[test]

@@ -13,11 +13,11 @@
 //!
 //! Cost: about 1 ns a pixel; the noise comes from a table that each row enters at a place of its own.
 
-use super::config::{BlackoutConfig, ExposureConfig, SimulatorConfig};
 use super::random::{Random, mix};
 use super::render::Shot;
 use super::scene::Scene;
 use super::trajectory::Trajectory;
+use crate::camera::simulator_config::{BlackoutConfig, ExposureConfig, SimulatorConfig};
 use crate::geometry::CameraModel;
 
 /// Entries of the noise table that a row may start at.

@@ -15,7 +15,7 @@
 //!   their sequence numbers are missing.
 //!
 //! # Rooms
-//! [`config`] keys; `random` numbers; `paint`, `styles`, `furnishings`: textures; `scene`, `room`: geometry and light;
+//! `random` numbers; `paint`, `styles`, `furnishings`: textures; `scene`, `room`: geometry and light;
 //! [`trajectory`]; `rays`, `cull`, `render`, `tile`, `texture`: the picture; `effects`, `occluder`: what spoils it;
 //! `export`: a recording on disk.
 //!
@@ -36,7 +36,6 @@
 //!
 //! Deliberately not here: physics, colour, transparency, reflections, cast shadows of moving things.
 
-pub mod config;
 mod cull;
 mod effects;
 mod export;
@@ -58,7 +57,7 @@ mod tests;
 
 use std::time::Duration;
 
-pub use config::{Scenario, SimulatorConfig, SimulatorConfigError};
+pub use super::simulator_config::{Scenario, SimulatorConfig, SimulatorConfigError};
 pub use export::{ExportError, Recorded};
 pub use scene::Chessboard;
 pub use trajectory::Trajectory;

@@ -8,13 +8,13 @@
 
 use nalgebra::{Vector2, Vector3};
 
-use super::config::{OccluderConfig, SimulatorConfig};
 use super::paint::Noise;
 use super::random::Random;
 use super::render::Actors;
 use super::scene::Quad;
 use super::styles::{Painter, Style};
 use super::texture::Texture;
+use crate::camera::simulator_config::{OccluderConfig, SimulatorConfig};
 use crate::geometry::CameraModel;
 
 /// Distance from the lens, m.

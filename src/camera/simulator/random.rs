@@ -1,49 +1,43 @@
 //! Seeded random numbers of the simulator: (seed, stream) -> a sequence that never changes.
 //!
-//! SplitMix64 (Steele, Lea and Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014): one addition and
-//! three mixing steps a number, about 1 ns. Every part of the simulator draws from a stream of its own, so that a switch
-//! on one effect does not change what another one draws.
+//! Every part of the simulator draws from a stream of its own, so that a switch on one effect does not change what another one
+//! draws. The generator is that of [`geometry::random`](crate::geometry::random).
 //!
 //! Deliberately not here: cryptographic quality, entropy from the system.
 
-/// One step of SplitMix64's output function; also serves as a hash of small integers.
+use crate::geometry::random;
+
+/// A hash of small integers.
 #[inline]
 pub(super) fn mix(value: u64) -> u64 {
-    let mut z = value.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
+    random::Random::new(value).bits()
 }
 
 /// A stream of random numbers.
 #[derive(Debug, Clone)]
-pub(super) struct Random {
-    state: u64,
-}
+pub(super) struct Random(random::Random);
 
 impl Random {
     /// Stream `stream` of `seed`.
     pub(super) fn new(seed: u64, stream: u64) -> Self {
-        Self { state: mix(seed ^ mix(stream)) }
+        Self(random::Random::new(mix(seed ^ mix(stream))))
     }
 
     #[inline]
     pub(super) fn next(&mut self) -> u64 {
-        let out = mix(self.state);
-        self.state = self.state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        out
+        self.0.bits()
     }
 
     /// Uniform in [0, 1).
     #[inline]
     pub(super) fn unit(&mut self) -> f64 {
-        (self.next() >> 11) as f64 / (1u64 << 53) as f64
+        self.0.unit()
     }
 
     /// Uniform in [low, high).
     #[inline]
     pub(super) fn range(&mut self, low: f64, high: f64) -> f64 {
-        low + (high - low) * self.unit()
+        self.0.uniform(low, high)
     }
 
     /// Uniform in the logarithm: as many sizes between 1 and 2 as between 2 and 4.
@@ -61,10 +55,9 @@ impl Random {
         self.unit() < p
     }
 
-    /// Standard normal (Box and Muller).
+    /// Standard normal.
     pub(super) fn normal(&mut self) -> f64 {
-        let radius = (-2.0 * (1.0 - self.unit()).ln()).sqrt();
-        radius * (std::f64::consts::TAU * self.unit()).cos()
+        self.0.normal()
     }
 }
 

@@ -109,27 +109,3 @@ impl Grid {
         grid
     }
 }
-
-/// Refuses a lens that is not one to one over the picture.
-pub(super) fn check_lens(camera: &CameraModel) -> Result<(), String> {
-    let (w, h) = (f64::from(camera.width), f64::from(camera.height));
-    for i in 0..=40 {
-        let t = f64::from(i) / 40.0;
-        for pixel in [
-            Vector2::new(t * w - 0.5, -0.5),
-            Vector2::new(t * w - 0.5, h - 0.5),
-            Vector2::new(-0.5, t * h - 0.5),
-            Vector2::new(w - 0.5, t * h - 0.5),
-        ] {
-            let back = camera.undistort(&pixel).and_then(|n| camera.distort(&n));
-            if !back.is_some_and(|p| (p - pixel).norm() < 1e-6) {
-                let what = match camera.lens.is_wide_angle() {
-                    true => "folds over, or sees more than 85 degrees off its axis,",
-                    false => "folds over",
-                };
-                return Err(format!("the lens {what} at pixel ({:.0}, {:.0})", pixel.x, pixel.y));
-            }
-        }
-    }
-    Ok(())
-}

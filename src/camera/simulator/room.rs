@@ -15,10 +15,10 @@
 
 use nalgebra::Vector3;
 
-use super::config::ChessboardConfig;
 use super::random::Random;
 use super::scene::{BoxPlan, Builder, Faces, Scene};
 use super::styles::Style;
+use crate::camera::simulator_config::ChessboardConfig;
 
 use std::f64::consts::{FRAC_PI_2, PI};
 

@@ -14,9 +14,9 @@ use std::sync::{Arc, OnceLock};
 
 use nalgebra::{UnitQuaternion, Vector3};
 
-use super::config::{Scenario, SimulatorConfig};
 use super::random::Random;
 use super::room::CHESSBOARD_MIDDLE;
+use crate::camera::simulator_config::{Scenario, SimulatorConfig};
 use crate::frame::monotonic_ns;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::{Se3, ros_from_optical};

@@ -11,7 +11,7 @@
 //! Cost: a dozen control transfers at opening and at the lock, a millisecond each on USB; nothing a frame. Not here: an
 //! automatic exposure of our own.
 
-use super::V4l2Config;
+use super::config::{PowerLine, V4l2Config};
 use super::device::Device;
 
 const AUTO_WHITE_BALANCE: u32 = 0x0098_090c;
@@ -29,21 +29,6 @@ const MODE_AUTO: i32 = 0;
 const MODE_MANUAL: i32 = 1;
 const MODE_APERTURE_PRIORITY: i32 = 3;
 const UNITS_PER_MS: f64 = 10.0;
-
-/// What lamps flicker with; exposure is then a multiple of their period.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Deserialize, serde::Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum PowerLine {
-    /// As the camera has it.
-    #[default]
-    Keep,
-    Off,
-    #[serde(rename = "50hz")]
-    Hz50,
-    #[serde(rename = "60hz")]
-    Hz60,
-    Auto,
-}
 
 impl PowerLine {
     /// V4L2's number for it.

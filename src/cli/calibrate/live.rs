@@ -7,13 +7,17 @@ use std::process::ExitCode;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use super::{CalibrateArgs, report, report_folder, save};
+use super::args::CalibrateArgs;
+#[cfg(feature = "tools")]
+use super::output::report_folder;
+use super::output::save;
+#[cfg(feature = "tools")]
+use super::report;
 use crate::calibration::chessboard::Pattern;
 use crate::calibration::guide::{Guide, Seen};
 use crate::calibration::store::CameraIdentity;
-use crate::camera::simulator::{Scenario, Simulator};
 use crate::camera::v4l2::V4l2Camera;
-use crate::camera::{FrameSource, Grab, Pacing, SourceError};
+use crate::camera::{FrameSource, Grab, SourceError};
 use crate::cli::session::{self, StatusLine};
 use crate::cli::{CliError, exit_code};
 use crate::config::Config;
@@ -24,22 +28,24 @@ use crate::image::decode::Decoder;
 /// Longest wait for a frame: how late Ctrl-C is seen.
 const TURN: Duration = Duration::from_millis(100);
 /// Speed of the simulated sweep against its own: somebody who holds a board does not wave it.
+#[cfg(feature = "tools")]
 const SWEEP_SPEED: f64 = 0.1;
 /// Without a single frame for so long the camera is given up, s.
 const SILENCE_S: i64 = 10;
 
 pub fn run(args: &CalibrateArgs, pattern: &Pattern) -> Result<ExitCode, CliError> {
-    let mut config = args.session.open(true)?;
+    let mut config = args.session.open_for_result(args.quiet)?;
     session::check_outputs([&args.output])?;
     let stop = session::stop_flag()?;
     let (mut source, identity) = open(args, pattern, &mut config)?;
     if identity.is_none() && args.output.is_none() {
         return Err(CliError::new(exit_code::USAGE, "--output is needed: the simulator has no identity to keep it by"));
     }
-    eprintln!("{}: show a board of {}x{} inner corners", source.description().name, pattern.columns, pattern.rows);
+    let mut line = StatusLine::new(args.quiet);
+    let name = &source.description().name;
+    line.note(&format!("{name}: show a board of {}x{} inner corners", pattern.columns, pattern.rows));
     let mut guide = Guide::new(*pattern, args.distortion.into());
     let (mut slot, mut picture, mut decoder) = (RawFrame::default(), GreyImage::default(), Decoder::default());
-    let mut line = StatusLine::new();
     let begin_ns = monotonic_ns();
     let limit_ns = i64::try_from(args.seconds).unwrap_or(300) * 1_000_000_000;
     let (mut last_frame_ns, mut first_stamp) = (begin_ns, None);
@@ -78,14 +84,13 @@ pub fn run(args: &CalibrateArgs, pattern: &Pattern) -> Result<ExitCode, CliError
         let seen = guide.step(&picture, slot.timestamp_ns);
         let text = format!("{}; {}", guide.progress(), guide.advice(seen));
         if seen == Seen::Taken {
-            line.clear();
-            eprintln!("{text}");
+            line.note(&text);
         } else {
             line.show(&text);
         }
     };
+    line.note(&format!("{why} after {} views", guide.views().len()));
     line.clear();
-    eprintln!("{why} after {} views", guide.views().len());
     let Some(calibrated) = guide.solution() else {
         let message = format!(
             "{why}: {} views are too few to calibrate from; {}",
@@ -96,6 +101,7 @@ pub fn run(args: &CalibrateArgs, pattern: &Pattern) -> Result<ExitCode, CliError
     };
     session::print(&format!("{}{}", calibrated.table(), calibrated.words()))?;
     save(args, calibrated, identity.as_ref())?;
+    #[cfg(feature = "tools")]
     if let Some(folder) = report_folder(args) {
         let views = guide.board_views();
         let size = (calibrated.camera.width, calibrated.camera.height);
@@ -119,16 +125,7 @@ fn open(
 ) -> Result<(Box<dyn FrameSource>, Option<CameraIdentity>), CliError> {
     let name = args.camera.as_deref().unwrap_or("auto");
     if name == "simulator" {
-        let simulated = &mut config.simulator;
-        simulated.scenario = Scenario::CalibrationSweep;
-        simulated.speed = (simulated.speed * SWEEP_SPEED).max(0.1);
-        simulated.chessboard.enabled = true;
-        (simulated.chessboard.columns, simulated.chessboard.rows) = (pattern.columns, pattern.rows);
-        simulated.chessboard.square_m = pattern.square_m;
-        let pacing = if args.lockstep { Pacing::LockStep } else { Pacing::RealTime };
-        let simulator =
-            Simulator::new(simulated, pacing).map_err(|e| CliError::new(exit_code::USAGE, e.to_string()))?;
-        return Ok((Box::new(simulator), None));
+        return Ok((simulated(args, pattern, config)?, None));
     }
     if name != "auto" {
         config.camera.device = name.into();
@@ -136,4 +133,25 @@ fn open(
     let source = V4l2Camera::open(&config.camera).map_err(|e| unavailable(&e))?;
     let identity = source.identity();
     Ok((Box::new(source), Some(identity)))
+}
+
+/// The simulator, moving before a board of this pattern.
+#[cfg(feature = "tools")]
+fn simulated(args: &CalibrateArgs, pattern: &Pattern, config: &mut Config) -> Result<Box<dyn FrameSource>, CliError> {
+    use crate::camera::Pacing;
+    use crate::camera::simulator::{Scenario, Simulator};
+    let simulated = &mut config.simulator;
+    simulated.scenario = Scenario::CalibrationSweep;
+    simulated.speed = (simulated.speed * SWEEP_SPEED).max(0.1);
+    simulated.chessboard.enabled = true;
+    (simulated.chessboard.columns, simulated.chessboard.rows) = (pattern.columns, pattern.rows);
+    simulated.chessboard.square_m = pattern.square_m;
+    let pacing = if args.lockstep { Pacing::LockStep } else { Pacing::RealTime };
+    let simulator = Simulator::new(simulated, pacing).map_err(|e| CliError::new(exit_code::USAGE, e.to_string()))?;
+    Ok(Box::new(simulator))
+}
+
+#[cfg(not(feature = "tools"))]
+fn simulated(_: &CalibrateArgs, _: &Pattern, _: &Config) -> Result<Box<dyn FrameSource>, CliError> {
+    Err(CliError::new(exit_code::USAGE, crate::cli::builds::not_in_this_build("the simulator")))
 }

@@ -3,7 +3,12 @@
 use std::path::Path;
 use std::process::ExitCode;
 
-use super::{CalibrateArgs, report, report_folder, save};
+use super::args::CalibrateArgs;
+#[cfg(feature = "tools")]
+use super::output::report_folder;
+use super::output::save;
+#[cfg(feature = "tools")]
+use super::report;
 use crate::calibration::boards::{BoardView, solve};
 use crate::calibration::chessboard::{Detector, Pattern, Sighting};
 use crate::cli::session::{self, StatusLine};
@@ -31,17 +36,13 @@ pub fn run(args: &CalibrateArgs, pattern: &Pattern) -> Result<ExitCode, CliError
     session::check_outputs([&args.output])?;
     let (mut detector, mut decoder, mut picture) = (Detector::default(), Decoder::default(), GreyImage::default());
     let mut views = Vec::new();
-    let mut paths = Vec::new();
     let mut size = None;
     let mut other_sizes: Vec<(u32, u32)> = Vec::new();
-    let mut line = StatusLine::new();
+    let mut line = StatusLine::new(args.quiet);
     for (n, path) in args.pictures.iter().enumerate() {
         line.show(&format!("{}/{} {}", n + 1, args.pictures.len(), path.display()));
         let name = path.display().to_string();
-        let mut skip = |reason: &str| {
-            line.clear();
-            eprintln!("{name}: {reason}, skipped");
-        };
+        let mut skip = |reason: &str| line.note(&format!("{name}: {reason}, skipped"));
         if let Err(reason) = read(path, &mut decoder, &mut picture) {
             if !path.exists() {
                 return Err(CliError::new(exit_code::NO_INPUT, format!("{name}: {reason}")));
@@ -58,10 +59,9 @@ pub fn run(args: &CalibrateArgs, pattern: &Pattern) -> Result<ExitCode, CliError
             Sighting::Board(board) => {
                 size = Some(own);
                 if !board.complete {
-                    eprintln!("{name}: {} of {} corners seen", board.corners.len(), pattern.count());
+                    line.note(&format!("{name}: {} of {} corners seen", board.corners.len(), pattern.count()));
                 }
                 views.push(BoardView::still(name, board));
-                paths.push(path.clone());
             }
             Sighting::OtherSize(columns, rows) => {
                 other_sizes.push((columns, rows));
@@ -101,21 +101,24 @@ pub fn run(args: &CalibrateArgs, pattern: &Pattern) -> Result<ExitCode, CliError
         if fits && count(&(c, r)) > views.len() {
             return Err(CliError::new(exit_code::DATA, message));
         }
-        eprintln!("cairn: {message}");
+        line.note(&format!("cairn: {message}"));
     }
     let calibrated = solve(&views, pattern, size, args.distortion.into())
         .map_err(|e| CliError::new(exit_code::DATA, format!("{}{e}", summary)))?;
     let mut text = summary;
     for (view, solved) in views.iter().zip(&calibrated.solved.views) {
-        let left_out = if solved.used { "" } else { "  LEFT OUT: does not fit the others" };
-        text += &format!("  {:.3} px  {}{left_out}\n", solved.rms_px, view.name);
+        text += &format!("  {}: {}\n", view.name, calibrated.view_words(solved));
     }
     text += &calibrated.table();
     text += &calibrated.words();
     session::print(&text)?;
     save(args, &calibrated, None)?;
+    #[cfg(feature = "tools")]
     if let Some(folder) = report_folder(args) {
-        let picture_of = |n: usize, out: &mut GreyImage| read(&paths[n], &mut Decoder::default(), out).is_ok();
+        let path = |n: usize| args.pictures.iter().find(|path| path.display().to_string() == views[n].name);
+        let picture_of = |n: usize, out: &mut GreyImage| {
+            path(n).is_some_and(|path| read(path, &mut Decoder::default(), out).is_ok())
+        };
         let files = report::write(&folder, &views, &calibrated, size, picture_of)?;
         session::print(&format!("wrote {files} pictures in {}\n", folder.display()))?;
     }

@@ -39,8 +39,7 @@ pub fn write(
         if n < MAX_PICTURES && picture_of(n, &mut picture) {
             let name =
                 Path::new(&view.name).file_name().map_or(view.name.clone(), |f| f.to_string_lossy().into_owned());
-            let state = if solved.used { "" } else { ", left out" };
-            let title = format!("{name}: {:.3} px RMS{state}", solved.rms_px);
+            let title = format!("{name}: {}", calibrated.view_words(solved));
             let path = folder.join(format!("view-{:03}.png", n + 1));
             write_view(&path, &picture, &marks, &title).map_err(|e| failed(e.to_string()))?;
             files += 1;

@@ -8,6 +8,7 @@
 
 mod probe;
 mod processes;
+mod report;
 mod service;
 mod wire;
 
@@ -18,6 +19,7 @@ use std::process::ExitCode;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use probe::Outcome;
+use report::Report;
 
 use super::camera_calibration::{identify, stored};
 use super::endpoint_args::EndpointArgs;
@@ -40,37 +42,6 @@ pub struct DoctorArgs {
     /// First part of the services' names [default: the configuration's]
     #[arg(long, env = "CAIRN_PREFIX", value_name = "PREFIX")]
     pub prefix: Option<String>,
-}
-
-/// The report as it grows.
-#[derive(Default)]
-struct Report {
-    text: String,
-    /// What keeps `cairn run` from working.
-    problems: usize,
-    next: Vec<String>,
-}
-
-impl Report {
-    fn title(&mut self, title: &str) {
-        let _ = writeln!(self.text, "{title}");
-    }
-    fn good(&mut self, line: &str) {
-        let _ = writeln!(self.text, "  ok    {line}");
-    }
-    fn note(&mut self, line: &str) {
-        let _ = writeln!(self.text, "  note  {line}");
-    }
-    /// Nothing that keeps `cairn run` from working, but somebody should do something about it.
-    fn warn(&mut self, line: &str, next: &str) {
-        let _ = writeln!(self.text, "  warn  {line}");
-        self.next.push(next.into());
-    }
-    fn bad(&mut self, line: &str, next: &str) {
-        let _ = writeln!(self.text, "  FAIL  {line}");
-        self.problems += 1;
-        self.next.push(next.into());
-    }
 }
 
 /// Prints the report on stdout; exit code 69 when something keeps `cairn run` from working.
@@ -144,8 +115,9 @@ fn cameras(report: &mut Report, config: &Config) {
         }
     }
     if usable == 0 && needs_camera {
-        let next = "plug a USB webcam in (or try the simulator: `cairn demo`)";
-        report.bad("no camera that sends GREY, YUYV or MJPEG", next);
+        let program = if cfg!(feature = "tools") { "cairn" } else { "cairn-tools" };
+        let next = format!("plug a USB webcam in (or try the simulator: `{program} demo`)");
+        report.bad("no camera that sends GREY, YUYV or MJPEG", &next);
     }
 }
 

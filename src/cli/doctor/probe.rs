@@ -3,8 +3,8 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use super::Report;
 use super::processes::Process;
+use super::report::Report;
 use crate::camera::v4l2::{V4l2Camera, V4l2Config};
 use crate::camera::{FrameSource, Grab, SourceError};
 use crate::daemon::within;

@@ -28,13 +28,13 @@ fn all(proc: &Path) -> impl Iterator<Item = Process> + use<> {
     })
 }
 
-/// Running daemons: `cairn run`.
+/// Running daemons: `cairn run`, of either package.
 pub fn daemons(proc: &Path) -> Vec<Process> {
     let runs = |process: &Process| {
         let line = fs::read(proc.join(process.pid.to_string()).join("cmdline")).unwrap_or_default();
         line.split(|byte| *byte == 0).skip(1).any(|word| word == b"run")
     };
-    all(proc).filter(|process| process.name == "cairn" && runs(process)).collect()
+    all(proc).filter(|process| matches!(process.name.as_str(), "cairn" | "cairn-tools") && runs(process)).collect()
 }
 
 /// Who has a file open, and whether some processes could not be looked into.
@@ -76,6 +76,7 @@ mod tests {
             ("10", "cairn", "/usr/bin/cairn\0run\0"),
             ("11", "cairn", "cairn\0watch\0--json\0"),
             ("12", "bash", "bash\0run\0"),
+            ("13", "cairn-tools", "cairn-tools\0run\0"),
             ("self", "cairn", "cairn\0run\0"),
         ] {
             let folder = proc.path().join(pid);
@@ -83,7 +84,8 @@ mod tests {
             fs::write(folder.join("comm"), format!("{comm}\n")).expect("written");
             fs::write(folder.join("cmdline"), line).expect("written");
         }
-        let found: Vec<u32> = daemons(proc.path()).iter().map(|p| p.pid).collect();
-        assert_eq!(found, [10]);
+        let mut found: Vec<u32> = daemons(proc.path()).iter().map(|p| p.pid).collect();
+        found.sort_unstable();
+        assert_eq!(found, [10, 13]);
     }
 }

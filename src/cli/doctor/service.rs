@@ -4,8 +4,8 @@ use std::collections::HashMap;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use super::Report;
 use super::processes::Process;
+use super::report::Report;
 use crate::daemon::advice;
 use crate::messages::{Endpoint, Health, error};
 

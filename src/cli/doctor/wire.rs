@@ -3,7 +3,7 @@
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 
-use super::Report;
+use super::report::Report;
 use crate::messages::Squatter;
 
 /// Shared memory that a daemon of default size takes, with room to spare, bytes.

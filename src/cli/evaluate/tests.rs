@@ -5,6 +5,7 @@ use crate::trajectory::{TumPose, write_tum};
 use clap::Parser;
 use nalgebra::{UnitQuaternion, Vector3};
 use std::fs;
+use std::path::PathBuf;
 
 #[derive(Parser)]
 struct Line {
@@ -42,9 +43,20 @@ fn the_command_line_is_either_two_files_or_a_suite() {
     let suite = parse(&["--suite", "x", "y", "--output", "o", "--", "--config", "c.toml"]).unwrap();
     assert_eq!(suite.suite, [PathBuf::from("x"), PathBuf::from("y")]);
     assert_eq!(suite.replay_options, ["--config", "c.toml"]);
-    for wrong in
-        [&["a.txt"][..], &[], &["a.txt", "b.txt", "--suite", "x"], &["--suite"], &["--suite", "x", "--timeout", "0"]]
-    {
+    assert!(!suite.real_time && parse(&["--suite", "x", "--real-time"]).unwrap().real_time);
+    let hard = parse(&["--simulator", "--first-seed", "101", "--seeds", "5"]).unwrap();
+    assert_eq!((hard.first_seed, hard.seeds), (101, 5));
+    let default = parse(&["--simulator"]).unwrap();
+    assert_eq!((default.first_seed, default.seeds), (3, 1), "the room that the cases were developed with");
+    for wrong in [
+        &["a.txt"][..],
+        &[],
+        &["a.txt", "b.txt", "--suite", "x"],
+        &["--suite"],
+        &["--suite", "x", "--timeout", "0"],
+        &["--simulator", "--real-time"],
+        &["--suite", "x", "--first-seed", "5"],
+    ] {
         assert!(parse(wrong).is_err(), "{wrong:?}");
     }
 }
@@ -121,6 +133,7 @@ fn options(dir: &Path, seconds: u64) -> SuiteOptions {
     SuiteOptions {
         program: "/bin/sh".into(),
         leading_arguments: vec![script.into()],
+        lockstep: true,
         more_arguments: vec!["--prefix".into(), "robot".into()],
         output: dir.join("out"),
         limit: Duration::from_secs(seconds),
@@ -165,6 +178,32 @@ fn a_suite_has_a_row_for_every_sequence_whatever_becomes_of_it() {
         serde_json::from_slice(&fs::read(dir.path().join("out/results.json")).unwrap()).unwrap();
     assert_eq!(json["sequences"][0]["status"], "tracked");
     assert_eq!(json["sequences"][1]["status"], "failed");
+}
+
+/// The replay made of shell refuses what is not in lock-step.
+#[test]
+fn at_the_cameras_pace_replays_are_not_in_lock_step_and_the_table_says_so() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = sequence(dir.path(), "a");
+    write_tum(&folder.join("fake.txt"), &path_of(60)).unwrap();
+    for lockstep in [true, false] {
+        let options = SuiteOptions { lockstep, ..options(dir.path(), 60) };
+        let result = suite::run_suite(std::slice::from_ref(&folder), &options, |_| ()).unwrap();
+        assert_eq!(result.is_complete(), lockstep, "{result:?}");
+        assert_eq!(suite::table(&result).contains("Lock-step"), lockstep);
+        assert_eq!(suite::table(&result).contains("At the camera's pace"), !lockstep);
+    }
+}
+
+#[test]
+fn the_hard_cases_are_run_in_the_rooms_that_are_asked_for() {
+    let dir = tempfile::tempdir().unwrap();
+    let output = dir.path().to_str().unwrap();
+    let words = ["--simulator", "--case", "standing", "--first-seed", "7", "--seeds", "2", "--output", output];
+    run(&parse(&words).unwrap()).unwrap();
+    let table = fs::read_to_string(dir.path().join("simulator.md")).unwrap();
+    let seeds: Vec<_> = table.lines().skip(2).filter_map(|row| row.split(" | ").nth(1)).collect();
+    assert_eq!(seeds, ["7", "8"], "{table}");
 }
 
 #[test]

@@ -10,12 +10,12 @@ use crate::camera::simulator::{Simulator, SimulatorConfig};
 use crate::camera::{Pacing, SourceError};
 use crate::features::{FeatureStage, FeaturesConfig, Feedback, FrameFeatures};
 use crate::frame::process_cpu_ns;
-use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
+use crate::geometry::{Se3, median};
 use crate::image::GreyImage;
+use crate::map::MapSnapshot;
 use crate::reconstruction::{
-    Counters, InlineWorker, MapSnapshot, PoseEstimate, Reconstruction, ReconstructionConfig, TrackingState,
-    TrajectoryEvent,
+    Counters, InlineWorker, PoseEstimate, Reconstruction, ReconstructionConfig, TrackingState, TrajectoryEvent,
 };
 use crate::trajectory::{TrajectoryError, TrajectorySpool, TumPose, read_tum};
 
@@ -150,8 +150,7 @@ pub fn drive(what: &Drive<'_>, trajectory: &Path) -> Result<Run, DriveError> {
     let depth = records.iter().rev().find_map(|r| r.estimate.world_from_camera).and_then(|pose| {
         let mut depths: Vec<f64> =
             snapshot.landmarks.iter().map(|l| (l.position_world - pose.translation).norm()).collect();
-        depths.sort_unstable_by(f64::total_cmp);
-        depths.get(depths.len() / 2).copied()
+        median(&mut depths)
     });
     Ok(Run { records, trajectory, counters: reconstruction.counters(), sizes, depth })
 }

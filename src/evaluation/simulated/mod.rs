@@ -241,8 +241,9 @@ fn missed(case: &Case, r: &CaseResult, any_pose: bool) -> Vec<String> {
 
 /// The table in Markdown.
 pub fn table(results: &[CaseResult]) -> String {
-    const HEADS: [&str; 14] = [
+    const HEADS: [&str; 15] = [
         "case",
+        "seed",
         "seconds",
         "frames",
         "coverage %",
@@ -263,6 +264,7 @@ pub fn table(results: &[CaseResult]) -> String {
         let lost = r.lost_ms[0].map(|p95| format!("{p95:.1} / {}", number(r.lost_ms[1], 1)));
         let cells = [
             format!("{}: {}", r.name, r.what),
+            r.seed.to_string(),
             format!("{:.0}", r.seconds),
             r.frames.to_string(),
             format!("{:.1}", r.coverage_percent),
@@ -279,10 +281,14 @@ pub fn table(results: &[CaseResult]) -> String {
         ];
         out += &format!("| {} |\n", cells.join(" | "));
     }
-    for (name, s) in results.iter().filter_map(|r| Some((r.name, r.standing?))) {
+    for (i, (r, s)) in results.iter().filter_map(|r| Some((r, r.standing?))).enumerate() {
+        if i == 0 {
+            out += "\n| standing | seed | seconds | drift % of depth | jitter % | keyframes added | landmarks added |\n\
+                    |---|---:|---:|---:|---:|---:|---:|\n";
+        }
         out += &format!(
-            "\n{name}: {:.0} s of standing: drift {:.4} % of the scene's depth, jitter {:.4} %, {:+} keyframes, {:+} landmarks.\n",
-            s.seconds, s.drift_percent, s.jitter_percent, s.keyframes_added, s.landmarks_added
+            "| {} | {} | {:.0} | {:.4} | {:.4} | {:+} | {:+} |\n",
+            r.name, r.seed, s.seconds, s.drift_percent, s.jitter_percent, s.keyframes_added, s.landmarks_added
         );
     }
     out

@@ -2,15 +2,15 @@
 //!
 //! Input: both pictures and their corners (patches are taken at the nearest whole pixel). Output: [`Match`]es, distance =
 //! 1 - NCC, mutual and unambiguous, ascending in the first index.
-//! Cost: 13 ns a comparison of 15x15 patches (AVX2), n m comparisons without windows: 13 ms for a thousand corners each.
+//! Cost: 13 ns a comparison of 15x15 patches (AVX2), n m comparisons: 13 ms for a thousand corners each.
 //! It deliberately does not do: sub-pixel places (see [`EpipolarCorrelator`](super::EpipolarCorrelator)).
 
 use super::patch::{ONE, normalise, padded_area, product};
 use super::{CorrelationError, CorrelationMatching};
 use crate::features::Corner;
 use crate::features::dispatch::simd_kernel;
+use crate::features::matching::Match;
 use crate::features::matching::nearest::{self, Nearest};
-use crate::features::matching::{Match, PointGrid};
 use crate::image::GreyImage;
 
 /// Above every distance ONE - product, which reaches 2 ONE.
@@ -41,10 +41,6 @@ impl Patches {
             }
         }
     }
-
-    fn patch(&self, k: usize) -> &[i16] {
-        &self.pixels[k * self.area..(k + 1) * self.area]
-    }
 }
 
 /// Nearest pixel; `None` for what no picture has.
@@ -62,23 +58,13 @@ pub struct CornerCorrelator {
     second: Patches,
     rows: Vec<Nearest<i32>>,
     columns: Vec<Nearest<i32>>,
-    grid: PointGrid,
-    near: Vec<u32>,
 }
 
 impl CornerCorrelator {
     /// Fails when a value of `rule` is out of its range.
     pub fn new(rule: CorrelationMatching) -> Result<Self, CorrelationError> {
         rule.check()?;
-        Ok(Self {
-            rule,
-            first: Patches::default(),
-            second: Patches::default(),
-            rows: Vec::new(),
-            columns: Vec::new(),
-            grid: PointGrid::default(),
-            near: Vec::new(),
-        })
+        Ok(Self { rule, first: Patches::default(), second: Patches::default(), rows: Vec::new(), columns: Vec::new() })
     }
 
     /// Every corner with every other. Clears `out`.
@@ -86,32 +72,6 @@ impl CornerCorrelator {
         self.start(first, second);
         let Self { first, second, rows, columns, .. } = self;
         nearest_of_all(first.area, &first.pixels, &second.pixels, rows, columns);
-        self.finish(out);
-    }
-
-    /// Only corners within `radius_px` of where the first corner is expected in the second picture.
-    ///
-    /// `expected[i]`: pixel where corner i should be; `None`: nowhere, it gets no match. Clears `out`.
-    pub fn match_windows(
-        &mut self,
-        (image, corners, expected): (&GreyImage, &[Corner], &[Option<[f32; 2]>]),
-        second: (&GreyImage, &[Corner]),
-        radius_px: f32,
-        out: &mut Vec<Match>,
-    ) {
-        self.start((image, corners), second);
-        let positions: Vec<[f32; 2]> =
-            self.second.corners.iter().map(|&j| second.1[j as usize]).map(|c| [c.x, c.y]).collect();
-        self.grid.fill(&positions, radius_px);
-        for k in 0..self.first.corners.len() {
-            let Some(Some(at)) = expected.get(self.first.corners[k] as usize) else { continue };
-            self.grid.within(*at, radius_px, &mut self.near);
-            for &j in &self.near {
-                let distance = ONE as i32 - product(self.first.patch(k), self.second.patch(j as usize));
-                self.rows[k].offer(distance, j);
-                self.columns[j as usize].offer(distance, k as u32);
-            }
-        }
         self.finish(out);
     }
 

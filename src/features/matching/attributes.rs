@@ -19,8 +19,8 @@
 //! Cost: 2 ns a comparison; n m comparisons without windows.
 //! It deliberately does not do: weighting of the attributes by more than their thresholds, geometry.
 
+use super::Match;
 use super::nearest::{self, Nearest};
-use super::{Match, PointGrid};
 use crate::features::attributes::Attributes;
 
 /// When two corners' attributes belong together.
@@ -71,30 +71,6 @@ pub fn match_attributes(first: &[Attributes], second: &[Attributes], rule: &Attr
     for (i, (a, row)) in first.iter().zip(&mut rows).enumerate() {
         for (j, (b, column)) in second.iter().zip(&mut columns).enumerate() {
             offer(rule.distance(a, b), (i, j), row, column);
-        }
-    }
-    finish(&rows, &columns, rule, out);
-}
-
-/// Only corners within `radius_px` of where the first corner is expected in the second picture.
-///
-/// `expected[i]`: pixel where `first[i]` should be (`None`: nowhere, it gets no match); `positions[j]`: pixel of
-/// `second[j]`. Missing or non-finite positions match nothing. Clears `out`.
-pub fn match_attributes_within(
-    (first, expected): (&[Attributes], &[Option<[f32; 2]>]),
-    (second, positions): (&[Attributes], &[[f32; 2]]),
-    radius_px: f32,
-    rule: &AttributeMatching,
-    out: &mut Vec<Match>,
-) {
-    let (mut rows, mut columns) = nothing_seen(first, second);
-    let (mut grid, mut near) = (PointGrid::default(), Vec::new());
-    grid.fill(&positions[..positions.len().min(second.len())], radius_px);
-    for (i, (a, at)) in first.iter().zip(expected).enumerate() {
-        let Some(at) = at else { continue };
-        grid.within(*at, radius_px, &mut near);
-        for j in near.iter().map(|&j| j as usize) {
-            offer(rule.distance(a, &second[j]), (i, j), &mut rows[i], &mut columns[j]);
         }
     }
     finish(&rows, &columns, rule, out);

@@ -1,14 +1,13 @@
 //! Which corner of one picture is which of another, by binary descriptors.
 //!
-//! Input: descriptors of both pictures; for the windowed kind also where each corner is expected. Output: pairs of indices
-//! with their Hamming distance (bits), ascending in the first index.
+//! Input: descriptors of both pictures. Output: pairs of indices with their Hamming distance (bits), ascending in the first index.
 //! A pair is kept when each is the other's nearest (mutual), the distance is small enough, and the second nearest is
 //! clearly farther (Lowe's ratio, IJCV 2004). Of equally near ones the first counts as nearest and fails any ratio below 1.
 //! Cost: 1.5 ns a comparison (AVX2), both directions in one sweep; brute force is n m comparisons, no index is kept.
 //! It deliberately does not do: geometry (see `geometry::ransac`), a search structure for thousands of pictures.
 
+use super::Match;
 use super::nearest::{self, Nearest};
-use super::{Match, PointGrid};
 use crate::features::descriptor::Descriptor;
 use crate::features::dispatch::simd_kernel;
 
@@ -33,16 +32,9 @@ impl Default for DescriptorMatching {
 pub struct DescriptorMatcher {
     rows: Vec<Nearest<u16>>,
     columns: Vec<Nearest<u16>>,
-    grid: PointGrid,
-    /// Candidates of one window.
-    near: Vec<u32>,
 }
 
 impl DescriptorMatcher {
-    pub fn new() -> Self {
-        Self::default()
-    }
-
     /// Every descriptor with every other. Clears `out`.
     pub fn match_all(
         &mut self,
@@ -53,32 +45,6 @@ impl DescriptorMatcher {
     ) {
         self.start(first.len(), second.len());
         nearest_of_all(first, second, &mut self.rows, &mut self.columns);
-        self.finish(rule, out);
-    }
-
-    /// Only descriptors within `radius_px` of where the first corner is expected in the second picture.
-    ///
-    /// `expected[i]`: pixel where `first[i]` should be (`None`: nowhere, it gets no match); `positions[j]`: pixel of
-    /// `second[j]`. Missing or non-finite positions match nothing. Clears `out`.
-    pub fn match_windows(
-        &mut self,
-        (first, expected): (&[Descriptor], &[Option<[f32; 2]>]),
-        (second, positions): (&[Descriptor], &[[f32; 2]]),
-        radius_px: f32,
-        rule: &DescriptorMatching,
-        out: &mut Vec<Match>,
-    ) {
-        self.start(first.len(), second.len());
-        self.grid.fill(&positions[..positions.len().min(second.len())], radius_px);
-        for (i, (descriptor, at)) in first.iter().zip(expected).enumerate() {
-            let Some(at) = at else { continue };
-            self.grid.within(*at, radius_px, &mut self.near);
-            for &j in &self.near {
-                let distance = descriptor.distance(&second[j as usize]) as u16;
-                self.rows[i].offer(distance, j);
-                self.columns[j as usize].offer(distance, i as u32);
-            }
-        }
         self.finish(rule, out);
     }
 

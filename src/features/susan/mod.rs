@@ -92,10 +92,6 @@ impl SusanDetector {
         }
     }
 
-    pub fn config(&self) -> &SusanConfig {
-        &self.config
-    }
-
     /// Corners of the whole picture at one brightness threshold, grey levels. Clears `out`.
     pub fn detect_all(&mut self, image: &GreyImage, t: u8, out: &mut Vec<Corner>) {
         let side = image.width.max(image.height);

@@ -1,13 +1,35 @@
-//! Counting the similar pixels of the large mask round one pixel.
+//! The large mask, and counting its similar pixels round one pixel.
 //!
 //! Input: grey picture, pixel, largest difference that still counts. Output: pixels of the mask (the nucleus too) that differ
 //! from the nucleus by no more. The mask lies in the picture.
 //! Cost: about 1200 instructions, 0.06 us (AVX2).
 //! It deliberately knows no thresholds and no corners.
 
-use super::{HALF_WIDTHS, LARGE_RADIUS, SIDE};
 use crate::features::dispatch::simd_kernel;
 use crate::image::GreyImage;
+
+/// Radius of the large mask, pixels; corners are at least this far from the picture's edge.
+pub const LARGE_RADIUS: usize = 20;
+
+/// Pixels of the large mask, the nucleus with them.
+pub const LARGE_AREA: u32 = 1257;
+
+/// Rows and columns of the large mask.
+pub(super) const SIDE: usize = 2 * LARGE_RADIUS + 1;
+
+/// Half the width of the large mask's rows, top to bottom.
+pub(super) const HALF_WIDTHS: [usize; SIDE] = {
+    let mut half = [0; SIDE];
+    let mut row = 0;
+    while row < SIDE {
+        let dy = row.abs_diff(LARGE_RADIUS);
+        while (half[row] + 1) * (half[row] + 1) + dy * dy <= LARGE_RADIUS * LARGE_RADIUS {
+            half[row] += 1;
+        }
+        row += 1;
+    }
+    half
+};
 
 /// A row of the mask in whole vectors.
 pub(super) const LANES: usize = 48;

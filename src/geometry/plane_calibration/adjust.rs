@@ -8,8 +8,8 @@
 
 use nalgebra::{Matrix3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3, Vector6};
 
-use super::View;
 use super::projection::{Intrinsics, LensKind, PARAMETERS};
+use super::view::View;
 use crate::geometry::least_squares::Loss;
 
 /// What all views share: the intrinsics, then the readout time.

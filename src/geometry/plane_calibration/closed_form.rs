@@ -9,9 +9,9 @@
 
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 
-use super::View;
 use super::adjust::Pose;
 use super::projection::Intrinsics;
+use super::view::View;
 use crate::geometry::homography::dlt;
 use crate::geometry::rotation::rotation_nearest;
 

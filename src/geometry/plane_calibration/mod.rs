@@ -21,12 +21,15 @@
 pub mod adjust;
 pub mod closed_form;
 pub mod projection;
+mod view;
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
 
 pub use projection::{Intrinsics, LensKind, PARAMETERS};
+pub use view::View;
 
 use super::least_squares::Loss;
+use super::statistics::median;
 use adjust::{Pose, State, Unknowns};
 
 /// Views that a calibration needs at the least.
@@ -43,24 +46,6 @@ const BAD_POINT_PX: f64 = 0.8;
 pub const READOUT_SIGMA_S: f64 = 0.02;
 /// Noise of a corner that is supposed before the residuals tell it, px.
 const SUPPOSED_NOISE_PX: f64 = 0.1;
-
-/// One picture of the plane.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct View {
-    /// Points of the plane, its unit.
-    pub plane: Vec<Vector2<f64>>,
-    /// Where each is seen, pixels.
-    pub pixels: Vec<Vector2<f64>>,
-    /// How far a rolling shutter moved each, pixels per second of readout time: its velocity times the share of the readout by which its
-    /// row is later than the middle one. Empty: nothing moved, or nobody knows.
-    pub shear: Vec<Vector2<f64>>,
-}
-
-impl View {
-    fn shear_of(&self, point: usize) -> Vector2<f64> {
-        self.shear.get(point).copied().unwrap_or_default()
-    }
-}
 
 /// Which lens model and which of its coefficients are estimated; the others are zero.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -156,8 +141,9 @@ pub struct SolvedView {
     /// x_camera = rotation x_board + translation, the plane's unit.
     pub rotation: Matrix3<f64>,
     pub translation: Vector3<f64>,
+    /// Over the points that had a part; of a view that had none over all, infinite where no pose puts them before the camera.
     pub rms_px: f64,
-    /// False: its residual was far beyond the others', and it had no part in the solution.
+    /// False: it had no part in the solution, because its residual was far beyond the others' or it has too few points.
     pub used: bool,
     /// Seen minus predicted, pixels, one a point.
     pub residuals: Vec<Vector2<f64>>,
@@ -212,9 +198,8 @@ pub fn calibrate(
 
     for _ in 0..views.len() {
         let rms: Vec<f64> = (0..views.len()).map(|k| adjust::view_rms(&views[k], &state, k, &masks[k])).collect();
-        let mut sorted: Vec<f64> = rms.iter().zip(&used).filter(|(_, u)| **u).map(|(r, _)| *r).collect();
-        sorted.sort_by(f64::total_cmp);
-        let median = sorted[sorted.len() / 2];
+        let mut of_used: Vec<f64> = rms.iter().zip(&used).filter(|(_, u)| **u).map(|(r, _)| *r).collect();
+        let Some(median) = median(&mut of_used) else { break };
         let worst = (0..views.len()).filter(|k| used[*k]).max_by(|a, b| rms[*a].total_cmp(&rms[*b]));
         let Some(worst) = worst else { break };
         let bad = !(rms[worst] <= BAD_VIEW_RATIO * median) && !(rms[worst] <= median + BAD_VIEW_PX);
@@ -321,9 +306,8 @@ fn mask_points(views: &[View], state: &State, used: &[bool], masks: &mut [Vec<bo
     let residuals: Vec<Vec<Vector2<f64>>> = (0..views.len()).map(|k| adjust::residuals(&views[k], state, k)).collect();
     let mut norms: Vec<f64> =
         residuals.iter().zip(used).filter(|(_, u)| **u).flat_map(|(r, _)| r.iter().map(|r| r.norm())).collect();
-    norms.sort_by(f64::total_cmp);
     // The median of a Rayleigh distribution is 1.177 sigma.
-    let sigma = norms.get(norms.len() / 2).map_or(0.0, |m| m / 1.177);
+    let sigma = median(&mut norms).map_or(0.0, |m| m / 1.177);
     let limit = (BAD_POINT_RATIO * sigma).max(BAD_POINT_PX);
     let mut changed = false;
     for (mask, residuals) in masks.iter_mut().zip(&residuals) {
@@ -345,9 +329,11 @@ fn finish(
 ) -> Result<PlaneCalibration, PlaneCalibrationError> {
     let mut solved = Vec::with_capacity(views.len());
     let (mut sum, mut points, mut view_count) = (0.0, 0usize, 0usize);
+    let all = vec![true; masks.iter().map(Vec::len).max().unwrap_or(0)];
     for (k, mask) in masks.into_iter().enumerate() {
         let residuals = adjust::residuals(&views[k], state, k);
-        let rms_px = adjust::view_rms(&views[k], state, k, &mask);
+        let has_part = used[k] && mask.contains(&true);
+        let rms_px = adjust::view_rms(&views[k], state, k, if has_part { &mask } else { &all[..mask.len()] });
         if used[k] {
             view_count += 1;
             for r in residuals.iter().zip(&mask).filter(|(_, m)| **m).map(|(r, _)| r) {

@@ -5,7 +5,8 @@
 
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, SMatrix, Vector3, Vector6};
 
-use super::{BundleProblem, FIXED, SHARED, SharedMatrix, SharedVector, huber};
+use super::problem::{BundleProblem, FIXED, huber};
+use super::shared::{SHARED, SharedMatrix, SharedVector};
 use crate::reconstruction::pose_optimisation::{accumulate, is_diagonal, jacobian_rows};
 
 type Matrix6xS = SMatrix<f64, 6, SHARED>;

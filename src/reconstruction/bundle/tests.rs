@@ -1,36 +1,33 @@
 //! The adjustment against known truth, and its Schur complement against the full system.
 
-use nalgebra::{DMatrix, UnitQuaternion, Vector6};
+use nalgebra::{DMatrix, Matrix2, UnitQuaternion, Vector2, Vector6};
 
 use super::*;
+use crate::geometry::Se3;
+use crate::geometry::random::Random;
 
-struct Random(u64);
-impl Random {
-    fn unit(&mut self) -> f64 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        (self.0 >> 11) as f64 / (1u64 << 53) as f64 * 2.0 - 1.0
-    }
-    fn vector(&mut self) -> Vector3<f64> {
-        Vector3::new(self.unit(), self.unit(), self.unit())
-    }
+fn vector(random: &mut Random) -> Vector3<f64> {
+    Vector3::from_fn(|_, _| random.uniform(-1.0, 1.0))
 }
 
 /// A problem at its true solution.
 fn problem(seed: u64, cameras: usize, points: usize, noise_px: f64) -> BundleProblem {
-    let mut random = Random(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1);
+    let mut random = Random::new(seed);
     let mut p = BundleProblem { first: vec![0], ..BundleProblem::default() };
     for i in 0..cameras {
-        let rotation = UnitQuaternion::from_scaled_axis(random.vector() * 0.1);
-        let centre = Vector3::new(i as f64 * 0.3, 0.0, 0.0) + random.vector() * 0.1;
+        let rotation = UnitQuaternion::from_scaled_axis(vector(&mut random) * 0.1);
+        let centre = Vector3::new(i as f64 * 0.3, 0.0, 0.0) + vector(&mut random) * 0.1;
         p.cameras.push(BundleCamera { camera_from_world: Se3::new(rotation, -(rotation * centre)), fixed: i < 2 });
     }
     for _ in 0..points {
-        let point = Vector3::new(2.0 * random.unit(), 1.5 * random.unit(), 5.0 + 2.0 * random.unit());
+        let point = Vector3::new(
+            2.0 * random.uniform(-1.0, 1.0),
+            1.5 * random.uniform(-1.0, 1.0),
+            5.0 + 2.0 * random.uniform(-1.0, 1.0),
+        );
         for c in 0..cameras {
             let q = p.cameras[c].camera_from_world.transform(&point);
-            let noise = Vector2::new(random.unit(), random.unit()) * noise_px / 500.0;
+            let noise = Vector2::new(random.uniform(-1.0, 1.0), random.uniform(-1.0, 1.0)) * noise_px / 500.0;
             p.observations.push(BundleObservation {
                 camera: c as u32,
                 normalised: Vector2::new(q.x / q.z, q.y / q.z) + noise,
@@ -46,13 +43,13 @@ fn problem(seed: u64, cameras: usize, points: usize, noise_px: f64) -> BundlePro
 }
 
 fn disturb(p: &mut BundleProblem, seed: u64) {
-    let mut random = Random(seed | 1);
+    let mut random = Random::new(seed | 1);
     for camera in p.cameras.iter_mut().filter(|c| !c.fixed) {
-        let (w, v) = (random.vector() * 0.02, random.vector() * 0.05);
+        let (w, v) = (vector(&mut random) * 0.02, vector(&mut random) * 0.05);
         camera.camera_from_world = camera.camera_from_world.perturb_left(&Vector6::new(w.x, w.y, w.z, v.x, v.y, v.z));
     }
     for point in &mut p.points {
-        *point += random.vector() * 0.1;
+        *point += vector(&mut random) * 0.1;
     }
 }
 
@@ -75,8 +72,9 @@ fn noiseless_problem_comes_back_to_the_truth() {
 fn readout_time_is_found_with_poses_and_points_and_a_held_one_stays() {
     for (seed, truth) in [(1, 0.0), (2, 0.02), (3, -0.015), (4, 0.03)] {
         let mut p = problem(seed, 6, 120, 0.5);
-        let mut random = Random(seed + 7);
-        let flows: Vec<_> = (0..6).map(|_| Vector2::new(random.unit(), random.unit())).collect();
+        let mut random = Random::new(seed + 7);
+        let flows: Vec<_> =
+            (0..6).map(|_| Vector2::new(random.uniform(-1.0, 1.0), random.uniform(-1.0, 1.0))).collect();
         for o in &mut p.observations {
             o.displacement = flows[o.camera as usize] * o.normalised.y;
             o.normalised += o.displacement * truth;
@@ -98,10 +96,10 @@ fn readout_time_is_found_with_poses_and_points_and_a_held_one_stays() {
 fn outliers_are_named_and_the_rest_still_fits() {
     for seed in 1..6 {
         let mut p = problem(seed, 6, 80, 0.5);
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let wrong: Vec<usize> = (0..p.observations.len()).step_by(17).collect();
         for &k in &wrong {
-            p.observations[k].normalised += Vector2::new(0.1 + 0.05 * random.unit(), 0.1);
+            p.observations[k].normalised += Vector2::new(0.1 + 0.05 * random.uniform(-1.0, 1.0), 0.1);
         }
         let truth = p.points.clone();
         disturb(&mut p, seed + 7);

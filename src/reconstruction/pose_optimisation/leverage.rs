@@ -6,7 +6,7 @@
 
 use nalgebra::{Matrix2, Matrix6, Vector3, Vector6};
 
-use super::{PoseOptions, PosePair, accumulate, descend, jacobian_rows, mirror, residual};
+use super::descent::{PoseOptions, PosePair, accumulate, descend, jacobian_rows, mirror, residual};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 

@@ -14,17 +14,18 @@
 
 use nalgebra::Vector2;
 
-use super::Guess;
 use crate::features::Corner;
 use crate::features::descriptor::{Descriptor, Orientation, describe_at_level};
 use crate::features::fast::FastDetector;
 use crate::features::matching::{DescriptorMatcher, DescriptorMatching, Match};
+use crate::features::spread::Spread;
 use crate::geometry::CameraModel;
 use crate::geometry::pnp::estimate_pose;
 use crate::geometry::ransac::RansacOptions;
 use crate::image::Pyramid;
 use crate::image::pyramid::base_from_level;
 use crate::map::{Keyframe, KeyframeId, LandmarkId, Map};
+use crate::reconstruction::tracking::Guess;
 
 /// Pyramid levels that corners are described on.
 const LEVELS: usize = 3;
@@ -87,9 +88,7 @@ struct Pair {
 pub(super) struct DescriptorSearch {
     detector: FastDetector,
     corners: Vec<Corner>,
-    /// Corners ordered for choosing: rank within the cell, strength, position.
-    ranked: Vec<(u32, Corner)>,
-    per_cell: Vec<u32>,
+    spread: Spread,
     frame: [Described<Vector2<f32>>; LEVELS],
     remembered: Vec<Remembered>,
     uses: u64,
@@ -105,22 +104,10 @@ impl DescriptorSearch {
         for level in 0..LEVELS {
             let Some(image) = pyramid.levels.get(level) else { break };
             self.detector.detect_all(image, THRESHOLD, &mut self.corners);
-            // Rounds over the grid: the strongest of every cell, then the second of every cell, ...
-            let columns = image.width.div_ceil(CELL_PX);
-            self.per_cell.clear();
-            self.per_cell.resize(columns * image.height.div_ceil(CELL_PX), 0);
-            self.corners.sort_by(|a, b| b.response.total_cmp(&a.response));
-            self.ranked.clear();
-            for corner in &self.corners {
-                let cell = corner.y as usize / CELL_PX * columns + corner.x as usize / CELL_PX;
-                let Some(used) = self.per_cell.get_mut(cell) else { continue };
-                self.ranked.push((*used, *corner));
-                *used += 1;
-            }
-            self.ranked.sort_by_key(|r| r.0);
             let out = &mut self.frame[level];
             out.clear();
-            for (_, corner) in self.ranked.iter().take(CORNERS[level]) {
+            let spread = self.spread.over_cells((image.width, image.height), CELL_PX, &mut self.corners);
+            for corner in spread.take(CORNERS[level]) {
                 let pixel = base_from_level(level, Vector2::new(corner.x, corner.y));
                 if let Some(d) = describe_at_level(pyramid, level, pixel.x, pixel.y, Orientation::Upright) {
                     out.descriptors.push(d.descriptor);

@@ -10,10 +10,10 @@
 
 use nalgebra::{Matrix3, Vector2};
 
+use super::result::{Epipolar, MIN_MATCHES, Options, TwoView};
 use super::turn::turn_of_unknown_camera;
-use super::{MIN_MATCHES, Options, TwoView};
 use crate::geometry::epipolar::{sampson_cost, sampson_squared};
-use crate::geometry::fundamental::{Degeneracy, FundamentalEstimate, estimate_fundamental, refine_fundamental};
+use crate::geometry::fundamental::{Degeneracy, estimate_fundamental, refine_fundamental};
 use crate::geometry::least_squares::{LmOptions, Loss};
 use crate::geometry::one_camera::one_camera_fundamental;
 use crate::geometry::point_set::Conditioning;
@@ -32,21 +32,6 @@ const SEARCH_ITERATIONS: usize = 100;
 
 /// Share of the free F's inliers that the F of one camera must have.
 const KEPT_INLIERS: f64 = 0.95;
-
-/// Epipolar geometry of the matches.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Epipolar {
-    pub estimate: FundamentalEstimate,
-    /// Sampson distance of each match, pixels; NaN for a pair of epipoles.
-    pub residuals_px: Vec<f64>,
-    /// Median over the inliers, pixels.
-    pub median_px: f64,
-    /// One sigma of the noise that the inliers show of this F, pixels.
-    pub noise_px: f64,
-    /// F is that of one camera with its principal point in the middle of both pictures, which explains the matches about as well as any F
-    /// (beyond chance, worse by at most a few hundredths of a pixel a match).
-    pub one_camera: bool,
-}
 
 /// F of the matches in `ideal` pixels. The search runs with the noise that was asked for; the last refinement with the noise
 /// that the inliers show, so that what is a little off does not pull on what is exact.
@@ -193,7 +178,6 @@ fn refined(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::fundamental::eight_point;
     use crate::geometry::random::Random;
     use crate::geometry::synthetic::{FOCAL, Scene, Shape};
 
@@ -208,7 +192,8 @@ mod tests {
         let mut noisy = |x: Vector2<f64>| x + Vector2::new(random.normal(), random.normal()) * SIGMA_PX;
         let u1: Vec<_> = scene.x1.iter().map(|x| noisy(x * FOCAL + MIDDLE)).collect();
         let u2: Vec<_> = scene.x2.iter().map(|x| noisy(x * focal + MIDDLE + off)).collect();
-        let start = eight_point(&u1, &u2).expect("F");
+        let options = RansacOptions { seed, ..RansacOptions::new(INLIER_SIGMAS * SIGMA_PX) };
+        let start = estimate_fundamental(&u1, &u2, &options).expect("F").fundamental;
         let far = vec![0.0; u1.len()];
         let free = refined(&start, &u1, &u2, &far, SIGMA_PX, 2.0 * SIGMA_PX).expect("F of least distance");
         let f = one_camera(&free, MIDDLE, &u1, &u2, SIGMA_PX)?;

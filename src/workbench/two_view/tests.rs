@@ -3,6 +3,7 @@ use crate::geometry::Se3;
 use crate::geometry::frames::{First, Second};
 use crate::geometry::random::Random;
 use crate::geometry::synthetic::{FOCAL, Scene, Shape};
+use crate::workbench::detect::Detection;
 use crate::workbench::detect::{Detector, Keypoint};
 use crate::workbench::guided::correlate_along_lines;
 use crate::workbench::pairing::{Matcher, Matching};

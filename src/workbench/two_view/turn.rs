@@ -11,7 +11,7 @@
 
 use nalgebra::{Matrix2, Matrix3, Vector2};
 
-use super::{Options, TwoView};
+use super::result::{Options, TwoView};
 use crate::geometry::fundamental::FundamentalEstimate;
 use crate::geometry::ransac::RansacOptions;
 use crate::geometry::unknown_turn::{UnknownTurn, fit_unknown_turn, shows_parallax};

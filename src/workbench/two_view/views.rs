@@ -7,43 +7,10 @@
 //!
 //! Deliberately not here: the views themselves (`scales`), matching them (`pairing`).
 
-use super::{Outcome, TwoView};
+use super::result::{FirstTry, Outcome, TwoView};
 
 /// Models that fewer matches stand for are looked for again: four for each number of F.
 const FEW_INLIERS: usize = 30;
-
-/// When tilted views are simulated.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum, serde::Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Views {
-    /// Where the pictures as they are give no model, or one of few matches
-    Auto,
-    /// Always
-    Affine,
-    /// Never
-    None,
-}
-
-impl Views {
-    /// As on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Auto => "auto",
-            Self::Affine => "affine",
-            Self::None => "none",
-        }
-    }
-}
-
-/// What the pictures gave without tilted views, where it was tried again with them.
-#[derive(Debug, Clone, PartialEq)]
-pub struct FirstTry {
-    pub outcome: Outcome,
-    pub matches: usize,
-    pub inliers: usize,
-    /// Whether this try is the one that counts, the views having shown no more.
-    pub kept: bool,
-}
 
 /// Is more wanted than the pictures as they are gave?
 pub(super) fn wants_more(result: &TwoView) -> bool {

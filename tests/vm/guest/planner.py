@@ -1,4 +1,4 @@
-"""The README's planner in Python: one line a pose, run and sequence."""
+"""The shortest planner in Python: one line a pose, run and sequence."""
 
 import cairn
 

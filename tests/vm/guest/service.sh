@@ -87,6 +87,17 @@ check "doctor: service inactive" says "sudo systemctl start cairn" cairn doctor
 exposure=$(systemd-analyze security --offline=true /usr/lib/systemd/system/cairn.service | grep -o 'level for.*: [0-9.]*' | grep -o '[0-9.]*$')
 check "exposure $exposure is below 2.0" awk -v e="$exposure" 'BEGIN { exit !(e != "" && e < 2.0) }'
 
+# --- the tools beside it
+tools=${deb%/*}/cairn-tools.deb
+check "a command of the tools is answered with where it is" says '`cairn-tools demo`' cairn demo
+if [ -f "$tools" ]; then
+    check "tools: install" dpkg -i "$tools"
+    check "tools: of the same version" test "$(cairn --version)" = "$(cairn-tools --version)"
+    check "tools: what the robot's build lacks" says "Length, s" cairn-tools demo --help
+    check "tools: purge" dpkg --purge cairn-tools
+    check "tools: only they are gone" test ! -e /usr/bin/cairn-tools -a -x /usr/bin/cairn -a -e /etc/cairn/cairn.toml
+fi
+
 # --- no camera yet
 printf "$calibration" >/etc/cairn/vivid.toml
 settings '[calibration]

@@ -66,22 +66,6 @@ fn what_is_not_mutual_or_not_clear_is_left_out() {
     assert_eq!(pairs(&[nan], &[nan], &RULE), []);
 }
 
-#[test]
-fn a_window_keeps_a_double_elsewhere_out() {
-    let a = corner(50, 0.3, Direction::Axis(0.0));
-    let positions = [[300.0, 50.0], [104.0, 47.0], [f32::NAN, 50.0]];
-    let find = |expected| {
-        let mut out = Vec::new();
-        match_attributes_within((&[a], &[expected]), (&[a; 3], &positions), 6.0, &RULE, &mut out);
-        out.iter().map(|m| (m.first, m.second)).collect::<Vec<_>>()
-    };
-    assert_eq!(pairs(&[a], &[a; 3], &RULE), []);
-    assert_eq!(find(Some([100.0, 50.0])), [(0, 1)]);
-    assert_eq!(find(Some([200.0, 50.0])), []);
-    assert_eq!(find(Some([f32::INFINITY, f32::NAN])), []);
-    assert_eq!(find(None), []);
-}
-
 fn any_corner() -> impl Strategy<Value = Attributes> {
     let direction = prop_oneof![
         (-PI..PI).prop_map(Direction::Towards),

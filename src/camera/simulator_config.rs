@@ -1,8 +1,10 @@
 //! `[simulator]`: what the simulated webcam shows, how it moves and what spoils its pictures.
 //!
 //! Every key has a default, so an empty table is a webcam of ordinary quality that tours a room. Unknown keys are
-//! refused by serde, impossible values by [`SimulatorConfig::validate`].
+//! refused by serde, impossible values by [`SimulatorConfig::validate`]. A build without the simulator reads and checks it all the same: a
+//! configuration file is right or wrong whichever build reads it.
 
+use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
 use crate::geometry::{CameraModel, LensModel};
@@ -385,7 +387,31 @@ impl SimulatorConfig {
         let (cx, cy) = (0.5 * (w - 1.0) + 0.006 * w, 0.5 * (h - 1.0) - 0.009 * h);
         let camera =
             CameraModel::new(self.width, self.height, fx, fx * 1.003, cx, cy, lens).map_err(|e| bad(e.to_string()))?;
-        super::rays::check_lens(&camera).map_err(bad)?;
+        check_lens(&camera).map_err(bad)?;
         Ok(camera)
     }
+}
+
+/// Refuses a lens that is not one to one over the picture.
+fn check_lens(camera: &CameraModel) -> Result<(), String> {
+    let (w, h) = (f64::from(camera.width), f64::from(camera.height));
+    for i in 0..=40 {
+        let t = f64::from(i) / 40.0;
+        for pixel in [
+            Vector2::new(t * w - 0.5, -0.5),
+            Vector2::new(t * w - 0.5, h - 0.5),
+            Vector2::new(-0.5, t * h - 0.5),
+            Vector2::new(w - 0.5, t * h - 0.5),
+        ] {
+            let back = camera.undistort(&pixel).and_then(|n| camera.distort(&n));
+            if !back.is_some_and(|p| (p - pixel).norm() < 1e-6) {
+                let what = match camera.lens.is_wide_angle() {
+                    true => "folds over, or sees more than 85 degrees off its axis,",
+                    false => "folds over",
+                };
+                return Err(format!("the lens {what} at pixel ({:.0}, {:.0})", pixel.x, pixel.y));
+            }
+        }
+    }
+    Ok(())
 }

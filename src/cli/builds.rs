@@ -1,0 +1,25 @@
+//! What the robot's build leaves out, and how it says so.
+
+use clap::error::{ContextKind, ContextValue};
+
+use super::error::{CliError, exit_code};
+
+/// Commands that only the whole build has; the robot's answers them with where they are.
+pub const TOOLS_COMMANDS: [&str; 5] = ["compare", "demo", "evaluate", "simulate", "twoview"];
+
+/// The sentence for something that this build leaves out.
+pub fn not_in_this_build(what: &str) -> String {
+    format!("{what} is not in this build, the robot's; cairn-tools has it")
+}
+
+/// Refuses what only the whole build can do.
+pub fn needs_tools(what: &str) -> Result<(), CliError> {
+    if cfg!(feature = "tools") { Ok(()) } else { Err(CliError::new(exit_code::USAGE, not_in_this_build(what))) }
+}
+
+/// The sentence for a command line that asks for a command of the other build; `None` if it is wrong in another way.
+pub fn elsewhere(error: &clap::Error) -> Option<String> {
+    let ContextValue::String(asked) = error.get(ContextKind::InvalidSubcommand)? else { return None };
+    let known = !cfg!(feature = "tools") && TOOLS_COMMANDS.contains(&asked.as_str());
+    known.then(|| format!("{}: `cairn-tools {asked}`", not_in_this_build(&format!("`cairn {asked}`"))))
+}

@@ -1,0 +1,84 @@
+//! Where a calibration is written to: the file that was asked for, the place where `cairn run` finds it, the report's folder.
+
+use std::path::Path;
+#[cfg(feature = "tools")]
+use std::path::PathBuf;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use super::args::CalibrateArgs;
+use crate::atomic_file::write_atomically;
+use crate::calibration::CalibrationFile;
+use crate::calibration::boards::Calibrated;
+use crate::calibration::export::{self, Format};
+use crate::calibration::store::{self, CameraIdentity};
+use crate::cli::session::{self, StatusLine};
+use crate::cli::{CliError, exit_code};
+
+pub fn write_text(path: &Path, text: &str) -> Result<(), CliError> {
+    use std::io::Write;
+    write_atomically(path, |out| out.write_all(text.as_bytes()))
+        .map_err(|e| CliError::new(exit_code::CANNOT_CREATE, e.to_string()))
+}
+
+pub fn format_of(path: &Path) -> Option<Format> {
+    match path.extension()?.to_str()?.to_ascii_lowercase().as_str() {
+        "toml" => Some(Format::Cairn),
+        "xml" => Some(Format::OpencvXml),
+        "yaml" | "yml" => Some(Format::Ros),
+        "txt" => Some(Format::Tum),
+        _ => None,
+    }
+}
+
+pub fn encode(file: &CalibrationFile, format: Format, name: &str) -> Result<String, CliError> {
+    match format {
+        Format::Cairn => file.to_toml().map_err(|e| CliError::new(exit_code::FAILURE, e.to_string())),
+        other => export::write(&file.camera, other, name).map_err(|e| CliError::new(exit_code::DATA, e.to_string())),
+    }
+}
+
+/// The service's state. It sees neither this user's home nor what lies there.
+const SERVICE_STATE: &str = "/var/lib/cairn";
+
+/// Writes the calibration to where it was asked for and, for a camera with an identity, to where it is found again.
+pub fn save(args: &CalibrateArgs, calibrated: &Calibrated, identity: Option<&CameraIdentity>) -> Result<(), CliError> {
+    let unix_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
+    let file = calibrated.file(identity, unix_s);
+    if let Some(output) = &args.output {
+        let format = args.format.or_else(|| format_of(output)).unwrap_or(Format::Cairn);
+        write_text(output, &encode(&file, format, &output.display().to_string())?)?;
+        session::print(&format!("wrote {}\n", output.display()))?;
+    }
+    if let Some(identity) = identity {
+        match store::save(&store::state_folders(), identity, &file) {
+            Ok(path) => {
+                let shown = path.display();
+                session::print(&format!("wrote {shown} (found by `cairn run` of this user for camera {identity})\n"))?;
+                if Path::new(SERVICE_STATE).is_dir() && !path.starts_with(SERVICE_STATE) {
+                    let name = identity.file_name((file.camera.width, file.camera.height));
+                    session::print(&format!(
+                        "the service is another user: `sudo install -D -m 0644 {shown} /etc/cairn/cameras/{name}`\n"
+                    ))?;
+                }
+            }
+            Err(error) if args.output.is_none() => {
+                return Err(CliError::new(exit_code::CANNOT_CREATE, error.to_string()));
+            }
+            Err(error) => StatusLine::new(args.quiet).note(&format!("cairn: not kept for `cairn run`: {error}")),
+        }
+    }
+    Ok(())
+}
+
+/// Folder of the report, if one is wanted.
+#[cfg(feature = "tools")]
+pub fn report_folder(args: &CalibrateArgs) -> Option<PathBuf> {
+    if args.no_report {
+        return None;
+    }
+    args.report.clone().or_else(|| {
+        let output = args.output.as_ref()?;
+        let stem = output.file_stem()?.to_string_lossy().into_owned();
+        Some(output.with_file_name(format!("{stem}-report")))
+    })
+}

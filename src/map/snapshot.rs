@@ -1,0 +1,58 @@
+//! What the map shows the outside: landmarks and keyframes as plain values, for publishing, files and plots.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::{KeyframeId, LandmarkId, MapId};
+use crate::geometry::Se3;
+use crate::geometry::frames::{Camera, World};
+
+/// A landmark as the outside sees it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LandmarkView {
+    pub id: LandmarkId,
+    pub position_world: Vector3<f64>,
+    /// One sigma along the line of sight, map units; NaN = unknown.
+    pub sigma: f32,
+    /// Keyframes that observe it.
+    pub observations: u32,
+}
+
+/// Standard deviation along the worst direction of a covariance; NaN, which is not known, where that is not finite.
+pub fn largest_sigma(covariance: &Matrix3<f64>) -> f64 {
+    if !covariance.iter().all(|v| v.is_finite()) {
+        return f64::NAN;
+    }
+    covariance.symmetric_eigenvalues().max().max(0.0).sqrt()
+}
+
+/// A keyframe as the outside sees it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct KeyframeView {
+    pub id: KeyframeId,
+    pub timestamp_ns: i64,
+    pub world_from_camera: Se3<World, Camera>,
+}
+
+/// The current map; whoever fills it reuses the buffers.
+#[derive(Debug, Clone, Default)]
+pub struct MapSnapshot {
+    pub map: MapId,
+    /// Grows with every change of the map.
+    pub revision: u64,
+    /// Ascending id.
+    pub landmarks: Vec<LandmarkView>,
+    /// Ascending id.
+    pub keyframes: Vec<KeyframeView>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_unknown_place_is_not_published_as_a_perfectly_known_one() {
+        assert!(largest_sigma(&Matrix3::from_element(f64::NAN)).is_nan());
+        let known = Matrix3::from_diagonal(&Vector3::new(0.01, 0.25, 0.04));
+        assert!((largest_sigma(&known) - 0.5).abs() < 1e-12);
+    }
+}
