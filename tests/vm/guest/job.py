@@ -37,26 +37,29 @@ def first_boot(scenarios):
     os.chmod("/usr/local/bin/cairn", 0o755)
 
 
-def run(name, form, phase, memory):
+def run(name, form, progress):
+    """A record of how the scenario went. Does not return where it reboots the guest."""
     stage = Stage(form)
-    stage.phase, stage.memory = phase, memory
+    stage.phase, stage.memory = progress["phase"], progress["memory"]
     began = now()
     record = {"scenario": name}
     try:
-        outcome = SCENARIOS[name](stage)
+        try:
+            outcome = SCENARIOS[name](stage)
+        except power.Reboot as reboot:
+            power.save(PROGRESS, {"left": progress["left"], "phase": progress["phase"] + 1, "memory": reboot.memory})
+            reboot.go()
+            raise Failure("the guest did not reboot")
         rows = outcome if isinstance(outcome, list) else [outcome]
         record.update(passed=True, rows=rows)
-    except power.Reboot as reboot:
-        record.update(passed=True, reboot=reboot)
     except Failure as failure:
         record.update(passed=False, reason=str(failure))
     except Exception:  # a fault of the scenario's own must not end the others
         record.update(passed=False, reason=traceback.format_exc())
-    if "reboot" not in record:
-        try:
-            stage.close()
-        except Exception:
-            record.update(passed=False, reason=traceback.format_exc())
+    try:
+        stage.close()
+    except Exception:
+        record.update(passed=False, reason=traceback.format_exc())
     record["seconds"] = round(now() - began, 1)
     if not record["passed"] and os.path.exists("/run/cairn.log"):
         tail = pathlib.Path("/run/cairn.log").read_text(errors="replace").splitlines()
@@ -76,11 +79,7 @@ def main():
         name = progress["left"][0]
         if progress["phase"] == 0:
             report({"begun": name})
-        record = run(name, job["form"], progress["phase"], progress["memory"])
-        reboot = record.pop("reboot", None)
-        if reboot is not None:
-            power.save(PROGRESS, {"left": progress["left"], "phase": progress["phase"] + 1, "memory": reboot.memory})
-            reboot.go()
+        record = run(name, job["form"], progress)
         progress = {"left": progress["left"][1:], "phase": 0, "memory": {}}
         power.save(PROGRESS, progress)
         report(record)

@@ -7,6 +7,7 @@ import os
 import pathlib
 import re
 import shutil
+import signal
 import subprocess
 import threading
 import time
@@ -71,19 +72,23 @@ def cut_in_a_save(stage):
             save()
 
     def save_is_under_way():
-        """Returns while a new file is being written beside the old one: in turns, when its name has reached the disk, and a little later every time."""
-        def on_disk():
-            before = unfinished()
-            if before and stage.phase % 2 == 0:
-                folder = os.open("/var/lib/cairn", os.O_RDONLY)
-                os.fsync(folder)
-                os.close(folder)
-            return set(before) & set(unfinished())
+        """Returns while a new file is being written beside the old one: in turns, when its name has reached the disk, and when nothing of it has."""
+        def stopped_in_it():
+            if not unfinished():
+                return False
+            # There is one processor, and it is ours: the daemon is somewhere between making this file and renaming it. Stopped, it
+            # stays there; without that, whether it is caught is a matter of luck.
+            daemon.process.send_signal(signal.SIGSTOP)
+            if unfinished():
+                return True
+            daemon.process.send_signal(signal.SIGCONT)
+            return False
 
-        until(on_disk, 60, "a save is under way", pause_s=0)
-        end = now() + 0.002 * (stage.phase % 2) * stage.phase
-        while now() < end:
-            pass
+        until(stopped_in_it, 60, "a save is under way", pause_s=0.0005)
+        if stage.phase % 2 == 0:
+            folder = os.open("/var/lib/cairn", os.O_RDONLY)
+            os.fsync(folder)
+            os.close(folder)
 
     threading.Thread(target=again_and_again, daemon=True).start()
     stage.memory["cuts"] = stage.memory.get("cuts", 0) + 1
