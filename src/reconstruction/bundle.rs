@@ -18,7 +18,7 @@ mod uncertainty;
 use normal_equations::System;
 pub use problem::{BundleCamera, BundleObservation, BundleProblem};
 use problem::{FIXED, huber};
-pub use shared::{CALIBRATED_SHARED, Readout, SHARED, Shared, SharedJacobian, SharedMatrix, SharedVector};
+pub use shared::{Readout, SHARED, Shared, SharedJacobian, SharedMatrix, SharedVector, WITHOUT_DISTORTION};
 
 /// Options of [`BundleProblem::adjust`].
 #[derive(Debug, Clone, Copy)]

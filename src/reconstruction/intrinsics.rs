@@ -2,13 +2,13 @@
 //!
 //! A calibration is never exact, a nominal one (equal focal lengths, principal point in the middle, no distortion) is a guess, and a
 //! camera that nobody has calibrated starts with nothing but a usual angle of view. When the whole map is adjusted, the
-//! logarithm of the focal length and the principal point are unknowns too, with a prior around what was known before (Triggs et al.
-//! 2000, section 9.3 on inner constraints and priors); for a lens that is a guess k1, k2, p1 and p2 as well. The adjustment's own
+//! logarithm of the focal length, the principal point and k1, k2, p1, p2 are unknowns too, with a prior around what was known before
+//! (Triggs et al. 2000, section 9.3 on inner constraints and priors). Distortion matters most: what a calibration left of it makes
+//! things at one side of the picture too near and at the other too far, and a turn carries the scale from one side to the other
+//! (KITTI's calibration: a tenth of the scale lost in one turn; Krešo and Šegvić, VISAPP 2015, found its deformation field). The adjustment's own
 //! information is far too sure of itself (neighbouring keyframes share the errors of their templates), so it counts only in part.
 //!
-//! A guessed lens differs in three more ways. Residuals are measured in pixels of the focal length that is being found (in pixels of the
-//! old one every error shrinks as the focal length grows, and it grows without end). The whole of a small map is adjusted
-//! at every keyframe. And a map that was begun with a focal length far from what it has shown since is begun anew.
+//! A guessed lens differs in two more ways. The whole of a small map is adjusted at every keyframe. And a map that was begun with a focal length far from what it has shown since is begun anew.
 //!
 //! **What is said of it.** The published standard deviation is the adjustment's, with [`MODEL_FLOOR`] added for what this lens model leaves
 //! out, and how far the focal length has moved since the adjustment's variance was twice what it is: of an estimate that is as good as
@@ -19,22 +19,23 @@
 //!
 //! Of a calibrated wide-angle lens (Kannala-Brandt), focal length and principal point are refined as of any other.
 //!
-//! Not here: distortion of a lens that was calibrated; k3; wide-angle lenses that nobody calibrated (they are taken for pinholes, and k1
+//! Not here: k3; wide-angle lenses that nobody calibrated (they are taken for pinholes, and k1
 //! to p2 cannot bend those so far: a fisheye needs a calibration); finding a focal length without translation.
 
-use super::bundle::{CALIBRATED_SHARED, Readout, SHARED, SharedMatrix, SharedVector};
+use super::bundle::{Readout, SHARED, SharedMatrix, SharedVector, WITHOUT_DISTORTION};
 use super::free_rotation::LensFreedom;
 use super::local_adjustment::{MappingJob, MappingResult};
 use crate::geometry::{CameraModel, LensModel};
 use crate::map::Map;
 
 /// Standard deviation of a measured focal length, and of a nominal one, as a share of it.
-const CALIBRATED_FOCAL: f64 = 0.002;
+const CALIBRATED_FOCAL: f64 = 0.01;
 const NOMINAL_FOCAL: f64 = 0.05;
 /// Standard deviation of the principal point, as a share of the picture's width.
 const CALIBRATED_CENTRE: f64 = 1e-4;
 const NOMINAL_CENTRE: f64 = 0.0125;
-/// Standard deviations of k1, k2, and p1 and p2 of a lens that nobody has measured.
+/// Standard deviations of k1, k2, and p1 and p2 of a lens that was measured, and of one that nobody has.
+const CALIBRATED_DISTORTION: [f64; 4] = [0.02, 0.02, 0.001, 0.001];
 const GUESSED_DISTORTION: [f64; 4] = [0.1, 0.1, 0.003, 0.003];
 /// Share of the adjustment's information that is believed.
 const BELIEVED: f64 = 0.05;
@@ -156,7 +157,7 @@ impl Intrinsics {
             LensPrior::Calibrated => (CALIBRATED_FOCAL, CALIBRATED_CENTRE),
         };
         let centre_px = centre * f64::from(camera.width);
-        let [k1, k2, p1, p2] = GUESSED_DISTORTION;
+        let [k1, k2, p1, p2] = if prior == LensPrior::Calibrated { CALIBRATED_DISTORTION } else { GUESSED_DISTORTION };
         let sigma = SharedVector::from([focal, centre_px, centre_px, k1, k2, p1, p2]);
         Self {
             guessed: prior != LensPrior::Calibrated,
@@ -228,7 +229,7 @@ impl Intrinsics {
         let steps = if self.guessed { GUESSED_STEPS } else { STEPS };
         let mut job = MappingJob::whole(map, camera, readout, steps)?;
         if refine || self.guessed {
-            // Of a pinhole lens; a wide-angle one is calibrated, and its distortion stays.
+            // Of a pinhole lens; a wide-angle one's distortion stays.
             let off = |i: usize| match (self.expected.lens, camera.lens) {
                 (LensModel::RadialTangential(expected), LensModel::RadialTangential(own)) => expected[i] - own[i],
                 _ => 0.0,
@@ -244,8 +245,8 @@ impl Intrinsics {
             ]);
             // Believing a part of the data is weighing the prior the more.
             let information = self.sigma.map(|s| 1.0 / (BELIEVED * s * s));
-            let active = if self.guessed && !self.hold_distortion { SHARED } else { CALIBRATED_SHARED };
-            job.refine_intrinsics(map, camera, expected, information, active, self.guessed);
+            let active = if is_pinhole(camera) && !self.hold_distortion { SHARED } else { WITHOUT_DISTORTION };
+            job.refine_intrinsics(map, camera, expected, information, active);
         }
         Some(job)
     }
@@ -289,8 +290,8 @@ impl Intrinsics {
     /// adjustment may be taken over, for its poses and points belong to that lens.
     pub fn judge(&mut self, result: &MappingResult, camera: &CameraModel) -> Option<Option<CameraModel>> {
         let Some(shared) = result.shared() else { return Some(None) };
-        let refined = changed(camera, &shared.change, self.guessed);
-        self.hold_distortion = refined.is_none() && self.guessed && shared.active == SHARED;
+        let refined = changed(camera, &shared.change);
+        self.hold_distortion = refined.is_none() && shared.active == SHARED;
         refined.map(Some)
     }
 
@@ -311,7 +312,7 @@ impl Intrinsics {
         let prior = self.sigma.map(|s| 1.0 / (s * s));
         let information = shared.found_information * BELIEVED + SharedMatrix::from_diagonal(&prior);
         // What was found with the distortion held says less of the focal length than it seems to.
-        let complete = !self.guessed || shared.active == SHARED;
+        let complete = !is_pinhole(camera) || shared.active == SHARED;
         if let Some(covariance) = information.try_inverse().filter(|_| complete) {
             self.refined_sigma = covariance.diagonal().map(|v| v.max(0.0).sqrt()).zip_map(&self.sigma, f64::min);
         }
@@ -330,9 +331,9 @@ impl Intrinsics {
     }
 }
 
-/// The camera with a change of the shared numbers; `None` if no camera comes of it. A distortion of a guessed lens under which a part of
-/// the picture would see nothing is none.
-fn changed(camera: &CameraModel, change: &SharedVector, guessed: bool) -> Option<CameraModel> {
+/// The camera with a change of the shared numbers; `None` if no camera comes of it. A distortion under which a part of the picture
+/// would come to see nothing is none.
+fn changed(camera: &CameraModel, change: &SharedVector) -> Option<CameraModel> {
     let scale = change[0].exp();
     let with = |lens: LensModel| {
         let (fx, fy) = (camera.fx * scale, camera.fy * scale);
@@ -340,13 +341,15 @@ fn changed(camera: &CameraModel, change: &SharedVector, guessed: bool) -> Option
         CameraModel::new(camera.width, camera.height, fx, fy, cx, cy, lens).ok()
     };
     let LensModel::RadialTangential(mut distortion) = camera.lens else { return with(camera.lens) };
-    if !guessed {
-        return with(camera.lens);
-    }
-    for (d, change) in distortion.iter_mut().zip(change.iter().skip(CALIBRATED_SHARED)) {
+    for (d, change) in distortion.iter_mut().zip(change.iter().skip(WITHOUT_DISTORTION)) {
         *d += change;
     }
-    with(distortion.into()).filter(CameraModel::covers_picture)
+    with(distortion.into()).filter(|c| c.covers_picture() || !camera.covers_picture())
+}
+
+/// Brown's model, of any distortion: not a wide-angle lens.
+fn is_pinhole(camera: &CameraModel) -> bool {
+    matches!(camera.lens, LensModel::RadialTangential(_))
 }
 
 /// Numbers that nobody measured.
@@ -408,8 +411,8 @@ mod tests {
         let camera = camera(320.0, 320.0, 320.0, 0.0);
         let mut change = SharedVector::zeros();
         (change[0], change[3]) = (0.1, -0.5);
-        assert_eq!(changed(&camera, &change, true), None);
+        assert_eq!(changed(&camera, &change), None);
         change[3] = -0.05;
-        assert_eq!(changed(&camera, &change, true).map(|c| c.lens.coefficients()[0]), Some(-0.05));
+        assert_eq!(changed(&camera, &change).map(|c| c.lens.coefficients()[0]), Some(-0.05));
     }
 }

@@ -154,7 +154,7 @@ impl MappingJob {
         })
     }
 
-    /// Lets the adjustment refine the first `active` of the intrinsics as well; of a `guessed` lens whatever the change.
+    /// Lets the adjustment refine the first `active` of the intrinsics as well.
     pub fn refine_intrinsics(
         &mut self,
         map: &Map,
@@ -162,7 +162,6 @@ impl MappingJob {
         expected: SharedVector,
         information: SharedVector,
         active: usize,
-        guessed: bool,
     ) {
         let mut jacobians = Vec::with_capacity(self.problem.observations.len());
         for (i, &id) in self.landmarks.iter().enumerate() {
@@ -175,7 +174,6 @@ impl MappingJob {
         self.problem.shared = Some(Shared {
             jacobians,
             active,
-            in_new_pixels: guessed,
             change: SharedVector::zeros(),
             expected,
             information,

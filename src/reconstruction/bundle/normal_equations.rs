@@ -93,7 +93,7 @@ impl BundleProblem {
                 }
                 let s = slot[o.camera as usize];
                 // d e / d readout: as the shared numbers, the observation moves against it.
-                let moved = pixels * o.displacement;
+                let moved = pixels * o.displacement * scale;
                 if find_readout {
                     system.readout_h += moved.norm_squared() * w;
                     system.readout_g += moved.dot(&e) * w;
@@ -105,16 +105,12 @@ impl BundleProblem {
                 }
                 if let Some(shared) = &self.shared {
                     // d e / d shared: the observation moves, so the residual moves against it.
-                    let d = &shared.jacobians[k];
+                    let d = shared.jacobian(k, &self.off(k, &p));
                     let (x, y) = (d.row(0).transpose(), d.row(1).transpose());
                     let (mut dx, mut dy) = (x * -pixels.m11, y * -pixels.m22);
                     if !is_diagonal(&pixels) {
                         dx -= y * pixels.m12;
                         dy -= x * pixels.m21;
-                    }
-                    if shared.in_new_pixels {
-                        dx[0] = pixels.m11 * scale * p.x / p.z + pixels.m12 * scale * p.y / p.z;
-                        dy[0] = pixels.m22 * scale * p.y / p.z + pixels.m21 * scale * p.x / p.z;
                     }
                     system.readout_shared += (dx * moved.x + dy * moved.y) * w;
                     system.shared_h += (dx * dx.transpose() + dy * dy.transpose()) * w;

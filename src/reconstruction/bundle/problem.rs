@@ -71,24 +71,24 @@ impl BundleProblem {
         if p.z < 1e-6 {
             return None;
         }
-        let (iz, s) = (1.0 / p.z, observation.inv_sigma_px);
-        let at_middle_row = observation.normalised - observation.displacement * self.readout.seconds;
-        let seen = match &self.shared {
-            Some(shared) if shared.in_new_pixels => {
-                let seen = at_middle_row + shared.jacobians[k] * shared.without_focal();
-                let scale = shared.focal_scale();
-                let (x, y) = (scale * p.x * iz - seen.x, scale * p.y * iz - seen.y);
-                return Some((scaled(&observation.pixel_scale, s, x, y), p));
-            }
-            Some(shared) => at_middle_row + shared.jacobians[k] * shared.change,
-            None => at_middle_row,
-        };
-        Some((scaled(&observation.pixel_scale, s, p.x * iz - seen.x, p.y * iz - seen.y), p))
+        let mut off = self.off(k, &p);
+        if let Some(shared) = &self.shared {
+            off = off * shared.focal_scale() - shared.jacobians[k] * shared.moved();
+        }
+        Some((scaled(&observation.pixel_scale, observation.inv_sigma_px, off.x, off.y), p))
     }
 
-    /// Focal length of the residuals in units of the `pixel_scale`s'; exactly 1 unless they are in new pixels.
+    /// From where observation `k` was seen through the old lens to where `p` (in the camera's coordinates) is, on the plane z = 1.
+    pub(super) fn off(&self, k: usize, p: &Vector3<f64>) -> Vector2<f64> {
+        let observation = &self.observations[k];
+        let at_middle_row = observation.normalised - observation.displacement * self.readout.seconds;
+        let iz = 1.0 / p.z;
+        Vector2::new(p.x * iz - at_middle_row.x, p.y * iz - at_middle_row.y)
+    }
+
+    /// Focal length of the residuals in units of the `pixel_scale`s'.
     pub(super) fn focal_scale(&self) -> f64 {
-        self.shared.as_ref().filter(|s| s.in_new_pixels).map_or(1.0, Shared::focal_scale)
+        self.shared.as_ref().map_or(1.0, Shared::focal_scale)
     }
 
     pub(super) fn range(&self, point: usize) -> std::ops::Range<usize> {
