@@ -62,6 +62,13 @@ pub struct View {
     pub pyramid: Arc<Pyramid>,
 }
 
+impl View {
+    /// The picture is a copy of its own: the frame's goes back to the pool.
+    fn of(features: &FrameFeatures) -> Self {
+        Self { frame: PendingFrame::of(features), pyramid: Arc::new(Pyramid::clone(&features.pyramid)) }
+    }
+}
+
 /// A first map: the motion between two frames, points, and views in between to hold them together.
 #[derive(Debug)]
 pub struct Start {
@@ -171,37 +178,13 @@ impl Initialiser {
         freedom: Option<&LensFreedom>,
         config: &ReconstructionConfig,
     ) -> Vec<Start> {
-        self.voted = false;
-        let frame = PendingFrame::of(features);
-        self.pending.push_back(frame.clone());
-        if self.pending.len() > MAX_PENDING {
-            self.pending.pop_front();
-        }
-        // A copy of its own: the frame's goes back to the pool.
-        let view = || View { frame, pyramid: Arc::new(Pyramid::clone(&features.pyramid)) };
-        let pairs_with = |view: &View| {
-            let pairs = common(&view.frame, &features.tracks, camera);
-            (pairs.len() >= MIN_COMMON.max(view.frame.tracks.len() / 4)).then_some(pairs)
-        };
-        // Views that have lost their tracks make room for the next ones, which have some of the way behind them, too.
-        let alive = self.views.iter().enumerate().find_map(|(i, v)| Some((i, pairs_with(v)?)));
-        let Some((dead, pairs)) = alive else {
-            self.begin_at((features.tracks.len() >= MIN_COMMON).then(view));
-            return Vec::new();
-        };
-        self.views.drain(..dead);
-        if dead > 0 && self.views.len() <= MAX_BETWEEN / 2 {
-            // There is room again, and a view that took over needs some in between soon.
-            self.stride = 1;
-            self.since_reference = 0;
-        }
-        let flow = rotation_compensated_flow(&pairs, camera);
-        self.spend_patience(features.timestamp_ns, flow.0);
+        let Some((pairs, flow)) = self.follow(features, camera) else { return Vec::new() };
         let richer = |pairs: &Vec<Pair>| 2 * pairs.len() >= features.tracks.len();
         let second = if richer(&pairs) {
             None
         } else {
-            self.views.iter().enumerate().skip(1).find_map(|(i, v)| Some((i, pairs_with(v).filter(richer)?)))
+            let pairs = |v: &View| pairs_with(v, features, camera).filter(richer);
+            self.views.iter().enumerate().skip(1).find_map(|(i, v)| Some((i, pairs(v)?)))
         };
         let second = second.map(|(i, pairs)| (i, rotation_compensated_flow(&pairs, camera), pairs));
         let starts = std::iter::once((0, flow, pairs)).chain(second).filter_map(|(i, (mut flow, turn), pairs)| {
@@ -212,8 +195,41 @@ impl Initialiser {
             (flow >= config.start_flow_px).then(|| self.attempt(i, &pairs, features, camera, config))?
         });
         let starts = starts.collect();
-        self.keep(view);
+        self.keep(|| View::of(features));
         starts
+    }
+
+    /// Remembers a frame without asking for a start: while there is still hope for another map.
+    pub fn watch(&mut self, features: &FrameFeatures, camera: &CameraModel) {
+        if self.follow(features, camera).is_some() {
+            self.keep(|| View::of(features));
+        }
+    }
+
+    /// Follows the tracks into a frame: those that the reference shares with it, and their flow since then. `None` if no view does; then
+    /// this frame becomes the reference.
+    fn follow(&mut self, features: &FrameFeatures, camera: &CameraModel) -> Option<(Vec<Pair>, Flow)> {
+        self.voted = false;
+        self.pending.push_back(PendingFrame::of(features));
+        if self.pending.len() > MAX_PENDING {
+            self.pending.pop_front();
+        }
+        // Views that have lost their tracks make room for the next ones, which have some of the way behind them, too.
+        let pairs = |v: &View| pairs_with(v, features, camera);
+        let alive = self.views.iter().enumerate().find_map(|(i, v)| Some((i, pairs(v)?)));
+        let Some((dead, pairs)) = alive else {
+            self.begin_at((features.tracks.len() >= MIN_COMMON).then(|| View::of(features)));
+            return None;
+        };
+        self.views.drain(..dead);
+        if dead > 0 && self.views.len() <= MAX_BETWEEN / 2 {
+            // There is room again, and a view that took over needs some in between soon.
+            self.stride = 1;
+            self.since_reference = 0;
+        }
+        let flow = rotation_compensated_flow(&pairs, camera);
+        self.spend_patience(features.timestamp_ns, flow.0);
+        Some((pairs, flow))
     }
 
     /// Notes for how long the camera has moved, or stood: `flow_px` since the reference, compensated for rotation.
@@ -277,6 +293,15 @@ struct Pair {
     second: Vector2<f64>,
 }
 
+/// Median flow, px, beyond that of a rotation, and that rotation.
+type Flow = (f64, Rotation3<f64>);
+
+/// Tracks that a view shares with a frame, if they are enough.
+fn pairs_with(view: &View, features: &FrameFeatures, camera: &CameraModel) -> Option<Vec<Pair>> {
+    let pairs = common(&view.frame, &features.tracks, camera);
+    (pairs.len() >= MIN_COMMON.max(view.frame.tracks.len() / 4)).then_some(pairs)
+}
+
 /// Tracks that both frames see, undistorted; of a wide-angle lens where the plane z = 1 is even, as two-view geometry weighs all alike.
 fn common(reference: &PendingFrame, tracks: &[Track], camera: &CameraModel) -> Vec<Pair> {
     let central = |n: &Vector2<f64>| camera.is_central(n);
@@ -297,7 +322,7 @@ fn common(reference: &PendingFrame, tracks: &[Track], camera: &CameraModel) -> V
 
 /// Median flow (px) that remains when the rotation that explains it best is taken out: Kabsch's rotation between the rays,
 /// twice, the second time over the better half. And that rotation, second from first.
-fn rotation_compensated_flow(pairs: &[Pair], camera: &CameraModel) -> (f64, Rotation3<f64>) {
+fn rotation_compensated_flow(pairs: &[Pair], camera: &CameraModel) -> Flow {
     let ray = |n: &Vector2<f64>| Vector3::new(n.x, n.y, 1.0).normalize();
     let mut rest: Vec<f64> = Vec::new();
     let mut limit = f64::INFINITY;

@@ -92,6 +92,8 @@ pub struct Reconstruction {
     frame: u64,
     last_keyframe_frame: u64,
     lost_frames: u64,
+    /// Frames tracked in the present map.
+    map_frames: u64,
     /// Timestamp of the newest frame, ns.
     frame_ns: i64,
     /// Frame at which the job under way was posted.
@@ -152,6 +154,7 @@ impl Reconstruction {
             frame: 0,
             last_keyframe_frame: 0,
             lost_frames: 0,
+            map_frames: 0,
             frame_ns: i64::MIN,
             job_posted: None,
             unadjusted: None,
@@ -247,10 +250,12 @@ impl Reconstruction {
         let resumed = self.lost_frames > 0;
         if resumed {
             self.counters.relocalisations += 1;
+            self.initialiser.clear();
         }
         self.lost_frames = 0;
         self.state = TrackingState::Tracking;
         self.counters.frames_tracked += 1;
+        self.map_frames += 1;
         self.reference = self.tracker.best_reference(&self.map).unwrap_or(self.reference);
         self.inliers.clear();
         self.inliers.extend(self.tracker.inliers());
@@ -293,10 +298,16 @@ impl Reconstruction {
     fn lose(&mut self, features: &FrameFeatures) -> PoseEstimate {
         self.lost_frames += 1;
         self.state = TrackingState::Lost;
-        if self.lost_frames > self.config.lost_frames || self.map.keyframes.len() < 4 {
+        // A map that was tracked for a moment only is worth no longer a wait.
+        let patience = self.config.lost_frames.min(self.map_frames);
+        if self.lost_frames > patience || self.map.keyframes.len() < 4 {
+            // What was seen while it was lost begins the next map.
+            let seen = std::mem::take(&mut self.initialiser);
             self.reset();
+            self.initialiser = seen;
             return self.try_start(features);
         }
+        self.initialiser.watch(features, &self.camera);
         self.estimate_none(features)
     }
 
@@ -389,7 +400,7 @@ impl Reconstruction {
         self.inliers.clear();
         self.next_whole = WHOLE_FIRST;
         self.unadjusted = None;
-        self.lost_frames = 0;
+        (self.lost_frames, self.map_frames) = (0, 0);
         self.odom_from_camera = Se3::identity();
         self.state = TrackingState::Initializing;
         self.map_id = MapId(self.map_id.0 + 1);
