@@ -24,7 +24,7 @@ pub struct ReconstructionConfig {
     pub readout_ms: f64,
     /// Learn the readout time from the pictures, starting at `readout_ms`.
     pub estimate_readout: bool,
-    /// Refine focal length and principal point from the motion, around the calibration and as far as that is uncertain.
+    /// Refine focal length, principal point and distortion from the motion, around the calibration and as far as that is uncertain.
     pub refine_intrinsics: bool,
     /// Keyframes that a local adjustment moves, at the most. 2..=40.
     pub adjusted_keyframes: usize,
