@@ -62,7 +62,8 @@ impl Reconstruction {
         self.counters.adjustments += 1;
         let Some(lens) = self.intrinsics.judge(&result, &self.camera) else {
             // A lens that cannot be is not taken over, and its poses and points with it.
-            if self.intrinsics.wants_another() && self.unadjusted.is_none() {
+            if self.intrinsics.wants_another() {
+                self.next_whole = 0;
                 self.unadjusted = self.map.keyframes.iter().last().map(|(id, _)| KeyframeId(id));
             }
             return;

@@ -43,7 +43,7 @@ pub struct ReconstructionConfig {
     pub start_flow_px: f64,
     /// Landmarks that a start needs. 20..=500.
     pub start_landmarks: usize,
-    /// Frames that may be lost in a row before a new map is begun. 1..=1000.
+    /// Frames that may be lost in a row before a new map is begun, at the most: no more than the map was tracked for. 1..=1000.
     pub lost_frames: u64,
 }
 

@@ -7,7 +7,8 @@
 //! keyframe's patch, triangulated and, where other keyframes ought to see it too, looked for there: chance fits two views, seldom
 //! three. (Mur-Artal, Montiel, Tardós, "ORB-SLAM", T-RO 2015, section VI.C, has such a search; alignment and third view are ours.)
 //!
-//! Only a keyframe that sees fewer than [`FED`] landmarks is completed so: where tracks live, landmarks made from them are the more
+//! Only a keyframe that sees fewer than [`FED`] landmarks, at a pose that these make sure, is completed so (not one behind a turn on the
+//! spot, whose place another one's corners speak for): where tracks live, landmarks made from them are the more
 //! exact ones (from many views, and never a mistaken corner).
 //!
 //! Input: the newest keyframe and the map around it. Output: landmarks in the map; corners that stay free in the keyframe. Cost: 0.7 ms

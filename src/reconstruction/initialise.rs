@@ -112,7 +112,7 @@ pub struct Initialiser {
     /// How long the camera has moved without a start, s: standing still takes it back. It outlasts the reference.
     trying_s: f64,
     last_ns: Option<i64>,
-    /// All frames since the last reset that may still get a pose, the reference among them.
+    /// All frames since the last reset, or since the map before was lost, that may still get a pose, the reference among them.
     pub pending: VecDeque<PendingFrame>,
 }
 
@@ -178,7 +178,9 @@ impl Initialiser {
         freedom: Option<&LensFreedom>,
         config: &ReconstructionConfig,
     ) -> Vec<Start> {
-        let Some((pairs, flow)) = self.follow(features, camera) else { return Vec::new() };
+        let Some(pairs) = self.follow(features, camera) else { return Vec::new() };
+        let flow = rotation_compensated_flow(&pairs, camera);
+        self.spend_patience(features.timestamp_ns, flow.0);
         let richer = |pairs: &Vec<Pair>| 2 * pairs.len() >= features.tracks.len();
         let second = if richer(&pairs) {
             None
@@ -206,9 +208,9 @@ impl Initialiser {
         }
     }
 
-    /// Follows the tracks into a frame: those that the reference shares with it, and their flow since then. `None` if no view does; then
-    /// this frame becomes the reference.
-    fn follow(&mut self, features: &FrameFeatures, camera: &CameraModel) -> Option<(Vec<Pair>, Flow)> {
+    /// Follows the tracks into a frame: those that the reference shares with it. `None` if no view does; then this frame becomes the
+    /// reference.
+    fn follow(&mut self, features: &FrameFeatures, camera: &CameraModel) -> Option<Vec<Pair>> {
         self.voted = false;
         self.pending.push_back(PendingFrame::of(features));
         if self.pending.len() > MAX_PENDING {
@@ -227,9 +229,7 @@ impl Initialiser {
             self.stride = 1;
             self.since_reference = 0;
         }
-        let flow = rotation_compensated_flow(&pairs, camera);
-        self.spend_patience(features.timestamp_ns, flow.0);
-        Some((pairs, flow))
+        Some(pairs)
     }
 
     /// Notes for how long the camera has moved, or stood: `flow_px` since the reference, compensated for rotation.
@@ -293,9 +293,6 @@ struct Pair {
     second: Vector2<f64>,
 }
 
-/// Median flow, px, beyond that of a rotation, and that rotation.
-type Flow = (f64, Rotation3<f64>);
-
 /// Tracks that a view shares with a frame, if they are enough.
 fn pairs_with(view: &View, features: &FrameFeatures, camera: &CameraModel) -> Option<Vec<Pair>> {
     let pairs = common(&view.frame, &features.tracks, camera);
@@ -322,7 +319,7 @@ fn common(reference: &PendingFrame, tracks: &[Track], camera: &CameraModel) -> V
 
 /// Median flow (px) that remains when the rotation that explains it best is taken out: Kabsch's rotation between the rays,
 /// twice, the second time over the better half. And that rotation, second from first.
-fn rotation_compensated_flow(pairs: &[Pair], camera: &CameraModel) -> Flow {
+fn rotation_compensated_flow(pairs: &[Pair], camera: &CameraModel) -> (f64, Rotation3<f64>) {
     let ray = |n: &Vector2<f64>| Vector3::new(n.x, n.y, 1.0).normalize();
     let mut rest: Vec<f64> = Vec::new();
     let mut limit = f64::INFINITY;

@@ -34,7 +34,8 @@ const NOMINAL_FOCAL: f64 = 0.05;
 /// Standard deviation of the principal point, as a share of the picture's width.
 const CALIBRATED_CENTRE: f64 = 1e-4;
 const NOMINAL_CENTRE: f64 = 0.0125;
-/// Standard deviations of k1, k2, and p1 and p2 of a lens that was measured, and of one that nobody has.
+/// Standard deviations of k1, k2, and p1 and p2 of a lens that was measured (or is nominal: rectified pictures have such a one), and of one
+/// that nobody has.
 const CALIBRATED_DISTORTION: [f64; 4] = [0.02, 0.02, 0.001, 0.001];
 const GUESSED_DISTORTION: [f64; 4] = [0.1, 0.1, 0.003, 0.003];
 /// Share of the adjustment's information that is believed.
@@ -276,6 +277,7 @@ impl Intrinsics {
 
     /// The map ends: what it taught about a guessed lens is the next one's prior, less surely.
     pub fn end_map(&mut self, camera: &CameraModel) {
+        self.hold_distortion = false;
         if !self.guessed {
             return;
         }
@@ -300,7 +302,7 @@ impl Intrinsics {
         self.hold_distortion
     }
 
-    /// Takes over the lens of an adjustment that was merged, here and in every observation of the map.
+    /// Takes over the lens of an adjustment that was merged, here and in every observation and free corner of the map.
     pub fn merge(
         &mut self,
         result: &MappingResult,
@@ -327,6 +329,9 @@ impl Intrinsics {
                     o.normalised_from_pixel = normalised_from_pixel;
                 }
             }
+            for corner in &mut keyframe.corners {
+                corner.normalised = camera.undistort(&corner.pixel.cast()).unwrap_or(corner.normalised);
+            }
         }
     }
 }
@@ -344,7 +349,8 @@ fn changed(camera: &CameraModel, change: &SharedVector) -> Option<CameraModel> {
     for (d, change) in distortion.iter_mut().zip(change.iter().skip(WITHOUT_DISTORTION)) {
         *d += change;
     }
-    with(distortion.into()).filter(|c| c.covers_picture() || !camera.covers_picture())
+    with(distortion.into())
+        .filter(|c| c.covers_picture() || !camera.covers_picture() && c.valid_radius() >= camera.valid_radius())
 }
 
 /// Brown's model, of any distortion: not a wide-angle lens.

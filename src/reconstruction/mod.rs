@@ -174,7 +174,8 @@ impl Reconstruction {
         }
     }
 
-    /// The pose of a frame. Allocates nothing once warm, unless the frame before is so long ago that an adjustment is merged first.
+    /// The pose of a frame. Allocates nothing once warm while there is a map and the frame is found in it, unless the one before is so
+    /// long ago that an adjustment is merged first.
     pub fn track(&mut self, features: &FrameFeatures) -> PoseEstimate {
         self.frame += 1;
         self.counters.frames += 1;

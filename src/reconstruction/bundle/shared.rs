@@ -13,7 +13,7 @@ pub type SharedMatrix = SMatrix<f64, SHARED, SHARED>;
 pub type SharedJacobian = SMatrix<f64, 2, SHARED>;
 
 /// Intrinsics refined with the rest. Seen through the new lens, observation k lies at `normalised + jacobians[k] * change`, to first
-/// order; a pinhole's focal length, which may change by much, is taken as it is: with `s = exp(change[0])` the residual on the
+/// order; the focal length, which may change by much, is taken as it is: with `s = exp(change[0])` the residual on the
 /// old plane z = 1 is `s * (place - normalised) - jacobians[k] * (s - 1, change[1], ...)`. That is in pixels of the focal length
 /// that is being found. In pixels of the old one every error shrinks as the focal length grows, which pulls it up by the mean squared
 /// residual over its own information: some percent, for a small map.

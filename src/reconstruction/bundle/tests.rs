@@ -188,10 +188,16 @@ fn a_sure_prior_holds_the_focal_length() {
 
 #[test]
 fn schur_complement_gives_the_step_of_the_full_system() {
-    // Intrinsics fixed, without and with distortion.
-    for unknowns in [0, WITHOUT_DISTORTION, 4] {
+    // Intrinsics fixed, without and with distortion; the readout time held and found.
+    for (unknowns, readout) in [(0, 0), (WITHOUT_DISTORTION, 0), (4, 0), (0, 1), (4, 1)] {
         let intrinsics = unknowns > 0;
         let mut p = problem(3, 4, 12, 1.0);
+        for (i, o) in p.observations.iter_mut().enumerate() {
+            o.displacement = Vector2::new(0.3 + 0.01 * i as f64, -0.2);
+        }
+        if readout > 0 {
+            p.readout = Readout { seconds: 0.004, expected: Some((0.01, 5e3)), ..Readout::default() };
+        }
         p.inlier = vec![true; p.observations.len()];
         if intrinsics {
             let mut shared = shared(&p, few([0.01, 2.0, -1.0]), 30.0);
@@ -217,9 +223,13 @@ fn schur_complement_gives_the_step_of_the_full_system() {
                 q.points[i] += x.fixed_rows::<3>(at + 3 * i);
             }
             let mut r = Vec::new();
+            if let Some((expected, information)) = q.readout.expected {
+                q.readout.seconds += x[12];
+                r.push((q.readout.seconds - expected) * f64::sqrt(information));
+            }
             if let Some(shared) = &mut q.shared {
                 for i in 0..unknowns {
-                    shared.change[i] += x[12 + i];
+                    shared.change[i] += x[12 + readout + i];
                 }
                 let prior = (shared.change - shared.expected).component_mul(&shared.information.map(f64::sqrt));
                 r.extend(prior.iter().take(unknowns));
@@ -245,7 +255,10 @@ fn schur_complement_gives_the_step_of_the_full_system() {
             h[(i, i)] += lambda * h[(i, i)];
         }
         let full = h.cholesky().unwrap().solve(&-(j.transpose() * r0));
-        assert!((full.rows(0, at) - step.cameras).norm() < 1e-5 * full.norm(), "intrinsics {intrinsics}");
+        assert!(
+            (full.rows(0, at) - step.cameras).norm() < 1e-5 * full.norm(),
+            "intrinsics {unknowns}, readout {readout}"
+        );
         for i in 0..12 {
             assert!((full.fixed_rows::<3>(at + 3 * i) - step.points[i]).norm() < 1e-5 * full.norm());
         }

@@ -14,7 +14,7 @@ import time
 from collections import Counter
 
 import power
-from robot import CAIRN, Listener, UsbCamera, check, now, row, sh, until
+from robot import CAIRN, Failure, Listener, UsbCamera, check, now, row, sh, until
 
 MAP = "/var/lib/cairn/map.ply"
 
@@ -84,7 +84,11 @@ def cut_in_a_save(stage):
             daemon.process.send_signal(signal.SIGCONT)
             return False
 
-        until(stopped_in_it, 60, "a save is under way", pause_s=0.0005)
+        try:
+            until(stopped_in_it, 60, "a save is under way", pause_s=0.0005)
+        except Failure:
+            stop.set()
+            raise
         if stage.phase % 2 == 0:
             folder = os.open("/var/lib/cairn", os.O_RDONLY)
             os.fsync(folder)
