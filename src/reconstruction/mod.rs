@@ -46,7 +46,6 @@ use initialise::Initialiser;
 use intrinsics::Intrinsics;
 use keyframes::{KeyframeInputs, NewKeyframe};
 use local_adjustment::{Merge, WHOLE_FIRST};
-use pose_information::PoseInformation;
 use relocalise::Relocaliser;
 use rolling_shutter::Shutter;
 use scale_doubt::ScaleDoubt;
@@ -105,7 +104,7 @@ pub struct Reconstruction {
     next_whole: usize,
     intrinsics: Intrinsics,
     /// Pose of the frame just tracked, if it becomes a keyframe.
-    pending: Option<(Se3<Camera, World>, PoseInformation)>,
+    pending: Option<Se3<Camera, World>>,
     /// Most of what the frame just tracked sees is at assumed distances; the median parallax if they are right, degrees.
     turned: Option<f64>,
     scale_doubt: ScaleDoubt,
@@ -275,7 +274,7 @@ impl Reconstruction {
         let clear = !resumed && tracked.share() >= KEYFRAME_SHARE && !(blurred && self.inliers.len() >= FED);
         let keyframe = clear && self.decide_keyframe(&pose);
         self.record_pose(features.timestamp_ns, &pose);
-        self.pending = keyframe.then_some((pose, tracked.information));
+        self.pending = keyframe.then_some(pose);
         self.estimate_tracked(features, tracked, motion.as_ref(), keyframe)
     }
 
@@ -329,24 +328,16 @@ impl Reconstruction {
     pub fn map(&mut self, features: &FrameFeatures, feedback: &mut Feedback) {
         feedback.sequence = features.sequence;
         feedback.forget.clear();
-        let placed = self.place_after_turn(features).map(|pose| (pose, None));
-        let pending = self.pending.take().map(|(pose, information)| (pose, Some(information)));
-        if let Some((pose, information)) = placed.or(pending) {
-            self.insert_keyframe(features, pose, information.as_ref(), feedback);
+        let placed = self.place_after_turn(features);
+        if let Some(pose) = placed.or(self.pending.take()) {
+            self.insert_keyframe(features, pose, feedback);
             feedback.forget.sort_unstable();
         }
         self.merge_adjustment(Merge::WhenDue);
         self.post_adjustment();
     }
 
-    /// `information`: of the pose, where landmarks in this frame alone speak for it.
-    fn insert_keyframe(
-        &mut self,
-        features: &FrameFeatures,
-        pose: Se3<Camera, World>,
-        information: Option<&PoseInformation>,
-        feedback: &mut Feedback,
-    ) {
+    fn insert_keyframe(&mut self, features: &FrameFeatures, pose: Se3<Camera, World>, feedback: &mut Feedback) {
         let motion = self.last_motion();
         let new = NewKeyframe {
             features,
@@ -375,7 +366,7 @@ impl Reconstruction {
         if self.turned.is_none() {
             let first_new = self.map.landmarks.next_id();
             let lens = Lens { camera: &self.camera, config: &self.config, shutter: &self.shutter };
-            self.epipolar.complete(&mut self.map, id, information, &lens);
+            self.epipolar.complete(&mut self.map, id, &lens);
             keyframes::bind_new(&self.map, &mut self.bindings, features, id, first_new);
         }
         self.counters.keyframes_made += 1;

@@ -5,13 +5,13 @@
 //! time that is wrong, which moves all of them at once (a parameter to consider, not to estimate: Bar-Shalom, Li, Kirubarajan 2001,
 //! section 5.4 treats biases so); and how well the landmarks' distances are known. Cost: 60 ns a match.
 
-use nalgebra::{Matrix6, Vector2, Vector3, Vector6};
+use nalgebra::{Matrix6, Vector3, Vector6};
 
 use super::frame::{Frame, landmark_variance, without_distance};
 use super::pose_optimisation::{accumulate, jacobian_rows};
 use super::search::Match;
+use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
-use crate::geometry::{CameraModel, Se3};
 
 /// What the landmarks say of a pose.
 #[derive(Debug, Clone, Copy)]
@@ -75,20 +75,5 @@ impl PoseInformation {
         }
         matrix.fill_lower_triangle_with_upper_triangle();
         Self { matrix, readout, distance_sigma: (count > 0).then(|| sigmas / count as f64) }
-    }
-
-    /// Standard deviation of the place where a point at `depth` (map units) is expected, px: the largest of those in the middle and
-    /// near the corners of the picture. Infinite where the information cannot be inverted.
-    pub fn picture_sigma_px(&self, camera: &CameraModel, depth: f64) -> f64 {
-        let Some(covariance) = self.matrix.cholesky().map(|c| c.inverse()) else { return f64::INFINITY };
-        let (width, height) = (f64::from(camera.width), f64::from(camera.height));
-        let places = [(0.5, 0.5), (0.1, 0.1), (0.9, 0.1), (0.1, 0.9), (0.9, 0.9)];
-        let variance = places.iter().filter_map(|(x, y)| {
-            let normalised = camera.undistort(&Vector2::new(x * width, y * height))?;
-            let (jx, jy) = jacobian_rows(&(normalised.push(1.0) * depth), &camera.pixel_scale(&normalised));
-            let (jx, jy) = (Vector6::from(jx), Vector6::from(jy));
-            Some(jx.dot(&(covariance * jx)) + jy.dot(&(covariance * jy)))
-        });
-        variance.fold(0.0, f64::max).sqrt()
     }
 }
