@@ -127,7 +127,7 @@ def simulator(data, short):
         return [Step("Hard cases, short form", f"{cases} --case standing blackout wide_angle --first-seed 101 --seeds 2 --output {OUT}/simulator",
                      tells_failures=True)]
     return [
-        Step("Rooms that nothing was chosen with", f"{cases} --first-seed 101 --seeds 5 --output {OUT}/simulator-seeds",
+        Step("Five rooms a case", f"{cases} --first-seed 101 --seeds 5 --output {OUT}/simulator-seeds",
              "Short form, five rooms a case. Noise, lens distortion, a rolling shutter and motion blur unless a case says otherwise. Turning "
              "on the spot and standing from the first frame on must give no pose.", tells_failures=True),
     ]
