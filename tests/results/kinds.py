@@ -164,7 +164,7 @@ def drives(data, short):
         Step("Ordinary and wide-angle lens", suite("lenses", lenses),
              "The same drives through the ordinary lens (75° across the diagonal) and a fisheye (150°). In lock-step.", tells_failures=True),
         Step("Five frames a second", suite("walks", walks),
-             "Walks with large turns between frames, in rooms that nothing was chosen with. In lock-step.", tells_failures=True),
+             "Walks with large turns between frames. In lock-step.", tells_failures=True),
     ]
 
 
