@@ -101,6 +101,7 @@ pub struct ReconstructStep {
     last_state: Option<TrackingState>,
     last_resets: u32,
     last_blind_turns: u64,
+    last_maps_joined: u64,
     /// Times that a planner has put the map elsewhere: to its readers each is a reset.
     placements: u32,
     last_frame_ns: i64,
@@ -138,6 +139,7 @@ impl ReconstructStep {
             last_state: None,
             last_resets: 0,
             last_blind_turns: 0,
+            last_maps_joined: 0,
             placements: 0,
             last_frame_ns: 0,
             lens: None,
@@ -269,6 +271,11 @@ impl ReconstructStep {
         if e.reset_counter != self.last_resets {
             info!(sequence, timestamp_ns, map, reset_counter = e.reset_counter, "reset");
             self.last_resets = e.reset_counter;
+        }
+        let maps_joined = self.reconstruction.as_ref().map_or(0, |r| r.counters().maps_joined);
+        if maps_joined != self.last_maps_joined {
+            info!(sequence, timestamp_ns, map, maps_joined, "map joined");
+            self.last_maps_joined = maps_joined;
         }
         let blind_turns = self.reconstruction.as_ref().map_or(0, |r| r.counters().blind_turns);
         if blind_turns != self.last_blind_turns {

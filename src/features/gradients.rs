@@ -11,6 +11,7 @@
 //! It deliberately does not do: finding corners and their scale, the frame path (fifty times a binary descriptor's cost).
 
 use std::f32::consts::TAU;
+use std::sync::LazyLock;
 
 use super::dispatch::simd_kernel;
 use crate::image::GreyImage;
@@ -23,8 +24,8 @@ const CELLS: usize = 4;
 const DIRECTIONS: usize = 8;
 /// Side of a cell, pixels. Lowe's is three sigma of the smoothing, 4.8; between that and 6 it makes little difference.
 const CELL_PX: f32 = 6.0;
-/// Half the patch's diagonal with half a cell around it, pixels.
-const RADIUS: i32 = 21;
+/// Distance of the places at which a patch is sampled, pixels: below the smoothing's sigma, so that nothing falls between them.
+const STEP_PX: f32 = 1.5;
 /// Positions nearer to the edge than this many pixels have no descriptor. Only the very corners of a turned patch may be cut off.
 pub const BORDER: usize = 16;
 /// One sigma of the smoothing, pixels.
@@ -33,6 +34,8 @@ const SMOOTHING_PX: f32 = 1.6;
 const TURNS: usize = 36;
 /// One sigma of that histogram's window, pixels.
 const TURN_SIGMA_PX: f32 = 4.0;
+const TURN_RADIUS: i32 = 12;
+const TURN_SIDE: usize = 2 * TURN_RADIUS as usize + 1;
 /// A direction this strong beside the strongest is one, too.
 const SECOND_TURN: f32 = 0.8;
 /// Largest share of the descriptor's length that a single number may have.
@@ -81,13 +84,9 @@ impl GradientMap {
         let smooth = smoothed(picture);
         let (mut size, mut angle) = (vec![0.0; width * height], vec![0.0; width * height]);
         for y in 1..height.saturating_sub(1) {
-            for x in 1..width.saturating_sub(1) {
-                let i = y * width + x;
-                let gx = 0.5 * (smooth[i + 1] - smooth[i - 1]);
-                let gy = 0.5 * (smooth[i + width] - smooth[i - width]);
-                size[i] = gx.hypot(gy);
-                angle[i] = gy.atan2(gx).rem_euclid(TAU);
-            }
+            let row = |y: usize| y * width..(y + 1) * width;
+            let [above, middle, below] = [y - 1, y, y + 1].map(|y| &smooth[row(y)]);
+            gradients_of_row(above, middle, below, &mut size[row(y)], &mut angle[row(y)]);
         }
         Self { width, height, size, angle }
     }
@@ -96,35 +95,28 @@ impl GradientMap {
     /// there is no gradient, and for positions that are not numbers.
     pub fn describe(&self, x: f32, y: f32) -> Vec<TurnedGradients> {
         let inside = |v: f32, size: usize| v >= BORDER as f32 && v + BORDER as f32 <= size as f32 - 1.0;
-        if !inside(x, self.width) || !inside(y, self.height) {
-            return Vec::new();
+        match inside(x, self.width) && inside(y, self.height) {
+            true => describe_in(self, x, y, &TABLES),
+            false => Vec::new(),
         }
-        let described = |turn| Some(TurnedGradients { descriptor: self.histograms(x, y, turn)?, turn_rad: turn });
-        self.turns(x, y).into_iter().filter_map(described).collect()
-    }
-
-    /// Pixels around a place up to a radius: offset from it, size and angle of the gradient.
-    fn around(&self, x: f32, y: f32, radius: i32) -> impl Iterator<Item = ([f32; 2], f32, f32)> {
-        let (cx, cy) = (x.round() as i32, y.round() as i32);
-        let rows = (cy - radius).max(0)..=(cy + radius).min(self.height as i32 - 1);
-        let columns = (cx - radius).max(0)..=(cx + radius).min(self.width as i32 - 1);
-        rows.flat_map(move |py| {
-            columns.clone().map(move |px| {
-                let i = py as usize * self.width + px as usize;
-                ([px as f32 - x, py as f32 - y], self.size[i], self.angle[i])
-            })
-        })
     }
 
     /// The one or two directions in which most gradients point, radians.
-    fn turns(&self, x: f32, y: f32) -> Vec<f32> {
+    #[inline(always)]
+    fn turns(&self, x: f32, y: f32, tables: &Tables) -> Vec<f32> {
         let mut bins = [0.0f32; TURNS];
-        for ([dx, dy], size, angle) in self.around(x, y, (3.0 * TURN_SIGMA_PX) as i32) {
-            let window = (-(dx * dx + dy * dy) / (2.0 * TURN_SIGMA_PX * TURN_SIGMA_PX)).exp();
-            let at = angle * (TURNS as f32 / TAU);
-            let (low, share) = (at.floor(), at - at.floor());
-            bins[low as usize % TURNS] += window * size * (1.0 - share);
-            bins[(low as usize + 1) % TURNS] += window * size * share;
+        let (cx, cy) = (x.round() as i32, y.round() as i32);
+        for (dy, windows) in (-TURN_RADIUS..=TURN_RADIUS).zip(&tables.turn_window) {
+            // A corner is `BORDER` from the edge, which is more.
+            let begin = (cy + dy) as usize * self.width + (cx - TURN_RADIUS) as usize;
+            let row = begin..begin + TURN_SIDE;
+            for ((window, size), angle) in windows.iter().zip(&self.size[row.clone()]).zip(&self.angle[row]) {
+                let at = angle * (TURNS as f32 / TAU);
+                let low = at as usize;
+                let share = at - low as f32;
+                bins[low % TURNS] += window * size * (1.0 - share);
+                bins[(low + 1) % TURNS] += window * size * share;
+            }
         }
         for _ in 0..2 {
             let from = bins;
@@ -148,33 +140,30 @@ impl GradientMap {
     }
 
     /// The cells' histograms of the patch turned by `turn`, each gradient shared out between the nearest cells and directions.
-    fn histograms(&self, x: f32, y: f32, turn: f32) -> Option<GradientDescriptor> {
+    #[inline(always)]
+    fn histograms(&self, x: f32, y: f32, turn: f32, tables: &Tables) -> Option<GradientDescriptor> {
         let (sin, cos) = turn.sin_cos();
         let mut sums = [0.0f32; NUMBERS];
-        let half = 0.5 * CELLS as f32;
-        for ([dx, dy], size, angle) in self.around(x, y, RADIUS) {
-            // In cells, along the patch's own axes, from its middle.
-            let (u, v) = ((cos * dx + sin * dy) / CELL_PX, (cos * dy - sin * dx) / CELL_PX);
-            let (across, down) = (u + half - 0.5, v + half - 0.5);
-            let last = CELLS as f32;
-            if !(across > -1.0 && across < last && down > -1.0 && down < last) {
+        let (last_x, last_y) = (self.width as f32 - 1.0, self.height as f32 - 1.0);
+        for sample in &tables.samples {
+            let [u, v] = sample.offset_px;
+            let (px, py) = (x + cos * u - sin * v + 0.5, y + sin * u + cos * v + 0.5);
+            // Only the very corners of a turned patch lie outside.
+            if !(px >= 0.0 && py >= 0.0 && px <= last_x && py <= last_y) {
                 continue;
             }
-            let weight = size * (-(u * u + v * v) / (2.0 * half * half)).exp();
-            let towards = (angle - turn).rem_euclid(TAU) * (DIRECTIONS as f32 / TAU);
-            let split = |at: f32| (at.floor(), at - at.floor());
-            let ((c, cs), (r, rs), (d, ds)) = (split(across), split(down), split(towards));
-            for (row, row_share) in [(r as i32, 1.0 - rs), (r as i32 + 1, rs)] {
-                for (column, column_share) in [(c as i32, 1.0 - cs), (c as i32 + 1, cs)] {
-                    let cells = 0..CELLS as i32;
-                    if !cells.contains(&row) || !cells.contains(&column) {
-                        continue;
-                    }
-                    let cell = (row as usize * CELLS + column as usize) * DIRECTIONS;
-                    let share = weight * row_share * column_share;
-                    sums[cell + d as usize % DIRECTIONS] += share * (1.0 - ds);
-                    sums[cell + (d as usize + 1) % DIRECTIONS] += share * ds;
-                }
+            let i = py as usize * self.width + px as usize;
+            let (size, angle) = (self.size[i], self.angle[i]);
+            // Both are in 0..2 pi.
+            let towards = if angle < turn { angle - turn + TAU } else { angle - turn } * (DIRECTIONS as f32 / TAU);
+            let d = towards as usize;
+            let share = towards - d as f32;
+            let (low, high) = (d % DIRECTIONS, (d + 1) % DIRECTIONS);
+            let (to_low, to_high) = (size * (1.0 - share), size * share);
+            for (cell, weight) in sample.cells {
+                let cell = usize::from(cell) * DIRECTIONS;
+                sums[cell + low] += weight * to_low;
+                sums[cell + high] += weight * to_high;
             }
         }
         let length = sums.iter().map(|s| s * s).sum::<f32>().sqrt();
@@ -185,6 +174,95 @@ impl GradientMap {
         let total: f32 = sums.iter().sum();
         Some(GradientDescriptor(sums.map(|s| (LENGTH * (s / total).sqrt()).round().min(255.0) as u8)))
     }
+}
+
+/// Where a patch is sampled, and which cells the gradient there counts in by how much.
+struct Sample {
+    /// From the patch's middle, along its own axes.
+    offset_px: [f32; 2],
+    /// The nearest four, with the patch's window; those outside of it weigh nothing.
+    cells: [(u8, f32); 4],
+}
+
+/// What is the same for all patches.
+struct Tables {
+    samples: Vec<Sample>,
+    turn_window: [[f32; TURN_SIDE]; TURN_SIDE],
+}
+
+static TABLES: LazyLock<Tables> = LazyLock::new(Tables::new);
+
+impl Tables {
+    fn new() -> Self {
+        let turn_window = std::array::from_fn(|y| {
+            std::array::from_fn(|x| {
+                let (dx, dy) = (x as f32 - TURN_RADIUS as f32, y as f32 - TURN_RADIUS as f32);
+                (-(dx * dx + dy * dy) / (2.0 * TURN_SIGMA_PX * TURN_SIGMA_PX)).exp()
+            })
+        });
+        // The patch and half a cell around it, whose gradients count in the outermost cells as well.
+        let half = 0.5 * CELLS as f32;
+        let count = ((CELLS + 1) as f32 * CELL_PX / STEP_PX) as usize;
+        let place = |i: usize| (i as f32 + 0.5) * STEP_PX / CELL_PX - half - 0.5;
+        let sample = |u: f32, v: f32| {
+            let window = (-(u * u + v * v) / (2.0 * half * half)).exp();
+            let near = |at: f32| {
+                let low = (at + half - 0.5).floor();
+                let share = at + half - 0.5 - low;
+                [(low as i32, 1.0 - share), (low as i32 + 1, share)]
+            };
+            let (across, down) = (near(u), near(v));
+            let cells = std::array::from_fn(|k| {
+                let ((column, a), (row, b)) = (across[k % 2], down[k / 2]);
+                let inside = (0..CELLS as i32).contains(&column) && (0..CELLS as i32).contains(&row);
+                if inside { ((row * CELLS as i32 + column) as u8, window * a * b) } else { (0, 0.0) }
+            });
+            Sample { offset_px: [u * CELL_PX, v * CELL_PX], cells }
+        };
+        let samples = (0..count * count).map(|i| sample(place(i % count), place(i / count))).collect();
+        Self { samples, turn_window }
+    }
+}
+
+simd_kernel! {
+    fn describe_in(map: &GradientMap, x: f32, y: f32, tables: &Tables) -> Vec<TurnedGradients> = describe_body
+}
+
+#[inline(always)]
+fn describe_body(map: &GradientMap, x: f32, y: f32, tables: &Tables) -> Vec<TurnedGradients> {
+    let described = |turn| Some(TurnedGradients { descriptor: map.histograms(x, y, turn, tables)?, turn_rad: turn });
+    map.turns(x, y, tables).into_iter().filter_map(described).collect()
+}
+
+simd_kernel! {
+    /// Size and direction (radians from x towards y, 0 to 2 pi) of the gradients of a row between those above and below it.
+    fn gradients_of_row(above: &[f32], row: &[f32], below: &[f32], size: &mut [f32], angle: &mut [f32]) = row_body
+}
+
+#[inline(always)]
+fn row_body(above: &[f32], row: &[f32], below: &[f32], size: &mut [f32], angle: &mut [f32]) {
+    let inner = row.len().saturating_sub(2);
+    let (above, below) = (&above[1..1 + inner], &below[1..1 + inner]);
+    let (left, right) = (&row[..inner], &row[2..2 + inner]);
+    let (size, angle) = (&mut size[1..1 + inner], &mut angle[1..1 + inner]);
+    for x in 0..inner {
+        let (gx, gy) = (0.5 * (right[x] - left[x]), 0.5 * (below[x] - above[x]));
+        size[x] = (gx * gx + gy * gy).sqrt();
+        angle[x] = direction(gx, gy);
+    }
+}
+
+/// `atan2(y, x)` as 0 to 2 pi, to 2e-4 radians, without a branch: Abramowitz and Stegun 4.4.47 on the smaller over the larger.
+#[inline(always)]
+fn direction(x: f32, y: f32) -> f32 {
+    let (ax, ay) = (x.abs(), y.abs());
+    let (small, large) = (ax.min(ay), ax.max(ay));
+    let t = small / large.max(f32::MIN_POSITIVE);
+    let s = t * t;
+    let octant = t * (0.999_866 + s * (-0.330_299_5 + s * (0.180_141 + s * (-0.085_133 + s * 0.020_835_1))));
+    let quadrant = if ay > ax { 0.25 * TAU - octant } else { octant };
+    let half = if x < 0.0 { 0.5 * TAU - quadrant } else { quadrant };
+    if y < 0.0 { TAU - half } else { half }
 }
 
 /// The picture under a Gaussian of [`SMOOTHING_PX`]; its edge is repeated outwards.

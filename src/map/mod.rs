@@ -13,7 +13,8 @@ use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
 use crate::features::descriptor::Descriptor;
 use crate::features::thumbnail::Thumbnail;
-use crate::geometry::Se3;
+use crate::geometry::sim3::Sim3;
+use crate::geometry::{CameraModel, Se3};
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, World};
 use crate::image::Pyramid;
@@ -271,6 +272,72 @@ impl Map {
         out.truncate(limit);
     }
 
+    /// An empty map whose ids go on after this one's, so that both can be joined later.
+    pub fn successor(&self) -> Self {
+        Self {
+            keyframes: self.keyframes.successor(),
+            landmarks: self.landmarks.successor(),
+            revision: self.revision + 1,
+        }
+    }
+
+    /// Moves and scales everything: `x_new = new_from_old x_old`.
+    pub fn transform(&mut self, new_from_old: &Sim3<World, World>) {
+        let scale = new_from_old.scale;
+        let turn = new_from_old.rotation.to_rotation_matrix();
+        for (_, k) in self.keyframes.iter_mut() {
+            let world_from_camera = new_from_old.rigid() * scaled(&k.camera_from_world.inverse(), scale);
+            k.camera_from_world = world_from_camera.inverse();
+            if let Some(motion) = &mut k.motion {
+                motion.shift *= scale;
+            }
+        }
+        for (_, l) in self.landmarks.iter_mut() {
+            l.position = new_from_old.transform(&l.position);
+            l.covariance = turn * l.covariance * turn.transpose() * (scale * scale);
+            if let Some(assumed) = &mut l.assumed {
+                assumed.inverse /= scale;
+                assumed.sigma /= scale;
+            }
+        }
+        self.revision += 1;
+    }
+
+    /// Takes over another map's keyframes and landmarks, which lie in the same frame and unit and have ids of their own
+    /// ([`successor`](Self::successor)).
+    pub fn absorb(&mut self, other: Self) {
+        self.keyframes.absorb(other.keyframes);
+        self.landmarks.absorb(other.landmarks);
+        self.revision = self.revision.max(other.revision) + 1;
+    }
+
+    /// Two landmarks are one: all that `gone` was seen in now saw `kept`, and where both were seen the observation of `kept` stays.
+    pub fn fuse(&mut self, kept: LandmarkId, gone: LandmarkId) {
+        let Some(entry) = self.landmark(gone).filter(|_| kept != gone) else { return };
+        let seen: Vec<(KeyframeId, Observation)> =
+            entry.observers.iter().filter_map(|&k| Some((k, *self.keyframe(k)?.observation(gone)?))).collect();
+        self.remove_landmark(gone);
+        for (keyframe, observation) in seen {
+            self.add_observation(keyframe, Observation { landmark: kept, ..observation });
+        }
+        self.revision += 1;
+    }
+
+    /// Undistorts all observations and free corners by another camera model of the same pictures.
+    pub fn undistort_anew(&mut self, camera: &CameraModel) {
+        for (_, keyframe) in self.keyframes.iter_mut() {
+            for o in &mut keyframe.observations {
+                if let Some((normalised, normalised_from_pixel)) = camera.undistort_jacobian(&o.pixel.cast()) {
+                    o.normalised = normalised;
+                    o.normalised_from_pixel = normalised_from_pixel;
+                }
+            }
+            for corner in &mut keyframe.corners {
+                corner.normalised = camera.undistort(&corner.pixel.cast()).unwrap_or(corner.normalised);
+            }
+        }
+    }
+
     /// Forgets everything; ids go on.
     pub fn clear(&mut self) {
         self.keyframes.clear();
@@ -306,6 +373,11 @@ impl Map {
         }
         Ok(())
     }
+}
+
+/// The same pose with its length in another unit.
+fn scaled<To, From>(pose: &Se3<To, From>, scale: f64) -> Se3<To, From> {
+    Se3::new(pose.rotation, pose.translation * scale)
 }
 
 fn change_covisibility(keyframes: &mut Store<Keyframe>, a: KeyframeId, b: KeyframeId, by: i32) {
@@ -369,6 +441,42 @@ mod tests {
             found: 0,
             disagreed: 0,
         }
+    }
+
+    #[test]
+    fn a_map_that_is_carried_over_looks_the_same_from_its_cameras() {
+        let mut random = Random::new(11);
+        let pose = |random: &mut Random| {
+            let turn = nalgebra::UnitQuaternion::from_scaled_axis(Vector3::from_fn(|_, _| random.normal()));
+            Se3::new(turn, Vector3::from_fn(|_, _| random.normal()))
+        };
+        let mut old = Map::default();
+        let views = [0, 1].map(|_| Keyframe { camera_from_world: pose(&mut random), ..keyframe(&[]) });
+        let seen = views.map(|view| (old.add_keyframe(view), observation(0)));
+        let place = Landmark { position: Vector3::new(1.0, 2.0, 3.0), covariance: Matrix3::identity(), ..landmark() };
+        let id = old.add_landmark(place, &seen);
+        let from_camera = |map: &Map, k: KeyframeId| {
+            map.keyframe(k).unwrap().camera_from_world.transform(&map.landmark(id).unwrap().position)
+        };
+        let before = seen.map(|(k, _)| from_camera(&old, k));
+        let rigid: Se3<World, World> = pose(&mut random);
+        let mut young = old.successor();
+        old.transform(&Sim3::new(2.5, rigid.rotation, rigid.translation));
+        for ((k, _), before) in seen.iter().zip(before) {
+            assert!((from_camera(&old, *k) - before * 2.5).norm() < 1e-12);
+        }
+        assert!((old.landmark(id).unwrap().covariance - Matrix3::identity() * 6.25).norm() < 1e-12);
+
+        let own = young.add_keyframe(keyframe(&[]));
+        assert!(seen.iter().all(|(k, _)| *k != own), "ids go on");
+        let another = young.add_keyframe(keyframe(&[]));
+        let twin = young.add_landmark(landmark(), &[(own, observation(0)), (another, observation(0))]);
+        young.absorb(old);
+        assert_eq!((young.keyframes.len(), young.landmarks.len()), (4, 2));
+        young.fuse(twin, id);
+        assert_eq!((young.landmark(id).is_none(), young.landmark(twin).unwrap().observers.len()), (true, 4));
+        young.check_consistency().unwrap();
+        assert_eq!(young.add_keyframe(keyframe(&[])).0, another.0 + 1);
     }
 
     #[test]

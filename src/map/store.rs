@@ -29,6 +29,23 @@ impl<T> Store<T> {
         self.next
     }
 
+    /// An empty one whose ids go on after these.
+    pub fn successor(&self) -> Self {
+        Self { next: self.next, ..Self::default() }
+    }
+
+    /// Moves all entries of another here, which must have none of the same ids.
+    pub fn absorb(&mut self, other: Self) {
+        self.next = self.next.max(other.next);
+        for (p, page) in other.pages.into_iter().enumerate() {
+            for (s, value) in page.into_iter().flat_map(|page| page.slots).enumerate() {
+                if let Some(value) = value {
+                    self.put((p * PAGE + s) as u32, value);
+                }
+            }
+        }
+    }
+
     /// Number of entries alive.
     pub fn len(&self) -> usize {
         self.live
@@ -43,15 +60,20 @@ impl<T> Store<T> {
     pub fn insert(&mut self, value: T) -> u32 {
         let id = self.next;
         self.next += 1;
+        self.put(id, value);
+        id
+    }
+
+    fn put(&mut self, id: u32, value: T) {
         let (page, slot) = (id as usize / PAGE, id as usize % PAGE);
         if page >= self.pages.len() {
             self.pages.resize_with(page + 1, || None);
         }
         let page = self.pages[page].get_or_insert_with(|| Box::new(Page { live: 0, slots: [const { None }; PAGE] }));
-        page.slots[slot] = Some(value);
-        page.live += 1;
-        self.live += 1;
-        id
+        if page.slots[slot].replace(value).is_none() {
+            page.live += 1;
+            self.live += 1;
+        }
     }
 
     /// The entry, if it is alive.

@@ -55,10 +55,8 @@ impl Reconstruction {
         if let Some(last) = &mut self.last {
             (last.camera_from_world, last.motion) = (pose, None);
         }
-        if self.job_posted.take().is_some() {
-            // It began from poses that are no more; the keyframe that this frame becomes posts another.
-            self.worker.discard();
-        }
+        // One under way began from poses that are no more; the keyframe that this frame becomes posts another.
+        self.discard_job();
         self.turned = None;
         if placed.is_assumed {
             self.counters.blind_turns += 1;

@@ -322,17 +322,7 @@ impl Intrinsics {
             self.remember(refined.fx.ln());
         }
         *camera = refined;
-        for (_, keyframe) in map.keyframes.iter_mut() {
-            for o in &mut keyframe.observations {
-                if let Some((normalised, normalised_from_pixel)) = camera.undistort_jacobian(&o.pixel.cast()) {
-                    o.normalised = normalised;
-                    o.normalised_from_pixel = normalised_from_pixel;
-                }
-            }
-            for corner in &mut keyframe.corners {
-                corner.normalised = camera.undistort(&corner.pixel.cast()).unwrap_or(corner.normalised);
-            }
-        }
+        map.undistort_anew(camera);
     }
 }
 

@@ -95,7 +95,7 @@ pub struct NewKeyframe<'a> {
 /// The newest keyframes are not culled: the local adjustment still gains by them.
 const YOUNG_KEYFRAMES: u32 = 12;
 /// Radius within which a track and a found landmark are the same corner, px.
-const SAME_CORNER_PX: f32 = 2.0;
+pub(super) const SAME_CORNER_PX: f32 = 2.0;
 /// A track that has left its landmark's found place by more than this has drifted, px.
 const DRIFTED_PX: f32 = 3.0;
 /// How far refinement may move a seed's tracked place, px.
@@ -385,7 +385,7 @@ pub fn cull_landmarks(map: &mut Map, newest: KeyframeId) -> u64 {
 
 /// Removes keyframes around `newest` whose landmarks are nearly all seen by three others.
 pub fn cull_keyframes(
-    map: &mut Map,
+    (map, map_id): (&mut Map, MapId),
     newest: KeyframeId,
     config: &ReconstructionConfig,
     events: &mut Vec<TrajectoryEvent>,
@@ -405,7 +405,7 @@ pub fn cull_keyframes(
             .filter(|o| map.landmark(o.landmark).is_some_and(|l| l.observers.len() >= 4))
             .count();
         let over = map.keyframes.len() > config.max_keyframes;
-        if total > 0 && (redundant as f64 > config.redundant_share * total as f64 || over) && remove(map, id, events) {
+        if total > 0 && (redundant as f64 > config.redundant_share * total as f64 || over) && remove((map, map_id), id, events) {
             culled += 1;
         }
     }
@@ -413,14 +413,14 @@ pub fn cull_keyframes(
 }
 
 /// Removes a keyframe and hangs the trajectory that refers to it on its most covisible neighbour.
-fn remove(map: &mut Map, id: KeyframeId, events: &mut Vec<TrajectoryEvent>) -> bool {
+fn remove((map, map_id): (&mut Map, MapId), id: KeyframeId, events: &mut Vec<TrajectoryEvent>) -> bool {
     let mut strongest = Vec::new();
     map.covisible(id, 1, 1, &mut strongest);
     let Some(&(parent, _)) = strongest.first() else { return false };
     let (Some(k), Some(p)) = (map.keyframe(id), map.keyframe(parent)) else { return false };
     let parent_from_keyframe: Se3<KeyframeFrame, KeyframeFrame> =
         (p.camera_from_world * k.camera_from_world.inverse()).relabel();
-    events.push(TrajectoryEvent::KeyframeRemoved { keyframe: id, parent, parent_from_keyframe });
+    events.push(TrajectoryEvent::KeyframeRemoved { map: map_id, keyframe: id, parent, parent_from_keyframe });
     map.remove_keyframe(id).is_some()
 }
 

@@ -20,6 +20,7 @@ mod intrinsics;
 pub mod keyframes;
 pub mod local_adjustment;
 mod newcomers;
+mod other_maps;
 mod point;
 mod pose_information;
 pub mod pose_optimisation;
@@ -46,6 +47,7 @@ use initialise::Initialiser;
 use intrinsics::Intrinsics;
 use keyframes::{KeyframeInputs, NewKeyframe};
 use local_adjustment::{Merge, WHOLE_FIRST};
+use other_maps::{OtherMaps, WORTH_KEEPING};
 use relocalise::Relocaliser;
 use rolling_shutter::Shutter;
 use scale_doubt::ScaleDoubt;
@@ -113,6 +115,7 @@ pub struct Reconstruction {
     inliers: Vec<Match>,
     angles: Vec<f64>,
     relocaliser: Relocaliser,
+    others: OtherMaps,
     epipolar: EpipolarMatcher,
     shutter: Shutter,
 }
@@ -168,6 +171,7 @@ impl Reconstruction {
             inliers: Vec::with_capacity(1024),
             angles: Vec::with_capacity(1024),
             relocaliser: Relocaliser::default(),
+            others: OtherMaps::default(),
             epipolar: EpipolarMatcher::default(),
             shutter: Shutter::new(config.readout_ms * 1e-3, camera.height, config.estimate_readout),
         }
@@ -299,14 +303,16 @@ impl Reconstruction {
     fn lose(&mut self, features: &FrameFeatures) -> PoseEstimate {
         self.lost_frames += 1;
         self.state = TrackingState::Lost;
-        // A map that was tracked for a moment only is worth no longer a wait.
-        let patience = self.config.lost_frames.min(self.map_frames);
-        if self.lost_frames > patience || self.map.keyframes.len() < 4 {
+        if self.map.keyframes.len() < WORTH_KEEPING {
             // What was seen while it was lost begins the next map.
             let seen = std::mem::take(&mut self.initialiser);
-            self.reset();
+            self.end_map();
             self.initialiser = seen;
             return self.try_start(features);
+        }
+        // A map that was tracked for a moment only is worth no longer a wait.
+        if self.lost_frames > self.config.lost_frames.min(self.map_frames) {
+            return self.begin_beside(features);
         }
         self.initialiser.watch(features, &self.camera);
         self.estimate_none(features)
@@ -375,21 +381,22 @@ impl Reconstruction {
         self.reference = id;
         self.scale_doubt.follow(&self.map);
         self.counters.landmarks_culled += keyframes::cull_landmarks(&mut self.map, id);
-        self.counters.keyframes_culled += keyframes::cull_keyframes(&mut self.map, id, &self.config, &mut self.events);
+        self.counters.keyframes_culled += keyframes::cull_keyframes((&mut self.map, self.map_id), id, &self.config, &mut self.events);
         self.unadjusted = Some(id);
+        self.recognise(features, id);
     }
 
-    /// Drops the map and starts over at the next frame.
+    /// Drops all maps and starts over at the next frame.
     pub fn reset(&mut self) {
-        if self.job_posted.take().is_some() {
-            self.worker.discard();
-        }
-        for (id, k) in self.map.keyframes.iter() {
-            self.events.push(TrajectoryEvent::KeyframeRetired {
-                keyframe: KeyframeId(id),
-                world_from_camera: k.camera_from_world.inverse(),
-            });
-        }
+        let others = std::mem::take(&mut self.others);
+        others.maps().for_each(|map| retire(map, &mut self.events));
+        self.end_map();
+    }
+
+    /// Drops the present map.
+    fn end_map(&mut self) {
+        self.discard_job();
+        retire(&self.map, &mut self.events);
         self.intrinsics.end_map(&self.camera);
         self.map.clear();
         self.scale_doubt.clear();
@@ -409,6 +416,12 @@ impl Reconstruction {
         self.counters.resets += 1;
     }
 
+    fn discard_job(&mut self) {
+        if self.job_posted.take().is_some() {
+            self.worker.discard();
+        }
+    }
+
     /// Starts over with another camera model, because the pictures have another size now.
     pub fn change_camera(&mut self, camera: &CameraModel, prior: LensPrior) {
         self.reset();
@@ -422,9 +435,12 @@ impl Reconstruction {
         out.append(&mut self.events);
     }
 
-    /// Poses of the current map's keyframes, for the trajectory written at the end; those of maps before came as events.
+    /// Poses of all maps' keyframes, for the trajectory written at the end; those of maps that were dropped came as events.
     pub fn keyframe_poses(&self) -> Vec<(KeyframeId, Se3<World, Camera>)> {
-        self.map.keyframes.iter().map(|(id, k)| (KeyframeId(id), k.camera_from_world.inverse())).collect()
+        let maps = std::iter::once(&self.map).chain(self.others.maps());
+        maps.flat_map(|map| map.keyframes.iter())
+            .map(|(id, k)| (KeyframeId(id), k.camera_from_world.inverse()))
+            .collect()
     }
 
     /// A keyframe of the current map, if it is there.
@@ -469,4 +485,12 @@ impl Reconstruction {
     pub fn readout_s(&self) -> f64 {
         self.shutter.readout_s
     }
+}
+
+/// A map has ended: the last poses of its keyframes.
+fn retire(map: &Map, events: &mut Vec<TrajectoryEvent>) {
+    events.extend(map.keyframes.iter().map(|(id, k)| TrajectoryEvent::KeyframeRetired {
+        keyframe: KeyframeId(id),
+        world_from_camera: k.camera_from_world.inverse(),
+    }));
 }

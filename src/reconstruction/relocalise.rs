@@ -6,7 +6,7 @@
 //! - by thumbnails: the most similar keyframes' poses, turned by the plane motion between the thumbnails (Klein & Murray 2008,
 //!   section 5), for pictures without corners that could be described (heavy blur).
 //!
-//! Not here: other maps. A map that was given up is gone; joining it when its place is seen again needs place recognition.
+//! The same finds a frame of one map in another (`other_maps`).
 
 mod descriptors;
 
@@ -30,11 +30,11 @@ const MIN_NCC: f32 = 0.6;
 /// Keyframes whose descriptors are matched in one frame: around the last place, by thumbnail, in turn.
 const MATCHED_NEAR: usize = 2;
 const MATCHED_SIMILAR: usize = 1;
-const MATCHED_IN_TURN: usize = 1;
+const MATCHED_IN_TURN: usize = 2;
 /// A pose with so many inliers needs no competitors.
 const PLENTY: usize = 30;
 /// Guesses from descriptors in one frame.
-const DESCRIPTOR_GUESSES: usize = 1;
+const DESCRIPTOR_GUESSES: usize = 2;
 
 /// Buffers of relocalisation.
 #[derive(Debug, Default)]
@@ -124,11 +124,14 @@ impl Relocaliser {
         let similar = self.ranked.iter().map(|r| r.1.reference).filter(|id| !self.chosen.contains(id));
         let similar: Vec<KeyframeId> = similar.take(MATCHED_SIMILAR).collect();
         self.chosen.extend(similar);
+        let likeliest = self.chosen.len();
         in_turn(map, &mut self.next_described, MATCHED_IN_TURN.min(map.keyframes.len()), &mut self.chosen);
-        let in_turn = self.chosen.len().saturating_sub(MATCHED_IN_TURN);
-        if self.chosen.get(in_turn).is_some_and(|id| self.chosen[..in_turn].contains(id)) {
-            self.chosen.truncate(in_turn);
-        }
+        let mut at = 0;
+        let chosen = self.chosen[..likeliest].to_vec();
+        self.chosen.retain(|id| {
+            at += 1;
+            at <= likeliest || !chosen.contains(id)
+        });
     }
 }
 

@@ -74,6 +74,22 @@ impl ScaleDoubt {
         Some(id)
     }
 
+    /// Takes over the turns of another map, which is about to be a part of this one, and marks its keyframes with their new numbers. Of
+    /// more than there is room for the scale is believed.
+    pub fn absorb(&mut self, other: &Self, map: &mut Map) {
+        let first = self.turns.len();
+        let renumbered = |id: TurnId| {
+            let id = first + usize::from(id.0);
+            u16::try_from(id).ok().filter(|_| id < MAX_TURNS).map(TurnId)
+        };
+        let renewed = |turn: &Turn| Turn { before: turn.before.and_then(renumbered), ..*turn };
+        self.turns.extend(other.turns.iter().map(renewed).take(MAX_TURNS - first.min(MAX_TURNS)));
+        for (_, keyframe) in map.keyframes.iter_mut() {
+            keyframe.scale_from = keyframe.scale_from.and_then(renumbered);
+        }
+        self.follow(map);
+    }
+
     /// Takes over where the turns are now, as long as their keyframes are there.
     pub fn follow(&mut self, map: &Map) {
         for turn in &mut self.turns {

@@ -42,6 +42,11 @@ impl Reconstruction {
     /// A frame without a map: perhaps the one that makes it.
     pub(super) fn try_start(&mut self, features: &FrameFeatures) -> PoseEstimate {
         let starts = self.initialiser.step(features, &self.camera, self.intrinsics.freedom().as_ref(), &self.config);
+        self.start_from(&starts, features).unwrap_or_else(|| self.estimate_none(features))
+    }
+
+    /// Begins a map in place of the present, empty one, if one of the starts holds.
+    pub(super) fn start_from(&mut self, starts: &[Start], features: &FrameFeatures) -> Option<PoseEstimate> {
         let begun = starts.iter().any(|start| {
             let begun = self.build_map(start, features);
             if !begun {
@@ -51,9 +56,8 @@ impl Reconstruction {
             begun
         });
         if !begun {
-            return self.estimate_none(features);
+            return None;
         }
-        self.solve_frames_before(features.sequence);
         // What the start could not place waits for parallax from here on.
         let newest = self.reference;
         for track in &features.tracks {
@@ -61,10 +65,6 @@ impl Reconstruction {
                 self.bindings.set(track.id, Target::Seed(Seed::new(newest, track.position)));
             }
         }
-        self.state = TrackingState::Tracking;
-        self.last_keyframe_frame = self.frame;
-        self.counters.keyframes_made += self.map.keyframes.len() as u64;
-        self.counters.landmarks_made += self.map.landmarks.len() as u64;
         // The frame itself is placed like any other, so that its covariance and counts are honest.
         let guess = [self.last.map_or_else(Se3::identity, |l| l.camera_from_world)];
         let frame = Frame {
@@ -78,21 +78,24 @@ impl Reconstruction {
             before: None,
             motion: None,
         };
-        let tracked = self.tracker.track(&frame, self.reference, &guess);
-        match tracked {
-            Some(tracked) => {
-                let Tracked { camera_from_world, .. } = tracked;
-                self.counters.frames_tracked += 1;
-                self.last = Some(LastFrame { timestamp_ns: features.timestamp_ns, camera_from_world, motion: None });
-                self.odom_from_camera = camera_from_world.inverse().relabel();
-                self.record_pose(features.timestamp_ns, &camera_from_world);
-                self.estimate_tracked(features, &tracked, None, true)
-            }
-            None => {
-                self.reset();
-                self.estimate_none(features)
-            }
-        }
+        let Some(tracked) = self.tracker.track(&frame, self.reference, &guess) else {
+            self.map.clear();
+            self.bindings.clear();
+            self.initialiser.clear();
+            self.last = None;
+            return None;
+        };
+        self.solve_frames_before(features.sequence);
+        self.state = TrackingState::Tracking;
+        self.last_keyframe_frame = self.frame;
+        self.counters.keyframes_made += self.map.keyframes.len() as u64;
+        self.counters.landmarks_made += self.map.landmarks.len() as u64;
+        let Tracked { camera_from_world, .. } = tracked;
+        self.counters.frames_tracked += 1;
+        self.last = Some(LastFrame { timestamp_ns: features.timestamp_ns, camera_from_world, motion: None });
+        self.odom_from_camera = camera_from_world.inverse().relabel();
+        self.record_pose(features.timestamp_ns, &camera_from_world);
+        Some(self.estimate_tracked(features, &tracked, None, true))
     }
 
     /// The first keyframes and their landmarks, adjusted; false if too little of it holds.

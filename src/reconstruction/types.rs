@@ -56,9 +56,11 @@ pub enum TrajectoryEvent {
     /// A frame was tracked (or solved afterwards): its pose relative to a keyframe, which later adjustments move.
     Pose { timestamp_ns: i64, map: MapId, keyframe: KeyframeId, keyframe_from_camera: Se3<Keyframe, Camera> },
     /// `keyframe` was culled; poses that refer to it now hang on `parent`.
-    KeyframeRemoved { keyframe: KeyframeId, parent: KeyframeId, parent_from_keyframe: Se3<Keyframe, Keyframe> },
+    KeyframeRemoved { map: MapId, keyframe: KeyframeId, parent: KeyframeId, parent_from_keyframe: Se3<Keyframe, Keyframe> },
     /// Its map has ended; this is the keyframe's last pose.
     KeyframeRetired { keyframe: KeyframeId, world_from_camera: Se3<World, Camera> },
+    /// `map` was recognised from `into` and is a part of it from here on; `scale`: its unit in the other's.
+    MapJoined { map: MapId, into: MapId, scale: f64 },
 }
 
 /// Counters since the start, for health and logs.
@@ -75,6 +77,8 @@ pub struct Counters {
     pub adjustments_late: u64,
     pub resets: u64,
     pub relocalisations: u64,
+    /// Maps that were recognised and joined to the present one.
+    pub maps_joined: u64,
     /// Turns on the spot that left all behind whose distance was known: the scale of what follows is an assumption.
     pub blind_turns: u64,
 }

@@ -2,14 +2,15 @@
 //!
 //! Input: [`TrajectoryEvent`]s (pose relative to a keyframe, 80 bytes each) or published poses, as they come. Output: one
 //! TUM file of the largest map. A frame's pose is `world_from_keyframe * keyframe_from_camera` with the keyframe as the
-//! map knows it at the end; a keyframe that was removed hands its frames to its parent, however often.
+//! map knows it at the end; a keyframe that was removed hands its frames to its parent, however often. Maps that were joined are one:
+//! what was recorded in the unit of one is written in that of the other.
 //!
 //! Memory does not grow while recording: a 64 KiB buffer over a temporary file that has no name any more once it is open,
 //! so nothing is left behind however the process ends. 30 frames a second are 8.6 MB of disk an hour; the file stops
 //! growing at [`MAX_SPOOL_BYTES`], and what is lost then, or to a full disk, is counted. Writing takes 16 bytes a pose
 //! and about 1.5 us a pose (an hour at 30 Hz: 0.2 s); it can be repeated, so a full disk costs nothing but another path.
 //!
-//! Deliberately not here: joining maps, filling gaps.
+//! Deliberately not here: filling gaps.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -73,23 +74,42 @@ impl TrajectorySpool {
         path: &Path,
         keyframe_poses: &[(KeyframeId, Se3<World, Camera>)],
     ) -> Result<TrajectorySummary, TrajectoryError> {
+        let joined = self.records.joined_maps()?;
         let mut moved = BTreeMap::new();
         // A keyframe's frame is its camera's.
         let mut known: BTreeMap<KeyframeId, Option<Se3<World, Keyframe>>> =
             keyframe_poses.iter().map(|(id, pose)| (*id, Some(pose.relabel()))).collect();
         self.records.for_each(|_, event| match event {
-            TrajectoryEvent::KeyframeRemoved { keyframe, parent, parent_from_keyframe } => {
+            TrajectoryEvent::KeyframeRemoved { map, keyframe, parent, mut parent_from_keyframe } => {
+                parent_from_keyframe.translation *= joined.of(map).1;
                 moved.insert(keyframe, (parent, parent_from_keyframe));
             }
             TrajectoryEvent::KeyframeRetired { keyframe, world_from_camera } => {
                 known.insert(keyframe, Some(world_from_camera.relabel()));
             }
-            TrajectoryEvent::Pose { .. } => {}
+            TrajectoryEvent::Pose { .. } | TrajectoryEvent::MapJoined { .. } => {}
         })?;
-        let resolve = |keyframe: KeyframeId, keyframe_from_camera: Se3<Keyframe, Camera>| {
+        let resolve = |map, keyframe, mut keyframe_from_camera: Se3<Keyframe, Camera>| {
+            keyframe_from_camera.translation *= joined.of(map).1;
             world_from_keyframe(keyframe, &mut known, &moved).map(|w| w * keyframe_from_camera)
         };
-        self.records.write_largest(path, resolve)
+        self.records.write_largest(path, &joined, resolve)
+    }
+}
+
+/// Which map each map has become a part of, and its unit in that one's.
+#[derive(Debug, Default)]
+struct JoinedMaps(BTreeMap<MapId, (MapId, f64)>);
+
+impl JoinedMaps {
+    fn of(&self, map: MapId) -> (MapId, f64) {
+        let (mut at, mut scale) = (map, 1.0);
+        // A map is joined to a younger one, so this ends; the bound only says so.
+        for _ in 0..=self.0.len() {
+            let Some((into, unit)) = self.0.get(&at) else { break };
+            (at, scale) = (*into, scale * unit);
+        }
+        (at, scale)
     }
 }
 
@@ -151,7 +171,7 @@ impl LiveTrajectory {
 
     /// Writes the poses of the map that most of them were published in (poses of different maps are unrelated).
     pub fn write_tum(&mut self, path: &Path) -> Result<TrajectorySummary, TrajectoryError> {
-        self.records.write_largest(path, |_, pose| Some(pose.relabel()))
+        self.records.write_largest(path, &JoinedMaps::default(), |_, _, pose| Some(pose.relabel()))
     }
 }
 
@@ -228,16 +248,27 @@ impl RecordFile {
         Ok(())
     }
 
+    fn joined_maps(&mut self) -> Result<JoinedMaps, TrajectoryError> {
+        let mut joined = JoinedMaps::default();
+        self.for_each(|_, event| {
+            if let TrajectoryEvent::MapJoined { map, into, scale } = event {
+                joined.0.insert(map, (into, scale));
+            }
+        })?;
+        Ok(joined)
+    }
+
     /// Writes the map with the most poses that `resolve` can place.
     fn write_largest(
         &mut self,
         path: &Path,
-        mut resolve: impl FnMut(KeyframeId, Se3<Keyframe, Camera>) -> Option<Se3<World, Camera>>,
+        joined: &JoinedMaps,
+        mut resolve: impl FnMut(MapId, KeyframeId, Se3<Keyframe, Camera>) -> Option<Se3<World, Camera>>,
     ) -> Result<TrajectorySummary, TrajectoryError> {
         let mut poses_of_map = BTreeMap::<MapId, u64>::new();
         self.for_each(|_, event| {
             if let TrajectoryEvent::Pose { map, .. } = event {
-                *poses_of_map.entry(map).or_default() += 1;
+                *poses_of_map.entry(joined.of(map).0).or_default() += 1;
             }
         })?;
         let mut summary = TrajectorySummary { events_lost: self.lost, ..Default::default() };
@@ -249,8 +280,10 @@ impl RecordFile {
         // Frames that were solved afterwards come late: sort by time, the last record of a timestamp first.
         let mut order = Vec::<(i64, u32)>::with_capacity(largest.map_or(0, |(_, poses)| *poses as usize));
         self.for_each(|number, event| match event {
-            TrajectoryEvent::Pose { timestamp_ns, map, keyframe, keyframe_from_camera } if Some(map) == summary.map => {
-                match resolve(keyframe, keyframe_from_camera).is_some_and(|pose| pose.is_finite()) {
+            TrajectoryEvent::Pose { timestamp_ns, map, keyframe, keyframe_from_camera }
+                if Some(joined.of(map).0) == summary.map =>
+            {
+                match resolve(map, keyframe, keyframe_from_camera).is_some_and(|pose| pose.is_finite()) {
                     true => order.push((timestamp_ns, number)),
                     false => summary.poses_unresolved += 1,
                 }
@@ -267,8 +300,8 @@ impl RecordFile {
             let mut record = [0; RECORD_BYTES];
             for (timestamp_ns, number) in &order {
                 self.file.read_exact_at(&mut record, u64::from(*number) * RECORD_BYTES as u64)?;
-                if let Some(TrajectoryEvent::Pose { keyframe, keyframe_from_camera, .. }) = decode(&record)
-                    && let Some(pose) = resolve(keyframe, keyframe_from_camera)
+                if let Some(TrajectoryEvent::Pose { map, keyframe, keyframe_from_camera, .. }) = decode(&record)
+                    && let Some(pose) = resolve(map, keyframe, keyframe_from_camera)
                 {
                     write_tum_line(out, *timestamp_ns, &pose)?;
                 }
@@ -282,22 +315,26 @@ impl RecordFile {
 const KIND_POSE: u32 = 1;
 const KIND_REMOVED: u32 = 2;
 const KIND_RETIRED: u32 = 3;
+const KIND_JOINED: u32 = 4;
 
-/// `kind u32, map or keyframe u32, keyframe or parent u32, 0 u32, timestamp i64, q xyzw 4 f64, t 3 f64`, little endian.
+/// `kind u32, map or keyframe u32, keyframe, parent or map u32, map u32, timestamp i64, q xyzw 4 f64, t 3 f64`, little endian.
 fn encode(event: &TrajectoryEvent) -> [u8; RECORD_BYTES] {
-    let (kind, first, second, timestamp_ns, rotation, t) = match event {
+    let none = UnitQuaternion::identity();
+    let (words, timestamp_ns, rotation, t) = match event {
         TrajectoryEvent::Pose { timestamp_ns, map, keyframe, keyframe_from_camera: pose } => {
-            (KIND_POSE, map.0, keyframe.0, *timestamp_ns, pose.rotation, pose.translation)
+            ([KIND_POSE, map.0, keyframe.0, 0], *timestamp_ns, pose.rotation, pose.translation)
         }
-        TrajectoryEvent::KeyframeRemoved { keyframe, parent, parent_from_keyframe: pose } => {
-            (KIND_REMOVED, keyframe.0, parent.0, 0, pose.rotation, pose.translation)
+        TrajectoryEvent::KeyframeRemoved { map, keyframe, parent, parent_from_keyframe: pose } => {
+            ([KIND_REMOVED, keyframe.0, parent.0, map.0], 0, pose.rotation, pose.translation)
         }
         TrajectoryEvent::KeyframeRetired { keyframe, world_from_camera: pose } => {
-            (KIND_RETIRED, keyframe.0, 0, 0, pose.rotation, pose.translation)
+            ([KIND_RETIRED, keyframe.0, 0, 0], 0, pose.rotation, pose.translation)
+        }
+        TrajectoryEvent::MapJoined { map, into, scale } => {
+            ([KIND_JOINED, map.0, into.0, 0], 0, none, Vector3::new(*scale, 0.0, 0.0))
         }
     };
     let mut record = [0; RECORD_BYTES];
-    let words = [kind, first, second, 0];
     for (slot, word) in record[..16].chunks_exact_mut(4).zip(words) {
         slot.copy_from_slice(&word.to_le_bytes());
     }
@@ -324,6 +361,7 @@ fn decode(record: &[u8]) -> Option<TrajectoryEvent> {
             keyframe_from_camera: Se3::new(rotation, translation),
         }),
         KIND_REMOVED => Some(TrajectoryEvent::KeyframeRemoved {
+            map: MapId(word(3)?),
             keyframe: KeyframeId(word(1)?),
             parent: KeyframeId(word(2)?),
             parent_from_keyframe: Se3::new(rotation, translation),
@@ -332,6 +370,9 @@ fn decode(record: &[u8]) -> Option<TrajectoryEvent> {
             keyframe: KeyframeId(word(1)?),
             world_from_camera: Se3::new(rotation, translation),
         }),
+        KIND_JOINED => {
+            Some(TrajectoryEvent::MapJoined { map: MapId(word(1)?), into: MapId(word(2)?), scale: translation.x })
+        }
         _ => None,
     }
 }
@@ -371,7 +412,9 @@ mod tests {
                 keyframe: KeyframeId(1),
                 keyframe_from_camera: Se3::new(rotation, translation),
             },
+            TrajectoryEvent::MapJoined { map: MapId(2), into: MapId(5), scale: 0.3 },
             TrajectoryEvent::KeyframeRemoved {
+                map: MapId(7),
                 keyframe: KeyframeId(3),
                 parent: KeyframeId(2),
                 parent_from_keyframe: Se3::new(rotation, translation),

@@ -122,6 +122,7 @@ fn pose_event(timestamp_ns: i64, map: u32, keyframe: u32, x: f64) -> TrajectoryE
 
 fn removed(keyframe: u32, parent: u32, x: f64) -> TrajectoryEvent {
     TrajectoryEvent::KeyframeRemoved {
+        map: MapId(0),
         keyframe: KeyframeId(keyframe),
         parent: KeyframeId(parent),
         parent_from_keyframe: Se3::new(UnitQuaternion::identity(), Vector3::new(x, 0.0, 0.0)),
@@ -195,6 +196,31 @@ fn only_the_largest_map_is_written_and_the_rest_is_counted() {
         }
     );
     assert_eq!(lines(&path)[5], ("10.000000".into(), 5.0), "the later solution counts");
+}
+
+#[test]
+fn joined_maps_are_one_in_the_unit_of_the_last() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("t.txt");
+    let mut spool = TrajectorySpool::create(dir.path()).unwrap();
+    let joined = |map, into, scale| TrajectoryEvent::MapJoined { map: MapId(map), into: MapId(into), scale };
+    for event in [
+        pose_event(S, 0, 1, 0.5),
+        removed(1, 2, 1.0),
+        pose_event(2 * S, 1, 3, 0.5),
+        joined(0, 1, 2.0),
+        pose_event(3 * S, 1, 3, 0.5),
+        pose_event(4 * S, 2, 4, 0.5),
+        joined(1, 2, 10.0),
+        pose_event(5 * S, 3, 5, 0.0),
+        pose_event(6 * S, 2, 2, 0.5),
+    ] {
+        spool.record(&event).unwrap();
+    }
+    let summary = spool.write_tum(&path, &[keyframe(2, 0.0), keyframe(3, 100.0), keyframe(4, 200.0)]).unwrap();
+    let x: Vec<f64> = lines(&path).iter().map(|l| l.1).collect();
+    assert_eq!(x, [30.0, 105.0, 105.0, 200.5, 0.5], "20 (1 + 0.5); 100 + 10 * 0.5; ...");
+    assert_eq!((summary.map, summary.other_maps, summary.poses_in_other_maps), (Some(MapId(2)), 1, 1));
 }
 
 #[test]

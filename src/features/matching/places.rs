@@ -6,7 +6,7 @@
 //! ratio test would refuse it for being found well. So the second nearest is the nearest *elsewhere* (as Lowe, IJCV 2004, 7.1, compares
 //! with a neighbour that is known to be of another object), and mutual means: the nearest of the nearest is at the same place.
 //! Of pairs between the same two corners one is kept: a model must not count one agreement several times.
-//! Cost: two sweeps of n m distances. It deliberately does not do: geometry (see `geometry::ransac`).
+//! Cost: n m distances, and n more for each that is asked back. It deliberately does not do: geometry (see `geometry::ransac`).
 
 use super::Match;
 use crate::features::descriptor::Descriptor;
@@ -94,25 +94,20 @@ impl Default for PlaceMatching {
     }
 }
 
-/// Of each descriptor: index of the nearest of the others, its squared distance, and that of the nearest elsewhere.
-fn nearest<D: Comparable>(of: &[D], others: &[D], places: &[Place]) -> Vec<Option<(usize, u32, u32)>> {
-    let mut row = vec![0; others.len()];
-    of.iter()
-        .map(|d| {
-            d.distances_squared(others, &mut row);
-            // Of equally near ones the first.
-            let (index, least) = row.iter().enumerate().min_by_key(|(_, distance)| **distance)?;
-            let own = places.get(index)?;
-            // Few are near enough to be asked where they are.
-            let mut second = u32::MAX;
-            for (distance, place) in row.iter().zip(places) {
-                if *distance < second && !place.is_within(own, SAME_PLACE_PX) {
-                    second = *distance;
-                }
-            }
-            Some((index, *least, second))
-        })
-        .collect()
+/// Index of the nearest of the others, its squared distance, and that of the nearest elsewhere; `row`: room for all distances.
+fn nearest<D: Comparable>(of: &D, others: &[D], places: &[Place], row: &mut [u32]) -> Option<(usize, u32, u32)> {
+    of.distances_squared(others, row);
+    // Of equally near ones the first.
+    let (index, least) = row.iter().enumerate().min_by_key(|(_, distance)| **distance)?;
+    let own = places.get(index)?;
+    // Few are near enough to be asked where they are.
+    let mut second = u32::MAX;
+    for (distance, place) in row.iter().zip(places) {
+        if *distance < second && !place.is_within(own, SAME_PLACE_PX) {
+            second = *distance;
+        }
+    }
+    Some((index, *least, second))
 }
 
 /// Matches; see the module. Descriptors without a place (a shorter slice) are left out.
@@ -123,19 +118,24 @@ pub fn match_places<D: Comparable>(
 ) -> Vec<Match> {
     let first = &first[..first.len().min(first_places.len())];
     let second = &second[..second.len().min(second_places.len())];
-    let forward = nearest(first, second, second_places);
-    let backward = nearest(second, first, first_places);
     let clear = |distance: u32, other: u32| {
         let distance = (distance as f32).max((rule.noise * D::UNIT).powi(2));
         rule.max_ratio >= 1.0 || distance < rule.max_ratio * rule.max_ratio * other as f32
     };
     let mut found: Vec<Match> = Vec::new();
-    for (i, there) in forward.iter().enumerate() {
-        let Some((j, distance, elsewhere)) = *there else { continue };
-        let Some((back, _, elsewhere_back)) = backward[j] else { continue };
-        let mutual = back == i || first_places[back].is_within(&first_places[i], SAME_PLACE_PX);
+    let (mut row, mut column) = (vec![0; second.len()], vec![0; first.len()]);
+    let mut backward: Vec<Option<Option<(usize, u32, u32)>>> = vec![None; second.len()];
+    for (i, descriptor) in first.iter().enumerate() {
+        let Some((j, distance, elsewhere)) = nearest(descriptor, second, second_places, &mut row) else { continue };
         let share = (distance as f32).sqrt() / D::UNIT;
-        if mutual && share <= rule.max_distance && clear(distance, elsewhere) && clear(distance, elsewhere_back) {
+        if share > rule.max_distance || !clear(distance, elsewhere) {
+            continue;
+        }
+        // Asked back only where it matters.
+        let back = *backward[j].get_or_insert_with(|| nearest(&second[j], first, first_places, &mut column));
+        let Some((back, _, elsewhere_back)) = back else { continue };
+        let mutual = back == i || first_places[back].is_within(&first_places[i], SAME_PLACE_PX);
+        if mutual && clear(distance, elsewhere_back) {
             found.push(Match { first: i as u32, second: j as u32, distance: share });
         }
     }
