@@ -1,10 +1,10 @@
 //! Where a frame might be when prediction has failed.
 //!
 //! Two ways, each bounded in every frame, the first that the search by projection confirms wins:
+//! - by thumbnails: the most similar keyframe's pose, turned by the plane motion between the thumbnails (Klein & Murray 2008,
+//!   section 5): a view near one that is known, however blurred;
 //! - by descriptors (`descriptors`): a pose from the landmarks of a few keyframes, the ones around the last known place first,
-//!   then the ones whose thumbnails are most similar, then all others in turn;
-//! - by thumbnails: the most similar keyframes' poses, turned by the plane motion between the thumbnails (Klein & Murray 2008,
-//!   section 5), for pictures without corners that could be described (heavy blur).
+//!   then the ones whose thumbnails are most similar, then all others in turn.
 //!
 //! The same finds a frame of one map in another (`other_maps`).
 
@@ -59,10 +59,12 @@ impl Relocaliser {
         let Frame { features, map, camera, .. } = *frame;
         let pyramid = &features.pyramid;
         self.look(map, camera, pyramid, last_reference);
+        let similar = self.ranked.iter().take(GUESSES).find_map(|(_, guess)| tracker.relocalise(frame, guess, false));
+        if similar.is_some() {
+            return similar;
+        }
         self.solve_described(map, camera, pyramid, last_reference, features.sequence);
-        let solved = self.solved.iter().take(DESCRIPTOR_GUESSES).map(|s| (s.1, true));
-        let similar = self.ranked.iter().take(GUESSES).map(|r| (r.1, false));
-        solved.chain(similar).find_map(|(guess, precise)| tracker.relocalise(frame, &guess, precise))
+        self.solved.iter().take(DESCRIPTOR_GUESSES).find_map(|(_, guess)| tracker.relocalise(frame, guess, true))
     }
 
     /// Compares thumbnails: the first step in every frame that has lost its place.
@@ -126,12 +128,10 @@ impl Relocaliser {
         self.chosen.extend(similar);
         let likeliest = self.chosen.len();
         in_turn(map, &mut self.next_described, MATCHED_IN_TURN.min(map.keyframes.len()), &mut self.chosen);
-        let mut at = 0;
-        let chosen = self.chosen[..likeliest].to_vec();
-        self.chosen.retain(|id| {
-            at += 1;
-            at <= likeliest || !chosen.contains(id)
-        });
+        let (first, last) = self.chosen.split_at(likeliest);
+        let again: Vec<KeyframeId> = last.iter().filter(|id| !first.contains(id)).copied().collect();
+        self.chosen.truncate(likeliest);
+        self.chosen.extend(again);
     }
 }
 
