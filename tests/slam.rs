@@ -48,7 +48,7 @@ fn run(config: &SimulatorConfig, frames: u64, mut edit: impl FnMut(u64, &mut Gre
     reconstruction.take_trajectory_events(&mut events);
     let mut known: BTreeMap<_, _> = reconstruction.keyframe_poses().into_iter().collect();
     for event in events.iter().rev() {
-        if let TrajectoryEvent::KeyframeRemoved { keyframe, parent, parent_from_keyframe } = event
+        if let TrajectoryEvent::KeyframeRemoved { keyframe, parent, parent_from_keyframe, .. } = event
             && let Some(pose) = known.get(parent).copied()
         {
             let moved = pose.relabel::<World, cairn::geometry::frames::Keyframe>() * *parent_from_keyframe;

@@ -17,7 +17,9 @@ pub fn advice(fault: &str) -> &'static str {
         "BAD_TIMESTAMP" => "the driver's clock jumps: another camera or kernel, if it does not stay rare",
         "STALLED_STAGE" => "a stage hangs, the record that follows names it; the watchdog starts the daemon anew",
         "MAPPING_LATE" => "the map is adjusted too late: lower reconstruction.adjusted_keyframes",
-        "LOST" => "go back to where the camera has been; after reconstruction.lost_frames a new map begins",
+        "LOST" => {
+            "go back to where the camera has been, or move on: a new map begins, and is joined to this one when it is seen again"
+        }
         "SAVE_FAILED" => "look at free space and permissions of the file that the record before names",
         "LOW_RATE" => {
             "the camera gives fewer frames than it granted: more light, camera.dynamic_rate = false, a fixed exposure"

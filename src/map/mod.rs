@@ -13,10 +13,10 @@ use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
 use crate::features::descriptor::Descriptor;
 use crate::features::thumbnail::Thumbnail;
-use crate::geometry::sim3::Sim3;
-use crate::geometry::{CameraModel, Se3};
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, World};
+use crate::geometry::sim3::Sim3;
+use crate::geometry::{CameraModel, Se3};
 use crate::image::Pyramid;
 pub use snapshot::{KeyframeView, LandmarkView, MapSnapshot, largest_sigma};
 use store::Store;
@@ -459,7 +459,7 @@ mod tests {
             map.keyframe(k).unwrap().camera_from_world.transform(&map.landmark(id).unwrap().position)
         };
         let before = seen.map(|(k, _)| from_camera(&old, k));
-        let rigid: Se3<World, World> = pose(&mut random);
+        let rigid = pose(&mut random).relabel::<World, World>();
         let mut young = old.successor();
         old.transform(&Sim3::new(2.5, rigid.rotation, rigid.translation));
         for ((k, _), before) in seen.iter().zip(before) {

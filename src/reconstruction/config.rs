@@ -43,7 +43,7 @@ pub struct ReconstructionConfig {
     pub start_flow_px: f64,
     /// Landmarks that a start needs. 20..=500.
     pub start_landmarks: usize,
-    /// Frames that may be lost in a row before a new map is begun, at the most: no more than the map was tracked for. 1..=1000.
+    /// Frames that may be lost in a row before a new map may begin beside this one: no more than the map was tracked for. 1..=1000.
     pub lost_frames: u64,
 }
 
@@ -69,7 +69,7 @@ impl Default for ReconstructionConfig {
             redundant_share: 0.9,
             start_flow_px: 5.0,
             start_landmarks: 50,
-            lost_frames: 60,
+            lost_frames: 15,
         }
     }
 }

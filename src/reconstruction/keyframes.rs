@@ -405,7 +405,10 @@ pub fn cull_keyframes(
             .filter(|o| map.landmark(o.landmark).is_some_and(|l| l.observers.len() >= 4))
             .count();
         let over = map.keyframes.len() > config.max_keyframes;
-        if total > 0 && (redundant as f64 > config.redundant_share * total as f64 || over) && remove((map, map_id), id, events) {
+        if total > 0
+            && (redundant as f64 > config.redundant_share * total as f64 || over)
+            && remove((map, map_id), id, events)
+        {
             culled += 1;
         }
     }

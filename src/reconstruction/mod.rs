@@ -381,7 +381,8 @@ impl Reconstruction {
         self.reference = id;
         self.scale_doubt.follow(&self.map);
         self.counters.landmarks_culled += keyframes::cull_landmarks(&mut self.map, id);
-        self.counters.keyframes_culled += keyframes::cull_keyframes((&mut self.map, self.map_id), id, &self.config, &mut self.events);
+        self.counters.keyframes_culled +=
+            keyframes::cull_keyframes((&mut self.map, self.map_id), id, &self.config, &mut self.events);
         self.unadjusted = Some(id);
         self.recognise(features, id);
     }

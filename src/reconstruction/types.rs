@@ -56,7 +56,12 @@ pub enum TrajectoryEvent {
     /// A frame was tracked (or solved afterwards): its pose relative to a keyframe, which later adjustments move.
     Pose { timestamp_ns: i64, map: MapId, keyframe: KeyframeId, keyframe_from_camera: Se3<Keyframe, Camera> },
     /// `keyframe` was culled; poses that refer to it now hang on `parent`.
-    KeyframeRemoved { map: MapId, keyframe: KeyframeId, parent: KeyframeId, parent_from_keyframe: Se3<Keyframe, Keyframe> },
+    KeyframeRemoved {
+        map: MapId,
+        keyframe: KeyframeId,
+        parent: KeyframeId,
+        parent_from_keyframe: Se3<Keyframe, Keyframe>,
+    },
     /// Its map has ended; this is the keyframe's last pose.
     KeyframeRetired { keyframe: KeyframeId, world_from_camera: Se3<World, Camera> },
     /// `map` was recognised from `into` and is a part of it from here on; `scale`: its unit in the other's.

@@ -10,10 +10,13 @@ pub mod cases;
 pub mod consistency;
 pub mod drive;
 
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::{Outcome, Reference, evaluate};
 use crate::features::FeaturesConfig;
+use crate::map::MapId;
 use crate::reconstruction::ReconstructionConfig;
 use crate::trajectory::TumPose;
 use cases::{Case, Expectation};
@@ -113,8 +116,15 @@ fn quantile(mut values: Vec<f64>, share: f64) -> Option<f64> {
 
 fn figures(case: &Case, seconds: f64, run: &Run) -> CaseResult {
     let records = &run.records;
+    // As they were published, poses of different maps are unrelated: those of the map with the most.
+    let mut poses_of_map = BTreeMap::<MapId, usize>::new();
+    for r in records.iter().filter(|r| r.estimate.world_from_camera.is_some()) {
+        *poses_of_map.entry(r.estimate.map).or_default() += 1;
+    }
+    let largest = poses_of_map.iter().max_by_key(|(map, poses)| (**poses, Reverse(**map))).map(|(map, _)| *map);
     let live: Vec<TumPose> = records
         .iter()
+        .filter(|r| Some(r.estimate.map) == largest)
         .filter_map(|r| {
             Some(TumPose { timestamp_ns: r.timestamp_ns, world_from_camera: r.estimate.world_from_camera? })
         })

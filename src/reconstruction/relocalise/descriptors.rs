@@ -16,8 +16,8 @@
 use nalgebra::Vector2;
 
 use crate::features::Corner;
-use crate::features::gradients::{GradientDescriptor, GradientMap};
 use crate::features::fast::FastDetector;
+use crate::features::gradients::{GradientDescriptor, GradientMap};
 use crate::features::matching::{Place, PlaceMatching, match_places};
 use crate::features::spread::Spread;
 use crate::geometry::CameraModel;
