@@ -241,7 +241,7 @@ simd_kernel! {
 
 #[inline(always)]
 fn row_body(above: &[f32], row: &[f32], below: &[f32], size: &mut [f32], angle: &mut [f32]) {
-    let inner = row.len().saturating_sub(2);
+    let Some(inner) = row.len().checked_sub(2).filter(|n| *n > 0) else { return };
     let (above, below) = (&above[1..1 + inner], &below[1..1 + inner]);
     let (left, right) = (&row[..inner], &row[2..2 + inner]);
     let (size, angle) = (&mut size[1..1 + inner], &mut angle[1..1 + inner]);

@@ -76,6 +76,7 @@ pub struct Keyframe {
     /// Sequence number of the frame.
     pub sequence: u64,
     pub timestamp_ns: i64,
+    /// The map that it was made in; it may have been joined to another since.
     pub map: MapId,
     pub camera_from_world: Se3<Camera, World>,
     /// How the camera moved then, if that is known.

@@ -7,8 +7,9 @@ use super::Reconstruction;
 use super::local_adjustment::{MappingJob, Merge};
 use crate::map::KeyframeId;
 
-/// Keyframes up to which the whole map is adjusted.
+/// Keyframes up to which the whole map is adjusted, and once when another was joined to it.
 const WHOLE_LIMIT: usize = 120;
+const JOINED_LIMIT: usize = 240;
 
 /// Between frames this far apart, ns, an adjustment has long been done (three frames of a usual camera): it is merged before the next one is
 /// tracked. A walk at 5 Hz sees a landmark in four or five frames; with a map adjusted three frames late it has lost most of them.
@@ -22,7 +23,8 @@ impl Reconstruction {
         {
             self.unadjusted = None;
             let keyframes = self.map.keyframes.len();
-            let job = if keyframes >= self.next_whole && keyframes <= WHOLE_LIMIT {
+            let limit = if self.next_whole == 0 { JOINED_LIMIT } else { WHOLE_LIMIT };
+            let job = if keyframes >= self.next_whole && keyframes <= limit {
                 self.next_whole = self.intrinsics.next_whole(keyframes);
                 self.intrinsics.whole_job(
                     &self.map,

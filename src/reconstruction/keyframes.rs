@@ -94,6 +94,8 @@ pub struct NewKeyframe<'a> {
 
 /// The newest keyframes are not culled: the local adjustment still gains by them.
 const YOUNG_KEYFRAMES: u32 = 12;
+/// Of a map that is too large, as one that was joined may be, so many keyframes go with each new one: what it was joined by is needed yet.
+const MOST_AT_ONCE: u64 = 2;
 /// Radius within which a track and a found landmark are the same corner, px.
 pub(super) const SAME_CORNER_PX: f32 = 2.0;
 /// A track that has left its landmark's found place by more than this has drifted, px.
@@ -101,7 +103,7 @@ const DRIFTED_PX: f32 = 3.0;
 /// How far refinement may move a seed's tracked place, px.
 pub(super) const SEED_REFINE_PX: f64 = 2.0;
 
-fn observe_match(camera: &CameraModel, m: &Match) -> Option<Observation> {
+pub(super) fn observe_match(camera: &CameraModel, m: &Match) -> Option<Observation> {
     let o = observe(camera, m.landmark, m.pixel, m.inv_sigma_px)?;
     Some(Observation { displacement: m.displacement, ..o })
 }
@@ -404,7 +406,7 @@ pub fn cull_keyframes(
             .iter()
             .filter(|o| map.landmark(o.landmark).is_some_and(|l| l.observers.len() >= 4))
             .count();
-        let over = map.keyframes.len() > config.max_keyframes;
+        let over = map.keyframes.len() > config.max_keyframes && culled < MOST_AT_ONCE;
         if total > 0
             && (redundant as f64 > config.redundant_share * total as f64 || over)
             && remove((map, map_id), id, events)

@@ -87,19 +87,19 @@ impl MappingJob {
             free.iter().map(|&k| (k, false)).chain(votes.iter().map(|v| (v.0, true))).collect();
         keyframes.sort_unstable();
         if votes.is_empty() {
-            // Nobody outside holds the problem: the oldest does.
-            keyframes.first_mut()?.1 = true;
+            // Nobody outside holds the problem.
+            hold_oldest(map, newest, &mut keyframes)?;
         }
         let options = BundleOptions { steps: [config.adjustment_steps; 2], ..BundleOptions::default() };
         Self::build(map, &keyframes, landmarks, newest, camera, readout, options)
     }
 
-    /// The whole map, its first keyframe held.
+    /// The whole map, its first keyframe held (of a map that others were joined to: its own first).
     pub fn whole(map: &Map, camera: &CameraModel, readout: Readout, steps: usize) -> Option<Self> {
         let mut keyframes: Vec<(KeyframeId, bool)> =
             map.keyframes.iter().map(|(id, _)| (KeyframeId(id), false)).collect();
-        keyframes.first_mut()?.1 = true;
         let newest = keyframes.last()?.0;
+        hold_oldest(map, newest, &mut keyframes)?;
         let landmarks = map.landmarks.iter().map(|(id, _)| LandmarkId(id)).collect();
         let options = BundleOptions { steps: [steps; 2], relative_gain: 1e-5, ..BundleOptions::default() };
         Self::build(map, &keyframes, landmarks, newest, camera, readout, options)
@@ -186,6 +186,13 @@ impl MappingJob {
         let report = self.problem.adjust(&self.options);
         MappingResult { job: self, report }
     }
+}
+
+/// Holds the oldest keyframe that was made in the same map as the newest: what others brought along follows.
+fn hold_oldest(map: &Map, newest: KeyframeId, keyframes: &mut [(KeyframeId, bool)]) -> Option<()> {
+    let own = map.keyframe(newest)?.map;
+    keyframes.iter_mut().find(|(id, _)| map.keyframe(*id).is_some_and(|k| k.map == own))?.1 = true;
+    Some(())
 }
 
 /// How an observation's undistorted place answers to log focal length, principal point (px) (of any lens) and k1 k2 p1 p2: by

@@ -17,6 +17,7 @@ mod frame;
 mod free_rotation;
 pub mod initialise;
 mod intrinsics;
+mod joining;
 pub mod keyframes;
 pub mod local_adjustment;
 mod newcomers;
@@ -47,7 +48,7 @@ use initialise::Initialiser;
 use intrinsics::Intrinsics;
 use keyframes::{KeyframeInputs, NewKeyframe};
 use local_adjustment::{Merge, WHOLE_FIRST};
-use other_maps::{OtherMaps, WORTH_KEEPING};
+use other_maps::{OtherMaps, WORTH_KEEPING, retire};
 use relocalise::Relocaliser;
 use rolling_shutter::Shutter;
 use scale_doubt::ScaleDoubt;
@@ -486,12 +487,4 @@ impl Reconstruction {
     pub fn readout_s(&self) -> f64 {
         self.shutter.readout_s
     }
-}
-
-/// A map has ended: the last poses of its keyframes.
-fn retire(map: &Map, events: &mut Vec<TrajectoryEvent>) {
-    events.extend(map.keyframes.iter().map(|(id, k)| TrajectoryEvent::KeyframeRetired {
-        keyframe: KeyframeId(id),
-        world_from_camera: k.camera_from_world.inverse(),
-    }));
 }

@@ -20,6 +20,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
+use crate::geometry::sim3::Sim3;
 use crate::map::{KeyframeId, Map, TurnId};
 
 /// Standard deviation of the length of a step that assumed distances tell, as a share of it. Behind ten simulated turns of 90 and 180
@@ -74,20 +75,31 @@ impl ScaleDoubt {
         Some(id)
     }
 
-    /// Takes over the turns of another map, which is about to be a part of this one, and marks its keyframes with their new numbers. Of
-    /// more than there is room for the scale is believed.
-    pub fn absorb(&mut self, other: &Self, map: &mut Map) {
+    /// Takes over the turns of another map, which lies in this one's frame by `present_from_other` and is about to be a part of it, and marks
+    /// its keyframes with their new numbers. `through`: the turn that the ratio of both units came through; what had the scale of the other's
+    /// start has that one's. Of more turns than there is room for the scale is believed.
+    pub fn absorb(
+        &mut self,
+        other: &Self,
+        map: &mut Map,
+        present_from_other: &Sim3<World, World>,
+        through: Option<TurnId>,
+    ) {
         let first = self.turns.len();
-        let renumbered = |id: TurnId| {
-            let id = first + usize::from(id.0);
-            u16::try_from(id).ok().filter(|_| id < MAX_TURNS).map(TurnId)
+        let renumbered = |id: Option<TurnId>| match id.map(|id| first + usize::from(id.0)) {
+            Some(id) if id < MAX_TURNS => u16::try_from(id).ok().map(TurnId),
+            Some(_) => None,
+            None => through,
         };
-        let renewed = |turn: &Turn| Turn { before: turn.before.and_then(renumbered), ..*turn };
-        self.turns.extend(other.turns.iter().map(renewed).take(MAX_TURNS - first.min(MAX_TURNS)));
+        let renewed = |turn: &Turn| Turn {
+            centre: present_from_other.transform(&turn.centre),
+            before: renumbered(turn.before),
+            ..*turn
+        };
+        self.turns.extend(other.turns.iter().map(renewed).take(MAX_TURNS - first));
         for (_, keyframe) in map.keyframes.iter_mut() {
-            keyframe.scale_from = keyframe.scale_from.and_then(renumbered);
+            keyframe.scale_from = renumbered(keyframe.scale_from);
         }
-        self.follow(map);
     }
 
     /// Takes over where the turns are now, as long as their keyframes are there.

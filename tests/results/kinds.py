@@ -121,6 +121,12 @@ def lenses(data, names, output):
                   "ATE m", "calibrated coverage %", "coverage %"], rows)
 
 
+def recovery(data, short):
+    names = recordings(data)
+    return [Step("Frames cut out", f"tests/results/recovery.py {'11' if short else '11-14'} {places(names[:1] if short else names)}",
+                 "5 to 60 frames are missing at seeded places; came back: by ground truth half of the picture was seen before.")]
+
+
 def simulator(data, short):
     cases = "cairn evaluate --simulator"
     if short:
@@ -315,6 +321,7 @@ def builds(data, short):
 
 KINDS = {
     "sequences": Kind("Recorded sequences", "4 min", sequences),
+    "recovery": Kind("Lost, and found again", "6 min", recovery),
     "simulator": Kind("Hard cases in the simulator", "6 min", simulator),
     "simulator_long": Kind("Hard cases in the simulator, long form", "1 h", simulator_long),
     "drives": Kind("Simulated drives", "5 min", drives),

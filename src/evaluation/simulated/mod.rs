@@ -31,7 +31,7 @@ pub struct CaseResult {
     pub seed: u64,
     pub seconds: f64,
     pub frames: usize,
-    /// Of all frames, the share with a pose in the trajectory, and with one that was published at once.
+    /// Of all frames, the share with a pose in the trajectory, and with one that was published at once, of the map with the most of these.
     pub coverage_percent: f64,
     pub live_percent: f64,
     /// Until the first published pose, s.
