@@ -327,4 +327,26 @@ mod tests {
         torn.sightings[1].found.drain(..20);
         assert!(told(&torn).is_none(), "depths that have nothing in common");
     }
+
+    #[test]
+    fn as_many_maps_are_kept_as_there_is_room_for_and_the_smallest_go() {
+        let map = |id: u32, keyframes: usize| {
+            let mut map = Map::default();
+            (0..keyframes).for_each(|_| {
+                map.add_keyframe(keyframe(Se3::identity()));
+            });
+            let (reference, scale_doubt) = (KeyframeId(0), ScaleDoubt::default());
+            OtherMap { map, id: MapId(id), reference, scale_doubt, map_frames: 100, sightings: Vec::new() }
+        };
+        let mut others = OtherMaps::default();
+        for (id, keyframes) in [(0, 5), (1, 9), (2, 7), (3, 6)] {
+            assert!(others.keep(map(id, keyframes), 40).is_empty());
+        }
+        let sizes = |gone: &[Map]| gone.iter().map(|m| m.keyframes.len()).collect::<Vec<_>>();
+        assert_eq!(sizes(&others.keep(map(4, 8), 40)), [5], "a fifth");
+        assert_eq!(sizes(&others.keep(map(5, 30), 40)), [6, 7, 8], "54, 47; 39 have room");
+        let kept: Vec<u32> = others.kept.iter().map(|other| other.id.0).collect();
+        assert_eq!(kept, [1, 5], "in the order in which they were lost");
+        assert_eq!(sizes(&others.keep(map(6, 50), 40)), [9, 30], "the last one stays, however large");
+    }
 }

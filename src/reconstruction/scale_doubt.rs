@@ -125,3 +125,46 @@ impl ScaleDoubt {
         sum
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::map::{Keyframe, MapId};
+    use nalgebra::UnitQuaternion;
+
+    fn keyframe(scale_from: Option<TurnId>) -> Keyframe {
+        Keyframe {
+            sequence: 0,
+            timestamp_ns: 0,
+            map: MapId(0),
+            camera_from_world: Se3::identity(),
+            motion: None,
+            pyramid: Default::default(),
+            thumbnail: Default::default(),
+            scale_from,
+            observations: Vec::new(),
+            covisible: Vec::new(),
+            corners: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn a_joined_maps_scale_came_through_its_own_turns_and_the_one_that_told_the_ratio() {
+        let (mut present, mut other) = (Map::default(), Map::default());
+        let (mut doubt, mut others) = (ScaleDoubt::default(), ScaleDoubt::default());
+        let here = present.add_keyframe(keyframe(None));
+        let through = doubt.add(&present, here, None);
+        let start = other.add_keyframe(keyframe(None));
+        let turn = others.add(&other, start, None);
+        let behind = other.add_keyframe(keyframe(turn));
+        let present_from_other = Sim3::new(2.0, UnitQuaternion::identity(), Vector3::new(0.0, 0.0, 5.0));
+        doubt.absorb(&others, &mut other, &present_from_other, through);
+        assert_eq!(other.keyframe(start).and_then(|k| k.scale_from), through);
+        assert_eq!(other.keyframe(behind).and_then(|k| k.scale_from), Some(TurnId(1)));
+        // The present map's turn lies 2 from the camera, the other's, carried over to z = 5, 3.
+        let pose = Se3::new(UnitQuaternion::identity(), Vector3::new(0.0, 0.0, -2.0));
+        let variance = |id| doubt.covariance(&Map::default(), TurnId(id), &pose)[(2, 2)];
+        assert!((variance(0) - 4.0 * SCALE_SIGMA.powi(2)).abs() < 1e-12);
+        assert!((variance(1) - (9.0 + 4.0) * SCALE_SIGMA.powi(2)).abs() < 1e-12);
+    }
+}

@@ -147,14 +147,18 @@ def main():
         sys.exit(__doc__)
     first, _, last = sys.argv[1].partition("-")
     seeds = range(int(first), int(last or first) + 1)
-    print("| recording | cuts | came back | known within 3 frames | within 60 | one trajectory in the end | wrong | not counted: lost before |")
-    print("|---|---:|---:|---:|---:|---:|---:|---:|")
-    total, depths = [0] * 7, {}
+    print("| recording | cuts | came back | known within 3 frames | within 60 | wrong | not judged | one trajectory in the end | "
+          "not counted: lost before |")
+    print("|---|---:|---:|---:|---:|---:|---:|---:|---:|")
+    total, depths = [0] * 8, {}
     for folder in map(pathlib.Path, sys.argv[2:]):
         found = [case for seed in seeds for case in cases(folder, seed, whole(folder, depths))]
         told = [case for kind, case in found if kind == "came back"]
-        row = [len(found), len(told), sum(w < SOON for w, _, _ in told), sum(w < LATE for w, _, _ in told), sum(one for _, _, one in told),
-               sum(e is not None and e > WRONG for _, e, _ in told), sum(kind == "lost before" for kind, _ in found)]
+        right = [waited for waited, error, _ in told if error is not None and error <= WRONG]
+        row = [len(found), len(told), sum(w < SOON for w in right), sum(w < LATE for w in right),
+               sum(error is not None and error > WRONG for _, error, _ in told),
+               sum(error is None and waited < math.inf for waited, error, _ in told), sum(one for _, _, one in told),
+               sum(kind == "lost before" for kind, _ in found)]
         print(f"| {folder.name} | {' | '.join(map(str, row))} |", flush=True)
         total = [a + b for a, b in zip(total, row)]
     print(f"| all | {' | '.join(map(str, total))} |")
