@@ -10,8 +10,9 @@ use cairn::geometry::alignment::align;
 use cairn::geometry::frames::{Camera, World};
 use cairn::image::GreyImage;
 use cairn::reconstruction::{
-    Counters, InlineWorker, PoseEstimate, Reconstruction, ReconstructionConfig, TrackingState, TrajectoryEvent,
+    Counters, InlineWorker, PoseEstimate, Reconstruction, ReconstructionConfig, TrackingState,
 };
+use cairn::trajectory::{TrajectorySpool, read_tum};
 
 struct Run {
     estimates: Vec<PoseEstimate>,
@@ -23,7 +24,16 @@ struct Run {
 }
 
 /// Lock-step over `frames` pictures; `edit` may spoil each one.
-fn run(config: &SimulatorConfig, frames: u64, mut edit: impl FnMut(u64, &mut GreyImage)) -> Run {
+fn run(config: &SimulatorConfig, frames: u64, edit: impl FnMut(u64, &mut GreyImage)) -> Run {
+    run_in_order(config, 0..frames, edit)
+}
+
+/// The same with the simulator's pictures in any order, at its rate.
+fn run_in_order(
+    config: &SimulatorConfig,
+    order: impl IntoIterator<Item = u64>,
+    mut edit: impl FnMut(u64, &mut GreyImage),
+) -> Run {
     let mut simulator = Simulator::new(config, Pacing::LockStep).unwrap();
     let camera = simulator.camera_model().clone();
     let mut stage = FeatureStage::new(&FeaturesConfig::default());
@@ -32,13 +42,13 @@ fn run(config: &SimulatorConfig, frames: u64, mut edit: impl FnMut(u64, &mut Gre
     let (mut features, mut feedback, mut picture) =
         (FrameFeatures::default(), Feedback::default(), GreyImage::new(0, 0));
     let (mut estimates, mut events, mut truth) = (Vec::new(), Vec::new(), Vec::new());
-    for sequence in 0..frames {
-        simulator.render(sequence, &mut picture);
+    for (sequence, shown) in (0..).zip(order) {
+        simulator.render(shown, &mut picture);
         edit(sequence, &mut picture);
         stage.step_grey(&picture, &mut features);
         features.sequence = sequence;
         features.timestamp_ns = simulator.timestamp_ns(sequence);
-        truth.push((features.timestamp_ns, simulator.trajectory().pose_at(features.timestamp_ns)));
+        truth.push((features.timestamp_ns, simulator.trajectory().pose_at(simulator.timestamp_ns(shown))));
         estimates.push(reconstruction.track(&features));
         reconstruction.map(&features, &mut feedback);
         stage.feedback(&feedback);
@@ -46,24 +56,13 @@ fn run(config: &SimulatorConfig, frames: u64, mut edit: impl FnMut(u64, &mut Gre
     }
     reconstruction.finish();
     reconstruction.take_trajectory_events(&mut events);
-    let mut known: BTreeMap<_, _> = reconstruction.keyframe_poses().into_iter().collect();
-    for event in events.iter().rev() {
-        if let TrajectoryEvent::KeyframeRemoved { keyframe, parent, parent_from_keyframe, .. } = event
-            && let Some(pose) = known.get(parent).copied()
-        {
-            let moved = pose.relabel::<World, cairn::geometry::frames::Keyframe>() * *parent_from_keyframe;
-            known.insert(*keyframe, moved.relabel());
-        }
-    }
-    let mut trajectory = BTreeMap::new();
-    for event in &events {
-        if let TrajectoryEvent::Pose { timestamp_ns, keyframe, keyframe_from_camera, .. } = event
-            && let Some(pose) = known.get(keyframe)
-        {
-            let pose = pose.relabel::<World, cairn::geometry::frames::Keyframe>() * *keyframe_from_camera;
-            trajectory.insert(*timestamp_ns, pose);
-        }
-    }
+    let folder = tempfile::tempdir().unwrap();
+    let mut spool = TrajectorySpool::create(folder.path()).unwrap();
+    events.iter().for_each(|event| spool.record(event).unwrap());
+    let path = folder.path().join("trajectory.txt");
+    let written = spool.write_tum(&path, &reconstruction.keyframe_poses()).unwrap();
+    let poses = if written.poses_written > 0 { read_tum(&path).unwrap() } else { Vec::new() };
+    let trajectory = poses.iter().map(|p| (p.timestamp_ns, p.world_from_camera)).collect();
     Run { estimates, trajectory, truth, counters: reconstruction.counters(), readout_s: reconstruction.readout_s() }
 }
 
@@ -118,7 +117,8 @@ fn every_published_pose_rests_on_enough_landmarks_and_no_other_frame_has_one() {
 #[test]
 fn two_runs_give_the_same_bits() {
     let bits = |run: &Run| -> Vec<u64> {
-        let poses = run.trajectory.values().flat_map(|p| {
+        let published = run.estimates.iter().filter_map(|e| e.world_from_camera.as_ref());
+        let poses = published.chain(run.trajectory.values()).flat_map(|p| {
             p.translation.iter().chain(p.rotation.coords.iter()).map(|v| v.to_bits()).collect::<Vec<_>>()
         });
         poses.collect()
@@ -154,6 +154,43 @@ fn a_covered_lens_is_told_as_lost_and_found_again_in_the_same_map() {
     assert_eq!((run.counters.resets, run.estimates[199].reset_counter), (0, 0));
     let (_, error) = judge(&run);
     assert!(error < 0.02, "error {error} of the path");
+}
+
+#[test]
+fn a_view_that_comes_back_upside_down_is_known() {
+    // The principal point is the picture's middle, so a camera that rolls by 180 degrees sees this.
+    let config = SimulatorConfig { seed: 3, ..SimulatorConfig::ideal(Scenario::HandHeld) };
+    let run = run(&config, 160, |sequence, picture| {
+        if sequence >= 130 {
+            picture.data.reverse();
+        }
+    });
+    let states: Vec<TrackingState> = run.estimates.iter().map(|e| e.state).collect();
+    let back = states[130..].iter().position(|s| *s == TrackingState::Tracking);
+    assert!(back.is_some_and(|frames| frames < 3), "known after {back:?} frames");
+    assert_eq!(run.counters.resets, 0);
+    let turned = |i: usize| run.estimates[i].world_from_camera.map(|p| p.rotation);
+    let roll = turned(129).zip(turned(140)).map(|(a, b)| a.angle_to(&b));
+    assert!(roll.is_some_and(|angle| angle > 3.0), "rolled by {roll:?} rad");
+}
+
+#[test]
+fn a_map_that_was_lost_is_joined_when_its_place_is_seen_again() {
+    let config = SimulatorConfig { seed: 3, ..SimulatorConfig::ideal(Scenario::RoomTour) };
+    // Carried off to another part of the room, and from there back to where it was.
+    let run = run_in_order(&config, (0..120).chain((90..330).rev()), |_, _| {});
+    let (coverage, error) = judge(&run);
+    let Counters { resets, maps_joined, .. } = run.counters;
+    assert_eq!((resets, maps_joined), (1, 1));
+    assert_eq!(run.estimates.last().map(|e| (e.map.0, e.reset_counter)), Some((1, 1)), "the numbers do not go back");
+    assert!(coverage > 0.9, "one trajectory: {coverage}");
+    assert!(error < 0.02, "error {error} of the path");
+    // Nothing jumps at the join: from frame to frame the pose moves as the camera does.
+    let published: Vec<_> = run.estimates.iter().filter(|e| e.map.0 == 1).filter_map(|e| e.world_from_camera).collect();
+    let steps: Vec<f64> = published.windows(2).map(|w| (w[1].translation - w[0].translation).norm()).collect();
+    let mean = steps.iter().sum::<f64>() / steps.len() as f64;
+    let longest = steps.iter().copied().fold(0.0, f64::max);
+    assert!(longest < 6.0 * mean, "a step of {longest}, {mean} on average");
 }
 
 #[test]
