@@ -50,6 +50,8 @@
 //!   the axis of a wide-angle lens; errors on it are weighed by the lens's own pixels there ([`geometry::CameraModel::pixel_scale`]).
 //! - A frame that prediction cannot place, or only weakly, is looked for at once by thumbnails and descriptors (P3P) in a bounded number of
 //!   keyframes; near the frame before, half the landmarks are asked for that a place anywhere in the map needs.
+//! - A map that was lost is kept while the next one grows, recognised from its keyframes as a lost frame is, and joined to it: the old one is
+//!   carried over into the present one, so that no published pose jumps and neither map number nor reset counter goes back.
 //!
 //! # Invariants
 //! 1. [`messages`] and [`client`] build alone (`default-features = false, features = ["client"]`).
