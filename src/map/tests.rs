@@ -1,0 +1,116 @@
+use super::*;
+use crate::geometry::random::Random;
+
+fn keyframe(landmarks: &[u32]) -> Keyframe {
+    Keyframe {
+        sequence: 0,
+        timestamp_ns: 0,
+        map: MapId(0),
+        camera_from_world: Se3::identity(),
+        motion: None,
+        pyramid: Arc::default(),
+        thumbnail: Thumbnail::default(),
+        scale_from: None,
+        observations: landmarks.iter().map(|&l| observation(l)).collect(),
+        covisible: Vec::new(),
+        corners: Vec::new(),
+    }
+}
+
+fn observation(landmark: u32) -> Observation {
+    Observation {
+        landmark: LandmarkId(landmark),
+        pixel: Vector2::zeros(),
+        normalised: Vector2::zeros(),
+        displacement: Vector2::zeros(),
+        inv_sigma_px: 1.0,
+        normalised_from_pixel: Matrix2::identity(),
+    }
+}
+
+fn landmark() -> Landmark {
+    Landmark {
+        position: Vector3::zeros(),
+        covariance: Matrix3::zeros(),
+        observers: Vec::new(),
+        created_by: KeyframeId(0),
+        assumed: None,
+        sought: 0,
+        found: 0,
+        disagreed: 0,
+    }
+}
+
+#[test]
+fn a_map_that_is_carried_over_looks_the_same_from_its_cameras() {
+    let mut random = Random::new(11);
+    let pose = |random: &mut Random| {
+        let turn = nalgebra::UnitQuaternion::from_scaled_axis(Vector3::from_fn(|_, _| random.normal()));
+        Se3::new(turn, Vector3::from_fn(|_, _| random.normal()))
+    };
+    let mut old = Map::default();
+    let views = [0, 1].map(|_| Keyframe { camera_from_world: pose(&mut random), ..keyframe(&[]) });
+    let seen = views.map(|view| (old.add_keyframe(view), observation(0)));
+    let place = Landmark { position: Vector3::new(1.0, 2.0, 3.0), covariance: Matrix3::identity(), ..landmark() };
+    let id = old.add_landmark(place, &seen);
+    let from_camera = |map: &Map, k: KeyframeId| {
+        map.keyframe(k).unwrap().camera_from_world.transform(&map.landmark(id).unwrap().position)
+    };
+    let before = seen.map(|(k, _)| from_camera(&old, k));
+    let rigid = pose(&mut random).relabel::<World, World>();
+    let mut young = old.successor();
+    old.transform(&Sim3::new(2.5, rigid.rotation, rigid.translation));
+    for ((k, _), before) in seen.iter().zip(before) {
+        assert!((from_camera(&old, *k) - before * 2.5).norm() < 1e-12);
+    }
+    assert!((old.landmark(id).unwrap().covariance - Matrix3::identity() * 6.25).norm() < 1e-12);
+
+    let own = young.add_keyframe(keyframe(&[]));
+    assert!(seen.iter().all(|(k, _)| *k != own), "ids go on");
+    let another = young.add_keyframe(keyframe(&[]));
+    let twin = young.add_landmark(landmark(), &[(own, observation(0)), (another, observation(0))]);
+    young.absorb(old);
+    assert_eq!((young.keyframes.len(), young.landmarks.len()), (4, 2));
+    young.fuse(twin, id);
+    assert_eq!((young.landmark(id).is_none(), young.landmark(twin).unwrap().observers.len()), (true, 4));
+    young.check_consistency().unwrap();
+    assert_eq!(young.add_keyframe(keyframe(&[])).0, another.0 + 1);
+}
+
+#[test]
+fn random_edits_keep_every_link_mutual_and_counted() {
+    for seed in 0..20u64 {
+        let mut generator = Random::new(seed);
+        let mut random = |n: u32| generator.below(n as usize) as u32;
+        let mut map = Map::default();
+        for step in 0..300 {
+            match random(6) {
+                0 | 1 => {
+                    let next = map.landmarks.next_id();
+                    let seen: Vec<u32> = (0..next).filter(|_| random(3) == 0).collect();
+                    map.add_keyframe(keyframe(&seen));
+                }
+                2 | 3 => {
+                    let keyframes: Vec<_> = map.keyframes.iter().map(|(id, _)| KeyframeId(id)).collect();
+                    if keyframes.len() >= 2 {
+                        let a = keyframes[random(keyframes.len() as u32) as usize];
+                        let b = keyframes[random(keyframes.len() as u32) as usize];
+                        map.add_landmark(landmark(), &[(a, observation(0)), (b, observation(0))]);
+                    }
+                }
+                4 => map.remove_landmark(LandmarkId(random(map.landmarks.next_id().max(1)))),
+                _ => {
+                    let k = KeyframeId(random(map.keyframes.next_id().max(1)));
+                    if random(4) == 0 {
+                        map.remove_keyframe(k);
+                    } else {
+                        map.remove_observation(k, LandmarkId(random(map.landmarks.next_id().max(1))));
+                    }
+                }
+            }
+            if let Err(why) = map.check_consistency() {
+                panic!("seed {seed}, step {step}: {why}");
+            }
+        }
+    }
+}
