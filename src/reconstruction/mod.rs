@@ -4,56 +4,37 @@
 //! the map learns from it). Adjustment runs elsewhere, on copies ([`MappingJob`]), and is merged after a later
 //! frame's pose (or before it, where frames come slowly). In lock-step everything is a function of the input alone.
 
-mod adjustments;
-mod after_turn;
-mod agreement;
-mod assumed_distance;
-pub mod bindings;
-pub mod bundle;
+mod adjust;
 pub mod config;
-mod epipolar;
-mod estimate;
-mod frame;
-mod free_rotation;
-pub mod initialise;
-mod intrinsics;
-mod joining;
-pub mod keyframes;
-pub mod local_adjustment;
-mod newcomers;
-mod other_maps;
-mod point;
-mod pose_information;
-pub mod pose_optimisation;
-mod prediction;
-pub mod relocalise;
-pub mod rolling_shutter;
-mod scale_doubt;
-pub mod search;
-mod seed_rays;
-mod start;
-pub mod tracking;
+mod covariance;
+mod initialise;
+mod keyframe;
+mod measurement;
+mod odometry;
+mod relocalise;
+mod scale_uncertainty;
+mod track;
 pub mod types;
 
+pub use adjust::intrinsics::{FOUND_SIGMA, LensEstimate, LensKnowledge, LensPrior, guessed_camera};
+pub use adjust::job::{InlineWorker, MappingJob, MappingResult, MappingWorker};
 pub use config::ReconstructionConfig;
-pub use intrinsics::{FOUND_SIGMA, LensEstimate, LensKnowledge, LensPrior, guessed_camera};
-pub use local_adjustment::{InlineWorker, MappingJob, MappingResult, MappingWorker};
 pub use types::*;
 
-use assumed_distance::mostly_assumed;
-use bindings::Bindings;
-use epipolar::{EpipolarMatcher, FED, Lens};
-use frame::Frame;
-use initialise::Initialiser;
-use intrinsics::Intrinsics;
-use keyframes::{KeyframeInputs, NewKeyframe};
-use local_adjustment::{Merge, WHOLE_FIRST};
-use other_maps::{OtherMaps, WORTH_KEEPING, retire};
+use adjust::intrinsics::Intrinsics;
+use adjust::job::{Merge, WHOLE_FIRST};
+use initialise::initialiser::Initialiser;
+use keyframe::distance_prior::{self, mostly_assumed};
+use keyframe::epipolar::{EpipolarMatcher, FED, Lens};
+use keyframe::{KeyframeInputs, NewKeyframe};
+use measurement::rolling_shutter::Shutter;
 use relocalise::Relocaliser;
-use rolling_shutter::Shutter;
-use scale_doubt::ScaleDoubt;
-use search::Match;
-use tracking::{Tracked, Tracker};
+use relocalise::other_maps::{OtherMaps, WORTH_KEEPING, retire};
+use scale_uncertainty::ScaleDoubt;
+use track::association::Bindings;
+use track::frame::Frame;
+use track::search::Match;
+use track::{Tracked, Tracker};
 
 use crate::features::{Feedback, FrameFeatures};
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, Odom, World};
@@ -292,13 +273,13 @@ impl Reconstruction {
             frames_since_keyframe: self.frame - self.last_keyframe_frame,
             landmarks: self.inliers.len(),
             reference_landmarks: reference.observations.len(),
-            parallax_deg: keyframes::median_parallax_deg(self.inliers.iter(), &here, &there, &mut self.angles),
+            parallax_deg: keyframe::median_parallax_deg(self.inliers.iter(), &here, &there, &mut self.angles),
             turn_rad: self.last.and_then(|last| last.motion).map_or(0.0, |(step, _)| step.rotation.angle()),
         };
         let is_assumed = |m: &&Match| self.map.landmark(m.landmark).is_some_and(|l| l.assumed.is_some());
         let assumed = self.inliers.iter().filter(is_assumed).count();
         self.turned = mostly_assumed(assumed, inputs.landmarks).then_some(inputs.parallax_deg);
-        keyframes::wants_keyframe(&inputs, &self.config)
+        keyframe::wants_keyframe(&inputs, &self.config)
     }
 
     fn lose(&mut self, features: &FrameFeatures) -> PoseEstimate {
@@ -355,35 +336,29 @@ impl Reconstruction {
             shutter: &self.shutter,
             scale_from: self.map.keyframe(self.reference).and_then(|k| k.scale_from),
             unmeasured: self.turned.is_some(),
-            assumed_distance: assumed_distance::distance_to_assume(&self.inliers, &pose.inverse().translation),
+            assumed_distance: distance_prior::distance_to_assume(&self.inliers, &pose.inverse().translation),
         };
         let before = self.map.landmarks.len();
         let id =
-            keyframes::insert_keyframe(&mut self.map, &mut self.bindings, &new, &self.camera, &self.config, feedback);
+            keyframe::insert_keyframe(&mut self.map, &mut self.bindings, &new, &self.camera, &self.config, feedback);
         if self.turned.is_none() {
             let min_parallax = self.config.min_parallax_deg.to_radians();
-            assumed_distance::triangulate_assumed(
-                &mut self.map,
-                id,
-                &self.camera,
-                self.shutter.readout_s,
-                min_parallax,
-            );
+            distance_prior::triangulate_assumed(&mut self.map, id, &self.camera, self.shutter.readout_s, min_parallax);
         }
         if self.turned.is_none() {
             let first_new = self.map.landmarks.next_id();
             let lens = Lens { camera: &self.camera, config: &self.config, shutter: &self.shutter };
             self.epipolar.complete(&mut self.map, id, &lens);
-            keyframes::bind_new(&self.map, &mut self.bindings, features, id, first_new);
+            keyframe::bind_new(&self.map, &mut self.bindings, features, id, first_new);
         }
         self.counters.keyframes_made += 1;
         self.counters.landmarks_made += (self.map.landmarks.len() - before) as u64;
         self.last_keyframe_frame = self.frame;
         self.reference = id;
         self.scale_doubt.follow(&self.map);
-        self.counters.landmarks_culled += keyframes::cull_landmarks(&mut self.map, id);
+        self.counters.landmarks_culled += keyframe::cull_landmarks(&mut self.map, id);
         self.counters.keyframes_culled +=
-            keyframes::cull_keyframes((&mut self.map, self.map_id), id, &self.config, &mut self.events);
+            keyframe::cull_keyframes((&mut self.map, self.map_id), id, &self.config, &mut self.events);
         self.unadjusted = Some(id);
         self.recognise(features, id);
     }

@@ -9,11 +9,13 @@
 //! The same finds a frame of one map in another (`other_maps`).
 
 mod descriptors;
+pub mod joining;
+pub mod other_maps;
 
 use nalgebra::{UnitQuaternion, Vector3};
 
-use super::frame::Frame;
-use super::tracking::{Guess, Tracked, Tracker};
+use super::track::frame::Frame;
+use super::track::{Guess, Tracked, Tracker};
 use crate::features::thumbnail::{ImageMotion, Thumbnail, ThumbnailAligner};
 use crate::geometry::frames::Camera;
 use crate::geometry::{CameraModel, Se3};
