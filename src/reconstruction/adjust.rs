@@ -6,10 +6,14 @@
 mod bundle;
 pub mod intrinsics;
 pub mod job;
+pub mod mapper;
 
 use super::Reconstruction;
+use super::active_map::ActiveMap;
+use super::optics::Optics;
 use crate::map::KeyframeId;
-use job::{MappingJob, Merge};
+use job::MappingJob;
+use mapper::Merge;
 
 /// Keyframes up to which the whole map is adjusted, and once when another was joined to it.
 const WHOLE_LIMIT: usize = 120;
@@ -22,27 +26,22 @@ const AMPLE_NS: i64 = 110_000_000;
 impl Reconstruction {
     /// Posts a job around the newest keyframe that no adjustment has seen, unless one is under way.
     pub(super) fn post_adjustment(&mut self) {
-        if let Some(newest) = self.unadjusted
-            && self.job_posted.is_none()
-        {
-            self.unadjusted = None;
-            let keyframes = self.map.keyframes.len();
-            let limit = if self.next_whole == 0 { JOINED_LIMIT } else { WHOLE_LIMIT };
-            let job = if keyframes >= self.next_whole && keyframes <= limit {
-                self.next_whole = self.intrinsics.next_whole(keyframes);
-                self.intrinsics.whole_job(
-                    &self.map,
-                    &self.camera,
-                    self.shutter.to_adjust(),
-                    self.config.refine_intrinsics,
-                )
-            } else {
-                MappingJob::local(&self.map, newest, &self.camera, self.shutter.to_adjust(), &self.config)
-            };
-            if let Some(job) = job {
-                self.worker.post(job);
-                self.job_posted = Some(self.frame);
-            }
+        if self.mapper.is_busy() {
+            return;
+        }
+        let Optics { camera, intrinsics, shutter } = &self.optics;
+        let ActiveMap { map, unadjusted, next_whole, .. } = &mut self.active;
+        let Some(newest) = unadjusted.take() else { return };
+        let keyframes = map.keyframes.len();
+        let limit = if *next_whole == 0 { JOINED_LIMIT } else { WHOLE_LIMIT };
+        let job = if keyframes >= *next_whole && keyframes <= limit {
+            *next_whole = intrinsics.next_whole(keyframes);
+            intrinsics.whole_job(map, camera, shutter.to_adjust(), self.config.refine_intrinsics)
+        } else {
+            MappingJob::local(map, newest, camera, shutter.to_adjust(), &self.config)
+        };
+        if let Some(job) = job {
+            self.mapper.post(job, self.counters.frames);
         }
     }
 
@@ -55,32 +54,25 @@ impl Reconstruction {
 
     /// Merges a finished adjustment; lock-step, and the end, wait for one whose time has come.
     pub(super) fn merge_adjustment(&mut self, when: Merge) {
-        let Some(posted) = self.job_posted else { return };
-        let due = self.frame >= posted + self.config.merge_after_frames;
-        if when == Merge::WhenDue && self.lockstep && !due {
-            return;
-        }
-        let Some(result) = self.worker.take(self.lockstep || when == Merge::AtTheEnd) else { return };
-        if !self.lockstep && self.frame > posted + self.config.merge_after_frames {
-            self.counters.adjustments_late += 1;
-        }
-        self.job_posted = None;
+        let taken = self.mapper.take(when, self.counters.frames, self.config.merge_after_frames);
+        let Some((result, late)) = taken else { return };
+        self.counters.adjustments_late += u64::from(late);
         self.counters.adjustments += 1;
-        let Some(lens) = self.intrinsics.judge(&result, &self.camera) else {
+        let Optics { camera, intrinsics, shutter } = &mut self.optics;
+        let ActiveMap { map, odometry, unadjusted, next_whole, .. } = &mut self.active;
+        let Some(lens) = intrinsics.judge(&result, camera) else {
             // A lens that cannot be is not taken over, and its poses and points with it.
-            if self.intrinsics.wants_another() {
-                self.next_whole = 0;
-                self.unadjusted = self.map.keyframes.iter().last().map(|(id, _)| KeyframeId(id));
+            if intrinsics.wants_another() {
+                *next_whole = 0;
+                *unadjusted = map.keyframes.iter().last().map(|(id, _)| KeyframeId(id));
             }
             return;
         };
-        self.shutter.learn(result.readout());
-        let old_from_new = result.merge(&mut self.map);
-        self.intrinsics.merge(&result, lens, &mut self.map, &mut self.camera);
-        if let Some(last) = &mut self.last {
-            last.camera_from_world = last.camera_from_world * old_from_new;
-        }
-        if when != Merge::AtTheEnd && self.intrinsics.wants_restart(&self.camera) {
+        shutter.learn(result.readout());
+        let old_from_new = result.merge(map);
+        intrinsics.merge(&result, lens, map, camera);
+        odometry.correct(&old_from_new);
+        if when != Merge::AtTheEnd && intrinsics.wants_restart(camera) {
             self.reset();
         }
     }

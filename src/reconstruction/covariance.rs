@@ -3,31 +3,29 @@
 use nalgebra::{Matrix6, Vector3};
 
 use super::Reconstruction;
+use super::odometry::Step;
 use super::track::Tracked;
 use super::track::search::Match;
 use super::types::{PoseEstimate, TrackingState};
 use crate::features::FrameFeatures;
-use crate::geometry::Se3;
-use crate::geometry::frames::Camera;
 use crate::map::{KeyframeId, KeyframeView, LandmarkId, LandmarkView, MapSnapshot, largest_sigma};
 
 impl Reconstruction {
     /// Fills `out` with the current map.
     pub fn snapshot(&self, out: &mut MapSnapshot) {
-        out.map = self.map_id;
-        out.revision = self.map.revision;
+        let map = &self.active.map;
+        out.map = self.active.id;
+        out.revision = map.revision;
         out.landmarks.clear();
         // Where the distance is assumed there is no place to publish.
-        out.landmarks.extend(self.map.landmarks.iter().filter(|(_, l)| l.assumed.is_none()).map(|(id, l)| {
-            LandmarkView {
-                id: LandmarkId(id),
-                position_world: l.position,
-                sigma: largest_sigma(&l.covariance) as f32,
-                observations: l.observers.len() as u32,
-            }
+        out.landmarks.extend(map.landmarks.iter().filter(|(_, l)| l.assumed.is_none()).map(|(id, l)| LandmarkView {
+            id: LandmarkId(id),
+            position_world: l.position,
+            sigma: largest_sigma(&l.covariance) as f32,
+            observations: l.observers.len() as u32,
         }));
         out.keyframes.clear();
-        out.keyframes.extend(self.map.keyframes.iter().map(|(id, k)| KeyframeView {
+        out.keyframes.extend(map.keyframes.iter().map(|(id, k)| KeyframeView {
             id: KeyframeId(id),
             timestamp_ns: k.timestamp_ns,
             world_from_camera: k.camera_from_world.inverse(),
@@ -50,8 +48,8 @@ impl Reconstruction {
             landmarks: 0,
             landmarks_sought: 0,
             quality: 0.0,
-            map: self.map_id,
-            reset_counter: self.reset_counter,
+            map: self.active.id,
+            reset_counter: self.reset_counter(),
             keyframe: false,
         }
     }
@@ -60,7 +58,7 @@ impl Reconstruction {
         &self,
         features: &FrameFeatures,
         tracked: &Tracked,
-        motion: Option<&(Se3<Camera, Camera>, f64)>,
+        motion: Option<&Step>,
         keyframe: bool,
     ) -> PoseEstimate {
         // `motion` takes the previous camera's coordinates to this one's; the camera itself moved the other way.
@@ -74,8 +72,8 @@ impl Reconstruction {
         PoseEstimate {
             state: TrackingState::Tracking,
             world_from_camera: Some(tracked.camera_from_world.inverse()),
-            odom_from_camera: Some(self.odom_from_camera),
-            anchor: Some(self.reference),
+            odom_from_camera: Some(self.active.odometry.odom_from_camera),
+            anchor: Some(self.active.reference),
             covariance: self.covariance(tracked, motion.map_or(USUAL_STEP_S, |m| m.1)),
             angular_velocity: angular,
             linear_velocity: linear,
@@ -120,14 +118,14 @@ const GUESSED_LENS_QUALITY: f32 = 0.5;
 
 impl Reconstruction {
     fn lens_quality(&self) -> f32 {
-        if self.intrinsics.is_found() { 1.0 } else { GUESSED_LENS_QUALITY }
+        if self.optics.intrinsics.is_found() { 1.0 } else { GUESSED_LENS_QUALITY }
     }
 
     fn covariance(&self, tracked: &Tracked, step_s: f64) -> Matrix6<f64> {
         let mut covariance = self.covariance_in_map(tracked, step_s);
-        if let Some(turn) = self.map.keyframe(self.reference).and_then(|k| k.scale_from) {
+        if let Some(turn) = self.active.map.keyframe(self.active.reference).and_then(|k| k.scale_from) {
             let mut translation = covariance.fixed_view_mut::<3, 3>(3, 3);
-            translation += self.scale_doubt.covariance(&self.map, turn, &tracked.camera_from_world);
+            translation += self.active.scale.covariance(&self.active.map, turn, &tracked.camera_from_world);
         }
         covariance
     }
@@ -136,9 +134,9 @@ impl Reconstruction {
     fn covariance_in_map(&self, tracked: &Tracked, step_s: f64) -> Matrix6<f64> {
         let unknown = Matrix6::from_element(f64::NAN);
         let Some(inverse) = tracked.information.matrix.cholesky().map(|c| c.inverse()) else { return unknown };
-        let depth = mean_depth(tracked, &self.inliers).unwrap_or(1.0);
+        let depth = mean_depth(tracked, self.tracker.matches()).unwrap_or(1.0);
         let pose = &tracked.camera_from_world;
-        let (angle, way) = self.map.keyframe(self.reference).map_or((0.0, 0.0), |anchor| {
+        let (angle, way) = self.active.map.keyframe(self.active.reference).map_or((0.0, 0.0), |anchor| {
             let step = *pose * anchor.camera_from_world.inverse();
             (step.rotation.angle(), step.translation.norm() / depth)
         });
@@ -149,7 +147,7 @@ impl Reconstruction {
             * (residual_px / USUAL_RESIDUAL_PX).powi(2).max(1.0)
             * (step_s / USUAL_STEP_S).sqrt();
         let pushed = inverse * tracked.information.readout;
-        let mut covariance = inverse * factor + pushed * pushed.transpose() * self.shutter.variance();
+        let mut covariance = inverse * factor + pushed * pushed.transpose() * self.optics.shutter.variance();
         for i in 0..3 {
             covariance[(i, i)] += (BENT * angle).powi(2);
             covariance[(i + 3, i + 3)] += (BENT * angle * depth).powi(2);

@@ -6,17 +6,18 @@ pub mod pure_rotation;
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::Reconstruction;
 use super::adjust::job::MappingJob;
 use super::keyframe::point::refine_point;
 use super::measurement::PosePair;
 use super::measurement::rolling_shutter::Readout;
+use super::odometry::Odometry;
 use super::track::Tracked;
 use super::track::association::{Seed, Target};
 use super::track::frame::Frame;
 use super::track::pose::{PoseOptions, optimise_pose};
 use super::track::search::{SearchOptions, affine_warp, align_template, observe};
 use super::types::{PoseEstimate, TrackingState, TrajectoryEvent};
-use super::{LastFrame, Reconstruction};
 use crate::features::FrameFeatures;
 use crate::features::thumbnail::thumbnail_of;
 use crate::geometry::camera_motion::CameraMotion;
@@ -46,65 +47,63 @@ const REFINE_PX: f64 = 2.0;
 impl Reconstruction {
     /// A frame without a map: perhaps the one that makes it.
     pub(super) fn try_start(&mut self, features: &FrameFeatures) -> PoseEstimate {
-        let starts = self.initialiser.step(features, &self.camera, self.intrinsics.freedom().as_ref(), &self.config);
+        let starts = self.initialiser.step(
+            features,
+            &self.optics.camera,
+            self.optics.intrinsics.freedom().as_ref(),
+            &self.config,
+        );
         self.start_from(&starts, features).unwrap_or_else(|| self.estimate_none(features))
     }
 
     /// Begins a map in place of the present, empty one, if one of the starts holds.
     pub(super) fn start_from(&mut self, starts: &[Start], features: &FrameFeatures) -> Option<PoseEstimate> {
-        let begun = starts.iter().any(|start| {
+        let guess = starts.iter().find_map(|start| {
             let begun = self.build_map(start, features);
-            if !begun {
-                self.map.clear();
-                self.bindings.clear();
+            if begun.is_none() {
+                self.active.clear();
             }
             begun
-        });
-        if !begun {
-            return None;
-        }
+        })?;
         // What the start could not place waits for parallax from here on.
-        let newest = self.reference;
+        let newest = self.active.reference;
         for track in &features.tracks {
-            if self.bindings.get(track.id).is_none() {
-                self.bindings.set(track.id, Target::Seed(Seed::new(newest, track.position)));
+            if self.active.bindings.get(track.id).is_none() {
+                self.active.bindings.set(track.id, Target::Seed(Seed::new(newest, track.position)));
             }
         }
         // The frame itself is placed like any other, so that its covariance and counts are honest.
-        let guess = [self.last.map_or_else(Se3::identity, |l| l.camera_from_world)];
         let frame = Frame {
             features,
-            map: &self.map,
-            bindings: &self.bindings,
-            camera: &self.camera,
+            map: &self.active.map,
+            bindings: &self.active.bindings,
+            camera: &self.optics.camera,
             config: &self.config,
-            shutter: &self.shutter,
-            is_calibrated: self.intrinsics.is_calibrated(),
+            shutter: &self.optics.shutter,
+            is_calibrated: self.optics.intrinsics.is_calibrated(),
             before: None,
             motion: None,
         };
-        let Some(tracked) = self.tracker.track(&frame, self.reference, &guess) else {
-            self.map.clear();
-            self.bindings.clear();
+        let Some(tracked) = self.tracker.track(&frame, self.active.reference, &[guess]) else {
+            self.active.clear();
             self.initialiser.clear();
-            self.last = None;
             return None;
         };
         self.solve_frames_before(features.sequence);
         self.state = TrackingState::Tracking;
-        self.last_keyframe_frame = self.frame;
-        self.counters.keyframes_made += self.map.keyframes.len() as u64;
-        self.counters.landmarks_made += self.map.landmarks.len() as u64;
+        self.active.last_keyframe_frame = self.counters.frames;
+        self.counters.keyframes_made += self.active.map.keyframes.len() as u64;
+        self.counters.landmarks_made += self.active.map.landmarks.len() as u64;
+        self.tracker.keep_inliers();
         let Tracked { camera_from_world, .. } = tracked;
         self.counters.frames_tracked += 1;
-        self.last = Some(LastFrame { timestamp_ns: features.timestamp_ns, camera_from_world, motion: None });
-        self.odom_from_camera = camera_from_world.inverse().relabel();
+        self.active.odometry = Odometry::begin(features.timestamp_ns, camera_from_world);
         self.record_pose(features.timestamp_ns, &camera_from_world);
         Some(self.estimate_tracked(features, &tracked, None, true))
     }
 
-    /// The first keyframes and their landmarks, adjusted; false if too little of it holds.
-    fn build_map(&mut self, start: &Start, features: &FrameFeatures) -> bool {
+    /// The first keyframes and their landmarks, adjusted, and the newest frame's pose; `None` if too little of it holds.
+    fn build_map(&mut self, start: &Start, features: &FrameFeatures) -> Option<Se3<Camera, World>> {
         let mut depths: Vec<f64> = start.points.iter().map(|p| p.point.z).collect();
         depths.sort_unstable_by(f64::total_cmp);
         // The unit of a map is the median depth of its start.
@@ -132,7 +131,7 @@ impl Reconstruction {
             let seen: Vec<_> = views
                 .iter()
                 .filter_map(|&(k, frame)| {
-                    Some((k, observe(&self.camera, LandmarkId::default(), frame.track(track)?, inv_sigma)?))
+                    Some((k, observe(&self.optics.camera, LandmarkId::default(), frame.track(track)?, inv_sigma)?))
                 })
                 .collect();
             let landmark = Landmark {
@@ -146,53 +145,47 @@ impl Reconstruction {
                 disagreed: 0,
             };
             if seen.len() >= 2 {
-                let id = self.map.add_landmark(landmark, &seen);
-                self.bindings.set(track, Target::Landmark(id));
+                let id = self.active.map.add_landmark(landmark, &seen);
+                self.active.bindings.set(track, Target::Landmark(id));
             }
         }
-        if self.adjust_whole().is_none() {
-            return false;
-        }
+        self.adjust_whole()?;
         self.refine_views(a);
         self.note_motion();
-        self.reference = b;
-        let Some((sigma, readout)) = self.adjust_whole() else { return false };
+        self.active.reference = b;
+        let (sigma, readout) = self.adjust_whole()?;
         if sigma > MAX_DIRECTION_SIGMA * (1.0 + start.trying_s / PATIENCE_S).min(LARGEST_RELAXATION) {
-            return false;
+            return None;
         }
-        if self.intrinsics.freedom().is_none() {
+        if self.optics.intrinsics.freedom().is_none() {
             if !self.most_agrees(&views, start.trying_s) {
                 self.initialiser.disagree();
-                return false;
+                return None;
             }
             if !self.initialiser.agree() {
-                return false;
+                return None;
             }
         }
-        self.shutter.learn(&readout);
-        let Some(k) = self.map.keyframe(b) else { return false };
-        self.last = Some(LastFrame {
-            timestamp_ns: features.timestamp_ns,
-            camera_from_world: k.camera_from_world,
-            motion: None,
-        });
-        true
+        self.optics.shutter.learn(&readout);
+        Some(self.active.map.keyframe(b)?.camera_from_world)
     }
 
     /// Enough of the picture agrees with the views' motion for a map to begin.
     fn most_agrees(&self, views: &[(KeyframeId, &PendingFrame)], trying_s: f64) -> bool {
-        let posed: Vec<_> =
-            views.iter().filter_map(|&(k, frame)| Some((frame, self.map.keyframe(k)?.camera_from_world))).collect();
+        let posed: Vec<_> = views
+            .iter()
+            .filter_map(|&(k, frame)| Some((frame, self.active.map.keyframe(k)?.camera_from_world)))
+            .collect();
         let impatience = (trying_s / LENIENT_AFTER_S).min(1.0);
         let needed = AGREEING_SHARE + impatience * (AGREEING_SHARE_LATE - AGREEING_SHARE);
-        agreeing_share(&posed, &self.camera).is_some_and(|share| share >= needed)
+        agreeing_share(&posed, &self.optics.camera).is_some_and(|share| share >= needed)
     }
 
     fn add_view(&mut self, view: &View, camera_from_world: Se3<Camera, World>) -> KeyframeId {
-        self.map.add_keyframe(Keyframe {
+        self.active.map.add_keyframe(Keyframe {
             sequence: view.frame.sequence,
             timestamp_ns: view.frame.timestamp_ns,
-            map: self.map_id,
+            map: self.active.id,
             camera_from_world,
             motion: None,
             thumbnail: thumbnail_of(&view.pyramid),
@@ -207,41 +200,37 @@ impl Reconstruction {
     /// Adjusts the whole (new, small) map at once: how surely the newest camera's direction from the first is known (rad), and the
     /// readout time found with it; `None` if too few landmarks hold.
     fn adjust_whole(&mut self) -> Option<(f64, Readout)> {
-        let result = MappingJob::whole(&self.map, &self.camera, self.shutter.to_adjust(), START_STEPS)?.run();
+        let result =
+            MappingJob::whole(&self.active.map, &self.optics.camera, self.optics.shutter.to_adjust(), START_STEPS)?
+                .run();
         let supported = result.supported_landmarks();
         let (sigma, readout) = (result.direction_sigma(), *result.readout());
-        result.merge(&mut self.map);
+        result.merge(&mut self.active.map);
         (supported >= self.config.start_landmarks).then_some((sigma, readout))
     }
 
     /// Replaces the tracked places in the later views by alignment with the first one's templates: flow drifts.
     fn refine_views(&mut self, first: KeyframeId) {
         let options = SearchOptions { radius_px: REFINE_PX, ..SearchOptions::precise(self.config.sigma_px) };
-        let ids: Vec<LandmarkId> = self.map.landmarks.iter().map(|(id, _)| LandmarkId(id)).collect();
+        let ids: Vec<LandmarkId> = self.active.map.landmarks.iter().map(|(id, _)| LandmarkId(id)).collect();
         for id in ids {
-            let Some(landmark) = self.map.landmark(id) else { continue };
+            let Some(landmark) = self.active.map.landmark(id) else { continue };
             let observers = landmark.observers.clone();
             let mut position = landmark.position;
             for &k in observers.iter().filter(|k| **k != first) {
-                let refined = refine_in_view(&self.map, first, k, id, &self.camera, &options);
-                match (refined, self.map.keyframes.get_mut(k.0)) {
-                    (Some(new), Some(keyframe)) => {
-                        if let Ok(i) = keyframe.observations.binary_search_by_key(&id, |o| o.landmark) {
-                            keyframe.observations[i] = new;
-                        }
-                    }
-                    _ => self.map.remove_observation(k, id),
+                let refined = refine_in_view(&self.active.map, first, k, id, &self.optics.camera, &options);
+                match refined {
+                    Some(new) => self.active.map.replace_observation(k, new),
+                    None => self.active.map.remove_observation(k, id),
                 }
             }
             let seen: Vec<_> =
-                observers.iter().filter_map(|&k| Some((k, *self.map.keyframe(k)?.observation(id)?))).collect();
+                observers.iter().filter_map(|&k| Some((k, *self.active.map.keyframe(k)?.observation(id)?))).collect();
             // With fewer than two views left the landmark is gone already.
             if let Some(covariance) =
-                refine_point(&self.map, &seen, &self.camera, self.shutter.readout_s, &mut position)
-                && let Some(l) = self.map.landmarks.get_mut(id.0)
+                refine_point(&self.active.map, &seen, &self.optics.camera, self.optics.shutter.readout_s, &mut position)
             {
-                l.position = position;
-                l.covariance = covariance;
+                self.active.map.measure_landmark(id, position, covariance);
             }
         }
     }
@@ -249,7 +238,7 @@ impl Reconstruction {
     /// How the camera moved at each view, from the views before and after: a rolling shutter shows it.
     fn note_motion(&mut self) {
         let poses: Vec<_> =
-            self.map.keyframes.iter().map(|(id, k)| (id, k.timestamp_ns, k.camera_from_world)).collect();
+            self.active.map.keyframes.iter().map(|(id, k)| (id, k.timestamp_ns, k.camera_from_world)).collect();
         for (i, &(id, _, pose)) in poses.iter().enumerate() {
             let (before, after) = (&poses[i.saturating_sub(1)], &poses[(i + 1).min(poses.len() - 1)]);
             let dt = (after.1 - before.1) as f64 * 1e-9;
@@ -257,15 +246,11 @@ impl Reconstruction {
                 continue;
             }
             let motion = CameraMotion::over(&(after.2 * before.2.inverse()).relabel(), dt);
-            let Some(keyframe) = self.map.keyframes.get_mut(id) else { continue };
-            keyframe.motion = Some(motion);
-            for o in &mut keyframe.observations {
-                let Some(landmark) = self.map.landmarks.get(o.landmark.0) else { continue };
-                let p = pose.transform(&landmark.position);
-                if p.z > 1e-6 {
-                    o.displacement = self.shutter.displacement(&motion, &p, o.pixel.y);
-                }
-            }
+            let shutter = &self.optics.shutter;
+            self.active.map.set_motion(KeyframeId(id), motion, |point, o| {
+                let p = pose.transform(point);
+                if p.z > 1e-6 { shutter.displacement(&motion, &p, o.pixel.y) } else { o.displacement }
+            });
         }
     }
 
@@ -285,7 +270,7 @@ impl Reconstruction {
         let pending: Vec<PendingFrame> = self.initialiser.pending.drain(..).collect();
         self.initialiser.clear();
         let Some((first, anchor)) =
-            self.map.keyframes.iter().next().map(|(id, k)| (KeyframeId(id), (k.sequence, k.camera_from_world)))
+            self.active.map.keyframes.iter().next().map(|(id, k)| (KeyframeId(id), (k.sequence, k.camera_from_world)))
         else {
             return;
         };
@@ -308,7 +293,7 @@ impl Reconstruction {
             self.counters.frames_tracked += 1;
             self.events.push(TrajectoryEvent::Pose {
                 timestamp_ns,
-                map: self.map_id,
+                map: self.active.id,
                 keyframe: first,
                 keyframe_from_camera,
             });
@@ -316,8 +301,8 @@ impl Reconstruction {
     }
 
     fn solve_pending(&self, frame: &PendingFrame, guess: &Se3<Camera, World>) -> Option<Se3<Camera, World>> {
-        self.solve_pose(frame, guess, |track| match self.bindings.get(track)? {
-            Target::Landmark(id) => Some(self.map.landmark(*id)?.position),
+        self.solve_pose(frame, guess, |track| match self.active.bindings.get(track)? {
+            Target::Landmark(id) => Some(self.active.map.landmark(*id)?.position),
             Target::Seed(_) => None,
         })
     }
@@ -332,8 +317,8 @@ impl Reconstruction {
         let mut pairs = Vec::new();
         for &(track, pixel) in &frame.tracks {
             let Some(point) = position(track) else { continue };
-            let Some(normalised) = self.camera.undistort(&pixel.cast()) else { continue };
-            let pixel_scale = self.camera.pixel_scale(&normalised);
+            let Some(normalised) = self.optics.camera.undistort(&pixel.cast()) else { continue };
+            let pixel_scale = self.optics.camera.pixel_scale(&normalised);
             pairs.push(PosePair { point, normalised, pixel_scale, inv_sigma_px: 1.0 / TRACK_SIGMA_PX });
         }
         let mut inlier = Vec::new();

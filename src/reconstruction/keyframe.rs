@@ -24,7 +24,7 @@ use crate::features::thumbnail::thumbnail_of;
 use crate::features::{Feedback, FrameFeatures};
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
-use crate::geometry::{CameraModel, Se3, median};
+use crate::geometry::{CameraModel, Se3};
 use crate::image::Pyramid;
 use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, MapId, Observation, TurnId};
 use distance_prior::assume;
@@ -61,18 +61,6 @@ pub fn wants_keyframe(inputs: &KeyframeInputs, config: &ReconstructionConfig) ->
     urgent
         || (inputs.landmarks as f64) < config.keyframe_share * expected
         || inputs.parallax_deg > config.keyframe_parallax_deg
-}
-
-/// Median angle (degrees) between the rays to the matches from two centres.
-pub fn median_parallax_deg<'a>(
-    matches: impl Iterator<Item = &'a Match>,
-    here: &Vector3<f64>,
-    there: &Vector3<f64>,
-    buffer: &mut Vec<f64>,
-) -> f64 {
-    buffer.clear();
-    buffer.extend(matches.map(|m| (m.point - here).angle(&(m.point - there))));
-    median(buffer).unwrap_or(0.0).to_degrees()
 }
 
 /// A tracked frame on its way into the map.

@@ -43,21 +43,17 @@ struct Turn {
 
 /// All such turns of the present map.
 #[derive(Debug)]
-pub struct ScaleDoubt {
+pub struct ScaleUncertainty {
     turns: Vec<Turn>,
 }
 
-impl Default for ScaleDoubt {
+impl Default for ScaleUncertainty {
     fn default() -> Self {
         Self { turns: Vec::with_capacity(MAX_TURNS) }
     }
 }
 
-impl ScaleDoubt {
-    pub fn clear(&mut self) {
-        self.turns.clear();
-    }
-
+impl ScaleUncertainty {
     /// A turn at `keyframe`, whose own scale came through `before`: what its next keyframes are to be marked with.
     pub fn add(&mut self, map: &Map, keyframe: KeyframeId, before: Option<TurnId>) -> Option<TurnId> {
         let centre = map.keyframe(keyframe)?.centre();
@@ -97,8 +93,9 @@ impl ScaleDoubt {
             ..*turn
         };
         self.turns.extend(other.turns.iter().map(renewed).take(MAX_TURNS - first));
-        for (_, keyframe) in map.keyframes.iter_mut() {
-            keyframe.scale_from = renumbered(keyframe.scale_from);
+        let keyframes: Vec<_> = map.keyframes.iter().map(|(id, k)| (KeyframeId(id), k.scale_from)).collect();
+        for (id, turn) in keyframes {
+            map.set_scale_origin(id, renumbered(turn));
         }
     }
 
@@ -151,7 +148,7 @@ mod tests {
     #[test]
     fn a_joined_maps_scale_came_through_its_own_turns_and_the_one_that_told_the_ratio() {
         let (mut present, mut other) = (Map::default(), Map::default());
-        let (mut doubt, mut others) = (ScaleDoubt::default(), ScaleDoubt::default());
+        let (mut doubt, mut others) = (ScaleUncertainty::default(), ScaleUncertainty::default());
         let here = present.add_keyframe(keyframe(None));
         let through = doubt.add(&present, here, None);
         let start = other.add_keyframe(keyframe(None));

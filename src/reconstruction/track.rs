@@ -22,9 +22,9 @@ mod seed_rays;
 use nalgebra::{Vector2, Vector3};
 
 use super::measurement::PosePair;
-use crate::geometry::Se3;
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, World};
+use crate::geometry::{Se3, median};
 use crate::map::{KeyframeId, LandmarkId, Map};
 use association::Target;
 use frame::{Frame, is_assumed, landmark_variance, motion_since, without_distance};
@@ -67,7 +67,7 @@ pub struct Guess {
 /// Buffers of tracking, kept between frames.
 #[derive(Debug)]
 pub struct Tracker {
-    pub search: Search,
+    search: Search,
     pairs: Vec<PosePair>,
     inlier: Vec<bool>,
     /// Landmarks of the bound tracks that agree with the prediction, with the track's place in the frame.
@@ -76,6 +76,7 @@ pub struct Tracker {
     /// What `local` was made of.
     local_of: Option<(KeyframeId, u64)>,
     votes: Vec<(KeyframeId, u32)>,
+    angles: Vec<f64>,
     newcomers: Newcomers,
     seeds: SeedRays,
 }
@@ -110,6 +111,7 @@ impl Default for Tracker {
             local: Vec::with_capacity(LOCAL_ROOM),
             local_of: None,
             votes: Vec::with_capacity(1024),
+            angles: Vec::with_capacity(1024),
             newcomers: Newcomers::with_capacity(2048),
             seeds: SeedRays::with_capacity(2048),
         }
@@ -180,6 +182,28 @@ impl Tracker {
             }
         }
         self.votes.iter().max_by_key(|&&(k, n)| (n, k)).map(|v| v.0)
+    }
+
+    /// What was found of the landmarks looked for; after [`keep_inliers`](Self::keep_inliers) all of it agrees with the pose.
+    pub fn matches(&self) -> &[Match] {
+        &self.search.matches
+    }
+
+    /// Landmarks that were looked for and not found.
+    pub fn missed(&self) -> &[LandmarkId] {
+        &self.search.missed
+    }
+
+    /// Forgets what does not agree with the pose.
+    pub fn keep_inliers(&mut self) {
+        self.search.matches.retain(|m| m.inlier);
+    }
+
+    /// Median angle between the rays to the frame's landmarks from two centres, degrees.
+    pub fn median_parallax_deg(&mut self, here: &Vector3<f64>, there: &Vector3<f64>) -> f64 {
+        self.angles.clear();
+        self.angles.extend(self.search.matches.iter().map(|m| (m.point - here).angle(&(m.point - there))));
+        median(&mut self.angles).unwrap_or(0.0).to_degrees()
     }
 
     /// Inlier matches of the last tracked frame.

@@ -4,7 +4,7 @@
 //! (Mur-Artal et al. 2015, section VI-D). What the map gained while the job ran is carried along by the motion of the
 //! newest adjusted keyframe.
 
-use nalgebra::{Matrix3, Vector2, Vector3};
+use nalgebra::{Vector2, Vector3};
 
 use super::bundle::{
     BundleCamera, BundleObservation, BundleOptions, BundleProblem, Shared, SharedJacobian, SharedMatrix, SharedVector,
@@ -34,17 +34,6 @@ pub struct MappingJob {
 #[derive(Debug)]
 pub struct MappingResult {
     job: MappingJob,
-}
-
-/// When an adjustment is merged.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Merge {
-    /// After a published pose: live as soon as it is done, in lock-step a fixed number of frames after it was posted.
-    WhenDue,
-    /// Before a frame that comes long after the last one.
-    BeforeTracking,
-    /// No frame will follow.
-    AtTheEnd,
 }
 
 /// Keyframes at which the whole map is adjusted first; then whenever it has grown by a third, up to the limit.
@@ -229,41 +218,25 @@ impl MappingResult {
         let job = &self.job;
         let after = job.problem.cameras[job.newest].camera_from_world;
         let old_from_new: Se3<World, World> = job.before.inverse() * after;
-        let new_from_old = old_from_new.inverse();
         for (&id, camera) in job.keyframes.iter().zip(&job.problem.cameras) {
-            if let Some(k) = map.keyframes.get_mut(id.0)
-                && !camera.fixed
-                && camera.camera_from_world.is_finite()
-            {
-                k.camera_from_world = camera.camera_from_world;
-            }
-        }
-        for (id, keyframe) in map.keyframes.iter_mut() {
-            if id >= job.next_keyframe {
-                keyframe.camera_from_world = keyframe.camera_from_world * old_from_new;
+            if !camera.fixed && camera.camera_from_world.is_finite() {
+                map.place_keyframe(id, camera.camera_from_world);
             }
         }
         let mut outliers = Vec::new();
         for (i, &id) in job.landmarks.iter().enumerate() {
-            let Some(landmark) = map.landmarks.get_mut(id.0) else { continue };
             let point: Vector3<f64> = job.problem.points[i];
             if !point.iter().all(|v| v.is_finite()) {
                 continue;
             }
-            landmark.position = point;
-            let covariance: Matrix3<f64> = job.problem.point_covariances[i];
-            landmark.covariance = covariance;
+            map.measure_landmark(id, point, job.problem.point_covariances[i]);
             for k in job.problem.first[i] as usize..job.problem.first[i + 1] as usize {
                 if !job.problem.inlier[k] {
                     outliers.push((job.keyframes[job.problem.observations[k].camera as usize], id));
                 }
             }
         }
-        for (id, landmark) in map.landmarks.iter_mut() {
-            if id >= job.next_landmark {
-                landmark.position = new_from_old.transform(&landmark.position);
-            }
-        }
+        map.carry_newer(job.next_keyframe, job.next_landmark, &old_from_new);
         for (keyframe, landmark) in outliers {
             map.remove_observation(keyframe, landmark);
         }

@@ -37,13 +37,11 @@ const SIGMA_PX: f64 = 1.0;
 impl Reconstruction {
     /// Landmarks at assumed distances are looked for next where this frame makes them most likely.
     pub(in crate::reconstruction) fn follow_assumed(&mut self, pose: &Se3<Camera, World>) {
-        let readout_s = self.shutter.readout_s;
-        for m in self.tracker.search.matches.iter().filter(|m| m.inlier) {
-            let Some(ray) = Ray::of(m.landmark, &self.map, readout_s) else { continue };
-            if let Some(pair) = ray.eliminate(pose, &m.pair(&self.camera, readout_s))
-                && let Some(landmark) = self.map.landmarks.get_mut(m.landmark.0)
-            {
-                landmark.position = pair.point;
+        let readout_s = self.optics.shutter.readout_s;
+        for m in self.tracker.matches() {
+            let Some(ray) = Ray::of(m.landmark, &self.active.map, readout_s) else { continue };
+            if let Some(pair) = ray.eliminate(pose, &m.pair(&self.optics.camera, readout_s)) {
+                self.active.map.place_landmark(m.landmark, pair.point);
             }
         }
     }
@@ -53,15 +51,19 @@ impl Reconstruction {
         &mut self,
         features: &FrameFeatures,
     ) -> Option<Se3<Camera, World>> {
-        self.turned.filter(|parallax_deg| *parallax_deg > self.config.min_parallax_deg)?;
-        let placed = place(&mut self.map, &self.inliers, &self.camera, self.shutter.readout_s, features.sequence)?;
+        self.pending.turned.filter(|parallax_deg| *parallax_deg > self.config.min_parallax_deg)?;
+        let placed = place(
+            &mut self.active.map,
+            self.tracker.matches(),
+            &self.optics.camera,
+            self.optics.shutter.readout_s,
+            features.sequence,
+        )?;
         let pose = placed.camera_from_world;
-        if let Some(last) = &mut self.last {
-            (last.camera_from_world, last.motion) = (pose, None);
-        }
+        self.active.odometry.replace(pose);
         // One under way began from poses that are no more; the keyframe that this frame becomes posts another.
-        self.discard_job();
-        self.turned = None;
+        self.mapper.discard();
+        self.pending.turned = None;
         if placed.is_assumed {
             self.counters.blind_turns += 1;
             self.doubt_scale_behind(placed.from);
@@ -71,24 +73,22 @@ impl Reconstruction {
 
     /// What has been seen since the turn at `from` began has the scale that was assumed, but for keyframes that saw enough of known distance.
     fn doubt_scale_behind(&mut self, from: KeyframeId) {
-        let before = self.map.keyframe(from).and_then(|k| k.scale_from);
-        let Some(turn) = self.scale_doubt.add(&self.map, from, before) else { return };
-        let mut behind: Vec<KeyframeId> = self.map.keyframes.iter().map(|(id, _)| KeyframeId(id)).collect();
+        let before = self.active.map.keyframe(from).and_then(|k| k.scale_from);
+        let Some(turn) = self.active.scale.add(&self.active.map, from, before) else { return };
+        let mut behind: Vec<KeyframeId> = self.active.map.keyframes.iter().map(|(id, _)| KeyframeId(id)).collect();
         let blind = |id: &KeyframeId| {
-            let (assumed, all) = assumed_among(&self.map, *id);
-            mostly_assumed(assumed, all) || is_held(&self.map, *id)
+            let (assumed, all) = assumed_among(&self.active.map, *id);
+            mostly_assumed(assumed, all) || is_held(&self.active.map, *id)
         };
         let before_turn = behind.iter().rposition(|id| *id < from && !blind(id));
         behind.drain(..before_turn.map_or(0, |last| last + 1));
         behind.retain(|id| *id == from || blind(id));
         for id in behind {
-            if let Some(keyframe) = self.map.keyframes.get_mut(id.0) {
-                keyframe.scale_from = Some(turn);
-            }
+            self.active.map.set_scale_origin(id, Some(turn));
         }
         // The keyframe that this frame becomes has its scale from its reference.
-        if self.map.keyframe(self.reference).is_none_or(|k| k.scale_from != Some(turn)) {
-            self.reference = from;
+        if self.active.map.keyframe(self.active.reference).is_none_or(|k| k.scale_from != Some(turn)) {
+            self.active.reference = from;
         }
     }
 }
@@ -153,8 +153,8 @@ fn place(map: &mut Map, matches: &[Match], camera: &CameraModel, readout_s: f64,
     let from_world = keyframe.camera_from_world;
     let world_from = from_world.inverse();
     for ((id, _, assumed), point) in seen.iter().zip(&solution.points) {
-        if let (true, Some(point), Some(landmark)) = (assumed, point, map.landmarks.get_mut(id.0)) {
-            landmark.position = world_from.transform(&(point * length));
+        if let (true, Some(point)) = (assumed, point) {
+            map.place_landmark(*id, world_from.transform(&(point * length)));
         }
     }
     resolve_between(map, from, camera, readout_s);
@@ -178,10 +178,8 @@ fn resolve_between(map: &mut Map, from: KeyframeId, camera: &CameraModel, readou
             .collect();
         let options = PoseOptions { first_round_relaxation: 25.0, leverage: false, ..PoseOptions::default() };
         let solved = optimise_pose(&keyframe.camera_from_world, &pairs, &options, &mut inlier);
-        if let Some(solved) = solved.filter(|s| 2 * s.inliers > pairs.len())
-            && let Some(keyframe) = map.keyframes.get_mut(id.0)
-        {
-            keyframe.camera_from_world = solved.camera_from_world;
+        if let Some(solved) = solved.filter(|s| 2 * s.inliers > pairs.len()) {
+            map.place_keyframe(id, solved.camera_from_world);
         }
     }
 }

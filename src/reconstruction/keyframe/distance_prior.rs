@@ -84,8 +84,8 @@ pub fn triangulate_assumed(map: &mut Map, newest: KeyframeId, camera: &CameraMod
             let pose = map.keyframe(*k).map(|k| k.camera_from_world);
             pose.is_some_and(|pose| reprojection_chi2(&pose, &point, o, camera, readout_s) <= CHI2_2D_95)
         });
-        if let Some(landmark) = map.landmarks.get_mut(id.0).filter(|_| told && ahead && fits) {
-            (landmark.position, landmark.covariance, landmark.assumed) = (point, covariance, None);
+        if told && ahead && fits {
+            map.measure_landmark(id, point, covariance);
         }
     }
 }

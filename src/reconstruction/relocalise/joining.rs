@@ -15,108 +15,63 @@ use super::other_maps::{
     ATTEMPT_GAP, LONGEST_GAP, OtherMap, OtherMaps, REMEMBERED, Sighting, at_corner, log_ratio, retire, similarity,
 };
 use crate::features::FrameFeatures;
-use crate::geometry::Se3;
+use crate::geometry::CameraModel;
 use crate::geometry::camera_motion::CameraMotion;
-use crate::geometry::frames::{Camera, Odom, World};
+use crate::geometry::frames::World;
 use crate::geometry::sim3::Sim3;
-use crate::map::{KeyframeId, LandmarkId, MapId, Observation};
-use crate::reconstruction::adjust::job::WHOLE_FIRST;
+use crate::map::{KeyframeId, LandmarkId, Map, Observation};
+use crate::reconstruction::Reconstruction;
 use crate::reconstruction::keyframe::observe_match;
+use crate::reconstruction::optics::Optics;
 use crate::reconstruction::track::Tracker;
 use crate::reconstruction::track::association::Bindings;
 use crate::reconstruction::track::frame::Frame;
 use crate::reconstruction::track::search::Match;
 use crate::reconstruction::types::{PoseEstimate, TrajectoryEvent};
-use crate::reconstruction::{LastFrame, Reconstruction};
 
 /// Landmarks of both maps at one corner whose depths have a larger logarithm of their ratio are two points.
 const SAME_POINT_LOG: f64 = 0.2;
 
-/// A map that is put away while another one may begin, with what goes on where none does.
-struct Aside {
-    other: OtherMap,
-    bindings: Bindings,
-    last: Option<LastFrame>,
-    odom_from_camera: Se3<Odom, Camera>,
-    lost_frames: u64,
-    next_whole: usize,
-    unadjusted: Option<KeyframeId>,
-}
-
 impl Reconstruction {
     /// A frame that the map does not know, long after the last one that it did: perhaps the one that begins the next map.
     pub(in crate::reconstruction) fn begin_beside(&mut self, features: &FrameFeatures) -> PoseEstimate {
-        let starts = self.initialiser.step(features, &self.camera, self.intrinsics.freedom().as_ref(), &self.config);
+        let Optics { camera, intrinsics, .. } = &self.optics;
+        let starts = self.initialiser.step(features, camera, intrinsics.freedom().as_ref(), &self.config);
         if starts.is_empty() {
             return self.estimate_none(features);
         }
-        let aside = self.set_aside();
+        // A job of the old map's goes on until it is known that another one begins.
+        let next = self.active.successor();
+        let mut old = std::mem::replace(&mut self.active, next);
+        self.tracker = Tracker::default();
         let Some(mut estimate) = self.start_from(&starts, features) else {
-            self.take_back(aside);
+            // What was made of a revision meanwhile must not be taken for this map's.
+            old.map.revision = self.active.map.revision.max(old.map.revision) + 1;
+            self.active = old;
             return self.estimate_none(features);
         };
-        self.discard_job();
-        self.intrinsics.end_map(&self.camera);
-        self.reset_counter += 1;
+        self.mapper.discard();
+        self.optics.intrinsics.end_map(&self.optics.camera);
         self.counters.resets += 1;
-        estimate.reset_counter = self.reset_counter;
+        estimate.reset_counter = self.reset_counter();
         // A map that was lost as soon as it had begun may have been none.
-        let gone = match aside.other.map_frames >= self.config.lost_frames {
-            true => self.others.keep(aside.other, self.config.max_keyframes),
-            false => vec![aside.other.map],
+        let gone = match old.frames >= self.config.lost_frames {
+            true => self.others.keep(OtherMap::new(old), self.config.max_keyframes),
+            false => vec![old.map],
         };
         gone.iter().for_each(|map| retire(map, &mut self.events));
         estimate
     }
 
-    /// Puts the present map away, as if none had ever been. A job under way goes on.
-    fn set_aside(&mut self) -> Aside {
-        let next = self.map.successor();
-        let id = self.map_id;
-        self.map_id = MapId(id.0 + 1);
-        self.tracker = Tracker::default();
-        self.inliers.clear();
-        self.pending = None;
-        let other = OtherMap {
-            map: std::mem::replace(&mut self.map, next),
-            id,
-            reference: self.reference,
-            scale_doubt: std::mem::take(&mut self.scale_doubt),
-            map_frames: std::mem::take(&mut self.map_frames),
-            sightings: Vec::new(),
-        };
-        Aside {
-            other,
-            bindings: std::mem::take(&mut self.bindings),
-            last: self.last.take(),
-            odom_from_camera: std::mem::take(&mut self.odom_from_camera),
-            lost_frames: std::mem::take(&mut self.lost_frames),
-            next_whole: std::mem::replace(&mut self.next_whole, WHOLE_FIRST),
-            unadjusted: self.unadjusted.take(),
-        }
-    }
-
-    /// Undoes [`set_aside`](Self::set_aside).
-    fn take_back(&mut self, aside: Aside) {
-        let Aside { other, bindings, last, odom_from_camera, lost_frames, next_whole, unadjusted } = aside;
-        // What was made of a revision meanwhile must not be taken for this map's.
-        let revision = self.map.revision.max(other.map.revision) + 1;
-        (self.map, self.map_id, self.reference) = (other.map, other.id, other.reference);
-        self.map.revision = revision;
-        (self.scale_doubt, self.map_frames) = (other.scale_doubt, other.map_frames);
-        (self.bindings, self.last, self.odom_from_camera) = (bindings, last, odom_from_camera);
-        (self.lost_frames, self.next_whole, self.unadjusted) = (lost_frames, next_whole, unadjusted);
-    }
-
     /// Looks for the frame that has just become the keyframe `id` in the maps kept aside; joins the one that it is recognised in.
     pub(in crate::reconstruction) fn recognise(&mut self, features: &FrameFeatures, id: KeyframeId) {
-        if self.others.kept.is_empty() || self.turned.is_some() {
+        if self.others.kept.is_empty() || self.pending.turned.is_some() {
             return;
         }
         // One that was recognised a moment ago is asked again at once.
         let others = &mut self.others;
         if others.warm == 0 {
-            if self.frame < others.next_attempt {
+            if self.counters.frames < others.next_attempt {
                 return;
             }
             others.turn += 1;
@@ -128,11 +83,11 @@ impl Reconstruction {
             true => (others.warm, others.gap) = (others.warm + 1, ATTEMPT_GAP),
             false => (others.warm, others.gap) = (0, (2 * others.gap).min(LONGEST_GAP)),
         }
-        others.next_attempt = self.frame + others.gap;
+        others.next_attempt = self.counters.frames + others.gap;
         let Some(sighting) = sighting else { return };
         let other = &self.others.kept[index];
-        let (readout_s, min_parallax) = (self.shutter.readout_s, self.config.min_parallax_deg.to_radians());
-        let tell = |before| similarity(&self.map, &other.map, [before, &sighting], readout_s, min_parallax);
+        let (readout_s, min_parallax) = (self.optics.shutter.readout_s, self.config.min_parallax_deg.to_radians());
+        let tell = |before| similarity(&self.active.map, &other.map, [before, &sighting], readout_s, min_parallax);
         let told = other.sightings.iter().rev().find_map(tell);
         match told {
             Some(present_from_other) => {
@@ -153,7 +108,7 @@ impl Reconstruction {
 
     /// Where the keyframe `id` is in a map kept aside, if it is.
     fn find_in(&mut self, index: usize, features: &FrameFeatures, id: KeyframeId) -> Option<Sighting> {
-        let OtherMaps { kept, tracker, relocaliser, .. } = &mut self.others;
+        let OtherMaps { kept, relocaliser, .. } = &mut self.others;
         let other = kept.get(index)?;
         let bindings = Bindings::default();
         // Of its motion only the turn is known in the other map's unit.
@@ -162,65 +117,66 @@ impl Reconstruction {
             features,
             map: &other.map,
             bindings: &bindings,
-            camera: &self.camera,
+            camera: &self.optics.camera,
             config: &self.config,
             before: None,
-            motion: self.map.keyframe(id)?.motion.map(turn),
-            shutter: &self.shutter,
-            is_calibrated: self.intrinsics.is_calibrated(),
+            motion: self.active.map.keyframe(id)?.motion.map(turn),
+            shutter: &self.optics.shutter,
+            is_calibrated: self.optics.intrinsics.is_calibrated(),
         };
-        let placed = relocaliser.place(tracker, &frame, other.reference)?;
+        let placed = relocaliser.place(&frame, other.reference)?;
         // An assumed distance tells nothing.
         let is_measured = |m: &&Match| other.map.landmark(m.landmark).is_some_and(|l| l.assumed.is_none());
-        let found: Vec<Match> = tracker.inliers().filter(is_measured).copied().collect();
+        let found: Vec<Match> = relocaliser.tracker.inliers().filter(is_measured).copied().collect();
         (!found.is_empty()).then_some(Sighting { keyframe: id, there: placed.camera_from_world, found })
     }
 
     /// Makes the other map a part of this one.
     fn join(&mut self, mut other: OtherMap, present_from_other: &Sim3<World, World>) {
-        self.discard_job();
+        self.mapper.discard();
+        let active = &mut self.active;
         // The lens may be known better by now.
-        other.map.undistort_anew(&self.camera);
+        other.map.undistort_anew(&self.optics.camera);
         other.map.transform(present_from_other);
         let newest = other.sightings.last().map(|s| s.keyframe);
-        let through = newest.and_then(|id| self.map.keyframe(id)?.scale_from);
-        self.scale_doubt.absorb(&other.scale_doubt, &mut other.map, present_from_other, through);
-        let own = |s: &Sighting| self.map.keyframe(s.keyframe).map(|k| k.observations.clone()).unwrap_or_default();
+        let through = newest.and_then(|id| active.map.keyframe(id)?.scale_from);
+        active.scale.absorb(&other.scale, &mut other.map, present_from_other, through);
+        let own = |s: &Sighting| active.map.keyframe(s.keyframe).map(|k| k.observations.clone()).unwrap_or_default();
         let seen: Vec<Vec<Observation>> = other.sightings.iter().map(own).collect();
-        self.map.absorb(other.map);
+        active.map.absorb(other.map);
         for (sighting, seen) in other.sightings.iter().zip(&seen) {
-            self.add_found(sighting, seen);
+            add_found(&mut active.map, sighting, seen, &self.optics.camera);
         }
         self.events.push(TrajectoryEvent::MapJoined {
             map: other.id,
-            into: self.map_id,
+            into: active.id,
             scale: present_from_other.scale,
         });
         self.counters.maps_joined += 1;
-        self.map_frames += other.map_frames;
-        self.next_whole = 0;
-        self.unadjusted = newest;
+        active.frames += other.frames;
+        active.next_whole = 0;
+        active.unadjusted = newest;
     }
+}
 
-    /// Enters what a keyframe was found to see of another map, which is a part of this one by now; `seen`: what it saw before.
-    fn add_found(&mut self, sighting: &Sighting, seen: &[Observation]) {
-        for m in &sighting.found {
-            let Some(own) = at_corner(seen, m) else {
-                if let Some(o) = observe_match(&self.camera, m) {
-                    self.map.add_observation(sighting.keyframe, o);
-                }
-                continue;
-            };
-            let depth = |id: LandmarkId| {
-                let pose = self.map.keyframe(sighting.keyframe)?.camera_from_world;
-                Some(pose.transform(&self.map.landmark(id)?.position).z)
-            };
-            let ratio = depth(own.landmark).zip(depth(m.landmark)).and_then(|(here, there)| log_ratio(here, there));
-            if self.map.landmark(own.landmark).is_some_and(|l| l.assumed.is_some()) {
-                self.map.fuse(m.landmark, own.landmark);
-            } else if ratio.is_some_and(|r| r.abs() < SAME_POINT_LOG) {
-                self.map.fuse(own.landmark, m.landmark);
+/// Enters what a keyframe was found to see of another map, which is a part of this one by now; `seen`: what it saw before.
+fn add_found(map: &mut Map, sighting: &Sighting, seen: &[Observation], camera: &CameraModel) {
+    for m in &sighting.found {
+        let Some(own) = at_corner(seen, m) else {
+            if let Some(o) = observe_match(camera, m) {
+                map.add_observation(sighting.keyframe, o);
             }
+            continue;
+        };
+        let depth = |id: LandmarkId| {
+            let pose = map.keyframe(sighting.keyframe)?.camera_from_world;
+            Some(pose.transform(&map.landmark(id)?.position).z)
+        };
+        let ratio = depth(own.landmark).zip(depth(m.landmark)).and_then(|(here, there)| log_ratio(here, there));
+        if map.landmark(own.landmark).is_some_and(|l| l.assumed.is_some()) {
+            map.fuse(m.landmark, own.landmark);
+        } else if ratio.is_some_and(|r| r.abs() < SAME_POINT_LOG) {
+            map.fuse(own.landmark, m.landmark);
         }
     }
 }

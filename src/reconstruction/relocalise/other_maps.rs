@@ -14,9 +14,9 @@ use crate::geometry::frames::{Camera, World};
 use crate::geometry::sim3::Sim3;
 use crate::geometry::{Se3, median};
 use crate::map::{KeyframeId, LandmarkId, Map, MapId, Observation};
+use crate::reconstruction::active_map::ActiveMap;
 use crate::reconstruction::keyframe::{SAME_CORNER_PX, triangulate};
-use crate::reconstruction::scale_uncertainty::ScaleDoubt;
-use crate::reconstruction::track::Tracker;
+use crate::reconstruction::scale_uncertainty::ScaleUncertainty;
 use crate::reconstruction::track::search::Match;
 use crate::reconstruction::types::TrajectoryEvent;
 
@@ -53,11 +53,18 @@ pub struct OtherMap {
     pub id: MapId,
     /// Where it was tracked last.
     pub reference: KeyframeId,
-    pub scale_doubt: ScaleDoubt,
+    pub scale: ScaleUncertainty,
     /// Frames tracked in it.
-    pub map_frames: u64,
+    pub frames: u64,
     /// Keyframes of the present map that were recognised in it, the newest last.
     pub sightings: Vec<Sighting>,
+}
+
+impl OtherMap {
+    pub fn new(lost: ActiveMap) -> Self {
+        let ActiveMap { map, id, reference, scale, frames, .. } = lost;
+        Self { map, id, reference, scale, frames, sightings: Vec::new() }
+    }
 }
 
 /// All maps kept aside, and what looks for them.
@@ -65,7 +72,6 @@ pub struct OtherMap {
 pub struct OtherMaps {
     /// Ascending id.
     pub kept: Vec<OtherMap>,
-    pub tracker: Tracker,
     pub relocaliser: Relocaliser,
     /// Frame before which nothing is asked again, and how many frames that was from the last time.
     pub next_attempt: u64,
@@ -319,8 +325,9 @@ mod tests {
         assert!(told(&turned).is_none(), "another direction");
         let mut random = Random::new(6);
         let mut torn = scene(40, 0.5);
-        for (_, l) in torn.present.landmarks.iter_mut() {
-            l.position *= random.uniform(0.2, 3.0);
+        let places: Vec<_> = torn.present.landmarks.iter().map(|(id, l)| (LandmarkId(id), l.position)).collect();
+        for (id, position) in places {
+            torn.present.place_landmark(id, position * random.uniform(0.2, 3.0));
         }
         torn.sightings[0].found.truncate(20);
         torn.sightings[1].found.drain(..20);
@@ -334,8 +341,8 @@ mod tests {
             (0..keyframes).for_each(|_| {
                 map.add_keyframe(keyframe(Se3::identity()));
             });
-            let (reference, scale_doubt) = (KeyframeId(0), ScaleDoubt::default());
-            OtherMap { map, id: MapId(id), reference, scale_doubt, map_frames: 100, sightings: Vec::new() }
+            let (reference, scale_doubt) = (KeyframeId(0), ScaleUncertainty::default());
+            OtherMap { map, id: MapId(id), reference, scale_doubt, frames: 100, sightings: Vec::new() }
         };
         let mut others = OtherMaps::default();
         for (id, keyframes) in [(0, 5), (1, 9), (2, 7), (3, 6)] {
