@@ -9,8 +9,6 @@ pub mod job;
 pub mod mapper;
 
 use super::Reconstruction;
-use super::active_map::ActiveMap;
-use super::optics::Optics;
 use crate::map::KeyframeId;
 use job::MappingJob;
 use mapper::Merge;
@@ -29,16 +27,16 @@ impl Reconstruction {
         if self.mapper.is_busy() {
             return;
         }
-        let Optics { camera, intrinsics, shutter } = &self.optics;
-        let ActiveMap { map, unadjusted, next_whole, .. } = &mut self.active;
-        let Some(newest) = unadjusted.take() else { return };
-        let keyframes = map.keyframes.len();
-        let limit = if *next_whole == 0 { JOINED_LIMIT } else { WHOLE_LIMIT };
-        let job = if keyframes >= *next_whole && keyframes <= limit {
-            *next_whole = intrinsics.next_whole(keyframes);
-            intrinsics.whole_job(map, camera, shutter.to_adjust(), self.config.refine_intrinsics)
+        let (optics, active) = (&self.optics, &mut self.active);
+        let Some(newest) = active.unadjusted.take() else { return };
+        let keyframes = active.map.keyframes.len();
+        let limit = if active.next_whole == 0 { JOINED_LIMIT } else { WHOLE_LIMIT };
+        let readout = optics.shutter.to_adjust();
+        let job = if keyframes >= active.next_whole && keyframes <= limit {
+            active.next_whole = optics.intrinsics.next_whole(keyframes);
+            optics.intrinsics.whole_job(&active.map, &optics.camera, readout, self.config.refine_intrinsics)
         } else {
-            MappingJob::local(map, newest, camera, shutter.to_adjust(), &self.config)
+            MappingJob::local(&active.map, newest, &optics.camera, readout, &self.config)
         };
         if let Some(job) = job {
             self.mapper.post(job, self.counters.frames);
@@ -58,21 +56,20 @@ impl Reconstruction {
         let Some((result, late)) = taken else { return };
         self.counters.adjustments_late += u64::from(late);
         self.counters.adjustments += 1;
-        let Optics { camera, intrinsics, shutter } = &mut self.optics;
-        let ActiveMap { map, odometry, unadjusted, next_whole, .. } = &mut self.active;
-        let Some(lens) = intrinsics.judge(&result, camera) else {
+        let (optics, active) = (&mut self.optics, &mut self.active);
+        let Some(lens) = optics.intrinsics.judge(&result, &optics.camera) else {
             // A lens that cannot be is not taken over, and its poses and points with it.
-            if intrinsics.wants_another() {
-                *next_whole = 0;
-                *unadjusted = map.keyframes.iter().last().map(|(id, _)| KeyframeId(id));
+            if optics.intrinsics.wants_another() {
+                active.next_whole = 0;
+                active.unadjusted = active.map.keyframes.iter().last().map(|(id, _)| KeyframeId(id));
             }
             return;
         };
-        shutter.learn(result.readout());
-        let old_from_new = result.merge(map);
-        intrinsics.merge(&result, lens, map, camera);
-        odometry.correct(&old_from_new);
-        if when != Merge::AtTheEnd && intrinsics.wants_restart(camera) {
+        optics.shutter.learn(result.readout());
+        let old_from_new = result.merge(&mut active.map);
+        optics.intrinsics.merge(&result, lens, &mut active.map, &mut optics.camera);
+        active.odometry.correct(&old_from_new);
+        if when != Merge::AtTheEnd && optics.intrinsics.wants_restart(&optics.camera) {
             self.reset();
         }
     }

@@ -26,7 +26,6 @@ use super::bundle::{SHARED, SharedMatrix, SharedVector, WITHOUT_DISTORTION};
 use super::job::{MappingJob, MappingResult};
 use crate::geometry::{CameraModel, LensModel};
 use crate::map::Map;
-use crate::reconstruction::initialise::pure_rotation::LensFreedom;
 use crate::reconstruction::measurement::rolling_shutter::Readout;
 
 /// Standard deviation of a measured focal length, and of a nominal one, as a share of it.
@@ -116,6 +115,17 @@ impl LensKnowledge {
             Self::Guessed => "guessed",
         }
     }
+}
+
+/// Standard deviations of what is believed of a lens.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LensFreedom {
+    /// Of log focal length.
+    pub focal: f64,
+    /// Of the principal point, px.
+    pub centre_px: f64,
+    /// Of the first distortion coefficient.
+    pub distortion: f64,
 }
 
 /// The lens as it is believed now.

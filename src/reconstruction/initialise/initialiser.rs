@@ -12,12 +12,13 @@ use std::sync::Arc;
 
 use nalgebra::{Matrix3, Rotation3, Vector2, Vector3};
 
-use super::pure_rotation::{LensFreedom, unexplained_flow};
+use super::pure_rotation::unexplained_flow;
 use crate::features::{FrameFeatures, Track};
 use crate::geometry::frames::{First, Second};
 use crate::geometry::two_view::{TwoViewOptions, reconstruct_two_views};
 use crate::geometry::{CameraModel, Se3};
 use crate::image::Pyramid;
+use crate::reconstruction::adjust::intrinsics::LensFreedom;
 use crate::reconstruction::config::ReconstructionConfig;
 
 /// A frame before the map exists.

@@ -13,17 +13,7 @@
 use nalgebra::{Rotation3, SMatrix, SVector, Vector2, Vector3};
 
 use crate::geometry::{CameraModel, median};
-
-/// Standard deviations of what is believed of a lens.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LensFreedom {
-    /// Of log focal length.
-    pub focal: f64,
-    /// Of the principal point, px.
-    pub centre_px: f64,
-    /// Of the first distortion coefficient.
-    pub distortion: f64,
-}
+use crate::reconstruction::adjust::intrinsics::LensFreedom;
 
 const ROUNDS: usize = 12;
 /// Rotation vector, log of (supposed focal length / true one), principal point on z = 1, first coefficient of undistortion.
