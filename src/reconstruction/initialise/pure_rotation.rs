@@ -7,15 +7,18 @@
 //! priors hold it and the test becomes the ordinary one.
 //!
 //! Input: corresponding points on z = 1 of the lens that is supposed. Output: median of the flow that is left, px. Levenberg-Marquardt
-//! with Cauchy's weights (Triggs et al. 2000, section 3) and numeric derivatives, at most [`ROUNDS`] steps; about 1 ms for 200 points.
+//! with Cauchy's loss (Triggs et al. 2000, section 3), its scale anew in each round, and numeric derivatives; about 1 ms for 200 points.
 //! Not here: finding the focal length of a camera that only turns (Hartley 1994), which a few degrees hardly show.
 
 use nalgebra::{Rotation3, SMatrix, SVector, Vector2, Vector3};
 
+use crate::geometry::least_squares::{LeastSquares, LmOptions, Loss, NormalEquations, minimise};
 use crate::geometry::{CameraModel, median};
 use crate::reconstruction::adjust::intrinsics::LensFreedom;
 
-const ROUNDS: usize = 12;
+/// Rounds with a loss of their own scale, and steps of each, at the most.
+const ROUNDS: usize = 6;
+const STEPS: usize = 4;
 /// Rotation vector, log of (supposed focal length / true one), principal point on z = 1, first coefficient of undistortion.
 const UNKNOWNS: usize = 7;
 type Unknowns = SVector<f64, UNKNOWNS>;
@@ -60,11 +63,6 @@ impl Lens {
     }
 }
 
-/// The median, of a copy; 0 of nothing.
-fn typical(lengths: &[f64]) -> f64 {
-    median(&mut lengths.to_vec()).unwrap_or(0.0)
-}
-
 /// Median flow (px) that no rotation and no lens near the supposed one explains; `turn` is the rotation (second from first) to begin with.
 pub fn unexplained_flow(
     pairs: &[(Vector2<f64>, Vector2<f64>)],
@@ -72,13 +70,6 @@ pub fn unexplained_flow(
     camera: &CameraModel,
     freedom: &LensFreedom,
 ) -> f64 {
-    let residual = |unknowns: &Unknowns, (first, second): &(Vector2<f64>, Vector2<f64>)| {
-        let lens = Lens::of(unknowns);
-        let rotation = Rotation3::new(Vector3::new(unknowns[0], unknowns[1], unknowns[2])) * turn;
-        let ray = rotation * lens.lift(first).push(1.0);
-        let place = (ray.z > 1e-6).then(|| Vector2::new(ray.x / ray.z, ray.y / ray.z));
-        place.and_then(|q| lens.lower(&q)).map(|n| (n - second) * camera.focal_px())
-    };
     let focal = camera.focal_px();
     let sigma = Unknowns::from([
         1.0, // a rotation is free
@@ -89,51 +80,15 @@ pub fn unexplained_flow(
         freedom.centre_px / focal,
         freedom.distortion,
     ]);
-    let prior = sigma.map(|s| 1.0 / (s * s).max(1e-12));
-    let lengths = |unknowns: &Unknowns| -> Vec<f64> {
-        pairs.iter().map(|p| residual(unknowns, p).map_or(NOWHERE_PX, |e| e.norm().min(NOWHERE_PX))).collect()
-    };
-    let cost = |unknowns: &Unknowns, lengths: &[f64], scale2: f64| {
-        let data: f64 = lengths.iter().map(|e| scale2 * (e * e / scale2).ln_1p()).sum();
-        data / (SIGMA_PX * SIGMA_PX) + unknowns.component_mul(unknowns).dot(&prior)
-    };
+    let mut problem = TurnProblem { pairs, turn, focal, sigma, loss: Loss::Squared };
     let mut unknowns = Unknowns::zeros();
-    let mut left = lengths(&unknowns);
-    let mut least = typical(&left);
-    let mut damping = 1e-3;
+    let mut least = problem.median(&unknowns);
+    let options =
+        LmOptions { max_iterations: STEPS, relative_cost: 1e-4, initial_damping: 1e-3, ..LmOptions::default() };
     for _ in 0..ROUNDS {
-        let scale2 = (1.5 * typical(&left)).max(SIGMA_PX).powi(2);
-        let mut h = SMatrix::<f64, UNKNOWNS, UNKNOWNS>::from_diagonal(&prior);
-        let mut g = unknowns.component_mul(&prior);
-        for pair in pairs {
-            let Some(e) = residual(&unknowns, pair) else { continue };
-            let weight = 1.0 / ((1.0 + e.norm_squared() / scale2) * SIGMA_PX * SIGMA_PX);
-            let mut j = SMatrix::<f64, 2, UNKNOWNS>::zeros();
-            for i in 0..UNKNOWNS {
-                let mut moved = unknowns;
-                moved[i] += 1e-5;
-                if let Some(there) = residual(&moved, pair) {
-                    j.set_column(i, &((there - e) * 1e5));
-                }
-            }
-            h += j.transpose() * j * weight;
-            g += j.transpose() * e * weight;
-        }
-        let before = cost(&unknowns, &left, scale2);
-        for i in 0..UNKNOWNS {
-            h[(i, i)] *= 1.0 + damping;
-        }
-        let Some(step) = h.cholesky().map(|c| c.solve(&-g)) else { break };
-        // A rotation is free.
-        let bound = |u: f64, s: f64| if s < 1.0 { u.clamp(-LIMIT * s, LIMIT * s) } else { u };
-        let candidate = (unknowns + step).zip_map(&sigma, bound);
-        let new = lengths(&candidate);
-        if !(cost(&candidate, &new, scale2) < before) {
-            damping *= 10.0;
-            continue;
-        }
-        (unknowns, left, damping) = (candidate, new, damping * 0.1);
-        let now = typical(&left);
+        problem.loss = Loss::Cauchy((1.5 * least).max(SIGMA_PX));
+        unknowns = minimise(&problem, unknowns, &options).0;
+        let now = problem.median(&unknowns);
         let settled = (least - now).abs() < 1e-3 * least;
         least = least.min(now);
         if settled {
@@ -141,6 +96,76 @@ pub fn unexplained_flow(
         }
     }
     least
+}
+
+/// A rotation seen through an unknown lens, against corresponding points.
+struct TurnProblem<'a> {
+    pairs: &'a [(Vector2<f64>, Vector2<f64>)],
+    turn: &'a Rotation3<f64>,
+    focal: f64,
+    /// Standard deviations of the unknowns.
+    sigma: Unknowns,
+    loss: Loss,
+}
+
+impl TurnProblem<'_> {
+    fn residual(&self, unknowns: &Unknowns, (first, second): &(Vector2<f64>, Vector2<f64>)) -> Option<Vector2<f64>> {
+        let lens = Lens::of(unknowns);
+        let rotation = Rotation3::new(Vector3::new(unknowns[0], unknowns[1], unknowns[2])) * self.turn;
+        let ray = rotation * lens.lift(first).push(1.0);
+        let place = (ray.z > 1e-6).then(|| Vector2::new(ray.x / ray.z, ray.y / ray.z))?;
+        lens.lower(&place).map(|n| (n - second) * self.focal)
+    }
+
+    fn lengths(&self, unknowns: &Unknowns) -> impl Iterator<Item = f64> {
+        let length = |pair| self.residual(unknowns, pair).map_or(NOWHERE_PX, |e| e.norm().min(NOWHERE_PX));
+        self.pairs.iter().map(length)
+    }
+
+    fn median(&self, unknowns: &Unknowns) -> f64 {
+        median(&mut self.lengths(unknowns).collect::<Vec<_>>()).unwrap_or(0.0)
+    }
+
+    fn prior(&self) -> Unknowns {
+        self.sigma.map(|s| (SIGMA_PX * SIGMA_PX) / (s * s).max(1e-12))
+    }
+}
+
+impl LeastSquares<UNKNOWNS> for TurnProblem<'_> {
+    type State = Unknowns;
+
+    fn linearise(&self, unknowns: &Unknowns) -> NormalEquations<UNKNOWNS> {
+        let prior = self.prior();
+        let mut normal =
+            NormalEquations { hessian: SMatrix::from_diagonal(&prior), gradient: unknowns.component_mul(&prior) };
+        for pair in self.pairs {
+            let Some(e) = self.residual(unknowns, pair) else { continue };
+            let (_, weight) = self.loss.evaluate(e.norm_squared());
+            let mut rows = [Unknowns::zeros(); 2];
+            for i in 0..UNKNOWNS {
+                let mut moved = *unknowns;
+                moved[i] += 1e-5;
+                if let Some(there) = self.residual(&moved, pair) {
+                    let slope = (there - e) * 1e5;
+                    (rows[0][i], rows[1][i]) = (slope.x, slope.y);
+                }
+            }
+            normal.add(&rows[0], e.x, weight);
+            normal.add(&rows[1], e.y, weight);
+        }
+        normal
+    }
+
+    fn cost(&self, unknowns: &Unknowns) -> f64 {
+        let data: f64 = self.lengths(unknowns).map(|e| self.loss.evaluate(e * e).0).sum();
+        data + unknowns.component_mul(unknowns).dot(&self.prior())
+    }
+
+    fn step(&self, unknowns: &Unknowns, delta: &Unknowns) -> Unknowns {
+        // A rotation is free.
+        let bound = |u: f64, s: f64| if s < 1.0 { u.clamp(-LIMIT * s, LIMIT * s) } else { u };
+        (unknowns + delta).zip_map(&self.sigma, bound)
+    }
 }
 
 #[cfg(test)]

@@ -4,7 +4,8 @@ use nalgebra::{Matrix6, Vector6};
 
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
-use crate::reconstruction::measurement::{CHI2_2D_95, PosePair, accumulate, jacobian_rows, residual};
+use crate::geometry::least_squares::{LeastSquares, LmOptions, Loss, NormalEquations, minimise};
+use crate::reconstruction::measurement::{CHI2_2D_95, PosePair, jacobian_rows, residual};
 
 /// Options of [`optimise_pose`](super::optimise_pose).
 #[derive(Debug, Clone, Copy)]
@@ -28,7 +29,47 @@ impl Default for PoseOptions {
     }
 }
 
-/// Gauss-Newton steps with Levenberg damping over the current inliers.
+/// What the pairs that are inliers cost a pose.
+struct PoseProblem<'a> {
+    pairs: &'a [PosePair],
+    inlier: &'a [bool],
+    loss: Loss,
+    /// A constant price of a pair behind the camera, so that a step that does this is no gain.
+    behind: f64,
+}
+
+impl PoseProblem<'_> {
+    fn pairs(&self) -> impl Iterator<Item = &PosePair> {
+        self.pairs.iter().zip(self.inlier).filter(|(_, ok)| **ok).map(|(pair, _)| pair)
+    }
+}
+
+impl LeastSquares<6> for PoseProblem<'_> {
+    type State = Se3<Camera, World>;
+
+    fn linearise(&self, pose: &Se3<Camera, World>) -> NormalEquations<6> {
+        let mut normal = NormalEquations::default();
+        for pair in self.pairs() {
+            let Some((e, p)) = residual(pose, pair) else { continue };
+            let (_, weight) = self.loss.evaluate(e.norm_squared());
+            let (jx, jy) = jacobian_rows(&p, &(pair.pixel_scale * pair.inv_sigma_px));
+            normal.add(&Vector6::from(jx), e.x, weight);
+            normal.add(&Vector6::from(jy), e.y, weight);
+        }
+        normal
+    }
+
+    fn cost(&self, pose: &Se3<Camera, World>) -> f64 {
+        let cost = |pair| residual(pose, pair).map_or(self.behind, |(e, _)| self.loss.evaluate(e.norm_squared()).0);
+        self.pairs().map(cost).sum()
+    }
+
+    fn step(&self, pose: &Se3<Camera, World>, delta: &Vector6<f64>) -> Se3<Camera, World> {
+        pose.perturb_left(delta)
+    }
+}
+
+/// The pose that the current inliers want; Cauchy's loss when `relaxed`, Huber's else.
 pub(super) fn descend(
     start: &Se3<Camera, World>,
     pairs: &[PosePair],
@@ -36,34 +77,12 @@ pub(super) fn descend(
     options: &PoseOptions,
     relaxed: bool,
 ) -> Option<Se3<Camera, World>> {
-    let mut pose = *start;
-    let mut lambda = 1e-6;
-    let (mut h, mut g, mut cost) = linearise(&pose, pairs, inlier, options.outlier_chi2, relaxed);
-    for _ in 0..options.steps {
-        let mut damped = h;
-        for i in 0..6 {
-            damped[(i, i)] += lambda * h[(i, i)].max(1e-12);
-        }
-        let step: Vector6<f64> = damped.cholesky()?.solve(&-g);
-        if !step.iter().all(|v| v.is_finite()) {
-            return None;
-        }
-        let candidate = pose.perturb_left(&step);
-        let (h2, g2, cost2) = linearise(&candidate, pairs, inlier, options.outlier_chi2, relaxed);
-        if cost2 <= cost {
-            let gain = cost - cost2;
-            (pose, h, g) = (candidate, h2, g2);
-            let done = gain < 1e-6 * cost || step.norm_squared() < 1e-16;
-            cost = cost2;
-            lambda = (lambda * 0.1).max(1e-9);
-            if done {
-                break;
-            }
-        } else {
-            lambda = (lambda * 100.0).max(1e-4);
-        }
-    }
-    Some(pose)
+    let limit = options.outlier_chi2.sqrt();
+    let loss = if relaxed { Loss::Cauchy(limit) } else { Loss::Huber(limit) };
+    let problem = PoseProblem { pairs, inlier, loss, behind: 100.0 * options.outlier_chi2 };
+    let lm = LmOptions { max_iterations: options.steps, relative_cost: 1e-6, step_norm: 1e-8, initial_damping: 1e-6 };
+    let (pose, _) = minimise(&problem, *start, &lm);
+    pose.is_finite().then_some(pose)
 }
 
 pub(super) fn mirror(h: &mut Matrix6<f64>) {
@@ -72,42 +91,4 @@ pub(super) fn mirror(h: &mut Matrix6<f64>) {
             h[(c, r)] = h[(r, c)];
         }
     }
-}
-
-/// Normal equations over the current inliers; Cauchy weights when `relaxed`, Huber's else.
-fn linearise(
-    pose: &Se3<Camera, World>,
-    pairs: &[PosePair],
-    inlier: &[bool],
-    delta2: f64,
-    relaxed: bool,
-) -> (Matrix6<f64>, Vector6<f64>, f64) {
-    let (mut h, mut g, mut cost) = (Matrix6::zeros(), Vector6::zeros(), 0.0);
-    for (pair, _) in pairs.iter().zip(inlier).filter(|(_, ok)| **ok) {
-        let Some((e, p)) = residual(pose, pair) else {
-            cost += 100.0 * delta2; // behind the camera: a constant price, so that a step that does this is no gain
-            continue;
-        };
-        let e2 = e.norm_squared();
-        let w;
-        if relaxed {
-            cost += delta2 * (1.0 + e2 / delta2).ln();
-            w = 1.0 / (1.0 + e2 / delta2);
-        } else if e2 <= delta2 {
-            cost += e2;
-            w = 1.0;
-        } else {
-            let root = (e2 * delta2).sqrt();
-            cost += 2.0 * root - delta2;
-            w = delta2 / root;
-        }
-        let s = pair.inv_sigma_px;
-        let (jx, jy) = jacobian_rows(&p, &(pair.pixel_scale * s));
-        accumulate(&mut h, &jx, &jy, w);
-        for i in 0..6 {
-            g[i] += w * (jx[i] * e.x + jy[i] * e.y);
-        }
-    }
-    mirror(&mut h);
-    (h, g, cost)
 }
