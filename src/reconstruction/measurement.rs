@@ -6,7 +6,7 @@
 pub mod inverse_distance;
 pub mod rolling_shutter;
 
-use nalgebra::{Matrix2, Matrix6, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix3, Matrix6, Vector2, Vector3};
 
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
@@ -29,6 +29,30 @@ pub struct PosePair {
 }
 
 impl PosePair {
+    /// What it tells of a pose near `pose` when its point is uncertain itself: `e' W e`, `W = (s² I + J P J')⁻¹` with P the point's
+    /// covariance (world axes, map units²) and J the derivative of the residual by the point. The residual is whitened once, so everything
+    /// that follows (loss, outliers, information) is in standard deviations of the innovation. Unchanged where P is not known.
+    pub fn with_uncertain_point(self, pose: &Se3<Camera, World>, covariance: &Matrix3<f64>) -> Self {
+        let p = pose.transform(&self.point);
+        let (jx, jy) = jacobian_rows(&p, &(self.pixel_scale * self.inv_sigma_px));
+        let world_from_camera = pose.rotation.inverse();
+        let (x, y) = (
+            world_from_camera * Vector3::new(jx[3], jx[4], jx[5]),
+            world_from_camera * Vector3::new(jy[3], jy[4], jy[5]),
+        );
+        let (px, py) = (covariance * x, covariance * y);
+        self.whitened(&Matrix2::new(x.dot(&px), x.dot(&py), x.dot(&py), y.dot(&py)))
+    }
+
+    /// The same with what the uncertainty adds to the residual's covariance, in squares of its standard deviation.
+    fn whitened(self, added: &Matrix2<f64>) -> Self {
+        let whitening = (Matrix2::identity() + added).cholesky().and_then(|c| c.l().try_inverse());
+        match whitening.filter(|w| w.iter().all(|v| v.is_finite())) {
+            Some(whitening) => Self { pixel_scale: whitening * self.pixel_scale, ..self },
+            None => self,
+        }
+    }
+
     /// What a keyframe saw of `point`, as its middle row's pose would have seen it, for a readout time in seconds.
     pub fn observed(point: Vector3<f64>, seen: &Observation, camera: &CameraModel, readout_s: f64) -> Self {
         Self {

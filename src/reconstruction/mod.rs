@@ -27,7 +27,7 @@ use active_map::ActiveMap;
 use adjust::mapper::{Mapper, Merge};
 use initialise::initialiser::Initialiser;
 use keyframe::distance_prior::{self, mostly_assumed};
-use keyframe::epipolar::{EpipolarMatcher, FED, Lens};
+use keyframe::epipolar::{EpipolarMatcher, Lens};
 use keyframe::{KeyframeInputs, NewKeyframe};
 use optics::Optics;
 use relocalise::Relocaliser;
@@ -190,10 +190,8 @@ impl Reconstruction {
         active.reference = self.tracker.best_reference(&active.map).unwrap_or(active.reference);
         self.tracker.note_distance(&pose.inverse().translation);
         let step = active.odometry.accept(features.timestamp_ns, pose);
-        // A blurred or covered picture gives poor templates, and its pose rests on little.
-        let matches = self.tracker.matches();
-        let blurred = 2 * matches.iter().filter(|m| m.blurred).count() > matches.len();
-        let clear = !resumed && tracked.share() >= KEYFRAME_SHARE && !(blurred && matches.len() >= FED);
+        // A covered picture gives poor templates, and its pose rests on little.
+        let clear = !resumed && tracked.share() >= KEYFRAME_SHARE;
         let keyframe = clear && self.decide_keyframe(&pose);
         self.record_pose(features.timestamp_ns, &pose);
         self.pending.keyframe = keyframe.then_some(pose);

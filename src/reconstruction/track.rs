@@ -27,7 +27,7 @@ use crate::geometry::frames::{Camera, World};
 use crate::geometry::{Se3, median};
 use crate::map::{KeyframeId, LandmarkId, Map};
 use association::Target;
-use frame::{Frame, is_assumed, landmark_variance, motion_since, without_distance};
+use frame::{Frame, is_assumed, measurement_of, motion_since};
 use information::PoseInformation;
 use newcomers::{Newcomers, established_found};
 use pose::{PoseOptions, PoseSolution, optimise_pose};
@@ -70,8 +70,6 @@ pub struct Tracker {
     search: Search,
     pairs: Vec<PosePair>,
     inlier: Vec<bool>,
-    /// Landmarks of the bound tracks that agree with the prediction, with the track's place in the frame.
-    flow: Vec<(LandmarkId, PosePair)>,
     local: Vec<LandmarkId>,
     /// What `local` was made of.
     local_of: Option<(KeyframeId, u64)>,
@@ -107,7 +105,6 @@ impl Default for Tracker {
             search: Search::default(),
             pairs: Vec::with_capacity(2048),
             inlier: Vec::with_capacity(2048),
-            flow: Vec::with_capacity(2048),
             local: Vec::with_capacity(LOCAL_ROOM),
             local_of: None,
             votes: Vec::with_capacity(1024),
@@ -135,9 +132,6 @@ impl Tracker {
         {
             return Some(tracked);
         }
-        if by_flow.is_none() {
-            self.flow.clear();
-        }
         by_flow.iter().chain(guesses).find_map(|guess| self.refine(frame, guess, WIDE * radius_px, 3))
     }
 
@@ -145,7 +139,6 @@ impl Tracker {
     /// frame before. `precise`: the
     /// guess is a pose solved from landmarks, not a neighbour's.
     pub fn relocalise(&mut self, frame: &Frame<'_>, guess: &Guess, precise: bool) -> Option<Tracked> {
-        self.flow.clear();
         self.seeds.clear();
         self.refresh_local(frame.map, guess.reference);
         let (radius, coarse_levels) = if precise { (2.0, 1) } else { (WIDE, 3) };
@@ -231,27 +224,25 @@ impl Tracker {
     /// Pose from the tracks that are bound to landmarks, and in a quick turn from seeds beside them; `None` if too few agree.
     fn predict_by_flow(&mut self, frame: &Frame<'_>, guess: &Se3<Camera, World>) -> Option<Se3<Camera, World>> {
         let Frame { map, bindings, features, camera, .. } = *frame;
-        self.flow.clear();
         self.pairs.clear();
+        let mut assumed = false;
         for track in &features.tracks {
             let Some(Target::Landmark(id)) = bindings.get(track.id) else { continue };
             let Some(landmark) = map.landmark(*id) else { continue };
             let Some(normalised) = camera.undistort(&track.position.cast()) else { continue };
-            let pixel_scale = camera.pixel_scale(&normalised);
-            let pair =
-                PosePair { point: landmark.position, normalised, pixel_scale, inv_sigma_px: 1.0 / FLOW_SIGMA_PX };
-            self.flow.push((*id, pair));
-            self.pairs.push(pair);
+            assumed |= landmark.assumed.is_some();
+            let (pixel_scale, inv_sigma_px) = (camera.pixel_scale(&normalised), 1.0 / FLOW_SIGMA_PX);
+            self.pairs.push(PosePair { point: landmark.position, normalised, pixel_scale, inv_sigma_px });
         }
-        self.seeds.append_pairs(self.flow.len(), guess, frame.motion.as_ref(), frame.shutter, &mut self.pairs);
+        let tracks = self.pairs.len();
+        self.seeds.append_pairs(tracks, guess, frame.motion.as_ref(), frame.shutter, &mut self.pairs);
         // Seeds alone would rest on a distance that nobody knows.
-        if self.flow.is_empty() || self.pairs.len() < MIN_FLOW {
+        if tracks == 0 || self.pairs.len() < MIN_FLOW {
             return None;
         }
-        let options = PoseOptions { first_round_relaxation: 25.0, ..self.options(frame, self.flow.len(), &[]) };
+        let leverage = frame.is_calibrated && !assumed && !self.seeds.are_heard(tracks);
+        let options = PoseOptions { first_round_relaxation: 25.0, leverage, ..PoseOptions::default() };
         let solution = optimise_pose(guess, &self.pairs, &options, &mut self.inlier)?;
-        let mut flags = self.inlier.iter();
-        self.flow.retain(|_| flags.next().copied().unwrap_or(false));
         (solution.inliers >= MIN_FLOW && 2 * solution.inliers >= self.pairs.len()).then_some(solution.camera_from_world)
     }
 
@@ -292,8 +283,7 @@ impl Tracker {
             // The motion that the shutter saw is known only now.
             solution = self.solve(frame, &solution.camera_from_world, motion.as_ref())?;
         }
-        let matches = &self.search.matches;
-        if self.seeds.are_heard(matches.len()) || matches.iter().any(|m| is_assumed(frame, m.landmark)) {
+        if self.rests_on_assumed(frame) {
             // Distances were eliminated at poses that did not know that the camera has moved.
             for _ in 0..MAX_ELIMINATIONS {
                 let before = solution.camera_from_world;
@@ -308,9 +298,7 @@ impl Tracker {
         solution = self.hear_newcomers(frame, solution);
         let landmarks = self.search.matches.iter().filter(|m| m.inlier).count();
         let sought = self.search.matches.len() + self.search.missed.len();
-        // A few that agree among many that were found and do not is chance.
-        let chance = landmarks < 2 * config.min_landmarks && 4 * landmarks < self.search.matches.len();
-        if landmarks < config.min_landmarks || chance {
+        if landmarks < config.min_landmarks {
             return None;
         }
         let pose = solution.camera_from_world;
@@ -323,7 +311,7 @@ impl Tracker {
         })
     }
 
-    /// Motion-only optimisation over the matches, and the flow of landmarks that were not matched. The matches are
+    /// Motion-only optimisation over the matches. They are
     /// corrected for a rolling shutter that moved as `motion` says.
     fn solve(
         &mut self,
@@ -340,46 +328,37 @@ impl Tracker {
                 _ => Vector2::zeros(),
             };
             let pair = m.pair(camera, shutter.readout_s);
-            self.pairs.push(without_distance(frame, m.landmark, start, &pair).unwrap_or_else(|| {
-                let own = landmark_variance(frame, start, m, &p);
-                PosePair { inv_sigma_px: (m.inv_sigma_px.powi(-2) + 0.5 * (own.x + own.y)).sqrt().recip(), ..pair }
-            }));
-        }
-        let matched = self.pairs.len();
-        for (id, pair) in &self.flow {
-            if self.search.matches.binary_search_by_key(id, |m| m.landmark).is_err() {
-                self.pairs.push(without_distance(frame, *id, start, pair).unwrap_or(*pair));
-            }
+            self.pairs.push(measurement_of(frame, m.landmark, start, pair));
         }
         self.seeds.append_pairs(self.search.matches.len(), start, motion, shutter, &mut self.pairs);
-        let solution = optimise_pose(
-            start,
-            &self.pairs,
-            &self.options(frame, self.search.matches.len(), &self.search.matches),
-            &mut self.inlier,
-        )?;
-        for (m, &ok) in self.search.matches.iter_mut().zip(&self.inlier[..matched]) {
+        let solution = optimise_pose(start, &self.pairs, &self.options(frame), &mut self.inlier)?;
+        // Seeds come after the matches.
+        for (m, &ok) in self.search.matches.iter_mut().zip(&self.inlier) {
             m.inlier = ok;
         }
         Some(solution)
     }
 
-    /// For pairs of `matches` and of the flow, and of seeds where they are heard `beside` so many landmarks: leverage is judged where all
-    /// distances are measured, and through a lens that is known (a wrong one bends the picture most where leverage is).
-    fn options(&self, frame: &Frame<'_>, beside: usize, matches: &[Match]) -> PoseOptions {
-        let mut landmarks = matches.iter().map(|m| m.landmark).chain(self.flow.iter().map(|f| f.0));
-        let assumed = self.seeds.are_heard(beside) || landmarks.any(|id| is_assumed(frame, id));
-        PoseOptions { leverage: frame.is_calibrated && !assumed, ..PoseOptions::default() }
+    /// Of the matches, and of seeds where they take part: leverage is judged where all distances are measured, and through a lens that is
+    /// known (a wrong one bends the picture most where leverage is).
+    fn options(&self, frame: &Frame<'_>) -> PoseOptions {
+        let leverage = frame.is_calibrated && !self.rests_on_assumed(frame);
+        PoseOptions { leverage, ..PoseOptions::default() }
+    }
+
+    fn rests_on_assumed(&self, frame: &Frame<'_>) -> bool {
+        let matches = &self.search.matches;
+        self.seeds.are_heard(matches.len()) || matches.iter().any(|m| is_assumed(frame, m.landmark))
     }
 
     /// The last solution with the newcomers that agree with established landmarks only.
     fn hear_newcomers(&mut self, frame: &Frame<'_>, solution: PoseSolution) -> PoseSolution {
         let matches = &self.search.matches;
         let enough = established_found(frame.before.map(|(_, step_s)| step_s));
-        // Tracks whose template was not found come after the matches; nothing vouches for them.
+        // Nothing vouches for seeds, which come after the matches.
         let established =
             |i: usize| matches.get(i).and_then(|m| frame.map.landmark(m.landmark)).is_some_and(|l| l.found >= enough);
-        let options = self.options(frame, matches.len(), matches);
+        let options = self.options(frame);
         let judged = self.newcomers.judge(&self.pairs, established, &solution, &options, &mut self.inlier);
         for (m, &ok) in self.search.matches.iter_mut().zip(&self.inlier) {
             m.inlier = ok;

@@ -257,7 +257,6 @@ mod tests {
                 normalised: camera.undistort(&pixel.cast()).expect("in the picture"),
                 displacement: Vector2::zeros(),
                 inv_sigma_px: 1.25,
-                blurred: false,
                 inlier: true,
             });
         }

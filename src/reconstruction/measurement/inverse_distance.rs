@@ -3,7 +3,7 @@
 //! Inverse, because infinity is then a place like any other. Where the distance is not known it is eliminated from a measurement: where
 //! the camera has moved, only what lies across the epipolar line counts in full.
 
-use nalgebra::{Matrix2, Vector2, Vector3};
+use nalgebra::{Vector2, Vector3};
 
 use super::{PosePair, scaled};
 use crate::geometry::frames::{Camera, World};
@@ -81,10 +81,8 @@ impl Ray {
         }
         let (_, derivative) = see(inverse)?;
         let j = pixels(&derivative) * sigma;
-        let whitening = (Matrix2::identity() + j * j.transpose()).cholesky()?.l().try_inverse()?;
         let normalised = pair.normalised - derivative * (mean - inverse);
-        let pixel_scale = whitening * pair.pixel_scale;
-        Some(PosePair { point: self.at(inverse), normalised, pixel_scale, ..*pair })
+        Some(PosePair { point: self.at(inverse), normalised, ..*pair }.whitened(&(j * j.transpose())))
     }
 
     /// Whether the observation lies where some likely distance puts it.

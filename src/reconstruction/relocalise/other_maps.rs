@@ -277,7 +277,6 @@ mod tests {
                     normalised,
                     displacement: Vector2::zeros(),
                     inv_sigma_px: 1.0,
-                    blurred: false,
                     inlier: true,
                 });
             }

@@ -1,18 +1,15 @@
 //! What one frame's tracking reads, and what the map says of the frame's landmarks.
 
-use nalgebra::{Vector2, Vector3};
-
 use super::association::Bindings;
-use super::search::Match;
 use crate::features::FrameFeatures;
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::map::{LandmarkId, Map};
 use crate::reconstruction::config::ReconstructionConfig;
+use crate::reconstruction::measurement::PosePair;
 use crate::reconstruction::measurement::inverse_distance::Ray;
 use crate::reconstruction::measurement::rolling_shutter::Shutter;
-use crate::reconstruction::measurement::{PosePair, jacobian_rows};
 
 /// Between two frames of a quick turn the camera turns by more than this, rad: what comes into view has left it a few frames later.
 pub const QUICK_TURN_RAD: f64 = 0.05;
@@ -44,27 +41,12 @@ pub fn is_assumed(frame: &Frame<'_>, landmark: LandmarkId) -> bool {
     frame.map.landmark(landmark).is_some_and(|l| l.assumed.is_some())
 }
 
-/// The pair with the landmark's distance eliminated, if that is assumed.
-pub fn without_distance(
-    frame: &Frame<'_>,
-    landmark: LandmarkId,
-    pose: &Se3<Camera, World>,
-    pair: &PosePair,
-) -> Option<PosePair> {
-    let ray = Ray::of(landmark, frame.map, frame.shutter.readout_s)?;
-    ray.eliminate(pose, pair)
-}
-
-/// Variance of a match's place that comes from its landmark's own uncertainty, px^2 in x and y; `p`: the landmark in the
-/// coordinates of the camera at `pose`. Zero where it is not known.
-pub fn landmark_variance(frame: &Frame<'_>, pose: &Se3<Camera, World>, m: &Match, p: &Vector3<f64>) -> Vector2<f64> {
-    let Some(landmark) = frame.map.landmark(m.landmark).filter(|_| p.z > 1e-6) else { return Vector2::zeros() };
-    let (jx, jy) = jacobian_rows(p, &frame.camera.pixel_scale(&(p.xy() / p.z)));
-    let world_from_camera = pose.rotation.inverse();
-    let variance = |j: &[f64; 6]| {
-        let a = world_from_camera * Vector3::new(j[3], j[4], j[5]);
-        a.dot(&(landmark.covariance * a))
-    };
-    let own = Vector2::new(variance(&jx), variance(&jy));
-    if own.iter().all(|v| v.is_finite() && *v >= 0.0) { own } else { Vector2::zeros() }
+/// What a place in the frame tells of a pose near `pose`, given what is known of the landmark there: along its ray, if its distance is
+/// assumed, else everywhere.
+pub fn measurement_of(frame: &Frame<'_>, landmark: LandmarkId, pose: &Se3<Camera, World>, pair: PosePair) -> PosePair {
+    let Some(known) = frame.map.landmark(landmark) else { return pair };
+    match Ray::of(landmark, frame.map, frame.shutter.readout_s) {
+        Some(ray) => ray.eliminate(pose, &pair).unwrap_or(pair),
+        None => pair.with_uncertain_point(pose, &known.covariance),
+    }
 }

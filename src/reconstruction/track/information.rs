@@ -7,7 +7,7 @@
 
 use nalgebra::{Matrix6, Vector3, Vector6};
 
-use super::frame::{Frame, landmark_variance, without_distance};
+use super::frame::{Frame, measurement_of};
 use super::search::Match;
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
@@ -45,26 +45,14 @@ impl PoseInformation {
             if p.z < nearest {
                 continue;
             }
-            let pair = m.pair(frame.camera, frame.shutter.readout_s);
-            if let Some(pair) = without_distance(frame, m.landmark, pose, &pair) {
-                let p = pose.transform(&pair.point);
-                let scale = pair.pixel_scale * pair.inv_sigma_px;
-                let (jx, jy) = jacobian_rows(&p, &scale);
-                accumulate(&mut matrix, &jx, &jy, 1.0);
-                let moved = scale * m.displacement;
-                readout += Vector6::from(jx) * moved.x + Vector6::from(jy) * moved.y;
-                continue;
-            }
-            let scale = frame.camera.pixel_scale(&(p.xy() / p.z));
-            let (jx, jy) = jacobian_rows(&p, &scale);
-            let sigma2 = m.inv_sigma_px.powi(-2);
-            let own = landmark_variance(frame, pose, m, &p);
-            // The two rows are treated as independent: their cross term is small beside sigma^2.
-            let (wx, wy) = (1.0 / (sigma2 + own.x), 1.0 / (sigma2 + own.y));
-            accumulate(&mut matrix, &jx.map(|v| v * wx.sqrt()), &jy.map(|v| v * wy.sqrt()), 1.0);
+            let pair = measurement_of(frame, m.landmark, pose, m.pair(frame.camera, frame.shutter.readout_s));
+            let scale = pair.pixel_scale * pair.inv_sigma_px;
+            let (jx, jy) = jacobian_rows(&pose.transform(&pair.point), &scale);
+            accumulate(&mut matrix, &jx, &jy, 1.0);
             let moved = scale * m.displacement;
-            readout += Vector6::from(jx) * (wx * moved.x) + Vector6::from(jy) * (wy * moved.y);
-            let Some(landmark) = frame.map.landmark(m.landmark) else { continue };
+            readout += Vector6::from(jx) * moved.x + Vector6::from(jy) * moved.y;
+            let known = frame.map.landmark(m.landmark).filter(|l| l.assumed.is_none());
+            let Some(landmark) = known else { continue };
             let ray: Vector3<f64> = world_from_camera * p.normalize();
             let sigma = ray.dot(&(landmark.covariance * ray)).sqrt() / p.norm();
             if sigma.is_finite() {

@@ -29,8 +29,6 @@ pub struct Match {
     /// How far a rolling shutter moved it, per second of readout time.
     pub displacement: Vector2<f64>,
     pub inv_sigma_px: f64,
-    /// Measured on a coarser level than its own, as the picture is blurred.
-    pub blurred: bool,
     /// Agreed with the pose in the end.
     pub inlier: bool,
 }
@@ -256,7 +254,6 @@ fn align_candidate(
         normalised,
         displacement: Vector2::zeros(),
         inv_sigma_px: found.inv_sigma_px,
-        blurred: found.blurred,
         inlier: true,
     })
 }
@@ -265,8 +262,6 @@ fn align_candidate(
 pub struct Found {
     pub pixel: Vector2<f32>,
     pub inv_sigma_px: f64,
-    /// On a coarser level than its own.
-    pub blurred: bool,
 }
 
 /// Finds the patch around `observation` of `keyframe` near `start` (level-0 px) in `pyramid`; `affine` = d frame pixel / d
@@ -314,11 +309,7 @@ pub fn align_template(
     if (position.cast::<f64>() - start).norm() > options.radius_px * (1u32 << level) as f64 {
         return None;
     }
-    Some(Found {
-        pixel: position,
-        inv_sigma_px: 1.0 / (options.sigma_px * (1u32 << level) as f64),
-        blurred: level > own,
-    })
+    Some(Found { pixel: position, inv_sigma_px: 1.0 / (options.sigma_px * (1u32 << level) as f64) })
 }
 
 /// The observation whose direction of view is closest to the present one.
@@ -436,8 +427,9 @@ mod tests {
     #[test]
     fn a_landmark_in_a_blurred_picture_is_measured_on_a_coarser_level_and_said_to_be_less_exact() {
         let sharp = find_in_blur(0, BLURRED_LEVELS).unwrap();
-        assert!(!sharp.blurred && (sharp.pixel - Vector2::new(163.0, 117.0)).norm() < 0.05, "{}", sharp.pixel);
-        let found = |streak: &usize| find_in_blur(*streak, BLURRED_LEVELS).filter(|f| f.blurred);
+        let coarser = |f: &Found| f.inv_sigma_px < 0.9 * sharp.inv_sigma_px;
+        assert!((sharp.pixel - Vector2::new(163.0, 117.0)).norm() < 0.05, "{}", sharp.pixel);
+        let found = |streak: &usize| find_in_blur(*streak, BLURRED_LEVELS).filter(coarser);
         let too_much = |streak: &usize| find_in_blur(*streak, 0).is_none() && found(streak).is_some();
         let streak = (8..=40).find(too_much).expect("one that the finest level cannot bear");
         let found = found(&streak).unwrap();
