@@ -340,8 +340,8 @@ mod tests {
             (0..keyframes).for_each(|_| {
                 map.add_keyframe(keyframe(Se3::identity()));
             });
-            let (reference, scale_doubt) = (KeyframeId(0), ScaleUncertainty::default());
-            OtherMap { map, id: MapId(id), reference, scale_doubt, frames: 100, sightings: Vec::new() }
+            let (reference, scale) = (KeyframeId(0), ScaleUncertainty::default());
+            OtherMap { map, id: MapId(id), reference, scale, frames: 100, sightings: Vec::new() }
         };
         let mut others = OtherMaps::default();
         for (id, keyframes) in [(0, 5), (1, 9), (2, 7), (3, 6)] {
