@@ -27,10 +27,10 @@
 //! - A robust motion-only adjustment over these gives pose and covariance; the covariance contains the landmarks' own, what of it they
 //!   share, and the readout time's.
 //! - Seeds (tracks without depth) become landmarks at keyframes, where their rays meet at a degree or more. In a quick turn with few
-//!   landmarks they hold a frame's pose across their epipolar lines (`seed_rays`), every frame is a keyframe, and tracks on
+//!   landmarks they hold a frame's pose across their epipolar lines (`track::seed_rays`), every frame is a keyframe, and tracks on
 //!   patterns are followed last (`features::repetition`).
 //! - A keyframe that sees fewer than 120 landmarks is completed: corners of its neighbours that never became landmarks, as their tracks were
-//!   cut, are looked for in it along their epipolar lines (`reconstruction`'s `epipolar`).
+//!   cut, are looked for in it along their epipolar lines (`keyframe::epipolar`).
 //! - In a blurred picture what is not found at its own level is measured on coarser ones, as exactly as these are; a frame that rests mostly
 //!   on such is a keyframe only where landmarks run out.
 //! - A start is a reference view (once its tracks are gone a later one), the newest one and up to eight in between, adjusted together;
@@ -39,11 +39,11 @@
 //!   nor turning on the spot starts a map, nor (with a calibrated lens) something large that moves past.
 //! - A turn on the spot goes on where the map's landmarks leave the picture: corners without parallax become landmarks at an assumed
 //!   distance, which tracking eliminates and adjustments and planners never see; the first motion after the turn is found by two views
-//!   ([`reconstruction`]'s `assumed_distance` and `after_turn`), and log, health and covariance say what its scale rests on.
+//!   (`keyframe::distance_prior` and `keyframe::after_rotation`), and log, health and covariance say what its scale rests on.
 //! - Local bundle adjustment runs in the mapping worker on a copy of the map's part, and is merged after a published pose, at
 //!   a fixed number of frames later in lock-step (waiting if need be), whenever it is done when live; before the next frame is tracked
 //!   where frames come less than nine times a second. Whenever a map of up to
-//!   120 keyframes has grown by a third the whole of it is adjusted instead, and the intrinsics with it.
+//!   240 keyframes has grown by a third the whole of it is adjusted instead, and the intrinsics with it.
 //! - A camera without a calibration begins with a guess; its lens (distortion included) is refined the same way, at every keyframe of
 //!   a small map, and health says how surely it is known. What was found is kept for the next start, by `cli`.
 //! - Points are undistorted onto the plane z = 1 whatever the lens, so the geometry knows one kind of camera. That plane is stretched off

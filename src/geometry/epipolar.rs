@@ -84,8 +84,7 @@ pub fn sampson_normal_equations<const N: usize>(
     let mut full = NormalEquations::<9>::default();
     for (x1, x2) in matches {
         let (r, gradient) = sampson_gradient(m, &x1, &x2);
-        let (rho, weight) = loss.evaluate(r * r);
-        full.cost += rho;
+        let (_, weight) = loss.evaluate(r * r);
         if weight > 0.0 {
             full.add(&gradient, r, weight);
         }
@@ -98,7 +97,6 @@ pub fn sampson_normal_equations<const N: usize>(
     NormalEquations {
         hessian: directions.tr_mul(&(full.hessian * directions)),
         gradient: directions.tr_mul(&full.gradient),
-        cost: full.cost,
     }
 }
 

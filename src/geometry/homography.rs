@@ -137,18 +137,14 @@ impl<I: Iterator<Item = (Vector2<f64>, Vector2<f64>)> + Clone> LeastSquares<9> f
     fn linearise(&self, h: &TwoWay) -> NormalEquations<9> {
         let mut normal = NormalEquations::default();
         // The true inverse: the residual's derivative needs its scale.
-        let Some(inverse) = h.forward.try_inverse() else {
-            normal.cost = f64::INFINITY;
-            return normal;
-        };
+        let Some(inverse) = h.forward.try_inverse() else { return normal };
         let half = std::f64::consts::FRAC_1_SQRT_2;
         for (x1, x2) in self.matches.clone() {
             let (p1, p2) = (x1.push(1.0), x2.push(1.0));
             let there = difference(&(h.forward * p1), &x2);
             let q = inverse * p2;
             let back = difference(&q, &x1);
-            let (rho, weight) = self.loss.evaluate(0.5 * (there.0.norm_squared() + back.0.norm_squared()));
-            normal.cost += rho;
+            let (_, weight) = self.loss.evaluate(0.5 * (there.0.norm_squared() + back.0.norm_squared()));
             for k in 0..2 {
                 // d(H x1) = dH x1; d(H⁻¹ x2) = -H⁻¹ dH H⁻¹ x2
                 let left = inverse.tr_mul(&back.1[k]);

@@ -1,11 +1,12 @@
-//! Nonlinear least squares over a handful of parameters: Levenberg-Marquardt with robust losses.
+//! Nonlinear least squares: one Levenberg-Marquardt for everything that is fitted here.
 //!
-//! A problem says how it is linearised (normal equations at a state), what a state costs, and how a step moves a state
-//! (so rotations and directions stay what they are); [`minimise`] does the rest. Marquardt's scaled damping with
-//! Nielsen's update (Madsen, Nielsen, Tingleff: Methods for non-linear least squares problems, 2004). Everything is of
-//! fixed size and on the stack. Cost: a linearisation an iteration, a cost evaluation a trial, an N x N Cholesky.
+//! A [`Problem`] says what a state costs, how it is linearised and what step its own normal equations make at a damping; [`descend`]
+//! does the rest. Marquardt's scaled damping with Nielsen's update (Madsen, Nielsen, Tingleff: Methods for non-linear least
+//! squares problems, 2004). Problems with eliminations of their own (bundles) are such; those of a handful of parameters say only how
+//! they are linearised and moved ([`LeastSquares`]: dense, of fixed size, on the stack) and are minimised by [`minimise`].
+//! Cost: a linearisation an iteration, a cost evaluation a trial, one solution of the normal equations.
 //!
-//! Not here: sparse problems (bundle adjustment has its own elimination), constraints, covariances.
+//! Not here: constraints, covariances, outliers (a problem's own business).
 
 use nalgebra::{SMatrix, SVector};
 
@@ -42,22 +43,21 @@ impl Loss {
     }
 }
 
-/// `JᵀWJ`, `JᵀWr` and the cost at one state.
+/// `JᵀWJ` and `JᵀWr` at one state.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NormalEquations<const N: usize> {
     pub hessian: SMatrix<f64, N, N>,
     pub gradient: SVector<f64, N>,
-    pub cost: f64,
 }
 
 impl<const N: usize> Default for NormalEquations<N> {
     fn default() -> Self {
-        Self { hessian: SMatrix::zeros(), gradient: SVector::zeros(), cost: 0.0 }
+        Self { hessian: SMatrix::zeros(), gradient: SVector::zeros() }
     }
 }
 
 impl<const N: usize> NormalEquations<N> {
-    /// Adds one residual with its row of the Jacobian and its weight (not its cost). Fills the lower triangle of the
+    /// Adds one residual with its row of the Jacobian and its weight. Fills the lower triangle of the
     /// Hessian only: it is the one that [`minimise`] reads.
     #[inline]
     pub fn add(&mut self, row: &SVector<f64, N>, residual: f64, weight: f64) {
@@ -71,12 +71,30 @@ impl<const N: usize> NormalEquations<N> {
     }
 }
 
+impl<const N: usize> NormalEquations<N> {
+    /// The step at this damping, and by how much the linearised cost falls; `None` if they are not positive definite.
+    #[inline]
+    pub fn step(&self, damping: f64) -> Option<(SVector<f64, N>, f64)> {
+        let diagonal = self.hessian.diagonal();
+        // A parameter that nothing depends on still gets a pivot.
+        let floor = 1e-12 * diagonal.max() + f64::MIN_POSITIVE;
+        let mut damped = self.hessian;
+        for i in 0..N {
+            damped[(i, i)] += damping * diagonal[i].max(floor) + floor;
+        }
+        let delta = -nalgebra::Cholesky::new(damped)?.solve(&self.gradient);
+        let predicted = -delta.dot(&self.gradient)
+            + delta.iter().zip(diagonal.iter()).map(|(d, h)| d * d * damping * h.max(floor)).sum::<f64>();
+        Some((delta, predicted))
+    }
+}
+
 /// A least squares problem in `N` parameters.
 pub trait LeastSquares<const N: usize> {
     /// What is estimated.
-    type State: Clone;
+    type State;
 
-    /// Normal equations and cost at a state (lower triangle of the Hessian).
+    /// Normal equations at a state (lower triangle of the Hessian).
     fn linearise(&self, state: &Self::State) -> NormalEquations<N>;
 
     /// Cost alone; infinite where the state makes no sense.
@@ -84,6 +102,32 @@ pub trait LeastSquares<const N: usize> {
 
     /// The state moved by a step of the parameters.
     fn step(&self, state: &Self::State, delta: &SVector<f64, N>) -> Self::State;
+}
+
+/// Where a damped step leads.
+#[derive(Debug, Clone, Copy)]
+pub struct Step<S> {
+    pub state: S,
+    /// In the problem's parameters.
+    pub length: f64,
+    /// By how much the linearised cost falls: `-δᵀg + δᵀΛδ`, g the gradient, Λ what the damping added to the diagonal.
+    pub predicted_gain: f64,
+}
+
+/// Something that [`descend`] minimises.
+pub trait Problem {
+    /// What is estimated.
+    type State;
+    /// Its normal equations at a state.
+    type System;
+
+    fn linearise(&self, state: &Self::State) -> Self::System;
+
+    /// Cost alone; infinite where the state makes no sense.
+    fn cost(&self, state: &Self::State) -> f64;
+
+    /// The step at this damping, which is a share of the diagonal; `None` where the normal equations cannot be solved.
+    fn step(&self, state: &Self::State, system: &Self::System, damping: f64) -> Option<Step<Self::State>>;
 }
 
 /// When to stop.
@@ -117,51 +161,34 @@ pub struct LmSummary {
 }
 
 /// The state of least cost near `start`, and how it went. A start without a finite cost comes back as it is.
-pub fn minimise<const N: usize, P: LeastSquares<N>>(
-    problem: &P,
-    start: P::State,
-    options: &LmOptions,
-) -> (P::State, LmSummary) {
+pub fn descend<P: Problem>(problem: &P, start: P::State, options: &LmOptions) -> (P::State, LmSummary) {
     let mut state = start;
-    let mut normal = problem.linearise(&state);
-    let mut summary = LmSummary { initial_cost: normal.cost, final_cost: normal.cost, iterations: 0, converged: false };
-    if !normal.cost.is_finite() {
+    let cost = problem.cost(&state);
+    let mut summary = LmSummary { initial_cost: cost, final_cost: cost, iterations: 0, converged: false };
+    if !cost.is_finite() {
         return (state, summary);
     }
-    let mut damping = options.initial_damping;
-    let mut growth = 2.0;
+    let mut system = problem.linearise(&state);
+    let (mut damping, mut growth) = (options.initial_damping, 2.0);
     while summary.iterations < options.max_iterations {
         summary.iterations += 1;
-        let diagonal = normal.hessian.diagonal();
-        // A parameter that nothing depends on still gets a pivot.
-        let floor = 1e-12 * diagonal.max() + f64::MIN_POSITIVE;
-        let mut damped = normal.hessian;
-        for i in 0..N {
-            damped[(i, i)] += damping * diagonal[i].max(floor) + floor;
-        }
-        let Some(cholesky) = nalgebra::Cholesky::new(damped) else {
-            damping = (damping * growth).max(1e-10);
-            growth *= 2.0;
-            continue;
-        };
-        let delta = -cholesky.solve(&normal.gradient);
-        let trial = problem.step(&state, &delta);
-        let cost = problem.cost(&trial);
-        let gain = normal.cost - cost;
-        let small_step = delta.norm() <= options.step_norm;
+        let step = problem.step(&state, &system, damping);
+        let small_step = step.as_ref().is_some_and(|s| s.length <= options.step_norm);
+        let trial = step.map(|s| (problem.cost(&s.state), s));
         // NaN and infinity are no gain.
-        if gain > 0.0 {
-            let predicted = -delta.dot(&normal.gradient)
-                + delta.iter().zip(diagonal.iter()).map(|(d, h)| d * d * damping * h.max(floor)).sum::<f64>();
-            let small_gain = gain <= options.relative_cost * normal.cost;
-            state = trial;
+        if let Some((cost, step)) = trial.filter(|(cost, _)| *cost < summary.final_cost) {
+            let gain = summary.final_cost - cost;
+            let small_gain = gain <= options.relative_cost * summary.final_cost;
+            state = step.state;
             summary.final_cost = cost;
             if small_step || small_gain {
                 summary.converged = true;
                 break;
             }
-            normal = problem.linearise(&state);
-            let quality = 2.0 * gain / predicted.max(f64::MIN_POSITIVE) - 1.0;
+            if summary.iterations < options.max_iterations {
+                system = problem.linearise(&state);
+            }
+            let quality = 2.0 * gain / step.predicted_gain.max(f64::MIN_POSITIVE) - 1.0;
             damping *= (1.0 - quality * quality * quality).clamp(1.0 / 9.0, 2.0);
             growth = 2.0;
         } else {
@@ -174,6 +201,36 @@ pub fn minimise<const N: usize, P: LeastSquares<N>>(
         }
     }
     (state, summary)
+}
+
+/// A problem of a handful of parameters, its normal equations dense.
+struct Dense<'a, P>(&'a P);
+
+impl<const N: usize, P: LeastSquares<N>> Problem for (Dense<'_, P>, [(); N]) {
+    type State = P::State;
+    type System = NormalEquations<N>;
+
+    fn linearise(&self, state: &P::State) -> NormalEquations<N> {
+        self.0.0.linearise(state)
+    }
+
+    fn cost(&self, state: &P::State) -> f64 {
+        self.0.0.cost(state)
+    }
+
+    fn step(&self, state: &P::State, system: &NormalEquations<N>, damping: f64) -> Option<Step<P::State>> {
+        let (delta, predicted_gain) = system.step(damping)?;
+        Some(Step { state: self.0.0.step(state, &delta), length: delta.norm(), predicted_gain })
+    }
+}
+
+/// The state of least cost near `start`, and how it went. A start without a finite cost comes back as it is.
+pub fn minimise<const N: usize, P: LeastSquares<N>>(
+    problem: &P,
+    start: P::State,
+    options: &LmOptions,
+) -> (P::State, LmSummary) {
+    descend(&(Dense(problem), [(); N]), start, options)
 }
 
 #[cfg(test)]
@@ -194,9 +251,8 @@ mod tests {
             for &(x, y) in &self.data {
                 let e = (p.y * x).exp();
                 let r = p.x * e + p.z - y;
-                let (rho, weight) = self.loss.evaluate(r * r);
+                let (_, weight) = self.loss.evaluate(r * r);
                 normal.add(&Vector3::new(e, p.x * x * e, 1.0), r, weight);
-                normal.cost += rho;
             }
             normal
         }
@@ -268,7 +324,6 @@ mod tests {
             let mut normal = NormalEquations::default();
             for (row, residual) in self.rows(p) {
                 normal.add(&row, residual, 1.0);
-                normal.cost += residual * residual;
             }
             normal
         }

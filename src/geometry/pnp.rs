@@ -45,12 +45,9 @@ impl<I: Iterator<Item = (Vector3<f64>, Vector2<f64>)> + Clone> LeastSquares<6> f
         let mut normal = NormalEquations::default();
         for (point, seen) in self.matches.clone() {
             let p = pose.rotation * point + pose.translation;
-            let Some(r) = difference(&p, &seen) else {
-                normal.cost = f64::INFINITY;
-                return normal;
-            };
-            let (rho, weight) = self.loss.evaluate(r.norm_squared());
-            normal.cost += rho;
+            // Never from a state that costs anything finite.
+            let Some(r) = difference(&p, &seen) else { return normal };
+            let (_, weight) = self.loss.evaluate(r.norm_squared());
             let [a, b] = rows(&p);
             normal.add(&a, r.x, weight);
             normal.add(&b, r.y, weight);

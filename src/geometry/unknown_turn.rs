@@ -117,7 +117,7 @@ impl LeastSquares<UNKNOWNS> for Problem<'_> {
     type State = Camera;
 
     fn linearise(&self, state: &Camera) -> NormalEquations<UNKNOWNS> {
-        let mut normal = NormalEquations { cost: self.cost(state), ..NormalEquations::default() };
+        let mut normal = NormalEquations::default();
         // Inwards at a bound, where a step outwards would not move it.
         let nudged: [(Camera, f64); UNKNOWNS] = std::array::from_fn(|k| {
             let there = state.moved(&Unknowns::ith(k, STEP));

@@ -37,6 +37,15 @@ pub struct MapId(pub u32);
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct TurnId(pub u16);
 
+/// What came of looking for a landmark in a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Sought {
+    Found,
+    /// Something was found that does not agree with the frame's pose.
+    Disagreed,
+    Missed,
+}
+
 /// Where a keyframe saw a landmark.
 #[derive(Debug, Clone, Copy)]
 pub struct Observation {
@@ -271,6 +280,82 @@ impl Map {
         out.extend(keyframe.covisible.iter().filter(|c| c.1 >= minimum));
         out.sort_unstable_by(|a, b| b.1.cmp(&a.1).then(b.0.cmp(&a.0)));
         out.truncate(limit);
+    }
+
+    /// A keyframe is there instead.
+    pub fn place_keyframe(&mut self, keyframe: KeyframeId, camera_from_world: Se3<Camera, World>) {
+        if let Some(k) = self.keyframes.get_mut(keyframe.0) {
+            k.camera_from_world = camera_from_world;
+        }
+    }
+
+    /// The scale of a keyframe's place came through a turn.
+    pub fn set_scale_origin(&mut self, keyframe: KeyframeId, turn: Option<TurnId>) {
+        if let Some(k) = self.keyframes.get_mut(keyframe.0) {
+            k.scale_from = turn;
+        }
+    }
+
+    /// How the camera moved at a keyframe, and how a rolling shutter displaced what it saw (by the landmark's position and the
+    /// observation).
+    pub fn set_motion(
+        &mut self,
+        keyframe: KeyframeId,
+        motion: CameraMotion,
+        displacement: impl Fn(&Vector3<f64>, &Observation) -> Vector2<f64>,
+    ) {
+        let Some(k) = self.keyframes.get_mut(keyframe.0) else { return };
+        k.motion = Some(motion);
+        for o in &mut k.observations {
+            if let Some(landmark) = self.landmarks.get(o.landmark.0) {
+                o.displacement = displacement(&landmark.position, o);
+            }
+        }
+    }
+
+    /// A landmark is there, as far as is known; what is known of it stays.
+    pub fn place_landmark(&mut self, landmark: LandmarkId, position: Vector3<f64>) {
+        if let Some(l) = self.landmarks.get_mut(landmark.0) {
+            l.position = position;
+        }
+    }
+
+    /// A landmark was measured: its distance is no assumption any more.
+    pub fn measure_landmark(&mut self, landmark: LandmarkId, position: Vector3<f64>, covariance: Matrix3<f64>) {
+        if let Some(l) = self.landmarks.get_mut(landmark.0) {
+            (l.position, l.covariance, l.assumed) = (position, covariance, None);
+        }
+    }
+
+    /// A keyframe's observation of a landmark that it observes already is this one.
+    pub fn replace_observation(&mut self, keyframe: KeyframeId, observation: Observation) {
+        if let Some(k) = self.keyframes.get_mut(keyframe.0)
+            && let Ok(i) = k.observations.binary_search_by_key(&observation.landmark, |o| o.landmark)
+        {
+            k.observations[i] = observation;
+        }
+    }
+
+    /// Carries along what was added since these were the next ids, as an adjustment has moved its surroundings.
+    pub fn carry_newer(&mut self, next_keyframe: u32, next_landmark: u32, old_from_new: &Se3<World, World>) {
+        for (_, k) in self.keyframes.iter_mut().filter(|(id, _)| *id >= next_keyframe) {
+            k.camera_from_world = k.camera_from_world * *old_from_new;
+        }
+        let new_from_old = old_from_new.inverse();
+        for (_, l) in self.landmarks.iter_mut().filter(|(id, _)| *id >= next_landmark) {
+            l.position = new_from_old.transform(&l.position);
+        }
+    }
+
+    /// Counts that a landmark was looked for in a frame.
+    pub fn count_sighting(&mut self, landmark: LandmarkId, sought: Sought) {
+        let Some(l) = self.landmarks.get_mut(landmark.0) else { return };
+        l.sought += 1;
+        match sought {
+            Sought::Found => (l.found, l.disagreed) = (l.found + 1, 0),
+            Sought::Disagreed => l.disagreed += 1,
+            Sought::Missed => {}
+        }
     }
 
     /// An empty map whose ids go on after this one's, so that both can be joined later.

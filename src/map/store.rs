@@ -82,7 +82,7 @@ impl<T> Store<T> {
     }
 
     /// The entry, if it is alive.
-    pub fn get_mut(&mut self, id: u32) -> Option<&mut T> {
+    pub(super) fn get_mut(&mut self, id: u32) -> Option<&mut T> {
         self.pages.get_mut(id as usize / PAGE)?.as_mut()?.slots[id as usize % PAGE].as_mut()
     }
 
@@ -109,7 +109,7 @@ impl<T> Store<T> {
     }
 
     /// Entries alive, ascending id.
-    pub fn iter_mut(&mut self) -> impl Iterator<Item = (u32, &mut T)> {
+    pub(super) fn iter_mut(&mut self) -> impl Iterator<Item = (u32, &mut T)> {
         self.pages.iter_mut().enumerate().filter_map(|(p, page)| page.as_mut().map(|page| (p, page))).flat_map(
             |(p, page)| {
                 page.slots

@@ -1,451 +1,350 @@
-//! From tracks alone to a first map.
-//!
-//! Views are held while their tracks live, and the oldest of them is the reference. Once the flow that a rotation cannot explain is
-//! large enough, two-view geometry is tried (essential matrix or homography, [`two_view`](crate::geometry::two_view)): from the
-//! oldest view, which has the longest baseline, and from the oldest that shares half of today's tracks, which has more points.
-//! Standing still and turning on the spot never pass: their rotation-compensated flow stays at the noise. Of a lens that is a guess,
-//! what a rotation seen through another lens explains is taken out as well (`free_rotation`). All frames in between are remembered by
-//! their tracks, so that their poses can be solved once there is a map.
+//! The first map: from a two-view start to keyframes, landmarks, and poses of the frames before.
 
-use std::collections::VecDeque;
-use std::sync::Arc;
+mod consensus;
+pub mod initialiser;
+pub mod pure_rotation;
 
-use nalgebra::{Matrix3, Rotation3, Vector2, Vector3};
+use nalgebra::{Matrix3, Vector3};
 
-use super::config::ReconstructionConfig;
-use super::free_rotation::{LensFreedom, median, unexplained_flow};
-use crate::features::{FrameFeatures, Track};
-use crate::geometry::frames::{First, Second};
-use crate::geometry::two_view::{TwoViewOptions, reconstruct_two_views};
+use super::Reconstruction;
+use super::adjust::job::MappingJob;
+use super::keyframe::point::refine_point;
+use super::measurement::PosePair;
+use super::measurement::rolling_shutter::Readout;
+use super::odometry::Odometry;
+use super::track::Tracked;
+use super::track::association::{Seed, Target};
+use super::track::frame::Frame;
+use super::track::pose::{PoseOptions, optimise_pose};
+use super::track::search::{SearchOptions, affine_warp, align_template, observe};
+use super::types::{PoseEstimate, TrackingState, TrajectoryEvent};
+use crate::features::FrameFeatures;
+use crate::features::thumbnail::thumbnail_of;
+use crate::geometry::camera_motion::CameraMotion;
+use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::geometry::{CameraModel, Se3};
-use crate::image::Pyramid;
+use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, Observation};
+use consensus::agreeing_share;
+use initialiser::{PendingFrame, Start, View};
 
-/// A frame before the map exists.
-#[derive(Debug, Clone)]
-pub struct PendingFrame {
-    pub sequence: u64,
-    pub timestamp_ns: i64,
-    /// Track id and level-0 pixel, ascending id.
-    pub tracks: Vec<(u64, Vector2<f32>)>,
-}
+/// Standard deviation of the direction of the first motion that a start may have, rad; the longer the camera moves and nothing
+/// better comes the more is allowed: so much more after so many seconds, and at most so many times.
+const MAX_DIRECTION_SIGMA: f64 = 0.012;
+const PATIENCE_S: f64 = 1.0;
+const LARGEST_RELAXATION: f64 = 8.0;
+/// Share of the picture that must agree with a start, and that which is enough when the camera has moved so long without one
+/// (something covers a part of the picture for good).
+const AGREEING_SHARE: f64 = 0.85;
+const AGREEING_SHARE_LATE: f64 = 0.7;
+const LENIENT_AFTER_S: f64 = 4.0;
+/// Steps of the first adjustment's passes.
+const START_STEPS: usize = 20;
+/// Standard deviation of a frame-to-frame track's position, px.
+const TRACK_SIGMA_PX: f64 = 1.5;
+/// How far refinement may move a track's place in the second frame, px.
+const REFINE_PX: f64 = 2.0;
 
-impl PendingFrame {
-    pub fn of(features: &FrameFeatures) -> Self {
-        Self {
-            sequence: features.sequence,
-            timestamp_ns: features.timestamp_ns,
-            tracks: features.tracks.iter().map(|t| (t.id, t.position)).collect(),
-        }
+impl Reconstruction {
+    /// A frame without a map: perhaps the one that makes it.
+    pub(super) fn try_start(&mut self, features: &FrameFeatures) -> PoseEstimate {
+        let starts = self.initialiser.step(
+            features,
+            &self.optics.camera,
+            self.optics.intrinsics.freedom().as_ref(),
+            &self.config,
+        );
+        self.start_from(&starts, features).unwrap_or_else(|| self.estimate_none(features))
     }
 
-    /// Pixel of a track.
-    pub fn track(&self, id: u64) -> Option<Vector2<f32>> {
-        let i = self.tracks.binary_search_by_key(&id, |t| t.0).ok()?;
-        Some(self.tracks[i].1)
-    }
-}
-
-/// One corner of a first map.
-#[derive(Debug, Clone, Copy)]
-pub struct StartPoint {
-    pub track: u64,
-    pub first_pixel: Vector2<f32>,
-    pub second_pixel: Vector2<f32>,
-    /// In the first camera's coordinates.
-    pub point: Vector3<f64>,
-}
-
-/// A frame before the map that is kept with its picture.
-#[derive(Debug, Clone)]
-pub struct View {
-    pub frame: PendingFrame,
-    pub pyramid: Arc<Pyramid>,
-}
-
-impl View {
-    /// The picture is a copy of its own: the frame's goes back to the pool.
-    fn of(features: &FrameFeatures) -> Self {
-        Self { frame: PendingFrame::of(features), pyramid: Arc::new(Pyramid::clone(&features.pyramid)) }
-    }
-}
-
-/// A first map: the motion between two frames, points, and views in between to hold them together.
-#[derive(Debug)]
-pub struct Start {
-    pub first: View,
-    /// How long the camera has moved without a start, s.
-    pub trying_s: f64,
-    /// In order of time; neither the first nor the newest frame is among them.
-    pub between: Vec<View>,
-    pub second_from_first: Se3<Second, First>,
-    pub points: Vec<StartPoint>,
-}
-
-/// Frames that are remembered for a pose afterwards; older ones are dropped.
-const MAX_PENDING: usize = 900;
-/// Standard deviation of a track over the frames of a start, px.
-const START_SIGMA_PX: f64 = 1.0;
-/// Views kept between the reference and the newest frame; when there would be more every other one is dropped.
-const MAX_BETWEEN: usize = 8;
-/// A view is given up below this many tracks in common with the newest frame, or a quarter of its own, and the next one takes over.
-const MIN_COMMON: usize = 60;
-/// Further times that a start must agree with the picture, at the most.
-const MAX_DOUBT: u32 = 5;
-/// Rotation-compensated flow since the reference at which the camera counts as moving, px.
-const MOVING_FLOW_PX: f64 = 1.0;
-/// A camera without such flow for so long since the reference stands, s.
-const STANDING_S: f64 = 0.5;
-/// One frame adds at most this much to the time spent trying, s.
-const LONGEST_STEP_S: f64 = 0.5;
-
-/// Waits for a start.
-#[derive(Debug, Default)]
-pub struct Initialiser {
-    /// The reference, and views since then, every `stride`-th frame.
-    views: Vec<View>,
-    stride: u64,
-    since_reference: u64,
-    /// How often a start must still agree with the picture before one is believed.
-    doubt: u32,
-    /// A start of this frame has been asked; another one shares its picture.
-    voted: bool,
-    /// How long the camera has moved without a start, s: standing still takes it back. It outlasts the reference.
-    trying_s: f64,
-    last_ns: Option<i64>,
-    /// All frames since the last reset, or since the map before was lost, that may still get a pose, the reference among them.
-    pub pending: VecDeque<PendingFrame>,
-}
-
-impl Initialiser {
-    pub fn clear(&mut self) {
-        self.begin_at(None);
-        self.pending.clear();
-        self.trying_s = 0.0;
-        self.last_ns = None;
-        self.doubt = 0;
-    }
-
-    fn begin_at(&mut self, reference: Option<View>) {
-        self.views.clear();
-        self.views.extend(reference);
-        self.stride = 1;
-        self.since_reference = 0;
-    }
-
-    /// A start disagreed with too much of the picture: something moves there. Of many tries one will seem to agree by chance, so the
-    /// next ones must agree as often as they disagreed before one is believed.
-    pub fn disagree(&mut self) {
-        if !std::mem::replace(&mut self.voted, true) {
-            self.doubt = (self.doubt + 1).min(MAX_DOUBT);
-        }
-    }
-
-    /// A start agrees; true if nothing speaks against it any more.
-    pub fn agree(&mut self) -> bool {
-        if std::mem::replace(&mut self.voted, true) {
-            return false;
-        }
-        let settled = self.doubt == 0;
-        self.doubt = self.doubt.saturating_sub(1);
-        settled
-    }
-
-    /// Keeps every `stride`-th view; the stride doubles as often as there is no more room.
-    fn keep(&mut self, view: impl FnOnce() -> View) {
-        self.since_reference += 1;
-        if !self.since_reference.is_multiple_of(self.stride) {
-            return;
-        }
-        if self.views.len() > MAX_BETWEEN {
-            let mut n = 0;
-            self.views.retain(|_| {
-                n += 1;
-                n % 2 == 1
-            });
-            self.stride *= 2;
-            if !self.since_reference.is_multiple_of(self.stride) {
-                return;
+    /// Begins a map in place of the present, empty one, if one of the starts holds.
+    pub(super) fn start_from(&mut self, starts: &[Start], features: &FrameFeatures) -> Option<PoseEstimate> {
+        let guess = starts.iter().find_map(|start| {
+            let begun = self.build_map(start, features);
+            if begun.is_none() {
+                self.active.clear();
+            }
+            begun
+        })?;
+        // What the start could not place waits for parallax from here on.
+        let newest = self.active.reference;
+        for track in &features.tracks {
+            if self.active.bindings.get(track.id).is_none() {
+                self.active.bindings.set(track.id, Target::Seed(Seed::new(newest, track.position)));
             }
         }
-        self.views.push(view());
-    }
-
-    /// Takes a frame; what it could start together with a view before, best first. `freedom`: of a lens that is a guess.
-    pub fn step(
-        &mut self,
-        features: &FrameFeatures,
-        camera: &CameraModel,
-        freedom: Option<&LensFreedom>,
-        config: &ReconstructionConfig,
-    ) -> Vec<Start> {
-        let Some(pairs) = self.follow(features, camera) else { return Vec::new() };
-        let flow = rotation_compensated_flow(&pairs, camera);
-        self.spend_patience(features.timestamp_ns, flow.0);
-        let richer = |pairs: &Vec<Pair>| 2 * pairs.len() >= features.tracks.len();
-        let second = if richer(&pairs) {
-            None
-        } else {
-            let pairs = |v: &View| pairs_with(v, features, camera).filter(richer);
-            self.views.iter().enumerate().skip(1).find_map(|(i, v)| Some((i, pairs(v)?)))
+        // The frame itself is placed like any other, so that its covariance and counts are honest.
+        let frame = Frame {
+            features,
+            map: &self.active.map,
+            bindings: &self.active.bindings,
+            camera: &self.optics.camera,
+            config: &self.config,
+            shutter: &self.optics.shutter,
+            is_calibrated: self.optics.intrinsics.is_calibrated(),
+            before: None,
+            motion: None,
         };
-        let second = second.map(|(i, pairs)| (i, rotation_compensated_flow(&pairs, camera), pairs));
-        let starts = std::iter::once((0, flow, pairs)).chain(second).filter_map(|(i, (mut flow, turn), pairs)| {
-            if let Some(freedom) = freedom.filter(|_| flow >= config.start_flow_px) {
-                let places: Vec<_> = pairs.iter().map(|p| (p.first, p.second)).collect();
-                flow = flow.min(unexplained_flow(&places, &turn, camera, freedom));
-            }
-            (flow >= config.start_flow_px).then(|| self.attempt(i, &pairs, features, camera, config))?
-        });
-        let starts = starts.collect();
-        self.keep(|| View::of(features));
-        starts
-    }
-
-    /// Remembers a frame without asking for a start: while there is still hope for another map.
-    pub fn watch(&mut self, features: &FrameFeatures, camera: &CameraModel) {
-        if self.follow(features, camera).is_some() {
-            self.keep(|| View::of(features));
-        }
-    }
-
-    /// Follows the tracks into a frame: those that the reference shares with it. `None` if no view does; then this frame becomes the
-    /// reference.
-    fn follow(&mut self, features: &FrameFeatures, camera: &CameraModel) -> Option<Vec<Pair>> {
-        self.voted = false;
-        self.pending.push_back(PendingFrame::of(features));
-        if self.pending.len() > MAX_PENDING {
-            self.pending.pop_front();
-        }
-        // Views that have lost their tracks make room for the next ones, which have some of the way behind them, too.
-        let pairs = |v: &View| pairs_with(v, features, camera);
-        let alive = self.views.iter().enumerate().find_map(|(i, v)| Some((i, pairs(v)?)));
-        let Some((dead, pairs)) = alive else {
-            self.begin_at((features.tracks.len() >= MIN_COMMON).then(|| View::of(features)));
+        let Some(tracked) = self.tracker.track(&frame, self.active.reference, &[guess]) else {
+            self.active.clear();
+            self.initialiser.clear();
             return None;
         };
-        self.views.drain(..dead);
-        if dead > 0 && self.views.len() <= MAX_BETWEEN / 2 {
-            // There is room again, and a view that took over needs some in between soon.
-            self.stride = 1;
-            self.since_reference = 0;
-        }
-        Some(pairs)
+        self.solve_frames_before(features.sequence);
+        self.state = TrackingState::Tracking;
+        self.active.last_keyframe_frame = self.counters.frames;
+        self.counters.keyframes_made += self.active.map.keyframes.len() as u64;
+        self.counters.landmarks_made += self.active.map.landmarks.len() as u64;
+        self.tracker.keep_inliers();
+        let Tracked { camera_from_world, .. } = tracked;
+        self.counters.frames_tracked += 1;
+        self.active.odometry = Odometry::begin(features.timestamp_ns, camera_from_world);
+        self.record_pose(features.timestamp_ns, &camera_from_world);
+        Some(self.estimate_tracked(features, &tracked, None, true))
     }
 
-    /// Notes for how long the camera has moved, or stood: `flow_px` since the reference, compensated for rotation.
-    fn spend_patience(&mut self, timestamp_ns: i64, flow_px: f64) {
-        let since = |then: i64| (timestamp_ns - then) as f64 * 1e-9;
-        let step_s = self.last_ns.map_or(0.0, since).clamp(0.0, LONGEST_STEP_S);
-        self.last_ns = Some(timestamp_ns);
-        if flow_px >= MOVING_FLOW_PX {
-            self.trying_s += step_s;
-        } else if self.views.first().is_some_and(|r| since(r.frame.timestamp_ns) > STANDING_S) {
-            self.trying_s = (self.trying_s - step_s).max(0.0);
+    /// The first keyframes and their landmarks, adjusted, and the newest frame's pose; `None` if too little of it holds.
+    fn build_map(&mut self, start: &Start, features: &FrameFeatures) -> Option<Se3<Camera, World>> {
+        let mut depths: Vec<f64> = start.points.iter().map(|p| p.point.z).collect();
+        depths.sort_unstable_by(f64::total_cmp);
+        // The unit of a map is the median depth of its start.
+        let scale = 1.0 / depths[depths.len() / 2];
+        let second: Se3<Camera, World> =
+            Se3::new(start.second_from_first.rotation, start.second_from_first.translation * scale);
+        let first = &start.first;
+        let a = self.add_view(first, Se3::identity());
+        // Ascending track id, for the views in between.
+        let mut points: Vec<(u64, Vector3<f64>)> = start.points.iter().map(|p| (p.track, p.point * scale)).collect();
+        points.sort_unstable_by_key(|p| p.0);
+        let mut views = vec![(a, &first.frame)];
+        let mut guess = Se3::identity();
+        for view in &start.between {
+            if let Some(pose) = self.solve_view(&view.frame, &points, &guess) {
+                guess = pose;
+                views.push((self.add_view(view, pose), &view.frame));
+            }
         }
-    }
-
-    /// Two-view geometry between the view of this index and this frame.
-    fn attempt(
-        &self,
-        index: usize,
-        pairs: &[Pair],
-        features: &FrameFeatures,
-        camera: &CameraModel,
-        config: &ReconstructionConfig,
-    ) -> Option<Start> {
-        let (reference, between) = self.views.get(index..)?.split_first()?;
-        let first: Vec<Vector2<f64>> = pairs.iter().map(|p| p.first).collect();
-        let second: Vec<Vector2<f64>> = pairs.iter().map(|p| p.second).collect();
-        let options =
-            TwoViewOptions { seed: features.sequence, ..TwoViewOptions::new(START_SIGMA_PX, camera.focal_px()) };
-        let solution = reconstruct_two_views(&first, &second, &options).ok()?;
-        let points: Vec<StartPoint> = pairs
-            .iter()
-            .zip(&solution.points)
-            .filter_map(|(pair, point)| {
-                Some(StartPoint {
-                    track: pair.track,
-                    first_pixel: pair.first_pixel,
-                    second_pixel: pair.second_pixel,
-                    point: (*point)?,
+        let newest = PendingFrame::of(features);
+        let b = self.add_view(&View { frame: newest.clone(), pyramid: features.pyramid.clone() }, second);
+        views.push((b, &newest));
+        let inv_sigma = 1.0 / self.config.sigma_px;
+        for &(track, point) in &points {
+            let seen: Vec<_> = views
+                .iter()
+                .filter_map(|&(k, frame)| {
+                    Some((k, observe(&self.optics.camera, LandmarkId::default(), frame.track(track)?, inv_sigma)?))
                 })
-            })
-            .collect();
-        if points.len() < config.start_landmarks {
+                .collect();
+            let landmark = Landmark {
+                position: point,
+                covariance: Matrix3::from_element(f64::NAN),
+                observers: Vec::new(),
+                assumed: None,
+                created_by: b,
+                sought: 1,
+                found: 1,
+                disagreed: 0,
+            };
+            if seen.len() >= 2 {
+                let id = self.active.map.add_landmark(landmark, &seen);
+                self.active.bindings.set(track, Target::Landmark(id));
+            }
+        }
+        self.adjust_whole()?;
+        self.refine_views(a);
+        self.note_motion();
+        self.active.reference = b;
+        let (sigma, readout) = self.adjust_whole()?;
+        if sigma > MAX_DIRECTION_SIGMA * (1.0 + start.trying_s / PATIENCE_S).min(LARGEST_RELAXATION) {
             return None;
         }
-        Some(Start {
-            first: reference.clone(),
-            trying_s: self.trying_s,
-            between: between.to_vec(),
-            second_from_first: solution.second_from_first,
-            points,
-        })
-    }
-}
-
-#[derive(Debug, Clone, Copy)]
-struct Pair {
-    track: u64,
-    first_pixel: Vector2<f32>,
-    second_pixel: Vector2<f32>,
-    first: Vector2<f64>,
-    second: Vector2<f64>,
-}
-
-/// Tracks that a view shares with a frame, if they are enough.
-fn pairs_with(view: &View, features: &FrameFeatures, camera: &CameraModel) -> Option<Vec<Pair>> {
-    let pairs = common(&view.frame, &features.tracks, camera);
-    (pairs.len() >= MIN_COMMON.max(view.frame.tracks.len() / 4)).then_some(pairs)
-}
-
-/// Tracks that both frames see, undistorted; of a wide-angle lens where the plane z = 1 is even, as two-view geometry weighs all alike.
-fn common(reference: &PendingFrame, tracks: &[Track], camera: &CameraModel) -> Vec<Pair> {
-    let central = |n: &Vector2<f64>| camera.is_central(n);
-    tracks
-        .iter()
-        .filter_map(|t| {
-            let first_pixel = reference.track(t.id)?;
-            Some(Pair {
-                track: t.id,
-                first_pixel,
-                second_pixel: t.position,
-                first: camera.undistort(&first_pixel.cast()).filter(central)?,
-                second: camera.undistort(&t.position.cast()).filter(central)?,
-            })
-        })
-        .collect()
-}
-
-/// Median flow (px) that remains when the rotation that explains it best is taken out: Kabsch's rotation between the rays,
-/// twice, the second time over the better half. And that rotation, second from first.
-fn rotation_compensated_flow(pairs: &[Pair], camera: &CameraModel) -> (f64, Rotation3<f64>) {
-    let ray = |n: &Vector2<f64>| Vector3::new(n.x, n.y, 1.0).normalize();
-    let mut rest: Vec<f64> = Vec::new();
-    let mut limit = f64::INFINITY;
-    let mut rotation = Rotation3::identity();
-    for _ in 0..3 {
-        let mut sum = Matrix3::zeros();
-        for (i, p) in pairs.iter().enumerate() {
-            if rest.get(i).is_none_or(|&r| r <= limit) {
-                sum += ray(&p.second) * ray(&p.first).transpose();
+        if self.optics.intrinsics.freedom().is_none() {
+            if !self.most_agrees(&views, start.trying_s) {
+                self.initialiser.disagree();
+                return None;
+            }
+            if !self.initialiser.agree() {
+                return None;
             }
         }
-        let Some(svd) = sum.try_svd(true, true, 1e-12, 100) else { return (0.0, rotation) };
-        let (Some(u), Some(vt)) = (svd.u, svd.v_t) else { return (0.0, rotation) };
-        let d = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, (u * vt).determinant().signum()));
-        rotation = Rotation3::from_matrix_unchecked(u * d * vt);
-        rest.clear();
-        rest.extend(pairs.iter().map(|p| {
-            let r = rotation * ray(&p.first);
-            camera.pixels(&p.second, &(Vector2::new(r.x / r.z, r.y / r.z) - p.second))
-        }));
-        limit = median(&rest);
+        self.optics.shutter.learn(&readout);
+        Some(self.active.map.keyframe(b)?.camera_from_world)
     }
-    (limit, rotation)
-}
 
-#[cfg(test)]
-mod tests {
-    use super::*;
+    /// Enough of the picture agrees with the views' motion for a map to begin.
+    fn most_agrees(&self, views: &[(KeyframeId, &PendingFrame)], trying_s: f64) -> bool {
+        let posed: Vec<_> = views
+            .iter()
+            .filter_map(|&(k, frame)| Some((frame, self.active.map.keyframe(k)?.camera_from_world)))
+            .collect();
+        let impatience = (trying_s / LENIENT_AFTER_S).min(1.0);
+        let needed = AGREEING_SHARE + impatience * (AGREEING_SHARE_LATE - AGREEING_SHARE);
+        agreeing_share(&posed, &self.optics.camera).is_some_and(|share| share >= needed)
+    }
 
-    fn pairs(rotation: Rotation3<f64>, translation: Vector3<f64>) -> Vec<Pair> {
-        let mut pairs = Vec::new();
-        for i in 0..10 {
-            for j in 0..8 {
-                let depth = 3.0 + ((i * 7 + j * 3) % 5) as f64 * 0.5;
-                let n = Vector2::new((i as f64 - 4.5) * 0.1, (j as f64 - 3.5) * 0.1);
-                let p = rotation * (Vector3::new(n.x, n.y, 1.0) * depth) + translation;
-                pairs.push(Pair {
-                    track: 0,
-                    first_pixel: Vector2::zeros(),
-                    second_pixel: Vector2::zeros(),
-                    first: n,
-                    second: Vector2::new(p.x / p.z, p.y / p.z),
-                });
+    fn add_view(&mut self, view: &View, camera_from_world: Se3<Camera, World>) -> KeyframeId {
+        self.active.map.add_keyframe(Keyframe {
+            sequence: view.frame.sequence,
+            timestamp_ns: view.frame.timestamp_ns,
+            map: self.active.id,
+            camera_from_world,
+            motion: None,
+            thumbnail: thumbnail_of(&view.pyramid),
+            scale_from: None,
+            pyramid: view.pyramid.clone(),
+            observations: Vec::new(),
+            covisible: Vec::new(),
+            corners: Vec::new(),
+        })
+    }
+
+    /// Adjusts the whole (new, small) map at once: how surely the newest camera's direction from the first is known (rad), and the
+    /// readout time found with it; `None` if too few landmarks hold.
+    fn adjust_whole(&mut self) -> Option<(f64, Readout)> {
+        let result =
+            MappingJob::whole(&self.active.map, &self.optics.camera, self.optics.shutter.to_adjust(), START_STEPS)?
+                .run();
+        let supported = result.supported_landmarks();
+        let (sigma, readout) = (result.direction_sigma(), *result.readout());
+        result.merge(&mut self.active.map);
+        (supported >= self.config.start_landmarks).then_some((sigma, readout))
+    }
+
+    /// Replaces the tracked places in the later views by alignment with the first one's templates: flow drifts.
+    fn refine_views(&mut self, first: KeyframeId) {
+        let options = SearchOptions { radius_px: REFINE_PX, ..SearchOptions::precise(self.config.sigma_px) };
+        let ids: Vec<LandmarkId> = self.active.map.landmarks.iter().map(|(id, _)| LandmarkId(id)).collect();
+        for id in ids {
+            let Some(landmark) = self.active.map.landmark(id) else { continue };
+            let observers = landmark.observers.clone();
+            let mut position = landmark.position;
+            for &k in observers.iter().filter(|k| **k != first) {
+                let refined = refine_in_view(&self.active.map, first, k, id, &self.optics.camera, &options);
+                match refined {
+                    Some(new) => self.active.map.replace_observation(k, new),
+                    None => self.active.map.remove_observation(k, id),
+                }
+            }
+            let seen: Vec<_> =
+                observers.iter().filter_map(|&k| Some((k, *self.active.map.keyframe(k)?.observation(id)?))).collect();
+            // With fewer than two views left the landmark is gone already.
+            if let Some(covariance) =
+                refine_point(&self.active.map, &seen, &self.optics.camera, self.optics.shutter.readout_s, &mut position)
+            {
+                self.active.map.measure_landmark(id, position, covariance);
             }
         }
-        pairs
     }
 
-    #[test]
-    fn turning_on_the_spot_leaves_no_flow_and_translation_does() {
-        let camera = CameraModel::new(640, 480, 500.0, 500.0, 320.0, 240.0, [0.0; 5]).unwrap();
-        let turn = Rotation3::from_euler_angles(0.1, -0.3, 0.2);
-        assert!(rotation_compensated_flow(&pairs(turn, Vector3::zeros()), &camera).0 < 1e-6);
-        let moved = rotation_compensated_flow(&pairs(turn, Vector3::new(0.3, 0.0, 0.0)), &camera).0;
-        assert!(moved > 3.0, "{moved}");
-    }
-
-    #[test]
-    fn patience_is_spent_by_moving_outlasts_the_reference_and_comes_back_while_standing() {
-        let camera = CameraModel::new(640, 480, 500.0, 500.0, 320.0, 240.0, [0.0; 5]).unwrap();
-        // No start is tried: only the time counts here.
-        let config = ReconstructionConfig { start_flow_px: 100.0, ..ReconstructionConfig::default() };
-        let mut initialiser = Initialiser::default();
-        let mut frames = 0;
-        let mut go_on = |seconds: f64, first_id: u64, step: f64| {
-            for n in 0..(seconds * 30.0) as usize {
-                let moved = Vector3::new(0.15 + step * n as f64, 0.0, 0.0);
-                let tracks = pairs(Rotation3::identity(), moved).into_iter().enumerate().map(|(i, p)| Track {
-                    id: first_id + i as u64,
-                    position: (p.second * 500.0 + Vector2::new(320.0, 240.0)).cast(),
-                    age: 1,
-                });
-                let features = FrameFeatures {
-                    sequence: frames,
-                    timestamp_ns: frames as i64 * 33_333_333,
-                    tracks: tracks.collect(),
-                    ..FrameFeatures::default()
-                };
-                assert!(initialiser.step(&features, &camera, None, &config).is_empty());
-                frames += 1;
+    /// How the camera moved at each view, from the views before and after: a rolling shutter shows it.
+    fn note_motion(&mut self) {
+        let poses: Vec<_> =
+            self.active.map.keyframes.iter().map(|(id, k)| (id, k.timestamp_ns, k.camera_from_world)).collect();
+        for (i, &(id, _, pose)) in poses.iter().enumerate() {
+            let (before, after) = (&poses[i.saturating_sub(1)], &poses[(i + 1).min(poses.len() - 1)]);
+            let dt = (after.1 - before.1) as f64 * 1e-9;
+            if dt <= 0.0 {
+                continue;
             }
-            initialiser.trying_s
-        };
-        assert_eq!(go_on(3.0, 0, 0.0), 0.0, "standing");
-        let moving = go_on(1.0, 0, 0.02);
-        assert!((0.5..=1.0).contains(&moving), "{moving} s of trying after a second of motion");
-        let again = go_on(1.0, 1000, 0.02);
-        assert!(again > moving + 0.5, "{again} s after another with new tracks");
-        assert_eq!(go_on(4.0, 2000, 0.0), 0.0, "after standing again");
-    }
-
-    #[test]
-    fn a_view_that_has_lost_its_tracks_gives_way_to_the_next_one() {
-        let camera = CameraModel::new(640, 480, 500.0, 500.0, 320.0, 240.0, [0.0; 5]).unwrap();
-        let config = ReconstructionConfig { start_flow_px: 100.0, ..ReconstructionConfig::default() };
-        let mut initialiser = Initialiser::default();
-        // Five of eighty tracks are lost in every frame: after four of them sixty are left.
-        for n in 0..6 {
-            let tracks = pairs(Rotation3::identity(), Vector3::zeros()).into_iter().enumerate().map(|(i, p)| Track {
-                id: 5 * n + i as u64,
-                position: (p.second * 500.0 + Vector2::new(320.0, 240.0)).cast(),
-                age: 1,
+            let motion = CameraMotion::over(&(after.2 * before.2.inverse()).relabel(), dt);
+            let shutter = &self.optics.shutter;
+            self.active.map.set_motion(KeyframeId(id), motion, |point, o| {
+                let p = pose.transform(point);
+                if p.z > 1e-6 { shutter.displacement(&motion, &p, o.pixel.y) } else { o.displacement }
             });
-            let features = FrameFeatures { sequence: n, tracks: tracks.collect(), ..FrameFeatures::default() };
-            initialiser.step(&features, &camera, None, &config);
         }
-        let held: Vec<u64> = initialiser.views.iter().map(|v| v.frame.sequence).collect();
-        assert_eq!(held, [1, 2, 3, 4, 5]);
     }
 
-    #[test]
-    fn a_start_must_agree_as_often_as_it_disagreed_before() {
-        let camera = CameraModel::new(640, 480, 500.0, 500.0, 320.0, 240.0, [0.0; 5]).unwrap();
-        let config = ReconstructionConfig::default();
-        let mut initialiser = Initialiser::default();
-        let mut in_a_frame = |ask: fn(&mut Initialiser) -> bool| {
-            initialiser.step(&FrameFeatures::default(), &camera, None, &config);
-            [ask(&mut initialiser), ask(&mut initialiser)]
-        };
-        let disagree = |i: &mut Initialiser| {
-            i.disagree();
-            false
-        };
-        assert_eq!(in_a_frame(Initialiser::agree), [true, false], "one vote a frame");
-        in_a_frame(disagree);
-        in_a_frame(disagree);
-        assert_eq!([0; 3].map(|_| in_a_frame(Initialiser::agree)[0]), [false, false, true]);
+    /// Pose of a view in between from the tracks that are `points` (ascending track id, world coordinates).
+    fn solve_view(
+        &self,
+        frame: &PendingFrame,
+        points: &[(u64, Vector3<f64>)],
+        guess: &Se3<Camera, World>,
+    ) -> Option<Se3<Camera, World>> {
+        let position = |track| points.binary_search_by_key(&track, |p| p.0).ok().map(|i| points[i].1);
+        self.solve_pose(frame, guess, position)
     }
+
+    /// Poses of the frames that came before the map, from the tracks that are landmarks now.
+    fn solve_frames_before(&mut self, current: u64) {
+        let pending: Vec<PendingFrame> = self.initialiser.pending.drain(..).collect();
+        self.initialiser.clear();
+        let Some((first, anchor)) =
+            self.active.map.keyframes.iter().next().map(|(id, k)| (KeyframeId(id), (k.sequence, k.camera_from_world)))
+        else {
+            return;
+        };
+        let (anchor_sequence, anchor_pose) = anchor;
+        let split = pending.iter().position(|f| f.sequence >= anchor_sequence).unwrap_or(pending.len());
+        let (before, after) = pending.split_at(split);
+        let mut solved: Vec<(i64, Se3<Camera, World>)> = Vec::new();
+        for direction in [after.iter().collect::<Vec<_>>(), before.iter().rev().collect()] {
+            let mut guess = anchor_pose;
+            for frame in direction.into_iter().filter(|f| f.sequence != current) {
+                if let Some(pose) = self.solve_pending(frame, &guess) {
+                    guess = pose;
+                    solved.push((frame.timestamp_ns, pose));
+                }
+            }
+        }
+        solved.sort_by_key(|s| s.0);
+        for (timestamp_ns, pose) in solved {
+            let keyframe_from_camera = (anchor_pose * pose.inverse()).relabel::<KeyframeFrame, Camera>();
+            self.counters.frames_tracked += 1;
+            self.events.push(TrajectoryEvent::Pose {
+                timestamp_ns,
+                map: self.active.id,
+                keyframe: first,
+                keyframe_from_camera,
+            });
+        }
+    }
+
+    fn solve_pending(&self, frame: &PendingFrame, guess: &Se3<Camera, World>) -> Option<Se3<Camera, World>> {
+        self.solve_pose(frame, guess, |track| match self.active.bindings.get(track)? {
+            Target::Landmark(id) => Some(self.active.map.landmark(*id)?.position),
+            Target::Seed(_) => None,
+        })
+    }
+
+    /// Pose of a frame from its tracks whose `position` in the world is known.
+    fn solve_pose(
+        &self,
+        frame: &PendingFrame,
+        guess: &Se3<Camera, World>,
+        position: impl Fn(u64) -> Option<Vector3<f64>>,
+    ) -> Option<Se3<Camera, World>> {
+        let mut pairs = Vec::new();
+        for &(track, pixel) in &frame.tracks {
+            let Some(point) = position(track) else { continue };
+            let Some(normalised) = self.optics.camera.undistort(&pixel.cast()) else { continue };
+            let pixel_scale = self.optics.camera.pixel_scale(&normalised);
+            pairs.push(PosePair { point, normalised, pixel_scale, inv_sigma_px: 1.0 / TRACK_SIGMA_PX });
+        }
+        let mut inlier = Vec::new();
+        let solution =
+            optimise_pose(guess, &pairs, &PoseOptions { leverage: false, ..PoseOptions::default() }, &mut inlier)?;
+        (solution.inliers >= self.config.min_landmarks && 2 * solution.inliers >= pairs.len())
+            .then_some(solution.camera_from_world)
+    }
+}
+
+/// Where `id` is in keyframe `other`, by the template of keyframe `first`; both observe it already.
+fn refine_in_view(
+    map: &Map,
+    first: KeyframeId,
+    other: KeyframeId,
+    id: LandmarkId,
+    camera: &CameraModel,
+    options: &SearchOptions,
+) -> Option<Observation> {
+    let landmark = map.landmark(id)?;
+    let (ka, kb) = (map.keyframe(first)?, map.keyframe(other)?);
+    let (oa, ob) = (ka.observation(id)?, kb.observation(id)?);
+    let (_, projection) = camera.project_jacobian(&kb.camera_from_world.transform(&landmark.position))?;
+    let rotation = kb.camera_from_world.rotation * ka.camera_from_world.rotation.inverse();
+    let depth = ka.camera_from_world.transform(&landmark.position).z;
+    let affine = affine_warp(camera, &projection, &rotation, depth, oa);
+    let found = align_template(ka, oa, &kb.pyramid, &affine, ob.pixel.cast(), options)?;
+    observe(camera, id, found.pixel, found.inv_sigma_px)
 }

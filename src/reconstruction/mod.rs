@@ -4,121 +4,75 @@
 //! the map learns from it). Adjustment runs elsewhere, on copies ([`MappingJob`]), and is merged after a later
 //! frame's pose (or before it, where frames come slowly). In lock-step everything is a function of the input alone.
 
-mod adjustments;
-mod after_turn;
-mod agreement;
-mod assumed_distance;
-pub mod bindings;
-pub mod bundle;
+mod active_map;
+mod adjust;
 pub mod config;
-mod epipolar;
-mod estimate;
-mod frame;
-mod free_rotation;
-pub mod initialise;
-mod intrinsics;
-mod joining;
-pub mod keyframes;
-pub mod local_adjustment;
-mod newcomers;
-mod other_maps;
-mod point;
-mod pose_information;
-pub mod pose_optimisation;
-mod prediction;
-pub mod relocalise;
-pub mod rolling_shutter;
-mod scale_doubt;
-pub mod search;
-mod seed_rays;
-mod start;
-pub mod tracking;
+mod covariance;
+mod initialise;
+mod keyframe;
+mod measurement;
+mod odometry;
+mod optics;
+mod relocalise;
+mod scale_uncertainty;
+mod track;
 pub mod types;
 
+pub use adjust::intrinsics::{FOUND_SIGMA, LensEstimate, LensKnowledge, LensPrior, guessed_camera};
+pub use adjust::job::{InlineWorker, MappingJob, MappingResult, MappingWorker};
 pub use config::ReconstructionConfig;
-pub use intrinsics::{FOUND_SIGMA, LensEstimate, LensKnowledge, LensPrior, guessed_camera};
-pub use local_adjustment::{InlineWorker, MappingJob, MappingResult, MappingWorker};
 pub use types::*;
 
-use assumed_distance::mostly_assumed;
-use bindings::Bindings;
-use epipolar::{EpipolarMatcher, FED, Lens};
-use frame::Frame;
-use initialise::Initialiser;
-use intrinsics::Intrinsics;
-use keyframes::{KeyframeInputs, NewKeyframe};
-use local_adjustment::{Merge, WHOLE_FIRST};
-use other_maps::{OtherMaps, WORTH_KEEPING, retire};
+use active_map::ActiveMap;
+use adjust::mapper::{Mapper, Merge};
+use initialise::initialiser::Initialiser;
+use keyframe::distance_prior::{self, mostly_assumed};
+use keyframe::epipolar::{EpipolarMatcher, Lens};
+use keyframe::{KeyframeInputs, NewKeyframe};
+use optics::Optics;
 use relocalise::Relocaliser;
-use rolling_shutter::Shutter;
-use scale_doubt::ScaleDoubt;
-use search::Match;
-use tracking::{Tracked, Tracker};
+use relocalise::other_maps::{OtherMaps, WORTH_KEEPING, retire};
+use track::frame::Frame;
+use track::search::Match;
+use track::{Tracked, Tracker};
 
 use crate::features::{Feedback, FrameFeatures};
-use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, Odom, World};
+use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::geometry::{CameraModel, Se3};
-use crate::map::{KeyframeId, KeyframeView, Map, MapId};
+use crate::map::{KeyframeId, KeyframeView, Sought};
 
 /// Share of the landmarks looked for that are seen: below the first a frame is looked for elsewhere too (after a stretch of blur
 /// a few landmarks can hold a pose that has slid away), below the second it is no keyframe.
 const WEAK_SHARE: f64 = 0.25;
 const KEYFRAME_SHARE: f64 = 0.12;
 
-/// The frame that was tracked last.
-#[derive(Debug, Clone, Copy)]
-struct LastFrame {
-    timestamp_ns: i64,
-    camera_from_world: Se3<Camera, World>,
-    /// Motion that led here, `this camera from the previous one`, and how long it took.
-    motion: Option<(Se3<Camera, Camera>, f64)>,
+/// What the frame just tracked is to become.
+#[derive(Debug, Clone, Copy, Default)]
+struct Pending {
+    /// Its pose, if it becomes a keyframe.
+    keyframe: Option<Se3<Camera, World>>,
+    /// Most of what it sees is at assumed distances; the median parallax if they are right, degrees.
+    turned: Option<f64>,
 }
 
 /// Tracking and mapping. One frame is [`track`](Self::track) (publish its result at once), then [`map`](Self::map).
 pub struct Reconstruction {
     config: ReconstructionConfig,
-    camera: CameraModel,
-    worker: Box<dyn MappingWorker>,
-    lockstep: bool,
+    optics: Optics,
     state: TrackingState,
-    map: Map,
-    map_id: MapId,
-    reset_counter: u32,
+    active: ActiveMap,
+    others: OtherMaps,
     initialiser: Initialiser,
     tracker: Tracker,
-    bindings: Bindings,
-    last: Option<LastFrame>,
-    odom_from_camera: Se3<Odom, Camera>,
-    /// Keyframe that shares most with the last frame.
-    reference: KeyframeId,
-    /// Frames seen, tracked or not: the clock of everything that counts frames.
-    frame: u64,
-    last_keyframe_frame: u64,
-    lost_frames: u64,
-    /// Frames tracked in the present map.
-    map_frames: u64,
+    relocaliser: Relocaliser,
+    epipolar: EpipolarMatcher,
+    mapper: Mapper,
+    pending: Pending,
     /// Timestamp of the newest frame, ns.
     frame_ns: i64,
-    /// Frame at which the job under way was posted.
-    job_posted: Option<u64>,
-    /// Newest keyframe that no adjustment has seen yet.
-    unadjusted: Option<KeyframeId>,
-    /// Keyframes at which the whole map is adjusted next.
-    next_whole: usize,
-    intrinsics: Intrinsics,
-    /// Pose of the frame just tracked, if it becomes a keyframe.
-    pending: Option<Se3<Camera, World>>,
-    /// Most of what the frame just tracked sees is at assumed distances; the median parallax if they are right, degrees.
-    turned: Option<f64>,
-    scale_doubt: ScaleDoubt,
     events: Vec<TrajectoryEvent>,
+    /// Of these, `frames` is the clock of everything that counts frames, and `resets` is published as the reset counter.
     counters: Counters,
-    inliers: Vec<Match>,
-    angles: Vec<f64>,
-    relocaliser: Relocaliser,
-    others: OtherMaps,
-    epipolar: EpipolarMatcher,
-    shutter: Shutter,
 }
 
 impl Reconstruction {
@@ -142,169 +96,132 @@ impl Reconstruction {
     ) -> Self {
         Self {
             config: config.clone(),
-            camera: camera.clone(),
-            worker,
-            lockstep,
+            optics: Optics::new(camera, prior, config),
             state: TrackingState::Initializing,
-            map: Map::default(),
-            map_id: MapId(0),
-            reset_counter: 0,
+            active: ActiveMap::default(),
+            others: OtherMaps::default(),
             initialiser: Initialiser::default(),
             tracker: Tracker::default(),
-            bindings: Bindings::default(),
-            last: None,
-            odom_from_camera: Se3::identity(),
-            reference: KeyframeId(0),
-            frame: 0,
-            last_keyframe_frame: 0,
-            lost_frames: 0,
-            map_frames: 0,
+            relocaliser: Relocaliser::default(),
+            epipolar: EpipolarMatcher::default(),
+            mapper: Mapper::new(worker, lockstep),
+            pending: Pending::default(),
             frame_ns: i64::MIN,
-            job_posted: None,
-            unadjusted: None,
-            pending: None,
-            turned: None,
-            scale_doubt: ScaleDoubt::default(),
-            next_whole: WHOLE_FIRST,
-            intrinsics: Intrinsics::new(camera, prior),
             events: Vec::new(),
             counters: Counters::default(),
-            inliers: Vec::with_capacity(1024),
-            angles: Vec::with_capacity(1024),
-            relocaliser: Relocaliser::default(),
-            others: OtherMaps::default(),
-            epipolar: EpipolarMatcher::default(),
-            shutter: Shutter::new(config.readout_ms * 1e-3, camera.height, config.estimate_readout),
         }
     }
 
     /// The pose of a frame. Allocates nothing once warm while there is a map and the frame is found in it, unless the one before is so
     /// long ago that an adjustment is merged first.
     pub fn track(&mut self, features: &FrameFeatures) -> PoseEstimate {
-        self.frame += 1;
         self.counters.frames += 1;
-        self.pending = None;
-        self.turned = None;
+        self.pending = Pending::default();
         let before_ns = std::mem::replace(&mut self.frame_ns, features.timestamp_ns);
         self.merge_after_gap(features.timestamp_ns.saturating_sub(before_ns));
-        self.bindings.retain_living(&features.tracks);
+        self.active.bindings.retain_living(&features.tracks);
         if self.state == TrackingState::Initializing {
             return self.try_start(features);
         }
-        let near = self.near_poses(features.timestamp_ns);
-        let frame = Frame {
-            features,
-            map: &self.map,
-            bindings: &self.bindings,
-            camera: &self.camera,
-            config: &self.config,
-            before: self.frame_before(features.timestamp_ns),
-            motion: self.last_motion(),
-            shutter: &self.shutter,
-            is_calibrated: self.intrinsics.is_calibrated(),
-        };
-        let near = &near.0[..near.1];
-        let mut tracked = self.tracker.track(&frame, self.reference, near);
-        if self.lost_frames > 0 {
-            // Only an old pose speaks for it, so the landmarks must: another place, or this one in a mirror, has a few that fit.
-            tracked = tracked.filter(|t| t.speaks_for_itself(self.config.min_landmarks));
-        }
-        if tracked.as_ref().is_none_or(|t| t.share() < WEAK_SHARE) {
-            let elsewhere = self.relocaliser.place(&mut self.tracker, &frame, self.reference);
-            tracked = match (tracked, elsewhere) {
-                (Some(weak), Some(other)) if 5 * other.landmarks > 6 * weak.landmarks => Some(other),
-                // The buffers hold the other attempt by now.
-                (Some(_), _) => self.tracker.track(&frame, self.reference, near),
-                (None, other) => other,
-            };
-        }
-        self.count_landmarks(tracked.as_ref());
-        if let Some(tracked) = &tracked {
-            self.follow_assumed(&tracked.camera_from_world);
-        }
-        match tracked {
+        match self.place(features) {
             Some(tracked) => self.accept(features, &tracked),
             None => self.lose(features),
         }
     }
 
-    /// Notes for each landmark whether it was found. A frame that shows less than half of what should be there (blur, something
-    /// in front) speaks of itself and not of its landmarks: the map must not be thinned out by it.
-    fn count_landmarks(&mut self, tracked: Option<&Tracked>) {
-        let Some(tracked) = tracked else { return };
-        let telling = 2 * tracked.landmarks >= tracked.sought;
-        for m in self.tracker.search.matches.iter().filter(|m| m.inlier || telling) {
-            if let Some(l) = self.map.landmarks.get_mut(m.landmark.0) {
-                l.sought += 1;
-                if m.inlier {
-                    l.found += 1;
-                    l.disagreed = 0;
-                } else {
-                    l.disagreed += 1;
-                }
+    /// Where a frame is in the map: near the last one, or anywhere.
+    fn place(&mut self, features: &FrameFeatures) -> Option<Tracked> {
+        let ActiveMap { map, bindings, odometry, reference, .. } = &self.active;
+        let frame = Frame {
+            features,
+            map,
+            bindings,
+            camera: &self.optics.camera,
+            config: &self.config,
+            before: odometry.before(features.timestamp_ns),
+            motion: odometry.motion(),
+            shutter: &self.optics.shutter,
+            is_calibrated: self.optics.intrinsics.is_calibrated(),
+        };
+        let (guesses, n) = odometry.guesses(features.timestamp_ns);
+        let mut tracked = self.tracker.track(&frame, *reference, &guesses[..n]);
+        if odometry.lost_frames > 0 {
+            // Only an old pose speaks for it, so the landmarks must: another place, or this one in a mirror, has a few that fit.
+            tracked = tracked.filter(|t| t.speaks_for_itself(self.config.min_landmarks));
+        }
+        if tracked.as_ref().is_none_or(|t| t.share() < WEAK_SHARE) {
+            let elsewhere = self.relocaliser.place(&frame, *reference);
+            let better = |other: &Tracked| tracked.is_none_or(|weak| 5 * other.landmarks > 6 * weak.landmarks);
+            if let Some(other) = elsewhere.filter(better) {
+                std::mem::swap(&mut self.tracker, &mut self.relocaliser.tracker);
+                tracked = Some(other);
             }
         }
-        for id in self.tracker.search.missed.iter().filter(|_| telling) {
-            if let Some(l) = self.map.landmarks.get_mut(id.0) {
-                l.sought += 1;
-            }
+        tracked
+    }
+
+    /// Notes for each landmark whether it was found. A frame that shows less than half of what should be there (blur, something
+    /// in front) speaks of itself and not of its landmarks: the map must not be thinned out by it.
+    fn count_landmarks(&mut self, tracked: &Tracked) {
+        let telling = 2 * tracked.landmarks >= tracked.sought;
+        let map = &mut self.active.map;
+        for m in self.tracker.matches().iter().filter(|m| m.inlier || telling) {
+            map.count_sighting(m.landmark, if m.inlier { Sought::Found } else { Sought::Disagreed });
+        }
+        for id in self.tracker.missed().iter().filter(|_| telling) {
+            map.count_sighting(*id, Sought::Missed);
         }
     }
 
     fn accept(&mut self, features: &FrameFeatures, tracked: &Tracked) -> PoseEstimate {
+        self.count_landmarks(tracked);
+        self.tracker.keep_inliers();
+        self.follow_assumed(&tracked.camera_from_world);
         let pose = tracked.camera_from_world;
-        let resumed = self.lost_frames > 0;
+        let active = &mut self.active;
+        let resumed = active.odometry.lost_frames > 0;
         if resumed {
             self.counters.relocalisations += 1;
             self.initialiser.clear();
         }
-        self.lost_frames = 0;
         self.state = TrackingState::Tracking;
         self.counters.frames_tracked += 1;
-        self.map_frames += 1;
-        self.reference = self.tracker.best_reference(&self.map).unwrap_or(self.reference);
-        self.inliers.clear();
-        self.inliers.extend(self.tracker.inliers());
+        active.frames += 1;
+        active.reference = self.tracker.best_reference(&active.map).unwrap_or(active.reference);
         self.tracker.note_distance(&pose.inverse().translation);
-        let mut motion = None;
-        if let Some(last) = &self.last {
-            let dt = (features.timestamp_ns - last.timestamp_ns) as f64 * 1e-9;
-            let step = (pose * last.camera_from_world.inverse()).relabel::<Camera, Camera>();
-            self.odom_from_camera = self.odom_from_camera * step.inverse();
-            motion = (dt > 0.0 && !resumed).then_some((step, dt));
-        }
-        self.last = Some(LastFrame { timestamp_ns: features.timestamp_ns, camera_from_world: pose, motion });
-        // A blurred or covered picture gives poor templates, and its pose rests on little.
-        let blurred = 2 * self.inliers.iter().filter(|m| m.blurred).count() > self.inliers.len();
-        let clear = !resumed && tracked.share() >= KEYFRAME_SHARE && !(blurred && self.inliers.len() >= FED);
+        let step = active.odometry.accept(features.timestamp_ns, pose);
+        // A covered picture gives poor templates, and its pose rests on little.
+        let clear = !resumed && tracked.share() >= KEYFRAME_SHARE;
         let keyframe = clear && self.decide_keyframe(&pose);
         self.record_pose(features.timestamp_ns, &pose);
-        self.pending = keyframe.then_some(pose);
-        self.estimate_tracked(features, tracked, motion.as_ref(), keyframe)
+        self.pending.keyframe = keyframe.then_some(pose);
+        self.estimate_tracked(features, tracked, step.as_ref(), keyframe)
     }
 
     /// Whether the frame just tracked becomes a keyframe; notes as well whether it comes out of a turn on the spot.
     fn decide_keyframe(&mut self, pose: &Se3<Camera, World>) -> bool {
-        let Some(reference) = self.map.keyframe(self.reference) else { return false };
-        let here = pose.inverse().translation;
-        let there = reference.centre();
+        let ActiveMap { map, odometry, reference, last_keyframe_frame, .. } = &self.active;
+        let Some(reference) = map.keyframe(*reference) else { return false };
+        let parallax_deg = self.tracker.median_parallax_deg(&pose.inverse().translation, &reference.centre());
+        let matches = self.tracker.matches();
         let inputs = KeyframeInputs {
-            frames_since_keyframe: self.frame - self.last_keyframe_frame,
-            landmarks: self.inliers.len(),
+            frames_since_keyframe: self.counters.frames - last_keyframe_frame,
+            landmarks: matches.len(),
             reference_landmarks: reference.observations.len(),
-            parallax_deg: keyframes::median_parallax_deg(self.inliers.iter(), &here, &there, &mut self.angles),
-            turn_rad: self.last.and_then(|last| last.motion).map_or(0.0, |(step, _)| step.rotation.angle()),
+            parallax_deg,
+            turn_rad: odometry.last.and_then(|last| last.step).map_or(0.0, |(step, _)| step.rotation.angle()),
         };
-        let is_assumed = |m: &&Match| self.map.landmark(m.landmark).is_some_and(|l| l.assumed.is_some());
-        let assumed = self.inliers.iter().filter(is_assumed).count();
-        self.turned = mostly_assumed(assumed, inputs.landmarks).then_some(inputs.parallax_deg);
-        keyframes::wants_keyframe(&inputs, &self.config)
+        let is_assumed = |m: &&Match| map.landmark(m.landmark).is_some_and(|l| l.assumed.is_some());
+        let assumed = matches.iter().filter(is_assumed).count();
+        self.pending.turned = mostly_assumed(assumed, inputs.landmarks).then_some(inputs.parallax_deg);
+        keyframe::wants_keyframe(&inputs, &self.config)
     }
 
     fn lose(&mut self, features: &FrameFeatures) -> PoseEstimate {
-        self.lost_frames += 1;
+        let active = &mut self.active;
+        active.odometry.lost_frames += 1;
         self.state = TrackingState::Lost;
-        if self.map.keyframes.len() < WORTH_KEEPING {
+        if active.map.keyframes.len() < WORTH_KEEPING {
             // What was seen while it was lost begins the next map.
             let seen = std::mem::take(&mut self.initialiser);
             self.end_map();
@@ -312,23 +229,28 @@ impl Reconstruction {
             return self.try_start(features);
         }
         // A map that was tracked for a moment only is worth no longer a wait.
-        if self.lost_frames > self.config.lost_frames.min(self.map_frames) {
+        if active.odometry.lost_frames > self.config.lost_frames.min(active.frames) {
             return self.begin_beside(features);
         }
-        self.initialiser.watch(features, &self.camera);
+        self.initialiser.watch(features, &self.optics.camera);
         self.estimate_none(features)
     }
 
     /// The frame's place relative to its reference keyframe, for the trajectory that is written at the end.
     fn record_pose(&mut self, timestamp_ns: i64, pose: &Se3<Camera, World>) {
-        let Some(k) = self.map.keyframe(self.reference) else { return };
+        let ActiveMap { map, id, reference, .. } = &self.active;
+        let Some(k) = map.keyframe(*reference) else { return };
         let keyframe_from_camera = (k.camera_from_world * pose.inverse()).relabel::<KeyframeFrame, Camera>();
-        self.events.push(TrajectoryEvent::Pose {
-            timestamp_ns,
-            map: self.map_id,
-            keyframe: self.reference,
-            keyframe_from_camera,
-        });
+        self.events.push(TrajectoryEvent::Pose { timestamp_ns, map: *id, keyframe: *reference, keyframe_from_camera });
+    }
+
+    /// The pose of the frame just recorded is this one.
+    fn record_instead(&mut self, timestamp_ns: i64, pose: &Se3<Camera, World>) {
+        if matches!(self.events.last(), Some(TrajectoryEvent::Pose { timestamp_ns: last, .. }) if *last == timestamp_ns)
+        {
+            self.events.pop();
+            self.record_pose(timestamp_ns, pose);
+        }
     }
 
     /// Keyframe work for the frame just tracked (the same `features`), after its pose was published.
@@ -336,7 +258,10 @@ impl Reconstruction {
         feedback.sequence = features.sequence;
         feedback.forget.clear();
         let placed = self.place_after_turn(features);
-        if let Some(pose) = placed.or(self.pending.take()) {
+        if let Some(pose) = &placed {
+            self.record_instead(features.timestamp_ns, pose);
+        }
+        if let Some(pose) = placed.or(self.pending.keyframe) {
             self.insert_keyframe(features, pose, feedback);
             feedback.forget.sort_unstable();
         }
@@ -345,46 +270,37 @@ impl Reconstruction {
     }
 
     fn insert_keyframe(&mut self, features: &FrameFeatures, pose: Se3<Camera, World>, feedback: &mut Feedback) {
-        let motion = self.last_motion();
+        let Self { config, optics: Optics { camera, shutter, .. }, active, counters, .. } = self;
+        let ActiveMap { map, bindings, .. } = active;
+        let measured = self.pending.turned.is_none();
         let new = NewKeyframe {
             features,
             camera_from_world: pose,
-            map_id: self.map_id,
-            matches: &self.inliers,
-            motion,
-            shutter: &self.shutter,
-            scale_from: self.map.keyframe(self.reference).and_then(|k| k.scale_from),
-            unmeasured: self.turned.is_some(),
-            assumed_distance: assumed_distance::distance_to_assume(&self.inliers, &pose.inverse().translation),
+            map_id: active.id,
+            matches: self.tracker.matches(),
+            motion: active.odometry.motion(),
+            shutter,
+            scale_from: map.keyframe(active.reference).and_then(|k| k.scale_from),
+            unmeasured: !measured,
+            assumed_distance: distance_prior::distance_to_assume(self.tracker.matches(), &pose.inverse().translation),
         };
-        let before = self.map.landmarks.len();
-        let id =
-            keyframes::insert_keyframe(&mut self.map, &mut self.bindings, &new, &self.camera, &self.config, feedback);
-        if self.turned.is_none() {
-            let min_parallax = self.config.min_parallax_deg.to_radians();
-            assumed_distance::triangulate_assumed(
-                &mut self.map,
-                id,
-                &self.camera,
-                self.shutter.readout_s,
-                min_parallax,
-            );
+        let before = map.landmarks.len();
+        let id = keyframe::insert_keyframe(map, bindings, &new, camera, config, feedback);
+        if measured {
+            let min_parallax = config.min_parallax_deg.to_radians();
+            distance_prior::triangulate_assumed(map, id, camera, shutter.readout_s, min_parallax);
+            let first_new = map.landmarks.next_id();
+            self.epipolar.complete(map, id, &Lens { camera, config, shutter });
+            keyframe::bind_new(map, bindings, features, id, first_new);
         }
-        if self.turned.is_none() {
-            let first_new = self.map.landmarks.next_id();
-            let lens = Lens { camera: &self.camera, config: &self.config, shutter: &self.shutter };
-            self.epipolar.complete(&mut self.map, id, &lens);
-            keyframes::bind_new(&self.map, &mut self.bindings, features, id, first_new);
-        }
-        self.counters.keyframes_made += 1;
-        self.counters.landmarks_made += (self.map.landmarks.len() - before) as u64;
-        self.last_keyframe_frame = self.frame;
-        self.reference = id;
-        self.scale_doubt.follow(&self.map);
-        self.counters.landmarks_culled += keyframes::cull_landmarks(&mut self.map, id);
-        self.counters.keyframes_culled +=
-            keyframes::cull_keyframes((&mut self.map, self.map_id), id, &self.config, &mut self.events);
-        self.unadjusted = Some(id);
+        counters.keyframes_made += 1;
+        counters.landmarks_made += (map.landmarks.len() - before) as u64;
+        active.last_keyframe_frame = counters.frames;
+        active.reference = id;
+        active.scale.follow(map);
+        counters.landmarks_culled += keyframe::cull_landmarks(map, id);
+        counters.keyframes_culled += keyframe::cull_keyframes((map, active.id), id, config, &mut self.events);
+        active.unadjusted = Some(id);
         self.recognise(features, id);
     }
 
@@ -397,39 +313,21 @@ impl Reconstruction {
 
     /// Drops the present map.
     fn end_map(&mut self) {
-        self.discard_job();
-        retire(&self.map, &mut self.events);
-        self.intrinsics.end_map(&self.camera);
-        self.map.clear();
-        self.scale_doubt.clear();
+        self.mapper.discard();
+        retire(&self.active.map, &mut self.events);
+        self.optics.intrinsics.end_map(&self.optics.camera);
+        self.active = self.active.successor();
         self.initialiser.clear();
-        self.bindings.clear();
         self.tracker = Tracker::default();
-        self.last = None;
-        self.pending = None;
-        self.inliers.clear();
-        self.next_whole = WHOLE_FIRST;
-        self.unadjusted = None;
-        (self.lost_frames, self.map_frames) = (0, 0);
-        self.odom_from_camera = Se3::identity();
+        self.pending = Pending::default();
         self.state = TrackingState::Initializing;
-        self.map_id = MapId(self.map_id.0 + 1);
-        self.reset_counter += 1;
         self.counters.resets += 1;
-    }
-
-    fn discard_job(&mut self) {
-        if self.job_posted.take().is_some() {
-            self.worker.discard();
-        }
     }
 
     /// Starts over with another camera model, because the pictures have another size now.
     pub fn change_camera(&mut self, camera: &CameraModel, prior: LensPrior) {
         self.reset();
-        self.camera = camera.clone();
-        self.intrinsics = Intrinsics::new(camera, prior);
-        self.shutter = Shutter::new(self.config.readout_ms * 1e-3, camera.height, self.config.estimate_readout);
+        self.optics = Optics::new(camera, prior, &self.config);
     }
 
     /// Events since the last call, in order; to be drained after every frame.
@@ -439,7 +337,7 @@ impl Reconstruction {
 
     /// Poses of all maps' keyframes, for the trajectory written at the end; those of maps that were dropped came as events.
     pub fn keyframe_poses(&self) -> Vec<(KeyframeId, Se3<World, Camera>)> {
-        let maps = std::iter::once(&self.map).chain(self.others.maps());
+        let maps = std::iter::once(&self.active.map).chain(self.others.maps());
         maps.flat_map(|map| map.keyframes.iter())
             .map(|(id, k)| (KeyframeId(id), k.camera_from_world.inverse()))
             .collect()
@@ -447,7 +345,7 @@ impl Reconstruction {
 
     /// A keyframe of the current map, if it is there.
     pub fn keyframe(&self, id: KeyframeId) -> Option<KeyframeView> {
-        self.map.keyframe(id).map(|k| KeyframeView {
+        self.active.map.keyframe(id).map(|k| KeyframeView {
             id,
             timestamp_ns: k.timestamp_ns,
             world_from_camera: k.camera_from_world.inverse(),
@@ -457,7 +355,7 @@ impl Reconstruction {
     /// The last frame's pose lies behind a turn on the spot, and its distance from there is that of an assumption.
     pub fn scale_is_assumed(&self) -> bool {
         self.state == TrackingState::Tracking
-            && self.map.keyframe(self.reference).is_some_and(|k| k.scale_from.is_some())
+            && self.active.map.keyframe(self.active.reference).is_some_and(|k| k.scale_from.is_some())
     }
 
     pub fn counters(&self) -> Counters {
@@ -470,21 +368,21 @@ impl Reconstruction {
 
     /// How often poses became unrelated to earlier ones; of the map as it is now.
     pub fn reset_counter(&self) -> u32 {
-        self.reset_counter
+        self.counters.resets as u32
     }
 
     /// The camera as it is believed now: its focal length is refined from the motion.
     pub fn camera(&self) -> &CameraModel {
-        &self.camera
+        &self.optics.camera
     }
 
     /// The lens as it is believed now, and how surely.
     pub fn lens(&self) -> LensEstimate {
-        self.intrinsics.estimate(&self.camera)
+        self.optics.intrinsics.estimate(&self.optics.camera)
     }
 
     /// Readout time of the camera's rolling shutter as it is believed now, s.
     pub fn readout_s(&self) -> f64 {
-        self.shutter.readout_s
+        self.optics.shutter.readout_s
     }
 }

@@ -9,11 +9,13 @@
 //! The same finds a frame of one map in another (`other_maps`).
 
 mod descriptors;
+pub mod joining;
+pub mod other_maps;
 
 use nalgebra::{UnitQuaternion, Vector3};
 
-use super::frame::Frame;
-use super::tracking::{Guess, Tracked, Tracker};
+use super::track::frame::Frame;
+use super::track::{Guess, Tracked, Tracker};
 use crate::features::thumbnail::{ImageMotion, Thumbnail, ThumbnailAligner};
 use crate::geometry::frames::Camera;
 use crate::geometry::{CameraModel, Se3};
@@ -39,6 +41,8 @@ const DESCRIPTOR_GUESSES: usize = 2;
 /// Buffers of relocalisation.
 #[derive(Debug, Default)]
 pub struct Relocaliser {
+    /// Of its own, so that what the usual one has found is there still if this finds nothing better.
+    pub tracker: Tracker,
     current: Thumbnail,
     aligner: ThumbnailAligner,
     around: Vec<(KeyframeId, u32)>,
@@ -55,16 +59,18 @@ pub struct Relocaliser {
 
 impl Relocaliser {
     /// Places a frame that prediction could not place, or does not.
-    pub fn place(&mut self, tracker: &mut Tracker, frame: &Frame<'_>, last_reference: KeyframeId) -> Option<Tracked> {
+    pub fn place(&mut self, frame: &Frame<'_>, last_reference: KeyframeId) -> Option<Tracked> {
         let Frame { features, map, camera, .. } = *frame;
         let pyramid = &features.pyramid;
         self.look(map, camera, pyramid, last_reference);
-        let similar = self.ranked.iter().take(GUESSES).find_map(|(_, guess)| tracker.relocalise(frame, guess, false));
+        let Self { tracker, ranked, .. } = self;
+        let similar = ranked.iter().take(GUESSES).find_map(|(_, guess)| tracker.relocalise(frame, guess, false));
         if similar.is_some() {
             return similar;
         }
         self.solve_described(map, camera, pyramid, last_reference, features.sequence);
-        self.solved.iter().take(DESCRIPTOR_GUESSES).find_map(|(_, guess)| tracker.relocalise(frame, guess, true))
+        let Self { tracker, solved, .. } = self;
+        solved.iter().take(DESCRIPTOR_GUESSES).find_map(|(_, guess)| tracker.relocalise(frame, guess, true))
     }
 
     /// Compares thumbnails: the first step in every frame that has lost its place.

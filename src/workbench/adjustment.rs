@@ -10,7 +10,7 @@
 //! - Levenberg-Marquardt; the 3x3 blocks of the points are eliminated (Triggs et al., Bundle adjustment, 2000, section 6),
 //!   which leaves 5x5.
 //!
-//! Cost: 1 us a point and iteration. Deliberately not here: more than two views (`reconstruction::bundle`), intrinsics.
+//! Cost: 1 us a point and iteration. Deliberately not here: more than two views (`reconstruction::adjust::bundle`), intrinsics.
 
 use nalgebra::{Matrix2x3, Matrix3, Matrix5, Matrix5x3, SMatrix, UnitQuaternion, Vector2, Vector3, Vector5};
 

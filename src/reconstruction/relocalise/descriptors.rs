@@ -26,7 +26,7 @@ use crate::geometry::ransac::RansacOptions;
 use crate::image::Pyramid;
 use crate::image::pyramid::{base_from_level, level_from_base};
 use crate::map::{Keyframe, KeyframeId, LandmarkId, Map};
-use crate::reconstruction::tracking::Guess;
+use crate::reconstruction::track::Guess;
 
 /// Pyramid levels that corners are described on.
 const LEVELS: usize = 3;
@@ -97,7 +97,7 @@ struct Pair {
 
 /// See the module.
 #[derive(Debug, Default)]
-pub(super) struct DescriptorSearch {
+pub struct DescriptorSearch {
     detector: FastDetector,
     corners: Vec<Corner>,
     spread: Spread,

@@ -1,0 +1,60 @@
+//! The map that frames are placed in, with everything that belongs to it alone: what begins anew when the map does.
+
+use super::adjust::job::WHOLE_FIRST;
+use super::odometry::Odometry;
+use super::scale_uncertainty::ScaleUncertainty;
+use super::track::association::Bindings;
+use crate::map::{KeyframeId, Map, MapId};
+
+pub struct ActiveMap {
+    pub map: Map,
+    pub id: MapId,
+    /// What the tracks of the newest frame stand for.
+    pub bindings: Bindings,
+    pub odometry: Odometry,
+    pub scale: ScaleUncertainty,
+    /// Keyframe that shares most with the last frame.
+    pub reference: KeyframeId,
+    /// Frames tracked in it.
+    pub frames: u64,
+    pub last_keyframe_frame: u64,
+    /// Newest keyframe that no adjustment has seen yet.
+    pub unadjusted: Option<KeyframeId>,
+    /// Keyframes at which the whole map is adjusted next.
+    pub next_whole: usize,
+}
+
+impl Default for ActiveMap {
+    fn default() -> Self {
+        Self::new(Map::default(), MapId(0))
+    }
+}
+
+impl ActiveMap {
+    fn new(map: Map, id: MapId) -> Self {
+        Self {
+            map,
+            id,
+            bindings: Bindings::default(),
+            odometry: Odometry::default(),
+            scale: ScaleUncertainty::default(),
+            reference: KeyframeId(0),
+            frames: 0,
+            last_keyframe_frame: 0,
+            unadjusted: None,
+            next_whole: WHOLE_FIRST,
+        }
+    }
+
+    /// An empty one whose ids go on after this one's.
+    pub fn successor(&self) -> Self {
+        Self::new(self.map.successor(), MapId(self.id.0 + 1))
+    }
+
+    /// Empty again, as before a start that did not hold.
+    pub fn clear(&mut self) {
+        self.map.clear();
+        self.bindings.clear();
+        self.odometry = Odometry::default();
+    }
+}

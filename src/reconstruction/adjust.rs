@@ -1,0 +1,79 @@
+//! When the map is adjusted: which job the mapping worker gets, and when its result is taken over.
+//!
+//! One job is under way at a time, and what has come meanwhile is in the next one. Its result is merged after a pose was published; where frames
+//! come slowly, before the next one is tracked. Lock-step waits for results at fixed frames, live operation never waits.
+
+mod bundle;
+pub mod intrinsics;
+pub mod job;
+pub mod mapper;
+
+use super::Reconstruction;
+use crate::map::KeyframeId;
+use job::MappingJob;
+use mapper::Merge;
+
+/// Keyframes up to which the whole map is adjusted.
+const WHOLE_LIMIT: usize = 240;
+
+/// Between frames this far apart, ns, an adjustment has long been done (three frames of a usual camera): it is merged before the next one is
+/// tracked. A walk at 5 Hz sees a landmark in four or five frames; with a map adjusted three frames late it has lost most of them.
+const AMPLE_NS: i64 = 110_000_000;
+
+impl Reconstruction {
+    /// Posts a job around the newest keyframe that no adjustment has seen, unless one is under way.
+    pub(super) fn post_adjustment(&mut self) {
+        if self.mapper.is_busy() {
+            return;
+        }
+        let (optics, active) = (&self.optics, &mut self.active);
+        let Some(newest) = active.unadjusted.take() else { return };
+        let keyframes = active.map.keyframes.len();
+        let readout = optics.shutter.to_adjust();
+        let job = if keyframes >= active.next_whole && keyframes <= WHOLE_LIMIT {
+            active.next_whole = optics.intrinsics.next_whole(keyframes);
+            optics.intrinsics.whole_job(&active.map, &optics.camera, readout, self.config.refine_intrinsics)
+        } else {
+            MappingJob::local(&active.map, newest, &optics.camera, readout, &self.config)
+        };
+        if let Some(job) = job {
+            self.mapper.post(job, self.counters.frames);
+        }
+    }
+
+    /// Before a frame is tracked that comes `gap_ns` after the one before.
+    pub(super) fn merge_after_gap(&mut self, gap_ns: i64) {
+        if gap_ns >= AMPLE_NS {
+            self.merge_adjustment(Merge::BeforeTracking);
+        }
+    }
+
+    /// Merges a finished adjustment; lock-step, and the end, wait for one whose time has come.
+    pub(super) fn merge_adjustment(&mut self, when: Merge) {
+        let taken = self.mapper.take(when, self.counters.frames, self.config.merge_after_frames);
+        let Some((result, late)) = taken else { return };
+        self.counters.adjustments_late += u64::from(late);
+        self.counters.adjustments += 1;
+        let (optics, active) = (&mut self.optics, &mut self.active);
+        let Some(lens) = optics.intrinsics.judge(&result, &optics.camera) else {
+            // A lens that cannot be is not taken over, and its poses and points with it.
+            if optics.intrinsics.wants_another() {
+                active.next_whole = 0;
+                active.unadjusted = active.map.keyframes.iter().last().map(|(id, _)| KeyframeId(id));
+            }
+            return;
+        };
+        optics.shutter.learn(result.readout());
+        let old_from_new = result.merge(&mut active.map);
+        optics.intrinsics.merge(&result, lens, &mut active.map, &mut optics.camera);
+        active.odometry.correct(&old_from_new);
+        if when != Merge::AtTheEnd && optics.intrinsics.wants_restart(&optics.camera) {
+            self.reset();
+        }
+    }
+
+    /// Waits for the job under way, if any, and merges it. Nothing is adjusted beyond it.
+    pub fn finish(&mut self) {
+        self.merge_adjustment(Merge::AtTheEnd);
+    }
+}

@@ -1,0 +1,288 @@
+//! Local bundle adjustment as a job: built from a part of the map, run anywhere, merged later.
+//!
+//! The newest keyframe and its strongest covisible ones move, other observers of their landmarks hold them in place
+//! (Mur-Artal et al. 2015, section VI-D). What the map gained while the job ran is carried along by the motion of the
+//! newest adjusted keyframe.
+
+use nalgebra::{Vector2, Vector3};
+
+use super::bundle::{
+    BundleCamera, BundleObservation, BundleOptions, BundleProblem, Shared, SharedJacobian, SharedMatrix, SharedVector,
+};
+use crate::geometry::frames::{Camera, World};
+use crate::geometry::{CameraModel, Se3};
+use crate::map::{KeyframeId, LandmarkId, Map, Observation};
+use crate::reconstruction::config::ReconstructionConfig;
+use crate::reconstruction::keyframe::distance_prior;
+use crate::reconstruction::measurement::rolling_shutter::Readout;
+
+/// A piece of mapping work on a copy of a part of the map: a pure function of its input, so that it can run anywhere.
+#[derive(Debug)]
+pub struct MappingJob {
+    problem: BundleProblem,
+    options: BundleOptions,
+    keyframes: Vec<KeyframeId>,
+    landmarks: Vec<LandmarkId>,
+    /// Its motion carries along what was added after the job was built.
+    newest: usize,
+    before: Se3<Camera, World>,
+    next_keyframe: u32,
+    next_landmark: u32,
+}
+
+/// What a [`MappingJob`] gives back.
+#[derive(Debug)]
+pub struct MappingResult {
+    job: MappingJob,
+}
+
+/// Keyframes at which the whole map is adjusted first; then whenever it has grown by a third, up to the limit.
+pub const WHOLE_FIRST: usize = 5;
+impl MappingJob {
+    /// The local problem around `newest`; `None` if it has nothing to move.
+    /// `readout`: the camera's rolling shutter, and how surely that is known.
+    pub fn local(
+        map: &Map,
+        newest: KeyframeId,
+        camera: &CameraModel,
+        readout: Readout,
+        config: &ReconstructionConfig,
+    ) -> Option<Self> {
+        let mut around = Vec::new();
+        map.covisible(newest, 10, config.adjusted_keyframes.saturating_sub(1), &mut around);
+        let mut free: Vec<KeyframeId> = around.iter().map(|c| c.0).chain([newest]).collect();
+        free.sort_unstable();
+        let mut landmarks: Vec<LandmarkId> = Vec::new();
+        for &id in &free {
+            landmarks.extend(map.keyframe(id)?.observations.iter().map(|o| o.landmark));
+        }
+        landmarks.sort_unstable();
+        landmarks.dedup();
+        let mut votes: Vec<(KeyframeId, u32)> = Vec::new();
+        for &id in &landmarks {
+            for &k in &map.landmark(id)?.observers {
+                if free.binary_search(&k).is_err() {
+                    match votes.binary_search_by_key(&k, |v| v.0) {
+                        Ok(i) => votes[i].1 += 1,
+                        Err(i) => votes.insert(i, (k, 1)),
+                    }
+                }
+            }
+        }
+        votes.sort_by(|a, b| b.1.cmp(&a.1).then(b.0.cmp(&a.0)));
+        votes.truncate(config.fixed_keyframes);
+        let mut keyframes: Vec<(KeyframeId, bool)> =
+            free.iter().map(|&k| (k, false)).chain(votes.iter().map(|v| (v.0, true))).collect();
+        keyframes.sort_unstable();
+        if votes.is_empty() {
+            // Nobody outside holds the problem.
+            hold_oldest(map, newest, &mut keyframes)?;
+        }
+        let options = BundleOptions { steps: [config.adjustment_steps; 2], ..BundleOptions::default() };
+        Self::build(map, &keyframes, landmarks, newest, camera, readout, options)
+    }
+
+    /// The whole map, its first keyframe held (of a map that others were joined to: its own first).
+    pub fn whole(map: &Map, camera: &CameraModel, readout: Readout, steps: usize) -> Option<Self> {
+        let mut keyframes: Vec<(KeyframeId, bool)> =
+            map.keyframes.iter().map(|(id, _)| (KeyframeId(id), false)).collect();
+        let newest = keyframes.last()?.0;
+        hold_oldest(map, newest, &mut keyframes)?;
+        let landmarks = map.landmarks.iter().map(|(id, _)| LandmarkId(id)).collect();
+        let options = BundleOptions { steps: [steps; 2], relative_gain: 1e-5, ..BundleOptions::default() };
+        Self::build(map, &keyframes, landmarks, newest, camera, readout, options)
+    }
+
+    fn build(
+        map: &Map,
+        keyframes: &[(KeyframeId, bool)],
+        mut landmarks: Vec<LandmarkId>,
+        newest: KeyframeId,
+        camera: &CameraModel,
+        readout: Readout,
+        options: BundleOptions,
+    ) -> Option<Self> {
+        let mut problem = BundleProblem { first: vec![0], readout, ..BundleProblem::default() };
+        for &(id, fixed) in keyframes {
+            let fixed = fixed || distance_prior::is_held(map, id);
+            problem.cameras.push(BundleCamera { camera_from_world: map.keyframe(id)?.camera_from_world, fixed });
+        }
+        landmarks.retain(|&id| {
+            let Some(landmark) = map.landmark(id).filter(|l| l.assumed.is_none()) else { return false };
+            let begin = problem.observations.len();
+            for &k in &landmark.observers {
+                let Ok(index) = keyframes.binary_search_by_key(&k, |k| k.0) else { continue };
+                let Some(o) = map.keyframe(k).and_then(|k| k.observation(id)) else { continue };
+                problem.observations.push(BundleObservation {
+                    camera: index as u32,
+                    normalised: o.normalised,
+                    displacement: o.displacement,
+                    pixel_scale: camera.pixel_scale(&o.normalised),
+                    inv_sigma_px: o.inv_sigma_px,
+                });
+            }
+            if problem.observations.len() < begin + 2 {
+                problem.observations.truncate(begin);
+                return false;
+            }
+            problem.points.push(landmark.position);
+            problem.first.push(problem.observations.len() as u32);
+            true
+        });
+        let index = keyframes.binary_search_by_key(&newest, |k| k.0).ok()?;
+        Some(Self {
+            before: problem.cameras[index].camera_from_world,
+            problem,
+            options,
+            keyframes: keyframes.iter().map(|k| k.0).collect(),
+            landmarks,
+            newest: index,
+            next_keyframe: map.keyframes.next_id(),
+            next_landmark: map.landmarks.next_id(),
+        })
+    }
+
+    /// Lets the adjustment refine the first `active` of the intrinsics as well.
+    pub fn refine_intrinsics(
+        &mut self,
+        map: &Map,
+        camera: &CameraModel,
+        expected: SharedVector,
+        information: SharedVector,
+        active: usize,
+    ) {
+        let mut jacobians = Vec::with_capacity(self.problem.observations.len());
+        for (i, &id) in self.landmarks.iter().enumerate() {
+            for k in self.problem.first[i] as usize..self.problem.first[i + 1] as usize {
+                let keyframe = self.keyframes[self.problem.observations[k].camera as usize];
+                let o = map.keyframe(keyframe).and_then(|k| k.observation(id));
+                jacobians.push(o.map_or_else(SharedJacobian::zeros, |o| intrinsics_jacobian(o, camera)));
+            }
+        }
+        self.problem.shared = Some(Shared {
+            jacobians,
+            active,
+            change: SharedVector::zeros(),
+            expected,
+            information,
+            found_information: SharedMatrix::zeros(),
+        });
+    }
+
+    /// Bounded in iterations, not in time.
+    pub fn run(mut self) -> MappingResult {
+        self.problem.adjust(&self.options);
+        MappingResult { job: self }
+    }
+}
+
+/// Holds the oldest keyframe that was made in the same map as the newest: what others brought along follows.
+fn hold_oldest(map: &Map, newest: KeyframeId, keyframes: &mut [(KeyframeId, bool)]) -> Option<()> {
+    let own = map.keyframe(newest)?.map;
+    keyframes.iter_mut().find(|(id, _)| map.keyframe(*id).is_some_and(|k| k.map == own))?.1 = true;
+    Some(())
+}
+
+/// How an observation's undistorted place answers to log focal length, principal point (px) (of any lens) and k1 k2 p1 p2: by
+/// Brown's model the distorted place moves by `n |n|²`, `n |n|⁴`, and the tangential terms.
+fn intrinsics_jacobian(o: &Observation, camera: &CameraModel) -> SharedJacobian {
+    let j = &o.normalised_from_pixel;
+    let from_centre = Vector2::new(f64::from(o.pixel.x) - camera.cx, f64::from(o.pixel.y) - camera.cy);
+    let n = &o.normalised;
+    let px = |x: f64, y: f64| Vector2::new(camera.fx * x, camera.fy * y);
+    let (s, xy) = (n.norm_squared(), n.x * n.y);
+    SharedJacobian::from_columns(&[
+        -(j * from_centre),
+        -j.column(0).into_owned(),
+        -j.column(1).into_owned(),
+        -(j * px(n.x * s, n.y * s)),
+        -(j * px(n.x * s * s, n.y * s * s)),
+        -(j * px(2.0 * xy, s + 2.0 * n.y * n.y)),
+        -(j * px(s + 2.0 * n.x * n.x, 2.0 * xy)),
+    ])
+}
+
+impl MappingResult {
+    /// The readout time that the adjustment ended with.
+    pub fn readout(&self) -> &Readout {
+        &self.job.problem.readout
+    }
+
+    pub fn shared(&self) -> Option<&Shared> {
+        self.job.problem.shared.as_ref()
+    }
+
+    /// Writes the result into the map. Returns `old_from_new`: how the newest adjusted keyframe's surroundings moved, to be
+    /// multiplied to the right of a `camera_from_world` that was estimated meanwhile.
+    pub fn merge(&self, map: &mut Map) -> Se3<World, World> {
+        let job = &self.job;
+        let after = job.problem.cameras[job.newest].camera_from_world;
+        let old_from_new: Se3<World, World> = job.before.inverse() * after;
+        for (&id, camera) in job.keyframes.iter().zip(&job.problem.cameras) {
+            if !camera.fixed && camera.camera_from_world.is_finite() {
+                map.place_keyframe(id, camera.camera_from_world);
+            }
+        }
+        let mut outliers = Vec::new();
+        for (i, &id) in job.landmarks.iter().enumerate() {
+            let point: Vector3<f64> = job.problem.points[i];
+            if !point.iter().all(|v| v.is_finite()) {
+                continue;
+            }
+            map.measure_landmark(id, point, job.problem.point_covariances[i]);
+            for k in job.problem.first[i] as usize..job.problem.first[i + 1] as usize {
+                if !job.problem.inlier[k] {
+                    outliers.push((job.keyframes[job.problem.observations[k].camera as usize], id));
+                }
+            }
+        }
+        map.carry_newer(job.next_keyframe, job.next_landmark, &old_from_new);
+        for (keyframe, landmark) in outliers {
+            map.remove_observation(keyframe, landmark);
+        }
+        map.revision += 1;
+        old_from_new
+    }
+
+    /// How surely the newest camera is placed against the oldest one: standard deviation of the direction of its translation
+    /// (rad), once the length of that translation is taken as the unit; infinite where it cannot be told.
+    pub fn direction_sigma(&self) -> f64 {
+        self.job.problem.direction_sigma(self.job.newest).unwrap_or(f64::INFINITY)
+    }
+
+    /// Landmarks of the job with at least two inlier observations.
+    pub fn supported_landmarks(&self) -> usize {
+        let p = &self.job.problem;
+        (0..p.points.len())
+            .filter(|&i| (p.first[i] as usize..p.first[i + 1] as usize).filter(|&k| p.inlier[k]).count() >= 2)
+            .count()
+    }
+}
+
+/// Who runs mapping jobs: a thread of the daemon's, or the caller itself. At most one job is under way.
+pub trait MappingWorker: Send {
+    /// Starts a job; never called while one is under way.
+    fn post(&mut self, job: MappingJob);
+    /// The result if there is one; with `wait`, blocks until it is there (`None` then only if no job is under way or the
+    /// worker died).
+    fn take(&mut self, wait: bool) -> Option<MappingResult>;
+    /// Forgets the job under way: its result is never given. Another may be posted at once. Does not wait where it can be avoided.
+    fn discard(&mut self) {
+        self.take(true);
+    }
+}
+
+/// Runs every job at once in the calling thread.
+#[derive(Debug, Default)]
+pub struct InlineWorker {
+    result: Option<MappingResult>,
+}
+
+impl MappingWorker for InlineWorker {
+    fn post(&mut self, job: MappingJob) {
+        self.result = Some(job.run());
+    }
+    fn take(&mut self, _wait: bool) -> Option<MappingResult> {
+        self.result.take()
+    }
+}

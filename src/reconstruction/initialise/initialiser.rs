@@ -1,0 +1,433 @@
+//! From tracks alone to a first map.
+//!
+//! Views are held while their tracks live, and the oldest of them is the reference. Once the flow that a rotation cannot explain is
+//! large enough, two-view geometry is tried (essential matrix or homography, [`two_view`](crate::geometry::two_view)): from the
+//! oldest view, which has the longest baseline, and from the oldest that shares half of today's tracks, which has more points.
+//! Standing still and turning on the spot never pass: their rotation-compensated flow stays at the noise. Of a lens that is a guess,
+//! what a rotation seen through another lens explains is taken out as well (`pure_rotation`). All frames in between are remembered by
+//! their tracks, so that their poses can be solved once there is a map.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use nalgebra::{Matrix3, Rotation3, Vector2, Vector3};
+
+use super::pure_rotation::unexplained_flow;
+use crate::features::{FrameFeatures, Track};
+use crate::geometry::frames::{First, Second};
+use crate::geometry::two_view::{TwoViewOptions, reconstruct_two_views};
+use crate::geometry::{CameraModel, Se3};
+use crate::image::Pyramid;
+use crate::reconstruction::adjust::intrinsics::LensFreedom;
+use crate::reconstruction::config::ReconstructionConfig;
+
+/// A frame before the map exists.
+#[derive(Debug, Clone)]
+pub struct PendingFrame {
+    pub sequence: u64,
+    pub timestamp_ns: i64,
+    /// Track id and level-0 pixel, ascending id.
+    pub tracks: Vec<(u64, Vector2<f32>)>,
+}
+
+impl PendingFrame {
+    pub fn of(features: &FrameFeatures) -> Self {
+        Self {
+            sequence: features.sequence,
+            timestamp_ns: features.timestamp_ns,
+            tracks: features.tracks.iter().map(|t| (t.id, t.position)).collect(),
+        }
+    }
+
+    /// Pixel of a track.
+    pub fn track(&self, id: u64) -> Option<Vector2<f32>> {
+        let i = self.tracks.binary_search_by_key(&id, |t| t.0).ok()?;
+        Some(self.tracks[i].1)
+    }
+}
+
+/// One corner of a first map.
+#[derive(Debug, Clone, Copy)]
+pub struct StartPoint {
+    pub track: u64,
+    /// In the first camera's coordinates.
+    pub point: Vector3<f64>,
+}
+
+/// A frame before the map that is kept with its picture.
+#[derive(Debug, Clone)]
+pub struct View {
+    pub frame: PendingFrame,
+    pub pyramid: Arc<Pyramid>,
+}
+
+impl View {
+    /// The picture is a copy of its own: the frame's goes back to the pool.
+    fn of(features: &FrameFeatures) -> Self {
+        Self { frame: PendingFrame::of(features), pyramid: Arc::new(Pyramid::clone(&features.pyramid)) }
+    }
+}
+
+/// A first map: the motion between two frames, points, and views in between to hold them together.
+#[derive(Debug)]
+pub struct Start {
+    pub first: View,
+    /// How long the camera has moved without a start, s.
+    pub trying_s: f64,
+    /// In order of time; neither the first nor the newest frame is among them.
+    pub between: Vec<View>,
+    pub second_from_first: Se3<Second, First>,
+    pub points: Vec<StartPoint>,
+}
+
+/// Frames that are remembered for a pose afterwards; older ones are dropped.
+const MAX_PENDING: usize = 900;
+/// Standard deviation of a track over the frames of a start, px.
+const START_SIGMA_PX: f64 = 1.0;
+/// Views kept between the reference and the newest frame; when there would be more every other one is dropped.
+const MAX_BETWEEN: usize = 8;
+/// A view is given up below this many tracks in common with the newest frame, or a quarter of its own, and the next one takes over.
+const MIN_COMMON: usize = 60;
+/// Further times that a start must agree with the picture, at the most.
+const MAX_DOUBT: u32 = 5;
+/// Rotation-compensated flow since the reference at which the camera counts as moving, px.
+const MOVING_FLOW_PX: f64 = 1.0;
+/// A camera without such flow for so long since the reference stands, s.
+const STANDING_S: f64 = 0.5;
+/// One frame adds at most this much to the time spent trying, s.
+const LONGEST_STEP_S: f64 = 0.5;
+
+/// Waits for a start.
+#[derive(Debug, Default)]
+pub struct Initialiser {
+    /// The reference, and views since then, every `stride`-th frame.
+    views: Vec<View>,
+    stride: u64,
+    since_reference: u64,
+    /// How often a start must still agree with the picture before one is believed.
+    doubt: u32,
+    /// A start of this frame has been asked; another one shares its picture.
+    voted: bool,
+    /// How long the camera has moved without a start, s: standing still takes it back. It outlasts the reference.
+    trying_s: f64,
+    last_ns: Option<i64>,
+    /// All frames since the last reset, or since the map before was lost, that may still get a pose, the reference among them.
+    pub pending: VecDeque<PendingFrame>,
+}
+
+impl Initialiser {
+    pub fn clear(&mut self) {
+        self.begin_at(None);
+        self.pending.clear();
+        self.trying_s = 0.0;
+        self.last_ns = None;
+        self.doubt = 0;
+    }
+
+    fn begin_at(&mut self, reference: Option<View>) {
+        self.views.clear();
+        self.views.extend(reference);
+        self.stride = 1;
+        self.since_reference = 0;
+    }
+
+    /// A start disagreed with too much of the picture: something moves there. Of many tries one will seem to agree by chance, so the
+    /// next ones must agree as often as they disagreed before one is believed.
+    pub fn disagree(&mut self) {
+        if !std::mem::replace(&mut self.voted, true) {
+            self.doubt = (self.doubt + 1).min(MAX_DOUBT);
+        }
+    }
+
+    /// A start agrees; true if nothing speaks against it any more.
+    pub fn agree(&mut self) -> bool {
+        if std::mem::replace(&mut self.voted, true) {
+            return false;
+        }
+        let settled = self.doubt == 0;
+        self.doubt = self.doubt.saturating_sub(1);
+        settled
+    }
+
+    /// Keeps every `stride`-th view; the stride doubles as often as there is no more room.
+    fn keep(&mut self, view: impl FnOnce() -> View) {
+        self.since_reference += 1;
+        if !self.since_reference.is_multiple_of(self.stride) {
+            return;
+        }
+        if self.views.len() > MAX_BETWEEN {
+            let mut n = 0;
+            self.views.retain(|_| {
+                n += 1;
+                n % 2 == 1
+            });
+            self.stride *= 2;
+            if !self.since_reference.is_multiple_of(self.stride) {
+                return;
+            }
+        }
+        self.views.push(view());
+    }
+
+    /// Takes a frame; what it could start together with a view before, best first. `freedom`: of a lens that is a guess.
+    pub fn step(
+        &mut self,
+        features: &FrameFeatures,
+        camera: &CameraModel,
+        freedom: Option<&LensFreedom>,
+        config: &ReconstructionConfig,
+    ) -> Vec<Start> {
+        let Some(pairs) = self.follow(features, camera) else { return Vec::new() };
+        let flow = rotation_compensated_flow(&pairs, camera);
+        self.spend_patience(features.timestamp_ns, flow.0);
+        let richer = |pairs: &Vec<Pair>| 2 * pairs.len() >= features.tracks.len();
+        let second = if richer(&pairs) {
+            None
+        } else {
+            let pairs = |v: &View| pairs_with(v, features, camera).filter(richer);
+            self.views.iter().enumerate().skip(1).find_map(|(i, v)| Some((i, pairs(v)?)))
+        };
+        let second = second.map(|(i, pairs)| (i, rotation_compensated_flow(&pairs, camera), pairs));
+        let starts = std::iter::once((0, flow, pairs)).chain(second).filter_map(|(i, (mut flow, turn), pairs)| {
+            if let Some(freedom) = freedom.filter(|_| flow >= config.start_flow_px) {
+                let places: Vec<_> = pairs.iter().map(|p| (p.first, p.second)).collect();
+                flow = flow.min(unexplained_flow(&places, &turn, camera, freedom));
+            }
+            (flow >= config.start_flow_px).then(|| self.attempt(i, &pairs, features, camera, config))?
+        });
+        let starts = starts.collect();
+        self.keep(|| View::of(features));
+        starts
+    }
+
+    /// Remembers a frame without asking for a start: while there is still hope for another map.
+    pub fn watch(&mut self, features: &FrameFeatures, camera: &CameraModel) {
+        if self.follow(features, camera).is_some() {
+            self.keep(|| View::of(features));
+        }
+    }
+
+    /// Follows the tracks into a frame: those that the reference shares with it. `None` if no view does; then this frame becomes the
+    /// reference.
+    fn follow(&mut self, features: &FrameFeatures, camera: &CameraModel) -> Option<Vec<Pair>> {
+        self.voted = false;
+        self.pending.push_back(PendingFrame::of(features));
+        if self.pending.len() > MAX_PENDING {
+            self.pending.pop_front();
+        }
+        // Views that have lost their tracks make room for the next ones, which have some of the way behind them, too.
+        let pairs = |v: &View| pairs_with(v, features, camera);
+        let alive = self.views.iter().enumerate().find_map(|(i, v)| Some((i, pairs(v)?)));
+        let Some((dead, pairs)) = alive else {
+            self.begin_at((features.tracks.len() >= MIN_COMMON).then(|| View::of(features)));
+            return None;
+        };
+        self.views.drain(..dead);
+        if dead > 0 && self.views.len() <= MAX_BETWEEN / 2 {
+            // There is room again, and a view that took over needs some in between soon.
+            self.stride = 1;
+            self.since_reference = 0;
+        }
+        Some(pairs)
+    }
+
+    /// Notes for how long the camera has moved, or stood: `flow_px` since the reference, compensated for rotation.
+    fn spend_patience(&mut self, timestamp_ns: i64, flow_px: f64) {
+        let since = |then: i64| (timestamp_ns - then) as f64 * 1e-9;
+        let step_s = self.last_ns.map_or(0.0, since).clamp(0.0, LONGEST_STEP_S);
+        self.last_ns = Some(timestamp_ns);
+        if flow_px >= MOVING_FLOW_PX {
+            self.trying_s += step_s;
+        } else if self.views.first().is_some_and(|r| since(r.frame.timestamp_ns) > STANDING_S) {
+            self.trying_s = (self.trying_s - step_s).max(0.0);
+        }
+    }
+
+    /// Two-view geometry between the view of this index and this frame.
+    fn attempt(
+        &self,
+        index: usize,
+        pairs: &[Pair],
+        features: &FrameFeatures,
+        camera: &CameraModel,
+        config: &ReconstructionConfig,
+    ) -> Option<Start> {
+        let (reference, between) = self.views.get(index..)?.split_first()?;
+        let first: Vec<Vector2<f64>> = pairs.iter().map(|p| p.first).collect();
+        let second: Vec<Vector2<f64>> = pairs.iter().map(|p| p.second).collect();
+        let options =
+            TwoViewOptions { seed: features.sequence, ..TwoViewOptions::new(START_SIGMA_PX, camera.focal_px()) };
+        let solution = reconstruct_two_views(&first, &second, &options).ok()?;
+        let points: Vec<StartPoint> = pairs
+            .iter()
+            .zip(&solution.points)
+            .filter_map(|(pair, point)| Some(StartPoint { track: pair.track, point: (*point)? }))
+            .collect();
+        if points.len() < config.start_landmarks {
+            return None;
+        }
+        Some(Start {
+            first: reference.clone(),
+            trying_s: self.trying_s,
+            between: between.to_vec(),
+            second_from_first: solution.second_from_first,
+            points,
+        })
+    }
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Pair {
+    track: u64,
+    first: Vector2<f64>,
+    second: Vector2<f64>,
+}
+
+/// Tracks that a view shares with a frame, if they are enough.
+fn pairs_with(view: &View, features: &FrameFeatures, camera: &CameraModel) -> Option<Vec<Pair>> {
+    let pairs = common(&view.frame, &features.tracks, camera);
+    (pairs.len() >= MIN_COMMON.max(view.frame.tracks.len() / 4)).then_some(pairs)
+}
+
+/// Tracks that both frames see, undistorted; of a wide-angle lens where the plane z = 1 is even, as two-view geometry weighs all alike.
+fn common(reference: &PendingFrame, tracks: &[Track], camera: &CameraModel) -> Vec<Pair> {
+    let central = |n: &Vector2<f64>| camera.is_central(n);
+    tracks
+        .iter()
+        .filter_map(|t| {
+            let first_pixel = reference.track(t.id)?;
+            Some(Pair {
+                track: t.id,
+                first: camera.undistort(&first_pixel.cast()).filter(central)?,
+                second: camera.undistort(&t.position.cast()).filter(central)?,
+            })
+        })
+        .collect()
+}
+
+/// Median flow (px) that remains when the rotation that explains it best is taken out: Kabsch's rotation between the rays,
+/// twice, the second time over the better half. And that rotation, second from first.
+fn rotation_compensated_flow(pairs: &[Pair], camera: &CameraModel) -> (f64, Rotation3<f64>) {
+    let ray = |n: &Vector2<f64>| Vector3::new(n.x, n.y, 1.0).normalize();
+    let mut rest: Vec<f64> = Vec::new();
+    let mut limit = f64::INFINITY;
+    let mut rotation = Rotation3::identity();
+    for _ in 0..3 {
+        let mut sum = Matrix3::zeros();
+        for (i, p) in pairs.iter().enumerate() {
+            if rest.get(i).is_none_or(|&r| r <= limit) {
+                sum += ray(&p.second) * ray(&p.first).transpose();
+            }
+        }
+        let Some(svd) = sum.try_svd(true, true, 1e-12, 100) else { return (0.0, rotation) };
+        let (Some(u), Some(vt)) = (svd.u, svd.v_t) else { return (0.0, rotation) };
+        let d = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, (u * vt).determinant().signum()));
+        rotation = Rotation3::from_matrix_unchecked(u * d * vt);
+        rest.clear();
+        rest.extend(pairs.iter().map(|p| {
+            let r = rotation * ray(&p.first);
+            camera.pixels(&p.second, &(Vector2::new(r.x / r.z, r.y / r.z) - p.second))
+        }));
+        limit = crate::geometry::median(&mut rest.clone()).unwrap_or(0.0);
+    }
+    (limit, rotation)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pairs(rotation: Rotation3<f64>, translation: Vector3<f64>) -> Vec<Pair> {
+        let mut pairs = Vec::new();
+        for i in 0..10 {
+            for j in 0..8 {
+                let depth = 3.0 + ((i * 7 + j * 3) % 5) as f64 * 0.5;
+                let n = Vector2::new((i as f64 - 4.5) * 0.1, (j as f64 - 3.5) * 0.1);
+                let p = rotation * (Vector3::new(n.x, n.y, 1.0) * depth) + translation;
+                pairs.push(Pair { track: 0, first: n, second: Vector2::new(p.x / p.z, p.y / p.z) });
+            }
+        }
+        pairs
+    }
+
+    #[test]
+    fn turning_on_the_spot_leaves_no_flow_and_translation_does() {
+        let camera = CameraModel::new(640, 480, 500.0, 500.0, 320.0, 240.0, [0.0; 5]).unwrap();
+        let turn = Rotation3::from_euler_angles(0.1, -0.3, 0.2);
+        assert!(rotation_compensated_flow(&pairs(turn, Vector3::zeros()), &camera).0 < 1e-6);
+        let moved = rotation_compensated_flow(&pairs(turn, Vector3::new(0.3, 0.0, 0.0)), &camera).0;
+        assert!(moved > 3.0, "{moved}");
+    }
+
+    #[test]
+    fn patience_is_spent_by_moving_outlasts_the_reference_and_comes_back_while_standing() {
+        let camera = CameraModel::new(640, 480, 500.0, 500.0, 320.0, 240.0, [0.0; 5]).unwrap();
+        // No start is tried: only the time counts here.
+        let config = ReconstructionConfig { start_flow_px: 100.0, ..ReconstructionConfig::default() };
+        let mut initialiser = Initialiser::default();
+        let mut frames = 0;
+        let mut go_on = |seconds: f64, first_id: u64, step: f64| {
+            for n in 0..(seconds * 30.0) as usize {
+                let moved = Vector3::new(0.15 + step * n as f64, 0.0, 0.0);
+                let tracks = pairs(Rotation3::identity(), moved).into_iter().enumerate().map(|(i, p)| Track {
+                    id: first_id + i as u64,
+                    position: (p.second * 500.0 + Vector2::new(320.0, 240.0)).cast(),
+                    age: 1,
+                });
+                let features = FrameFeatures {
+                    sequence: frames,
+                    timestamp_ns: frames as i64 * 33_333_333,
+                    tracks: tracks.collect(),
+                    ..FrameFeatures::default()
+                };
+                assert!(initialiser.step(&features, &camera, None, &config).is_empty());
+                frames += 1;
+            }
+            initialiser.trying_s
+        };
+        assert_eq!(go_on(3.0, 0, 0.0), 0.0, "standing");
+        let moving = go_on(1.0, 0, 0.02);
+        assert!((0.5..=1.0).contains(&moving), "{moving} s of trying after a second of motion");
+        let again = go_on(1.0, 1000, 0.02);
+        assert!(again > moving + 0.5, "{again} s after another with new tracks");
+        assert_eq!(go_on(4.0, 2000, 0.0), 0.0, "after standing again");
+    }
+
+    #[test]
+    fn a_view_that_has_lost_its_tracks_gives_way_to_the_next_one() {
+        let camera = CameraModel::new(640, 480, 500.0, 500.0, 320.0, 240.0, [0.0; 5]).unwrap();
+        let config = ReconstructionConfig { start_flow_px: 100.0, ..ReconstructionConfig::default() };
+        let mut initialiser = Initialiser::default();
+        // Five of eighty tracks are lost in every frame: after four of them sixty are left.
+        for n in 0..6 {
+            let tracks = pairs(Rotation3::identity(), Vector3::zeros()).into_iter().enumerate().map(|(i, p)| Track {
+                id: 5 * n + i as u64,
+                position: (p.second * 500.0 + Vector2::new(320.0, 240.0)).cast(),
+                age: 1,
+            });
+            let features = FrameFeatures { sequence: n, tracks: tracks.collect(), ..FrameFeatures::default() };
+            initialiser.step(&features, &camera, None, &config);
+        }
+        let held: Vec<u64> = initialiser.views.iter().map(|v| v.frame.sequence).collect();
+        assert_eq!(held, [1, 2, 3, 4, 5]);
+    }
+
+    #[test]
+    fn a_start_must_agree_as_often_as_it_disagreed_before() {
+        let camera = CameraModel::new(640, 480, 500.0, 500.0, 320.0, 240.0, [0.0; 5]).unwrap();
+        let config = ReconstructionConfig::default();
+        let mut initialiser = Initialiser::default();
+        let mut in_a_frame = |ask: fn(&mut Initialiser) -> bool| {
+            initialiser.step(&FrameFeatures::default(), &camera, None, &config);
+            [ask(&mut initialiser), ask(&mut initialiser)]
+        };
+        let disagree = |i: &mut Initialiser| {
+            i.disagree();
+            false
+        };
+        assert_eq!(in_a_frame(Initialiser::agree), [true, false], "one vote a frame");
+        in_a_frame(disagree);
+        in_a_frame(disagree);
+        assert_eq!([0; 3].map(|_| in_a_frame(Initialiser::agree)[0]), [false, false, true]);
+    }
+}

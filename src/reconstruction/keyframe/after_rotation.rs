@@ -1,0 +1,317 @@
+//! The first motion after a turn on the spot.
+//!
+//! When most of what is in view lies at assumed distances, the frames that follow the turn move against a scene whose shape is not
+//! known, as at the start of a map, and a pose optimised frame by frame runs into the nearest shape that is flat. So they are placed
+//! as at the start: two-view geometry ([`two_view`](crate::geometry::two_view)) between a keyframe of the turn and the newest frame, as soon as that
+//! finds enough parallax. The length of the step is what the landmarks of known distance make of it, if a few are left in view, else what
+//! the assumed distances do; everything else is measured.
+//!
+//! Input: the newest frame's matches. Output: its pose; the landmarks are put where the two views see them, and the keyframes in
+//! between are solved anew. Cost: a few milliseconds, once after each turn (and at each attempt before).
+
+use nalgebra::Vector2;
+
+use super::distance_prior::{assumed_among, is_held, mostly_assumed};
+use crate::features::FrameFeatures;
+use crate::geometry::frames::{Camera, World};
+use crate::geometry::two_view::{TwoViewOptions, reconstruct_two_views};
+use crate::geometry::{CameraModel, Se3, median};
+use crate::map::{KeyframeId, LandmarkId, Map};
+use crate::reconstruction::Reconstruction;
+use crate::reconstruction::measurement::PosePair;
+use crate::reconstruction::measurement::inverse_distance::Ray;
+use crate::reconstruction::track::pose::{PoseOptions, optimise_pose};
+use crate::reconstruction::track::search::Match;
+
+/// Matches with the keyframe of the turn, and points that both see under enough parallax, that two views need.
+const MIN_MATCHES: usize = 40;
+const MIN_POINTS: usize = 30;
+const MIN_PARALLAX_DEG: f64 = 0.5;
+/// Share of the most landmarks in common that the keyframe of the turn must have.
+const NEARLY_ALL: f64 = 0.7;
+/// So many landmarks whose distance is known say how long the step was; else the assumed distances do.
+const MIN_MEASURED: usize = 10;
+/// Standard deviation of a place in either view, px.
+const SIGMA_PX: f64 = 1.0;
+
+impl Reconstruction {
+    /// Landmarks at assumed distances are looked for next where this frame makes them most likely.
+    pub(in crate::reconstruction) fn follow_assumed(&mut self, pose: &Se3<Camera, World>) {
+        let readout_s = self.optics.shutter.readout_s;
+        for m in self.tracker.matches() {
+            let Some(ray) = Ray::of(m.landmark, &self.active.map, readout_s) else { continue };
+            if let Some(pair) = ray.eliminate(pose, &m.pair(&self.optics.camera, readout_s)) {
+                self.active.map.place_landmark(m.landmark, pair.point);
+            }
+        }
+    }
+
+    /// The pose of a frame that comes out of a turn on the spot, from its parallax.
+    pub(in crate::reconstruction) fn place_after_turn(
+        &mut self,
+        features: &FrameFeatures,
+    ) -> Option<Se3<Camera, World>> {
+        self.pending.turned.filter(|parallax_deg| *parallax_deg > self.config.min_parallax_deg)?;
+        let placed = place(
+            &mut self.active.map,
+            self.tracker.matches(),
+            &self.optics.camera,
+            self.optics.shutter.readout_s,
+            features.sequence,
+        )?;
+        let pose = placed.camera_from_world;
+        self.active.odometry.replace(pose);
+        // One under way began from poses that are no more; the keyframe that this frame becomes posts another.
+        self.mapper.discard();
+        self.pending.turned = None;
+        if placed.is_assumed {
+            self.counters.blind_turns += 1;
+            self.doubt_scale_behind(placed.from);
+        }
+        Some(pose)
+    }
+
+    /// What has been seen since the turn at `from` began has the scale that was assumed, but for keyframes that saw enough of known distance.
+    fn doubt_scale_behind(&mut self, from: KeyframeId) {
+        let before = self.active.map.keyframe(from).and_then(|k| k.scale_from);
+        let Some(turn) = self.active.scale.add(&self.active.map, from, before) else { return };
+        let mut behind: Vec<KeyframeId> = self.active.map.keyframes.iter().map(|(id, _)| KeyframeId(id)).collect();
+        let blind = |id: &KeyframeId| {
+            let (assumed, all) = assumed_among(&self.active.map, *id);
+            mostly_assumed(assumed, all) || is_held(&self.active.map, *id)
+        };
+        let before_turn = behind.iter().rposition(|id| *id < from && !blind(id));
+        behind.drain(..before_turn.map_or(0, |last| last + 1));
+        behind.retain(|id| *id == from || blind(id));
+        for id in behind {
+            self.active.map.set_scale_origin(id, Some(turn));
+        }
+        // The keyframe that this frame becomes has its scale from its reference.
+        if self.active.map.keyframe(self.active.reference).is_none_or(|k| k.scale_from != Some(turn)) {
+            self.active.reference = from;
+        }
+    }
+}
+
+/// Where two views have put a frame.
+struct Placed {
+    camera_from_world: Se3<Camera, World>,
+    /// The first of the two views.
+    from: KeyframeId,
+    /// The step between them is as long as assumed distances make it.
+    is_assumed: bool,
+}
+
+/// The newest frame's place from its `matches`; `None` if there is no such keyframe, or not enough parallax yet.
+fn place(map: &mut Map, matches: &[Match], camera: &CameraModel, readout_s: f64, seed: u64) -> Option<Placed> {
+    // The oldest keyframe that sees nearly as many of them as any: it was placed before the camera began to move.
+    let mut votes: Vec<(KeyframeId, usize)> = Vec::new();
+    for m in matches {
+        let Some(landmark) = map.landmark(m.landmark).filter(|l| l.assumed.is_some()) else { continue };
+        for &k in &landmark.observers {
+            match votes.iter_mut().find(|v| v.0 == k) {
+                Some(v) => v.1 += 1,
+                None => votes.push((k, 1)),
+            }
+        }
+    }
+    let most = votes.iter().map(|v| v.1).max()?;
+    let enough = MIN_MATCHES.max((NEARLY_ALL * most as f64) as usize);
+    let from = votes.iter().filter(|v| v.1 >= enough).map(|v| v.0).min()?;
+    let keyframe = map.keyframe(from)?;
+    // Landmark, its distance from the keyframe, and whether that is assumed.
+    let mut seen: Vec<(LandmarkId, f64, bool)> = Vec::new();
+    let (mut first, mut second): (Vec<Vector2<f64>>, Vec<Vector2<f64>>) = (Vec::new(), Vec::new());
+    for m in matches {
+        let (Some(landmark), Some(o)) = (map.landmark(m.landmark), keyframe.observation(m.landmark)) else { continue };
+        let ray = Ray::of(m.landmark, map, readout_s);
+        let place = ray.as_ref().map_or(landmark.position, Ray::point);
+        seen.push((m.landmark, (place - keyframe.centre()).norm(), ray.is_some()));
+        first.push(o.at_middle_row(readout_s));
+        second.push(m.at_middle_row(readout_s));
+    }
+    let options = TwoViewOptions {
+        seed,
+        min_matches: MIN_MATCHES,
+        min_points: MIN_POINTS,
+        min_parallax_rad: MIN_PARALLAX_DEG.to_radians(),
+        ..TwoViewOptions::new(SIGMA_PX, camera.focal_px())
+    };
+    let solution = reconstruct_two_views(&first, &second, &options).ok()?;
+    let lengths = |assumed: bool| -> Vec<f64> {
+        let of_kind = seen.iter().zip(&solution.points).filter(|(s, _)| s.2 == assumed);
+        of_kind.filter_map(|((_, distance, _), point)| Some(distance / (*point)?.norm())).collect()
+    };
+    let measured = lengths(false);
+    let is_assumed = measured.len() < MIN_MEASURED;
+    let length = median(&mut if is_assumed { lengths(true) } else { measured }).unwrap_or(0.0);
+    if !(length > 0.0 && length.is_finite()) {
+        return None;
+    }
+    let mut step = solution.second_from_first.relabel::<Camera, Camera>();
+    step.translation *= length;
+    let from_world = keyframe.camera_from_world;
+    let world_from = from_world.inverse();
+    for ((id, _, assumed), point) in seen.iter().zip(&solution.points) {
+        if let (true, Some(point)) = (assumed, point) {
+            map.place_landmark(*id, world_from.transform(&(point * length)));
+        }
+    }
+    resolve_between(map, from, camera, readout_s);
+    Some(Placed { camera_from_world: step * from_world, from, is_assumed })
+}
+
+/// Keyframes after `from` were placed against distances that were wrong.
+fn resolve_between(map: &mut Map, from: KeyframeId, camera: &CameraModel, readout_s: f64) {
+    let later: Vec<KeyframeId> =
+        map.keyframes.iter().map(|(id, _)| KeyframeId(id)).filter(|id| *id > from && is_held(map, *id)).collect();
+    let mut inlier = Vec::new();
+    for id in later {
+        let Some(keyframe) = map.keyframe(id) else { continue };
+        let pairs: Vec<PosePair> = keyframe
+            .observations
+            .iter()
+            .filter_map(|o| {
+                let landmark = map.landmark(o.landmark)?;
+                Some(PosePair::observed(landmark.position, o, camera, readout_s))
+            })
+            .collect();
+        let options = PoseOptions { first_round_relaxation: 25.0, leverage: false, ..PoseOptions::default() };
+        let solved = optimise_pose(&keyframe.camera_from_world, &pairs, &options, &mut inlier);
+        if let Some(solved) = solved.filter(|s| 2 * s.inliers > pairs.len()) {
+            map.place_keyframe(id, solved.camera_from_world);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use nalgebra::{UnitQuaternion, Vector3};
+
+    use super::*;
+    use crate::features::thumbnail::Thumbnail;
+    use crate::map::{AssumedDistance, Keyframe, Landmark, MapId};
+    use crate::reconstruction::track::search::observe;
+
+    const TRUE_OVER_ASSUMED: f64 = 2.0;
+
+    fn camera() -> CameraModel {
+        CameraModel::new(640, 480, 520.0, 520.0, 320.0, 240.0, [0.0; 5]).expect("a camera")
+    }
+
+    fn keyframe(pose: Se3<Camera, World>) -> Keyframe {
+        Keyframe {
+            sequence: 0,
+            timestamp_ns: 0,
+            map: MapId(0),
+            camera_from_world: pose,
+            motion: None,
+            pyramid: Arc::default(),
+            thumbnail: Thumbnail::default(),
+            scale_from: None,
+            observations: Vec::new(),
+            covisible: Vec::new(),
+            corners: Vec::new(),
+        }
+    }
+
+    /// A room 2 to 6 m away that two keyframes of a turn see, its landmarks half as far as they are; and the matches of a frame
+    /// at `pose`.
+    fn scene(pose: &Se3<Camera, World>) -> (Map, Vec<Match>) {
+        let camera = camera();
+        let mut map = Map::default();
+        let turned: Se3<Camera, World> =
+            Se3::new(UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.05, 0.0)), Vector3::zeros());
+        let keyframes = [Se3::identity(), turned].map(|p| (map.add_keyframe(keyframe(p)), p));
+        let mut matches = Vec::new();
+        for i in 0..120u32 {
+            let (a, b, c) = (f64::from(i % 12), f64::from(i / 12), f64::from(i * 7 % 13));
+            let depth = 2.0 + 4.0 * c / 12.0;
+            let point = Vector3::new((a / 11.0 - 0.5) * 0.9, (b / 9.0 - 0.5) * 0.7, 1.0) * depth;
+            let see = |p: &Se3<Camera, World>| camera.project(&p.transform(&point)).map(|px| px.cast::<f32>());
+            let seen: Vec<_> = keyframes
+                .iter()
+                .filter_map(|(k, p)| Some((*k, observe(&camera, LandmarkId(0), see(p)?, 1.25)?)))
+                .collect();
+            let (Some(pixel), true) = (see(pose), seen.len() == 2) else { continue };
+            let assumed = AssumedDistance { inverse: TRUE_OVER_ASSUMED / 4.0, sigma: 1.0 };
+            let id = map.add_landmark(
+                Landmark {
+                    position: point.normalize() / assumed.inverse,
+                    covariance: nalgebra::Matrix3::identity(),
+                    observers: Vec::new(),
+                    created_by: keyframes[1].0,
+                    assumed: Some(assumed),
+                    sought: 1,
+                    found: 1,
+                    disagreed: 0,
+                },
+                &seen,
+            );
+            matches.push(Match {
+                landmark: id,
+                point: point.normalize() / assumed.inverse,
+                pixel,
+                normalised: camera.undistort(&pixel.cast()).expect("in the picture"),
+                displacement: Vector2::zeros(),
+                inv_sigma_px: 1.25,
+                inlier: true,
+            });
+        }
+        (map, matches)
+    }
+
+    fn moved(by: Vector3<f64>) -> Se3<Camera, World> {
+        Se3::new(UnitQuaternion::from_scaled_axis(Vector3::new(0.01, 0.06, -0.02)), -by)
+    }
+
+    #[test]
+    fn two_views_find_the_motion_however_wrong_the_distances_are() {
+        for by in [Vector3::new(0.0, 0.0, 0.3), Vector3::new(0.2, 0.0, 0.0), Vector3::new(0.1, -0.05, 0.2)] {
+            let truth = moved(by);
+            let (mut map, matches) = scene(&truth);
+            assert!(matches.len() > 80, "{} matches: the scene is too poor", matches.len());
+            let placed = place(&mut map, &matches, &camera(), 0.0, 1).expect("a place");
+            assert!(placed.is_assumed, "nothing here has a known distance");
+            let found = placed.camera_from_world;
+            let turn = (found.rotation * truth.rotation.inverse()).angle().to_degrees();
+            assert!(turn < 0.05, "moved by {by:?}: rotation off by {turn} degrees");
+            let heading = found.translation.angle(&truth.translation).to_degrees();
+            assert!(heading < 1.0, "moved by {by:?}: direction off by {heading} degrees");
+            // Its length is that of the assumption, half of the true one.
+            let length = truth.translation.norm() / found.translation.norm();
+            assert!((length / TRUE_OVER_ASSUMED - 1.0).abs() < 0.25, "moved by {by:?}: {length} times too short");
+        }
+    }
+
+    #[test]
+    fn a_turn_alone_is_no_motion() {
+        let (mut map, matches) = scene(&moved(Vector3::zeros()));
+        let before: Vec<_> = map.landmarks.iter().map(|(_, l)| l.position).collect();
+        assert!(place(&mut map, &matches, &camera(), 0.0, 1).is_none());
+        assert!(map.landmarks.iter().map(|(_, l)| l.position).eq(before), "a landmark was moved");
+    }
+
+    #[test]
+    fn without_its_distance_a_landmark_holds_the_turn_and_not_the_motion() {
+        let truth = moved(Vector3::new(0.0, 0.0, 0.2));
+        let (map, matches) = scene(&truth);
+        let camera = camera();
+        for m in &matches {
+            let pair = m.pair(&camera, 0.0);
+            let ray = Ray::of(m.landmark, &map, 0.0).expect("assumed");
+            let free = ray.eliminate(&truth, &pair).expect("in front");
+            // At the true pose it fits, at about the true distance, though the pair as it was is off by pixels.
+            let p = truth.transform(&free.point);
+            let e = free.pixel_scale * (p.xy() / p.z - free.normalised);
+            assert!(e.norm() < 0.5, "off by {} px", e.norm());
+            assert!(free.point.norm() > m.point.norm() / 1.05, "nearer than assumed");
+            // On the spot nothing is eliminated: the pair counts in full.
+            let still = moved(Vector3::zeros());
+            let kept = ray.eliminate(&still, &pair).expect("in front");
+            assert!((kept.pixel_scale - pair.pixel_scale).norm() < 1e-6 * pair.pixel_scale.norm());
+        }
+    }
+}

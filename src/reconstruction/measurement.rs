@@ -1,0 +1,128 @@
+//! One place in a picture against one place in the world.
+//!
+//! In: a world point, where it was seen (undistorted, plane z = 1), the pixels that a step there counts as and their standard deviation.
+//! Out: the residual in standard deviations and its derivatives. Poses, bundles and landmarks are all fitted to this one measurement.
+
+pub mod inverse_distance;
+pub mod rolling_shutter;
+
+use nalgebra::{Matrix2, Matrix3, Matrix6, Vector2, Vector3};
+
+use crate::geometry::frames::{Camera, World};
+use crate::geometry::{CameraModel, Se3};
+use crate::map::Observation;
+
+/// 95 % limit of chi-square with two degrees of freedom.
+pub const CHI2_2D_95: f64 = 5.991;
+
+/// One landmark seen in the frame.
+#[derive(Debug, Clone, Copy)]
+pub struct PosePair {
+    /// World coordinates, map units.
+    pub point: Vector3<f64>,
+    /// Undistorted observation on the plane z = 1.
+    pub normalised: Vector2<f64>,
+    /// Pixels that steps on that plane count as there.
+    pub pixel_scale: Matrix2<f64>,
+    /// One over the standard deviation, 1/px.
+    pub inv_sigma_px: f64,
+}
+
+impl PosePair {
+    /// What it tells of a pose near `pose` when its point is uncertain itself: `e' W e`, `W = (s² I + J P J')⁻¹` with P the point's
+    /// covariance (world axes, map units²) and J the derivative of the residual by the point. The residual is whitened once, so everything
+    /// that follows (loss, outliers, information) is in standard deviations of the innovation. Unchanged where P is not known.
+    pub fn with_uncertain_point(self, pose: &Se3<Camera, World>, covariance: &Matrix3<f64>) -> Self {
+        let p = pose.transform(&self.point);
+        let (jx, jy) = jacobian_rows(&p, &(self.pixel_scale * self.inv_sigma_px));
+        let world_from_camera = pose.rotation.inverse();
+        let (x, y) = (
+            world_from_camera * Vector3::new(jx[3], jx[4], jx[5]),
+            world_from_camera * Vector3::new(jy[3], jy[4], jy[5]),
+        );
+        let (px, py) = (covariance * x, covariance * y);
+        self.whitened(&Matrix2::new(x.dot(&px), x.dot(&py), x.dot(&py), y.dot(&py)))
+    }
+
+    /// The same with what the uncertainty adds to the residual's covariance, in squares of its standard deviation.
+    fn whitened(self, added: &Matrix2<f64>) -> Self {
+        let whitening = (Matrix2::identity() + added).cholesky().and_then(|c| c.l().try_inverse());
+        match whitening.filter(|w| w.iter().all(|v| v.is_finite())) {
+            Some(whitening) => Self { pixel_scale: whitening * self.pixel_scale, ..self },
+            None => self,
+        }
+    }
+
+    /// What a keyframe saw of `point`, as its middle row's pose would have seen it, for a readout time in seconds.
+    pub fn observed(point: Vector3<f64>, seen: &Observation, camera: &CameraModel, readout_s: f64) -> Self {
+        Self {
+            point,
+            normalised: seen.at_middle_row(readout_s),
+            pixel_scale: camera.pixel_scale(&seen.normalised),
+            inv_sigma_px: seen.inv_sigma_px,
+        }
+    }
+}
+
+/// Residual (sigma-scaled, px) of a pair; `None` behind the camera.
+#[inline]
+pub(crate) fn residual(pose: &Se3<Camera, World>, pair: &PosePair) -> Option<(Vector2<f64>, Vector3<f64>)> {
+    let p = pose.transform(&pair.point);
+    if p.z < 1e-6 {
+        return None;
+    }
+    let iz = 1.0 / p.z;
+    Some((scaled(&pair.pixel_scale, pair.inv_sigma_px, p.x * iz - pair.normalised.x, p.y * iz - pair.normalised.y), p))
+}
+
+/// A pinhole's scale: the short way then, with the same bits as the long one.
+#[inline]
+pub(crate) fn is_diagonal(scale: &Matrix2<f64>) -> bool {
+    scale.m12 == 0.0 && scale.m21 == 0.0
+}
+
+/// A step on the plane z = 1 in pixels, times `factor`.
+#[inline]
+pub(crate) fn scaled(scale: &Matrix2<f64>, factor: f64, x: f64, y: f64) -> Vector2<f64> {
+    let m = |v: f64| factor * v;
+    if is_diagonal(scale) {
+        return Vector2::new(m(scale.m11) * x, m(scale.m22) * y);
+    }
+    Vector2::new(m(scale.m11) * x + m(scale.m12) * y, m(scale.m21) * x + m(scale.m22) * y)
+}
+
+/// Rows of d e / d delta at camera point `p`: tangent `[rotation, translation]`, `p' = exp(w) p + v`.
+#[inline]
+pub(crate) fn jacobian_rows(p: &Vector3<f64>, scale: &Matrix2<f64>) -> ([f64; 6], [f64; 6]) {
+    let iz = 1.0 / p.z;
+    let (u, v) = (p.x * iz, p.y * iz);
+    // d(u, v)/dp = iz [1 0 -u; 0 1 -v]; dp/dw = -[p]x, dp/dv = I.
+    if is_diagonal(scale) {
+        let (fx, fy) = (scale.m11, scale.m22);
+        return (
+            [-fx * u * v, fx * (1.0 + u * u), -fx * v, fx * iz, 0.0, -fx * u * iz],
+            [-fy * (1.0 + v * v), fy * u * v, fy * u, 0.0, fy * iz, -fy * v * iz],
+        );
+    }
+    let row = |a: f64, b: f64| {
+        [
+            -a * u * v - b * (1.0 + v * v),
+            a * (1.0 + u * u) + b * u * v,
+            -a * v + b * u,
+            a * iz,
+            b * iz,
+            -a * u * iz - b * v * iz,
+        ]
+    };
+    (row(scale.m11, scale.m12), row(scale.m21, scale.m22))
+}
+
+#[inline]
+pub(crate) fn accumulate(h: &mut Matrix6<f64>, jx: &[f64; 6], jy: &[f64; 6], w: f64) {
+    for c in 0..6 {
+        let (a, b) = (w * jx[c], w * jy[c]);
+        for r in 0..=c {
+            h[(r, c)] += jx[r] * a + jy[r] * b;
+        }
+    }
+}

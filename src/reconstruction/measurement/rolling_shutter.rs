@@ -1,0 +1,110 @@
+//! Rolling shutter: rows are exposed one after another, so a moving camera has a pose of its own for each row.
+//!
+//! Poses here are those of the middle row. To first order a point that moves over the picture with `flow` (per second, on
+//! z = 1) is seen displaced by `g T`, `g = flow (row / height - 1/2)`, T the readout time. Observations are kept as they were
+//! seen and corrected by `- g T` wherever they are compared with a projection.
+//!
+//! T is a property of the camera that nobody writes on the box. It is one more unknown of every adjustment, which solves for it together
+//! with poses and landmarks: against a map taken as true, what young landmarks' depths are wrong by looks like a shutter. From one
+//! adjustment to the next it is carried as in a Kalman filter of one constant. A global shutter comes out as zero. Not here: acceleration
+//! within a frame, exposure time.
+
+use nalgebra::{Vector2, Vector3};
+
+use crate::geometry::camera_motion::CameraMotion;
+
+/// Readout time of a rolling shutter, refined with the rest: observation k is expected at `normalised - displacement * seconds`.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Readout {
+    /// Moved by the adjustment, s.
+    pub seconds: f64,
+    /// What it is expected to be (s), and one over the variance of that (1/s^2). `None`: it is known, and held.
+    pub expected: Option<(f64, f64)>,
+    /// Set by the adjustment: information on it, everything else free, the prior left out, 1/s^2.
+    pub found_information: f64,
+}
+
+impl Readout {
+    /// One if it is an unknown of the problem.
+    pub(crate) fn unknowns(&self) -> usize {
+        usize::from(self.expected.is_some())
+    }
+
+    pub(crate) fn prior_cost(&self) -> f64 {
+        self.expected.map_or(0.0, |(expected, information)| information * (self.seconds - expected).powi(2))
+    }
+
+    /// Information of the prior, and its part of the right-hand side.
+    pub(crate) fn prior(&self) -> (f64, f64) {
+        self.expected
+            .map_or((0.0, 0.0), |(expected, information)| (information, information * (expected - self.seconds)))
+    }
+}
+
+/// Readout time and how surely it is known.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Shutter {
+    /// Time from the first row's exposure to the last one's, s; negative when the last row comes first.
+    pub readout_s: f64,
+    /// One over the variance of `readout_s`, 1/s^2.
+    information: f64,
+    height_px: f64,
+    estimate: bool,
+}
+
+/// Longest readout that a camera has, s.
+const MAX_READOUT_S: f64 = 0.04;
+/// Standard deviation of the readout time before anything is known, s.
+const PRIOR_SIGMA_S: f64 = 0.01;
+/// What the past counts after one more adjustment. Adjustments before had fewer landmarks, placed with another readout time.
+const MEMORY: f64 = 0.9;
+/// Share of an adjustment's information that is believed: an observation is in some ten of them, and neighbouring keyframes share the
+/// errors of their templates.
+const BELIEVED: f64 = 0.05;
+/// Never surer than this, s: what the motion between two frames says of the motion within one is not exact.
+const FLOOR_SIGMA_S: f64 = 0.001;
+
+impl Shutter {
+    /// `estimate`: start at `readout_s` and learn; else it stays.
+    pub fn new(readout_s: f64, height_px: u32, estimate: bool) -> Self {
+        let information = PRIOR_SIGMA_S.powi(-2);
+        Self { readout_s, information, height_px: f64::from(height_px.max(1)), estimate }
+    }
+
+    /// Nothing to correct and nothing to learn.
+    pub fn is_off(&self) -> bool {
+        !self.estimate && self.readout_s == 0.0
+    }
+
+    /// Variance of the readout time, s^2; zero where it is held.
+    pub fn variance(&self) -> f64 {
+        if self.estimate { self.information.recip() } else { 0.0 }
+    }
+
+    /// Share of the readout that a row is late by, against the middle one: -1/2 to 1/2.
+    fn delay(&self, row_px: f32) -> f64 {
+        (f64::from(row_px) + 0.5) / self.height_px - 0.5
+    }
+
+    /// g: displacement on z = 1 per second of readout, of a point (camera coordinates) that was seen in row `row_px`.
+    pub fn displacement(&self, motion: &CameraMotion, point: &Vector3<f64>, row_px: f32) -> Vector2<f64> {
+        motion.flow(point) * self.delay(row_px)
+    }
+
+    /// As an adjustment takes it: an unknown, or held.
+    pub fn to_adjust(&self) -> Readout {
+        // Believing a part of the data is weighing the prior the more.
+        let expected = self.estimate.then_some((self.readout_s, self.information / BELIEVED));
+        Readout { seconds: self.readout_s, expected, found_information: 0.0 }
+    }
+
+    /// Takes over what an adjustment found.
+    pub fn learn(&mut self, found: &Readout) {
+        if found.expected.is_none() || !(found.seconds.is_finite() && found.found_information.is_finite()) {
+            return;
+        }
+        let information = self.information * MEMORY + BELIEVED * found.found_information;
+        self.information = information.min(1.0 / (FLOOR_SIGMA_S * FLOOR_SIGMA_S));
+        self.readout_s = found.seconds.clamp(-MAX_READOUT_S, MAX_READOUT_S);
+    }
+}

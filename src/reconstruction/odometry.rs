@@ -1,0 +1,139 @@
+//! Where the camera was last, how it moved, and the smooth pose that follows from it.
+
+use crate::geometry::Se3;
+use crate::geometry::camera_motion::CameraMotion;
+use crate::geometry::frames::{Camera, Odom, World};
+
+/// Frames farther apart than this tell too little of the motion within one of them to correct a rolling shutter by it, s. (At 5 Hz
+/// it still pays: hand-held and walking, errors without the correction are larger than with it.)
+const MAX_SHUTTER_STEP_S: f64 = 0.3;
+
+/// A motion, `this camera from the previous one`, and how long it took, s.
+pub type Step = (Se3<Camera, Camera>, f64);
+
+/// The frame that was tracked last.
+#[derive(Debug, Clone, Copy)]
+pub struct LastFrame {
+    timestamp_ns: i64,
+    pub camera_from_world: Se3<Camera, World>,
+    /// The motion that led here.
+    pub step: Option<Step>,
+}
+
+/// The frames that were tracked in one map.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Odometry {
+    pub last: Option<LastFrame>,
+    /// Smooth pose: no correction of the map moves it.
+    pub odom_from_camera: Se3<Odom, Camera>,
+    /// Frames since the last one that could not be tracked.
+    pub lost_frames: u64,
+}
+
+impl Odometry {
+    /// Begins with the frame that a map was begun with.
+    pub fn begin(timestamp_ns: i64, camera_from_world: Se3<Camera, World>) -> Self {
+        Self {
+            last: Some(LastFrame { timestamp_ns, camera_from_world, step: None }),
+            odom_from_camera: camera_from_world.inverse().relabel(),
+            lost_frames: 0,
+        }
+    }
+
+    /// Takes over a frame that was tracked; the motion that led to it, if the one before was not lost.
+    pub fn accept(&mut self, timestamp_ns: i64, camera_from_world: Se3<Camera, World>) -> Option<Step> {
+        let mut step = None;
+        if let Some(last) = &self.last {
+            let dt = (timestamp_ns - last.timestamp_ns) as f64 * 1e-9;
+            let motion = (camera_from_world * last.camera_from_world.inverse()).relabel::<Camera, Camera>();
+            self.odom_from_camera = self.odom_from_camera * motion.inverse();
+            step = (dt > 0.0 && self.lost_frames == 0).then_some((motion, dt));
+        }
+        self.last = Some(LastFrame { timestamp_ns, camera_from_world, step });
+        self.lost_frames = 0;
+        step
+    }
+
+    /// The last frame is there instead; how it came there is not known.
+    pub fn replace(&mut self, camera_from_world: Se3<Camera, World>) {
+        if let Some(last) = &mut self.last {
+            (last.camera_from_world, last.step) = (camera_from_world, None);
+        }
+    }
+
+    /// An adjustment has moved the last frame's surroundings.
+    pub fn correct(&mut self, old_from_new: &Se3<World, World>) {
+        if let Some(last) = &mut self.last {
+            last.camera_from_world = last.camera_from_world * *old_from_new;
+        }
+    }
+
+    /// The last frame, if it is the one just before.
+    fn followed(&self) -> Option<&LastFrame> {
+        self.last.as_ref().filter(|_| self.lost_frames == 0)
+    }
+
+    /// Pose of the frame before and the time since, if that was tracked and not long ago.
+    pub fn before(&self, timestamp_ns: i64) -> Option<(Se3<Camera, World>, f64)> {
+        let last = self.followed()?;
+        let dt = (timestamp_ns - last.timestamp_ns) as f64 * 1e-9;
+        (dt > 0.0 && dt < MAX_SHUTTER_STEP_S).then_some((last.camera_from_world, dt))
+    }
+
+    /// How the camera moved at the last frame; nothing is known of that after frames that were lost.
+    pub fn motion(&self) -> Option<CameraMotion> {
+        let (motion, dt) = self.followed()?.step?;
+        Some(CameraMotion::over(&motion, dt))
+    }
+
+    /// Where the next frame is likely to be: by constant velocity, then where the last one was.
+    pub fn guesses(&self, timestamp_ns: i64) -> ([Se3<Camera, World>; 2], usize) {
+        let Some(last) = &self.last else { return ([Se3::identity(); 2], 0) };
+        let dt = (timestamp_ns - last.timestamp_ns) as f64 * 1e-9;
+        match &last.step {
+            Some((motion, over)) if self.lost_frames == 0 && dt < 5.0 * over => {
+                ([motion.scaled(dt / over) * last.camera_from_world, last.camera_from_world], 2)
+            }
+            _ => ([last.camera_from_world; 2], 1),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{UnitQuaternion, Vector3};
+
+    use super::*;
+
+    fn at(x: f64, turn: f64) -> Se3<Camera, World> {
+        Se3::new(UnitQuaternion::from_scaled_axis(Vector3::new(0.0, turn, 0.0)), Vector3::new(-x, 0.0, 0.0))
+    }
+
+    #[test]
+    fn the_next_frame_is_expected_where_the_motion_goes_on_and_after_lost_ones_where_the_last_was() {
+        let mut odometry = Odometry::begin(0, at(0.0, 0.0));
+        assert_eq!(odometry.guesses(100_000_000).1, 1, "one frame tells no motion");
+        odometry.accept(100_000_000, at(0.1, 0.0)).expect("a step");
+        let (guesses, n) = odometry.guesses(300_000_000);
+        assert!(n == 2 && (guesses[0].translation.x + 0.3).abs() < 1e-12, "twice the step in twice the time");
+        assert!(odometry.before(300_000_000).is_some() && odometry.before(450_000_000).is_none());
+        odometry.lost_frames = 1;
+        assert!(odometry.guesses(300_000_000).1 == 1 && odometry.motion().is_none());
+        assert!(odometry.accept(300_000_000, at(0.5, 0.0)).is_none(), "what led here after lost frames is not known");
+        assert_eq!(odometry.lost_frames, 0);
+    }
+
+    #[test]
+    fn corrections_of_the_map_do_not_move_the_smooth_pose() {
+        let mut odometry = Odometry::begin(0, at(0.0, 0.3));
+        odometry.accept(1, at(1.0, 0.3));
+        let before = odometry.odom_from_camera;
+        let old_from_new: Se3<World, World> = Se3::new(UnitQuaternion::identity(), Vector3::new(0.0, 0.5, 0.0));
+        odometry.correct(&old_from_new);
+        assert_eq!(odometry.odom_from_camera, before);
+        // The next frame, tracked in the corrected map, goes on from there.
+        odometry.accept(2, at(2.0, 0.3) * old_from_new);
+        let moved = (before.inverse() * odometry.odom_from_camera).translation;
+        assert!((moved.norm() - 1.0).abs() < 1e-12, "{moved}");
+    }
+}

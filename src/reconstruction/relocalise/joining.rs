@@ -1,0 +1,182 @@
+//! Maps that were lost: put aside when the next one begins, recognised from it, joined to it.
+//!
+//! A map in which frames cannot be placed any more is not given up when the next one begins. Keyframes of the present map are looked for
+//! in those kept aside as a lost frame is ([`relocalise`](super::relocalise)): thumbnails, descriptors and P3P, then the search by
+//! projection, which must speak for itself. Two keyframes that tell the same similarity ([`other_maps`](super::other_maps)) join the maps:
+//! the other one is carried over into the present one, whose poses, unit and number stay as they are. A planner sees its map grow, and
+//! nothing jumps. Landmarks of both that are one corner are fused, and the whole is adjusted soon, if it is not too large.
+//!
+//! Cost: nothing while no map is kept; else one attempt of relocalisation for every few keyframes, rarer while nothing is recognised, after
+//! the pose was published. Not here: a kept map is not asked while the present one is lost.
+
+use nalgebra::Vector3;
+
+use super::other_maps::{
+    ATTEMPT_GAP, LONGEST_GAP, OtherMap, OtherMaps, REMEMBERED, Sighting, at_corner, log_ratio, retire, similarity,
+};
+use crate::features::FrameFeatures;
+use crate::geometry::CameraModel;
+use crate::geometry::camera_motion::CameraMotion;
+use crate::geometry::frames::World;
+use crate::geometry::sim3::Sim3;
+use crate::map::{KeyframeId, LandmarkId, Map, Observation};
+use crate::reconstruction::Reconstruction;
+use crate::reconstruction::keyframe::observe_match;
+use crate::reconstruction::optics::Optics;
+use crate::reconstruction::track::Tracker;
+use crate::reconstruction::track::association::Bindings;
+use crate::reconstruction::track::frame::Frame;
+use crate::reconstruction::track::search::Match;
+use crate::reconstruction::types::{PoseEstimate, TrajectoryEvent};
+
+/// Landmarks of both maps at one corner whose depths have a larger logarithm of their ratio are two points.
+const SAME_POINT_LOG: f64 = 0.2;
+
+impl Reconstruction {
+    /// A frame that the map does not know, long after the last one that it did: perhaps the one that begins the next map.
+    pub(in crate::reconstruction) fn begin_beside(&mut self, features: &FrameFeatures) -> PoseEstimate {
+        let Optics { camera, intrinsics, .. } = &self.optics;
+        let starts = self.initialiser.step(features, camera, intrinsics.freedom().as_ref(), &self.config);
+        if starts.is_empty() {
+            return self.estimate_none(features);
+        }
+        // A job of the old map's goes on until it is known that another one begins.
+        let next = self.active.successor();
+        let mut old = std::mem::replace(&mut self.active, next);
+        self.tracker = Tracker::default();
+        let Some(mut estimate) = self.start_from(&starts, features) else {
+            // What was made of a revision meanwhile must not be taken for this map's.
+            old.map.revision = self.active.map.revision.max(old.map.revision) + 1;
+            self.active = old;
+            return self.estimate_none(features);
+        };
+        self.mapper.discard();
+        self.optics.intrinsics.end_map(&self.optics.camera);
+        self.counters.resets += 1;
+        estimate.reset_counter = self.reset_counter();
+        // A map that was lost as soon as it had begun may have been none.
+        let gone = match old.frames >= self.config.lost_frames {
+            true => self.others.keep(OtherMap::new(old), self.config.max_keyframes),
+            false => vec![old.map],
+        };
+        gone.iter().for_each(|map| retire(map, &mut self.events));
+        estimate
+    }
+
+    /// Looks for the frame that has just become the keyframe `id` in the maps kept aside; joins the one that it is recognised in.
+    pub(in crate::reconstruction) fn recognise(&mut self, features: &FrameFeatures, id: KeyframeId) {
+        if self.others.kept.is_empty() || self.pending.turned.is_some() {
+            return;
+        }
+        // One that was recognised a moment ago is asked again at once.
+        let others = &mut self.others;
+        if others.warm == 0 {
+            if self.counters.frames < others.next_attempt {
+                return;
+            }
+            others.turn += 1;
+        }
+        let index = others.turn % others.kept.len();
+        let sighting = self.find_in(index, features, id);
+        let others = &mut self.others;
+        match sighting.is_some() && others.warm < REMEMBERED {
+            true => (others.warm, others.gap) = (others.warm + 1, ATTEMPT_GAP),
+            false => (others.warm, others.gap) = (0, (2 * others.gap).min(LONGEST_GAP)),
+        }
+        others.next_attempt = self.counters.frames + others.gap;
+        let Some(sighting) = sighting else { return };
+        let other = &self.others.kept[index];
+        let (readout_s, min_parallax) = (self.optics.shutter.readout_s, self.config.min_parallax_deg.to_radians());
+        let tell = |before| similarity(&self.active.map, &other.map, [before, &sighting], readout_s, min_parallax);
+        let told = other.sightings.iter().rev().find_map(tell);
+        match told {
+            Some(present_from_other) => {
+                let mut other = self.others.kept.remove(index);
+                other.sightings.push(sighting);
+                self.others.warm = 0;
+                self.join(other, &present_from_other);
+            }
+            None => {
+                let sightings = &mut self.others.kept[index].sightings;
+                if sightings.len() == REMEMBERED {
+                    sightings.remove(0);
+                }
+                sightings.push(sighting);
+            }
+        }
+    }
+
+    /// Where the keyframe `id` is in a map kept aside, if it is.
+    fn find_in(&mut self, index: usize, features: &FrameFeatures, id: KeyframeId) -> Option<Sighting> {
+        let OtherMaps { kept, relocaliser, .. } = &mut self.others;
+        let other = kept.get(index)?;
+        let bindings = Bindings::default();
+        // Of its motion only the turn is known in the other map's unit.
+        let turn = |motion: CameraMotion| CameraMotion { shift: Vector3::zeros(), ..motion };
+        let frame = Frame {
+            features,
+            map: &other.map,
+            bindings: &bindings,
+            camera: &self.optics.camera,
+            config: &self.config,
+            before: None,
+            motion: self.active.map.keyframe(id)?.motion.map(turn),
+            shutter: &self.optics.shutter,
+            is_calibrated: self.optics.intrinsics.is_calibrated(),
+        };
+        let placed = relocaliser.place(&frame, other.reference)?;
+        // An assumed distance tells nothing.
+        let is_measured = |m: &&Match| other.map.landmark(m.landmark).is_some_and(|l| l.assumed.is_none());
+        let found: Vec<Match> = relocaliser.tracker.inliers().filter(is_measured).copied().collect();
+        (!found.is_empty()).then_some(Sighting { keyframe: id, there: placed.camera_from_world, found })
+    }
+
+    /// Makes the other map a part of this one.
+    fn join(&mut self, mut other: OtherMap, present_from_other: &Sim3<World, World>) {
+        self.mapper.discard();
+        let active = &mut self.active;
+        // The lens may be known better by now.
+        other.map.undistort_anew(&self.optics.camera);
+        other.map.transform(present_from_other);
+        let newest = other.sightings.last().map(|s| s.keyframe);
+        let through = newest.and_then(|id| active.map.keyframe(id)?.scale_from);
+        active.scale.absorb(&other.scale, &mut other.map, present_from_other, through);
+        let own = |s: &Sighting| active.map.keyframe(s.keyframe).map(|k| k.observations.clone()).unwrap_or_default();
+        let seen: Vec<Vec<Observation>> = other.sightings.iter().map(own).collect();
+        active.map.absorb(other.map);
+        for (sighting, seen) in other.sightings.iter().zip(&seen) {
+            add_found(&mut active.map, sighting, seen, &self.optics.camera);
+        }
+        self.events.push(TrajectoryEvent::MapJoined {
+            map: other.id,
+            into: active.id,
+            scale: present_from_other.scale,
+        });
+        self.counters.maps_joined += 1;
+        active.frames += other.frames;
+        active.next_whole = 0;
+        active.unadjusted = newest;
+    }
+}
+
+/// Enters what a keyframe was found to see of another map, which is a part of this one by now; `seen`: what it saw before.
+fn add_found(map: &mut Map, sighting: &Sighting, seen: &[Observation], camera: &CameraModel) {
+    for m in &sighting.found {
+        let Some(own) = at_corner(seen, m) else {
+            if let Some(o) = observe_match(camera, m) {
+                map.add_observation(sighting.keyframe, o);
+            }
+            continue;
+        };
+        let depth = |id: LandmarkId| {
+            let pose = map.keyframe(sighting.keyframe)?.camera_from_world;
+            Some(pose.transform(&map.landmark(id)?.position).z)
+        };
+        let ratio = depth(own.landmark).zip(depth(m.landmark)).and_then(|(here, there)| log_ratio(here, there));
+        if map.landmark(own.landmark).is_some_and(|l| l.assumed.is_some()) {
+            map.fuse(m.landmark, own.landmark);
+        } else if ratio.is_some_and(|r| r.abs() < SAME_POINT_LOG) {
+            map.fuse(own.landmark, m.landmark);
+        }
+    }
+}

@@ -1,0 +1,390 @@
+//! One frame against the map: predict, search by projection, optimise the pose.
+//!
+//! 1. *Prediction*: constant velocity, then corrected by the frame-to-frame tracks that are bound to landmarks (motion-only
+//!    optimisation): it follows any acceleration that the flow could follow.
+//! 2. *Search*: local landmarks are projected and aligned against keyframe templates ([`search`](super::search)).
+//! 3. *Optimisation*: robust, motion-only, over everything found; tracks whose template was not found (blur) help with a
+//!    smaller weight. In a quick turn that leaves few landmarks in view, tracks without depth hold the pose across their epipolar lines
+//!    (`seed_rays`).
+//!    Newcomers among the landmarks must then agree with the established ones (`newcomers`).
+//! 4. If that rests on too few landmarks: once more with a wide, coarse-to-fine search from each other guess that there is.
+//!
+//! Everything reads the map and writes only its own buffers.
+
+pub mod association;
+pub mod frame;
+mod information;
+mod newcomers;
+pub mod pose;
+pub mod search;
+mod seed_rays;
+
+use nalgebra::{Vector2, Vector3};
+
+use super::measurement::PosePair;
+use crate::geometry::camera_motion::CameraMotion;
+use crate::geometry::frames::{Camera, World};
+use crate::geometry::{Se3, median};
+use crate::map::{KeyframeId, LandmarkId, Map};
+use association::Target;
+use frame::{Frame, is_assumed, measurement_of, motion_since};
+use information::PoseInformation;
+use newcomers::{Newcomers, established_found};
+use pose::{PoseOptions, PoseSolution, optimise_pose};
+use search::{Match, Search, SearchOptions};
+use seed_rays::SeedRays;
+
+/// A frame that was placed in the map.
+#[derive(Debug, Clone, Copy)]
+pub struct Tracked {
+    pub camera_from_world: Se3<Camera, World>,
+    pub information: PoseInformation,
+    /// Landmarks that were found and agree.
+    pub landmarks: usize,
+    pub sought: usize,
+    pub rms_px: f64,
+}
+
+impl Tracked {
+    /// Of the landmarks looked for, the share that was found and agrees.
+    pub fn share(&self) -> f64 {
+        self.landmarks as f64 / self.sought.max(1) as f64
+    }
+
+    /// Twice the landmarks that a frame with a good prediction needs, and a third of those looked for.
+    pub fn speaks_for_itself(&self, min_landmarks: usize) -> bool {
+        self.landmarks >= 2 * min_landmarks && 3 * self.landmarks >= self.sought
+    }
+}
+
+/// A pose to start a search from, and the keyframe whose surroundings are searched.
+#[derive(Debug, Clone, Copy)]
+pub struct Guess {
+    pub camera_from_world: Se3<Camera, World>,
+    pub reference: KeyframeId,
+}
+
+/// Buffers of tracking, kept between frames.
+#[derive(Debug)]
+pub struct Tracker {
+    search: Search,
+    pairs: Vec<PosePair>,
+    inlier: Vec<bool>,
+    local: Vec<LandmarkId>,
+    /// What `local` was made of.
+    local_of: Option<(KeyframeId, u64)>,
+    votes: Vec<(KeyframeId, u32)>,
+    angles: Vec<f64>,
+    newcomers: Newcomers,
+    seeds: SeedRays,
+}
+
+/// Keyframes around the reference whose landmarks are looked for.
+const LOCAL_KEYFRAMES: usize = 20;
+/// Landmarks (counted once for each local keyframe) that there is room for at once.
+const LOCAL_ROOM: usize = 16_384;
+/// Bound tracks that a prediction by flow must rest on.
+const MIN_FLOW: usize = 10;
+/// A search without a good prediction looks in this many times the usual radius.
+const WIDE: f64 = 4.0;
+/// Times that assumed distances are eliminated anew at the pose just found, at the most, and the step (rad, and share of the
+/// way from the origin) below which that pose has settled.
+const MAX_ELIMINATIONS: usize = 8;
+const SETTLED: f64 = 1e-5;
+/// A frame is taken to lie within so much of a turn beyond the expected one (rad), and within this share of the mean depth, of the
+/// frame before: there half as many landmarks as anywhere else speak for a pose.
+const NEAR_RAD: f64 = 0.3;
+const NEAR_DEPTHS: f64 = 0.3;
+/// Standard deviation of a frame-to-frame track's position, px (drifts; templates do not).
+const FLOW_SIGMA_PX: f64 = 2.0;
+
+impl Default for Tracker {
+    /// Room for what a large local map needs, so that a growing map does not allocate on the path of a pose.
+    fn default() -> Self {
+        Self {
+            search: Search::default(),
+            pairs: Vec::with_capacity(2048),
+            inlier: Vec::with_capacity(2048),
+            local: Vec::with_capacity(LOCAL_ROOM),
+            local_of: None,
+            votes: Vec::with_capacity(1024),
+            angles: Vec::with_capacity(1024),
+            newcomers: Newcomers::with_capacity(2048),
+            seeds: SeedRays::with_capacity(2048),
+        }
+    }
+}
+
+impl Tracker {
+    /// Places a frame near a known pose. `guesses`: constant velocity, last pose, ..., the most likely first.
+    pub fn track(
+        &mut self,
+        frame: &Frame<'_>,
+        reference: KeyframeId,
+        guesses: &[Se3<Camera, World>],
+    ) -> Option<Tracked> {
+        self.refresh_local(frame.map, reference);
+        let radius_px = frame.config.search_radius_px;
+        self.seeds.collect(frame, guesses);
+        let by_flow = guesses.iter().find_map(|guess| self.predict_by_flow(frame, guess));
+        if let Some(pose) = by_flow
+            && let Some(tracked) = self.refine(frame, &pose, radius_px, 0)
+        {
+            return Some(tracked);
+        }
+        by_flow.iter().chain(guesses).find_map(|guess| self.refine(frame, guess, WIDE * radius_px, 3))
+    }
+
+    /// Places a frame at a guess anywhere in the map; asks for more landmarks, as nothing else speaks for it but that it may lie near the
+    /// frame before. `precise`: the
+    /// guess is a pose solved from landmarks, not a neighbour's.
+    pub fn relocalise(&mut self, frame: &Frame<'_>, guess: &Guess, precise: bool) -> Option<Tracked> {
+        self.seeds.clear();
+        self.refresh_local(frame.map, guess.reference);
+        let (radius, coarse_levels) = if precise { (2.0, 1) } else { (WIDE, 3) };
+        let min_landmarks = frame.config.min_landmarks;
+        let placed =
+            self.refine(frame, &guess.camera_from_world, radius * frame.config.search_radius_px, coarse_levels)?;
+        let near = || {
+            let pose = placed.camera_from_world;
+            let expected = |dt: f64| frame.motion.map_or(0.0, |motion| motion.turn.norm() * dt);
+            frame.before.is_some_and(|(before, dt)| {
+                is_near(&(pose * before.inverse()).relabel(), expected(dt), self.mean_depth(&pose))
+            })
+        };
+        let believed = placed.speaks_for_itself(min_landmarks) || placed.landmarks >= 2 * min_landmarks && near();
+        believed.then_some(placed)
+    }
+
+    /// Mean depth of the landmarks found, map units.
+    fn mean_depth(&self, pose: &Se3<Camera, World>) -> f64 {
+        let (sum, n) = self.inliers().fold((0.0, 0.0), |(sum, n), m| (sum + pose.transform(&m.point).z, n + 1.0));
+        sum / n
+    }
+
+    /// The keyframe that shares most landmarks with the frame just tracked (ties: the newer).
+    pub fn best_reference(&mut self, map: &Map) -> Option<KeyframeId> {
+        self.votes.clear();
+        for m in self.search.matches.iter().filter(|m| m.inlier) {
+            let Some(landmark) = map.landmark(m.landmark) else { continue };
+            for &k in &landmark.observers {
+                match self.votes.binary_search_by_key(&k, |v| v.0) {
+                    Ok(i) => self.votes[i].1 += 1,
+                    Err(i) => self.votes.insert(i, (k, 1)),
+                }
+            }
+        }
+        self.votes.iter().max_by_key(|&&(k, n)| (n, k)).map(|v| v.0)
+    }
+
+    /// What was found of the landmarks looked for; after [`keep_inliers`](Self::keep_inliers) all of it agrees with the pose.
+    pub fn matches(&self) -> &[Match] {
+        &self.search.matches
+    }
+
+    /// Landmarks that were looked for and not found.
+    pub fn missed(&self) -> &[LandmarkId] {
+        &self.search.missed
+    }
+
+    /// Forgets what does not agree with the pose.
+    pub fn keep_inliers(&mut self) {
+        self.search.matches.retain(|m| m.inlier);
+    }
+
+    /// Median angle between the rays to the frame's landmarks from two centres, degrees.
+    pub fn median_parallax_deg(&mut self, here: &Vector3<f64>, there: &Vector3<f64>) -> f64 {
+        self.angles.clear();
+        self.angles.extend(self.search.matches.iter().map(|m| (m.point - here).angle(&(m.point - there))));
+        median(&mut self.angles).unwrap_or(0.0).to_degrees()
+    }
+
+    /// Inlier matches of the last tracked frame.
+    pub fn inliers(&self) -> impl Iterator<Item = &Match> + Clone {
+        self.search.matches.iter().filter(|m| m.inlier)
+    }
+
+    fn refresh_local(&mut self, map: &Map, reference: KeyframeId) {
+        if self.local_of == Some((reference, map.revision)) {
+            return;
+        }
+        self.local_of = Some((reference, map.revision));
+        self.local.clear();
+        map.covisible(reference, 5, LOCAL_KEYFRAMES, &mut self.votes);
+        self.votes.push((reference, 0));
+        for &(id, _) in &self.votes {
+            if let Some(k) = map.keyframe(id) {
+                self.local.extend(k.observations.iter().map(|o| o.landmark));
+            }
+        }
+        self.local.sort_unstable();
+        self.local.dedup();
+    }
+
+    /// Pose from the tracks that are bound to landmarks, and in a quick turn from seeds beside them; `None` if too few agree.
+    fn predict_by_flow(&mut self, frame: &Frame<'_>, guess: &Se3<Camera, World>) -> Option<Se3<Camera, World>> {
+        let Frame { map, bindings, features, camera, .. } = *frame;
+        self.pairs.clear();
+        let mut assumed = false;
+        for track in &features.tracks {
+            let Some(Target::Landmark(id)) = bindings.get(track.id) else { continue };
+            let Some(landmark) = map.landmark(*id) else { continue };
+            let Some(normalised) = camera.undistort(&track.position.cast()) else { continue };
+            assumed |= landmark.assumed.is_some();
+            let (pixel_scale, inv_sigma_px) = (camera.pixel_scale(&normalised), 1.0 / FLOW_SIGMA_PX);
+            self.pairs.push(PosePair { point: landmark.position, normalised, pixel_scale, inv_sigma_px });
+        }
+        let tracks = self.pairs.len();
+        self.seeds.append_pairs(tracks, guess, frame.motion.as_ref(), frame.shutter, &mut self.pairs);
+        // Seeds alone would rest on a distance that nobody knows.
+        if tracks == 0 || self.pairs.len() < MIN_FLOW {
+            return None;
+        }
+        let leverage = frame.is_calibrated && !assumed && !self.seeds.are_heard(tracks);
+        let options = PoseOptions { first_round_relaxation: 25.0, leverage, ..PoseOptions::default() };
+        let solution = optimise_pose(guess, &self.pairs, &options, &mut self.inlier)?;
+        (solution.inliers >= MIN_FLOW && 2 * solution.inliers >= self.pairs.len()).then_some(solution.camera_from_world)
+    }
+
+    /// Notes how far away is what the frame that was accepted has seen, from its place in the world.
+    pub(super) fn note_distance(&mut self, centre: &Vector3<f64>) {
+        self.seeds.note_distance(&self.search.matches, centre);
+    }
+
+    /// Search at `guess` and optimise; a second search at the result when the first had to look widely.
+    fn refine(
+        &mut self,
+        frame: &Frame<'_>,
+        guess: &Se3<Camera, World>,
+        radius_px: f64,
+        coarse_levels: usize,
+    ) -> Option<Tracked> {
+        let Frame { map, features, camera, config, .. } = *frame;
+        let mut options = SearchOptions {
+            radius_px,
+            coarse_levels,
+            limit: if coarse_levels > 0 { config.landmarks_per_frame / 2 } else { config.landmarks_per_frame },
+            sigma_px: config.sigma_px,
+            blurred_levels: 0,
+        };
+        self.search.select(map, &self.local, camera, guess, config.landmarks_per_frame);
+        self.search.align(map, camera, guess, &features.pyramid, &options);
+        let mut solution = self.solve(frame, guess, frame.motion.as_ref())?;
+        if coarse_levels > 0 {
+            options.limit = config.landmarks_per_frame;
+            options.coarse_levels = 0;
+            options.radius_px = config.search_radius_px;
+            self.search.select(map, &self.local, camera, &solution.camera_from_world, options.limit);
+            self.search.align(map, camera, &solution.camera_from_world, &features.pyramid, &options);
+            solution = self.solve(frame, &solution.camera_from_world, frame.motion.as_ref())?;
+        }
+        let motion = motion_since(frame, &solution.camera_from_world);
+        if motion.is_some() && !frame.shutter.is_off() {
+            // The motion that the shutter saw is known only now.
+            solution = self.solve(frame, &solution.camera_from_world, motion.as_ref())?;
+        }
+        if self.rests_on_assumed(frame) {
+            // Distances were eliminated at poses that did not know that the camera has moved.
+            for _ in 0..MAX_ELIMINATIONS {
+                let before = solution.camera_from_world;
+                let Some(next) = self.solve(frame, &before, motion.as_ref().or(frame.motion.as_ref())) else { break };
+                solution = next;
+                let step = solution.camera_from_world * before.inverse();
+                if step.rotation.angle() < SETTLED && step.translation.norm() < SETTLED * before.translation.norm() {
+                    break;
+                }
+            }
+        }
+        solution = self.hear_newcomers(frame, solution);
+        let landmarks = self.search.matches.iter().filter(|m| m.inlier).count();
+        let sought = self.search.matches.len() + self.search.missed.len();
+        if landmarks < config.min_landmarks {
+            return None;
+        }
+        let pose = solution.camera_from_world;
+        Some(Tracked {
+            camera_from_world: pose,
+            information: PoseInformation::of(frame, self.inliers(), &pose),
+            landmarks,
+            sought,
+            rms_px: solution.rms_px,
+        })
+    }
+
+    /// Motion-only optimisation over the matches. They are
+    /// corrected for a rolling shutter that moved as `motion` says.
+    fn solve(
+        &mut self,
+        frame: &Frame<'_>,
+        start: &Se3<Camera, World>,
+        motion: Option<&CameraMotion>,
+    ) -> Option<PoseSolution> {
+        let Frame { camera, shutter, .. } = *frame;
+        self.pairs.clear();
+        for m in &mut self.search.matches {
+            let p = start.transform(&m.point);
+            m.displacement = match motion {
+                Some(motion) if p.z > 1e-6 => shutter.displacement(motion, &p, m.pixel.y),
+                _ => Vector2::zeros(),
+            };
+            let pair = m.pair(camera, shutter.readout_s);
+            self.pairs.push(measurement_of(frame, m.landmark, start, pair));
+        }
+        self.seeds.append_pairs(self.search.matches.len(), start, motion, shutter, &mut self.pairs);
+        let solution = optimise_pose(start, &self.pairs, &self.options(frame), &mut self.inlier)?;
+        // Seeds come after the matches.
+        for (m, &ok) in self.search.matches.iter_mut().zip(&self.inlier) {
+            m.inlier = ok;
+        }
+        Some(solution)
+    }
+
+    /// Of the matches, and of seeds where they take part: leverage is judged where all distances are measured, and through a lens that is
+    /// known (a wrong one bends the picture most where leverage is).
+    fn options(&self, frame: &Frame<'_>) -> PoseOptions {
+        let leverage = frame.is_calibrated && !self.rests_on_assumed(frame);
+        PoseOptions { leverage, ..PoseOptions::default() }
+    }
+
+    fn rests_on_assumed(&self, frame: &Frame<'_>) -> bool {
+        let matches = &self.search.matches;
+        self.seeds.are_heard(matches.len()) || matches.iter().any(|m| is_assumed(frame, m.landmark))
+    }
+
+    /// The last solution with the newcomers that agree with established landmarks only.
+    fn hear_newcomers(&mut self, frame: &Frame<'_>, solution: PoseSolution) -> PoseSolution {
+        let matches = &self.search.matches;
+        let enough = established_found(frame.before.map(|(_, step_s)| step_s));
+        // Nothing vouches for seeds, which come after the matches.
+        let established =
+            |i: usize| matches.get(i).and_then(|m| frame.map.landmark(m.landmark)).is_some_and(|l| l.found >= enough);
+        let options = self.options(frame);
+        let judged = self.newcomers.judge(&self.pairs, established, &solution, &options, &mut self.inlier);
+        for (m, &ok) in self.search.matches.iter_mut().zip(&self.inlier) {
+            m.inlier = ok;
+        }
+        judged.unwrap_or(solution)
+    }
+}
+
+/// Whether the camera can have made this step (it was expected to turn by `expected_rad`) among landmarks at this mean depth.
+fn is_near(step: &Se3<Camera, Camera>, expected_rad: f64, depth: f64) -> bool {
+    step.rotation.angle() < NEAR_RAD + expected_rad && step.translation.norm() < NEAR_DEPTHS * depth
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::UnitQuaternion;
+
+    use super::*;
+
+    #[test]
+    fn a_step_is_near_by_what_was_expected_and_how_far_the_scene_is() {
+        let step =
+            |turn: f64, way: f64| Se3::new(UnitQuaternion::from_scaled_axis(Vector3::y() * turn), Vector3::x() * way);
+        assert!(is_near(&step(0.2, 0.2), 0.0, 1.0));
+        assert!(!is_near(&step(0.5, 0.2), 0.0, 1.0) && is_near(&step(0.5, 0.2), 0.3, 1.0), "a turn that was expected");
+        assert!(!is_near(&step(0.2, 0.4), 0.0, 1.0) && is_near(&step(0.2, 0.4), 0.0, 2.0), "a far scene");
+        assert!(!is_near(&step(0.2, 0.2), 0.0, f64::NAN), "nothing seen");
+    }
+}

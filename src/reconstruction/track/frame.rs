@@ -1,0 +1,52 @@
+//! What one frame's tracking reads, and what the map says of the frame's landmarks.
+
+use super::association::Bindings;
+use crate::features::FrameFeatures;
+use crate::geometry::camera_motion::CameraMotion;
+use crate::geometry::frames::{Camera, World};
+use crate::geometry::{CameraModel, Se3};
+use crate::map::{LandmarkId, Map};
+use crate::reconstruction::config::ReconstructionConfig;
+use crate::reconstruction::measurement::PosePair;
+use crate::reconstruction::measurement::inverse_distance::Ray;
+use crate::reconstruction::measurement::rolling_shutter::Shutter;
+
+/// Between two frames of a quick turn the camera turns by more than this, rad: what comes into view has left it a few frames later.
+pub const QUICK_TURN_RAD: f64 = 0.05;
+
+/// Everything that one frame's tracking reads.
+#[derive(Clone, Copy)]
+pub struct Frame<'a> {
+    pub features: &'a FrameFeatures,
+    pub map: &'a Map,
+    pub bindings: &'a Bindings,
+    pub camera: &'a CameraModel,
+    pub config: &'a ReconstructionConfig,
+    /// Pose of the frame before and how long ago it was taken (s), if it was tracked just before.
+    pub before: Option<(Se3<Camera, World>, f64)>,
+    /// Motion that is expected (that of the frame before).
+    pub motion: Option<CameraMotion>,
+    pub shutter: &'a Shutter,
+    /// The lens is not one that is still being found.
+    pub is_calibrated: bool,
+}
+
+/// Motion from the frame before to `pose`.
+pub fn motion_since(frame: &Frame<'_>, pose: &Se3<Camera, World>) -> Option<CameraMotion> {
+    let (before, dt) = frame.before.as_ref()?;
+    Some(CameraMotion::over(&(*pose * before.inverse()), *dt))
+}
+
+pub fn is_assumed(frame: &Frame<'_>, landmark: LandmarkId) -> bool {
+    frame.map.landmark(landmark).is_some_and(|l| l.assumed.is_some())
+}
+
+/// What a place in the frame tells of a pose near `pose`, given what is known of the landmark there: along its ray, if its distance is
+/// assumed, else everywhere.
+pub fn measurement_of(frame: &Frame<'_>, landmark: LandmarkId, pose: &Se3<Camera, World>, pair: PosePair) -> PosePair {
+    let Some(known) = frame.map.landmark(landmark) else { return pair };
+    match Ray::of(landmark, frame.map, frame.shutter.readout_s) {
+        Some(ray) => ray.eliminate(pose, &pair).unwrap_or(pair),
+        None => pair.with_uncertain_point(pose, &known.covariance),
+    }
+}

@@ -1,0 +1,94 @@
+//! The residual of a pair, its derivative, and a descent to the pose that a set of pairs wants.
+
+use nalgebra::{Matrix6, Vector6};
+
+use crate::geometry::Se3;
+use crate::geometry::frames::{Camera, World};
+use crate::geometry::least_squares::{LeastSquares, LmOptions, Loss, NormalEquations, minimise};
+use crate::reconstruction::measurement::{CHI2_2D_95, PosePair, jacobian_rows, residual};
+
+/// Options of [`optimise_pose`](super::optimise_pose).
+#[derive(Debug, Clone, Copy)]
+pub struct PoseOptions {
+    /// Rounds of optimisation, outliers judged anew after each.
+    pub rounds: usize,
+    /// Gauss-Newton steps a round at the most.
+    pub steps: usize,
+    /// Limit of the squared, sigma-scaled residual above which a pair is an outlier.
+    pub outlier_chi2: f64,
+    /// The first round uses this many times the limit and a Cauchy weight: a poor start must not throw good pairs out.
+    pub first_round_relaxation: f64,
+    /// Pairs with leverage are judged by what the others make of them (`most_contradicted`). Not where distances are eliminated:
+    /// such pairs agree with every way of the camera, and would contradict the few that know it.
+    pub leverage: bool,
+}
+
+impl Default for PoseOptions {
+    fn default() -> Self {
+        Self { rounds: 3, steps: 6, outlier_chi2: CHI2_2D_95, first_round_relaxation: 4.0, leverage: true }
+    }
+}
+
+/// What the pairs that are inliers cost a pose.
+struct PoseProblem<'a> {
+    pairs: &'a [PosePair],
+    inlier: &'a [bool],
+    loss: Loss,
+    /// A constant price of a pair behind the camera, so that a step that does this is no gain.
+    behind: f64,
+}
+
+impl PoseProblem<'_> {
+    fn pairs(&self) -> impl Iterator<Item = &PosePair> {
+        self.pairs.iter().zip(self.inlier).filter(|(_, ok)| **ok).map(|(pair, _)| pair)
+    }
+}
+
+impl LeastSquares<6> for PoseProblem<'_> {
+    type State = Se3<Camera, World>;
+
+    fn linearise(&self, pose: &Se3<Camera, World>) -> NormalEquations<6> {
+        let mut normal = NormalEquations::default();
+        for pair in self.pairs() {
+            let Some((e, p)) = residual(pose, pair) else { continue };
+            let (_, weight) = self.loss.evaluate(e.norm_squared());
+            let (jx, jy) = jacobian_rows(&p, &(pair.pixel_scale * pair.inv_sigma_px));
+            normal.add(&Vector6::from(jx), e.x, weight);
+            normal.add(&Vector6::from(jy), e.y, weight);
+        }
+        normal
+    }
+
+    fn cost(&self, pose: &Se3<Camera, World>) -> f64 {
+        let cost = |pair| residual(pose, pair).map_or(self.behind, |(e, _)| self.loss.evaluate(e.norm_squared()).0);
+        self.pairs().map(cost).sum()
+    }
+
+    fn step(&self, pose: &Se3<Camera, World>, delta: &Vector6<f64>) -> Se3<Camera, World> {
+        pose.perturb_left(delta)
+    }
+}
+
+/// The pose that the current inliers want; Cauchy's loss when `relaxed`, Huber's else.
+pub(super) fn descend(
+    start: &Se3<Camera, World>,
+    pairs: &[PosePair],
+    inlier: &[bool],
+    options: &PoseOptions,
+    relaxed: bool,
+) -> Option<Se3<Camera, World>> {
+    let limit = options.outlier_chi2.sqrt();
+    let loss = if relaxed { Loss::Cauchy(limit) } else { Loss::Huber(limit) };
+    let problem = PoseProblem { pairs, inlier, loss, behind: 100.0 * options.outlier_chi2 };
+    let lm = LmOptions { max_iterations: options.steps, relative_cost: 1e-6, step_norm: 1e-8, initial_damping: 1e-6 };
+    let (pose, _) = minimise(&problem, *start, &lm);
+    pose.is_finite().then_some(pose)
+}
+
+pub(super) fn mirror(h: &mut Matrix6<f64>) {
+    for c in 0..6 {
+        for r in 0..c {
+            h[(c, r)] = h[(r, c)];
+        }
+    }
+}

@@ -1,0 +1,119 @@
+//! What tracks without depth tell of a frame's pose.
+//!
+//! In a quick turn the landmarks leave the picture on one side, and what comes in on the other has no depth yet. A pose that rests
+//! on the last landmarks alone, all at one edge, takes a turn for a sidestep, by a degree a frame; then the rays of what has come into view
+//! do not meet, nothing becomes a landmark, and the next frame rests on still less. Yet each of these tracks was seen in a keyframe, and
+//! across its epipolar line it counts as much as a landmark does: its distance is eliminated as those of assumed distance are
+//! (`measurement::inverse_distance`), with the median distance of the landmarks seen last as the assumption.
+//!
+//! Input: the frame's tracks that are seeds. Output: pairs for the optimisation of its pose. They are no landmarks: a pose that is
+//! published rests on enough of these. Cost: some 0.5 us a seed and solution, only in a quick turn with few landmarks in view. Allocates
+//! nothing once warm. Not here: distances; two keyframes triangulate.
+
+use nalgebra::{Vector2, Vector3};
+
+use super::association::{Seed, Target};
+use super::frame::{Frame, QUICK_TURN_RAD};
+use super::search::{Match, observe};
+use crate::geometry::camera_motion::CameraMotion;
+use crate::geometry::frames::{Camera, World};
+use crate::geometry::{Se3, median};
+use crate::map::{LandmarkId, Observation};
+use crate::reconstruction::measurement::PosePair;
+use crate::reconstruction::measurement::inverse_distance::{FEW_MATCHES, Ray};
+use crate::reconstruction::measurement::rolling_shutter::Shutter;
+
+/// Standard deviation of a track's place against its anchor's, px.
+const SIGMA_PX: f64 = 2.0;
+
+/// A seed that the frame sees.
+#[derive(Debug, Clone, Copy)]
+struct SeedRay {
+    ray: Ray,
+    row_px: f32,
+    /// Not corrected for a rolling shutter; its point is where the ray's assumed distance puts it.
+    pair: PosePair,
+}
+
+/// The seeds that a frame sees, and the distance to assume for them.
+#[derive(Debug)]
+pub struct SeedRays {
+    list: Vec<SeedRay>,
+    distances: Vec<f64>,
+    /// Median distance of the landmarks that the last tracked frame saw, map units.
+    distance: Option<f64>,
+}
+
+impl SeedRays {
+    /// Room for `n` of them.
+    pub fn with_capacity(n: usize) -> Self {
+        Self { list: Vec::with_capacity(n), distances: Vec::with_capacity(n), distance: None }
+    }
+
+    /// None for this frame.
+    pub fn clear(&mut self) {
+        self.list.clear();
+    }
+
+    /// Takes the seeds among the frame's tracks, if the way from the pose before it to the one expected for it is a quick turn.
+    pub fn collect(&mut self, frame: &Frame<'_>, expected: &[Se3<Camera, World>]) {
+        self.list.clear();
+        let quick = matches!(expected, [next, last, ..] if next.rotation.angle_to(&last.rotation) > QUICK_TURN_RAD);
+        let Some(distance) = self.distance.filter(|_| quick) else { return };
+        for track in &frame.features.tracks {
+            if let Some(Target::Seed(seed)) = frame.bindings.get(track.id) {
+                self.list.extend(seed_ray(frame, seed, track.position, distance));
+            }
+        }
+    }
+
+    /// Whether they take part beside so many landmarks.
+    pub fn are_heard(&self, landmarks: usize) -> bool {
+        !self.list.is_empty() && landmarks < FEW_MATCHES
+    }
+
+    /// Their pairs near `pose`, for a camera that moves as `motion` says, where there are few landmarks.
+    pub fn append_pairs(
+        &self,
+        landmarks: usize,
+        pose: &Se3<Camera, World>,
+        motion: Option<&CameraMotion>,
+        shutter: &Shutter,
+        pairs: &mut Vec<PosePair>,
+    ) {
+        let heard = if self.are_heard(landmarks) { self.list.as_slice() } else { &[] };
+        pairs.extend(heard.iter().filter_map(|seed| {
+            let p = pose.transform(&seed.pair.point);
+            let displacement = match motion {
+                Some(motion) if p.z > 1e-6 => shutter.displacement(motion, &p, seed.row_px),
+                _ => Vector2::zeros(),
+            };
+            let normalised = seed.pair.normalised - displacement * shutter.readout_s;
+            seed.ray.eliminate(pose, &PosePair { normalised, ..seed.pair })
+        }));
+    }
+
+    /// Notes how far away is what a frame at `centre` has seen.
+    pub fn note_distance(&mut self, matches: &[Match], centre: &Vector3<f64>) {
+        self.distances.clear();
+        self.distances.extend(matches.iter().filter(|m| m.inlier).map(|m| (m.point - centre).norm()));
+        if let Some(median) = median(&mut self.distances) {
+            self.distance = (median.is_finite() && median > 1e-6).then_some(median);
+        }
+    }
+}
+
+fn seed_ray(frame: &Frame<'_>, seed: &Seed, position: Vector2<f32>, distance: f64) -> Option<SeedRay> {
+    let Frame { map, camera, shutter, .. } = *frame;
+    let (anchor, pixel) = seed.observations().iter().find_map(|(k, pixel)| Some((map.keyframe(*k)?, *pixel)))?;
+    let seen = observe(camera, LandmarkId::default(), pixel, 1.0)?;
+    let displacement = anchor.motion.as_ref().map_or(Vector2::zeros(), |motion| {
+        shutter.displacement(motion, &(seen.normalised.push(1.0) * distance), pixel.y)
+    });
+    let seen = Observation { displacement, ..seen };
+    let ray = Ray::at_distance(&anchor.camera_from_world, &seen, shutter.readout_s, distance);
+    let normalised = camera.undistort(&position.cast())?;
+    let pixel_scale = camera.pixel_scale(&normalised);
+    let pair = PosePair { point: ray.point(), normalised, pixel_scale, inv_sigma_px: 1.0 / SIGMA_PX };
+    Some(SeedRay { ray, row_px: position.y, pair })
+}
