@@ -1,12 +1,11 @@
-//! Nonlinear least squares: one Levenberg-Marquardt for everything that is fitted here.
+//! Nonlinear least squares over a handful of parameters: Levenberg-Marquardt with robust losses.
 //!
-//! A [`Problem`] says what a state costs, how it is linearised and what step its own normal equations make at a damping; [`descend`]
-//! does the rest. Marquardt's scaled damping with Nielsen's update (Madsen, Nielsen, Tingleff: Methods for non-linear least
-//! squares problems, 2004). Problems with eliminations of their own (bundles) are such; those of a handful of parameters say only how
-//! they are linearised and moved ([`LeastSquares`]: dense, of fixed size, on the stack) and are minimised by [`minimise`].
-//! Cost: a linearisation an iteration, a cost evaluation a trial, one solution of the normal equations.
+//! A problem says how it is linearised (normal equations at a state), what a state costs, and how a step moves a state
+//! (so rotations and directions stay what they are); [`minimise`] does the rest. Marquardt's scaled damping with
+//! Nielsen's update (Madsen, Nielsen, Tingleff: Methods for non-linear least squares problems, 2004). Everything is of
+//! fixed size and on the stack. Cost: a linearisation an iteration, a cost evaluation a trial, an N x N Cholesky.
 //!
-//! Not here: constraints, covariances, outliers (a problem's own business).
+//! Not here: problems with eliminations of their own (bundles and calibrations have their own loops), constraints, covariances.
 
 use nalgebra::{SMatrix, SVector};
 
@@ -57,24 +56,9 @@ impl<const N: usize> Default for NormalEquations<N> {
 }
 
 impl<const N: usize> NormalEquations<N> {
-    /// Adds one residual with its row of the Jacobian and its weight. Fills the lower triangle of the
-    /// Hessian only: it is the one that [`minimise`] reads.
+    /// The step at this damping, and by how much the linearised cost falls with it; `None` if they are not positive definite.
     #[inline]
-    pub fn add(&mut self, row: &SVector<f64, N>, residual: f64, weight: f64) {
-        for c in 0..N {
-            let wc = weight * row[c];
-            self.gradient[c] += wc * residual;
-            for r in c..N {
-                self.hessian[(r, c)] += wc * row[r];
-            }
-        }
-    }
-}
-
-impl<const N: usize> NormalEquations<N> {
-    /// The step at this damping, and by how much the linearised cost falls; `None` if they are not positive definite.
-    #[inline]
-    pub fn step(&self, damping: f64) -> Option<(SVector<f64, N>, f64)> {
+    fn step(&self, damping: f64) -> Option<(SVector<f64, N>, f64)> {
         let diagonal = self.hessian.diagonal();
         // A parameter that nothing depends on still gets a pivot.
         let floor = 1e-12 * diagonal.max() + f64::MIN_POSITIVE;
@@ -86,6 +70,19 @@ impl<const N: usize> NormalEquations<N> {
         let predicted = -delta.dot(&self.gradient)
             + delta.iter().zip(diagonal.iter()).map(|(d, h)| d * d * damping * h.max(floor)).sum::<f64>();
         Some((delta, predicted))
+    }
+
+    /// Adds one residual with its row of the Jacobian and its weight. Fills the lower triangle of the
+    /// Hessian only: it is the one that [`minimise`] reads.
+    #[inline]
+    pub fn add(&mut self, row: &SVector<f64, N>, residual: f64, weight: f64) {
+        for c in 0..N {
+            let wc = weight * row[c];
+            self.gradient[c] += wc * residual;
+            for r in c..N {
+                self.hessian[(r, c)] += wc * row[r];
+            }
+        }
     }
 }
 
@@ -102,32 +99,6 @@ pub trait LeastSquares<const N: usize> {
 
     /// The state moved by a step of the parameters.
     fn step(&self, state: &Self::State, delta: &SVector<f64, N>) -> Self::State;
-}
-
-/// Where a damped step leads.
-#[derive(Debug, Clone, Copy)]
-pub struct Step<S> {
-    pub state: S,
-    /// In the problem's parameters.
-    pub length: f64,
-    /// By how much the linearised cost falls: `-δᵀg + δᵀΛδ`, g the gradient, Λ what the damping added to the diagonal.
-    pub predicted_gain: f64,
-}
-
-/// Something that [`descend`] minimises.
-pub trait Problem {
-    /// What is estimated.
-    type State;
-    /// Its normal equations at a state.
-    type System;
-
-    fn linearise(&self, state: &Self::State) -> Self::System;
-
-    /// Cost alone; infinite where the state makes no sense.
-    fn cost(&self, state: &Self::State) -> f64;
-
-    /// The step at this damping, which is a share of the diagonal; `None` where the normal equations cannot be solved.
-    fn step(&self, state: &Self::State, system: &Self::System, damping: f64) -> Option<Step<Self::State>>;
 }
 
 /// When to stop.
@@ -160,69 +131,8 @@ pub struct LmSummary {
     pub converged: bool,
 }
 
-/// The state of least cost near `start`, and how it went. A start without a finite cost comes back as it is.
-pub fn descend<P: Problem>(problem: &P, start: P::State, options: &LmOptions) -> (P::State, LmSummary) {
-    let mut state = start;
-    let cost = problem.cost(&state);
-    let mut summary = LmSummary { initial_cost: cost, final_cost: cost, iterations: 0, converged: false };
-    if !cost.is_finite() {
-        return (state, summary);
-    }
-    let mut system = problem.linearise(&state);
-    let (mut damping, mut growth) = (options.initial_damping, 2.0);
-    while summary.iterations < options.max_iterations {
-        summary.iterations += 1;
-        let step = problem.step(&state, &system, damping);
-        let small_step = step.as_ref().is_some_and(|s| s.length <= options.step_norm);
-        let trial = step.map(|s| (problem.cost(&s.state), s));
-        // NaN and infinity are no gain.
-        if let Some((cost, step)) = trial.filter(|(cost, _)| *cost < summary.final_cost) {
-            let gain = summary.final_cost - cost;
-            let small_gain = gain <= options.relative_cost * summary.final_cost;
-            state = step.state;
-            summary.final_cost = cost;
-            if small_step || small_gain {
-                summary.converged = true;
-                break;
-            }
-            if summary.iterations < options.max_iterations {
-                system = problem.linearise(&state);
-            }
-            let quality = 2.0 * gain / step.predicted_gain.max(f64::MIN_POSITIVE) - 1.0;
-            damping *= (1.0 - quality * quality * quality).clamp(1.0 / 9.0, 2.0);
-            growth = 2.0;
-        } else {
-            if small_step || damping > 1e12 {
-                summary.converged = true;
-                break;
-            }
-            damping = (damping * growth).max(1e-10);
-            growth *= 2.0;
-        }
-    }
-    (state, summary)
-}
-
-/// A problem of a handful of parameters, its normal equations dense.
-struct Dense<'a, P>(&'a P);
-
-impl<const N: usize, P: LeastSquares<N>> Problem for (Dense<'_, P>, [(); N]) {
-    type State = P::State;
-    type System = NormalEquations<N>;
-
-    fn linearise(&self, state: &P::State) -> NormalEquations<N> {
-        self.0.0.linearise(state)
-    }
-
-    fn cost(&self, state: &P::State) -> f64 {
-        self.0.0.cost(state)
-    }
-
-    fn step(&self, state: &P::State, system: &NormalEquations<N>, damping: f64) -> Option<Step<P::State>> {
-        let (delta, predicted_gain) = system.step(damping)?;
-        Some(Step { state: self.0.0.step(state, &delta), length: delta.norm(), predicted_gain })
-    }
-}
+/// Damping after a step was rejected, at the least.
+const LEAST_AFTER_REJECTION: f64 = 1e-4;
 
 /// The state of least cost near `start`, and how it went. A start without a finite cost comes back as it is.
 pub fn minimise<const N: usize, P: LeastSquares<N>>(
@@ -230,7 +140,51 @@ pub fn minimise<const N: usize, P: LeastSquares<N>>(
     start: P::State,
     options: &LmOptions,
 ) -> (P::State, LmSummary) {
-    descend(&(Dense(problem), [(); N]), start, options)
+    let mut state = start;
+    let cost = problem.cost(&state);
+    let mut summary = LmSummary { initial_cost: cost, final_cost: cost, iterations: 0, converged: false };
+    if !cost.is_finite() {
+        return (state, summary);
+    }
+    let mut normal = problem.linearise(&state);
+    let (mut damping, mut growth) = (options.initial_damping, 2.0);
+    while summary.iterations < options.max_iterations {
+        summary.iterations += 1;
+        let Some((delta, predicted_gain)) = normal.step(damping) else {
+            damping = (damping * growth).max(LEAST_AFTER_REJECTION);
+            growth *= 2.0;
+            continue;
+        };
+        let small_step = delta.norm() <= options.step_norm;
+        let trial = problem.step(&state, &delta);
+        let cost = problem.cost(&trial);
+        // NaN and infinity are no gain.
+        if cost < summary.final_cost {
+            let gain = summary.final_cost - cost;
+            let small_gain = gain <= options.relative_cost * summary.final_cost;
+            state = trial;
+            summary.final_cost = cost;
+            if small_step || small_gain {
+                summary.converged = true;
+                break;
+            }
+            if summary.iterations < options.max_iterations {
+                normal = problem.linearise(&state);
+            }
+            let quality = 2.0 * gain / predicted_gain.max(f64::MIN_POSITIVE) - 1.0;
+            damping *= (1.0 - quality * quality * quality).clamp(1.0 / 9.0, 2.0);
+            growth = 2.0;
+        } else {
+            if small_step || damping > 1e12 {
+                summary.converged = true;
+                break;
+            }
+            // Where hardly anything was damped, a little more of that is the same step.
+            damping = (damping * growth).max(LEAST_AFTER_REJECTION);
+            growth *= 2.0;
+        }
+    }
+    (state, summary)
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! One place in a picture against one place in the world.
 //!
 //! In: a world point, where it was seen (undistorted, plane z = 1), the pixels that a step there counts as and their standard deviation.
-//! Out: the residual in standard deviations and its derivatives. Poses, bundles and landmarks are all fitted to this one measurement.
+//! Out: the residual in standard deviations and its derivatives. Poses and bundles are fitted to this one measurement.
 
 pub mod inverse_distance;
 pub mod rolling_shutter;
@@ -11,6 +11,9 @@ use nalgebra::{Matrix2, Matrix3, Matrix6, Vector2, Vector3};
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::map::Observation;
+
+/// Points nearer to the image plane, or behind it, are not seen, map units.
+const NEAREST: f64 = 1e-6;
 
 /// 95 % limit of chi-square with two degrees of freedom.
 pub const CHI2_2D_95: f64 = 5.991;
@@ -22,7 +25,7 @@ pub struct PosePair {
     pub point: Vector3<f64>,
     /// Undistorted observation on the plane z = 1.
     pub normalised: Vector2<f64>,
-    /// Pixels that steps on that plane count as there.
+    /// Pixels that steps on that plane count as there; whitened, where the point is uncertain ([`with_uncertain_point`](Self::with_uncertain_point)).
     pub pixel_scale: Matrix2<f64>,
     /// One over the standard deviation, 1/px.
     pub inv_sigma_px: f64,
@@ -34,6 +37,9 @@ impl PosePair {
     /// that follows (loss, outliers, information) is in standard deviations of the innovation. Unchanged where P is not known.
     pub fn with_uncertain_point(self, pose: &Se3<Camera, World>, covariance: &Matrix3<f64>) -> Self {
         let p = pose.transform(&self.point);
+        if !(p.z > NEAREST) {
+            return self;
+        }
         let (jx, jy) = jacobian_rows(&p, &(self.pixel_scale * self.inv_sigma_px));
         let world_from_camera = pose.rotation.inverse();
         let (x, y) = (
@@ -68,7 +74,7 @@ impl PosePair {
 #[inline]
 pub(crate) fn residual(pose: &Se3<Camera, World>, pair: &PosePair) -> Option<(Vector2<f64>, Vector3<f64>)> {
     let p = pose.transform(&pair.point);
-    if p.z < 1e-6 {
+    if !(p.z > NEAREST) {
         return None;
     }
     let iz = 1.0 / p.z;
@@ -124,5 +130,58 @@ pub(crate) fn accumulate(h: &mut Matrix6<f64>, jx: &[f64; 6], jy: &[f64; 6], w: 
         for r in 0..=c {
             h[(r, c)] += jx[r] * a + jy[r] * b;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::UnitQuaternion;
+
+    use super::*;
+    use crate::geometry::random::Random;
+
+    fn case(random: &mut Random, scale: Matrix2<f64>) -> (Se3<Camera, World>, PosePair, Matrix3<f64>) {
+        let mut vector = || Vector3::from_fn(|_, _| random.uniform(-1.0, 1.0));
+        let pose = Se3::new(UnitQuaternion::from_scaled_axis(vector()), vector());
+        let p = vector() + Vector3::new(0.0, 0.0, 3.0);
+        let root = Matrix3::from_columns(&[vector(), vector(), vector()]) * 0.05;
+        let normalised = p.xy() / p.z + vector().xy() * 0.01;
+        let pair = PosePair { point: pose.inverse().transform(&p), normalised, pixel_scale: scale, inv_sigma_px: 1.25 };
+        (pose, pair, root * root.transpose())
+    }
+
+    #[test]
+    fn a_whitened_residual_counts_as_the_innovation_does() {
+        let mut random = Random::new(5);
+        for scale in [Matrix2::new(500.0, 0.0, 0.0, 510.0), Matrix2::new(210.0, -80.0, -81.0, 130.0)] {
+            for _ in 0..20 {
+                let (pose, pair, covariance) = case(&mut random, scale);
+                let at = |point: Vector3<f64>| {
+                    let p = pose.transform(&point);
+                    scale * (p.xy() / p.z - pair.normalised)
+                };
+                // The reference: px, with a numeric derivative by the point.
+                let step = |i: usize| Vector3::ith(i, 1e-6);
+                let slope = |i: usize| (at(pair.point + step(i)) - at(pair.point - step(i))) / 2e-6;
+                let j = nalgebra::Matrix2x3::from_columns(&[slope(0), slope(1), slope(2)]);
+                let spread = Matrix2::identity() / pair.inv_sigma_px.powi(2) + j * covariance * j.transpose();
+                let e = at(pair.point);
+                let expected = e.dot(&(spread.try_inverse().unwrap() * e));
+                let (whitened, _) = residual(&pose, &pair.with_uncertain_point(&pose, &covariance)).unwrap();
+                let off = whitened.norm_squared() / expected - 1.0;
+                assert!(off.abs() < 1e-6, "{} instead of {expected}", whitened.norm_squared());
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_not_known_or_not_seen_changes_nothing() {
+        let (pose, pair, covariance) = case(&mut Random::new(6), Matrix2::new(500.0, 0.0, 0.0, 510.0));
+        let unknown = pair.with_uncertain_point(&pose, &Matrix3::from_element(f64::NAN));
+        assert_eq!(unknown.pixel_scale, pair.pixel_scale);
+        let behind = PosePair { point: pose.inverse().transform(&Vector3::new(0.1, 0.2, -1.0)), ..pair };
+        assert_eq!(behind.with_uncertain_point(&pose, &covariance).pixel_scale, pair.pixel_scale);
+        assert!(residual(&pose, &behind).is_none());
+        assert!(residual(&pose, &PosePair { point: Vector3::from_element(f64::NAN), ..pair }).is_none());
     }
 }

@@ -261,7 +261,7 @@ impl Reconstruction {
         if let Some(pose) = &placed {
             self.record_instead(features.timestamp_ns, pose);
         }
-        if let Some(pose) = placed.or(self.pending.keyframe) {
+        if let Some(pose) = placed.or_else(|| self.pending.keyframe.take()) {
             self.insert_keyframe(features, pose, feedback);
             feedback.forget.sort_unstable();
         }

@@ -26,7 +26,7 @@ pub struct Odometry {
     pub last: Option<LastFrame>,
     /// Smooth pose: no correction of the map moves it.
     pub odom_from_camera: Se3<Odom, Camera>,
-    /// Frames since the last one that could not be tracked.
+    /// Frames in a row, up to the newest, that could not be tracked.
     pub lost_frames: u64,
 }
 

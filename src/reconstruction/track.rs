@@ -3,9 +3,8 @@
 //! 1. *Prediction*: constant velocity, then corrected by the frame-to-frame tracks that are bound to landmarks (motion-only
 //!    optimisation): it follows any acceleration that the flow could follow.
 //! 2. *Search*: local landmarks are projected and aligned against keyframe templates ([`search`](super::search)).
-//! 3. *Optimisation*: robust, motion-only, over everything found; tracks whose template was not found (blur) help with a
-//!    smaller weight. In a quick turn that leaves few landmarks in view, tracks without depth hold the pose across their epipolar lines
-//!    (`seed_rays`).
+//! 3. *Optimisation*: robust, motion-only, over everything found, each place whitened by what is known of its landmark. In a quick
+//!    turn that leaves few landmarks in view, tracks without depth hold the pose across their epipolar lines (`seed_rays`).
 //!    Newcomers among the landmarks must then agree with the established ones (`newcomers`).
 //! 4. If that rests on too few landmarks: once more with a wide, coarse-to-fine search from each other guess that there is.
 //!

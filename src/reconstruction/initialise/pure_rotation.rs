@@ -18,7 +18,7 @@ use crate::reconstruction::adjust::intrinsics::LensFreedom;
 
 /// Rounds with a loss of their own scale, and steps of each, at the most.
 const ROUNDS: usize = 6;
-const STEPS: usize = 4;
+const STEPS: usize = 8;
 /// Rotation vector, log of (supposed focal length / true one), principal point on z = 1, first coefficient of undistortion.
 const UNKNOWNS: usize = 7;
 type Unknowns = SVector<f64, UNKNOWNS>;
@@ -87,9 +87,10 @@ pub fn unexplained_flow(
         LmOptions { max_iterations: STEPS, relative_cost: 1e-4, initial_damping: 1e-3, ..LmOptions::default() };
     for _ in 0..ROUNDS {
         problem.loss = Loss::Cauchy((1.5 * least).max(SIGMA_PX));
-        unknowns = minimise(&problem, unknowns, &options).0;
+        let (found, summary) = minimise(&problem, unknowns, &options);
+        unknowns = found;
         let now = problem.median(&unknowns);
-        let settled = (least - now).abs() < 1e-3 * least;
+        let settled = summary.converged && (least - now).abs() < 1e-3 * least;
         least = least.min(now);
         if settled {
             break;

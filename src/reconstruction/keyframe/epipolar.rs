@@ -30,7 +30,7 @@ use crate::reconstruction::measurement::rolling_shutter::Shutter;
 use crate::reconstruction::track::search::{SearchOptions, observe};
 
 /// A frame with so many landmarks in view is safe from running out of them before new ones are made.
-pub const FED: usize = 120;
+const FED: usize = 120;
 
 /// Free corners that a keyframe keeps, at the most, spread over cells of this side (px).
 const CORNERS: usize = 500;

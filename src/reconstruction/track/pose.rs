@@ -4,7 +4,7 @@
 //! `sum rho(|e|^2)`, `e = A (pi(T X) - n) / sigma` with Huber's rho (Triggs et al. 2000, section 4), A the pixels that a
 //! step on the plane z = 1 counts as ([`CameraModel::pixel_scale`](crate::geometry::CameraModel::pixel_scale)), outliers taken out
 //! between rounds by the chi-square limit and at the end by what the others make of those that decide a direction by themselves, and the 6x6
-//! information of the result. Gauss-Newton with Levenberg damping on the left perturbation of [`Se3::perturb_left`]. Cost: about 60 ns a
+//! information of the result. Levenberg-Marquardt (`least_squares`) on the left perturbation of [`Se3::perturb_left`]. Cost: about 80 ns a
 //! pair and step. Allocates nothing.
 
 mod descent;
@@ -35,7 +35,7 @@ pub struct PoseSolution {
 }
 
 /// Robust pose from `start`. `inlier` (same length as `pairs`) is overwritten. `None` with fewer than four usable pairs,
-/// non-finite input or a singular system.
+/// or non-finite input.
 pub fn optimise_pose(
     start: &Se3<Camera, World>,
     pairs: &[PosePair],
@@ -51,7 +51,7 @@ pub fn optimise_pose(
     let rounds = options.rounds.max(1);
     for round in 0..rounds {
         let relaxed = round == 0 && rounds > 1;
-        pose = descend(&pose, pairs, inlier, options, relaxed)?;
+        pose = descend(&pose, pairs, inlier, options, relaxed);
         let limit = options.outlier_chi2 * if relaxed { options.first_round_relaxation } else { 1.0 };
         if judge(&pose, pairs, limit, inlier) < 4 {
             return None;

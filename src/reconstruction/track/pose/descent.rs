@@ -1,6 +1,6 @@
-//! The residual of a pair, its derivative, and a descent to the pose that a set of pairs wants.
+//! The pose that a set of pairs wants.
 
-use nalgebra::{Matrix6, Vector6};
+use nalgebra::Vector6;
 
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
@@ -12,7 +12,7 @@ use crate::reconstruction::measurement::{CHI2_2D_95, PosePair, jacobian_rows, re
 pub struct PoseOptions {
     /// Rounds of optimisation, outliers judged anew after each.
     pub rounds: usize,
-    /// Gauss-Newton steps a round at the most.
+    /// Steps a round at the most.
     pub steps: usize,
     /// Limit of the squared, sigma-scaled residual above which a pair is an outlier.
     pub outlier_chi2: f64,
@@ -76,19 +76,10 @@ pub(super) fn descend(
     inlier: &[bool],
     options: &PoseOptions,
     relaxed: bool,
-) -> Option<Se3<Camera, World>> {
+) -> Se3<Camera, World> {
     let limit = options.outlier_chi2.sqrt();
     let loss = if relaxed { Loss::Cauchy(limit) } else { Loss::Huber(limit) };
     let problem = PoseProblem { pairs, inlier, loss, behind: 100.0 * options.outlier_chi2 };
     let lm = LmOptions { max_iterations: options.steps, relative_cost: 1e-6, step_norm: 1e-8, initial_damping: 1e-6 };
-    let (pose, _) = minimise(&problem, *start, &lm);
-    pose.is_finite().then_some(pose)
-}
-
-pub(super) fn mirror(h: &mut Matrix6<f64>) {
-    for c in 0..6 {
-        for r in 0..c {
-            h[(c, r)] = h[(r, c)];
-        }
-    }
+    minimise(&problem, *start, &lm).0
 }

@@ -6,7 +6,7 @@
 
 use nalgebra::{Matrix2, Matrix6, Vector3, Vector6};
 
-use super::descent::{PoseOptions, descend, mirror};
+use super::descent::{PoseOptions, descend};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 use crate::reconstruction::measurement::{PosePair, accumulate, jacobian_rows, residual};
@@ -27,6 +27,7 @@ const BINS_PER_SIGMA: f64 = 64.0;
 pub(super) struct Fit {
     pub(super) information: Matrix6<f64>,
     pub(super) count: usize,
+    /// Of residuals in px, whitened by the landmarks' own uncertainty.
     pub(super) sum_px2: f64,
     pub(super) scale: f64,
 }
@@ -51,7 +52,7 @@ impl Fit {
             weight += w;
             count += 1;
         }
-        mirror(&mut information);
+        information.fill_lower_triangle_with_upper_triangle();
         let mut below = 0.0;
         let median = bins.iter().position(|&w| {
             below += w;
@@ -121,7 +122,7 @@ impl Fit {
 }
 
 /// Takes out the inliers that the others contradict, the worst first, and back in what the others agree with in the end: one that is
-/// wrong makes others look so. What cannot be solved without one is left as it was.
+/// wrong makes others look so.
 pub(super) fn judge_leverage(
     pose: &mut Se3<Camera, World>,
     fit: &mut Fit,
@@ -134,14 +135,11 @@ pub(super) fn judge_leverage(
     let mut count = 0;
     while count < MAX_CONTRADICTED && fit.most_contradicted(pose, pairs, inlier, limit).is_some() {
         // Leverage can be taken out of residuals at the very pose that these pairs give.
-        let Some(settled) = descend(pose, pairs, inlier, options, false) else { break };
+        let settled = descend(pose, pairs, inlier, options, false);
         (*pose, *fit) = (settled, Fit::of(&settled, pairs, inlier));
         let Some(worst) = fit.most_contradicted(pose, pairs, inlier, limit) else { break };
         inlier[worst] = false;
-        let Some(without) = descend(pose, pairs, inlier, options, false) else {
-            inlier[worst] = true;
-            break;
-        };
+        let without = descend(pose, pairs, inlier, options, false);
         out[count] = worst;
         count += 1;
         (*pose, *fit) = (without, Fit::of(&without, pairs, inlier));
@@ -156,9 +154,7 @@ pub(super) fn judge_leverage(
             residual(pose, pair).is_some_and(|(e, _)| e.norm_squared() <= limit)
         };
     }
-    if let Some(settled) = descend(pose, pairs, inlier, options, false) {
-        *pose = settled;
-    }
+    *pose = descend(pose, pairs, inlier, options, false);
     *fit = Fit::of(pose, pairs, inlier);
 }
 
