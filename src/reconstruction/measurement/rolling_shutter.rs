@@ -92,7 +92,7 @@ impl Shutter {
     }
 
     /// As an adjustment takes it: an unknown, or held.
-    pub fn to_adjust(&self) -> Readout {
+    pub fn to_adjust(self) -> Readout {
         // Believing a part of the data is weighing the prior the more.
         let expected = self.estimate.then_some((self.readout_s, self.information / BELIEVED));
         Readout { seconds: self.readout_s, expected, found_information: 0.0 }
