@@ -45,7 +45,7 @@ pub struct KeyframeInputs {
 }
 
 /// In a quick turn every frame with less than this share of the landmarks that a frame may have becomes a keyframe. Without it errors over
-/// 36 sequences are 12 % larger in the geometric mean, most in walks at 5 Hz.
+/// 35 sequences are 12 % larger in the geometric mean, most in walks at 5 Hz.
 const FEW_IN_QUICK_TURN: f64 = 0.55;
 
 /// Whether a frame becomes a keyframe.

@@ -42,8 +42,8 @@ use crate::geometry::{CameraModel, Se3};
 use crate::map::{KeyframeId, KeyframeView, Sought};
 
 /// Share of the landmarks looked for that are seen: below the first a frame is looked for elsewhere too (after a stretch of blur
-/// a few landmarks can hold a pose that has slid away), below the second it is no keyframe. Without the first, errors over 36 sequences
-/// are 15 % larger in the geometric mean, those of one with cuts five times; without the second one sequence in 36 gets three times worse.
+/// a few landmarks can hold a pose that has slid away), below the second it is no keyframe. Without the first, errors over 35 sequences
+/// are 15 % larger in the geometric mean, those of one with cuts five times; without the second one sequence in 35 gets three times worse.
 const WEAK_SHARE: f64 = 0.25;
 const KEYFRAME_SHARE: f64 = 0.12;
 

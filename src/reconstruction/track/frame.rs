@@ -42,7 +42,7 @@ pub fn is_assumed(frame: &Frame<'_>, landmark: LandmarkId) -> bool {
 }
 
 /// What a place in the frame tells of a pose near `pose`, given what is known of the landmark there: along its ray, if its distance is
-/// assumed, else everywhere. (Without what is known of landmarks two of 36 sequences lose a third of their frames, and a car's errors
+/// assumed, else everywhere. (Without what is known of landmarks two of 35 sequences lose a third of their frames, and a car's errors
 /// double.)
 pub fn measurement_of(frame: &Frame<'_>, landmark: LandmarkId, pose: &Se3<Camera, World>, pair: PosePair) -> PosePair {
     let Some(known) = frame.map.landmark(landmark) else { return pair };

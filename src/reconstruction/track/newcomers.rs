@@ -12,7 +12,7 @@
 //! the scale of its own residuals, or, where most newcomers contradict that, at that of the standard deviations. Cost: two or three
 //! warm motion-only optimisations. It does not judge the established ones: the optimisation's own outlier test does.
 //!
-//! Kept by ablation (36 sequences: recordings, parts, cuts and reversals of them, simulated walks at 5 Hz): without it errors are 8 % larger
+//! Kept by ablation (35 sequences: recordings, parts, cuts and reversals of them, simulated walks at 5 Hz): without it errors are 8 % larger
 //! in the geometric mean, those of a desk and of two walks about twice as large.
 
 use nalgebra::{Matrix2, Matrix6, Vector6};

@@ -103,7 +103,7 @@ const BORDER_PX: f64 = 8.0;
 const MIN_VIEW_COSINE: f64 = 0.5;
 /// A found patch must correlate at least this well with its template.
 const MIN_CORRELATION: f32 = 0.75;
-/// Where less than this share of the landmarks is found, the others are looked for on so many coarser levels. Without it three of 36
+/// Where less than this share of the landmarks is found, the others are looked for on so many coarser levels. Without it three of 35
 /// sequences, of quick hands, lose a third of their frames.
 const BLURRED_SHARE: f64 = 0.6;
 const BLURRED_LEVELS: usize = 2;
