@@ -31,12 +31,11 @@ impl Reconstruction {
         let Some(newest) = active.unadjusted.take() else { return };
         let keyframes = active.map.keyframes.len();
         let limit = if optics.intrinsics.is_calibrated() { WHOLE_LIMIT } else { GUESSED_WHOLE_LIMIT };
-        let readout = optics.shutter.to_adjust();
         let job = if keyframes >= active.next_whole && keyframes <= limit {
             active.next_whole = optics.intrinsics.next_whole(keyframes);
-            optics.intrinsics.whole_job(&active.map, &optics.camera, readout, self.config.refine_intrinsics)
+            optics.intrinsics.whole_job(&active.map, &optics.camera, &optics.shutter, self.config.refine_intrinsics)
         } else {
-            MappingJob::local(&active.map, newest, &optics.camera, readout, &self.config)
+            MappingJob::local(&active.map, newest, &optics.camera, &optics.shutter, &self.config)
         };
         if let Some(job) = job {
             self.mapper.post(job, self.counters.frames);
@@ -57,7 +56,8 @@ impl Reconstruction {
         self.counters.adjustments_late += u64::from(late);
         self.counters.adjustments += 1;
         let (optics, active) = (&mut self.optics, &mut self.active);
-        let Some(lens) = optics.intrinsics.judge(&result, &optics.camera) else {
+        let found = result.intrinsics();
+        let Some(lens) = optics.intrinsics.judge(found.as_ref(), &optics.camera) else {
             // A lens that cannot be is not taken over, and its poses and points with it.
             if optics.intrinsics.wants_another() {
                 active.next_whole = 0;
@@ -65,9 +65,12 @@ impl Reconstruction {
             }
             return;
         };
-        optics.shutter.learn(result.readout());
+        let (readout_s, variance) = result.readout();
+        optics.shutter.learn(readout_s, variance);
         let old_from_new = result.merge(&mut active.map);
-        optics.intrinsics.merge(&result, lens, &mut active.map, &mut optics.camera);
+        if let (Some(found), Some(lens)) = (found, lens) {
+            optics.intrinsics.merge(&found, lens, &mut active.map, &mut optics.camera);
+        }
         active.odometry.correct(&old_from_new);
         if when != Merge::AtTheEnd && optics.intrinsics.wants_restart(&optics.camera) {
             self.reset();

@@ -10,7 +10,6 @@ use super::Reconstruction;
 use super::adjust::job::MappingJob;
 use super::keyframe::point::refine_point;
 use super::measurement::PosePair;
-use super::measurement::rolling_shutter::Readout;
 use super::odometry::Odometry;
 use super::track::Tracked;
 use super::track::association::{Seed, Target};
@@ -153,7 +152,7 @@ impl Reconstruction {
         self.refine_views(a);
         self.note_motion();
         self.active.reference = b;
-        let (sigma, readout) = self.adjust_whole()?;
+        let (sigma, (readout_s, variance)) = self.adjust_whole()?;
         if sigma > MAX_DIRECTION_SIGMA * (1.0 + start.trying_s / PATIENCE_S).min(LARGEST_RELAXATION) {
             return None;
         }
@@ -166,7 +165,7 @@ impl Reconstruction {
                 return None;
             }
         }
-        self.optics.shutter.learn(&readout);
+        self.optics.shutter.learn(readout_s, variance);
         Some(self.active.map.keyframe(b)?.camera_from_world)
     }
 
@@ -198,13 +197,11 @@ impl Reconstruction {
     }
 
     /// Adjusts the whole (new, small) map at once: how surely the newest camera's direction from the first is known (rad), and the
-    /// readout time found with it; `None` if too few landmarks hold.
-    fn adjust_whole(&mut self) -> Option<(f64, Readout)> {
-        let result =
-            MappingJob::whole(&self.active.map, &self.optics.camera, self.optics.shutter.to_adjust(), START_STEPS)?
-                .run();
+    /// readout time found with it (s, and its variance); `None` if too few landmarks hold.
+    fn adjust_whole(&mut self) -> Option<(f64, (f64, f64))> {
+        let result = MappingJob::whole(&self.active.map, &self.optics.camera, &self.optics.shutter, START_STEPS)?.run();
         let supported = result.supported_landmarks();
-        let (sigma, readout) = (result.direction_sigma(), *result.readout());
+        let (sigma, readout) = (result.direction_sigma(), result.readout());
         result.merge(&mut self.active.map);
         (supported >= self.config.start_landmarks).then_some((sigma, readout))
     }

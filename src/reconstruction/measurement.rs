@@ -13,7 +13,7 @@ use crate::geometry::{CameraModel, Se3};
 use crate::map::Observation;
 
 /// Points nearer to the image plane, or behind it, are not seen, map units.
-const NEAREST: f64 = 1e-6;
+pub(crate) const NEAREST: f64 = 1e-6;
 
 /// 95 % limit of chi-square with two degrees of freedom.
 pub const CHI2_2D_95: f64 = 5.991;

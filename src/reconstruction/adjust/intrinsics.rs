@@ -22,11 +22,11 @@
 //! Not here: k3; wide-angle lenses that nobody calibrated (they are taken for pinholes, and k1
 //! to p2 cannot bend those so far: a fisheye needs a calibration); finding a focal length without translation.
 
-use super::bundle::{SHARED, SharedMatrix, SharedVector, WITHOUT_DISTORTION};
-use super::job::{MappingJob, MappingResult};
+use super::bundle::{IntrinsicsVector, WITHOUT_DISTORTION};
+use super::job::{FoundIntrinsics, MappingJob};
 use crate::geometry::{CameraModel, LensModel};
 use crate::map::Map;
-use crate::reconstruction::measurement::rolling_shutter::Readout;
+use crate::reconstruction::measurement::rolling_shutter::Shutter;
 
 /// Standard deviation of a measured focal length, and of a nominal one, as a share of it.
 const CALIBRATED_FOCAL: f64 = 0.01;
@@ -147,9 +147,9 @@ pub struct Intrinsics {
     /// As it was calibrated, guessed, or found with the map before.
     expected: CameraModel,
     /// Standard deviations (log focal length, principal point in px, distortion) without the present map.
-    sigma: SharedVector,
+    sigma: IntrinsicsVector,
     /// The same with what the map says.
-    refined_sigma: SharedVector,
+    refined_sigma: IntrinsicsVector,
     /// Focal length (px) with which the present map was begun, and maps given up because theirs was too far off.
     begun_with: f64,
     restarts: u32,
@@ -170,7 +170,7 @@ impl Intrinsics {
         };
         let centre_px = centre * f64::from(camera.width);
         let [k1, k2, p1, p2] = if prior == LensPrior::Calibrated { CALIBRATED_DISTORTION } else { GUESSED_DISTORTION };
-        let sigma = SharedVector::from([focal, centre_px, centre_px, k1, k2, p1, p2]);
+        let sigma = IntrinsicsVector::from([focal, centre_px, centre_px, k1, k2, p1, p2]);
         Self {
             guessed: prior != LensPrior::Calibrated,
             expected: camera.clone(),
@@ -237,16 +237,16 @@ impl Intrinsics {
     }
 
     /// Adjustment of the whole map, and with `refine` of the intrinsics.
-    pub fn whole_job(&self, map: &Map, camera: &CameraModel, readout: Readout, refine: bool) -> Option<MappingJob> {
+    pub fn whole_job(&self, map: &Map, camera: &CameraModel, shutter: &Shutter, refine: bool) -> Option<MappingJob> {
         let steps = if self.guessed { GUESSED_STEPS } else { STEPS };
-        let mut job = MappingJob::whole(map, camera, readout, steps)?;
+        let mut job = MappingJob::whole(map, camera, shutter, steps)?;
         if refine || self.guessed {
             // Of a pinhole lens; a wide-angle one's distortion stays.
             let off = |i: usize| match (self.expected.lens, camera.lens) {
                 (LensModel::RadialTangential(expected), LensModel::RadialTangential(own)) => expected[i] - own[i],
                 _ => 0.0,
             };
-            let expected = SharedVector::from([
+            let expected = IntrinsicsVector::from([
                 (self.expected.fx / camera.fx).ln(),
                 self.expected.cx - camera.cx,
                 self.expected.cy - camera.cy,
@@ -256,9 +256,11 @@ impl Intrinsics {
                 off(3),
             ]);
             // Believing a part of the data is weighing the prior the more.
-            let information = self.sigma.map(|s| 1.0 / (BELIEVED * s * s));
-            let active = if is_pinhole(camera) && !self.hold_distortion { SHARED } else { WITHOUT_DISTORTION };
-            job.refine_intrinsics(map, camera, expected, information, active);
+            let mut information = self.sigma.map(|s| 1.0 / (BELIEVED * s * s));
+            if !is_pinhole(camera) || self.hold_distortion {
+                information.as_mut_slice()[WITHOUT_DISTORTION..].fill(f64::INFINITY);
+            }
+            job.refine_intrinsics(map, camera, &expected, &information);
         }
         Some(job)
     }
@@ -301,10 +303,10 @@ impl Intrinsics {
 
     /// The lens that an adjustment ended with: `Some(None)` if it did not ask, `None` if there can be no such lens. Then nothing of that
     /// adjustment may be taken over, for its poses and points belong to that lens.
-    pub fn judge(&mut self, result: &MappingResult, camera: &CameraModel) -> Option<Option<CameraModel>> {
-        let Some(shared) = result.shared() else { return Some(None) };
-        let refined = changed(camera, &shared.change);
-        self.hold_distortion = refined.is_none() && shared.active == SHARED;
+    pub fn judge(&mut self, found: Option<&FoundIntrinsics>, camera: &CameraModel) -> Option<Option<CameraModel>> {
+        let Some(found) = found else { return Some(None) };
+        let refined = changed(camera, &found.change);
+        self.hold_distortion = refined.is_none() && !found.held[WITHOUT_DISTORTION];
         refined.map(Some)
     }
 
@@ -314,20 +316,16 @@ impl Intrinsics {
     }
 
     /// Takes over the lens of an adjustment that was merged, here and in every observation and free corner of the map.
-    pub fn merge(
-        &mut self,
-        result: &MappingResult,
-        lens: Option<CameraModel>,
-        map: &mut Map,
-        camera: &mut CameraModel,
-    ) {
-        let (Some(shared), Some(refined)) = (result.shared(), lens) else { return };
-        let prior = self.sigma.map(|s| 1.0 / (s * s));
-        let information = shared.found_information * BELIEVED + SharedMatrix::from_diagonal(&prior);
+    pub fn merge(&mut self, found: &FoundIntrinsics, refined: CameraModel, map: &mut Map, camera: &mut CameraModel) {
         // What was found with the distortion held says less of the focal length than it seems to.
-        let complete = !is_pinhole(camera) || shared.active == SHARED;
-        if let Some(covariance) = information.try_inverse().filter(|_| complete) {
-            self.refined_sigma = covariance.diagonal().map(|v| v.max(0.0).sqrt()).zip_map(&self.sigma, f64::min);
+        let complete = !is_pinhole(camera) || !found.held[WITHOUT_DISTORTION];
+        if let Some(variance) = found.variance.filter(|_| complete) {
+            // The prior was the surer by the share that is believed: so were both together.
+            let sigma = variance.map(|v| (v / BELIEVED).max(0.0).sqrt());
+            self.refined_sigma = IntrinsicsVector::from_fn(|i, _| match found.held[i] {
+                true => self.sigma[i],
+                false => sigma[i].min(self.sigma[i]),
+            });
         }
         if self.guessed {
             self.remember(refined.fx.ln());
@@ -337,9 +335,9 @@ impl Intrinsics {
     }
 }
 
-/// The camera with a change of the shared numbers; `None` if no camera comes of it. A distortion under which a part of the picture
+/// The camera with a change of its intrinsics; `None` if no camera comes of it. A distortion under which a part of the picture
 /// would come to see nothing is none.
-fn changed(camera: &CameraModel, change: &SharedVector) -> Option<CameraModel> {
+fn changed(camera: &CameraModel, change: &IntrinsicsVector) -> Option<CameraModel> {
     let scale = change[0].exp();
     let with = |lens: LensModel| {
         let (fx, fy) = (camera.fx * scale, camera.fy * scale);
@@ -416,7 +414,7 @@ mod tests {
     #[test]
     fn a_distortion_that_folds_the_picture_is_not_taken_over() {
         let camera = camera(320.0, 320.0, 320.0, 0.0);
-        let mut change = SharedVector::zeros();
+        let mut change = IntrinsicsVector::zeros();
         (change[0], change[3]) = (0.1, -0.5);
         assert_eq!(changed(&camera, &change), None);
         change[3] = -0.05;

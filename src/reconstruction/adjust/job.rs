@@ -4,17 +4,17 @@
 //! (Mur-Artal et al. 2015, section VI-D). What the map gained while the job ran is carried along by the motion of the
 //! newest adjusted keyframe.
 
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{SVector, Vector2, Vector3};
 
 use super::bundle::{
-    BundleCamera, BundleObservation, BundleOptions, BundleProblem, Shared, SharedJacobian, SharedMatrix, SharedVector,
+    BundleObservation, BundleOptions, BundleProblem, Globals, INTRINSICS, IntrinsicsJacobian, IntrinsicsVector, READOUT,
 };
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::map::{KeyframeId, LandmarkId, Map, Observation};
 use crate::reconstruction::config::ReconstructionConfig;
 use crate::reconstruction::keyframe::distance_prior;
-use crate::reconstruction::measurement::rolling_shutter::Readout;
+use crate::reconstruction::measurement::rolling_shutter::Shutter;
 
 /// A piece of mapping work on a copy of a part of the map: a pure function of its input, so that it can run anywhere.
 #[derive(Debug)]
@@ -36,16 +36,26 @@ pub struct MappingResult {
     job: MappingJob,
 }
 
+/// What an adjustment found of the intrinsics.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FoundIntrinsics {
+    /// Against those that the observations were made with.
+    pub change: IntrinsicsVector,
+    /// Which were held.
+    pub held: SVector<bool, INTRINSICS>,
+    /// Variances of the others, everything else free, the priors in them; `None` where they cannot be told.
+    pub variance: Option<IntrinsicsVector>,
+}
+
 /// Keyframes at which the whole map is adjusted first; then whenever it has grown by a third, up to the limit.
 pub const WHOLE_FIRST: usize = 5;
 impl MappingJob {
     /// The local problem around `newest`; `None` if it has nothing to move.
-    /// `readout`: the camera's rolling shutter, and how surely that is known.
     pub fn local(
         map: &Map,
         newest: KeyframeId,
         camera: &CameraModel,
-        readout: Readout,
+        shutter: &Shutter,
         config: &ReconstructionConfig,
     ) -> Option<Self> {
         let mut around = Vec::new();
@@ -79,18 +89,18 @@ impl MappingJob {
             hold_oldest(map, newest, &mut keyframes)?;
         }
         let options = BundleOptions { steps: [config.adjustment_steps; 2], ..BundleOptions::default() };
-        Self::build(map, &keyframes, landmarks, newest, camera, readout, options)
+        Self::build(map, &keyframes, landmarks, newest, camera, shutter, options)
     }
 
     /// The whole map, its first keyframe held (of a map that others were joined to: its own first).
-    pub fn whole(map: &Map, camera: &CameraModel, readout: Readout, steps: usize) -> Option<Self> {
+    pub fn whole(map: &Map, camera: &CameraModel, shutter: &Shutter, steps: usize) -> Option<Self> {
         let mut keyframes: Vec<(KeyframeId, bool)> =
             map.keyframes.iter().map(|(id, _)| (KeyframeId(id), false)).collect();
         let newest = keyframes.last()?.0;
         hold_oldest(map, newest, &mut keyframes)?;
         let landmarks = map.landmarks.iter().map(|(id, _)| LandmarkId(id)).collect();
         let options = BundleOptions { steps: [steps; 2], relative_gain: 1e-5, ..BundleOptions::default() };
-        Self::build(map, &keyframes, landmarks, newest, camera, readout, options)
+        Self::build(map, &keyframes, landmarks, newest, camera, shutter, options)
     }
 
     fn build(
@@ -99,13 +109,17 @@ impl MappingJob {
         mut landmarks: Vec<LandmarkId>,
         newest: KeyframeId,
         camera: &CameraModel,
-        readout: Readout,
+        shutter: &Shutter,
         options: BundleOptions,
     ) -> Option<Self> {
-        let mut problem = BundleProblem { first: vec![0], readout, ..BundleProblem::default() };
+        let mut globals = Globals::default();
+        (globals.expected[READOUT], globals.information[READOUT]) = shutter.prior();
+        let mut problem = BundleProblem { first: vec![0], ..BundleProblem::default() };
+        problem.state.globals = globals.expected;
+        problem.globals = globals;
         for &(id, fixed) in keyframes {
-            let fixed = fixed || distance_prior::is_held(map, id);
-            problem.cameras.push(BundleCamera { camera_from_world: map.keyframe(id)?.camera_from_world, fixed });
+            problem.fixed.push(fixed || distance_prior::is_held(map, id));
+            problem.state.poses.push(map.keyframe(id)?.camera_from_world);
         }
         landmarks.retain(|&id| {
             let Some(landmark) = map.landmark(id).filter(|l| l.assumed.is_none()) else { return false };
@@ -125,13 +139,13 @@ impl MappingJob {
                 problem.observations.truncate(begin);
                 return false;
             }
-            problem.points.push(landmark.position);
+            problem.state.points.push(landmark.position);
             problem.first.push(problem.observations.len() as u32);
             true
         });
         let index = keyframes.binary_search_by_key(&newest, |k| k.0).ok()?;
         Some(Self {
-            before: problem.cameras[index].camera_from_world,
+            before: problem.state.poses[index],
             problem,
             options,
             keyframes: keyframes.iter().map(|k| k.0).collect(),
@@ -142,31 +156,25 @@ impl MappingJob {
         })
     }
 
-    /// Lets the adjustment refine the first `active` of the intrinsics as well.
+    /// Lets the adjustment refine the intrinsics as well: by how much they are expected to change, and one over the variance of that
+    /// (infinite: held).
     pub fn refine_intrinsics(
         &mut self,
         map: &Map,
         camera: &CameraModel,
-        expected: SharedVector,
-        information: SharedVector,
-        active: usize,
+        expected: &IntrinsicsVector,
+        information: &IntrinsicsVector,
     ) {
-        let mut jacobians = Vec::with_capacity(self.problem.observations.len());
+        let Globals { expected: all_expected, information: all_information, jacobians } = &mut self.problem.globals;
+        all_expected.fixed_rows_mut::<INTRINSICS>(1).copy_from(expected);
+        all_information.fixed_rows_mut::<INTRINSICS>(1).copy_from(information);
         for (i, &id) in self.landmarks.iter().enumerate() {
             for k in self.problem.first[i] as usize..self.problem.first[i + 1] as usize {
                 let keyframe = self.keyframes[self.problem.observations[k].camera as usize];
                 let o = map.keyframe(keyframe).and_then(|k| k.observation(id));
-                jacobians.push(o.map_or_else(SharedJacobian::zeros, |o| intrinsics_jacobian(o, camera)));
+                jacobians.push(o.map_or_else(IntrinsicsJacobian::zeros, |o| intrinsics_jacobian(o, camera)));
             }
         }
-        self.problem.shared = Some(Shared {
-            jacobians,
-            active,
-            change: SharedVector::zeros(),
-            expected,
-            information,
-            found_information: SharedMatrix::zeros(),
-        });
     }
 
     /// Bounded in iterations, not in time.
@@ -185,13 +193,13 @@ fn hold_oldest(map: &Map, newest: KeyframeId, keyframes: &mut [(KeyframeId, bool
 
 /// How an observation's undistorted place answers to log focal length, principal point (px) (of any lens) and k1 k2 p1 p2: by
 /// Brown's model the distorted place moves by `n |n|²`, `n |n|⁴`, and the tangential terms.
-fn intrinsics_jacobian(o: &Observation, camera: &CameraModel) -> SharedJacobian {
+fn intrinsics_jacobian(o: &Observation, camera: &CameraModel) -> IntrinsicsJacobian {
     let j = &o.normalised_from_pixel;
     let from_centre = Vector2::new(f64::from(o.pixel.x) - camera.cx, f64::from(o.pixel.y) - camera.cy);
     let n = &o.normalised;
     let px = |x: f64, y: f64| Vector2::new(camera.fx * x, camera.fy * y);
     let (s, xy) = (n.norm_squared(), n.x * n.y);
-    SharedJacobian::from_columns(&[
+    IntrinsicsJacobian::from_columns(&[
         -(j * from_centre),
         -j.column(0).into_owned(),
         -j.column(1).into_owned(),
@@ -203,29 +211,38 @@ fn intrinsics_jacobian(o: &Observation, camera: &CameraModel) -> SharedJacobian 
 }
 
 impl MappingResult {
-    /// The readout time that the adjustment ended with.
-    pub fn readout(&self) -> &Readout {
-        &self.job.problem.readout
+    /// The readout time that the adjustment ended with (s), and its variance (s^2; NaN where it is not told), the prior in it.
+    pub fn readout(&self) -> (f64, f64) {
+        let problem = &self.job.problem;
+        (problem.state.globals[READOUT], problem.global_covariance.map_or(f64::NAN, |c| c[(READOUT, READOUT)]))
     }
 
-    pub fn shared(&self) -> Option<&Shared> {
-        self.job.problem.shared.as_ref()
+    /// What it found of the intrinsics; `None` if they were none of its unknowns.
+    pub fn intrinsics(&self) -> Option<FoundIntrinsics> {
+        let problem = &self.job.problem;
+        let Globals { information, jacobians, .. } = &problem.globals;
+        (!jacobians.is_empty()).then(|| FoundIntrinsics {
+            change: problem.state.globals.fixed_rows::<INTRINSICS>(1).into_owned(),
+            held: information.fixed_rows::<INTRINSICS>(1).map(f64::is_infinite),
+            variance: problem.global_covariance.map(|c| c.diagonal().fixed_rows::<INTRINSICS>(1).into_owned()),
+        })
     }
 
     /// Writes the result into the map. Returns `old_from_new`: how the newest adjusted keyframe's surroundings moved, to be
     /// multiplied to the right of a `camera_from_world` that was estimated meanwhile.
     pub fn merge(&self, map: &mut Map) -> Se3<World, World> {
         let job = &self.job;
-        let after = job.problem.cameras[job.newest].camera_from_world;
+        let BundleProblem { state, fixed, .. } = &job.problem;
+        let after = state.poses[job.newest];
         let old_from_new: Se3<World, World> = job.before.inverse() * after;
-        for (&id, camera) in job.keyframes.iter().zip(&job.problem.cameras) {
-            if !camera.fixed && camera.camera_from_world.is_finite() {
-                map.place_keyframe(id, camera.camera_from_world);
+        for (&id, (pose, fixed)) in job.keyframes.iter().zip(state.poses.iter().zip(fixed)) {
+            if !fixed && pose.is_finite() {
+                map.place_keyframe(id, *pose);
             }
         }
         let mut outliers = Vec::new();
         for (i, &id) in job.landmarks.iter().enumerate() {
-            let point: Vector3<f64> = job.problem.points[i];
+            let point: Vector3<f64> = state.points[i];
             if !point.iter().all(|v| v.is_finite()) {
                 continue;
             }
@@ -253,7 +270,7 @@ impl MappingResult {
     /// Landmarks of the job with at least two inlier observations.
     pub fn supported_landmarks(&self) -> usize {
         let p = &self.job.problem;
-        (0..p.points.len())
+        (0..p.state.points.len())
             .filter(|&i| (p.first[i] as usize..p.first[i + 1] as usize).filter(|&k| p.inlier[k]).count() >= 2)
             .count()
     }

@@ -13,34 +13,6 @@ use nalgebra::{Vector2, Vector3};
 
 use crate::geometry::camera_motion::CameraMotion;
 
-/// Readout time of a rolling shutter, refined with the rest: observation k is expected at `normalised - displacement * seconds`.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct Readout {
-    /// Moved by the adjustment, s.
-    pub seconds: f64,
-    /// What it is expected to be (s), and one over the variance of that (1/s^2). `None`: it is known, and held.
-    pub expected: Option<(f64, f64)>,
-    /// Set by the adjustment: information on it, everything else free, the prior left out, 1/s^2.
-    pub found_information: f64,
-}
-
-impl Readout {
-    /// One if it is an unknown of the problem.
-    pub(crate) fn unknowns(&self) -> usize {
-        usize::from(self.expected.is_some())
-    }
-
-    pub(crate) fn prior_cost(&self) -> f64 {
-        self.expected.map_or(0.0, |(expected, information)| information * (self.seconds - expected).powi(2))
-    }
-
-    /// Information of the prior, and its part of the right-hand side.
-    pub(crate) fn prior(&self) -> (f64, f64) {
-        self.expected
-            .map_or((0.0, 0.0), |(expected, information)| (information, information * (expected - self.seconds)))
-    }
-}
-
 /// Readout time and how surely it is known.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Shutter {
@@ -91,20 +63,20 @@ impl Shutter {
         motion.flow(point) * self.delay(row_px)
     }
 
-    /// As an adjustment takes it: an unknown, or held.
-    pub fn to_adjust(self) -> Readout {
+    /// As an adjustment takes it: readout time (s), and one over its variance (1/s^2; infinite: held).
+    pub fn prior(&self) -> (f64, f64) {
         // Believing a part of the data is weighing the prior the more.
-        let expected = self.estimate.then_some((self.readout_s, self.information / BELIEVED));
-        Readout { seconds: self.readout_s, expected, found_information: 0.0 }
+        (self.readout_s, if self.estimate { self.information / BELIEVED } else { f64::INFINITY })
     }
 
-    /// Takes over what an adjustment found.
-    pub fn learn(&mut self, found: &Readout) {
-        if found.expected.is_none() || !(found.seconds.is_finite() && found.found_information.is_finite()) {
+    /// Takes over what an adjustment with this [`prior`](Self::prior) found: readout time (s), and its variance (s^2), the prior in it.
+    pub fn learn(&mut self, seconds: f64, variance: f64) {
+        if !(self.estimate && seconds.is_finite() && variance > 0.0) {
             return;
         }
-        let information = self.information * MEMORY + BELIEVED * found.found_information;
+        // The prior is in the variance in full; the past counts less.
+        let information = BELIEVED / variance - (1.0 - MEMORY) * self.information;
         self.information = information.min(1.0 / (FLOOR_SIGMA_S * FLOOR_SIGMA_S));
-        self.readout_s = found.seconds.clamp(-MAX_READOUT_S, MAX_READOUT_S);
+        self.readout_s = seconds.clamp(-MAX_READOUT_S, MAX_READOUT_S);
     }
 }

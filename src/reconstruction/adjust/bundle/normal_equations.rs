@@ -1,253 +1,280 @@
-//! The normal equations of an adjustment, and their Schur complement on the cameras.
+//! The normal equations of an adjustment, and their Schur complement on cameras and global parameters.
 //!
-//! Unknowns of the reduced system, in this order: six for each free camera, the readout time, the shared numbers (the last two if they are
-//! asked for).
+//! Unknowns of the reduced system, in this order: six for each free camera, `W` global parameters. Everything is summed from the two rows
+//! of each observation's Jacobian.
 
-use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, SMatrix, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, SMatrix, SVector, Vector1, Vector3, Vector6};
 
-use super::problem::{BundleProblem, FIXED, huber};
-use super::shared::{SHARED, SharedMatrix, SharedVector};
-use crate::reconstruction::measurement::{accumulate, is_diagonal, jacobian_rows};
+use super::globals::focal_scale;
+use super::problem::{BundleProblem, BundleState};
+use crate::geometry::Se3;
+use crate::geometry::frames::{Camera, World};
+use crate::geometry::least_squares::Loss;
+use crate::reconstruction::measurement::jacobian_rows;
 
-type Matrix6xS = SMatrix<f64, 6, SHARED>;
-type MatrixSx3 = SMatrix<f64, SHARED, 3>;
+/// In the place of a fixed camera's index among the free ones.
+const FIXED: usize = usize::MAX;
+/// Added to every pivot: what no observation holds stays where it is. The information of one pixel on one unit of the map is some 1e5.
+const LEAST_PIVOT: f64 = 1e-9;
+/// Price of an observation behind its camera in squared outlier limits: a step that does this is no gain.
+const BEHIND_CAMERA: f64 = 100.0;
+
 type Matrix6x3 = SMatrix<f64, 6, 3>;
+/// Derivatives of a residual's x and y by N unknowns.
+type Rows<const N: usize> = [SVector<f64, N>; 2];
 
-/// Normal equations at one linearisation point.
-#[derive(Default)]
-pub(super) struct System {
-    /// Free cameras: own 6x6 block (upper triangle) and gradient.
-    pub(super) camera_h: Vec<Matrix6<f64>>,
-    pub(super) camera_g: Vec<Vector6<f64>>,
-    pub(super) point_h: Vec<Matrix3<f64>>,
-    pub(super) point_g: Vec<Vector3<f64>>,
-    /// Camera-point block of each observation (zero for fixed cameras and outliers).
-    pub(super) cross: Vec<Matrix6x3>,
-    /// The same between cameras and the readout time, it and the points, it and the shared numbers, and its own.
-    pub(super) camera_readout: Vec<Vector6<f64>>,
-    pub(super) readout_point: Vec<Vector3<f64>>,
-    pub(super) readout_shared: SharedVector,
-    pub(super) readout_h: f64,
-    pub(super) readout_g: f64,
-    /// The same between cameras and shared numbers, shared numbers and points, and among the shared numbers.
-    pub(super) camera_shared: Vec<Matrix6xS>,
-    pub(super) shared_point: Vec<MatrixSx3>,
-    pub(super) shared_h: SharedMatrix,
-    pub(super) shared_g: SharedVector,
-    pub(super) cost: f64,
+/// A bundle adjustment with its first `W` global parameters: one, or all of them.
+pub(super) struct Adjustment<'a, const W: usize> {
+    problem: &'a BundleProblem,
+    /// Index of each camera among the free ones.
+    slot: Vec<usize>,
+    free: usize,
+    /// Huber's limit, standard deviations.
+    limit: f64,
 }
-impl BundleProblem {
-    pub(super) fn linearise(&self, slot: &[u32], free: usize, delta2: f64, system: &mut System) {
-        system.camera_h.clear();
-        system.camera_h.resize(free, Matrix6::zeros());
-        system.camera_g.clear();
-        system.camera_g.resize(free, Vector6::zeros());
-        system.point_h.clear();
-        system.point_g.clear();
-        system.cross.clear();
-        system.cross.resize(self.observations.len(), Matrix6x3::zeros());
-        system.camera_shared.clear();
-        system.shared_point.clear();
-        system.shared_h = SharedMatrix::zeros();
-        system.shared_g = SharedVector::zeros();
-        system.cost = self.prior_cost();
-        system.camera_readout.clear();
-        system.camera_readout.resize(free, Vector6::zeros());
-        system.readout_point.clear();
-        system.readout_shared = SharedVector::zeros();
-        (system.readout_h, system.readout_g) = (0.0, 0.0);
-        let find_readout = self.readout.unknowns() > 0;
-        if self.shared.is_some() {
-            system.camera_shared.resize(free, Matrix6xS::zeros());
-        }
-        // Pixels that a step on the plane z = 1 is.
-        let scale = self.focal_scale();
-        let rotations: Vec<Matrix3<f64>> =
-            self.cameras.iter().map(|c| *c.camera_from_world.rotation.to_rotation_matrix().matrix()).collect();
-        for (i, point) in self.points.iter().enumerate() {
-            let (mut h, mut g) = (Matrix3::zeros(), Vector3::zeros());
-            let mut with_readout = Vector3::zeros();
-            let mut with_shared = MatrixSx3::zeros();
-            for k in self.range(i) {
-                if !self.inlier[k] {
-                    continue;
-                }
-                let o = &self.observations[k];
-                let Some((e, p)) = self.residual(point, k) else {
-                    system.cost += 100.0 * delta2;
-                    continue;
-                };
-                let (rho, w) = huber(e.norm_squared(), delta2);
-                system.cost += rho;
-                let pixels = o.pixel_scale * o.inv_sigma_px;
-                let (jx, jy) = jacobian_rows(&p, &(pixels * scale));
-                // d e / d point = d e / d translation * R.
-                let r = &rotations[o.camera as usize];
-                let px = r.row(0) * jx[3] + r.row(1) * jx[4] + r.row(2) * jx[5];
-                let py = r.row(0) * jy[3] + r.row(1) * jy[4] + r.row(2) * jy[5];
-                for c in 0..3 {
-                    for d in 0..=c {
-                        h[(d, c)] += w * (px[d] * px[c] + py[d] * py[c]);
-                    }
-                    g[c] += w * (px[c] * e.x + py[c] * e.y);
-                }
-                let s = slot[o.camera as usize];
-                // d e / d readout: as the shared numbers, the observation moves against it.
-                let moved = pixels * o.displacement * scale;
-                if find_readout {
-                    system.readout_h += moved.norm_squared() * w;
-                    system.readout_g += moved.dot(&e) * w;
-                    with_readout += (px * moved.x + py * moved.y).transpose() * w;
-                    if s != FIXED {
-                        system.camera_readout[s as usize] +=
-                            (Vector6::from(jx) * moved.x + Vector6::from(jy) * moved.y) * w;
-                    }
-                }
-                if let Some(shared) = &self.shared {
-                    // d e / d shared: the observation moves, so the residual moves against it.
-                    let d = shared.jacobian(k, &self.off(k, &p));
-                    let (x, y) = (d.row(0).transpose(), d.row(1).transpose());
-                    let (mut dx, mut dy) = (x * -pixels.m11, y * -pixels.m22);
-                    if !is_diagonal(&pixels) {
-                        dx -= y * pixels.m12;
-                        dy -= x * pixels.m21;
-                    }
-                    system.readout_shared += (dx * moved.x + dy * moved.y) * w;
-                    system.shared_h += (dx * dx.transpose() + dy * dy.transpose()) * w;
-                    system.shared_g += (dx * e.x + dy * e.y) * w;
-                    with_shared += (dx * px + dy * py) * w;
-                    if s != FIXED {
-                        let (jx, jy) = (Vector6::from(jx), Vector6::from(jy));
-                        system.camera_shared[s as usize] += (jx * dx.transpose() + jy * dy.transpose()) * w;
-                    }
-                }
-                if s != FIXED {
-                    let s = s as usize;
-                    accumulate(&mut system.camera_h[s], &jx, &jy, w);
-                    let cross = &mut system.cross[k];
-                    for row in 0..6 {
-                        system.camera_g[s][row] += w * (jx[row] * e.x + jy[row] * e.y);
-                        let (a, b) = (w * jx[row], w * jy[row]);
-                        for c in 0..3 {
-                            cross[(row, c)] = a * px[c] + b * py[c];
-                        }
-                    }
-                }
-            }
-            h[(1, 0)] = h[(0, 1)];
-            h[(2, 0)] = h[(0, 2)];
-            h[(2, 1)] = h[(1, 2)];
-            system.point_h.push(h);
-            system.point_g.push(g);
-            system.readout_point.push(with_readout);
-            if self.shared.is_some() {
-                system.shared_point.push(with_shared);
-            }
+
+/// An observation at one state.
+struct Linearised<const W: usize> {
+    residual: Rows<1>,
+    weight: f64,
+    camera: Rows<6>,
+    point: Rows<3>,
+    global: Rows<W>,
+}
+
+/// A free camera's own block, its gradient, and what it has in common with the global parameters.
+#[derive(Clone)]
+struct CameraBlock<const W: usize> {
+    own: Matrix6<f64>,
+    gradient: Vector6<f64>,
+    global: SMatrix<f64, W, 6>,
+}
+
+/// The same of a point.
+pub(super) struct PointBlock<const W: usize> {
+    pub(super) own: Matrix3<f64>,
+    gradient: Vector3<f64>,
+    global: SMatrix<f64, W, 3>,
+}
+
+/// Normal equations at one state, the prior of the global parameters in them.
+pub(super) struct System<'a, 'p, const W: usize> {
+    adjustment: &'a Adjustment<'p, W>,
+    cameras: Vec<CameraBlock<W>>,
+    pub(super) points: Vec<PointBlock<W>>,
+    /// Camera-point block of each observation (zero for fixed cameras and outliers).
+    cross: Vec<Matrix6x3>,
+    global: SMatrix<f64, W, W>,
+    global_gradient: SVector<f64, W>,
+}
+
+/// The system that is left once the points are eliminated.
+pub(super) struct Reduced {
+    /// Lower triangle.
+    pub(super) matrix: DMatrix<f64>,
+    right: DVector<f64>,
+    /// The inverted blocks of the points.
+    inverses: Vec<Matrix3<f64>>,
+}
+
+/// One step of everything.
+pub(super) struct Step {
+    /// Stacked over the free cameras, then the global parameters.
+    pub(super) reduced: DVector<f64>,
+    pub(super) points: Vec<Vector3<f64>>,
+}
+
+/// `block += weight aᵀ b`
+#[inline]
+fn add_product<const R: usize, const C: usize>(block: &mut SMatrix<f64, R, C>, weight: f64, a: &Rows<R>, b: &Rows<C>) {
+    for c in 0..C {
+        let (x, y) = (weight * b[0][c], weight * b[1][c]);
+        for r in 0..R {
+            block[(r, c)] += a[0][r] * x + a[1][r] * y;
         }
     }
+}
 
-    /// The reduced system of cameras (readout time, and shared numbers) at this damping, right-hand side, and the inverted point
-    /// blocks. The prior of the shared numbers is left out, that of the readout time is in it.
-    pub(super) fn reduce(
+/// Marquardt's damping.
+fn damped<const N: usize>(block: &SMatrix<f64, N, N>, damping: f64) -> SMatrix<f64, N, N> {
+    let mut block = *block;
+    for i in 0..N {
+        block[(i, i)] += damping * block[(i, i)] + LEAST_PIVOT;
+    }
+    block
+}
+
+impl<'p, const W: usize> Adjustment<'p, W> {
+    pub(super) fn new(problem: &'p BundleProblem, outlier_chi2: f64) -> Self {
+        let mut free = 0;
+        let slot = problem.fixed.iter().map(|fixed| {
+            if *fixed {
+                return FIXED;
+            }
+            free += 1;
+            free - 1
+        });
+        Self { problem, slot: slot.collect(), free, limit: outlier_chi2.sqrt() }
+    }
+
+    /// Index of a camera among the free ones.
+    pub(super) fn slot_of(&self, camera: usize) -> Option<usize> {
+        self.slot.get(camera).copied().filter(|slot| *slot != FIXED)
+    }
+
+    /// Sum of the robust costs, sigma-scaled squares, and of the priors'.
+    pub(super) fn cost(&self, state: &BundleState) -> f64 {
+        let loss = Loss::Huber(self.limit);
+        let behind = BEHIND_CAMERA * self.limit * self.limit;
+        let mut cost = self.problem.globals.prior_cost(&state.globals);
+        for (i, point) in state.points.iter().enumerate() {
+            for k in self.problem.inliers(i) {
+                let residual = self.problem.residual(state, point, k);
+                cost += residual.map_or(behind, |(e, _)| loss.evaluate(e.norm_squared()).0);
+            }
+        }
+        cost
+    }
+
+    /// `rotation`: of the camera. `None` for a point behind it.
+    #[inline]
+    fn observation(
         &self,
-        slot: &[u32],
-        free: usize,
-        system: &System,
-        lambda: f64,
-    ) -> (DMatrix<f64>, DVector<f64>, Vec<Matrix3<f64>>) {
-        let shared = self.shared.as_ref().map_or(0, |s| s.active);
-        let readout = self.readout.unknowns();
-        let at = 6 * free + readout;
-        let size = at + shared;
-        let mut s = DMatrix::<f64>::zeros(size, size);
-        let mut g = DVector::<f64>::zeros(size);
-        for (i, (h, gradient)) in system.camera_h.iter().zip(&system.camera_g).enumerate() {
-            for c in 0..6 {
-                for r in 0..=c {
-                    s[(6 * i + r, 6 * i + c)] = h[(r, c)];
+        state: &BundleState,
+        point: &Vector3<f64>,
+        k: usize,
+        rotation: &Matrix3<f64>,
+    ) -> Option<Linearised<W>> {
+        let o = &self.problem.observations[k];
+        let (e, p) = self.problem.residual(state, point, k)?;
+        let (_, weight) = Loss::Huber(self.limit).evaluate(e.norm_squared());
+        let pixels = o.pixel_scale * o.inv_sigma_px;
+        let (jx, jy) = jacobian_rows(&p, &(pixels * focal_scale(&state.globals)));
+        // d e / d point = d e / d translation * R.
+        let by_point = |j: &[f64; 6]| rotation.tr_mul(&Vector3::new(j[3], j[4], j[5]));
+        let off = self.problem.off(state, k, &p);
+        let global = pixels * self.problem.globals.jacobian::<W>(k, &off, &o.displacement, &state.globals);
+        Some(Linearised {
+            residual: [Vector1::new(e.x), Vector1::new(e.y)],
+            weight,
+            camera: [jx.into(), jy.into()],
+            point: [by_point(&jx), by_point(&jy)],
+            global: [global.row(0).transpose(), global.row(1).transpose()],
+        })
+    }
+
+    pub(super) fn linearise(&self, state: &BundleState) -> System<'_, 'p, W> {
+        let none = CameraBlock { own: Matrix6::zeros(), gradient: Vector6::zeros(), global: SMatrix::zeros() };
+        let prior: [(f64, f64); W] = std::array::from_fn(|i| self.problem.globals.prior(i, state.globals[i]));
+        let mut system = System {
+            adjustment: self,
+            cameras: vec![none; self.free],
+            points: Vec::with_capacity(state.points.len()),
+            cross: vec![Matrix6x3::zeros(); self.problem.observations.len()],
+            global: SMatrix::from_diagonal(&prior.map(|p| p.1).into()),
+            global_gradient: prior.map(|p| p.0).into(),
+        };
+        let rotations: Vec<Matrix3<f64>> =
+            state.poses.iter().map(|pose| *pose.rotation.to_rotation_matrix().matrix()).collect();
+        for (i, point) in state.points.iter().enumerate() {
+            let mut block = PointBlock { own: Matrix3::zeros(), gradient: Vector3::zeros(), global: SMatrix::zeros() };
+            for k in self.problem.inliers(i) {
+                let camera = self.problem.observations[k].camera as usize;
+                let Some(o) = self.observation(state, point, k, &rotations[camera]) else { continue };
+                add_product(&mut block.own, o.weight, &o.point, &o.point);
+                add_product(&mut block.gradient, o.weight, &o.point, &o.residual);
+                add_product(&mut block.global, o.weight, &o.global, &o.point);
+                add_product(&mut system.global, o.weight, &o.global, &o.global);
+                add_product(&mut system.global_gradient, o.weight, &o.global, &o.residual);
+                if let Some(block) = system.cameras.get_mut(self.slot[camera]) {
+                    add_product(&mut block.own, o.weight, &o.camera, &o.camera);
+                    add_product(&mut block.gradient, o.weight, &o.camera, &o.residual);
+                    add_product(&mut block.global, o.weight, &o.global, &o.camera);
+                    add_product(&mut system.cross[k], o.weight, &o.camera, &o.point);
                 }
-                s[(6 * i + c, 6 * i + c)] += lambda * h[(c, c)] + 1e-9;
-                g[6 * i + c] = -gradient[c];
             }
+            system.points.push(block);
         }
-        if readout > 0 {
-            for (i, block) in system.camera_readout.iter().enumerate() {
-                s.fixed_view_mut::<6, 1>(6 * i, 6 * free).copy_from(block);
-            }
-            let (information, pull) = self.readout.prior();
-            s[(6 * free, 6 * free)] = system.readout_h + information;
-            s.view_mut((6 * free, at), (1, shared)).copy_from(&system.readout_shared.rows(0, shared).transpose());
-            g[6 * free] = pull - system.readout_g;
+        system
+    }
+
+    /// The state moved by a step.
+    pub(super) fn step(&self, state: &BundleState, step: &Step) -> BundleState {
+        let moved = |(pose, &slot): (&Se3<Camera, World>, &usize)| match slot {
+            FIXED => *pose,
+            slot => pose.perturb_left(&step.reduced.fixed_rows::<6>(6 * slot).into_owned()),
+        };
+        let mut globals = state.globals;
+        let mut changed = globals.fixed_rows_mut::<W>(0);
+        changed += step.reduced.fixed_rows::<W>(6 * self.free);
+        BundleState {
+            poses: state.poses.iter().zip(&self.slot).map(moved).collect(),
+            points: state.points.iter().zip(&step.points).map(|(point, step)| point + step).collect(),
+            globals,
         }
-        if shared > 0 {
-            for (i, block) in system.camera_shared.iter().enumerate() {
-                s.view_mut((6 * i, at), (6, shared)).copy_from(&block.columns(0, shared));
-            }
-            let own = system.shared_h.view((0, 0), (shared, shared));
-            s.view_mut((at, at), (shared, shared)).copy_from(&own);
-            g.rows_mut(at, shared).copy_from(&-system.shared_g.rows(0, shared));
+    }
+}
+
+impl<const W: usize> System<'_, '_, W> {
+    /// Inlier observations of a point by free cameras, with the cameras' indices among these.
+    fn seen(&self, point: usize) -> impl Iterator<Item = (usize, usize)> + '_ {
+        let Adjustment { problem, slot, .. } = self.adjustment;
+        problem.inliers(point).map(|k| (k, slot[problem.observations[k].camera as usize])).filter(|(_, s)| *s != FIXED)
+    }
+
+    /// Where the global parameters begin in the reduced system.
+    pub(super) fn globals_at(&self) -> usize {
+        6 * self.cameras.len()
+    }
+
+    /// The reduced system at this damping. The global parameters are held by their priors and not damped.
+    pub(super) fn reduce(&self, damping: f64) -> Reduced {
+        let at = self.globals_at();
+        let mut s = DMatrix::<f64>::zeros(at + W, at + W);
+        let mut g = DVector::<f64>::zeros(at + W);
+        for (i, camera) in self.cameras.iter().enumerate() {
+            s.fixed_view_mut::<6, 6>(6 * i, 6 * i).copy_from(&damped(&camera.own, damping));
+            s.fixed_view_mut::<W, 6>(at, 6 * i).copy_from(&camera.global);
+            g.fixed_rows_mut::<6>(6 * i).copy_from(&-camera.gradient);
         }
+        let (mut own, mut right) = (self.global, -self.global_gradient);
         let mut inverses = Vec::with_capacity(self.points.len());
-        for i in 0..self.points.len() {
-            let mut c = system.point_h[i];
-            for d in 0..3 {
-                c[(d, d)] += lambda * c[(d, d)] + 1e-9;
+        for (i, point) in self.points.iter().enumerate() {
+            let inverse = damped(&point.own, damping).try_inverse().unwrap_or_else(Matrix3::zeros);
+            let rest = inverse * point.gradient;
+            for (a, slot_a) in self.seen(i) {
+                let y = self.cross[a] * inverse;
+                let mut part = g.fixed_rows_mut::<6>(6 * slot_a);
+                part += self.cross[a] * rest;
+                for (b, slot_b) in self.seen(i).filter(|(_, slot_b)| *slot_b <= slot_a) {
+                    let mut block = s.fixed_view_mut::<6, 6>(6 * slot_a, 6 * slot_b);
+                    block -= y * self.cross[b].transpose();
+                }
+                let mut block = s.fixed_view_mut::<W, 6>(at, 6 * slot_a);
+                block -= point.global * y.transpose();
             }
-            let inverse = c.try_inverse().unwrap_or_else(Matrix3::zeros);
-            let rest = inverse * system.point_g[i];
-            let range = self.range(i);
-            for a in range.clone() {
-                let sa = slot[self.observations[a].camera as usize];
-                if sa == FIXED || !self.inlier[a] {
-                    continue;
-                }
-                let y = system.cross[a] * inverse;
-                let mut part = g.fixed_rows_mut::<6>(6 * sa as usize);
-                part += system.cross[a] * rest;
-                for b in range.clone() {
-                    let sb = slot[self.observations[b].camera as usize];
-                    // Upper triangle of blocks only.
-                    if sb == FIXED || sb < sa || !self.inlier[b] {
-                        continue;
-                    }
-                    let mut block = s.fixed_view_mut::<6, 6>(6 * sa as usize, 6 * sb as usize);
-                    block -= y * system.cross[b].transpose();
-                }
-                if readout > 0 {
-                    let mut border = s.fixed_view_mut::<6, 1>(6 * sa as usize, 6 * free);
-                    border -= y * system.readout_point[i];
-                }
-                if shared > 0 {
-                    let border = y * system.shared_point[i].transpose();
-                    let mut block = s.view_mut((6 * sa as usize, at), (6, shared));
-                    block -= border.columns(0, shared);
-                }
-            }
-            if readout > 0 {
-                let w = &system.readout_point[i];
-                s[(6 * free, 6 * free)] -= w.dot(&(inverse * w));
-                g[6 * free] += w.dot(&rest);
-                if shared > 0 {
-                    let border = (system.shared_point[i] * (inverse * w)).transpose();
-                    let mut block = s.view_mut((6 * free, at), (1, shared));
-                    block -= border.columns(0, shared);
-                }
-            }
-            if shared > 0 {
-                let w = &system.shared_point[i];
-                let own = w * inverse * w.transpose();
-                let mut block = s.view_mut((at, at), (shared, shared));
-                block -= own.view((0, 0), (shared, shared));
-                let mut part = g.rows_mut(at, shared);
-                part += (w * rest).rows(0, shared);
-            }
+            own -= point.global * inverse * point.global.transpose();
+            right += point.global * rest;
             inverses.push(inverse);
         }
-        for c in 0..size {
-            for r in 0..c {
-                s[(c, r)] = s[(r, c)];
+        s.fixed_view_mut::<W, W>(at, at).copy_from(&own);
+        g.fixed_rows_mut::<W>(at).copy_from(&right);
+        Reduced { matrix: s, right: g, inverses }
+    }
+
+    /// The step at this damping; `None` if the reduced system is not positive definite.
+    pub(super) fn solve(&self, damping: f64) -> Option<Step> {
+        let Reduced { matrix, right, inverses } = self.reduce(damping);
+        let reduced = matrix.cholesky()?.solve(&right);
+        let global = reduced.fixed_rows::<W>(self.globals_at());
+        let point = |(i, (point, inverse)): (usize, (&PointBlock<W>, &Matrix3<f64>))| {
+            let mut rest = -point.gradient - point.global.tr_mul(&global);
+            for (k, slot) in self.seen(i) {
+                rest -= self.cross[k].tr_mul(&reduced.fixed_rows::<6>(6 * slot));
             }
-        }
-        (s, g, inverses)
+            inverse * rest
+        };
+        let points = self.points.iter().zip(&inverses).enumerate().map(point).collect();
+        Some(Step { reduced, points })
     }
 }

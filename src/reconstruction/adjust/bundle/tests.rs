@@ -1,11 +1,11 @@
 //! The adjustment against known truth, and its Schur complement against the full system.
 
-use nalgebra::{DMatrix, Matrix2, UnitQuaternion, Vector2, Vector6};
+use nalgebra::{DMatrix, DVector, Matrix2, UnitQuaternion, Vector2, Vector3, Vector6};
 
+use super::normal_equations::Step;
 use super::*;
 use crate::geometry::Se3;
 use crate::geometry::random::Random;
-use crate::reconstruction::measurement::rolling_shutter::Readout;
 
 fn vector(random: &mut Random) -> Vector3<f64> {
     Vector3::from_fn(|_, _| random.uniform(-1.0, 1.0))
@@ -18,7 +18,8 @@ fn problem(seed: u64, cameras: usize, points: usize, noise_px: f64) -> BundlePro
     for i in 0..cameras {
         let rotation = UnitQuaternion::from_scaled_axis(vector(&mut random) * 0.1);
         let centre = Vector3::new(i as f64 * 0.3, 0.0, 0.0) + vector(&mut random) * 0.1;
-        p.cameras.push(BundleCamera { camera_from_world: Se3::new(rotation, -(rotation * centre)), fixed: i < 2 });
+        p.state.poses.push(Se3::new(rotation, -(rotation * centre)));
+        p.fixed.push(i < 2);
     }
     for _ in 0..points {
         let point = Vector3::new(
@@ -27,7 +28,7 @@ fn problem(seed: u64, cameras: usize, points: usize, noise_px: f64) -> BundlePro
             5.0 + 2.0 * random.uniform(-1.0, 1.0),
         );
         for c in 0..cameras {
-            let q = p.cameras[c].camera_from_world.transform(&point);
+            let q = p.state.poses[c].transform(&point);
             let noise = Vector2::new(random.uniform(-1.0, 1.0), random.uniform(-1.0, 1.0)) * noise_px / 500.0;
             p.observations.push(BundleObservation {
                 camera: c as u32,
@@ -37,7 +38,7 @@ fn problem(seed: u64, cameras: usize, points: usize, noise_px: f64) -> BundlePro
                 inv_sigma_px: 1.0,
             });
         }
-        p.points.push(point);
+        p.state.points.push(point);
         p.first.push(p.observations.len() as u32);
     }
     p
@@ -45,11 +46,11 @@ fn problem(seed: u64, cameras: usize, points: usize, noise_px: f64) -> BundlePro
 
 fn disturb(p: &mut BundleProblem, seed: u64) {
     let mut random = Random::new(seed | 1);
-    for camera in p.cameras.iter_mut().filter(|c| !c.fixed) {
+    for pose in p.state.poses.iter_mut().zip(&p.fixed).filter(|(_, fixed)| !**fixed).map(|(pose, _)| pose) {
         let (w, v) = (vector(&mut random) * 0.02, vector(&mut random) * 0.05);
-        camera.camera_from_world = camera.camera_from_world.perturb_left(&Vector6::new(w.x, w.y, w.z, v.x, v.y, v.z));
+        *pose = pose.perturb_left(&Vector6::new(w.x, w.y, w.z, v.x, v.y, v.z));
     }
-    for point in &mut p.points {
+    for point in &mut p.state.points {
         *point += vector(&mut random) * 0.1;
     }
 }
@@ -61,9 +62,10 @@ fn noiseless_problem_comes_back_to_the_truth() {
         let mut p = truth.clone();
         disturb(&mut p, seed + 100);
         let options = BundleOptions { steps: [30, 30], relative_gain: 0.0, ..BundleOptions::default() };
-        let report = p.adjust(&options);
-        assert!(report.final_cost < 1e-12, "seed {seed}: {report:?}");
-        for (a, b) in p.points.iter().zip(&truth.points) {
+        p.adjust(&options);
+        let cost = Adjustment::<1>::new(&p, options.outlier_chi2).cost(&p.state);
+        assert!(cost < 1e-12, "seed {seed}: {cost}");
+        for (a, b) in p.state.points.iter().zip(&truth.state.points) {
             assert!((a - b).norm() < 1e-6, "seed {seed}");
         }
     }
@@ -84,11 +86,11 @@ fn readout_time_is_found_with_poses_and_points_and_a_held_one_stays() {
         let options = BundleOptions { steps: [30, 30], ..BundleOptions::default() };
         let mut held = p.clone();
         held.adjust(&options);
-        assert_eq!((held.readout.seconds, held.readout.found_information), (0.0, 0.0));
-        p.readout.expected = Some((0.0, 1e4));
+        assert_eq!((held.state.globals[READOUT], held.global_covariance), (0.0, None));
+        p.globals.information[READOUT] = 1e4;
         p.adjust(&options);
-        let sigma = p.readout.found_information.sqrt().recip();
-        let off = p.readout.seconds - truth;
+        let sigma = p.global_covariance.unwrap()[(READOUT, READOUT)].sqrt();
+        let off = p.state.globals[READOUT] - truth;
         assert!(sigma < 2e-3 && off.abs() < 4.0 * sigma, "seed {seed}: {off} s off, sigma {sigma} s");
     }
 }
@@ -102,27 +104,23 @@ fn outliers_are_named_and_the_rest_still_fits() {
         for &k in &wrong {
             p.observations[k].normalised += Vector2::new(0.1 + 0.05 * random.uniform(-1.0, 1.0), 0.1);
         }
-        let truth = p.points.clone();
+        let truth = p.state.points.clone();
         disturb(&mut p, seed + 7);
-        let report = p.adjust(&BundleOptions { steps: [15, 10], ..BundleOptions::default() });
+        p.adjust(&BundleOptions { steps: [15, 10], ..BundleOptions::default() });
         assert!(wrong.iter().all(|&k| !p.inlier[k]), "seed {seed}");
-        assert!(report.outliers < wrong.len() + 5, "seed {seed}: {report:?}");
-        let mean = p.points.iter().zip(&truth).map(|(a, b)| (a - b).norm()).sum::<f64>() / truth.len() as f64;
+        let outliers = p.inlier.iter().filter(|ok| !**ok).count();
+        assert!(outliers < wrong.len() + 5, "seed {seed}: {outliers}");
+        let mean = p.state.points.iter().zip(&truth).map(|(a, b)| (a - b).norm()).sum::<f64>() / truth.len() as f64;
         assert!(mean < 0.03, "seed {seed}: points {mean} off");
     }
 }
 
-/// Lets the log focal length and the principal point move; `expected` and how surely, in the observations' own sigmas.
-fn few(first: [f64; 3]) -> SharedVector {
-    let mut v = SharedVector::zeros();
-    v.rows_mut(0, 3).copy_from_slice(&first);
-    v
-}
-
-fn shared(p: &BundleProblem, expected: SharedVector, information: f64) -> Shared {
+/// Lets the first `active` of the intrinsics move (log focal length, principal point, k1, ...); the information on each is in the
+/// observations' own sigmas.
+fn free_intrinsics(p: &mut BundleProblem, active: usize, information: f64) {
     let jacobian = |o: &BundleObservation| {
         let px = Vector2::new(1.0 / o.pixel_scale.m11, 1.0 / o.pixel_scale.m22);
-        let mut j = SharedJacobian::zeros();
+        let mut j = IntrinsicsJacobian::zeros();
         j.set_column(0, &-o.normalised);
         j.set_column(1, &Vector2::new(-px.x, 0.0));
         j.set_column(2, &Vector2::new(0.0, -px.y));
@@ -130,14 +128,8 @@ fn shared(p: &BundleProblem, expected: SharedVector, information: f64) -> Shared
         j.set_column(3, &(-n * n.norm_squared()));
         j
     };
-    Shared {
-        jacobians: p.observations.iter().map(jacobian).collect(),
-        active: WITHOUT_DISTORTION,
-        change: SharedVector::zeros(),
-        expected,
-        information: SharedVector::from_element(information),
-        found_information: SharedMatrix::zeros(),
-    }
+    p.globals.jacobians = p.observations.iter().map(jacobian).collect();
+    p.globals.information.rows_mut(1, active).fill(information);
 }
 
 #[test]
@@ -150,15 +142,12 @@ fn a_wrong_focal_length_is_found_with_the_rest_and_its_sigma_is_honest() {
             o.normalised *= 1.03;
             o.inv_sigma_px = 3f64.sqrt() / 0.1;
         }
-        p.shared = Some(shared(&p, SharedVector::zeros(), 1e-6));
+        free_intrinsics(&mut p, WITHOUT_DISTORTION, 1e-6);
         disturb(&mut p, seed + 3);
         p.adjust(&BundleOptions { steps: [20, 20], relative_gain: 0.0, ..BundleOptions::default() });
-        let found = p.shared.as_ref().unwrap();
-        let information = found.found_information.fixed_view::<3, 3>(0, 0).into_owned();
-        let covariance = information.try_inverse().unwrap();
-        let error = found.change[0] - 1.03f64.ln();
+        let error = p.state.globals[1] - 1.03f64.ln();
         assert!(error.abs() < 2e-3, "seed {seed}: {error} off");
-        off.push(error * error / covariance[(0, 0)]);
+        off.push(error * error / p.global_covariance.unwrap()[(1, 1)]);
     }
     let mean = off.iter().sum::<f64>() / off.len() as f64;
     assert!((0.6..1.6).contains(&mean), "normalised squared error {mean}, expected 1");
@@ -171,9 +160,9 @@ fn a_focal_length_that_is_far_off_is_found_without_a_pull_towards_long_ones() {
         for o in &mut p.observations {
             o.normalised *= factor;
         }
-        p.shared = Some(shared(&p, SharedVector::zeros(), 1e-6));
+        free_intrinsics(&mut p, WITHOUT_DISTORTION, 1e-6);
         p.adjust(&BundleOptions { steps: [60, 60], relative_gain: 0.0, outlier_chi2: 1e6 });
-        let found = p.shared.as_ref().map_or(0.0, |s| s.change[0].exp());
+        let found = p.state.globals[1].exp();
         assert!((found / factor - 1.0).abs() < 0.03, "seed {seed}: {found}, true {factor}");
     }
 }
@@ -181,88 +170,95 @@ fn a_focal_length_that_is_far_off_is_found_without_a_pull_towards_long_ones() {
 #[test]
 fn a_sure_prior_holds_the_focal_length() {
     let mut p = problem(5, 6, 80, 0.5);
-    let expected = few([0.02, 0.0, 0.0]);
-    p.shared = Some(shared(&p, expected, 1e12));
+    free_intrinsics(&mut p, WITHOUT_DISTORTION, 1e12);
+    p.globals.expected[1] = 0.02;
     p.adjust(&BundleOptions { steps: [20, 20], relative_gain: 0.0, ..BundleOptions::default() });
-    assert!((p.shared.unwrap().change - expected).norm() < 1e-4);
+    assert!((p.state.globals - p.globals.expected).norm() < 1e-4);
+}
+
+/// Four cameras of which two move, twelve points, and of the global parameters the readout time and the first `active` intrinsics.
+fn small(readout: bool, active: usize) -> BundleProblem {
+    let mut p = problem(3, 4, 12, 1.0);
+    for (i, o) in p.observations.iter_mut().enumerate() {
+        o.displacement = Vector2::new(0.3 + 0.01 * i as f64, -0.2);
+    }
+    p.state.globals[READOUT] = 0.004;
+    if readout {
+        (p.globals.expected[READOUT], p.globals.information[READOUT]) = (0.01, 5e3);
+    }
+    if active > 0 {
+        free_intrinsics(&mut p, active, 30.0);
+        p.globals.expected.rows_mut(1, active).fill(0.01);
+        p.state.globals.fixed_rows_mut::<4>(1).copy_from_slice(&[0.2, 1.0, 3.0, 0.0]);
+    }
+    disturb(&mut p, 9);
+    p.inliers_all()
+}
+
+/// All unknowns as one vector: 12 of the cameras, the global parameters, 36 of the points. Residuals, those of the priors last, and
+/// their numeric Jacobian.
+fn dense<const W: usize>(p: &BundleProblem) -> (DVector<f64>, DMatrix<f64>) {
+    let n = 12 + W + 36;
+    let adjustment = Adjustment::<W>::new(p, 1e9);
+    let residuals = |x: &DVector<f64>| {
+        let points = (0..12).map(|i| x.fixed_rows::<3>(12 + W + 3 * i).into_owned()).collect();
+        let state = adjustment.step(&p.state, &Step { reduced: x.rows(0, 12 + W).into_owned(), points });
+        let observed = (0..12).flat_map(|i| p.range(i).map(move |k| (i, k)));
+        let mut r: Vec<f64> = observed
+            .flat_map(|(i, k)| p.residual(&state, &state.points[i], k).unwrap().0.iter().copied().collect::<Vec<_>>())
+            .collect();
+        for i in (0..W).filter(|&i| !p.globals.is_held(i)) {
+            r.push((state.globals[i] - p.globals.expected[i]) * p.globals.information[i].sqrt());
+        }
+        DVector::from_vec(r)
+    };
+    let r0 = residuals(&DVector::zeros(n));
+    let mut j = DMatrix::zeros(r0.len(), n);
+    for c in (0..n).filter(|c| !(12..12 + W).contains(c) || !p.globals.is_held(c - 12)) {
+        let mut d = DVector::zeros(n);
+        d[c] = 1e-6;
+        let column = (residuals(&d) - residuals(&-&d)) / 2e-6;
+        j.set_column(c, &column);
+    }
+    (r0, j)
+}
+
+/// The problem by elimination against the full system from a numeric Jacobian of all unknowns at once.
+fn compare_with_the_full_system<const W: usize>(p: &BundleProblem) {
+    let (lambda, at) = (1e-3, 12 + W);
+    let adjustment = Adjustment::<W>::new(p, 1e9);
+    let system = adjustment.linearise(&p.state);
+    let step = system.solve(lambda).unwrap();
+    let (r0, j) = dense::<W>(p);
+    let mut h = j.transpose() * &j;
+    for i in (12..at).filter(|i| p.globals.is_held(i - 12)) {
+        h[(i, i)] = 1.0;
+    }
+    let undamped = h.clone();
+    for i in (0..12).chain(at..h.nrows()) {
+        h[(i, i)] *= 1.0 + lambda;
+    }
+    let full = h.cholesky().unwrap().solve(&-(j.transpose() * r0));
+    let close = 1e-5 * full.norm();
+    assert!((full.rows(0, at) - &step.reduced).norm() < close, "{:?}", p.globals.information);
+    for i in 0..12 {
+        assert!((full.fixed_rows::<3>(at + 3 * i) - step.points[i]).norm() < close);
+    }
+    // The last columns' covariance, all others free; what is held is not told.
+    let (all, found) = (undamped.try_inverse().unwrap(), system.global_covariance().unwrap());
+    for i in (0..W).filter(|&i| !p.globals.is_held(i)) {
+        let expected = all[(12 + i, 12 + i)];
+        assert!((found[(i, i)] / expected - 1.0).abs() < 1e-4, "parameter {i}: {} for {expected}", found[(i, i)]);
+    }
 }
 
 #[test]
-fn schur_complement_gives_the_step_of_the_full_system() {
-    // Intrinsics fixed, without and with distortion; the readout time held and found.
-    for (unknowns, readout) in [(0, 0), (WITHOUT_DISTORTION, 0), (4, 0), (0, 1), (4, 1)] {
-        let intrinsics = unknowns > 0;
-        let mut p = problem(3, 4, 12, 1.0);
-        for (i, o) in p.observations.iter_mut().enumerate() {
-            o.displacement = Vector2::new(0.3 + 0.01 * i as f64, -0.2);
-        }
-        if readout > 0 {
-            p.readout = Readout { seconds: 0.004, expected: Some((0.01, 5e3)), ..Readout::default() };
-        }
-        p.inlier = vec![true; p.observations.len()];
-        if intrinsics {
-            let mut shared = shared(&p, few([0.01, 2.0, -1.0]), 30.0);
-            (shared.active, shared.change) = (unknowns, few([0.2, 1.0, 3.0]));
-            p.shared = Some(shared);
-        }
-        disturb(&mut p, 9);
-        let slot = [FIXED, FIXED, 0, 1];
-        let mut system = System::default();
-        p.linearise(&slot, 2, 1e9, &mut system);
-        let lambda = 1e-3;
-        let step = p.solve(&slot, 2, &system, lambda).unwrap();
-        // The same step from the numeric Jacobian of all parameters at once: cameras, shared, points.
-        let at = step.cameras.len();
-        let n = at + 36;
-        let residuals = |x: &DVector<f64>| {
-            let mut q = p.clone();
-            for (c, s) in [(2, 0), (3, 1)] {
-                let d = x.fixed_rows::<6>(6 * s).into_owned();
-                q.cameras[c].camera_from_world = q.cameras[c].camera_from_world.perturb_left(&d);
-            }
-            for i in 0..12 {
-                q.points[i] += x.fixed_rows::<3>(at + 3 * i);
-            }
-            let mut r = Vec::new();
-            if let Some((expected, information)) = q.readout.expected {
-                q.readout.seconds += x[12];
-                r.push((q.readout.seconds - expected) * f64::sqrt(information));
-            }
-            if let Some(shared) = &mut q.shared {
-                for i in 0..unknowns {
-                    shared.change[i] += x[12 + readout + i];
-                }
-                let prior = (shared.change - shared.expected).component_mul(&shared.information.map(f64::sqrt));
-                r.extend(prior.iter().take(unknowns));
-            }
-            for i in 0..12 {
-                for k in q.range(i) {
-                    let (e, _) = q.residual(&q.points[i], k).unwrap();
-                    r.extend([e.x, e.y]);
-                }
-            }
-            DVector::from_vec(r)
-        };
-        let r0 = residuals(&DVector::zeros(n));
-        let mut j = DMatrix::zeros(r0.len(), n);
-        for c in 0..n {
-            let mut d = DVector::zeros(n);
-            d[c] = 1e-6;
-            let column = (residuals(&d) - residuals(&-&d)) / 2e-6;
-            j.set_column(c, &column);
-        }
-        let mut h = j.transpose() * &j;
-        for i in (0..12).chain(at..n) {
-            h[(i, i)] += lambda * h[(i, i)];
-        }
-        let full = h.cholesky().unwrap().solve(&-(j.transpose() * r0));
-        assert!(
-            (full.rows(0, at) - step.cameras).norm() < 1e-5 * full.norm(),
-            "intrinsics {unknowns}, readout {readout}"
-        );
-        for i in 0..12 {
-            assert!((full.fixed_rows::<3>(at + 3 * i) - step.points[i]).norm() < 1e-5 * full.norm());
-        }
+fn elimination_gives_step_and_covariance_of_the_full_system_from_numeric_jacobians() {
+    for readout in [false, true] {
+        compare_with_the_full_system::<1>(&small(readout, 0));
+        // Without and with distortion.
+        compare_with_the_full_system::<GLOBALS>(&small(readout, WITHOUT_DISTORTION));
+        compare_with_the_full_system::<GLOBALS>(&small(readout, 4));
     }
 }
 
