@@ -182,8 +182,9 @@ struct MotionProblem<I> {
     loss: Loss,
 }
 
-impl<I: Iterator<Item = (Vector2<f64>, Vector2<f64>)> + Clone> LeastSquares<5> for MotionProblem<I> {
+impl<I: Iterator<Item = (Vector2<f64>, Vector2<f64>)> + Clone> LeastSquares for MotionProblem<I> {
     type State = Motion;
+    type Normal = NormalEquations<5>;
 
     fn linearise(&self, motion: &Motion) -> NormalEquations<5> {
         sampson_normal_equations(&motion.essential(), &motion.directions(), self.matches.clone(), &self.loss)

@@ -108,8 +108,9 @@ struct SampsonProblem<I> {
     loss: Loss,
 }
 
-impl<I: Iterator<Item = (Vector2<f64>, Vector2<f64>)> + Clone> LeastSquares<7> for SampsonProblem<I> {
+impl<I: Iterator<Item = (Vector2<f64>, Vector2<f64>)> + Clone> LeastSquares for SampsonProblem<I> {
     type State = RankTwo;
+    type Normal = NormalEquations<7>;
 
     fn linearise(&self, f: &RankTwo) -> NormalEquations<7> {
         sampson_normal_equations(&f.matrix(), &f.directions(), self.matches.clone(), &self.loss)

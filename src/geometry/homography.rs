@@ -131,8 +131,9 @@ fn difference(p: &Vector3<f64>, x: &Vector2<f64>) -> (Vector2<f64>, [Vector3<f64
     (q - x, [Vector3::new(w, 0.0, -q.x * w), Vector3::new(0.0, w, -q.y * w)])
 }
 
-impl<I: Iterator<Item = (Vector2<f64>, Vector2<f64>)> + Clone> LeastSquares<9> for TransferProblem<I> {
+impl<I: Iterator<Item = (Vector2<f64>, Vector2<f64>)> + Clone> LeastSquares for TransferProblem<I> {
     type State = TwoWay;
+    type Normal = NormalEquations<9>;
 
     fn linearise(&self, h: &TwoWay) -> NormalEquations<9> {
         let mut normal = NormalEquations::default();

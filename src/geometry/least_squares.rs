@@ -1,11 +1,13 @@
-//! Nonlinear least squares over a handful of parameters: Levenberg-Marquardt with robust losses.
+//! Nonlinear least squares: Levenberg-Marquardt with robust losses, the one of the whole house.
 //!
 //! A problem says how it is linearised (normal equations at a state), what a state costs, and how a step moves a state
-//! (so rotations and directions stay what they are); [`minimise`] does the rest. Marquardt's scaled damping with
-//! Nielsen's update (Madsen, Nielsen, Tingleff: Methods for non-linear least squares problems, 2004). Everything is of
-//! fixed size and on the stack. Cost: a linearisation an iteration, a cost evaluation a trial, an N x N Cholesky.
+//! (so rotations and directions stay what they are); [`minimise`] does the rest. Normal equations say how they are solved: a handful of
+//! parameters as one small matrix ([`NormalEquations`]), a map by
+//! elimination (`reconstruction::adjust`). Marquardt's scaled damping with
+//! Nielsen's update (Madsen, Nielsen, Tingleff: Methods for non-linear least squares problems, 2004). For a handful of
+//! parameters everything is of fixed size and on the stack. Cost then: a linearisation an iteration, a cost evaluation a trial, an N x N Cholesky.
 //!
-//! Not here: problems with eliminations of their own (bundles and calibrations have their own loops), constraints, covariances.
+//! Not here: board calibrations and two pictures (they have their own loops), constraints, covariances.
 
 use nalgebra::{SMatrix, SVector};
 
@@ -42,6 +44,18 @@ impl Loss {
     }
 }
 
+/// Normal equations at one state, which can be solved.
+pub trait Damped {
+    /// The parameters' step: a vector, or several where some of them are eliminated.
+    type Step;
+
+    /// The step at this damping, and by how much the linearised cost falls with it; `None` if they are not positive definite.
+    fn solve(&self, damping: f64) -> Option<(Self::Step, f64)>;
+
+    /// Euclidean length of a step.
+    fn length(step: &Self::Step) -> f64;
+}
+
 /// `JᵀWJ` and `JᵀWr` at one state.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NormalEquations<const N: usize> {
@@ -56,22 +70,6 @@ impl<const N: usize> Default for NormalEquations<N> {
 }
 
 impl<const N: usize> NormalEquations<N> {
-    /// The step at this damping, and by how much the linearised cost falls with it; `None` if they are not positive definite.
-    #[inline]
-    fn step(&self, damping: f64) -> Option<(SVector<f64, N>, f64)> {
-        let diagonal = self.hessian.diagonal();
-        // A parameter that nothing depends on still gets a pivot.
-        let floor = 1e-12 * diagonal.max() + f64::MIN_POSITIVE;
-        let mut damped = self.hessian;
-        for i in 0..N {
-            damped[(i, i)] += damping * diagonal[i].max(floor) + floor;
-        }
-        let delta = -nalgebra::Cholesky::new(damped)?.solve(&self.gradient);
-        let predicted = -delta.dot(&self.gradient)
-            + delta.iter().zip(diagonal.iter()).map(|(d, h)| d * d * damping * h.max(floor)).sum::<f64>();
-        Some((delta, predicted))
-    }
-
     /// Adds one residual with its row of the Jacobian and its weight. Fills the lower triangle of the
     /// Hessian only: it is the one that [`minimise`] reads.
     #[inline]
@@ -86,19 +84,44 @@ impl<const N: usize> NormalEquations<N> {
     }
 }
 
-/// A least squares problem in `N` parameters.
-pub trait LeastSquares<const N: usize> {
+impl<const N: usize> Damped for NormalEquations<N> {
+    type Step = SVector<f64, N>;
+
+    #[inline]
+    fn solve(&self, damping: f64) -> Option<(SVector<f64, N>, f64)> {
+        let diagonal = self.hessian.diagonal();
+        // A parameter that nothing depends on still gets a pivot.
+        let floor = 1e-12 * diagonal.max() + f64::MIN_POSITIVE;
+        let mut damped = self.hessian;
+        for i in 0..N {
+            damped[(i, i)] += damping * diagonal[i].max(floor) + floor;
+        }
+        let delta = -nalgebra::Cholesky::new(damped)?.solve(&self.gradient);
+        let predicted = -delta.dot(&self.gradient)
+            + delta.iter().zip(diagonal.iter()).map(|(d, h)| d * d * damping * h.max(floor)).sum::<f64>();
+        Some((delta, predicted))
+    }
+
+    #[inline]
+    fn length(step: &SVector<f64, N>) -> f64 {
+        step.norm()
+    }
+}
+
+/// A least squares problem.
+pub trait LeastSquares {
     /// What is estimated.
     type State;
+    type Normal: Damped;
 
-    /// Normal equations at a state (lower triangle of the Hessian).
-    fn linearise(&self, state: &Self::State) -> NormalEquations<N>;
+    /// Normal equations at a state.
+    fn linearise(&self, state: &Self::State) -> Self::Normal;
 
     /// Cost alone; infinite where the state makes no sense.
     fn cost(&self, state: &Self::State) -> f64;
 
     /// The state moved by a step of the parameters.
-    fn step(&self, state: &Self::State, delta: &SVector<f64, N>) -> Self::State;
+    fn step(&self, state: &Self::State, delta: &<Self::Normal as Damped>::Step) -> Self::State;
 }
 
 /// When to stop.
@@ -135,11 +158,7 @@ pub struct LmSummary {
 const LEAST_AFTER_REJECTION: f64 = 1e-4;
 
 /// The state of least cost near `start`, and how it went. A start without a finite cost comes back as it is.
-pub fn minimise<const N: usize, P: LeastSquares<N>>(
-    problem: &P,
-    start: P::State,
-    options: &LmOptions,
-) -> (P::State, LmSummary) {
+pub fn minimise<P: LeastSquares>(problem: &P, start: P::State, options: &LmOptions) -> (P::State, LmSummary) {
     let mut state = start;
     let cost = problem.cost(&state);
     let mut summary = LmSummary { initial_cost: cost, final_cost: cost, iterations: 0, converged: false };
@@ -150,12 +169,12 @@ pub fn minimise<const N: usize, P: LeastSquares<N>>(
     let (mut damping, mut growth) = (options.initial_damping, 2.0);
     while summary.iterations < options.max_iterations {
         summary.iterations += 1;
-        let Some((delta, predicted_gain)) = normal.step(damping) else {
+        let Some((delta, predicted_gain)) = normal.solve(damping) else {
             damping = (damping * growth).max(LEAST_AFTER_REJECTION);
             growth *= 2.0;
             continue;
         };
-        let small_step = delta.norm() <= options.step_norm;
+        let small_step = P::Normal::length(&delta) <= options.step_norm;
         let trial = problem.step(&state, &delta);
         let cost = problem.cost(&trial);
         // NaN and infinity are no gain.
@@ -198,8 +217,9 @@ mod tests {
         loss: Loss,
     }
 
-    impl LeastSquares<3> for Exponential {
+    impl LeastSquares for Exponential {
         type State = Vector3<f64>;
+        type Normal = NormalEquations<3>;
         fn linearise(&self, p: &Self::State) -> NormalEquations<3> {
             let mut normal = NormalEquations::default();
             for &(x, y) in &self.data {
@@ -272,8 +292,9 @@ mod tests {
 
     /// A rotated, badly scaled valley (condition 1e8) is still reached.
     struct Valley;
-    impl LeastSquares<2> for Valley {
+    impl LeastSquares for Valley {
         type State = Vector2<f64>;
+        type Normal = NormalEquations<2>;
         fn linearise(&self, p: &Self::State) -> NormalEquations<2> {
             let mut normal = NormalEquations::default();
             for (row, residual) in self.rows(p) {

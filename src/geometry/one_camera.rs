@@ -74,8 +74,9 @@ impl OneCamera {
     }
 }
 
-impl<I: Iterator<Item = (Vector2<f64>, Vector2<f64>)> + Clone> LeastSquares<6> for Problem<I> {
+impl<I: Iterator<Item = (Vector2<f64>, Vector2<f64>)> + Clone> LeastSquares for Problem<I> {
     type State = OneCamera;
+    type Normal = NormalEquations<6>;
 
     fn linearise(&self, state: &OneCamera) -> NormalEquations<6> {
         let mut normal =

@@ -38,8 +38,9 @@ fn rows(p: &Vector3<f64>) -> [Vector6<f64>; 2] {
     [Vector6::new(-x * y, 1.0 + x * x, -y, iz, 0.0, -x * iz), Vector6::new(-1.0 - y * y, x * y, x, 0.0, iz, -y * iz)]
 }
 
-impl<I: Iterator<Item = (Vector3<f64>, Vector2<f64>)> + Clone> LeastSquares<6> for PoseProblem<I> {
+impl<I: Iterator<Item = (Vector3<f64>, Vector2<f64>)> + Clone> LeastSquares for PoseProblem<I> {
     type State = Pose;
+    type Normal = NormalEquations<6>;
 
     fn linearise(&self, pose: &Pose) -> NormalEquations<6> {
         let mut normal = NormalEquations::default();

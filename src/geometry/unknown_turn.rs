@@ -113,8 +113,9 @@ struct Problem<'a> {
 /// Displacement of a match that the turn puts nowhere.
 const NOWHERE: f64 = 2.0;
 
-impl LeastSquares<UNKNOWNS> for Problem<'_> {
+impl LeastSquares for Problem<'_> {
     type State = Camera;
+    type Normal = NormalEquations<UNKNOWNS>;
 
     fn linearise(&self, state: &Camera) -> NormalEquations<UNKNOWNS> {
         let mut normal = NormalEquations::default();

@@ -47,6 +47,8 @@ pub struct FoundIntrinsics {
     pub variance: Option<IntrinsicsVector>,
 }
 
+/// Share of the cost by which a step has to lower it when the whole map is adjusted: errors that span the map hardly show in one residual.
+const WHOLE_GAIN: f64 = 1e-5;
 /// Keyframes at which the whole map is adjusted first; then whenever it has grown by a third, up to the limit.
 pub const WHOLE_FIRST: usize = 5;
 impl MappingJob {
@@ -88,7 +90,7 @@ impl MappingJob {
             // Nobody outside holds the problem.
             hold_oldest(map, newest, &mut keyframes)?;
         }
-        let options = BundleOptions { steps: [config.adjustment_steps; 2], ..BundleOptions::default() };
+        let options = BundleOptions { steps: config.adjustment_steps, ..BundleOptions::default() };
         Self::build(map, &keyframes, landmarks, newest, camera, shutter, options)
     }
 
@@ -99,7 +101,7 @@ impl MappingJob {
         let newest = keyframes.last()?.0;
         hold_oldest(map, newest, &mut keyframes)?;
         let landmarks = map.landmarks.iter().map(|(id, _)| LandmarkId(id)).collect();
-        let options = BundleOptions { steps: [steps; 2], relative_gain: 1e-5, ..BundleOptions::default() };
+        let options = BundleOptions { steps, relative_gain: WHOLE_GAIN, ..BundleOptions::default() };
         Self::build(map, &keyframes, landmarks, newest, camera, shutter, options)
     }
 
@@ -301,5 +303,48 @@ impl MappingWorker for InlineWorker {
     }
     fn take(&mut self, _wait: bool) -> Option<MappingResult> {
         self.result.take()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn intrinsics_jacobian_agrees_with_numeric_differences() {
+        let lens = [0.1, -0.2, 0.001, -0.002, 0.05];
+        let own = [540.0, 530.0, 322.0, 238.0];
+        // Log focal length, principal point, k1 k2 p1 p2.
+        let camera = |change: &IntrinsicsVector| {
+            let mut lens = lens;
+            lens.iter_mut().zip(change.iter().skip(3)).for_each(|(l, c)| *l += c);
+            let (s, [fx, fy, cx, cy]) = (change[0].exp(), own);
+            CameraModel::new(640, 480, fx * s, fy * s, cx + change[1], cy + change[2], lens).expect("a camera")
+        };
+        let present = camera(&IntrinsicsVector::zeros());
+        for (x, y) in [(40.0, 60.0), (600.0, 100.0), (330.0, 240.0), (200.0, 430.0)] {
+            let pixel = Vector2::new(x, y);
+            let (normalised, normalised_from_pixel) = present.undistort_jacobian(&pixel).expect("in the picture");
+            let seen = Observation {
+                landmark: LandmarkId(0),
+                pixel: pixel.cast(),
+                normalised,
+                displacement: Vector2::zeros(),
+                inv_sigma_px: 1.0,
+                normalised_from_pixel,
+            };
+            let jacobian = intrinsics_jacobian(&seen, &present);
+            for i in 0..INTRINSICS {
+                let h = if i == 1 || i == 2 { 0.1 } else { 1e-3 };
+                let at = |sign: f64| {
+                    let mut change = IntrinsicsVector::zeros();
+                    change[i] = sign * h;
+                    camera(&change).undistort(&pixel).expect("in the picture")
+                };
+                let numeric = (at(1.0) - at(-1.0)) / (2.0 * h);
+                let off = (numeric - jacobian.column(i)).norm();
+                assert!(off < 1e-5 * (1.0 + numeric.norm()), "({x}, {y}), parameter {i}: {off} beside {numeric}");
+            }
+        }
     }
 }

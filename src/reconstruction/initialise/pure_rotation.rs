@@ -132,8 +132,9 @@ impl TurnProblem<'_> {
     }
 }
 
-impl LeastSquares<UNKNOWNS> for TurnProblem<'_> {
+impl LeastSquares for TurnProblem<'_> {
     type State = Unknowns;
+    type Normal = NormalEquations<UNKNOWNS>;
 
     fn linearise(&self, unknowns: &Unknowns) -> NormalEquations<UNKNOWNS> {
         let prior = self.prior();

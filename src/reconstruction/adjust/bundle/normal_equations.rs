@@ -7,18 +7,14 @@ use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, SMatrix, SVector, Vector1, Ve
 
 use super::globals::focal_scale;
 use super::problem::{BundleProblem, BundleState};
+use super::{BEHIND_CAMERA, LEAST_PIVOT};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
-use crate::geometry::least_squares::Loss;
+use crate::geometry::least_squares::{Damped, LeastSquares, Loss};
 use crate::reconstruction::measurement::jacobian_rows;
 
 /// In the place of a fixed camera's index among the free ones.
 const FIXED: usize = usize::MAX;
-/// Added to every pivot: what no observation holds stays where it is. The information of one pixel on one unit of the map is some 1e5.
-const LEAST_PIVOT: f64 = 1e-9;
-/// Price of an observation behind its camera in squared outlier limits: a step that does this is no gain.
-const BEHIND_CAMERA: f64 = 100.0;
-
 type Matrix6x3 = SMatrix<f64, 6, 3>;
 /// Derivatives of a residual's x and y by N unknowns.
 type Rows<const N: usize> = [SVector<f64, N>; 2];
@@ -50,20 +46,20 @@ struct CameraBlock<const W: usize> {
     global: SMatrix<f64, W, 6>,
 }
 
-/// The same of a point.
+/// The same of a point, and where its camera blocks end.
 pub(super) struct PointBlock<const W: usize> {
     pub(super) own: Matrix3<f64>,
     gradient: Vector3<f64>,
     global: SMatrix<f64, W, 3>,
+    cross_end: usize,
 }
 
 /// Normal equations at one state, the prior of the global parameters in them.
-pub(super) struct System<'a, 'p, const W: usize> {
-    adjustment: &'a Adjustment<'p, W>,
+pub(super) struct System<const W: usize> {
     cameras: Vec<CameraBlock<W>>,
     pub(super) points: Vec<PointBlock<W>>,
-    /// Camera-point block of each observation (zero for fixed cameras and outliers).
-    cross: Vec<Matrix6x3>,
+    /// Index of a free camera and its block with a point, grouped by point.
+    cross: Vec<(usize, Matrix6x3)>,
     global: SMatrix<f64, W, W>,
     global_gradient: SVector<f64, W>,
 }
@@ -95,6 +91,24 @@ fn add_product<const R: usize, const C: usize>(block: &mut SMatrix<f64, R, C>, w
     }
 }
 
+/// `matrix[at..] -= a bᵀ`
+#[inline]
+fn subtract_product<const R: usize, const C: usize>(
+    matrix: &mut DMatrix<f64>,
+    at: (usize, usize),
+    a: &SMatrix<f64, R, 3>,
+    b: &SMatrix<f64, C, 3>,
+) {
+    let rows = matrix.nrows();
+    for c in 0..C {
+        let begin = (at.1 + c) * rows + at.0;
+        let column = &mut matrix.as_mut_slice()[begin..begin + R];
+        for (r, value) in column.iter_mut().enumerate() {
+            *value -= a[(r, 0)] * b[(c, 0)] + a[(r, 1)] * b[(c, 1)] + a[(r, 2)] * b[(c, 2)];
+        }
+    }
+}
+
 /// Marquardt's damping.
 fn damped<const N: usize>(block: &SMatrix<f64, N, N>, damping: f64) -> SMatrix<f64, N, N> {
     let mut block = *block;
@@ -120,20 +134,6 @@ impl<'p, const W: usize> Adjustment<'p, W> {
     /// Index of a camera among the free ones.
     pub(super) fn slot_of(&self, camera: usize) -> Option<usize> {
         self.slot.get(camera).copied().filter(|slot| *slot != FIXED)
-    }
-
-    /// Sum of the robust costs, sigma-scaled squares, and of the priors'.
-    pub(super) fn cost(&self, state: &BundleState) -> f64 {
-        let loss = Loss::Huber(self.limit);
-        let behind = BEHIND_CAMERA * self.limit * self.limit;
-        let mut cost = self.problem.globals.prior_cost(&state.globals);
-        for (i, point) in state.points.iter().enumerate() {
-            for k in self.problem.inliers(i) {
-                let residual = self.problem.residual(state, point, k);
-                cost += residual.map_or(behind, |(e, _)| loss.evaluate(e.norm_squared()).0);
-            }
-        }
-        cost
     }
 
     /// `rotation`: of the camera. `None` for a point behind it.
@@ -162,22 +162,27 @@ impl<'p, const W: usize> Adjustment<'p, W> {
             global: [global.row(0).transpose(), global.row(1).transpose()],
         })
     }
+}
 
-    pub(super) fn linearise(&self, state: &BundleState) -> System<'_, 'p, W> {
+impl<const W: usize> LeastSquares for Adjustment<'_, W> {
+    type State = BundleState;
+    type Normal = System<W>;
+
+    fn linearise(&self, state: &BundleState) -> System<W> {
         let none = CameraBlock { own: Matrix6::zeros(), gradient: Vector6::zeros(), global: SMatrix::zeros() };
         let prior: [(f64, f64); W] = std::array::from_fn(|i| self.problem.globals.prior(i, state.globals[i]));
         let mut system = System {
-            adjustment: self,
             cameras: vec![none; self.free],
             points: Vec::with_capacity(state.points.len()),
-            cross: vec![Matrix6x3::zeros(); self.problem.observations.len()],
+            cross: Vec::with_capacity(self.problem.observations.len()),
             global: SMatrix::from_diagonal(&prior.map(|p| p.1).into()),
             global_gradient: prior.map(|p| p.0).into(),
         };
         let rotations: Vec<Matrix3<f64>> =
             state.poses.iter().map(|pose| *pose.rotation.to_rotation_matrix().matrix()).collect();
         for (i, point) in state.points.iter().enumerate() {
-            let mut block = PointBlock { own: Matrix3::zeros(), gradient: Vector3::zeros(), global: SMatrix::zeros() };
+            let (own, gradient, global) = (Matrix3::zeros(), Vector3::zeros(), SMatrix::zeros());
+            let mut block = PointBlock { own, gradient, global, cross_end: 0 };
             for k in self.problem.inliers(i) {
                 let camera = self.problem.observations[k].camera as usize;
                 let Some(o) = self.observation(state, point, k, &rotations[camera]) else { continue };
@@ -190,16 +195,32 @@ impl<'p, const W: usize> Adjustment<'p, W> {
                     add_product(&mut block.own, o.weight, &o.camera, &o.camera);
                     add_product(&mut block.gradient, o.weight, &o.camera, &o.residual);
                     add_product(&mut block.global, o.weight, &o.global, &o.camera);
-                    add_product(&mut system.cross[k], o.weight, &o.camera, &o.point);
+                    let mut cross = Matrix6x3::zeros();
+                    add_product(&mut cross, o.weight, &o.camera, &o.point);
+                    system.cross.push((self.slot[camera], cross));
                 }
             }
+            block.cross_end = system.cross.len();
             system.points.push(block);
         }
         system
     }
 
-    /// The state moved by a step.
-    pub(super) fn step(&self, state: &BundleState, step: &Step) -> BundleState {
+    /// Sum of the robust costs, sigma-scaled squares, and of the priors'.
+    fn cost(&self, state: &BundleState) -> f64 {
+        let loss = Loss::Huber(self.limit);
+        let behind = BEHIND_CAMERA * self.limit * self.limit;
+        let mut cost = self.problem.globals.prior_cost(&state.globals);
+        for (i, point) in state.points.iter().enumerate() {
+            for k in self.problem.inliers(i) {
+                let residual = self.problem.residual(state, point, k);
+                cost += residual.map_or(behind, |(e, _)| loss.evaluate(e.norm_squared()).0);
+            }
+        }
+        cost
+    }
+
+    fn step(&self, state: &BundleState, step: &Step) -> BundleState {
         let moved = |(pose, &slot): (&Se3<Camera, World>, &usize)| match slot {
             FIXED => *pose,
             slot => pose.perturb_left(&step.reduced.fixed_rows::<6>(6 * slot).into_owned()),
@@ -215,11 +236,11 @@ impl<'p, const W: usize> Adjustment<'p, W> {
     }
 }
 
-impl<const W: usize> System<'_, '_, W> {
-    /// Inlier observations of a point by free cameras, with the cameras' indices among these.
-    fn seen(&self, point: usize) -> impl Iterator<Item = (usize, usize)> + '_ {
-        let Adjustment { problem, slot, .. } = self.adjustment;
-        problem.inliers(point).map(|k| (k, slot[problem.observations[k].camera as usize])).filter(|(_, s)| *s != FIXED)
+impl<const W: usize> System<W> {
+    /// Blocks between a point and the free cameras that see it, with the cameras' indices.
+    fn seen(&self, point: usize) -> &[(usize, Matrix6x3)] {
+        let begin = point.checked_sub(1).map_or(0, |before| self.points[before].cross_end);
+        &self.cross[begin..self.points[point].cross_end]
     }
 
     /// Where the global parameters begin in the reduced system.
@@ -237,44 +258,70 @@ impl<const W: usize> System<'_, '_, W> {
             s.fixed_view_mut::<W, 6>(at, 6 * i).copy_from(&camera.global);
             g.fixed_rows_mut::<6>(6 * i).copy_from(&-camera.gradient);
         }
-        let (mut own, mut right) = (self.global, -self.global_gradient);
+        s.fixed_view_mut::<W, W>(at, at).copy_from(&self.global);
+        g.fixed_rows_mut::<W>(at).copy_from(&-self.global_gradient);
         let mut inverses = Vec::with_capacity(self.points.len());
         for (i, point) in self.points.iter().enumerate() {
             let inverse = damped(&point.own, damping).try_inverse().unwrap_or_else(Matrix3::zeros);
             let rest = inverse * point.gradient;
-            for (a, slot_a) in self.seen(i) {
-                let y = self.cross[a] * inverse;
-                let mut part = g.fixed_rows_mut::<6>(6 * slot_a);
-                part += self.cross[a] * rest;
-                for (b, slot_b) in self.seen(i).filter(|(_, slot_b)| *slot_b <= slot_a) {
-                    let mut block = s.fixed_view_mut::<6, 6>(6 * slot_a, 6 * slot_b);
-                    block -= y * self.cross[b].transpose();
+            let seen = self.seen(i);
+            for (a, cross_a) in seen {
+                let y = cross_a * inverse;
+                let mut part = g.fixed_rows_mut::<6>(6 * a);
+                part += cross_a * rest;
+                for (b, cross_b) in seen.iter().filter(|(b, _)| b <= a) {
+                    subtract_product(&mut s, (6 * a, 6 * b), &y, cross_b);
                 }
-                let mut block = s.fixed_view_mut::<W, 6>(at, 6 * slot_a);
-                block -= point.global * y.transpose();
+                subtract_product(&mut s, (at, 6 * a), &point.global, &y);
             }
-            own -= point.global * inverse * point.global.transpose();
-            right += point.global * rest;
+            subtract_product(&mut s, (at, at), &(point.global * inverse), &point.global);
+            let mut part = g.fixed_rows_mut::<W>(at);
+            part += point.global * rest;
             inverses.push(inverse);
         }
-        s.fixed_view_mut::<W, W>(at, at).copy_from(&own);
-        g.fixed_rows_mut::<W>(at).copy_from(&right);
         Reduced { matrix: s, right: g, inverses }
     }
 
-    /// The step at this damping; `None` if the reduced system is not positive definite.
-    pub(super) fn solve(&self, damping: f64) -> Option<Step> {
+    /// By how much the linearised cost falls with a step: `-δᵀg + δᵀDδ`, D what the damping added.
+    fn predicted_gain(&self, step: &Step, damping: f64) -> f64 {
+        fn of<const N: usize>(
+            step: &SVector<f64, N>,
+            own: &SMatrix<f64, N, N>,
+            gradient: &SVector<f64, N>,
+            damping: f64,
+        ) -> f64 {
+            let added = |i: usize| step[i] * step[i] * (damping * own[(i, i)] + LEAST_PIVOT);
+            (0..N).map(added).sum::<f64>() - step.dot(gradient)
+        }
+        let pose = |i: usize| step.reduced.fixed_rows::<6>(6 * i).into_owned();
+        let cameras = self.cameras.iter().enumerate();
+        cameras.map(|(i, camera)| of(&pose(i), &camera.own, &camera.gradient, damping)).sum::<f64>()
+            + self.points.iter().zip(&step.points).map(|(p, step)| of(step, &p.own, &p.gradient, damping)).sum::<f64>()
+            - step.reduced.fixed_rows::<W>(self.globals_at()).dot(&self.global_gradient)
+    }
+}
+
+impl<const W: usize> Damped for System<W> {
+    type Step = Step;
+
+    fn solve(&self, damping: f64) -> Option<(Step, f64)> {
         let Reduced { matrix, right, inverses } = self.reduce(damping);
         let reduced = matrix.cholesky()?.solve(&right);
         let global = reduced.fixed_rows::<W>(self.globals_at());
         let point = |(i, (point, inverse)): (usize, (&PointBlock<W>, &Matrix3<f64>))| {
             let mut rest = -point.gradient - point.global.tr_mul(&global);
-            for (k, slot) in self.seen(i) {
-                rest -= self.cross[k].tr_mul(&reduced.fixed_rows::<6>(6 * slot));
+            for (camera, cross) in self.seen(i) {
+                rest -= cross.tr_mul(&reduced.fixed_rows::<6>(6 * camera));
             }
             inverse * rest
         };
         let points = self.points.iter().zip(&inverses).enumerate().map(point).collect();
-        Some(Step { reduced, points })
+        let step = Step { reduced, points };
+        let predicted = self.predicted_gain(&step, damping);
+        Some((step, predicted))
+    }
+
+    fn length(step: &Step) -> f64 {
+        (step.reduced.norm_squared() + step.points.iter().map(Vector3::norm_squared).sum::<f64>()).sqrt()
     }
 }

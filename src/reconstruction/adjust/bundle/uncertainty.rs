@@ -6,15 +6,10 @@ use nalgebra::{DMatrix, Matrix3};
 
 use super::globals::{GLOBALS, GlobalMatrix};
 use super::normal_equations::{Adjustment, System};
-use super::{BundleOptions, BundleProblem};
+use super::{BundleOptions, BundleProblem, GAUGE_DAMPING, KNOWN};
+use crate::geometry::least_squares::LeastSquares;
 
-/// Relative damping that holds what nothing holds (the scale, a point that one camera sees) while the rest is marginalised:
-/// far below what any of it costs, far above the loss of digits.
-const GAUGE_DAMPING: [f64; 3] = [1e-9, 1e-7, 1e-5];
-/// Information on what is taken as known, in shares of the largest there is: far above any, far below the loss of digits.
-const KNOWN: f64 = 1e6;
-
-impl<const W: usize> System<'_, '_, W> {
+impl<const W: usize> System<W> {
     /// Covariance of each point with the cameras held.
     pub(super) fn point_covariances(&self) -> Vec<Matrix3<f64>> {
         let unknown = Matrix3::from_element(f64::NAN);

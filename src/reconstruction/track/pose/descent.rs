@@ -44,8 +44,9 @@ impl PoseProblem<'_> {
     }
 }
 
-impl LeastSquares<6> for PoseProblem<'_> {
+impl LeastSquares for PoseProblem<'_> {
     type State = Se3<Camera, World>;
+    type Normal = NormalEquations<6>;
 
     fn linearise(&self, pose: &Se3<Camera, World>) -> NormalEquations<6> {
         let mut normal = NormalEquations::default();
