@@ -2,12 +2,14 @@
 //!
 //! A problem says how it is linearised (normal equations at a state), what a state costs, and how a step moves a state
 //! (so rotations and directions stay what they are); [`minimise`] does the rest. Normal equations say how they are solved: a handful of
-//! parameters as one small matrix ([`NormalEquations`]), a map by
-//! elimination (`reconstruction::adjust`). Marquardt's scaled damping with
+//! parameters as one small matrix ([`NormalEquations`]), a camera and many poses or points by elimination ([`arrow`]), a map by
+//! its own (`reconstruction::adjust`). Marquardt's scaled damping with
 //! Nielsen's update (Madsen, Nielsen, Tingleff: Methods for non-linear least squares problems, 2004). For a handful of
 //! parameters everything is of fixed size and on the stack. Cost then: a linearisation an iteration, a cost evaluation a trial, an N x N Cholesky.
 //!
-//! Not here: board calibrations and two pictures (they have their own loops), constraints, covariances.
+//! Not here: constraints, covariances.
+
+pub mod arrow;
 
 use nalgebra::{SMatrix, SVector};
 
