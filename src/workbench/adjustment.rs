@@ -7,17 +7,18 @@
 //!   `(x, y, 1) / rho` is the point and far ones (rho = 0) are no special case; unit of length: the baseline.
 //! - Residuals: `pi_A(x, y, 1) - z_A` and `pi_B(R (x, y, 1) + rho t) - z_B`, each divided by what the place is uncertain
 //!   by; Cauchy's loss on the four together. Parameters of the motion: left rotation, and two directions across t.
-//! - Levenberg-Marquardt; the 3x3 blocks of the points are eliminated (Triggs et al., Bundle adjustment, 2000, section 6),
-//!   which leaves 5x5.
+//! - Levenberg-Marquardt; the 3x3 blocks of the points are eliminated, which leaves 5x5
+//!   ([`arrow`](crate::geometry::least_squares::arrow)).
 //!
 //! Cost: 1 us a point and iteration. Deliberately not here: more than two views (`reconstruction::adjust::bundle`), intrinsics.
 
-use nalgebra::{Matrix2x3, Matrix3, Matrix5, Matrix5x3, SMatrix, UnitQuaternion, Vector2, Vector3, Vector5};
+use nalgebra::{Matrix2x3, Matrix3, SMatrix, UnitQuaternion, Vector2, Vector3, Vector5};
 
 use crate::geometry::camera_model::CameraModel;
 use crate::geometry::epipolar::skew;
 use crate::geometry::frames::{First, Second};
-use crate::geometry::least_squares::Loss;
+use crate::geometry::least_squares::arrow::{ArrowEquations, Block};
+use crate::geometry::least_squares::{LeastSquares, LmOptions, Loss, minimise};
 use crate::geometry::triangulation::{intersect, nearest_match};
 use crate::geometry::{Se3, essential::essential_of};
 
@@ -58,7 +59,6 @@ struct Problem<'a> {
     observations: &'a [Observation],
 }
 
-#[derive(Clone)]
 struct State {
     motion: Se3<Second, First>,
     points: Vec<Vector3<f64>>,
@@ -87,7 +87,7 @@ impl Problem<'_> {
         Some([self.cameras[0].distort(&point.xy())? - seen.a, self.cameras[1].project(&moved)? - seen.b])
     }
 
-    fn linearise(&self, state: &State, i: usize) -> Option<Linearised> {
+    fn derivatives(&self, state: &State, i: usize) -> Option<Linearised> {
         let (point, seen) = (&state.points[i], &self.observations[i]);
         let (t, ray) = (&state.motion.translation, point.xy().push(1.0));
         let rotation = *state.motion.rotation.to_rotation_matrix().matrix();
@@ -111,6 +111,38 @@ impl Problem<'_> {
         })
     }
 
+    fn rms(&self, state: &State) -> f64 {
+        let squared: f64 = (0..state.points.len())
+            .map(|i| self.errors(state, i).map_or(f64::INFINITY, |e| e[0].norm_squared() + e[1].norm_squared()))
+            .sum();
+        (squared / (4 * state.points.len()) as f64).sqrt()
+    }
+}
+
+impl LeastSquares for Problem<'_> {
+    type State = State;
+    type Normal = ArrowEquations<5, 3>;
+
+    fn linearise(&self, state: &State) -> Self::Normal {
+        let mut normal = ArrowEquations::<5, 3>::default();
+        for i in 0..state.points.len() {
+            let mut block = Block::<5, 3>::default();
+            // Of finite cost: every point can be projected.
+            if let Some(l) = self.derivatives(state, i) {
+                let squared = l.residual[0].norm_squared() + l.residual[1].norm_squared();
+                let (_, weight) = LOSS.evaluate(squared);
+                normal.shared += l.motion.transpose() * l.motion * weight;
+                normal.gradient += l.motion.transpose() * l.residual[1] * weight;
+                block.own = (l.point[0].transpose() * l.point[0] + l.point[1].transpose() * l.point[1]) * weight;
+                block.gradient =
+                    (l.point[0].transpose() * l.residual[0] + l.point[1].transpose() * l.residual[1]) * weight;
+                block.cross = l.motion.transpose() * l.point[1] * weight;
+            }
+            normal.blocks.push(block);
+        }
+        normal
+    }
+
     /// Robust cost; infinite where a point cannot be projected.
     fn cost(&self, state: &State) -> f64 {
         let one = |i: usize| {
@@ -121,58 +153,15 @@ impl Problem<'_> {
         (0..state.points.len()).map(|i| one(i).unwrap_or(f64::INFINITY)).sum()
     }
 
-    fn rms(&self, state: &State) -> f64 {
-        let squared: f64 = (0..state.points.len())
-            .map(|i| self.errors(state, i).map_or(f64::INFINITY, |e| e[0].norm_squared() + e[1].norm_squared()))
-            .sum();
-        (squared / (4 * state.points.len()) as f64).sqrt()
+    fn step(&self, state: &State, (motion, points): &(Vector5<f64>, Vec<Vector3<f64>>)) -> State {
+        let turn = UnitQuaternion::from_scaled_axis(motion.fixed_rows::<3>(0).into_owned());
+        let mut rotation = turn * state.motion.rotation;
+        rotation.renormalize_fast();
+        let [a, b] = tangent(&state.motion.translation);
+        let translation = (state.motion.translation + a * motion[3] + b * motion[4]).normalize();
+        let points = state.points.iter().zip(points).map(|(p, d)| p + d).collect();
+        State { motion: Se3::new(rotation, translation), points }
     }
-}
-
-fn step(state: &State, motion: &Vector5<f64>, points: &[Vector3<f64>]) -> State {
-    let turn = UnitQuaternion::from_scaled_axis(motion.fixed_rows::<3>(0).into_owned());
-    let mut rotation = turn * state.motion.rotation;
-    rotation.renormalize_fast();
-    let [a, b] = tangent(&state.motion.translation);
-    let translation = (state.motion.translation + a * motion[3] + b * motion[4]).normalize();
-    let points = state.points.iter().zip(points).map(|(p, d)| p + d).collect();
-    State { motion: Se3::new(rotation, translation), points }
-}
-
-/// Normal equations with the points eliminated for a damping.
-struct Reduced {
-    motion: Matrix5<f64>,
-    gradient: Vector5<f64>,
-    /// Of each point: inverse block, coupling to the motion, gradient.
-    blocks: Vec<(Matrix3<f64>, Matrix5x3<f64>, Vector3<f64>)>,
-}
-
-fn reduce(problem: &Problem, state: &State, damping: f64) -> Option<Reduced> {
-    let mut own = Matrix5::zeros();
-    let mut gradient = Vector5::zeros();
-    let mut blocks = Vec::with_capacity(state.points.len());
-    for i in 0..state.points.len() {
-        let l = problem.linearise(state, i)?;
-        let squared = l.residual[0].norm_squared() + l.residual[1].norm_squared();
-        let (_, weight) = LOSS.evaluate(squared);
-        own += l.motion.transpose() * l.motion * weight;
-        gradient += l.motion.transpose() * l.residual[1] * weight;
-        let mut block = (l.point[0].transpose() * l.point[0] + l.point[1].transpose() * l.point[1]) * weight;
-        let pull = (l.point[0].transpose() * l.residual[0] + l.point[1].transpose() * l.residual[1]) * weight;
-        for k in 0..3 {
-            block[(k, k)] += damping * block[(k, k)] + 1e-12;
-        }
-        blocks.push((block.try_inverse()?, l.motion.transpose() * l.point[1] * weight, pull));
-    }
-    for k in 0..5 {
-        own[(k, k)] += damping * own[(k, k)] + 1e-12;
-    }
-    for (inverse, coupling, pull) in &blocks {
-        let through = coupling * inverse;
-        own -= through * coupling.transpose();
-        gradient -= through * pull;
-    }
-    Some(Reduced { motion: own, gradient, blocks })
 }
 
 /// The places in the first view and inverse depths that a motion gives to observations; far or inexact ones get the
@@ -205,49 +194,21 @@ pub fn adjust(
     let translation = start.translation.try_normalize(1e-12)?;
     let motion = Se3::new(start.rotation, translation);
     let problem = Problem { cameras, observations };
-    let mut state = State { motion, points: start_points(cameras, &motion, observations)? };
-    let mut cost = problem.cost(&state);
-    if !cost.is_finite() {
+    let start = State { motion, points: start_points(cameras, &motion, observations)? };
+    let rms_before_px = problem.rms(&start);
+    let options = LmOptions { max_iterations: MAX_ITERATIONS, relative_cost: 1e-9, ..LmOptions::default() };
+    let (state, summary) = minimise(&problem, start, &options);
+    if !summary.initial_cost.is_finite() {
         return None;
     }
-    let rms_before_px = problem.rms(&state);
-    let (mut damping, mut growth, mut iterations) = (1e-4, 2.0, 0);
-    while iterations < MAX_ITERATIONS {
-        iterations += 1;
-        let reduced = reduce(&problem, &state, damping)?;
-        let trial = reduced.motion.cholesky().map(|c| {
-            let delta = -c.solve(&reduced.gradient);
-            let points: Vec<Vector3<f64>> = reduced
-                .blocks
-                .iter()
-                .map(|(inverse, coupling, pull)| -(inverse * (pull + coupling.transpose() * delta)))
-                .collect();
-            step(&state, &delta, &points)
-        });
-        let better = trial.map(|t| (problem.cost(&t), t)).filter(|(c, _)| *c < cost);
-        if let Some((lower, next)) = better {
-            let gain = (cost - lower) / cost.max(f64::MIN_POSITIVE);
-            (state, cost) = (next, lower);
-            (damping, growth) = ((damping * 0.3).max(1e-12), 2.0);
-            if gain < 1e-9 {
-                break;
-            }
-        } else {
-            damping *= growth;
-            growth *= 2.0;
-            if damping > 1e12 {
-                break;
-            }
-        }
-    }
-    let (sigma_rotation_rad, sigma_direction_rad) = sigmas(&problem, &state, cost);
+    let (sigma_rotation_rad, sigma_direction_rad) = sigmas(&problem, &state, summary.final_cost);
     let finite = state.motion.is_finite() && state.points.iter().all(|p| p.iter().all(|v| v.is_finite()));
     finite.then(|| Adjusted {
         rms_after_px: problem.rms(&state),
         second_from_first: state.motion,
         points: state.points,
         rms_before_px,
-        iterations,
+        iterations: summary.iterations,
         sigma_rotation_rad,
         sigma_direction_rad,
     })
@@ -257,7 +218,7 @@ pub fn adjust(
 fn sigmas(problem: &Problem, state: &State, cost: f64) -> (f64, f64) {
     // Four residuals and three unknowns a point, five more unknowns.
     let freedom = (state.points.len() as f64 - 5.0).max(1.0);
-    let inverse = reduce(problem, state, 0.0).and_then(|r| r.motion.try_inverse());
+    let inverse = problem.linearise(state).reduce(0.0).and_then(|reduced| reduced.information.try_inverse());
     let Some(covariance) = inverse.map(|m| m * (cost / freedom)) else { return (f64::NAN, f64::NAN) };
     let largest = |m: Matrix3<f64>| m.symmetric_eigenvalues().max().max(0.0).sqrt();
     let mut direction = Matrix3::zeros();
@@ -311,7 +272,7 @@ mod tests {
         };
         let h = 1e-6;
         for i in 0..5 {
-            let l = problem.linearise(&state, i).expect("in view");
+            let l = problem.derivatives(&state, i).expect("in view");
             for k in 0..8 {
                 let moved = |sign: f64| {
                     let mut motion = Vector5::zeros();
@@ -321,7 +282,7 @@ mod tests {
                     } else {
                         points[i][k - 5] = sign * h;
                     }
-                    residual(&step(&state, &motion, &points), i)
+                    residual(&problem.step(&state, &(motion, points)), i)
                 };
                 let (plus, minus) = (moved(1.0), moved(-1.0));
                 let (da, db) = ((plus.0 - minus.0) / (2.0 * h), (plus.1 - minus.1) / (2.0 * h));
