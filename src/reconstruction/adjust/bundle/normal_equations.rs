@@ -6,8 +6,8 @@
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, SMatrix, SVector, Vector1, Vector3, Vector6};
 
 use super::globals::focal_scale;
+use super::options::{BEHIND_CAMERA, LEAST_PIVOT};
 use super::problem::{BundleProblem, BundleState};
-use super::{BEHIND_CAMERA, LEAST_PIVOT};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::least_squares::{Damped, LeastSquares, Loss};

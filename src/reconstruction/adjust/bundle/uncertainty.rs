@@ -6,7 +6,8 @@ use nalgebra::{DMatrix, Matrix3};
 
 use super::globals::{GLOBALS, GlobalMatrix};
 use super::normal_equations::{Adjustment, System};
-use super::{BundleOptions, BundleProblem, GAUGE_DAMPING, KNOWN};
+use super::options::{BundleOptions, GAUGE_DAMPING, KNOWN};
+use super::problem::BundleProblem;
 use crate::geometry::least_squares::LeastSquares;
 
 impl<const W: usize> System<W> {

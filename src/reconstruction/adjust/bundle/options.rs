@@ -1,0 +1,36 @@
+//! What a bundle adjustment takes as given, and what is asked of it.
+
+use crate::reconstruction::measurement::CHI2_2D_95;
+
+/// Passes; outliers are judged after each.
+pub(super) const PASSES: usize = 2;
+/// Damping at the start of each pass, as a share of the diagonal: a map is near its minimum, so that nearly whole steps pay, and the few
+/// that a pass has are not spent on finding that out.
+pub(super) const INITIAL_DAMPING: f64 = 1e-4;
+/// Added to every pivot, squared standard deviations per squared unit (rad, map units): what no observation holds stays where it is. The
+/// information of one pixel on one unit of the map is some 1e5.
+pub(super) const LEAST_PIVOT: f64 = 1e-9;
+/// Price of an observation behind its camera in squared outlier limits: a step that does this is no gain.
+pub(super) const BEHIND_CAMERA: f64 = 100.0;
+/// Relative damping that holds what nothing holds (the scale, a point that one camera sees) while the rest is marginalised:
+/// far below what any of it costs, far above the loss of digits. The first at which the system is positive definite.
+pub(super) const GAUGE_DAMPING: [f64; 3] = [1e-9, 1e-7, 1e-5];
+/// Information on what is taken as known, in shares of the largest there is: far above any, far below the loss of digits.
+pub(super) const KNOWN: f64 = 1e6;
+
+/// What is asked of an adjustment.
+#[derive(Debug, Clone, Copy)]
+pub struct BundleOptions {
+    /// Levenberg-Marquardt steps in each pass, at the most. A number and not a time, so that a replay gives the same bits.
+    pub steps: usize,
+    /// Huber's limit and the outlier limit, squared and sigma-scaled.
+    pub outlier_chi2: f64,
+    /// A step that lowers the cost by less than this share ends the pass: the next keyframe's adjustment goes on from there.
+    pub relative_gain: f64,
+}
+
+impl Default for BundleOptions {
+    fn default() -> Self {
+        Self { steps: 5, outlier_chi2: CHI2_2D_95, relative_gain: 1e-3 }
+    }
+}
