@@ -8,7 +8,7 @@ fn keyframe(landmarks: &[u32]) -> Keyframe {
         map: MapId(0),
         camera_from_world: Se3::identity(),
         motion: None,
-        pyramid: Arc::default(),
+        picture: Default::default(),
         thumbnail: Thumbnail::default(),
         scale_from: None,
         observations: landmarks.iter().map(|&l| observation(l)).collect(),

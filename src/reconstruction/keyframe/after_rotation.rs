@@ -208,7 +208,7 @@ mod tests {
             map: MapId(0),
             camera_from_world: pose,
             motion: None,
-            pyramid: Arc::default(),
+            picture: Default::default(),
             thumbnail: Thumbnail::default(),
             scale_from: None,
             observations: Vec::new(),

@@ -211,7 +211,7 @@ mod tests {
             map: MapId(0),
             camera_from_world,
             motion: None,
-            pyramid: std::sync::Arc::new(Pyramid::default()),
+            picture: Default::default(),
             thumbnail: Default::default(),
             scale_from: None,
             observations: Vec::new(),
