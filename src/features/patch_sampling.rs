@@ -303,6 +303,16 @@ mod tests {
     }
 
     #[test]
+    fn both_machine_codes_warp_alike() {
+        let image = noise(40, 40, 5);
+        let (first, right, down) = (Vector2::new(9.3, 8.2), Vector2::new(1.3, -0.4), Vector2::new(0.6, 0.9));
+        let (mut one, mut other) = ([0.0; AREA], [0.0; AREA]);
+        assert!(warp_inside(&image.whole(), first, right, down, &mut one));
+        assert!(warp_inside_body(&image.whole(), first, right, down, &mut other));
+        assert_eq!(one, other);
+    }
+
+    #[test]
     fn nothing_outside_the_picture_is_sampled() {
         let image = noise(30, 20, 4);
         let mut out = [0.0; 100];

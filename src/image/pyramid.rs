@@ -299,6 +299,24 @@ mod tests {
     }
 
     #[test]
+    fn a_copy_is_the_same_whatever_was_there() {
+        let mut pyramids = [(64, 51, 4), (320, 240, 3), (30, 24, 4)].map(|(width, height, levels)| {
+            let mut pyramid = Pyramid::new(levels);
+            pyramid.build(&noise(width, height, 9));
+            pyramid
+        });
+        let mut copy = Pyramid::new(1);
+        for pyramid in &mut pyramids {
+            copy.copy_from(pyramid);
+            assert_eq!(copy.levels, pyramid.levels);
+            copy.rebuild();
+            assert_eq!(copy.levels.len(), pyramid.levels.len(), "as many levels are wanted");
+        }
+        let coarser = copy.without_base();
+        assert!(coarser.levels[0].data.is_empty() && coarser.levels[1..] == copy.levels[1..]);
+    }
+
+    #[test]
     fn pool_reuses_what_was_dropped_and_stays_bounded() {
         let base = noise(64, 48, 3);
         let fill = |p: &mut Pyramid| -> Result<(), ()> {

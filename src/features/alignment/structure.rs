@@ -66,3 +66,47 @@ fn sums_body(bordered: &[f32], n: usize) -> [Lanes; 9] {
     }
     sums
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The definition in f64: the tensor of gradients from which their mean and what a gain explains was taken.
+    fn defined(bordered: &[f32], n: usize) -> ([f64; 3], f64) {
+        let side = n + 2;
+        let at = |x: usize, y: usize| f64::from(bordered[y * side + x]);
+        let inner = (0..n * n).map(|k| (k % n + 1, k / n + 1));
+        let values: Vec<[f64; 3]> = inner
+            .map(|(x, y)| [at(x, y), 0.5 * (at(x + 1, y) - at(x - 1, y)), 0.5 * (at(x, y + 1) - at(x, y - 1))])
+            .collect();
+        let area = (n * n) as f64;
+        let mean: [f64; 3] = std::array::from_fn(|m| values.iter().map(|v| v[m]).sum::<f64>() / area);
+        let product = |a: usize, b: usize| values.iter().map(|v| (v[a] - mean[a]) * (v[b] - mean[b])).sum::<f64>();
+        let tensor = [(1, 1), (1, 2), (2, 2)]
+            .map(|(a, b)| (product(a, b) - product(0, a) * product(0, b) / product(0, 0)) / area);
+        (tensor, product(0, 0))
+    }
+
+    #[test]
+    fn the_tensor_is_that_of_what_neither_gain_nor_bias_explains() {
+        let mut random = crate::geometry::random::Random::new(3);
+        for n in [8, 16] {
+            let bordered: Vec<f32> = (0..(n + 2) * (n + 2)).map(|_| (255.0 * random.unit()) as f32).collect();
+            let structure = Structure::of(&bordered, n);
+            let ([xx, xy, yy], energy) = defined(&bordered, n);
+            assert!((f64::from(structure.energy) / energy - 1.0).abs() < 1e-4);
+            for (got, defined) in structure.tensor.iter().zip([xx, xy, yy]) {
+                assert!((f64::from(*got) - defined).abs() < 1e-3 * (xx + yy), "{got} {defined}");
+            }
+            let smaller = 0.5 * (xx + yy - ((xx - yy).powi(2) + 4.0 * xy * xy).sqrt());
+            assert!((f64::from(structure.min_eigenvalue) - smaller).abs() < 1e-3 * (xx + yy));
+        }
+    }
+
+    #[test]
+    fn both_machine_codes_give_the_same_sums() {
+        let mut random = crate::geometry::random::Random::new(4);
+        let bordered: Vec<f32> = (0..100).map(|_| (255.0 * random.unit()) as f32).collect();
+        assert_eq!(sums(&bordered, 8), sums_body(&bordered, 8));
+    }
+}
