@@ -1,7 +1,7 @@
 //! Mean, energy and structure tensor of a patch: what says how well it can be localised, before any template is made of it.
 
-use super::super::dispatch::simd_kernel;
 use super::{OFFSET, sum_lanes};
+use crate::features::dispatch::simd_kernel;
 
 /// Eight pixels of a row.
 type Lanes = [f32; 8];
