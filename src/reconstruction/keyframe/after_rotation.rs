@@ -186,7 +186,6 @@ fn resolve_between(map: &mut Map, from: KeyframeId, camera: &CameraModel, readou
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
 
     use nalgebra::{UnitQuaternion, Vector3};
 

@@ -192,7 +192,6 @@ pub fn retire(map: &Map, events: &mut Vec<TrajectoryEvent>) {
 mod tests {
     use super::*;
     use crate::geometry::random::Random;
-    use crate::image::Pyramid;
     use crate::map::{Keyframe, Landmark};
     use nalgebra::{Matrix2, Matrix3, UnitQuaternion, Vector2, Vector3};
 
