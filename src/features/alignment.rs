@@ -29,7 +29,7 @@ use wide::{f32x8, i16x8, i32x4, i32x8};
 
 use super::patch_sampling::{MAX_SAMPLE, OFFSET, SCALE, Window};
 use crate::image::GreyImage;
-use structure::Structure;
+use structure::{Structure, sum_lanes};
 
 /// The usual template, 8 x 8.
 pub type Template = PatchTemplate<8>;
@@ -349,11 +349,4 @@ fn to_f32(v: i16x8) -> f32x8 {
 #[inline(always)]
 fn to_i16(v: f32x8) -> i16x8 {
     i16x8::from_i32x8_saturate(v.fast_round_int())
-}
-
-/// Sum in a fixed order, whatever the machine's vectors.
-#[inline(always)]
-fn sum_lanes(lanes: f32x8) -> f32 {
-    let v = lanes.to_array();
-    ((v[0] + v[4]) + (v[2] + v[6])) + ((v[1] + v[5]) + (v[3] + v[7]))
 }

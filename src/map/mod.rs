@@ -5,6 +5,7 @@
 
 pub mod export;
 pub mod picture;
+mod reduction;
 mod snapshot;
 pub mod store;
 
@@ -239,7 +240,7 @@ impl Map {
             && let Ok(i) = k.observations.binary_search_by_key(&landmark, |o| o.landmark)
         {
             k.observations.remove(i);
-            k.picture.forget(landmark);
+            k.picture.forget(landmark.0);
         }
         if self.landmarks.get(landmark.0).is_some_and(|l| l.observers.len() < 2) {
             self.remove_landmark(landmark);
@@ -255,7 +256,7 @@ impl Map {
                 && let Ok(i) = k.observations.binary_search_by_key(&landmark, |o| o.landmark)
             {
                 k.observations.remove(i);
-                k.picture.forget(landmark);
+                k.picture.forget(landmark.0);
             }
             for &b in &entry.observers[n + 1..] {
                 change_covisibility(&mut self.keyframes, a, b, -1);

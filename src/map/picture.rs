@@ -10,9 +10,8 @@
 
 use std::sync::Arc;
 
-use nalgebra::{Vector2, Vector3};
+use nalgebra::Vector2;
 
-use super::{KeyframeId, Landmark, LandmarkId, Map};
 use crate::image::pyramid::double;
 use crate::image::{Crop, GreyImage, Pyramid};
 
@@ -20,14 +19,11 @@ use crate::image::{Crop, GreyImage, Pyramid};
 /// magnified or minified by half a level, reaches 11 px from its middle.
 pub const PATCH_PX: usize = 24;
 
-/// Views of a landmark within this cosine (10 degrees) and this share of each other's distance show it alike.
-const ALIKE_COSINE: f64 = 0.985;
-const ALIKE_DISTANCE: f64 = 0.8;
-
 /// The pixels of level 0 around one observation.
 #[derive(Debug, Clone)]
 struct Patch {
-    landmark: LandmarkId,
+    /// Its number.
+    landmark: u32,
     left: u16,
     top: u16,
     pixels: Box<[u8; PATCH_PX * PATCH_PX]>,
@@ -58,7 +54,7 @@ impl KeyframePicture {
 
     /// What there is of a level around the observation of `landmark`.
     #[inline]
-    pub fn around(&self, level: usize, landmark: LandmarkId) -> Option<Crop<'_>> {
+    pub fn around(&self, level: usize, landmark: u32) -> Option<Crop<'_>> {
         let image = self.pyramid.levels.get(level)?;
         if level > 0 || !image.data.is_empty() {
             return Some(image.whole());
@@ -75,7 +71,7 @@ impl KeyframePicture {
 
     /// Whether a template of `landmark` can be cut from level 0.
     #[inline]
-    pub fn shows(&self, landmark: LandmarkId) -> bool {
+    pub fn shows(&self, landmark: u32) -> bool {
         self.whole().is_some() || self.place(landmark).is_ok()
     }
 
@@ -89,7 +85,7 @@ impl KeyframePicture {
     }
 
     /// Gives up level 0 but for patches around these observations (level-0 px); does nothing where there is no coarser level.
-    pub(super) fn reduce(&mut self, kept: impl Iterator<Item = (LandmarkId, Vector2<f32>)>) {
+    pub(super) fn reduce(&mut self, kept: impl Iterator<Item = (u32, Vector2<f32>)>) {
         let Some(whole) = self.whole().filter(|p| p.levels.len() > 1) else { return };
         let mut patches: Vec<Patch> =
             kept.filter_map(|(landmark, pixel)| Patch::cut(&whole.levels[0], landmark, pixel)).collect();
@@ -99,52 +95,20 @@ impl KeyframePicture {
     }
 
     /// The landmark is not observed any more.
-    pub(super) fn forget(&mut self, landmark: LandmarkId) {
+    pub(super) fn forget(&mut self, landmark: u32) {
         if let Ok(i) = self.place(landmark) {
             self.patches.remove(i);
         }
     }
 
-    fn place(&self, landmark: LandmarkId) -> Result<usize, usize> {
+    fn place(&self, landmark: u32) -> Result<usize, usize> {
         self.patches.binary_search_by_key(&landmark, |p| p.landmark)
-    }
-}
-
-impl Map {
-    /// Reduces a keyframe's picture to the views of its landmarks that no reduced keyframe has alike, and forgets its free corners, which
-    /// nothing could be aligned with any more.
-    pub fn reduce_picture(&mut self, id: KeyframeId) {
-        let Some(keyframe) = self.keyframe(id).filter(|k| k.picture.whole().is_some()) else { return };
-        let centre = keyframe.centre();
-        let mut kept = Vec::with_capacity(keyframe.observations.len());
-        for o in &keyframe.observations {
-            if self.landmark(o.landmark).is_some_and(|l| !self.has_patch_alike(o.landmark, l, &centre)) {
-                kept.push((o.landmark, o.pixel));
-            }
-        }
-        if let Some(k) = self.keyframes.get_mut(id.0) {
-            k.picture.reduce(kept.into_iter());
-            k.corners = Vec::new();
-        }
-    }
-
-    /// Whether a patch shows the landmark as it is seen from `centre`.
-    fn has_patch_alike(&self, id: LandmarkId, landmark: &Landmark, centre: &Vector3<f64>) -> bool {
-        let ray = landmark.position - centre;
-        landmark.observers.iter().filter_map(|k| self.keyframe(*k)).any(|k| {
-            let other = landmark.position - k.centre();
-            let (here, there) = (ray.norm(), other.norm());
-            k.picture.whole().is_none()
-                && k.picture.shows(id)
-                && ray.dot(&other) > ALIKE_COSINE * here * there
-                && here.min(there) > ALIKE_DISTANCE * here.max(there)
-        })
     }
 }
 
 impl Patch {
     /// As much around `pixel` as lies in the picture; `None` where that is smaller than a patch.
-    fn cut(image: &GreyImage, landmark: LandmarkId, pixel: Vector2<f32>) -> Option<Self> {
+    fn cut(image: &GreyImage, landmark: u32, pixel: Vector2<f32>) -> Option<Self> {
         let begin = |at: f32, size: usize| {
             let last = size.checked_sub(PATCH_PX)?;
             // The pixels of the middle are those to either side of `at`.
@@ -181,7 +145,7 @@ mod tests {
     fn templates_of_a_reduced_picture_are_those_of_the_whole_one() {
         let whole = KeyframePicture::new(noise(120, 90));
         let seen = [(7, 60.3, 44.8), (2, 6.1, 80.9), (4, 112.9, 7.2)];
-        let seen = seen.map(|(id, x, y)| (LandmarkId(id), Vector2::new(x, y)));
+        let seen = seen.map(|(id, x, y)| (id, Vector2::new(x, y)));
         let mut reduced = whole.clone();
         reduced.reduce(seen.into_iter());
         assert!(whole.whole().is_some() && reduced.whole().is_none());
@@ -197,10 +161,10 @@ mod tests {
                 assert_eq!(warped(&whole, 1), warped(&reduced, 1));
             }
         }
-        assert!(reduced.shows(LandmarkId(7)) && !reduced.shows(LandmarkId(8)));
-        reduced.forget(LandmarkId(7));
-        assert!(!reduced.shows(LandmarkId(7)) && reduced.around(0, LandmarkId(7)).is_none());
-        assert!(reduced.around(1, LandmarkId(7)).is_some());
+        assert!(reduced.shows(7) && !reduced.shows(8));
+        reduced.forget(7);
+        assert!(!reduced.shows(7) && reduced.around(0, 7).is_none());
+        assert!(reduced.around(1, 7).is_some());
     }
 
     #[test]

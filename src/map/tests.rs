@@ -139,7 +139,7 @@ fn reduced_keyframes_keep_the_views_of_a_landmark_that_differ_and_lose_them_with
     let seen = ids.map(|k| (k, Observation { pixel: Vector2::new(80.0, 60.0), ..observation(0) }));
     let id = map.add_landmark(ahead, &seen);
     ids.iter().for_each(|k| map.reduce_picture(*k));
-    let shows = |map: &Map| ids.map(|k| map.keyframe(k).unwrap().picture.shows(id));
+    let shows = |map: &Map| ids.map(|k| map.keyframe(k).unwrap().picture.shows(id.0));
     assert!(ids.iter().all(|k| map.keyframe(*k).unwrap().picture.whole().is_none()));
     assert_eq!(shows(&map), [true, false, true]);
     map.remove_observation(ids[2], id);

@@ -7,6 +7,7 @@
 mod after_rotation;
 pub mod distance_prior;
 pub mod epipolar;
+pub mod pictures;
 pub mod point;
 
 use std::sync::Arc;
@@ -379,22 +380,6 @@ pub fn cull_landmarks(map: &mut Map, newest: KeyframeId) -> u64 {
         map.remove_landmark(id);
     }
     doomed.len() as u64
-}
-
-/// Whole pictures of keyframes: those of [`reduce_pictures`], and the newest's while the oldest of them is not yet reduced.
-pub const WHOLE_PICTURES: usize = YOUNG_KEYFRAMES as usize + epipolar::NEIGHBOURS + 1;
-
-/// Reduces the pictures of all keyframes but the newest ones and those that the newest shares most with: of these alone free corners and
-/// seeds are looked for anew, so that at most `YOUNG_KEYFRAMES` and [`NEIGHBOURS`](epipolar::NEIGHBOURS) are whole.
-pub fn reduce_pictures(map: &mut Map, newest: KeyframeId) {
-    let mut around = Vec::new();
-    map.covisible(newest, epipolar::MIN_SHARED, epipolar::NEIGHBOURS, &mut around);
-    let ids = map.keyframes.iter().map(|(id, _)| KeyframeId(id));
-    let old =
-        ids.filter(|id| id.0 + YOUNG_KEYFRAMES <= newest.0 && around.iter().all(|a| a.0 != *id)).collect::<Vec<_>>();
-    for id in old {
-        map.reduce_picture(id);
-    }
 }
 
 /// Removes keyframes around `newest` whose landmarks are nearly all seen by three others.

@@ -28,6 +28,7 @@ use adjust::mapper::{Mapper, Merge};
 use initialise::initialiser::Initialiser;
 use keyframe::distance_prior::{self, mostly_assumed};
 use keyframe::epipolar::{EpipolarMatcher, Lens};
+use keyframe::pictures::{WHOLE_PICTURES, reduce_pictures};
 use keyframe::{KeyframeInputs, NewKeyframe};
 use optics::Optics;
 use relocalise::Relocaliser;
@@ -108,7 +109,7 @@ impl Reconstruction {
             tracker: Tracker::default(),
             relocaliser: Relocaliser::default(),
             epipolar: EpipolarMatcher::default(),
-            pictures: PyramidPool::new(keyframe::WHOLE_PICTURES, 1),
+            pictures: PyramidPool::new(WHOLE_PICTURES, 1),
             mapper: Mapper::new(worker, lockstep),
             pending: Pending::default(),
             frame_ns: i64::MIN,
@@ -312,7 +313,7 @@ impl Reconstruction {
         active.scale.follow(map);
         counters.landmarks_culled += keyframe::cull_landmarks(map, id);
         counters.keyframes_culled += keyframe::cull_keyframes((map, active.id), id, config, &mut self.events);
-        keyframe::reduce_pictures(map, id);
+        reduce_pictures(map, id);
         active.unadjusted = Some(id);
         self.recognise(features, id);
     }

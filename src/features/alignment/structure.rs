@@ -1,7 +1,9 @@
 //! Mean, energy and structure tensor of a patch: what says how well it can be localised, before any template is made of it.
 
-use super::{OFFSET, sum_lanes};
+use wide::f32x8;
+
 use crate::features::dispatch::simd_kernel;
+use crate::features::patch_sampling::OFFSET;
 
 /// Eight pixels of a row.
 type Lanes = [f32; 8];
@@ -65,6 +67,13 @@ fn sums_body(bordered: &[f32], n: usize) -> [Lanes; 9] {
         }
     }
     sums
+}
+
+/// Sum in a fixed order, whatever the machine's vectors.
+#[inline(always)]
+pub fn sum_lanes(lanes: f32x8) -> f32 {
+    let v = lanes.to_array();
+    ((v[0] + v[4]) + (v[2] + v[6])) + ((v[1] + v[5]) + (v[3] + v[7]))
 }
 
 #[cfg(test)]

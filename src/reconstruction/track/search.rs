@@ -296,7 +296,7 @@ pub fn align_template(
         let source_from_patch = (inverse * scale).cast::<f32>();
         let mut pixels = [0.0f32; 100];
         let source = level_from_base(source_level, observation.pixel);
-        let Some(crop) = keyframe.picture.around(source_level, observation.landmark) else { continue };
+        let Some(crop) = keyframe.picture.around(source_level, observation.landmark.0) else { continue };
         if !warp_patch(&crop, source, &source_from_patch, &mut pixels) {
             continue;
         }
@@ -336,7 +336,7 @@ fn closest_view<'a>(
         let cosine = ray.dot(&other) / (depth * other_depth).max(1e-12);
         // Angle first; a scale change of two costs as much as a turn by 25 degrees.
         let score = cosine - 0.1 * (depth / other_depth.max(1e-12)).log2().abs();
-        if cosine >= MIN_VIEW_COSINE && score > best_score && keyframe.picture.shows(candidate.landmark) {
+        if cosine >= MIN_VIEW_COSINE && score > best_score && keyframe.picture.shows(candidate.landmark.0) {
             best_score = score;
             best = Some(keyframe);
         }
