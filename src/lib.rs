@@ -74,7 +74,8 @@
 //!   left the feature thread before reconstruction knows that it is a keyframe.
 //! - `client/c.rs` has unsafe code, too: C's pointers cannot be checked.
 //! - A keyframe copies its frame's pyramid (0.4 MB, 30 us, after the pose is published) instead of holding it, so that the pool of
-//!   pyramids never allocates on the path of a pose.
+//!   pyramids never allocates on the path of a pose. At most 18 keyframes are whole, in a pool of their own; of an older one level 0
+//!   is reduced to patches around its landmarks (`map/picture.rs`).
 //! - A room more, [`workbench`]: the method step by step on two pictures from files (`cairn twoview`) and on many pairs with known
 //!   truth (`cairn compare`). It is no stage of the daemon, needs single pictures, calibrations and truth of several kinds, and
 //!   would otherwise put files and clocks into `features` and `geometry`; it knows these two, and only `cli` knows it.

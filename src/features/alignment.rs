@@ -22,18 +22,17 @@
 //! Does not: search beyond the basin of about half the patch, estimate a warp (the caller warps the template, see
 //! [`warp_patch`](super::patch_sampling::warp_patch)), or allocate.
 
+mod structure;
+
 use nalgebra::Vector2;
 use wide::{f32x8, i16x8, i32x4, i32x8};
 
 use super::patch_sampling::{MAX_SAMPLE, OFFSET, SCALE, Window};
-
 use crate::image::GreyImage;
+use structure::{Structure, sum_lanes};
 
 /// The usual template, 8 x 8.
 pub type Template = PatchTemplate<8>;
-
-/// Largest side of a template with its border.
-const MAX_BORDERED: usize = 18;
 
 /// Structure tensors with a smaller eigenvalue (grey²/px², mean over the patch) than this cannot be inverted in f32.
 const SINGULAR_EIGENVALUE: f32 = 1e-3;
@@ -105,9 +104,6 @@ pub struct PatchTemplate<const N: usize> {
     offset: Vector2<f32>,
     /// Sum of squares of the grey values minus their mean, grey².
     energy: f32,
-    /// H divided by N²: xx, xy, yy.
-    tensor: [f32; 3],
-    min_eigenvalue: f32,
 }
 
 impl<const N: usize> PatchTemplate<N> {
@@ -118,8 +114,35 @@ impl<const N: usize> PatchTemplate<N> {
     /// more that sampling needs, reach outside.
     #[inline]
     pub fn from_image(image: &GreyImage, center: Vector2<f32>) -> Option<Self> {
+        let mut buffer = Self::buffer();
+        let first = Self::sample_bordered(image, center, buffer.as_flattened_mut().as_flattened_mut())?;
+        let mut template = Self::build(buffer.as_flattened().as_flattened());
+        template.offset = center - first.map(|v| v + Self::RADIUS + 1.0);
+        Some(template)
+    }
+
+    /// Smaller eigenvalue of the structure tensor around `center`, grey²/px², mean over the patch (Shi & Tomasi, Good Features to
+    /// Track, CVPR 1994), after removing what a change of gain or bias could explain; `None` where there is no template. The
+    /// standard deviation of a template's position in the worst direction under pixel noise sigma is about
+    /// sigma * sqrt(2 / (N² * this)) pixels.
+    #[inline]
+    pub fn min_eigenvalue_at(image: &GreyImage, center: Vector2<f32>) -> Option<f32> {
+        let mut buffer = Self::buffer();
+        Self::sample_bordered(image, center, buffer.as_flattened_mut().as_flattened_mut())?;
+        Some(Structure::of(buffer.as_flattened().as_flattened(), N).min_eigenvalue)
+    }
+
+    /// Room for (N + 2)² values and more: 2 N².
+    #[inline]
+    fn buffer() -> [[[f32; N]; N]; 2] {
+        const { assert!(2 * N * N >= (N + 2) * (N + 2)) }
+        [[[0.0; N]; N]; 2]
+    }
+
+    /// Grey values around `center` with a border of one, row by row, into `buffer`; where the first of them lies.
+    #[inline]
+    fn sample_bordered(image: &GreyImage, center: Vector2<f32>, buffer: &mut [f32]) -> Option<Vector2<f32>> {
         let side = Self::BORDERED;
-        let mut buffer = [0.0f32; MAX_BORDERED * MAX_BORDERED];
         let window = Window::new(image, center.map(|v| v - Self::RADIUS - 1.0), side)?;
         // Strips of eight columns; the last overlaps the one before it.
         for strip in 0..side.div_ceil(8) {
@@ -129,9 +152,7 @@ impl<const N: usize> PatchTemplate<N> {
                 buffer[row * side + column..][..8].copy_from_slice(&grey.to_array());
             });
         }
-        let mut template = Self::build(&buffer);
-        template.offset = center - window.first.map(|v| v + Self::RADIUS + 1.0);
-        Some(template)
+        Some(window.first)
     }
 
     /// The template of given grey values, row by row, border included: `A` = (N + 2)².
@@ -145,36 +166,15 @@ impl<const N: usize> PatchTemplate<N> {
         const { assert!(N == 8 || N == 16) }
         let side = Self::BORDERED;
         let area = (N * N) as f32;
-        // Grey value (less the offset, for precision) and gradient of eight pixels from (column, row) on.
-        let at = |column: usize, row: usize| {
-            let load = |i: usize, j: usize| {
-                let eight = &bordered[(row + j) * side + column + i..][..8];
-                f32x8::new(std::array::from_fn(|k| eight[k]))
-            };
-            let half = f32x8::splat(0.5);
-            let grey = load(1, 1) - f32x8::splat(OFFSET);
-            (grey, (load(2, 1) - load(0, 1)) * half, (load(1, 2) - load(1, 0)) * half)
-        };
-        let mut sums = [f32x8::ZERO; 9];
-        for row in 0..N {
-            for column in (0..N).step_by(8) {
-                let (t, x, y) = at(column, row);
-                for (sum, v) in sums.iter_mut().zip([t, x, y, t * t, t * x, t * y, x * x, x * y, y * y]) {
-                    *sum += v;
-                }
-            }
-        }
-        let [t, x, y, tt, tx, ty, xx, xy, yy] = sums.map(sum_lanes);
-        let (mean, mean_x, mean_y) = (t / area, x / area, y / area);
-        let energy = (tt - t * mean).max(0.0);
-        let (along_x, along_y) =
-            if energy > 0.0 { ((tx - t * mean_x) / energy, (ty - t * mean_y) / energy) } else { (0.0, 0.0) };
-        let tensor @ [xx, xy, yy] = [
-            (xx - x * mean_x - along_x * along_x * energy) / area,
-            (xy - x * mean_y - along_x * along_y * energy) / area,
-            (yy - y * mean_y - along_y * along_y * energy) / area,
-        ];
-        let min_eigenvalue = 0.5 * (xx + yy - ((xx - yy) * (xx - yy) + 4.0 * xy * xy).sqrt());
+        let Structure {
+            mean,
+            mean_gradient: [mean_x, mean_y],
+            along: [along_x, along_y],
+            energy,
+            tensor,
+            min_eigenvalue,
+        } = Structure::of(bordered, N);
+        let [xx, xy, yy] = tensor;
         let mut template = Self {
             step_x: [[0; N]; N],
             step_y: [[0; N]; N],
@@ -183,8 +183,6 @@ impl<const N: usize> PatchTemplate<N> {
             own: [0; 3],
             offset: Vector2::zeros(),
             energy,
-            tensor,
-            min_eigenvalue,
         };
         // Written so that NaN fails.
         if !(min_eigenvalue > SINGULAR_EIGENVALUE && energy > 0.0 && (xx + yy).is_finite()) {
@@ -206,6 +204,16 @@ impl<const N: usize> PatchTemplate<N> {
             combine(inverse[1], inverse[2], scales[1]),
             [scales[2], 0.0, 0.0, -mean * scales[2]].map(f32x8::splat),
         ];
+        // Grey value (less the offset, for precision) and gradient of eight pixels from (column, row) on.
+        let at = |column: usize, row: usize| {
+            let load = |i: usize, j: usize| {
+                let eight = &bordered[(row + j) * side + column + i..][..8];
+                f32x8::new(std::array::from_fn(|k| eight[k]))
+            };
+            let half = f32x8::splat(0.5);
+            let grey = load(1, 1) - f32x8::splat(OFFSET);
+            (grey, (load(2, 1) - load(0, 1)) * half, (load(1, 2) - load(1, 0)) * half)
+        };
         let mut own = [i32x4::ZERO; 3];
         for row in 0..N {
             for column in (0..N).step_by(8) {
@@ -222,14 +230,6 @@ impl<const N: usize> PatchTemplate<N> {
         template.own = own.map(|v| v.reduce_add());
         template.unit = scales.map(|scale| 1.0 / (scale * SCALE));
         template
-    }
-
-    /// Smaller eigenvalue of the structure tensor, grey²/px², mean over the patch (Shi & Tomasi, Good Features to
-    /// Track, CVPR 1994), after removing what a change of gain or bias could explain. The standard deviation of the
-    /// position in the worst direction under pixel noise sigma is about sigma * sqrt(2 / (N² * this)) pixels.
-    #[inline]
-    pub fn min_eigenvalue(&self) -> f32 {
-        self.min_eigenvalue
     }
 
     /// Normalised cross-correlation with the picture at `position`, -1 to 1; `None` outside, 0 where either is flat.
@@ -349,11 +349,4 @@ fn to_f32(v: i16x8) -> f32x8 {
 #[inline(always)]
 fn to_i16(v: f32x8) -> i16x8 {
     i16x8::from_i32x8_saturate(v.fast_round_int())
-}
-
-/// Sum in a fixed order, whatever the machine's vectors.
-#[inline(always)]
-fn sum_lanes(lanes: f32x8) -> f32 {
-    let v = lanes.to_array();
-    ((v[0] + v[4]) + (v[2] + v[6])) + ((v[1] + v[5]) + (v[3] + v[7]))
 }

@@ -192,7 +192,11 @@ fn score_row_body(rows: &Rows, thresholds: &[u8], scores: &mut [u8], scored: &mu
 /// Scores `N` pixels from `x` on when one of them passes the quick test; says whether it did.
 #[inline(always)]
 fn score_block<const N: usize>(rows: &Rows, x: usize, t: &[u8], scores: &mut [u8]) -> bool {
-    let rows = rows.map(|row| &row[x - RING_RADIUS..x + RING_RADIUS + N]);
+    // A loop, since `map` on arrays is not inlined here.
+    let mut rows = *rows;
+    for row in &mut rows {
+        *row = &row[x - RING_RADIUS..x + RING_RADIUS + N];
+    }
     let at = |dx: usize, dy: usize| window::<N>(rows[dy], dx);
     // Clockwise from above the centre, which is at (3, 3).
     let ring: [&[u8; N]; 16] = [

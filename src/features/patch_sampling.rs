@@ -16,7 +16,8 @@
 use nalgebra::{Matrix2, Vector2};
 use wide::{i16x8, u8x16};
 
-use crate::image::GreyImage;
+use super::dispatch::simd_kernel;
+use crate::image::{Crop, GreyImage};
 
 /// A sample is (grey value - `OFFSET`) * `SCALE`.
 pub const OFFSET: f32 = 128.0;
@@ -122,55 +123,116 @@ fn row_across(pixels: &[u8], weights: &[i16x8; 4]) -> i16x8 {
     ((tap(0) + tap(1)) + (tap(2) + tap(3))) + i16x8::splat(i16::MIN)
 }
 
-/// Fills `out` (a square, row by row) with `source` seen through an affine map: pixel (i, j) of a side of S pixels is the
-/// grey value of `source` at `center + source_from_patch * (i - (S - 1) / 2, j - (S - 1) / 2)`. With `A` = 100 this makes
-/// the pixels of an 8 x 8 template with its border. False, with `out` unspecified, when a sample lies outside `source` or
-/// the map is not finite.
-pub fn warp_patch<const A: usize>(
-    source: &GreyImage,
+/// Side of a warped patch: an 8 x 8 template with its border.
+const SIDE: usize = 10;
+const AREA: usize = SIDE * SIDE;
+/// Samples, and as many more as fill the vectors.
+const PADDED: usize = AREA.next_multiple_of(8);
+
+/// Column and row of each sample.
+static STEPS: [[f32; PADDED]; 2] = {
+    let mut steps = [[0.0; PADDED]; 2];
+    let mut k = 0;
+    while k < AREA {
+        (steps[0][k], steps[1][k]) = ((k % SIDE) as f32, (k / SIDE) as f32);
+        k += 1;
+    }
+    steps
+};
+
+/// Fills `out` (10 x 10, row by row: the pixels of an 8 x 8 template with its border) with `source` (a picture, or what is left of it)
+/// seen through an affine map: pixel (i, j) is the grey value of `source` at `center + source_from_patch * (i - 4.5, j - 4.5)`.
+/// False, with `out` unspecified, when a sample lies outside `source` or the map is not finite.
+pub fn warp_patch(
+    source: &Crop<'_>,
     center: Vector2<f32>,
     source_from_patch: &Matrix2<f32>,
-    out: &mut [f32; A],
+    out: &mut [f32; AREA],
 ) -> bool {
-    let side = const {
-        let side = A.isqrt();
-        assert!(side * side == A && side >= 2);
-        side
-    };
-    let radius = (side as f32 - 1.0) / 2.0;
+    let radius = (SIDE as f32 - 1.0) / 2.0;
     let m = source_from_patch;
     let reach = Vector2::new(m.m11.abs() + m.m12.abs(), m.m21.abs() + m.m22.abs()) * radius;
     let (low, high) = (center - reach, center + reach);
-    let inside = low.x >= 1.0
-        && low.y >= 1.0
-        && high.x < source.width as f32 - 2.0
-        && high.y < source.height as f32 - 2.0
+    let (right_end, bottom_end) = (source.left + source.width, source.top + source.height);
+    let inside = low.x >= source.left as f32 + 1.0
+        && low.y >= source.top as f32 + 1.0
+        && high.x < right_end as f32 - 2.0
+        && high.y < bottom_end as f32 - 2.0
         && source.data.len() >= source.width * source.height;
-    if !inside {
-        return false;
-    }
-    let right = Vector2::new(m.m11, m.m21);
-    let down = Vector2::new(m.m12, m.m22);
-    let first = center - (right + down) * radius;
-    for (j, row) in out.chunks_exact_mut(side).enumerate() {
-        let start = first + down * j as f32;
-        for (i, v) in row.iter_mut().enumerate() {
-            let p = start + right * i as f32;
-            // Rounding may put a sample a hair outside what was checked above.
-            let x = (p.x.max(1.0) as usize).min(source.width - 3);
-            let y = (p.y.max(1.0) as usize).min(source.height - 3);
-            let (wx, wy) = (spline_weights(p.x - x as f32), spline_weights(p.y - y as f32));
-            let mut columns = [0.0; 4];
-            for (k, wy) in wy.iter().enumerate() {
-                let taps = &source.data[(y - 1 + k) * source.width + x - 1..][..4];
-                for (column, tap) in columns.iter_mut().zip(taps) {
-                    *column += wy * f32::from(*tap);
-                }
-            }
-            *v = (wx[0] * columns[0] + wx[1] * columns[1]) + (wx[2] * columns[2] + wx[3] * columns[3]);
+    let (right, down) = (Vector2::new(m.m11, m.m21), Vector2::new(m.m12, m.m22));
+    inside && warp_inside(source, center - (right + down) * radius, right, down, out)
+}
+
+simd_kernel! {
+    /// [`warp_patch`] from its first sample on, one column being `right` and one row `down`.
+    fn warp_inside(
+        source: &Crop<'_>, first: Vector2<f32>, right: Vector2<f32>, down: Vector2<f32>, out: &mut [f32; AREA],
+    ) -> bool = warp_inside_body
+}
+
+/// In three passes, so that all but the second go eight samples at a time: weights; the 4 x 4 pixels of each sample, a row of four in one
+/// word; their sum.
+#[inline(always)]
+fn warp_inside_body(
+    source: &Crop<'_>,
+    first: Vector2<f32>,
+    right: Vector2<f32>,
+    down: Vector2<f32>,
+    out: &mut [f32; AREA],
+) -> bool {
+    let width = source.width;
+    let [columns, rows] = &STEPS;
+    let mut begin = [0i32; PADDED];
+    let (mut across, mut along) = ([[0.0f32; PADDED]; 4], [[0.0f32; PADDED]; 4]);
+    // Rounding may put a sample a hair outside what was checked.
+    let lowest = Vector2::new(source.left as f32 + 1.0, source.top as f32 + 1.0);
+    let highest = lowest + Vector2::new(width as f32 - 4.0, source.height as f32 - 4.0);
+    for k in 0..PADDED {
+        let x = (first.x + down.x * rows[k]) + right.x * columns[k];
+        let y = (first.y + down.y * rows[k]) + right.y * columns[k];
+        let whole_x = floor(x).max(lowest.x).min(highest.x);
+        let whole_y = floor(y).max(lowest.y).min(highest.y);
+        begin[k] = to_i32(whole_y - lowest.y) * width as i32 + to_i32(whole_x - lowest.x);
+        let (wx, wy) = (spline_weights(x - whole_x), spline_weights(y - whole_y));
+        for t in 0..4 {
+            (across[t][k], along[t][k]) = (wx[t], wy[t]);
         }
     }
+    let mut taps = [[0u32; PADDED]; 4];
+    for k in 0..AREA {
+        let begin = begin[k] as usize;
+        let Some(pixels) = source.data.get(begin..begin + 3 * width + 4) else { return false };
+        for (r, taps) in taps.iter_mut().enumerate() {
+            let four = &pixels[r * width..][..4];
+            taps[k] = u32::from_le_bytes([four[0], four[1], four[2], four[3]]);
+        }
+    }
+    for k in 0..AREA {
+        let mut sums = [0.0f32; 4];
+        for (taps, weights) in taps.iter().zip(&along) {
+            for (c, sum) in sums.iter_mut().enumerate() {
+                *sum += weights[k] * (taps[k] >> (8 * c) & 255) as i32 as f32;
+            }
+        }
+        out[k] = (across[0][k] * sums[0] + across[1][k] * sums[1]) + (across[2][k] * sums[2] + across[3][k] * sums[3]);
+    }
     true
+}
+
+/// 2^23: from here on floats are whole numbers.
+const WHOLE: f32 = 8_388_608.0;
+
+/// A whole number below 2^22; a conversion by `as` saturates and does not become a vector.
+#[inline(always)]
+fn to_i32(v: f32) -> i32 {
+    (v + WHOLE).to_bits() as i32 - WHOLE.to_bits() as i32
+}
+
+/// Largest whole number that is not above `v`, for 0 <= v < 2^22.
+#[inline(always)]
+fn floor(v: f32) -> f32 {
+    let nearest = (v + WHOLE) - WHOLE;
+    if nearest > v { nearest - 1.0 } else { nearest }
 }
 
 #[cfg(test)]
@@ -230,7 +292,7 @@ mod tests {
         let m = Matrix2::new(0.9, 0.3, -0.25, 1.2);
         let center = Vector2::new(20.3, 19.1);
         let mut out = [0.0; 100];
-        assert!(warp_patch(&image, center, &m, &mut out));
+        assert!(warp_patch(&image.whole(), center, &m, &mut out));
         for j in 0..10 {
             for i in 0..10 {
                 let p = center + m * Vector2::new(i as f32 - 4.5, j as f32 - 4.5);
@@ -238,6 +300,16 @@ mod tests {
                 assert!(error < 1e-2, "{error} at {i}, {j}");
             }
         }
+    }
+
+    #[test]
+    fn both_machine_codes_warp_alike() {
+        let image = noise(40, 40, 5);
+        let (first, right, down) = (Vector2::new(9.3, 8.2), Vector2::new(1.3, -0.4), Vector2::new(0.6, 0.9));
+        let (mut one, mut other) = ([0.0; AREA], [0.0; AREA]);
+        assert!(warp_inside(&image.whole(), first, right, down, &mut one));
+        assert!(warp_inside_body(&image.whole(), first, right, down, &mut other));
+        assert_eq!(one, other);
     }
 
     #[test]
@@ -256,10 +328,10 @@ mod tests {
             (-1e30, 9.0, false),
         ] {
             let center = Vector2::new(x, y);
-            assert_eq!(warp_patch(&image, center, &Matrix2::identity(), &mut out), inside, "{center}");
+            assert_eq!(warp_patch(&image.whole(), center, &Matrix2::identity(), &mut out), inside, "{center}");
             assert_eq!(Window::new(&image, center - Vector2::new(4.5, 4.5), 10).is_some(), inside, "{center}");
         }
-        assert!(!warp_patch(&image, Vector2::new(15.0, 10.0), &Matrix2::from_element(f32::NAN), &mut out));
-        assert!(!warp_patch(&GreyImage::new(2, 2), Vector2::new(1.0, 1.0), &Matrix2::identity(), &mut out));
+        assert!(!warp_patch(&image.whole(), Vector2::new(15.0, 10.0), &Matrix2::from_element(f32::NAN), &mut out));
+        assert!(!warp_patch(&GreyImage::new(2, 2).whole(), Vector2::new(1.0, 1.0), &Matrix2::identity(), &mut out));
     }
 }

@@ -12,7 +12,7 @@ use nalgebra::Vector2;
 use super::alignment::Template;
 use super::config::{DetectorKind, FeaturesConfig};
 use super::fast::FastDetector;
-use super::optical_flow::{FlowOptions, follow};
+use super::optical_flow::{FlowOptions, Point, follow};
 use super::repetition::is_repeated;
 use super::susan::SusanDetector;
 use super::thumbnail::{Thumbnail, ThumbnailAligner};
@@ -52,6 +52,23 @@ struct Step {
     repeated: bool,
 }
 
+impl Step {
+    /// Looks for the track around `guess`; `template` becomes that of the place found.
+    fn follow(
+        &mut self,
+        previous: &Pyramid,
+        current: &Pyramid,
+        template: &mut Template,
+        guess: Vector2<f32>,
+        options: &FlowOptions,
+    ) {
+        let point = Point { place: self.track.position, template: *template };
+        if let Some(found) = follow(previous, current, &point, guess, options) {
+            (self.found, *template) = (Some(found.place), found.template);
+        }
+    }
+}
+
 /// See the module.
 #[derive(Debug)]
 pub struct FeatureStage {
@@ -64,6 +81,8 @@ pub struct FeatureStage {
     thumbnail: Thumbnail,
     aligner: ThumbnailAligner,
     tracks: Vec<Track>,
+    /// What each of them is followed by.
+    templates: Vec<Template>,
     steps: Vec<Step>,
     /// Tracks whose corner looks like another one nearby, ascending id.
     repeated: Vec<u64>,
@@ -94,6 +113,7 @@ impl FeatureStage {
             thumbnail: Thumbnail::default(),
             aligner: ThumbnailAligner::default(),
             tracks: Vec::new(),
+            templates: Vec::new(),
             steps: Vec::new(),
             repeated: Vec::with_capacity(config.max_tracks),
             next_id: 0,
@@ -135,7 +155,15 @@ impl FeatureStage {
 
     /// Takes reconstruction's feedback; applied from the next step on.
     pub fn feedback(&mut self, feedback: &Feedback) {
-        self.tracks.retain(|t| feedback.forget.binary_search(&t.id).is_err());
+        let mut kept = 0;
+        for i in 0..self.tracks.len() {
+            if feedback.forget.binary_search(&self.tracks[i].id).is_err() {
+                (self.tracks[kept], self.templates[kept]) = (self.tracks[i], self.templates[i]);
+                kept += 1;
+            }
+        }
+        self.tracks.truncate(kept);
+        self.templates.truncate(kept);
     }
 
     fn follow_into(&mut self, pyramid: Arc<Pyramid>, out: &mut FrameFeatures) {
@@ -157,6 +185,7 @@ impl FeatureStage {
     fn start_over(&mut self, pyramid: &Pyramid) {
         let (width, height) = pyramid.size();
         self.tracks.clear();
+        self.templates.clear();
         self.repeated.clear();
         self.fresh = true;
         // A small picture has as many cells as a large one, or it could not be tracked.
@@ -176,11 +205,14 @@ impl FeatureStage {
         };
         let quick = motion.is_some_and(|m| m.shift_px.norm() > QUICK_PX);
         self.steps.clear();
-        for &track in &self.tracks {
+        for (&track, template) in self.tracks.iter().zip(&mut self.templates) {
             let guess = motion.map_or(track.position, |m| m.apply(track.position));
             let repeated = quick && self.repeated.binary_search(&track.id).is_ok();
-            let found = if repeated { None } else { follow(previous, current, track.position, guess, &options) };
-            self.steps.push(Step { track, guess, found, repeated });
+            let mut step = Step { track, guess, found: None, repeated };
+            if !repeated {
+                step.follow(previous, current, template, guess, &options);
+            }
+            self.steps.push(step);
         }
         let wide = FlowOptions { coarsest_level: 3, ..options };
         let close = FlowOptions { coarsest_level: 1, ..options };
@@ -189,7 +221,7 @@ impl FeatureStage {
                 let step = self.steps[i];
                 if step.found.is_none() && step.repeated == repeated {
                     let guess = step.guess + neighbours_residual(&self.steps, step.track.position);
-                    self.steps[i].found = follow(previous, current, step.track.position, guess, &options);
+                    self.steps[i].follow(previous, current, &mut self.templates[i], guess, &options);
                 }
             }
         }
@@ -197,11 +229,13 @@ impl FeatureStage {
         let living = |id: &u64| steps.binary_search_by_key(id, |s| s.track.id).is_ok_and(|i| steps[i].found.is_some());
         self.repeated.retain(living);
         self.tracks.clear();
-        for step in &self.steps {
+        for (i, step) in self.steps.iter().enumerate() {
             if let Some(position) = step.found {
+                self.templates[self.tracks.len()] = self.templates[i];
                 self.tracks.push(Track { position, age: step.track.age.saturating_add(1), ..step.track });
             }
         }
+        self.templates.truncate(self.tracks.len());
     }
 
     /// Lowers the thresholds of cells without a corner at once, where no earlier picture could show what they need.
@@ -259,8 +293,7 @@ impl FeatureStage {
             let inside = corner.x >= BORDER_PX && corner.y >= BORDER_PX && corner.x <= right && corner.y <= bottom;
             let Some(i) = self.grid.index(corner.x, corner.y).filter(|_| inside) else { continue };
             let position = Vector2::new(corner.x, corner.y);
-            let Some(template) = Template::from_image(image, position) else { continue };
-            let eigenvalue = template.min_eigenvalue();
+            let Some(eigenvalue) = Template::min_eigenvalue_at(image, position) else { continue };
             if eigenvalue >= self.config.min_eigenvalue && self.best[i].is_none_or(|b| eigenvalue > b.0) {
                 self.best[i] = Some((eigenvalue, position));
             }
@@ -278,11 +311,11 @@ impl FeatureStage {
             };
             *threshold = (*threshold * 1.1).min(self.config.threshold);
             if started < room {
-                if Template::from_image(image, *position)
-                    .is_some_and(|t| is_repeated(image, &t, *position, &self.corners))
-                {
+                let Some(template) = Template::from_image(image, *position) else { continue };
+                if is_repeated(image, &template, *position, &self.corners) {
                     self.repeated.push(self.next_id);
                 }
+                self.templates.push(template);
                 self.tracks.push(Track { id: self.next_id, position: *position, age: 0 });
                 self.next_id += 1;
                 started += 1;

@@ -71,6 +71,8 @@ pub struct Thumbnail {
 pub fn thumbnail_of(pyramid: &Pyramid) -> Thumbnail {
     let mut thumbnail = Thumbnail::default();
     thumbnail.build(pyramid);
+    // It is kept for long, and this was needed to build it only.
+    thumbnail.sharp = Vec::new();
     thumbnail
 }
 

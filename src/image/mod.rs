@@ -17,6 +17,18 @@ pub struct GreyImage {
     pub data: Vec<u8>,
 }
 
+/// A rectangle of a picture, whose pixels keep the coordinates that they have there.
+#[derive(Debug, Clone, Copy)]
+pub struct Crop<'a> {
+    /// Column and row of its first pixel in the picture.
+    pub left: usize,
+    pub top: usize,
+    pub width: usize,
+    pub height: usize,
+    /// `width * height` bytes, row by row.
+    pub data: &'a [u8],
+}
+
 impl GreyImage {
     /// A black picture.
     pub fn new(width: usize, height: usize) -> Self {
@@ -34,6 +46,12 @@ impl GreyImage {
     #[inline]
     pub fn at(&self, x: usize, y: usize) -> u8 {
         self.data[y * self.width + x]
+    }
+
+    /// The picture as a crop that leaves nothing out.
+    #[inline]
+    pub fn whole(&self) -> Crop<'_> {
+        Crop { left: 0, top: 0, width: self.width, height: self.height, data: &self.data }
     }
 
     /// One row.

@@ -81,6 +81,22 @@ impl Pyramid {
         }
     }
 
+    /// Becomes a copy of `other`. Allocates only what its levels lack.
+    pub fn copy_from(&mut self, other: &Self) {
+        self.wanted = other.wanted;
+        self.levels.resize_with(other.levels.len(), GreyImage::default);
+        for (own, other) in self.levels.iter_mut().zip(&other.levels) {
+            own.resize(other.width, other.height);
+            own.data.copy_from_slice(&other.data);
+        }
+    }
+
+    /// A copy whose level 0 is empty.
+    pub fn without_base(&self) -> Self {
+        let coarser = self.levels.iter().skip(1).cloned();
+        Self { levels: std::iter::once(GreyImage::default()).chain(coarser).collect(), wanted: self.wanted }
+    }
+
     /// Size of level 0, pixels; (0, 0) before the first build.
     pub fn size(&self) -> (usize, usize) {
         self.levels.first().map_or((0, 0), |base| (base.width, base.height))
@@ -113,6 +129,26 @@ pub fn halve(full: &GreyImage, half: &mut GreyImage) {
         let (upper, lower) = rows.split_at(full.width);
         halve_row(&upper[..2 * width], &lower[..2 * width], out);
     }
+}
+
+/// A picture of twice the size: bilinear between the centres, which [`halve`] would give back but for rounding and the contrast of
+/// details below two pixels; its edge is repeated outwards.
+pub fn double(half: &GreyImage) -> GreyImage {
+    let (width, height) = (half.width, half.height);
+    let mut full = GreyImage::new(2 * width, 2 * height);
+    if width == 0 || height == 0 {
+        return full;
+    }
+    // Of two neighbours the nearer one weighs three quarters.
+    let beside = |i: usize, size: usize| if i % 2 == 0 { (i / 2).saturating_sub(1) } else { (i / 2 + 1).min(size - 1) };
+    for (y, out) in full.data.chunks_exact_mut(2 * width).enumerate() {
+        let (near, far) = (half.row(y / 2), half.row(beside(y, height)));
+        for (x, out) in out.iter_mut().enumerate() {
+            let down = |x: usize| 3 * u16::from(near[x]) + u16::from(far[x]);
+            *out = ((3 * down(x / 2) + down(beside(x, width)) + 8) >> 4) as u8;
+        }
+    }
+    full
 }
 
 /// One row of [`halve`]. Plain stride-2 loop: the compiler turns it into mask, shift, add and pack on SSE2 and NEON.
@@ -214,6 +250,24 @@ mod tests {
     }
 
     #[test]
+    fn a_doubled_picture_shows_the_same_at_the_same_place() {
+        // A slope survives doubling and halving; a level-1 position is where `base_from_level` says.
+        let mut half = GreyImage::new(40, 30);
+        for (i, v) in half.data.iter_mut().enumerate() {
+            *v = (4 * (i % 40) + 2 * (i / 40)) as u8;
+        }
+        let full = double(&half);
+        assert_eq!((full.width, full.height), (80, 60));
+        for (x, y) in [(3, 5), (20, 14), (37, 27)] {
+            let at = base_from_level(1, Vector2::new(x as f32, y as f32));
+            let four = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(i, j)| full.at(at.x as usize + i, at.y as usize + j));
+            let mean = four.iter().map(|v| f64::from(*v)).sum::<f64>() / 4.0;
+            assert!((mean - f64::from(half.at(x, y))).abs() <= 0.5);
+            assert!(four[0] < four[1] && four[0] < four[2]);
+        }
+    }
+
+    #[test]
     fn level_pixel_lies_at_the_centre_of_what_it_covers() {
         // A ramp is kept by averaging, so its value tells where a pixel of any level lies.
         let mut base = GreyImage::new(200, 160);
@@ -242,6 +296,24 @@ mod tests {
                 assert!(level.width >= MIN_LEVEL_SIDE && level.height >= MIN_LEVEL_SIDE);
             }
         }
+    }
+
+    #[test]
+    fn a_copy_is_the_same_whatever_was_there() {
+        let mut pyramids = [(64, 51, 4), (320, 240, 3), (30, 24, 4)].map(|(width, height, levels)| {
+            let mut pyramid = Pyramid::new(levels);
+            pyramid.build(&noise(width, height, 9));
+            pyramid
+        });
+        let mut copy = Pyramid::new(1);
+        for pyramid in &mut pyramids {
+            copy.copy_from(pyramid);
+            assert_eq!(copy.levels, pyramid.levels);
+            copy.rebuild();
+            assert_eq!(copy.levels.len(), pyramid.levels.len(), "as many levels are wanted");
+        }
+        let coarser = copy.without_base();
+        assert!(coarser.levels[0].data.is_empty() && coarser.levels[1..] == copy.levels[1..]);
     }
 
     #[test]

@@ -4,10 +4,10 @@
 //! optical axes of the map's first keyframe; lengths are map units.
 
 pub mod export;
+pub mod picture;
+mod reduction;
 mod snapshot;
 pub mod store;
-
-use std::sync::Arc;
 
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
@@ -17,7 +17,7 @@ use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::sim3::Sim3;
 use crate::geometry::{CameraModel, Se3};
-use crate::image::Pyramid;
+use picture::KeyframePicture;
 pub use snapshot::{KeyframeView, LandmarkView, MapSnapshot, largest_sigma};
 use store::Store;
 
@@ -91,7 +91,7 @@ pub struct Keyframe {
     /// How the camera moved then, if that is known.
     pub motion: Option<CameraMotion>,
     /// Templates of its observations are cut from here.
-    pub pyramid: Arc<Pyramid>,
+    pub picture: KeyframePicture,
     /// For relocalisation.
     pub thumbnail: Thumbnail,
     /// The last turn that its scale came through; `None`: its scale is that of the map's start.
@@ -240,6 +240,7 @@ impl Map {
             && let Ok(i) = k.observations.binary_search_by_key(&landmark, |o| o.landmark)
         {
             k.observations.remove(i);
+            k.picture.forget(landmark.0);
         }
         if self.landmarks.get(landmark.0).is_some_and(|l| l.observers.len() < 2) {
             self.remove_landmark(landmark);
@@ -255,6 +256,7 @@ impl Map {
                 && let Ok(i) = k.observations.binary_search_by_key(&landmark, |o| o.landmark)
             {
                 k.observations.remove(i);
+                k.picture.forget(landmark.0);
             }
             for &b in &entry.observers[n + 1..] {
                 change_covisibility(&mut self.keyframes, a, b, -1);

@@ -8,7 +8,7 @@ fn keyframe(landmarks: &[u32]) -> Keyframe {
         map: MapId(0),
         camera_from_world: Se3::identity(),
         motion: None,
-        pyramid: Arc::default(),
+        picture: Default::default(),
         thumbnail: Thumbnail::default(),
         scale_from: None,
         observations: landmarks.iter().map(|&l| observation(l)).collect(),
@@ -113,4 +113,38 @@ fn random_edits_keep_every_link_mutual_and_counted() {
             }
         }
     }
+}
+
+/// A picture in which no two patches are the same.
+fn picture() -> KeyframePicture {
+    let mut image = crate::image::GreyImage::new(160, 120);
+    for (i, v) in image.data.iter_mut().enumerate() {
+        *v = ((i as u32).wrapping_mul(0x9E37_79B9) >> 24) as u8;
+    }
+    let mut pyramid = crate::image::Pyramid::new(3);
+    pyramid.build(&image);
+    KeyframePicture::new(std::sync::Arc::new(pyramid))
+}
+
+#[test]
+fn reduced_keyframes_keep_the_views_of_a_landmark_that_differ_and_lose_them_with_it() {
+    let mut map = Map::default();
+    // The second sees the landmark, ahead at distance 2, as the first does; the third from 20 degrees beside.
+    let ids = [0.0, 0.05, 0.73].map(|x| {
+        let moved = Se3::new(nalgebra::UnitQuaternion::identity(), Vector3::new(-x, 0.0, 0.0));
+        let view = Keyframe { camera_from_world: moved, picture: picture(), ..keyframe(&[]) };
+        map.add_keyframe(view)
+    });
+    let ahead = Landmark { position: Vector3::new(0.0, 0.0, 2.0), ..landmark() };
+    let seen = ids.map(|k| (k, Observation { pixel: Vector2::new(80.0, 60.0), ..observation(0) }));
+    let id = map.add_landmark(ahead, &seen);
+    ids.iter().for_each(|k| map.reduce_picture(*k));
+    let shows = |map: &Map| ids.map(|k| map.keyframe(k).unwrap().picture.shows(id.0));
+    assert!(ids.iter().all(|k| map.keyframe(*k).unwrap().picture.whole().is_none()));
+    assert_eq!(shows(&map), [true, false, true]);
+    map.remove_observation(ids[2], id);
+    assert_eq!(shows(&map), [true, false, false]);
+    map.remove_landmark(id);
+    assert_eq!(shows(&map), [false; 3]);
+    map.check_consistency().unwrap();
 }

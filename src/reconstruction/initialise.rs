@@ -22,6 +22,7 @@ use crate::features::thumbnail::thumbnail_of;
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::geometry::{CameraModel, Se3};
+use crate::map::picture::KeyframePicture;
 use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, Observation};
 use consensus::agreeing_share;
 use initialiser::{PendingFrame, Start, View};
@@ -189,7 +190,7 @@ impl Reconstruction {
             motion: None,
             thumbnail: thumbnail_of(&view.pyramid),
             scale_from: None,
-            pyramid: view.pyramid.clone(),
+            picture: KeyframePicture::new(view.pyramid.clone()),
             observations: Vec::new(),
             covisible: Vec::new(),
             corners: Vec::new(),
@@ -342,6 +343,6 @@ fn refine_in_view(
     let rotation = kb.camera_from_world.rotation * ka.camera_from_world.rotation.inverse();
     let depth = ka.camera_from_world.transform(&landmark.position).z;
     let affine = affine_warp(camera, &projection, &rotation, depth, oa);
-    let found = align_template(ka, oa, &kb.pyramid, &affine, ob.pixel.cast(), options)?;
+    let found = align_template(ka, oa, kb.picture.whole()?, &affine, ob.pixel.cast(), options)?;
     observe(camera, id, found.pixel, found.inv_sigma_px)
 }

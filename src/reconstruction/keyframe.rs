@@ -7,6 +7,7 @@
 mod after_rotation;
 pub mod distance_prior;
 pub mod epipolar;
+pub mod pictures;
 pub mod point;
 
 use std::sync::Arc;
@@ -26,6 +27,7 @@ use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::image::Pyramid;
+use crate::map::picture::KeyframePicture;
 use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, MapId, Observation, TurnId};
 use distance_prior::assume;
 use point::{refine_point, reprojection_chi2};
@@ -67,6 +69,8 @@ pub fn wants_keyframe(inputs: &KeyframeInputs, config: &ReconstructionConfig) ->
 /// A tracked frame on its way into the map.
 pub struct NewKeyframe<'a> {
     pub features: &'a FrameFeatures,
+    /// A copy of the frame's: that one goes back to its pool, which so never has to allocate on the path of a pose.
+    pub picture: Arc<Pyramid>,
     pub camera_from_world: Se3<Camera, World>,
     pub map_id: MapId,
     /// Matches that agree with the pose, ascending landmark id.
@@ -81,7 +85,7 @@ pub struct NewKeyframe<'a> {
     pub assumed_distance: Option<f64>,
 }
 
-/// The newest keyframes are not culled: the local adjustment still gains by them.
+/// The newest keyframes are not culled, as the local adjustment still gains by them, and keep their whole pictures.
 const YOUNG_KEYFRAMES: u32 = 12;
 /// Of a map that is too large, as one that was joined may be, so many keyframes go with each new one: what it was joined by is needed yet.
 const MOST_AT_ONCE: u64 = 2;
@@ -113,8 +117,7 @@ pub fn insert_keyframe(
         map: new.map_id,
         camera_from_world: new.camera_from_world,
         motion: new.motion,
-        // A copy of its own: the frame's goes back to the pool, which so never has to allocate on the path of a pose.
-        pyramid: Arc::new(Pyramid::clone(&new.features.pyramid)),
+        picture: KeyframePicture::new(new.picture.clone()),
         thumbnail: thumbnail_of(&new.features.pyramid),
         scale_from: new.scale_from,
         observations,
@@ -191,8 +194,13 @@ enum SeedOutcome {
     Waits,
     /// The rays do not meet, or the picture there is another.
     Wrong,
-    /// Its anchor keyframe is gone.
+    /// Its anchor keyframe, or its picture, is gone.
     Orphan,
+}
+
+/// A keyframe is there and has its whole picture, so that a template of any place can be cut from it.
+fn is_whole(map: &Map, id: KeyframeId) -> bool {
+    map.keyframe(id).is_some_and(|k| k.picture.whole().is_some())
 }
 
 fn triangulate_seed(
@@ -204,7 +212,7 @@ fn triangulate_seed(
     camera: &CameraModel,
     config: &ReconstructionConfig,
 ) -> SeedOutcome {
-    let Some(&(anchor_id, anchor_pixel)) = seed.observations().iter().find(|(k, _)| map.keyframe(*k).is_some()) else {
+    let Some(&(anchor_id, anchor_pixel)) = seed.observations().iter().find(|(k, _)| is_whole(map, *k)) else {
         return SeedOutcome::Orphan;
     };
     let Some(anchor) = map.keyframe(anchor_id) else { return SeedOutcome::Orphan };
@@ -327,7 +335,7 @@ pub(super) fn refine_in(
     let rotation = other.camera_from_world.rotation * anchor.camera_from_world.rotation.inverse();
     let depth = anchor.camera_from_world.transform(point).z;
     let affine = affine_warp(camera, &projection, &rotation, depth, a);
-    let found = align_template(anchor, a, &other.pyramid, &affine, start.cast(), options)?;
+    let found = align_template(anchor, a, other.picture.whole()?, &affine, start.cast(), options)?;
     observe(camera, a.landmark, found.pixel, found.inv_sigma_px)
 }
 

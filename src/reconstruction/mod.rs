@@ -28,6 +28,7 @@ use adjust::mapper::{Mapper, Merge};
 use initialise::initialiser::Initialiser;
 use keyframe::distance_prior::{self, mostly_assumed};
 use keyframe::epipolar::{EpipolarMatcher, Lens};
+use keyframe::pictures::{WHOLE_PICTURES, reduce_pictures};
 use keyframe::{KeyframeInputs, NewKeyframe};
 use optics::Optics;
 use relocalise::Relocaliser;
@@ -39,6 +40,7 @@ use track::{Tracked, Tracker};
 use crate::features::{Feedback, FrameFeatures};
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::geometry::{CameraModel, Se3};
+use crate::image::pyramid::PyramidPool;
 use crate::map::{KeyframeId, KeyframeView, Sought};
 
 /// Share of the landmarks looked for that are seen: below the first a frame is looked for elsewhere too (after a stretch of blur
@@ -67,6 +69,8 @@ pub struct Reconstruction {
     tracker: Tracker,
     relocaliser: Relocaliser,
     epipolar: EpipolarMatcher,
+    /// Of the newest keyframes and their neighbours: when one is reduced the next takes its place, which keeps the heap in one piece.
+    pictures: PyramidPool,
     mapper: Mapper,
     pending: Pending,
     /// Timestamp of the newest frame, ns.
@@ -105,6 +109,7 @@ impl Reconstruction {
             tracker: Tracker::default(),
             relocaliser: Relocaliser::default(),
             epipolar: EpipolarMatcher::default(),
+            pictures: PyramidPool::new(WHOLE_PICTURES, 1),
             mapper: Mapper::new(worker, lockstep),
             pending: Pending::default(),
             frame_ns: i64::MIN,
@@ -275,8 +280,14 @@ impl Reconstruction {
         let Self { config, optics: Optics { camera, shutter, .. }, active, counters, .. } = self;
         let ActiveMap { map, bindings, .. } = active;
         let measured = self.pending.turned.is_none();
+        let copied: Result<_, std::convert::Infallible> = self.pictures.fill(|own| {
+            own.copy_from(&features.pyramid);
+            Ok(())
+        });
+        let Ok(picture) = copied;
         let new = NewKeyframe {
             features,
+            picture,
             camera_from_world: pose,
             map_id: active.id,
             matches: self.tracker.matches(),
@@ -302,6 +313,7 @@ impl Reconstruction {
         active.scale.follow(map);
         counters.landmarks_culled += keyframe::cull_landmarks(map, id);
         counters.keyframes_culled += keyframe::cull_keyframes((map, active.id), id, config, &mut self.events);
+        reduce_pictures(map, id);
         active.unadjusted = Some(id);
         self.recognise(features, id);
     }

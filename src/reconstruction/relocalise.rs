@@ -176,7 +176,7 @@ mod tests {
                 map: MapId(0),
                 camera_from_world: Se3::identity(),
                 motion: None,
-                pyramid: std::sync::Arc::default(),
+                picture: Default::default(),
                 thumbnail: Thumbnail::default(),
                 scale_from: None,
                 observations: Vec::new(),

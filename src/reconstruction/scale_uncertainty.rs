@@ -136,7 +136,7 @@ mod tests {
             map: MapId(0),
             camera_from_world: Se3::identity(),
             motion: None,
-            pyramid: Default::default(),
+            picture: Default::default(),
             thumbnail: Default::default(),
             scale_from,
             observations: Vec::new(),

@@ -17,7 +17,7 @@ use nalgebra::Vector2;
 use super::{PointGrid, PointMatch};
 use crate::features::Corner;
 use crate::features::alignment::Template;
-use crate::features::optical_flow::{FlowOptions, follow};
+use crate::features::optical_flow::{FlowOptions, Point, follow};
 use crate::features::thumbnail::{ImageMotion, Thumbnail, ThumbnailAligner};
 use crate::image::Pyramid;
 
@@ -66,7 +66,7 @@ pub fn match_flow(
         FlowOptions { coarsest_level: rule.coarsest_level, max_return_px: rule.max_return_px, min_ncc: rule.min_ncc };
     let points: Vec<Vector2<f32>> = corners.iter().map(|c| Vector2::new(c.x, c.y)).collect();
     let mut found: Vec<Option<Vector2<f32>>> =
-        points.iter().map(|&p| follow(first, second, p, motion.map_or(p, |m| m.apply(p)), &options)).collect();
+        points.iter().map(|&p| place_of(first, second, p, motion.map_or(p, |m| m.apply(p)), &options)).collect();
     for _ in 0..rule.rounds {
         if !try_neighbours(first, second, &points, &mut found, &options) {
             break;
@@ -115,11 +115,22 @@ fn try_neighbours(
         near.truncate(NEIGHBOURS);
         let motions = near.iter().filter_map(|&k| Some(before[k as usize]? - points[k as usize]));
         if let Some(motion) = median(motions) {
-            found[i] = follow(first, second, point, point + motion, &options);
+            found[i] = place_of(first, second, point, point + motion, &options);
             any |= found[i].is_some();
         }
     }
     any
+}
+
+/// Where a pixel of the first picture is in the second.
+fn place_of(
+    first: &Pyramid,
+    second: &Pyramid,
+    pixel: Vector2<f32>,
+    guess: Vector2<f32>,
+    options: &FlowOptions,
+) -> Option<Vector2<f32>> {
+    Some(follow(first, second, &Point::at(first, pixel)?, guess, options)?.place)
 }
 
 /// Median of each component; `None` of nothing.

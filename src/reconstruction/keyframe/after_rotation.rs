@@ -186,7 +186,6 @@ fn resolve_between(map: &mut Map, from: KeyframeId, camera: &CameraModel, readou
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
 
     use nalgebra::{UnitQuaternion, Vector3};
 
@@ -208,7 +207,7 @@ mod tests {
             map: MapId(0),
             camera_from_world: pose,
             motion: None,
-            pyramid: Arc::default(),
+            picture: Default::default(),
             thumbnail: Thumbnail::default(),
             scale_from: None,
             observations: Vec::new(),

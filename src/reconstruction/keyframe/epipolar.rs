@@ -43,8 +43,8 @@ const MIN_EIGENVALUE: f32 = 30.0;
 /// A corner this close to a landmark's place is that landmark, px.
 const SAME_CORNER_PX: f32 = 4.0;
 /// Keyframes whose corners are looked for in the newest one, and landmarks that they must share with it.
-const NEIGHBOURS: usize = 5;
-const MIN_SHARED: u32 = 15;
+pub(super) const NEIGHBOURS: usize = 5;
+pub(super) const MIN_SHARED: u32 = 15;
 /// Nearest distance looked at, as a share of the median one.
 const NEAREST: f64 = 0.25;
 /// Distance of a corner from the epipolar line, px.
@@ -88,18 +88,25 @@ impl EpipolarMatcher {
 
     /// Corners of a keyframe that are no landmark's place.
     fn free_corners(&mut self, keyframe: &Keyframe, camera: &CameraModel) -> Vec<FreeCorner> {
-        let Some(image) = keyframe.pyramid.levels.first() else { return Vec::new() };
+        let Some(pyramid) = keyframe.picture.whole() else { return Vec::new() };
+        let image = &pyramid.levels[0];
         self.detector.detect_all(image, THRESHOLD, &mut self.corners);
         let spread = self.spread.over_cells((image.width, image.height), CELL_PX, &mut self.corners);
+        // From top to bottom, so that few are compared with a corner.
+        let mut taken: Vec<Vector2<f32>> = keyframe.observations.iter().map(|o| o.pixel).collect();
+        taken.sort_by(|a, b| a.y.total_cmp(&b.y));
+        let is_taken = |pixel: &Vector2<f32>| {
+            let first = taken.partition_point(|t| t.y <= pixel.y - SAME_CORNER_PX);
+            let mut beside = taken[first..].iter().take_while(|t| t.y < pixel.y + SAME_CORNER_PX);
+            beside.any(|t| (t - pixel).norm() < SAME_CORNER_PX)
+        };
         let free = spread.filter_map(|corner| {
             let pixel = Vector2::new(corner.x, corner.y);
-            if keyframe.observations.iter().any(|o| (o.pixel - pixel).norm() < SAME_CORNER_PX)
-                || Template::from_image(image, pixel)?.min_eigenvalue() < MIN_EIGENVALUE
-            {
+            if is_taken(&pixel) || Template::min_eigenvalue_at(image, pixel)? < MIN_EIGENVALUE {
                 return None;
             }
             let normalised = camera.undistort(&pixel.cast())?;
-            let described = describe_at_level(&keyframe.pyramid, 0, pixel.x, pixel.y, Orientation::Upright)?;
+            let described = describe_at_level(pyramid, 0, pixel.x, pixel.y, Orientation::Upright)?;
             Some(FreeCorner { pixel, normalised, descriptor: described.descriptor })
         });
         free.take(CORNERS).collect()
@@ -160,7 +167,7 @@ impl EpipolarMatcher {
         let mut seen = vec![(old_id, displaced(old, a, &point, shutter))];
         let mut asked = 0;
         for &(id, _) in self.around.iter().filter(|k| k.0 != old_id) {
-            let Some(third) = map.keyframe(id) else { continue };
+            let Some(third) = map.keyframe(id).filter(|k| k.picture.whole().is_some()) else { continue };
             let p = third.camera_from_world.transform(&point);
             let visible = |pixel: &Vector2<f64>| p.z > 1e-6 && camera.contains(pixel, 10.0);
             let Some(pixel) = camera.project(&p).filter(visible) else { continue };
@@ -245,6 +252,7 @@ mod tests {
     use crate::geometry::frames::World;
     use crate::image::{GreyImage, Pyramid};
     use crate::map::MapId;
+    use crate::map::picture::KeyframePicture;
 
     const FOCAL_PX: f64 = 400.0;
 
@@ -282,7 +290,7 @@ mod tests {
                 map: MapId(0),
                 camera_from_world: Se3::<Camera, World>::new(UnitQuaternion::identity(), moved),
                 motion: None,
-                pyramid: Arc::new(pyramid),
+                picture: KeyframePicture::new(Arc::new(pyramid)),
                 thumbnail: Thumbnail::default(),
                 scale_from: None,
                 observations: Vec::new(),

@@ -203,8 +203,9 @@ impl DescriptorSearch {
 
 fn describe_keyframe(keyframe: &Keyframe, out: &mut Described<LandmarkId>) {
     out.clear();
-    for (level, image) in keyframe.pyramid.levels.iter().enumerate().take(LEVELS) {
-        let gradients = GradientMap::new(image);
+    for level in 0..LEVELS {
+        let Some(image) = keyframe.picture.level(level) else { break };
+        let gradients = GradientMap::new(&image);
         for o in &keyframe.observations {
             out.push(&gradients, level, o.pixel, o.landmark);
         }

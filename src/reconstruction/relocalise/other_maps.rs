@@ -192,7 +192,6 @@ pub fn retire(map: &Map, events: &mut Vec<TrajectoryEvent>) {
 mod tests {
     use super::*;
     use crate::geometry::random::Random;
-    use crate::image::Pyramid;
     use crate::map::{Keyframe, Landmark};
     use nalgebra::{Matrix2, Matrix3, UnitQuaternion, Vector2, Vector3};
 
@@ -211,7 +210,7 @@ mod tests {
             map: MapId(0),
             camera_from_world,
             motion: None,
-            pyramid: std::sync::Arc::new(Pyramid::default()),
+            picture: Default::default(),
             thumbnail: Default::default(),
             scale_from: None,
             observations: Vec::new(),

@@ -58,8 +58,6 @@ struct Candidate {
     pixel: Vector2<f64>,
     camera_point: Vector3<f64>,
     cell: u32,
-    /// Larger is looked for first.
-    rank: u32,
 }
 
 /// How [`Search::align`] looks.
@@ -87,7 +85,10 @@ impl SearchOptions {
 /// Buffers of the search, kept between frames.
 #[derive(Debug)]
 pub struct Search {
+    /// All that should be in the picture.
     candidates: Vec<Candidate>,
+    /// Rank (the smallest is looked for first), landmark and index of the candidates that are looked for.
+    chosen: Vec<(u32, LandmarkId, u32)>,
     per_cell: Vec<u32>,
     /// Found in the last call of [`align`](Self::align), ascending landmark id.
     pub matches: Vec<Match>,
@@ -130,6 +131,7 @@ impl Default for Search {
     fn default() -> Self {
         Self {
             candidates: Vec::with_capacity(4096),
+            chosen: Vec::with_capacity(4096),
             per_cell: Vec::with_capacity(4096),
             matches: Vec::with_capacity(1024),
             missed: Vec::with_capacity(1024),
@@ -148,6 +150,7 @@ impl Search {
         limit: usize,
     ) {
         self.candidates.clear();
+        self.chosen.clear();
         let columns = (camera.width as usize).div_ceil(CELL_PX);
         let rows = (camera.height as usize).div_ceil(CELL_PX);
         for &id in local {
@@ -163,23 +166,24 @@ impl Search {
             let cell = (pixel.y as usize / CELL_PX * columns + pixel.x as usize / CELL_PX) as u32;
             // Often found ones first, then those that many keyframes hold.
             let ratio = (100 * (landmark.found + 2) / (landmark.sought + 2)).min(100);
-            let rank = ratio * 16 + (landmark.observers.len() as u32).min(15);
-            self.candidates.push(Candidate { landmark: id, point: landmark.position, pixel, camera_point, cell, rank });
+            let rank = u32::MAX - (ratio * 16 + (landmark.observers.len() as u32).min(15));
+            self.chosen.push((rank, id, self.candidates.len() as u32));
+            self.candidates.push(Candidate { landmark: id, point: landmark.position, pixel, camera_point, cell });
         }
         if self.candidates.len() <= limit {
             return;
         }
-        self.candidates.sort_unstable_by(|a, b| b.rank.cmp(&a.rank).then(a.landmark.cmp(&b.landmark)));
+        self.chosen.sort_unstable();
         // Rounds over the grid: the n-th best of every cell before the (n+1)-th of any.
         self.per_cell.clear();
         self.per_cell.resize(columns * rows, 0);
-        for candidate in &mut self.candidates {
-            let used = &mut self.per_cell[candidate.cell as usize];
-            candidate.rank = *used;
+        for (rank, _, i) in &mut self.chosen {
+            let used = &mut self.per_cell[self.candidates[*i as usize].cell as usize];
+            *rank = *used;
             *used += 1;
         }
-        self.candidates.sort_unstable_by(|a, b| a.rank.cmp(&b.rank).then(a.landmark.cmp(&b.landmark)));
-        self.candidates.truncate(limit);
+        self.chosen.sort_unstable();
+        self.chosen.truncate(limit);
     }
 
     /// Aligns the selected landmarks in `pyramid`, predictions taken at `pose`.
@@ -194,8 +198,8 @@ impl Search {
         self.matches.clear();
         self.missed.clear();
         let centre = pose.inverse().translation;
-        for i in 0..self.candidates.len().min(options.limit) {
-            let candidate = self.candidates[i];
+        for &(_, _, i) in self.chosen.iter().take(options.limit) {
+            let candidate = self.candidates[i as usize];
             match align_candidate(map, camera, pose, &centre, pyramid, &candidate, options) {
                 Some(found) => self.matches.push(found),
                 None => self.missed.push(candidate.landmark),
@@ -221,8 +225,8 @@ impl Search {
         let options = SearchOptions { blurred_levels: BLURRED_LEVELS, ..*options };
         self.missed.clear();
         let found = self.matches.len();
-        for i in 0..self.candidates.len().min(options.limit) {
-            let candidate = self.candidates[i];
+        for &(_, _, i) in self.chosen.iter().take(options.limit) {
+            let candidate = self.candidates[i as usize];
             if self.matches[..found].iter().any(|m| m.landmark == candidate.landmark) {
                 continue;
             }
@@ -280,7 +284,7 @@ pub fn align_template(
     if !log_scale.is_finite() || log_scale.abs() > 2.5 {
         return None;
     }
-    let top = pyramid.levels.len().min(keyframe.pyramid.levels.len()).checked_sub(1)?;
+    let top = pyramid.levels.len().min(keyframe.picture.levels()).checked_sub(1)?;
     // A magnified patch is looked for at a coarser level of the frame, a minified one is cut from a coarser level.
     let own = (log_scale.round().max(0.0) as usize).min(top);
     let mut position = start.cast::<f32>();
@@ -292,7 +296,8 @@ pub fn align_template(
         let source_from_patch = (inverse * scale).cast::<f32>();
         let mut pixels = [0.0f32; 100];
         let source = level_from_base(source_level, observation.pixel);
-        if !warp_patch(&keyframe.pyramid.levels[source_level], source, &source_from_patch, &mut pixels) {
+        let Some(crop) = keyframe.picture.around(source_level, observation.landmark.0) else { continue };
+        if !warp_patch(&crop, source, &source_from_patch, &mut pixels) {
             continue;
         }
         let template = Template::from_pixels(&pixels);
@@ -331,7 +336,7 @@ fn closest_view<'a>(
         let cosine = ray.dot(&other) / (depth * other_depth).max(1e-12);
         // Angle first; a scale change of two costs as much as a turn by 25 degrees.
         let score = cosine - 0.1 * (depth / other_depth.max(1e-12)).log2().abs();
-        if cosine >= MIN_VIEW_COSINE && score > best_score {
+        if cosine >= MIN_VIEW_COSINE && score > best_score && keyframe.picture.shows(candidate.landmark.0) {
             best_score = score;
             best = Some(keyframe);
         }
@@ -384,6 +389,7 @@ mod tests {
     use crate::features::thumbnail::Thumbnail;
     use crate::image::GreyImage;
     use crate::map::MapId;
+    use crate::map::picture::KeyframePicture;
 
     /// Discs of several sizes; `streak`: how far the camera moves to the right while the shutter is open, px.
     fn picture(streak: usize) -> Pyramid {
@@ -413,7 +419,7 @@ mod tests {
             map: MapId(0),
             camera_from_world: Se3::identity(),
             motion: None,
-            pyramid: Arc::new(picture(0)),
+            picture: KeyframePicture::new(Arc::new(picture(0))),
             thumbnail: Thumbnail::default(),
             scale_from: None,
             observations: Vec::new(),
