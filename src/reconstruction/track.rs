@@ -230,8 +230,8 @@ impl Tracker {
             let Some(landmark) = map.landmark(*id) else { continue };
             let Some(normalised) = camera.undistort(&track.position.cast()) else { continue };
             assumed |= landmark.assumed.is_some();
-            let (pixel_scale, inv_sigma_px) = (camera.pixel_scale(&normalised), 1.0 / FLOW_SIGMA_PX);
-            self.pairs.push(PosePair { point: landmark.position, normalised, pixel_scale, inv_sigma_px });
+            let pixel_scale = camera.pixel_scale(&normalised);
+            self.pairs.push(PosePair::new(landmark.position, normalised, pixel_scale, 1.0 / FLOW_SIGMA_PX));
         }
         let tracks = self.pairs.len();
         self.seeds.append_pairs(tracks, guess, frame.motion.as_ref(), frame.shutter, &mut self.pairs);

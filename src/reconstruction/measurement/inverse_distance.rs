@@ -5,7 +5,7 @@
 
 use nalgebra::{Vector2, Vector3};
 
-use super::{PosePair, scaled};
+use super::{PosePair, residual, scaled};
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::map::{AssumedDistance, LandmarkId, Map, Observation};
@@ -70,7 +70,7 @@ impl Ray {
             let n = p.xy() / p.z;
             (p.z > 1e-6).then(|| (n, (n * rotated.z - rotated.xy()) / (p.z * inverse * inverse)))
         };
-        let pixels = |v: &Vector2<f64>| scaled(&pair.pixel_scale, pair.inv_sigma_px, v.x, v.y);
+        let pixels = |v: &Vector2<f64>| scaled(&pair.sqrt_information, 1.0, v.x, v.y);
         let mut inverse = mean;
         for _ in 0..3 {
             let (n, derivative) = see(inverse)?;
@@ -89,9 +89,7 @@ impl Ray {
     pub fn agrees(&self, pose: &Se3<Camera, World>, seen: &Observation, camera: &CameraModel, readout_s: f64) -> bool {
         let pair = PosePair::observed(self.point(), seen, camera, readout_s);
         self.eliminate(pose, &pair).is_some_and(|pair| {
-            let p = pose.transform(&pair.point);
-            let e = p.xy() / p.z - pair.normalised;
-            scaled(&pair.pixel_scale, pair.inv_sigma_px, e.x, e.y).norm_squared() <= CHI2_2D_999
+            residual(pose, &pair).is_some_and(|(e, _)| e.norm_squared() <= CHI2_2D_999)
         })
     }
 }

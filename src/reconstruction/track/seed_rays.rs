@@ -116,6 +116,6 @@ fn seed_ray(frame: &Frame<'_>, seed: &Seed, position: Vector2<f32>, distance: f6
     let ray = Ray::at_distance(&anchor.camera_from_world, &seen, shutter.readout_s, distance);
     let normalised = camera.undistort(&position.cast())?;
     let pixel_scale = camera.pixel_scale(&normalised);
-    let pair = PosePair { point: ray.point(), normalised, pixel_scale, inv_sigma_px: 1.0 / SIGMA_PX };
+    let pair = PosePair::new(ray.point(), normalised, pixel_scale, 1.0 / SIGMA_PX);
     Some(SeedRay { ray, row_px: position.y, pair })
 }

@@ -52,7 +52,7 @@ impl LeastSquares<6> for PoseProblem<'_> {
         for pair in self.pairs() {
             let Some((e, p)) = residual(pose, pair) else { continue };
             let (_, weight) = self.loss.evaluate(e.norm_squared());
-            let (jx, jy) = jacobian_rows(&p, &(pair.pixel_scale * pair.inv_sigma_px));
+            let (jx, jy) = jacobian_rows(&p, &pair.sqrt_information);
             normal.add(&Vector6::from(jx), e.x, weight);
             normal.add(&Vector6::from(jy), e.y, weight);
         }
