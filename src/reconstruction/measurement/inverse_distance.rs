@@ -10,7 +10,7 @@ use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::map::{AssumedDistance, LandmarkId, Map, Observation};
 
-/// A keyframe with fewer matches than this makes landmarks at an assumed distance, and in a quick turn seeds hold a frame's pose, too.
+/// A keyframe with fewer matches than this makes landmarks at an assumed distance.
 pub const FEW_MATCHES: usize = 60;
 /// Standard deviation of the inverse distance in shares of it. A narrow one is worse than none: together, many landmarks would
 /// rather turn the camera than not lie on a sphere.
@@ -88,8 +88,7 @@ impl Ray {
     /// Whether the observation lies where some likely distance puts it.
     pub fn agrees(&self, pose: &Se3<Camera, World>, seen: &Observation, camera: &CameraModel, readout_s: f64) -> bool {
         let pair = PosePair::observed(self.point(), seen, camera, readout_s);
-        self.eliminate(pose, &pair).is_some_and(|pair| {
-            residual(pose, &pair).is_some_and(|(e, _)| e.norm_squared() <= CHI2_2D_999)
-        })
+        self.eliminate(pose, &pair)
+            .is_some_and(|pair| residual(pose, &pair).is_some_and(|(e, _)| e.norm_squared() <= CHI2_2D_999))
     }
 }

@@ -104,7 +104,8 @@ impl Newcomers {
         let mut newcomers = 0;
         self.heard.clear();
         for (pair, &established) in pairs.iter().zip(&self.established) {
-            let agrees = !established && pair.innovation(&own.camera_from_world, doubt).is_some_and(|chi2| chi2 <= CHI2_2D_95);
+            let agrees =
+                !established && pair.innovation(&own.camera_from_world, doubt).is_some_and(|chi2| chi2 <= CHI2_2D_95);
             newcomers += usize::from(agrees);
             self.heard.push(established || agrees);
         }

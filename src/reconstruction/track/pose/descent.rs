@@ -18,8 +18,7 @@ pub struct PoseOptions {
     pub outlier_chi2: f64,
     /// The first round uses this many times the limit and a Cauchy weight: a poor start must not throw good pairs out.
     pub first_round_relaxation: f64,
-    /// Pairs with leverage are judged by what the others make of them (`most_contradicted`). Not where distances are eliminated:
-    /// such pairs agree with every way of the camera, and would contradict the few that know it.
+    /// Pairs with leverage are judged by what the others make of them (`most_contradicted`).
     pub leverage: bool,
 }
 
