@@ -317,7 +317,7 @@ impl Reconstruction {
             let Some(point) = position(track) else { continue };
             let Some(normalised) = self.optics.camera.undistort(&pixel.cast()) else { continue };
             let pixel_scale = self.optics.camera.pixel_scale(&normalised);
-            pairs.push(PosePair { point, normalised, pixel_scale, inv_sigma_px: 1.0 / TRACK_SIGMA_PX });
+            pairs.push(PosePair::new(point, normalised, pixel_scale, 1.0 / TRACK_SIGMA_PX));
         }
         let mut inlier = Vec::new();
         let solution =

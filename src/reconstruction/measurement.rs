@@ -6,7 +6,7 @@
 pub mod inverse_distance;
 pub mod rolling_shutter;
 
-use nalgebra::{Matrix2, Matrix3, Matrix6, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix3, Matrix6, Vector2, Vector3, Vector6};
 
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
@@ -25,13 +25,20 @@ pub struct PosePair {
     pub point: Vector3<f64>,
     /// Undistorted observation on the plane z = 1.
     pub normalised: Vector2<f64>,
-    /// Pixels that steps on that plane count as there; whitened, where the point is uncertain ([`with_uncertain_point`](Self::with_uncertain_point)).
-    pub pixel_scale: Matrix2<f64>,
-    /// One over the standard deviation, 1/px.
-    pub inv_sigma_px: f64,
+    /// Square root of the information of `normalised`: standard deviations that a step on that plane counts as.
+    pub sqrt_information: Matrix2<f64>,
+    /// Variance of a place in the picture, mean of both axes, px².
+    pub variance_px2: f64,
 }
 
 impl PosePair {
+    /// `pixel_scale`: pixels that steps on the plane z = 1 count as there ([`CameraModel::pixel_scale`]); `inv_sigma_px`: one over the
+    /// standard deviation of a place in the picture, 1/px.
+    pub fn new(point: Vector3<f64>, normalised: Vector2<f64>, pixel_scale: Matrix2<f64>, inv_sigma_px: f64) -> Self {
+        let (sqrt_information, variance_px2) = (pixel_scale * inv_sigma_px, inv_sigma_px.powi(-2));
+        Self { point, normalised, sqrt_information, variance_px2 }
+    }
+
     /// What it tells of a pose near `pose` when its point is uncertain itself: `e' W e`, `W = (s² I + J P J')⁻¹` with P the point's
     /// covariance (world axes, map units²) and J the derivative of the residual by the point. The residual is whitened once, so everything
     /// that follows (loss, outliers, information) is in standard deviations of the innovation. Unchanged where P is not known.
@@ -40,7 +47,7 @@ impl PosePair {
         if !(p.z > NEAREST) {
             return self;
         }
-        let (jx, jy) = jacobian_rows(&p, &(self.pixel_scale * self.inv_sigma_px));
+        let (jx, jy) = jacobian_rows(&p, &self.sqrt_information);
         let world_from_camera = pose.rotation.inverse();
         let (x, y) = (
             world_from_camera * Vector3::new(jx[3], jx[4], jx[5]),
@@ -54,23 +61,33 @@ impl PosePair {
     fn whitened(self, added: &Matrix2<f64>) -> Self {
         let whitening = (Matrix2::identity() + added).cholesky().and_then(|c| c.l().try_inverse());
         match whitening.filter(|w| w.iter().all(|v| v.is_finite())) {
-            Some(whitening) => Self { pixel_scale: whitening * self.pixel_scale, ..self },
+            Some(whitening) => Self {
+                sqrt_information: whitening * self.sqrt_information,
+                variance_px2: self.variance_px2 * (1.0 + 0.5 * added.trace()),
+                ..self
+            },
             None => self,
         }
     }
 
     /// What a keyframe saw of `point`, as its middle row's pose would have seen it, for a readout time in seconds.
     pub fn observed(point: Vector3<f64>, seen: &Observation, camera: &CameraModel, readout_s: f64) -> Self {
-        Self {
-            point,
-            normalised: seen.at_middle_row(readout_s),
-            pixel_scale: camera.pixel_scale(&seen.normalised),
-            inv_sigma_px: seen.inv_sigma_px,
-        }
+        Self::new(point, seen.at_middle_row(readout_s), camera.pixel_scale(&seen.normalised), seen.inv_sigma_px)
+    }
+
+    /// Normalised innovation squared, `e' (I + J P J')⁻¹ e`, at a pose of that covariance (left perturbation) in which this pair had no part
+    /// (Bar-Shalom, Li, Kirubarajan 2001, section 5.4); `None` behind the camera.
+    pub fn innovation(&self, pose: &Se3<Camera, World>, covariance: &Matrix6<f64>) -> Option<f64> {
+        let (e, p) = residual(pose, self)?;
+        let (jx, jy) = jacobian_rows(&p, &self.sqrt_information);
+        let (jx, jy) = (Vector6::from(jx), Vector6::from(jy));
+        let (cx, cy) = (covariance * jx, covariance * jy);
+        let spread = Matrix2::new(1.0 + jx.dot(&cx), jx.dot(&cy), jx.dot(&cy), 1.0 + jy.dot(&cy));
+        Some(e.dot(&(spread.try_inverse()? * e)))
     }
 }
 
-/// Residual (sigma-scaled, px) of a pair; `None` behind the camera.
+/// Residual of a pair in standard deviations; `None` behind the camera.
 #[inline]
 pub(crate) fn residual(pose: &Se3<Camera, World>, pair: &PosePair) -> Option<(Vector2<f64>, Vector3<f64>)> {
     let p = pose.transform(&pair.point);
@@ -78,7 +95,7 @@ pub(crate) fn residual(pose: &Se3<Camera, World>, pair: &PosePair) -> Option<(Ve
         return None;
     }
     let iz = 1.0 / p.z;
-    Some((scaled(&pair.pixel_scale, pair.inv_sigma_px, p.x * iz - pair.normalised.x, p.y * iz - pair.normalised.y), p))
+    Some((scaled(&pair.sqrt_information, 1.0, p.x * iz - pair.normalised.x, p.y * iz - pair.normalised.y), p))
 }
 
 /// A pinhole's scale: the short way then, with the same bits as the long one.
@@ -146,7 +163,7 @@ mod tests {
         let p = vector() + Vector3::new(0.0, 0.0, 3.0);
         let root = Matrix3::from_columns(&[vector(), vector(), vector()]) * 0.05;
         let normalised = p.xy() / p.z + vector().xy() * 0.01;
-        let pair = PosePair { point: pose.inverse().transform(&p), normalised, pixel_scale: scale, inv_sigma_px: 1.25 };
+        let pair = PosePair::new(pose.inverse().transform(&p), normalised, scale, 1.25);
         (pose, pair, root * root.transpose())
     }
 
@@ -164,7 +181,7 @@ mod tests {
                 let step = |i: usize| Vector3::ith(i, 1e-6);
                 let slope = |i: usize| (at(pair.point + step(i)) - at(pair.point - step(i))) / 2e-6;
                 let j = nalgebra::Matrix2x3::from_columns(&[slope(0), slope(1), slope(2)]);
-                let spread = Matrix2::identity() / pair.inv_sigma_px.powi(2) + j * covariance * j.transpose();
+                let spread = Matrix2::identity() * pair.variance_px2 + j * covariance * j.transpose();
                 let e = at(pair.point);
                 let expected = e.dot(&(spread.try_inverse().unwrap() * e));
                 let (whitened, _) = residual(&pose, &pair.with_uncertain_point(&pose, &covariance)).unwrap();
@@ -178,9 +195,9 @@ mod tests {
     fn what_is_not_known_or_not_seen_changes_nothing() {
         let (pose, pair, covariance) = case(&mut Random::new(6), Matrix2::new(500.0, 0.0, 0.0, 510.0));
         let unknown = pair.with_uncertain_point(&pose, &Matrix3::from_element(f64::NAN));
-        assert_eq!(unknown.pixel_scale, pair.pixel_scale);
+        assert_eq!(unknown.sqrt_information, pair.sqrt_information);
         let behind = PosePair { point: pose.inverse().transform(&Vector3::new(0.1, 0.2, -1.0)), ..pair };
-        assert_eq!(behind.with_uncertain_point(&pose, &covariance).pixel_scale, pair.pixel_scale);
+        assert_eq!(behind.with_uncertain_point(&pose, &covariance).sqrt_information, pair.sqrt_information);
         assert!(residual(&pose, &behind).is_none());
         assert!(residual(&pose, &PosePair { point: Vector3::from_element(f64::NAN), ..pair }).is_none());
     }

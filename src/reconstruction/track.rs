@@ -4,7 +4,7 @@
 //!    optimisation): it follows any acceleration that the flow could follow.
 //! 2. *Search*: local landmarks are projected and aligned against keyframe templates ([`search`](super::search)).
 //! 3. *Optimisation*: robust, motion-only, over everything found, each place whitened by what is known of its landmark. In a quick
-//!    turn that leaves few landmarks in view, tracks without depth hold the pose across their epipolar lines (`seed_rays`).
+//!    turn tracks without depth hold the pose across their epipolar lines (`seed_rays`).
 //!    Newcomers among the landmarks must then agree with the established ones (`newcomers`).
 //! 4. If that rests on too few landmarks: once more with a wide, coarse-to-fine search from each other guess that there is.
 //!
@@ -224,23 +224,20 @@ impl Tracker {
     fn predict_by_flow(&mut self, frame: &Frame<'_>, guess: &Se3<Camera, World>) -> Option<Se3<Camera, World>> {
         let Frame { map, bindings, features, camera, .. } = *frame;
         self.pairs.clear();
-        let mut assumed = false;
         for track in &features.tracks {
             let Some(Target::Landmark(id)) = bindings.get(track.id) else { continue };
             let Some(landmark) = map.landmark(*id) else { continue };
             let Some(normalised) = camera.undistort(&track.position.cast()) else { continue };
-            assumed |= landmark.assumed.is_some();
-            let (pixel_scale, inv_sigma_px) = (camera.pixel_scale(&normalised), 1.0 / FLOW_SIGMA_PX);
-            self.pairs.push(PosePair { point: landmark.position, normalised, pixel_scale, inv_sigma_px });
+            let pixel_scale = camera.pixel_scale(&normalised);
+            self.pairs.push(PosePair::new(landmark.position, normalised, pixel_scale, 1.0 / FLOW_SIGMA_PX));
         }
         let tracks = self.pairs.len();
-        self.seeds.append_pairs(tracks, guess, frame.motion.as_ref(), frame.shutter, &mut self.pairs);
+        self.seeds.append_pairs(guess, frame.motion.as_ref(), frame.shutter, &mut self.pairs);
         // Seeds alone would rest on a distance that nobody knows.
         if tracks == 0 || self.pairs.len() < MIN_FLOW {
             return None;
         }
-        let leverage = frame.is_calibrated && !assumed && !self.seeds.are_heard(tracks);
-        let options = PoseOptions { first_round_relaxation: 25.0, leverage, ..PoseOptions::default() };
+        let options = PoseOptions { first_round_relaxation: 25.0, ..pose_options(frame) };
         let solution = optimise_pose(guess, &self.pairs, &options, &mut self.inlier)?;
         (solution.inliers >= MIN_FLOW && 2 * solution.inliers >= self.pairs.len()).then_some(solution.camera_from_world)
     }
@@ -329,8 +326,8 @@ impl Tracker {
             let pair = m.pair(camera, shutter.readout_s);
             self.pairs.push(measurement_of(frame, m.landmark, start, pair));
         }
-        self.seeds.append_pairs(self.search.matches.len(), start, motion, shutter, &mut self.pairs);
-        let solution = optimise_pose(start, &self.pairs, &self.options(frame), &mut self.inlier)?;
+        self.seeds.append_pairs(start, motion, shutter, &mut self.pairs);
+        let solution = optimise_pose(start, &self.pairs, &pose_options(frame), &mut self.inlier)?;
         // Seeds come after the matches.
         for (m, &ok) in self.search.matches.iter_mut().zip(&self.inlier) {
             m.inlier = ok;
@@ -338,16 +335,8 @@ impl Tracker {
         Some(solution)
     }
 
-    /// Of the matches, and of seeds where they take part: leverage is judged where all distances are measured, and through a lens that is
-    /// known (a wrong one bends the picture most where leverage is).
-    fn options(&self, frame: &Frame<'_>) -> PoseOptions {
-        let leverage = frame.is_calibrated && !self.rests_on_assumed(frame);
-        PoseOptions { leverage, ..PoseOptions::default() }
-    }
-
     fn rests_on_assumed(&self, frame: &Frame<'_>) -> bool {
-        let matches = &self.search.matches;
-        self.seeds.are_heard(matches.len()) || matches.iter().any(|m| is_assumed(frame, m.landmark))
+        !self.seeds.is_empty() || self.search.matches.iter().any(|m| is_assumed(frame, m.landmark))
     }
 
     /// The last solution with the newcomers that agree with established landmarks only.
@@ -357,13 +346,18 @@ impl Tracker {
         // Nothing vouches for seeds, which come after the matches.
         let established =
             |i: usize| matches.get(i).and_then(|m| frame.map.landmark(m.landmark)).is_some_and(|l| l.found >= enough);
-        let options = self.options(frame);
+        let options = pose_options(frame);
         let judged = self.newcomers.judge(&self.pairs, established, &solution, &options, &mut self.inlier);
         for (m, &ok) in self.search.matches.iter_mut().zip(&self.inlier) {
             m.inlier = ok;
         }
         judged.unwrap_or(solution)
     }
+}
+
+/// Leverage is judged through a lens that is known: a wrong one bends the picture most where leverage is.
+fn pose_options(frame: &Frame<'_>) -> PoseOptions {
+    PoseOptions { leverage: frame.is_calibrated, ..PoseOptions::default() }
 }
 
 /// Whether the camera can have made this step (it was expected to turn by `expected_rad`) among landmarks at this mean depth.

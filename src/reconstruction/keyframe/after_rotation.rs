@@ -304,13 +304,13 @@ mod tests {
             let free = ray.eliminate(&truth, &pair).expect("in front");
             // At the true pose it fits, at about the true distance, though the pair as it was is off by pixels.
             let p = truth.transform(&free.point);
-            let e = free.pixel_scale * (p.xy() / p.z - free.normalised);
-            assert!(e.norm() < 0.5, "off by {} px", e.norm());
+            let e = free.sqrt_information * (p.xy() / p.z - free.normalised);
+            assert!(e.norm() < 0.625, "off by {} standard deviations", e.norm());
             assert!(free.point.norm() > m.point.norm() / 1.05, "nearer than assumed");
             // On the spot nothing is eliminated: the pair counts in full.
             let still = moved(Vector3::zeros());
             let kept = ray.eliminate(&still, &pair).expect("in front");
-            assert!((kept.pixel_scale - pair.pixel_scale).norm() < 1e-6 * pair.pixel_scale.norm());
+            assert!((kept.sqrt_information - pair.sqrt_information).norm() < 1e-6 * pair.sqrt_information.norm());
         }
     }
 }

@@ -5,12 +5,12 @@
 
 use nalgebra::{Vector2, Vector3};
 
-use super::{PosePair, scaled};
+use super::{PosePair, residual, scaled};
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::map::{AssumedDistance, LandmarkId, Map, Observation};
 
-/// A keyframe with fewer matches than this makes landmarks at an assumed distance, and in a quick turn seeds hold a frame's pose, too.
+/// A keyframe with fewer matches than this makes landmarks at an assumed distance.
 pub const FEW_MATCHES: usize = 60;
 /// Standard deviation of the inverse distance in shares of it. A narrow one is worse than none: together, many landmarks would
 /// rather turn the camera than not lie on a sphere.
@@ -70,7 +70,7 @@ impl Ray {
             let n = p.xy() / p.z;
             (p.z > 1e-6).then(|| (n, (n * rotated.z - rotated.xy()) / (p.z * inverse * inverse)))
         };
-        let pixels = |v: &Vector2<f64>| scaled(&pair.pixel_scale, pair.inv_sigma_px, v.x, v.y);
+        let pixels = |v: &Vector2<f64>| scaled(&pair.sqrt_information, 1.0, v.x, v.y);
         let mut inverse = mean;
         for _ in 0..3 {
             let (n, derivative) = see(inverse)?;
@@ -88,10 +88,7 @@ impl Ray {
     /// Whether the observation lies where some likely distance puts it.
     pub fn agrees(&self, pose: &Se3<Camera, World>, seen: &Observation, camera: &CameraModel, readout_s: f64) -> bool {
         let pair = PosePair::observed(self.point(), seen, camera, readout_s);
-        self.eliminate(pose, &pair).is_some_and(|pair| {
-            let p = pose.transform(&pair.point);
-            let e = p.xy() / p.z - pair.normalised;
-            scaled(&pair.pixel_scale, pair.inv_sigma_px, e.x, e.y).norm_squared() <= CHI2_2D_999
-        })
+        self.eliminate(pose, &pair)
+            .is_some_and(|pair| residual(pose, &pair).is_some_and(|(e, _)| e.norm_squared() <= CHI2_2D_999))
     }
 }

@@ -46,10 +46,9 @@ impl PoseInformation {
                 continue;
             }
             let pair = measurement_of(frame, m.landmark, pose, m.pair(frame.camera, frame.shutter.readout_s));
-            let scale = pair.pixel_scale * pair.inv_sigma_px;
-            let (jx, jy) = jacobian_rows(&pose.transform(&pair.point), &scale);
+            let (jx, jy) = jacobian_rows(&pose.transform(&pair.point), &pair.sqrt_information);
             accumulate(&mut matrix, &jx, &jy, 1.0);
-            let moved = scale * m.displacement;
+            let moved = pair.sqrt_information * m.displacement;
             readout += Vector6::from(jx) * moved.x + Vector6::from(jy) * moved.y;
             let known = frame.map.landmark(m.landmark).filter(|l| l.assumed.is_none());
             let Some(landmark) = known else { continue };

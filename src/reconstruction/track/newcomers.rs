@@ -15,10 +15,10 @@
 //! Kept by ablation (35 sequences: recordings, parts, cuts and reversals of them, simulated walks at 5 Hz): without it errors are 8 % larger
 //! in the geometric mean, those of a desk and of two walks about twice as large.
 
-use nalgebra::{Matrix2, Matrix6, Vector6};
+use nalgebra::{Matrix6, Vector6};
 
 use super::pose::{PoseOptions, PoseSolution, optimise_pose};
-use crate::reconstruction::measurement::{CHI2_2D_95, PosePair, jacobian_rows, scaled};
+use crate::reconstruction::measurement::{CHI2_2D_95, PosePair};
 
 /// A landmark is established once it was found in as many frames as this time holds, s, and in that many at the least.
 const ESTABLISHED_S: f64 = 0.65;
@@ -104,7 +104,8 @@ impl Newcomers {
         let mut newcomers = 0;
         self.heard.clear();
         for (pair, &established) in pairs.iter().zip(&self.established) {
-            let agrees = !established && innovation(pair, own, doubt).is_some_and(|chi2| chi2 <= CHI2_2D_95);
+            let agrees =
+                !established && pair.innovation(&own.camera_from_world, doubt).is_some_and(|chi2| chi2 <= CHI2_2D_95);
             newcomers += usize::from(agrees);
             self.heard.push(established || agrees);
         }
@@ -118,25 +119,9 @@ fn take(pairs: &[PosePair], flags: &[bool], out: &mut Vec<PosePair>) {
     out.extend(pairs.iter().zip(flags).filter(|(_, flag)| **flag).map(|(pair, _)| *pair));
 }
 
-/// Normalised innovation squared of a pair at a pose of that covariance; `None` behind the camera.
-fn innovation(pair: &PosePair, solution: &PoseSolution, covariance: &Matrix6<f64>) -> Option<f64> {
-    let p = solution.camera_from_world.transform(&pair.point);
-    if p.z < 1e-6 {
-        return None;
-    }
-    let e = scaled(&pair.pixel_scale, 1.0, p.x / p.z - pair.normalised.x, p.y / p.z - pair.normalised.y);
-    let (jx, jy) = jacobian_rows(&p, &pair.pixel_scale);
-    let (jx, jy) = (Vector6::from(jx), Vector6::from(jy));
-    let own = pair.inv_sigma_px.powi(-2);
-    let (px, py) = (covariance * jx, covariance * jy);
-    let xy = jx.dot(&py);
-    let s = Matrix2::new(jx.dot(&px) + own, xy, xy, jy.dot(&py) + own);
-    Some(e.dot(&(s.try_inverse()? * e)))
-}
-
 #[cfg(test)]
 mod tests {
-    use nalgebra::{UnitQuaternion, Vector2, Vector3};
+    use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3};
 
     use super::*;
     use crate::geometry::Se3;
@@ -160,12 +145,9 @@ mod tests {
                 let mapped = Vector3::new(random() * 0.5 * z, random() * 0.4 * z, z);
                 let seen = if near { mapped + by } else { mapped };
                 let noise = Vector2::new(random(), random()) * 0.5;
-                PosePair {
-                    point: truth.inverse().transform(&mapped),
-                    normalised: Vector2::new(seen.x, seen.y) / seen.z + noise.component_div(&FOCAL),
-                    pixel_scale: Matrix2::from_diagonal(&FOCAL),
-                    inv_sigma_px: 1.0 / 0.3,
-                }
+                let normalised = Vector2::new(seen.x, seen.y) / seen.z + noise.component_div(&FOCAL);
+                let point = truth.inverse().transform(&mapped);
+                PosePair::new(point, normalised, Matrix2::from_diagonal(&FOCAL), 1.0 / 0.3)
             })
             .collect();
         (truth, pairs)

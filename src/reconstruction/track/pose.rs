@@ -1,9 +1,8 @@
 //! Pose of one frame from landmarks of known position (motion-only adjustment).
 //!
 //! Input: pairs of a world point and its undistorted observation. Output: `camera_from_world` that minimises
-//! `sum rho(|e|^2)`, `e = A (pi(T X) - n) / sigma` with Huber's rho (Triggs et al. 2000, section 4), A the pixels that a
-//! step on the plane z = 1 counts as ([`CameraModel::pixel_scale`](crate::geometry::CameraModel::pixel_scale)), outliers taken out
-//! between rounds by the chi-square limit and at the end by what the others make of those that decide a direction by themselves, and the 6x6
+//! `sum rho(|e|^2)`, `e = A (pi(T X) - n)` with Huber's rho (Triggs et al. 2000, section 4), A the standard deviations that a
+//! step on the plane z = 1 counts as ([`PosePair::sqrt_information`]), outliers taken out between rounds by the chi-square limit and at the end by what the others make of those that decide a direction by themselves, and the 6x6
 //! information of the result. Levenberg-Marquardt (`least_squares`) on the left perturbation of [`Se3::perturb_left`]. Cost: about 80 ns a
 //! pair and step. Allocates nothing.
 
@@ -104,7 +103,7 @@ mod tests {
                     normalised += Vector2::new(random(), random()) * 0.3;
                 }
                 let pixel_scale = Matrix2::new(500.0, 0.0, 0.0, 510.0);
-                PosePair { point: truth.inverse().transform(&p), normalised, pixel_scale, inv_sigma_px: 1.0 }
+                PosePair::new(truth.inverse().transform(&p), normalised, pixel_scale, 1.0)
             })
             .collect();
         (truth, pairs)
@@ -145,10 +144,10 @@ mod tests {
             let (pose, pairs) = scene(seed, 5, 3.0, 0);
             // A pinhole's scale, and one of a wide-angle lens off its axis.
             let wide = Matrix2::new(210.0, -80.0, -81.0, 130.0);
-            let pairs = pairs.iter().flat_map(|p| [*p, PosePair { pixel_scale: wide, ..*p }]);
+            let pairs = pairs.iter().flat_map(|p| [*p, PosePair { sqrt_information: wide, ..*p }]);
             for pair in pairs {
                 let (_, p) = residual(&pose, &pair).unwrap();
-                let (jx, jy) = jacobian_rows(&p, &pair.pixel_scale);
+                let (jx, jy) = jacobian_rows(&p, &pair.sqrt_information);
                 for i in 0..6 {
                     let mut d = Vector6::zeros();
                     d[i] = 1e-6;

@@ -41,12 +41,8 @@ impl Match {
 
     /// Its pair for the optimisation of the pose.
     pub fn pair(&self, camera: &CameraModel, readout_s: f64) -> PosePair {
-        PosePair {
-            point: self.point,
-            normalised: self.at_middle_row(readout_s),
-            pixel_scale: camera.pixel_scale(&self.normalised),
-            inv_sigma_px: self.inv_sigma_px,
-        }
+        let pixel_scale = camera.pixel_scale(&self.normalised);
+        PosePair::new(self.point, self.at_middle_row(readout_s), pixel_scale, self.inv_sigma_px)
     }
 }
 

@@ -18,8 +18,7 @@ pub struct PoseOptions {
     pub outlier_chi2: f64,
     /// The first round uses this many times the limit and a Cauchy weight: a poor start must not throw good pairs out.
     pub first_round_relaxation: f64,
-    /// Pairs with leverage are judged by what the others make of them (`most_contradicted`). Not where distances are eliminated:
-    /// such pairs agree with every way of the camera, and would contradict the few that know it.
+    /// Pairs with leverage are judged by what the others make of them (`most_contradicted`).
     pub leverage: bool,
 }
 
@@ -53,7 +52,7 @@ impl LeastSquares for PoseProblem<'_> {
         for pair in self.pairs() {
             let Some((e, p)) = residual(pose, pair) else { continue };
             let (_, weight) = self.loss.evaluate(e.norm_squared());
-            let (jx, jy) = jacobian_rows(&p, &(pair.pixel_scale * pair.inv_sigma_px));
+            let (jx, jy) = jacobian_rows(&p, &pair.sqrt_information);
             normal.add(&Vector6::from(jx), e.x, weight);
             normal.add(&Vector6::from(jy), e.y, weight);
         }

@@ -6,7 +6,7 @@
 //!
 //! Kept by ablation (as `newcomers`): without it one recording in bare corridors is lost after 71 % instead of 99 %.
 
-use nalgebra::{Matrix2, Matrix6, Vector3, Vector6};
+use nalgebra::{Matrix2, Matrix6, Vector6};
 
 use super::descent::{PoseOptions, descend};
 use crate::geometry::Se3;
@@ -29,14 +29,8 @@ const BINS_PER_SIGMA: f64 = 64.0;
 pub(super) struct Fit {
     pub(super) information: Matrix6<f64>,
     pub(super) count: usize,
-    /// Of residuals in px, whitened by the landmarks' own uncertainty.
     pub(super) sum_px2: f64,
     pub(super) scale: f64,
-}
-
-/// d e / d delta of the sigma-scaled residual.
-fn scaled_jacobian(pair: &PosePair, p: &Vector3<f64>) -> ([f64; 6], [f64; 6]) {
-    jacobian_rows(p, &(pair.pixel_scale * pair.inv_sigma_px))
 }
 
 impl Fit {
@@ -46,10 +40,10 @@ impl Fit {
         let (mut bins, mut weight) = ([0.0; BINS], 0.0);
         for (pair, _) in pairs.iter().zip(inlier).filter(|(_, ok)| **ok) {
             let Some((e, p)) = residual(pose, pair) else { continue };
-            let (jx, jy) = scaled_jacobian(pair, &p);
+            let (jx, jy) = jacobian_rows(&p, &pair.sqrt_information);
             accumulate(&mut information, &jx, &jy, 1.0);
-            let w = pair.inv_sigma_px * pair.inv_sigma_px;
-            sum_px2 += e.norm_squared() / w;
+            let w = 1.0 / pair.variance_px2;
+            sum_px2 += e.norm_squared() * pair.variance_px2;
             bins[((e.norm() * BINS_PER_SIGMA) as usize).min(BINS - 1)] += w;
             weight += w;
             count += 1;
@@ -87,7 +81,7 @@ impl Fit {
         let mut worst = (limit, None);
         for (i, (pair, _)) in pairs.iter().zip(inlier).enumerate().filter(|(_, (_, ok))| **ok) {
             let Some((e, p)) = residual(pose, pair) else { continue };
-            let (jx, jy) = scaled_jacobian(pair, &p);
+            let (jx, jy) = jacobian_rows(&p, &pair.sqrt_information);
             let (jx, jy) = (Vector6::from(jx), Vector6::from(jy));
             let (cx, cy) = (covariance * jx, covariance * jy);
             let (xx, xy, yy) = (jx.dot(&cx), jx.dot(&cy), jy.dot(&cy));
@@ -111,15 +105,9 @@ impl Fit {
         worst.1
     }
 
-    /// Normalised innovation squared of a pair that had no part in this; `None` behind the camera.
-    fn innovation(&self, pose: &Se3<Camera, World>, pair: &PosePair) -> Option<f64> {
-        let (e, p) = residual(pose, pair)?;
-        let covariance = self.information.cholesky()?.inverse() * (self.scale * self.scale);
-        let (jx, jy) = scaled_jacobian(pair, &p);
-        let (jx, jy) = (Vector6::from(jx), Vector6::from(jy));
-        let (cx, cy) = (covariance * jx, covariance * jy);
-        let spread = Matrix2::new(1.0 + jx.dot(&cx), jx.dot(&cy), jx.dot(&cy), 1.0 + jy.dot(&cy));
-        Some(e.dot(&(spread.try_inverse()? * e)))
+    /// Covariance of the pose at the scale of the residuals.
+    fn covariance(&self) -> Option<Matrix6<f64>> {
+        Some(self.information.cholesky()?.inverse() * (self.scale * self.scale))
     }
 }
 
@@ -149,9 +137,10 @@ pub(super) fn judge_leverage(
     if count == 0 {
         return;
     }
+    let covariance = fit.covariance();
     for (i, pair) in pairs.iter().enumerate() {
         inlier[i] = if out[..count].contains(&i) {
-            fit.innovation(pose, pair).is_some_and(|chi2| chi2 <= limit)
+            covariance.and_then(|c| pair.innovation(pose, &c)).is_some_and(|chi2| chi2 <= limit)
         } else {
             residual(pose, pair).is_some_and(|(e, _)| e.norm_squared() <= limit)
         };
@@ -162,7 +151,7 @@ pub(super) fn judge_leverage(
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::Vector2;
+    use nalgebra::{Vector2, Vector3};
 
     use super::*;
     use crate::reconstruction::track::pose::optimise_pose;
