@@ -388,3 +388,6 @@ impl Reconstruction {
         self.optics.shutter.readout_s
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -51,6 +51,14 @@ fn webcam(scenario: Scenario, seed: u64) -> SimulatorConfig {
     SimulatorConfig { scenario, seed, ..SimulatorConfig::default() }
 }
 
+/// A dim room and a hand that jerks every two seconds.
+fn jerky(c: &mut SimulatorConfig) {
+    c.jerks.enabled = true;
+    c.motion_blur.exposure_ms = 30.0;
+    // A peak of 150 degrees/s streaks by some 40 px.
+    c.motion_blur.max_samples = 32;
+}
+
 /// All cases; `seed` draws room and movement.
 pub fn cases(seed: u64) -> Vec<Case> {
     let plain = |name, what, scenario, short_s, long_s, expectation| Case {
@@ -211,6 +219,52 @@ pub fn cases(seed: u64) -> Vec<Case> {
         90.0,
         limits(95.0, 1.0, 0, 10),
         &|c| c.lens.wide_angle.enabled = true,
+    );
+    add(
+        "gloss",
+        "screen, pictures and table tops reflect the lamps",
+        Scenario::DeskSweep,
+        8.0,
+        48.0,
+        limits(95.0, 1.0, 0, 10),
+        &|c| c.gloss.enabled = true,
+    );
+    add("people", "two people pace to and fro", Scenario::HandHeld, 8.0, 60.0, limits(95.0, 1.0, 0, 10), &|c| {
+        c.people.enabled = true;
+    });
+    add(
+        "exposure_hunts",
+        "exposure swings by up to 0.7 EV, 0.8 s a swing",
+        Scenario::HandHeld,
+        7.0,
+        60.0,
+        limits(95.0, 1.0, 0, 10),
+        &|c| c.exposure.hunts = true,
+    );
+    add(
+        "jerks",
+        "30 ms of exposure, jerks of 60 to 150 degrees/s",
+        Scenario::HandHeld,
+        10.0,
+        60.0,
+        limits(90.0, 1.5, 0, 15),
+        &jerky,
+    );
+    add(
+        "desk_sweep",
+        "to and fro along a cluttered desk with all of that but people",
+        Scenario::DeskSweep,
+        15.0,
+        60.0,
+        limits(85.0, 2.0, 0, 30),
+        &|c| {
+            c.jerks.enabled = true;
+            c.gloss.enabled = true;
+            c.exposure.hunts = true;
+            c.exposure.sets_time = true;
+            c.motion_blur.exposure_ms = 15.0;
+            c.motion_blur.max_samples = 32;
+        },
     );
     let mut dropped = plain(
         "dropped_frames",
