@@ -298,6 +298,8 @@ config! {
     /// People who pace the free lanes of the room or the corridor: nearer than some things, farther than others.
     PeopleConfig {
         enabled: bool = false,
+        /// Until then each waits at the beginning of its lane, s.
+        start_s: f64 = 3.0,
         /// Walking speed, m/s, 0.2..=2.
         walk_m_s: f64 = 1.1,
     }
@@ -415,6 +417,7 @@ impl SimulatorConfig {
         within("jerks.speed_m_s", self.jerks.speed_m_s, "m/s", 0.0, 1.0)?;
         within("gloss.strength", self.gloss.strength, "times white", 0.0, 4.0)?;
         within("gloss.spread_deg", self.gloss.spread_deg, "degrees", 0.5, 20.0)?;
+        within("people.start_s", self.people.start_s, "s", 0.0, 1e7)?;
         within("people.walk_m_s", self.people.walk_m_s, "m/s", 0.2, 2.0)?;
         let board = &self.chessboard;
         within("chessboard.columns", f64::from(board.columns), "inner corners", 3.0, 20.0)?;

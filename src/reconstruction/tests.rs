@@ -96,7 +96,9 @@ fn events(reconstruction: &mut Reconstruction) -> Vec<TrajectoryEvent> {
 /// Poses that the record holds: time stamp, world position by the reference keyframe's own pose.
 fn recorded(reconstruction: &mut Reconstruction) -> Vec<(i64, Vector3<f64>)> {
     let place = |e: &TrajectoryEvent| match e {
-        TrajectoryEvent::Pose { timestamp_ns, keyframe_from_camera, .. } => Some((*timestamp_ns, keyframe_from_camera.translation)),
+        TrajectoryEvent::Pose { timestamp_ns, keyframe_from_camera, .. } => {
+            Some((*timestamp_ns, keyframe_from_camera.translation))
+        }
         _ => None,
     };
     events(reconstruction).iter().filter_map(place).collect()
@@ -110,7 +112,11 @@ fn a_pose_replaced_behind_a_turn_is_replaced_in_the_record() {
     reconstruction.record_pose(200, &at(0.2));
     reconstruction.record_instead(200, &at(0.5));
     let expected = [(100, Vector3::x() * 0.1), (200, Vector3::x() * 0.5)];
-    assert_eq!(recorded(&mut reconstruction), expected, "one pose a frame, the later one, and the frame before it as it was");
+    assert_eq!(
+        recorded(&mut reconstruction),
+        expected,
+        "one pose a frame, the later one, and the frame before it as it was"
+    );
 
     // A frame whose pose was drained already, or that had none: nothing is invented for it.
     reconstruction.record_instead(200, &at(0.7));
@@ -126,7 +132,11 @@ fn a_frame_found_elsewhere_leaves_the_matches_of_its_own_search() {
     let features = frame(FRAME_NS, 4);
     let tracked = reconstruction.place(&features).expect("the view of the only keyframe");
     let moved = tracked.camera_from_world.inverse().translation - Vector3::new(4.0 / FOCAL_PX, 0.0, 0.0);
-    assert!(moved.norm() < 0.005 && tracked.camera_from_world.rotation.angle() < 0.005, "{:?}", tracked.camera_from_world);
+    assert!(
+        moved.norm() < 0.005 && tracked.camera_from_world.rotation.angle() < 0.005,
+        "{:?}",
+        tracked.camera_from_world
+    );
     let matches: Vec<_> = reconstruction.tracker.inliers().copied().collect();
     assert_eq!(matches.len(), tracked.landmarks, "what the map will learn from is what the pose rests on");
     for m in &matches {
@@ -157,5 +167,8 @@ fn a_frame_that_was_found_again_is_recorded_counted_and_no_keyframe() {
     assert_eq!(reconstruction.counters().relocalisations, 1);
     assert!(reconstruction.pending.keyframe.is_none(), "its templates would be those of a view that was just lost");
     let recorded = recorded(&mut reconstruction);
-    assert!(matches!(recorded.as_slice(), [(FRAME_NS, at)] if (at - Vector3::x() * (4.0 / FOCAL_PX)).norm() < 0.005), "{recorded:?}");
+    assert!(
+        matches!(recorded.as_slice(), [(FRAME_NS, at)] if (at - Vector3::x() * (4.0 / FOCAL_PX)).norm() < 0.005),
+        "{recorded:?}"
+    );
 }

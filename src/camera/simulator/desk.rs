@@ -128,7 +128,8 @@ fn pens(f: &mut Furnisher, y: f64) {
 /// The upright rods of a lamp and a stand: 10 mm thick, 0.3 to 0.5 m tall.
 fn rods(f: &mut Furnisher, y: f64) {
     for side in [-1.0, 1.0] {
-        let (x, along, height) = (f.random.range(2.62, 2.72), y + side * 0.33 + f.jitter(0.04), f.random.range(0.3, 0.5));
+        let (x, along, height) =
+            (f.random.range(2.62, 2.72), y + side * 0.33 + f.jitter(0.04), f.random.range(0.3, 0.5));
         f.place([x, along, TOP], [0.01, 0.01, height], FRONT, Faces::all(Style::Wood), 0.5);
         f.place([x, along, TOP], [0.1, 0.1, 0.012], FRONT, Faces::all(Style::Wood), 0.5);
     }

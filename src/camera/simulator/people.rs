@@ -32,17 +32,21 @@ type Lane = [[f64; 2]; 2];
 const ROOM_LANES: [Lane; 2] = [[[1.94, -1.5], [1.94, 1.5]], [[-2.1, 1.62], [1.7, 1.62]]];
 const CORRIDOR_LANES: [Lane; 1] = [[[-6.0, 0.46], [6.0, 0.46]]];
 
+/// Figures set out within this time, s.
+const LATEST_S: f64 = 1.5;
+
 #[derive(Debug)]
 struct Figure {
     lane: Lane,
-    /// Where in its lane it is at time 0, 0..2: there and back.
-    start: f64,
+    /// What it waits longer than the first one may, s.
+    later_s: f64,
 }
 
 /// All of them.
 #[derive(Debug)]
 pub(super) struct People {
     figures: Vec<Figure>,
+    start_s: f64,
     walk_m_s: f64,
     textures: Vec<Texture>,
 }
@@ -56,7 +60,7 @@ impl People {
             _ => &ROOM_LANES,
         };
         let figures: Vec<Figure> =
-            lanes.iter().map(|lane| Figure { lane: *lane, start: random.range(0.0, 2.0) }).collect();
+            lanes.iter().map(|lane| Figure { lane: *lane, later_s: random.range(0.0, LATEST_S) }).collect();
         let mut textures = Vec::new();
         for _ in &figures {
             for ([across, _, low, high], style) in BOXES {
@@ -66,7 +70,7 @@ impl People {
                 textures.push(Texture::new(canvas.width, canvas.height, canvas.texels));
             }
         }
-        Self { figures, walk_m_s: config.people.walk_m_s, textures }
+        Self { figures, start_s: config.people.start_s, walk_m_s: config.people.walk_m_s, textures }
     }
 
     /// One a box; see [`Quad::texture`].
@@ -84,9 +88,10 @@ impl People {
         for (k, figure) in self.figures.iter().enumerate() {
             let [from, to] = figure.lane.map(|[x, y]| Vector3::new(x, y, 0.0));
             let length = (to - from).norm();
-            let laps = (figure.start + time_s * self.walk_m_s / length).rem_euclid(2.0);
+            let walked_m = (time_s - self.start_s - figure.later_s).max(0.0) * self.walk_m_s;
+            let laps = (walked_m / length).rem_euclid(2.0);
             let (share, back) = if laps < 1.0 { (laps, 1.0) } else { (2.0 - laps, -1.0) };
-            let step = PI * time_s * self.walk_m_s / STEP_M;
+            let step = PI * walked_m / STEP_M;
             let (bob, sway) = (0.025 * (2.0 * step).sin(), 0.03 * step.sin());
             let forward = (to - from) / length * back;
             let left = Vector3::z().cross(&forward);

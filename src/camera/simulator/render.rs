@@ -135,7 +135,8 @@ impl Renderer {
                     .collect()
             });
             let bounds = &self.rays.bounds[tile];
-            let towards = Vector3::new(0.5 * (bounds.low[0] + bounds.high[0]), 0.5 * (bounds.low[1] + bounds.high[1]), 1.0);
+            let towards =
+                Vector3::new(0.5 * (bounds.low[0] + bounds.high[0]), 0.5 * (bounds.low[1] + bounds.high[1]), 1.0);
             let mut out: Tile = [[0.0; TILE]; TILE];
             let share = 1.0 / samples as f32;
             for moment in moments.iter() {

@@ -229,16 +229,22 @@ pub fn cases(seed: u64) -> Vec<Case> {
         limits(95.0, 1.0, 0, 10),
         &|c| c.gloss.enabled = true,
     );
-    add("people", "two people pace to and fro", Scenario::HandHeld, 8.0, 60.0, limits(95.0, 1.0, 0, 10), &|c| {
-        c.people.enabled = true;
-    });
+    add(
+        "people",
+        "two people pace to and fro from second 3 on",
+        Scenario::HandHeld,
+        9.0,
+        60.0,
+        limits(95.0, 0.3, 0, 10),
+        &|c| c.people.enabled = true,
+    );
     add(
         "exposure_hunts",
         "exposure swings by up to 0.7 EV, 0.8 s a swing",
         Scenario::HandHeld,
         7.0,
         60.0,
-        limits(95.0, 1.0, 0, 10),
+        limits(95.0, 0.3, 0, 10),
         &|c| c.exposure.hunts = true,
     );
     add(
@@ -256,13 +262,13 @@ pub fn cases(seed: u64) -> Vec<Case> {
         Scenario::DeskSweep,
         15.0,
         60.0,
-        limits(85.0, 2.0, 0, 30),
+        limits(90.0, 1.0, 0, 15),
         &|c| {
             c.jerks.enabled = true;
             c.gloss.enabled = true;
             c.exposure.hunts = true;
             c.exposure.sets_time = true;
-            c.motion_blur.exposure_ms = 15.0;
+            c.motion_blur.exposure_ms = 30.0;
             c.motion_blur.max_samples = 32;
         },
     );

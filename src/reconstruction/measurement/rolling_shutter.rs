@@ -130,7 +130,8 @@ mod tests {
             let h = 1e-4;
             let seen = |readout_s: f64| {
                 let share = delay * readout_s / 0.1;
-                let turned = UnitQuaternion::from_scaled_axis(turn.scaled_axis() * share) * point + step.translation * share;
+                let turned =
+                    UnitQuaternion::from_scaled_axis(turn.scaled_axis() * share) * point + step.translation * share;
                 turned.xy() / turned.z
             };
             let measured = (seen(h) - seen(-h)) / (2.0 * h);

@@ -39,14 +39,19 @@ fn a_jerk_is_as_quick_as_configured_smooth_and_taken_back() {
             fastest = fastest.max((b.translation - a.translation).norm() / h);
             quickest = quickest.max(turn.to_degrees());
             peaks[i as usize / 2000] = peaks[i as usize / 2000].max(turn.to_degrees());
-            at_rest += usize::from(a.rotation.angle_to(&calm.rotation) + (a.translation - calm.translation).norm() < 1e-9);
-            let turns = [(a.rotation.inverse() * b.rotation), (b.rotation.inverse() * c.rotation)].map(|r| r.scaled_axis());
+            at_rest +=
+                usize::from(a.rotation.angle_to(&calm.rotation) + (a.translation - calm.translation).norm() < 1e-9);
+            let turns =
+                [(a.rotation.inverse() * b.rotation), (b.rotation.inverse() * c.rotation)].map(|r| r.scaled_axis());
             let acceleration = (turns[1] - turns[0]) / (h * h);
             worst_step = worst_step.max(last.map_or(0.0, |l: Vector3<f64>| (acceleration - l).norm()));
             last = Some(acceleration);
         }
         // Between two fifths and the whole of 150 degrees/s, and up to a seventh more where yaw and roll add up.
-        assert!((100.0..172.0).contains(&quickest) && fastest < 0.505, "seed {seed}: {quickest} degrees/s, {fastest} m/s");
+        assert!(
+            (100.0..172.0).contains(&quickest) && fastest < 0.505,
+            "seed {seed}: {quickest} degrees/s, {fastest} m/s"
+        );
         assert!(fastest > 0.3, "seed {seed}: {fastest} m/s");
         let jerks = peaks.iter().filter(|p| **p > 55.0).count();
         assert!(jerks >= 16, "seed {seed}: {jerks} jerks in 20 periods");
@@ -127,7 +132,9 @@ fn a_highlight_is_where_a_mirror_would_show_the_lamp() {
         assert!((found - expected).norm() < 0.7, "seen at {found}, mirrored to {expected}");
         let peak = picture.data.iter().copied().max();
         assert!(peak.is_some_and(|p| (220..=230).contains(&p)), "peak {peak:?} of 0.9 times white");
-        places.push(found - camera.project(&(crate::geometry::ros_from_optical().inverse() * (Vector3::x() - at))).unwrap());
+        places.push(
+            found - camera.project(&(crate::geometry::ros_from_optical().inverse() * (Vector3::x() - at))).unwrap(),
+        );
     }
     assert!((places[0] - places[1]).norm() > 10.0, "it stays where it is on the sheet");
     assert!(lit_sheet(Vector3::zeros(), lamp, false).0.data.iter().all(|v| *v == 0), "a matt sheet shows no lamp");
@@ -136,15 +143,27 @@ fn a_highlight_is_where_a_mirror_would_show_the_lamp() {
 #[test]
 fn people_walk_at_their_pace_and_keep_to_their_lanes() {
     for scenario in [Scenario::HandHeld, Scenario::Corridor] {
-        let config = SimulatorConfig { scenario, ..standing() };
+        let mut config = SimulatorConfig { scenario, ..standing() };
+        config.people.start_s = 0.0;
         let people = People::new(&config);
         let middles = |t: f64| {
             let mut quads = Vec::new();
             people.add_quads(t, 0, &mut quads);
-            let box_middle = |faces: &[Quad]| faces.iter().map(|q| q.origin + q.right * (0.5 * q.size[0])).sum::<Vector3<f64>>() / 4.0;
+            let box_middle = |faces: &[Quad]| {
+                faces.iter().map(|q| q.origin + q.right * (0.5 * q.size[0])).sum::<Vector3<f64>>() / 4.0
+            };
             quads.chunks(8).map(|figure| box_middle(&figure[..4])).collect::<Vec<_>>()
         };
-        let scene = place(scenario, &room::Plan { seed: config.seed, texel_m: 0.1, rich: true, chessboard: &config.chessboard, desk: &config.desk });
+        let scene = place(
+            scenario,
+            &room::Plan {
+                seed: config.seed,
+                texel_m: 0.1,
+                rich: true,
+                chessboard: &config.chessboard,
+                desk: &config.desk,
+            },
+        );
         let (step, steps) = (0.1, 600);
         let mut way = vec![0.0; middles(0.0).len()];
         for i in 0..steps {
@@ -159,9 +178,10 @@ fn people_walk_at_their_pace_and_keep_to_their_lanes() {
             }
         }
         for way in way {
+            // It may have waited for 1.5 of the 60 s.
             let speed = way / (f64::from(steps) * step);
             // Swaying adds a little to the way, turning at the ends takes some of it.
-            assert!((0.95..1.15).contains(&(speed / config.people.walk_m_s)), "{}: {speed} m/s", scenario.name());
+            assert!((0.93..1.15).contains(&(speed / config.people.walk_m_s)), "{}: {speed} m/s", scenario.name());
         }
     }
 }
@@ -185,7 +205,10 @@ fn people_hide_what_is_behind_them_only() {
             // Lanes are at y = 1.62, the other one at x = 1.94; a hair's breadth beside an outline the nearer thing is hit.
             let at = pose.translation + ray * hit.distance;
             let nearer = at.y < 1.3 && at.x < 1.6;
-            assert!(!nearer || beside_an_outline(&empty, &pose, pixel, hit.face), "frame {frame}: {at:?} is hidden at {pixel}");
+            assert!(
+                !nearer || beside_an_outline(&empty, &pose, pixel, hit.face),
+                "frame {frame}: {at:?} is hidden at {pixel}"
+            );
         }
         shares.push(f64::from(hidden) / a.data.len() as f64);
     }
@@ -232,11 +255,17 @@ fn correlation(a: &[f32], b: &[f32]) -> f32 {
 #[test]
 fn the_long_desk_is_what_its_switches_say() {
     let thin = |scene: &Scene| {
-        let slender = |q: &&Quad| q.size.iter().any(|s| (0.0035..0.0125).contains(s)) && q.size.iter().any(|s| *s > 0.1);
+        let slender =
+            |q: &&Quad| q.size.iter().any(|s| (0.0035..0.0125).contains(s)) && q.size.iter().any(|s| *s > 0.1);
         scene.quads.iter().filter(slender).count()
     };
     let (with, without) = (long_desk(|_| {}), long_desk(|c| c.desk.thin = false));
-    assert!(thin(&with) > thin(&without) + 100, "{} slender faces, {} without thin things", thin(&with), thin(&without));
+    assert!(
+        thin(&with) > thin(&without) + 100,
+        "{} slender faces, {} without thin things",
+        thin(&with),
+        thin(&without)
+    );
 
     // Fronts of bottles: the same print on all, and none when nothing is repeated.
     let fronts = |scene: &Scene| {
