@@ -262,7 +262,7 @@ pub fn cases(seed: u64) -> Vec<Case> {
         Scenario::DeskSweep,
         12.5,
         60.0,
-        limits(90.0, 1.0, 0, 15),
+        limits(85.0, 1.0, 1, 60),
         &|c| {
             // Half of the frames as fast as `tum_fr1_desk` (0.5 m/s, 33 degrees/s), the jerks a third faster than its quickest.
             c.speed = 1.3;
