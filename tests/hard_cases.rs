@@ -36,7 +36,7 @@ macro_rules! hard_cases {
 
 hard_cases! {
     pure_rotation standing move_then_rotate move_then_stand turn_on_the_spot blackout exposure_jumps occluder low_texture shutter_and_blur
-    fast_rotation low_rate low_rate_walk orbit tour wide_angle wide_angle_tour dropped_frames
+    fast_rotation low_rate low_rate_walk orbit tour wide_angle wide_angle_tour gloss people exposure_hunts jerks desk_sweep dropped_frames
 }
 
 #[test]

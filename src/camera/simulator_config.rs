@@ -39,11 +39,14 @@ pub enum Scenario {
     Corridor,
     /// The camera looks at the chessboard from many sides and distances: for calibration.
     CalibrationSweep,
+    /// Held in a hand 0.4 to 1 m from a long cluttered desk, to and fro along it in 14 s: there low, near and looking ahead, back
+    /// higher, farther and looking the other way.
+    DeskSweep,
 }
 
 impl Scenario {
     /// All of them.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 13] = [
         Self::RoomTour,
         Self::HandHeld,
         Self::DeskOrbit,
@@ -56,6 +59,7 @@ impl Scenario {
         Self::Square,
         Self::Corridor,
         Self::CalibrationSweep,
+        Self::DeskSweep,
     ];
 
     /// As written in the configuration.
@@ -73,6 +77,7 @@ impl Scenario {
             Self::Square => "square",
             Self::Corridor => "corridor",
             Self::CalibrationSweep => "calibration_sweep",
+            Self::DeskSweep => "desk_sweep",
         }
     }
 }
@@ -131,6 +136,14 @@ config! {
         blackout: BlackoutConfig = BlackoutConfig::default(),
         /// A chessboard on the wall above the desk of the room.
         chessboard: ChessboardConfig = ChessboardConfig::default(),
+        /// Jerks of the hand that holds the camera.
+        jerks: JerksConfig = JerksConfig::default(),
+        /// Lamps seen in polished surfaces.
+        gloss: GlossConfig = GlossConfig::default(),
+        /// People who walk through.
+        people: PeopleConfig = PeopleConfig::default(),
+        /// What the desk of `desk_sweep` is like.
+        desk: DeskConfig = DeskConfig::default(),
     }
 }
 
@@ -177,7 +190,7 @@ config! {
 }
 
 config! {
-    /// Slow automatic exposure and sudden jumps.
+    /// Slow automatic exposure, sudden jumps, hunting.
     ExposureConfig {
         /// Follow the brightness of what the camera sees, with a lag of about a second.
         automatic: bool = true,
@@ -187,6 +200,14 @@ config! {
         jump_period_s: f64 = 4.0,
         /// Largest jump, exposure values (factors of two in light), 0..=4; it fades within about a second.
         jump_ev: f64 = 1.5,
+        /// The control hunts: it corrects too much too late and swings about what it should be.
+        hunts: bool = false,
+        /// Time of one swing, s, 0.2..=10.
+        hunt_period_s: f64 = 0.8,
+        /// Swing to either side at the most, exposure values, 0..=2.
+        hunt_ev: f64 = 0.7,
+        /// The control sets the exposure time: where it brightens the picture it blurs it, too, up to the frame period; off: a gain.
+        sets_time: bool = false,
     }
 }
 
@@ -246,6 +267,53 @@ config! {
         frames: u32 = 20,
         /// Repeats after this time, s; 0 = once only.
         period_s: f64 = 0.0,
+    }
+}
+
+config! {
+    /// Jerks: the hand turns and shifts the camera within 0.4 s, and takes it back as fast.
+    JerksConfig {
+        enabled: bool = false,
+        /// Time from jerk to jerk, s, 1..=1000; each comes at a random moment of its period.
+        period_s: f64 = 2.0,
+        /// Turn rate of the strongest jerk at its peak, degrees/s, 0..=300; the weakest has two fifths of it.
+        turn_deg_s: f64 = 150.0,
+        /// Speed of the strongest jerk at its peak, m/s, 0..=1.
+        speed_m_s: f64 = 0.5,
+    }
+}
+
+config! {
+    /// Gloss of table tops, screens and framed pictures: each shows the lamps where a mirror would, so the highlight moves with the view.
+    GlossConfig {
+        enabled: bool = false,
+        /// Light of a lamp's mirror image, multiples of white paper, 0..=4.
+        strength: f64 = 1.2,
+        /// Its radius (one sigma), degrees, 0.5..=20: the lamp's own size and the surface's roughness.
+        spread_deg: f64 = 2.5,
+    }
+}
+
+config! {
+    /// People who pace the free lanes of the room or the corridor: nearer than some things, farther than others.
+    PeopleConfig {
+        enabled: bool = false,
+        /// Until then each waits at the beginning of its lane, s.
+        start_s: f64 = 3.0,
+        /// Walking speed, m/s, 0.2..=2.
+        walk_m_s: f64 = 1.1,
+    }
+}
+
+config! {
+    /// The desk of `desk_sweep`.
+    DeskConfig {
+        /// Its top is plain, with stretches on which nothing lies; off: papers and cups all over it.
+        bare: bool = true,
+        /// Thin things: pens, cables, rods of lamps, a wire basket.
+        thin: bool = true,
+        /// Repeated structure: keys, a row of equal bottles, pegboard on the wall.
+        repeated: bool = true,
     }
 }
 
@@ -319,6 +387,8 @@ impl SimulatorConfig {
         within("vignetting.corner_loss", self.vignetting.corner_loss, "", 0.0, 0.9)?;
         within("exposure.jump_period_s", self.exposure.jump_period_s, "s", 0.5, 1000.0)?;
         within("exposure.jump_ev", self.exposure.jump_ev, "EV", 0.0, 4.0)?;
+        within("exposure.hunt_period_s", self.exposure.hunt_period_s, "s", 0.2, 10.0)?;
+        within("exposure.hunt_ev", self.exposure.hunt_ev, "EV", 0.0, 2.0)?;
         within("noise.read_sigma", self.noise.read_sigma, "grey levels", 0.0, 30.0)?;
         within("noise.shot_sigma", self.noise.shot_sigma, "grey levels", 0.0, 30.0)?;
         let period_ms = 1000.0 / self.rate_hz;
@@ -342,6 +412,13 @@ impl SimulatorConfig {
         within("blackout.start_s", self.blackout.start_s, "s", 0.0, 1e7)?;
         within("blackout.frames", f64::from(self.blackout.frames), "frames", 1.0, 1e6)?;
         within("blackout.period_s", self.blackout.period_s, "s", 0.0, 1e7)?;
+        within("jerks.period_s", self.jerks.period_s, "s", 1.0, 1000.0)?;
+        within("jerks.turn_deg_s", self.jerks.turn_deg_s, "degrees/s", 0.0, 300.0)?;
+        within("jerks.speed_m_s", self.jerks.speed_m_s, "m/s", 0.0, 1.0)?;
+        within("gloss.strength", self.gloss.strength, "times white", 0.0, 4.0)?;
+        within("gloss.spread_deg", self.gloss.spread_deg, "degrees", 0.5, 20.0)?;
+        within("people.start_s", self.people.start_s, "s", 0.0, 1e7)?;
+        within("people.walk_m_s", self.people.walk_m_s, "m/s", 0.2, 2.0)?;
         let board = &self.chessboard;
         within("chessboard.columns", f64::from(board.columns), "inner corners", 3.0, 20.0)?;
         within("chessboard.rows", f64::from(board.rows), "inner corners", 3.0, 20.0)?;

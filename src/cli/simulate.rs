@@ -38,6 +38,16 @@ pub enum Effect {
     LowTexture,
     /// A chessboard on the wall above the desk.
     Chessboard,
+    /// Exposure that swings about what it should be.
+    ExposureHunts,
+    /// Exposure by time: brighter pictures are blurred more.
+    ExposureTime,
+    /// Jerks of the hand that holds the camera.
+    Jerks,
+    /// Lamps seen in polished surfaces.
+    Gloss,
+    /// People who walk through.
+    People,
 }
 
 impl Effect {
@@ -55,6 +65,11 @@ impl Effect {
             Self::Blackout => &mut config.blackout.enabled,
             Self::LowTexture => &mut config.low_texture,
             Self::Chessboard => &mut config.chessboard.enabled,
+            Self::ExposureHunts => &mut config.exposure.hunts,
+            Self::ExposureTime => &mut config.exposure.sets_time,
+            Self::Jerks => &mut config.jerks.enabled,
+            Self::Gloss => &mut config.gloss.enabled,
+            Self::People => &mut config.people.enabled,
         };
         *key = on;
     }

@@ -400,3 +400,6 @@ impl Reconstruction {
         self.optics.shutter.readout_s
     }
 }
+
+#[cfg(test)]
+mod tests;

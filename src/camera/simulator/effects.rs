@@ -13,6 +13,8 @@
 //!
 //! Cost: about 1 ns a pixel; the noise comes from a table that each row enters at a place of its own.
 
+use std::f64::consts::TAU;
+
 use super::random::{Random, mix};
 use super::render::Shot;
 use super::scene::Scene;
@@ -113,8 +115,8 @@ impl Exposure {
         Self { config: config.exposure.clone(), seed: mix(config.seed ^ 0xe4), meter: vec![(i64::MIN, 0.0); slots] }
     }
 
-    /// Factor on grey values at `time_s`.
-    pub(super) fn gain(&mut self, time_s: f64, scene: &Scene, trajectory: &Trajectory, camera: &CameraModel) -> f64 {
+    /// Exposure values at `time_s` beside the fixed exposure.
+    pub(super) fn ev(&mut self, time_s: f64, scene: &Scene, trajectory: &Trajectory, camera: &CameraModel) -> f64 {
         let mut ev = 0.0;
         if self.config.automatic {
             ev += self.automatic_ev(time_s, scene, trajectory, camera);
@@ -122,7 +124,10 @@ impl Exposure {
         if self.config.jumps {
             ev += self.jump_ev(time_s);
         }
-        (ev * RESPONSE).exp2()
+        if self.config.hunts {
+            ev += self.hunt_ev(time_s);
+        }
+        ev
     }
 
     /// Lagging mean of what past measurements asked for; between two measurements the weights slide linearly.
@@ -187,6 +192,19 @@ impl Exposure {
         }
         ev
     }
+
+    /// The limit cycle of a control that is too eager for its delay (to first order a sine: the describing function of its limiter),
+    /// which dies down and starts again as the picture changes.
+    fn hunt_ev(&self, time_s: f64) -> f64 {
+        /// Time from one dying down to the next, periods.
+        const ENVELOPE_PERIODS: f64 = 7.0;
+        let mut random = Random::new(self.seed, u64::MAX);
+        let phase = random.range(0.0, TAU);
+        let envelope_phase = random.range(0.0, TAU);
+        let turns = time_s / self.config.hunt_period_s;
+        let envelope = 0.65 + 0.35 * (TAU * turns / ENVELOPE_PERIODS + envelope_phase).sin();
+        self.config.hunt_ev * envelope * (TAU * turns + phase).sin()
+    }
 }
 
 /// Whether the lens is covered in a frame.
@@ -201,12 +219,19 @@ pub(super) fn covered(config: &BlackoutConfig, sequence: u64, rate_hz: f64) -> b
     since < u64::from(config.frames)
 }
 
-/// Exposure times of the frame at `time_s`.
-pub(super) fn shot(config: &SimulatorConfig, time_s: f64) -> Shot {
+/// Factor on grey values of an exposure.
+pub(super) fn gain(ev: f64) -> f64 {
+    (ev * RESPONSE).exp2()
+}
+
+/// Exposure times of the frame at `time_s`, exposed by `ev` exposure values more than the configured time.
+pub(super) fn shot(config: &SimulatorConfig, time_s: f64, ev: f64) -> Shot {
+    let longer = if config.exposure.sets_time { ev.exp2() } else { 1.0 };
+    let exposure_ms = (config.motion_blur.exposure_ms * longer).min(1000.0 / config.rate_hz);
     let on = |enabled: bool, ms: f64| if enabled { ms * 1e-3 } else { 0.0 };
     Shot {
         time_s,
-        exposure_s: on(config.motion_blur.enabled, config.motion_blur.exposure_ms),
+        exposure_s: on(config.motion_blur.enabled, exposure_ms),
         readout_s: on(config.rolling_shutter.enabled, config.rolling_shutter.readout_ms),
         max_samples: config.motion_blur.max_samples,
     }

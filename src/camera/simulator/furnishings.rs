@@ -170,6 +170,33 @@ impl Painter<'_> {
         }
     }
 
+    pub(super) fn laminate(&mut self, c: &mut Canvas, a: Area) {
+        let base = self.value(135.0, 165.0);
+        self.ground(c, base, 2.0, [10.0, 1.0]);
+        // Crumbs and the rings of cups: what a bare top has for corners.
+        for _ in 0..((a.w * a.h * 6.0) as usize).max(1) {
+            let centre = [a.w * self.value(0.0, 1.0), a.h * self.value(0.0, 1.0)];
+            let radius = self.random.log_range(0.001, 0.003) as f32;
+            c.shape(Shape::Disc { centre, radius }, base - self.value(20.0, 70.0), 0.9);
+        }
+        for _ in 0..((a.w * a.h) as usize).max(1) {
+            let centre = [a.w * self.value(0.0, 1.0), a.h * self.value(0.0, 1.0)];
+            c.soft_shape(Shape::Disc { centre, radius: 0.038 }, base - 14.0, 0.7, 0.006);
+            c.soft_shape(Shape::Disc { centre, radius: 0.034 }, base, 0.7, 0.006);
+        }
+    }
+
+    pub(super) fn pegboard(&mut self, c: &mut Canvas, a: Area) {
+        let (pitch, radius) = (0.025, 0.003);
+        self.ground(c, 178.0, 2.0, [2.0, 2.0]);
+        for j in 0..(a.h / pitch) as usize {
+            for i in 0..(a.w / pitch) as usize {
+                let centre = [(i as f32 + 0.5) * pitch, (j as f32 + 0.5) * pitch];
+                c.shape(Shape::Disc { centre, radius }, 45.0, 1.0);
+            }
+        }
+    }
+
     pub(super) fn foliage(&mut self, c: &mut Canvas, a: Area) {
         self.ground(c, 60.0, 12.0, [1.0, 1.0]);
         c.leaves(&mut self.random, a, [0.01, 0.08], Tone { mean: 95.0, contrast: 65.0 }, 3.0);

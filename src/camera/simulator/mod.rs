@@ -16,8 +16,8 @@
 //!
 //! # Rooms
 //! `random` numbers; `paint`, `styles`, `furnishings`: textures; `scene`, `room`: geometry and light;
-//! [`trajectory`]; `rays`, `cull`, `render`, `tile`, `texture`: the picture; `effects`, `occluder`: what spoils it;
-//! `export`: a recording on disk.
+//! `desk`: the place of `desk_sweep`; [`trajectory`], `jerks`: the movement; `rays`, `cull`, `render`, `tile`, `texture`, `gloss`: the
+//! picture; `effects`, `actors`, `occluder`, `people`: what spoils it; `export`: a recording on disk.
 //!
 //! # Cost
 //! Median CPU time of one thread for a frame of 640x480, release build, on one busy core of a 2-core AMD EPYC virtual
@@ -34,14 +34,19 @@
 //!
 //! Start: 0.5 to 1 s and about 45 MB, mostly textures.
 //!
-//! Deliberately not here: physics, colour, transparency, reflections, cast shadows of moving things.
+//! Deliberately not here: physics, colour, transparency, reflections but of lamps, cast shadows of moving things.
 
+mod actors;
 mod cull;
+mod desk;
 mod effects;
 mod export;
 mod furnishings;
+mod gloss;
+mod jerks;
 mod occluder;
 mod paint;
+mod people;
 mod random;
 mod rays;
 mod render;
@@ -66,11 +71,21 @@ use super::{FrameSource, Grab, Pacing, SourceDescription, SourceError};
 use crate::frame::{Clock, PixelFormat, RawFrame, monotonic_ns};
 use crate::geometry::CameraModel;
 use crate::image::GreyImage;
+use actors::Actors;
 use cull::View;
 use effects::{Exposure, Sensor};
-use occluder::Occluder;
-use render::{Actors, Renderer};
+use gloss::Gloss;
+use render::Renderer;
 use scene::Scene;
+
+/// Where a scenario takes place.
+fn place(scenario: Scenario, plan: &room::Plan) -> Scene {
+    match scenario {
+        Scenario::Corridor => room::corridor(plan),
+        Scenario::DeskSweep => desk::office(plan),
+        _ => room::furnished_room(plan),
+    }
+}
 
 /// Timestamp of frame 0 in lock-step, ns.
 pub const RECORDING_START_NS: i64 = 1_000_000_000_000;
@@ -87,7 +102,7 @@ pub struct Simulator {
     renderer: Renderer,
     sensor: Sensor,
     exposure: Exposure,
-    occluder: Option<Occluder>,
+    actors: Option<Actors>,
     /// Number of frames; `None` = endless.
     frames: Option<u64>,
     /// Sequence number of the next frame.
@@ -106,11 +121,10 @@ impl Simulator {
             texel_m: config.texel_mm * 1e-3,
             rich: !config.low_texture,
             chessboard: &config.chessboard,
+            desk: &config.desk,
         };
-        let scene = match config.scenario {
-            Scenario::Corridor => room::corridor(&plan),
-            _ => room::furnished_room(&plan),
-        };
+        let scene = place(config.scenario, &plan);
+        let gloss = Gloss::new(&config.gloss, &scene.lamps);
         let (clock, start_ns) = match pacing {
             Pacing::LockStep => (Clock::Recording, Some(RECORDING_START_NS)),
             Pacing::RealTime => (Clock::Monotonic, None),
@@ -132,10 +146,10 @@ impl Simulator {
         );
         Ok(Self {
             trajectory: Trajectory::new(config, start_ns),
-            renderer: Renderer::new(rays::Rays::new(&camera)),
+            renderer: Renderer::new(rays::Rays::new(&camera), gloss),
             sensor: Sensor::new(config, &camera),
             exposure: Exposure::new(config),
-            occluder: config.occluder.enabled.then(|| Occluder::new(config, &camera)),
+            actors: Actors::new(config, &camera),
             config: config.clone(),
             pacing,
             camera,
@@ -183,15 +197,16 @@ impl Simulator {
             }
             return;
         }
-        let gain = self.exposure.gain(time_s, &self.scene, &self.trajectory, &self.camera) as f32;
+        let ev = self.exposure.ev(time_s, &self.scene, &self.trajectory, &self.camera);
+        let gain = effects::gain(ev) as f32;
         let trajectory = &self.trajectory;
         let view_at = |t: f64| {
             let pose = trajectory.pose_at_seconds(t);
             View { rotation: pose.rotation.to_rotation_matrix().into_inner(), position: pose.translation }
         };
         let sensor = &self.sensor;
-        let actors = self.occluder.as_ref().map(|o| o as &dyn Actors);
-        self.renderer.render(&self.scene, actors, &effects::shot(&self.config, time_s), &view_at, &mut |y, light| {
+        let shot = effects::shot(&self.config, time_s, ev);
+        self.renderer.render(&self.scene, self.actors.as_ref(), &shot, &view_at, &mut |y, light| {
             if let Some(row) = out.get_mut(y * width..(y + 1) * width) {
                 sensor.expose(sequence, y, gain, light, row);
             }

@@ -10,7 +10,6 @@ use nalgebra::{Vector2, Vector3};
 
 use super::paint::Noise;
 use super::random::Random;
-use super::render::Actors;
 use super::scene::Quad;
 use super::styles::{Painter, Style};
 use super::texture::Texture;
@@ -63,10 +62,9 @@ impl Occluder {
         let textures = [paint(Style::Clothes, [width, height * BODY]), paint(Style::Foliage, [width * HEAD, height])];
         Self { config: config.occluder.clone(), textures, edges, width, density }
     }
-}
 
-impl Actors for Occluder {
-    fn quads(&self, time_s: f64) -> [Quad; 2] {
+    /// Both faces at `time_s`, camera coordinates; `Quad::texture` counts from `first_texture`.
+    pub(super) fn quads(&self, time_s: f64, first_texture: usize) -> [Quad; 2] {
         let since = time_s - self.config.start_s;
         let lap = (since / self.config.period_s).floor();
         let t = (since - lap * self.config.period_s) / self.config.pass_s;
@@ -91,15 +89,16 @@ impl Actors for Occluder {
                 down,
                 away: Vector3::z(),
                 size,
-                texture,
+                texture: first_texture + texture,
                 density: self.density,
+                polished: false,
             }
         };
         // Body to below the picture, head to above it.
         [quad(0, self.width, 1.0 - BODY, 1.3), quad(1, self.width * HEAD, -0.3, 1.0 - BODY)]
     }
 
-    fn textures(&self) -> &[Texture] {
+    pub(super) fn textures(&self) -> &[Texture] {
         &self.textures
     }
 }

@@ -12,12 +12,16 @@
 //! Rolling shutter: every row has its own pose; inside a tile (16 rows, about 1 ms) the homographies are interpolated,
 //! which is exact to 0.01 px. Motion blur: moments of the exposure are averaged, as many as the tile's streak asks for.
 //!
-//! Cost at 640x480: see the table in the module `simulator`. Deliberately not here: lens blur, transparency, mirrors.
+//! Cost at 640x480: see the table in the module `simulator`. Deliberately not here: lens blur, transparency, mirrors but for
+//! lamps in polished faces.
 
+use nalgebra::Vector3;
+
+use super::actors::Actors;
 use super::cull::{self, Candidate, Corners, Movement, View};
+use super::gloss::Gloss;
 use super::rays::{CullRect, Rays, TILE};
 use super::scene::{Quad, Scene};
-use super::texture::Texture;
 use super::tile::{Face, PARTS, Place, Tile};
 
 /// Seconds between two moments of a streak are chosen so that it moves by this much, px.
@@ -36,17 +40,12 @@ pub(super) struct Shot {
     pub(super) max_samples: u32,
 }
 
-/// Things that move with a time of their own: faces in camera coordinates, drawn over everything that is farther.
-pub(super) trait Actors {
-    /// Faces at `time_s`; always the same number of them. Their `texture` indexes [`textures`](Self::textures).
-    fn quads(&self, time_s: f64) -> [Quad; 2];
-    fn textures(&self) -> &[Texture];
-}
-
 /// Renders frames; keeps its buffers.
 #[derive(Debug)]
 pub(super) struct Renderer {
     rays: Rays,
+    /// How polished faces show the lamps; `None`: everything is matt.
+    gloss: Option<Gloss>,
     band: Vec<f32>,
     candidates: Vec<Candidate>,
     scratch: Vec<Corners>,
@@ -54,16 +53,16 @@ pub(super) struct Renderer {
 }
 
 impl Renderer {
-    pub(super) fn new(rays: Rays) -> Self {
+    pub(super) fn new(rays: Rays, gloss: Option<Gloss>) -> Self {
         let band = vec![0.0; rays.tiles[0] * TILE * TILE];
-        Self { rays, band, candidates: Vec::new(), scratch: Vec::new(), visible: Vec::new() }
+        Self { rays, gloss, band, candidates: Vec::new(), scratch: Vec::new(), visible: Vec::new() }
     }
 
     /// Renders one frame and hands out its rows from top to bottom: `sink(y, row)`, `row` as long as the picture is wide.
     pub(super) fn render(
         &mut self,
         scene: &Scene,
-        actors: Option<&dyn Actors>,
+        actors: Option<&Actors>,
         shot: &Shot,
         view_at: &dyn Fn(f64) -> View,
         sink: &mut dyn FnMut(usize, &[f32]),
@@ -83,7 +82,7 @@ impl Renderer {
     fn render_band(
         &mut self,
         scene: &Scene,
-        actors: Option<&dyn Actors>,
+        actors: Option<&Actors>,
         shot: &Shot,
         view_at: &dyn Fn(f64) -> View,
         ty: usize,
@@ -94,7 +93,9 @@ impl Renderer {
         let (first, last) = (row_time((ty * TILE) as f64), row_time(((ty + 1) * TILE) as f64));
         let middle = 0.5 * (first + last);
         let view = view_at(middle);
-        let movement = movement(&view, view_at, first - 0.5 * shot.exposure_s, last + 0.5 * shot.exposure_s);
+        let span = [first - 0.5 * shot.exposure_s, last + 0.5 * shot.exposure_s];
+        let mut movement = movement(&view, view_at, span[0], span[1]);
+        movement.metres += actors.map_or(0.0, |a| a.fastest_m_s() * 0.5 * (span[1] - span[0]));
         let columns = self.rays.tiles[0];
         let tiles = &self.rays.bounds[ty * columns..][..columns];
         let mut rect = CullRect::empty();
@@ -104,7 +105,7 @@ impl Renderer {
         }
         let statics = scene.quads.len();
         let still = scene.quads.iter().enumerate().map(|(i, q)| (i as u32, false, q.clone(), view));
-        let acting = actors.map(|a| a.quads(middle)).into_iter().flatten().enumerate();
+        let acting = actors.map(|a| a.quads(middle, &view)).into_iter().flatten().enumerate();
         let acting = acting.map(|(i, q)| ((statics + i) as u32, true, q, View::identity()));
         cull::candidates(still.chain(acting), &rect, &movement, &mut self.candidates);
 
@@ -128,25 +129,31 @@ impl Renderer {
                         let offset = shot.exposure_s * ((i as f64 + 0.5) / samples as f64 - 0.5);
                         let start = view_at(first + offset);
                         let end = if shot.readout_s > 0.0 { view_at(last + offset) } else { start };
-                        Moment { times: [first + offset, last + offset], views: [start, end] }
+                        let acting = actors.map(|a| [a.quads(first + offset, &start), a.quads(last + offset, &end)]);
+                        Moment { views: [start, end], acting }
                     })
                     .collect()
             });
+            let bounds = &self.rays.bounds[tile];
+            let towards =
+                Vector3::new(0.5 * (bounds.low[0] + bounds.high[0]), 0.5 * (bounds.low[1] + bounds.high[1]), 1.0);
             let mut out: Tile = [[0.0; TILE]; TILE];
             let share = 1.0 / samples as f32;
             for moment in moments.iter() {
-                let acting = actors.map(|a| (a, moment.times.map(|t| a.quads(t))));
                 let faces = visible.iter().filter_map(|&v| {
                     let face = self.candidates[v].face as usize;
-                    match (&acting, face.checked_sub(statics)) {
-                        (Some((a, quads)), Some(k)) => {
-                            let [start, end] = [&quads[0][k], &quads[1][k]];
-                            let views = [View::identity(); 2];
-                            Face::new([start, end], &views, &a.textures()[start.texture])
+                    match (actors, &moment.acting, face.checked_sub(statics)) {
+                        (Some(actors), Some([start, end]), Some(k)) => {
+                            let (start, end) = (start.get(k)?, end.get(k)?);
+                            Face::new([start, end], &[View::identity(); 2], actors.texture(start.texture)?)
                         }
                         _ => {
                             let quad = &scene.quads[face];
-                            Face::new([quad, quad], &moment.views, &scene.textures[quad.texture])
+                            let mut face = Face::new([quad, quad], &moment.views, &scene.textures[quad.texture])?;
+                            if let Some(gloss) = self.gloss.as_ref().filter(|_| quad.polished) {
+                                face.highlights = gloss.seen_in(quad, &moment.views, &towards);
+                            }
+                            Some(face)
                         }
                     }
                 });
@@ -181,7 +188,7 @@ impl Renderer {
             let w = h[0] * centre[0] + h[1] * centre[1] + h[2];
             inverse_depth = f64::max(inverse_depth, w.min(5.0));
         }
-        let ray = nalgebra::Vector3::new(centre[0], centre[1], 1.0);
+        let ray = Vector3::new(centre[0], centre[1], 1.0);
         let point = middle.rotation * (ray / inverse_depth) + middle.position;
         let seen = |view: &View| {
             let p = view.rotation.tr_mul(&(point - view.position));
@@ -200,11 +207,12 @@ impl Renderer {
     }
 }
 
-/// Poses at one moment of the exposure of the band's first and last row.
+/// Poses at one moment of the exposure of the band's first and last row, and where the actors are then.
 #[derive(Debug, Clone)]
 struct Moment {
-    times: [f64; 2],
     views: [View; 2],
+    /// Faces of the actors at both, camera coordinates.
+    acting: Option<[Vec<Quad>; 2]>,
 }
 
 /// How far the camera gets from `middle` between two times.

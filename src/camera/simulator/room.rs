@@ -1,4 +1,4 @@
-//! The two places that the simulator knows: a furnished room and a corridor.
+//! A furnished room and a corridor; the third place that the simulator knows is `desk`.
 //!
 //! Input: seed, richness, texel size, chessboard. Output: a [`Scene`]. The seed changes all pictures and patterns, moves
 //! furniture by some centimetres and degrees and decides what lies on it; the plan stays the same, so that every
@@ -18,12 +18,12 @@ use nalgebra::Vector3;
 use super::random::Random;
 use super::scene::{BoxPlan, Builder, Faces, Scene};
 use super::styles::Style;
-use crate::camera::simulator_config::ChessboardConfig;
+use crate::camera::simulator_config::{ChessboardConfig, DeskConfig};
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
 /// Size of the room, m.
-const ROOM: [f64; 3] = [6.0, 5.0, 2.8];
+pub(super) const ROOM: [f64; 3] = [6.0, 5.0, 2.8];
 /// Size of the corridor, m.
 const CORRIDOR: [f64; 3] = [14.0, 2.4, 2.6];
 /// Middle of the chessboard: on the wall above the desk, m.
@@ -38,27 +38,34 @@ pub(super) struct Plan<'a> {
     /// False: bare walls, pale furniture, nothing lying about.
     pub(super) rich: bool,
     pub(super) chessboard: &'a ChessboardConfig,
+    /// Of the long desk.
+    pub(super) desk: &'a DeskConfig,
 }
 
 /// Furniture that stands in [`Builder`]'s room, with small seeded variations.
-struct Furnisher {
-    builder: Builder,
-    random: Random,
+pub(super) struct Furnisher {
+    pub(super) builder: Builder,
+    pub(super) random: Random,
     rich: bool,
 }
 
 impl Furnisher {
-    fn new(plan: &Plan, size: [f64; 3]) -> Self {
+    pub(super) fn new(plan: &Plan, size: [f64; 3]) -> Self {
         let builder = Builder::new(plan.seed, size, plan.rich, plan.texel_m);
         Self { builder, random: Random::new(plan.seed, 0xf0a1), rich: plan.rich }
     }
 
-    fn place(&mut self, base: [f64; 3], size: [f64; 3], yaw: f64, faces: Faces, coarseness: f64) {
+    pub(super) fn place(&mut self, base: [f64; 3], size: [f64; 3], yaw: f64, faces: Faces, coarseness: f64) {
         self.builder.cuboid(BoxPlan { base, size, yaw, faces, coarseness });
     }
 
+    /// A box whose patterns are drawn from `pattern`: equal calls give boxes that look alike.
+    pub(super) fn alike(&mut self, pattern: u64, base: [f64; 3], size: [f64; 3], yaw: f64, faces: Faces) {
+        self.builder.alike(pattern, |b| b.cuboid(BoxPlan { base, size, yaw, faces, coarseness: 0.5 }));
+    }
+
     /// A few things on a surface: `middle` of it (x, y, z), half sizes of the part to use along world x and y.
-    fn clutter(&mut self, middle: [f64; 3], half: [f64; 2], count: usize) {
+    pub(super) fn clutter(&mut self, middle: [f64; 3], half: [f64; 2], count: usize) {
         let count = if self.rich { count } else { count.div_ceil(3) };
         for i in 0..count {
             // One cell each along the longer side, so that nothing stands inside another thing.
@@ -83,7 +90,7 @@ impl Furnisher {
     }
 
     /// A plate on four legs; `size` is the plate's (width, depth, height above the floor), m.
-    fn table(&mut self, middle: [f64; 2], size: [f64; 3], yaw: f64, top: Style) {
+    pub(super) fn table(&mut self, middle: [f64; 2], size: [f64; 3], yaw: f64, top: Style) {
         let [w, d, h] = size;
         let faces = Faces { front: Style::Wood, sides: Style::Wood, top };
         self.place([middle[0], middle[1], h - 0.04], [w, d, 0.04], yaw, faces, 0.8);
@@ -95,7 +102,7 @@ impl Furnisher {
         }
     }
 
-    fn chair(&mut self, middle: [f64; 2], yaw: f64) {
+    pub(super) fn chair(&mut self, middle: [f64; 2], yaw: f64) {
         self.table(middle, [0.42, 0.42, 0.45], yaw, Style::Fabric);
         let (sin, cos) = yaw.sin_cos();
         let back = [middle[0] - 0.2 * sin, middle[1] + 0.2 * cos, 0.5];
@@ -103,7 +110,7 @@ impl Furnisher {
     }
 
     /// Framed pictures on the wall whose inward normal is (nx, ny), at offsets along it, m.
-    fn pictures(&mut self, normal: [f64; 2], half_room: f64, offsets: &[f64]) {
+    pub(super) fn pictures(&mut self, normal: [f64; 2], half_room: f64, offsets: &[f64]) {
         if !self.rich {
             return;
         }
@@ -117,7 +124,7 @@ impl Furnisher {
         }
     }
 
-    fn jitter(&mut self, metres: f64) -> f64 {
+    pub(super) fn jitter(&mut self, metres: f64) -> f64 {
         self.random.range(-metres, metres)
     }
 }

@@ -6,7 +6,7 @@
 //!
 //! Light is baked into the textures: lamps under the ceiling (Lambert's cosine, falling off with distance), a constant
 //! share from everywhere, darker along the room's inner edges and under furniture. So it costs nothing per frame.
-//! Deliberately not here: cast shadows of moving things, mirrors, transparency.
+//! Lamps in polished faces are the only mirror images (`gloss`). Deliberately not here: cast shadows of moving things, transparency.
 
 use nalgebra::Vector3;
 
@@ -30,6 +30,8 @@ pub(super) struct Quad {
     pub(super) texture: usize,
     /// Texels per metre.
     pub(super) density: f64,
+    /// Polished: shows lamps where there is gloss.
+    pub(super) polished: bool,
 }
 
 impl Quad {
@@ -71,6 +73,8 @@ pub(super) struct Scene {
     /// Axis-aligned bounds of solid things (low, high), m: where a camera must not be.
     pub(super) solids: Vec<(Vector3<f64>, Vector3<f64>)>,
     pub(super) chessboard: Option<Chessboard>,
+    /// World, m.
+    pub(super) lamps: Vec<Vector3<f64>>,
 }
 
 /// What a ray meets.
@@ -159,9 +163,10 @@ pub(super) struct Builder {
     pub(super) room: [f64; 3],
     rich: bool,
     texel_m: f64,
-    lamps: Vec<Vector3<f64>>,
     /// Footprints on the floor: centre, half sizes, yaw; they darken it.
     shadows: Vec<([f64; 2], [f64; 2], f64)>,
+    /// Where patterns are drawn from, if not from `random`.
+    alike: Option<Random>,
 }
 
 impl Builder {
@@ -178,8 +183,21 @@ impl Builder {
                 lamps.push(Vector3::new(x, y, room[2] - 0.15));
             }
         }
-        let scene = Scene { quads: Vec::new(), textures: Vec::new(), solids: Vec::new(), chessboard: None };
-        Self { scene, noise, random, room, rich, texel_m, lamps, shadows: Vec::new() }
+        let (quads, textures, solids) = (Vec::new(), Vec::new(), Vec::new());
+        let scene = Scene { quads, textures, solids, chessboard: None, lamps };
+        Self { scene, noise, random, room, rich, texel_m, shadows: Vec::new(), alike: None }
+    }
+
+    /// A lamp beside those under the ceiling; lights what is painted after it.
+    pub(super) fn lamp(&mut self, at: Vector3<f64>) {
+        self.scene.lamps.push(at);
+    }
+
+    /// Runs `place` with patterns drawn from `pattern` in place of new ones: what is placed by equal calls looks alike.
+    pub(super) fn alike(&mut self, pattern: u64, place: impl FnOnce(&mut Self)) {
+        self.alike = Some(Random::new(pattern, 0xa11c));
+        place(self);
+        self.alike = None;
     }
 
     /// A rectangle with its top left corner at `origin` as one looks at it.
@@ -193,10 +211,13 @@ impl Builder {
         coarseness: f64,
     ) {
         let density = 1.0 / (self.texel_m * coarseness);
-        let stream = self.random.next();
+        let stream = self.alike.as_mut().unwrap_or(&mut self.random).next();
         let canvas =
             Painter { random: Random::new(stream, 0), noise: &self.noise, rich: self.rich }.paint(style, size, density);
         self.painted(origin, right, down, size, density, canvas);
+        if let Some(quad) = self.scene.quads.last_mut() {
+            quad.polished = style.is_polished();
+        }
     }
 
     fn painted(
@@ -215,7 +236,7 @@ impl Builder {
         self.bake_light(&origin, &right, &down, &-away, &mut canvas);
         self.scene.textures.push(Texture::new(canvas.width, canvas.height, canvas.texels));
         let texture = self.scene.textures.len() - 1;
-        self.scene.quads.push(Quad { origin, right, down, away, size, texture, density });
+        self.scene.quads.push(Quad { origin, right, down, away, size, texture, density, polished: false });
     }
 
     /// The floor is darker under furniture. Floors are painted last, when all furniture stands.
@@ -268,7 +289,7 @@ impl Builder {
     fn light(&self, point: &Vector3<f64>, normal: &Vector3<f64>) -> f64 {
         // A share from everywhere, a little more from a window towards +y, so that faces of one box differ.
         let mut sum = 0.36 + 0.06 * normal.y + 0.04 * normal.x;
-        for lamp in &self.lamps {
+        for lamp in &self.scene.lamps {
             let to = lamp - point;
             let d2 = to.norm_squared();
             let cosine = normal.dot(&to) / d2.sqrt().max(0.05);

@@ -52,6 +52,17 @@ pub(super) enum Style {
     Ribs,
     /// Clothes with a pattern: what walks through the picture.
     Clothes,
+    /// A plain desk top: faint grain, a few crumbs and rings.
+    Laminate,
+    /// A board with holes in rows, 25 mm apart.
+    Pegboard,
+}
+
+impl Style {
+    /// Shows lamps where gloss is on: glass, screens, the tops of tables and desks, stone floors.
+    pub(super) fn is_polished(self) -> bool {
+        matches!(self, Self::Desktop | Self::Laminate | Self::Screen | Self::Picture | Self::Tiles)
+    }
 }
 
 /// What painting needs besides the style.
@@ -98,6 +109,8 @@ impl Painter<'_> {
             Style::Picture => self.picture(c, whole),
             Style::Ribs => self.ribs(c, whole),
             Style::Clothes => self.fabric(c, whole, 90.0, 70.0),
+            Style::Laminate => self.laminate(c, whole),
+            Style::Pegboard => self.pegboard(c, whole),
         }
     }
 

@@ -7,6 +7,7 @@
 //! divided into up to eight parts, each seen by its own ray. A face thinner than a pixel may be missed.
 
 use super::cull::{EDGE_M, View, homography};
+use super::gloss::Highlights;
 use super::rays::{Rays, TILE};
 use super::scene::Quad;
 use super::texture::{Footprint, Texture};
@@ -30,6 +31,8 @@ pub(super) struct Face<'a> {
     /// [`EDGE_M`] in texels.
     slack: f32,
     texture: &'a Texture,
+    /// Lamps that it shows in this tile.
+    pub(super) highlights: Highlights,
 }
 
 impl Face<'_> {
@@ -55,6 +58,7 @@ impl<'a> Face<'a> {
             extent: quads[0].size.map(|s| (s * quads[0].density) as f32),
             slack: (EDGE_M * quads[0].density) as f32,
             texture,
+            highlights: Highlights::default(),
         };
         for i in 0..3 {
             for j in 0..3 {
@@ -96,7 +100,8 @@ impl Place<'_> {
     #[inline(always)]
     fn whole_row(&self, face: &Face, r: usize, print: &Footprint, share: f32, out: &mut [f32; TILE]) {
         let (x, y) = self.centres::<TILE>(r, 0);
-        let values = shade(face.texture, &face.at(r as f32), &x, &y, print);
+        let mut values = shade(face.texture, &face.at(r as f32), &x, &y, print);
+        face.highlights.add(&x, &y, r as f32, TILE as f32, &mut values);
         for (o, v) in out.iter_mut().zip(values) {
             *o += share * v;
         }
@@ -153,8 +158,9 @@ impl Place<'_> {
                     };
                     let m = weights.iter().position(|w| *w > 0.0).unwrap_or(0);
                     let h = face.at(r as f32);
-                    let values =
-                        shade(face.texture, &h, &x, &y, &footprint(face.texture, &h, x[m], y[m], &self.jacobian));
+                    let print = footprint(face.texture, &h, x[m], y[m], &self.jacobian);
+                    let mut values = shade(face.texture, &h, &x, &y, &print);
+                    face.highlights.add(&x, &y, r as f32, TILE as f32, &mut values);
                     for i in 0..HALF {
                         out[from + i] += share * weights[i] * values[i];
                     }

@@ -14,6 +14,7 @@ use std::sync::{Arc, OnceLock};
 
 use nalgebra::{UnitQuaternion, Vector3};
 
+use super::jerks::{Jerks, smooth};
 use super::random::Random;
 use super::room::CHESSBOARD_MIDDLE;
 use crate::camera::simulator_config::{Scenario, SimulatorConfig};
@@ -23,6 +24,9 @@ use crate::geometry::{Se3, ros_from_optical};
 
 /// Time in which a movement starts from rest, s.
 const START_S: f64 = 1.0;
+/// Time of a sweep along the desk and back, s, and the way to either side of its middle, m.
+const SWEEP_S: f64 = 14.0;
+const SWEEP_M: f64 = 1.4;
 /// Where a hand holds the camera, m; it looks along +x, at the desk.
 const HAND: Vector3<f64> = Vector3::new(1.15, 0.0, 1.2);
 
@@ -54,6 +58,7 @@ pub struct Trajectory {
     phases: [f64; 24],
     tour: Option<Arc<Spline>>,
     legs: Option<Arc<Legs>>,
+    jerks: Option<Jerks>,
     /// Distance at which the chessboard fills about half of the picture, m, and the sheet's length, m.
     board: [f64; 2],
     /// How far past its middle the camera looks, sheets.
@@ -83,6 +88,7 @@ impl Trajectory {
                 Scenario::Corridor => Some(Arc::new(corridor())),
                 _ => None,
             },
+            jerks: Jerks::new(&config.jerks, config.seed),
             board: [config.lens.active_focal_widths() * sheet / 0.55, sheet],
             // Wide pictures reach farther beyond the board.
             board_aim: if config.lens.wide_angle.enabled { 0.6 } else { 0.3 },
@@ -103,7 +109,16 @@ impl Trajectory {
 
     /// Ground truth at a time after frame 0, s. Before that the camera rests where it starts.
     pub fn pose_at_seconds(&self, seconds: f64) -> Se3<World, Camera> {
-        self.stance(ramp(seconds) * self.speed).pose()
+        let t = ramp(seconds) * self.speed;
+        let mut stance = self.stance(t);
+        if let Some(jerks) = &self.jerks {
+            let shift = jerks.at(t);
+            stance.position += shift.position;
+            stance.yaw += shift.angles.x;
+            stance.pitch += shift.angles.y;
+            stance.roll += shift.angles.z;
+        }
+        stance.pose()
     }
 
     /// Sine of period `period_s` at `t` with random phase `k`.
@@ -209,6 +224,19 @@ impl Trajectory {
                 s.roll += burst * 0.12 * (TAU * (t - 4.0) / 0.97).sin();
                 s
             }
+            Scenario::DeskSweep => {
+                let angle = TAU * t / SWEEP_S;
+                // 1 on the way there, -1 on the way back.
+                let (along, way) = (-angle.cos(), angle.sin());
+                let (sway, unrest) = (self.sway(t), self.unrest(t));
+                let place = Vector3::new(1.83 + 0.10 * way, SWEEP_M * along, 1.13 - 0.10 * way);
+                Stance {
+                    position: place + 0.3 * sway,
+                    yaw: 0.32 * way + 0.20 * self.sine(t, 2.9, 21) + unrest.x,
+                    pitch: -0.56 - 0.05 * way + 0.12 * self.sine(t, 2.3, 22) + unrest.y,
+                    roll: 0.12 * self.sine(t, 3.7, 23) + unrest.z,
+                }
+            }
             Scenario::CalibrationSweep => {
                 let [middle, sheet] = self.board;
                 let board = Vector3::from(CHESSBOARD_MIDDLE);
@@ -229,12 +257,6 @@ impl Trajectory {
             }
         }
     }
-}
-
-/// `6x⁵ - 15x⁴ + 10x³` on 0..1, constant outside: twice continuously differentiable.
-fn smooth(x: f64) -> f64 {
-    let x = x.clamp(0.0, 1.0);
-    x * x * x * (10.0 + x * (6.0 * x - 15.0))
 }
 
 /// Integral of [`smooth`]: grows from rest to slope 1; 0.5 at x = 1.

@@ -51,6 +51,14 @@ fn webcam(scenario: Scenario, seed: u64) -> SimulatorConfig {
     SimulatorConfig { scenario, seed, ..SimulatorConfig::default() }
 }
 
+/// A dim room and a hand that jerks every two seconds.
+fn jerky(c: &mut SimulatorConfig) {
+    c.jerks.enabled = true;
+    c.motion_blur.exposure_ms = 30.0;
+    // A peak of 150 degrees/s streaks by some 40 px.
+    c.motion_blur.max_samples = 32;
+}
+
 /// All cases; `seed` draws room and movement.
 pub fn cases(seed: u64) -> Vec<Case> {
     let plain = |name, what, scenario, short_s, long_s, expectation| Case {
@@ -211,6 +219,60 @@ pub fn cases(seed: u64) -> Vec<Case> {
         90.0,
         limits(95.0, 1.0, 0, 10),
         &|c| c.lens.wide_angle.enabled = true,
+    );
+    add(
+        "gloss",
+        "screen, pictures and table tops reflect the lamps",
+        Scenario::DeskSweep,
+        8.0,
+        48.0,
+        limits(95.0, 1.0, 0, 10),
+        &|c| c.gloss.enabled = true,
+    );
+    add(
+        "people",
+        "two people pace to and fro from second 3 on",
+        Scenario::HandHeld,
+        9.0,
+        60.0,
+        limits(95.0, 0.3, 0, 10),
+        &|c| c.people.enabled = true,
+    );
+    add(
+        "exposure_hunts",
+        "exposure swings by up to 0.7 EV, 0.8 s a swing",
+        Scenario::HandHeld,
+        7.0,
+        60.0,
+        limits(95.0, 0.3, 0, 10),
+        &|c| c.exposure.hunts = true,
+    );
+    add(
+        "jerks",
+        "30 ms of exposure, jerks of 60 to 150 degrees/s",
+        Scenario::HandHeld,
+        10.0,
+        60.0,
+        limits(90.0, 1.5, 0, 15),
+        &jerky,
+    );
+    add(
+        "desk_sweep",
+        "to and fro along a cluttered desk, jerks of up to 190 degrees/s, up to 33 ms of exposure, gloss",
+        Scenario::DeskSweep,
+        12.5,
+        60.0,
+        limits(85.0, 1.0, 1, 60),
+        &|c| {
+            // Half of the frames as fast as `tum_fr1_desk` (0.5 m/s, 33 degrees/s), the jerks a third faster than its quickest.
+            c.speed = 1.3;
+            c.jerks.enabled = true;
+            c.gloss.enabled = true;
+            c.exposure.hunts = true;
+            c.exposure.sets_time = true;
+            c.motion_blur.exposure_ms = 30.0;
+            c.motion_blur.max_samples = 32;
+        },
     );
     let mut dropped = plain(
         "dropped_frames",

@@ -80,3 +80,65 @@ impl Shutter {
         self.readout_s = seconds.clamp(-MAX_READOUT_S, MAX_READOUT_S);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::UnitQuaternion;
+
+    use super::*;
+    use crate::geometry::Se3;
+    use crate::geometry::frames::Camera;
+
+    #[test]
+    fn the_displacement_is_the_derivative_of_what_a_row_sees_by_the_readout_time() {
+        // A camera that turned and moved like this in 0.1 s; what row 60 of 240 sees is a quarter of the readout early.
+        let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.02, -0.05, 0.03));
+        let step = Se3::<Camera, Camera>::new(turn, Vector3::new(0.03, -0.01, 0.04));
+        let motion = CameraMotion::over(&step, 0.1);
+        let point = Vector3::new(0.3, -0.4, 1.7);
+        for (row_px, delay) in [(59.5, -0.25), (119.5, 0.0), (239.5, 0.5)] {
+            let told = Shutter::new(0.0, 240, true).displacement(&motion, &point, row_px);
+            // The same motion for as long as the row is late, at a readout of h seconds, to both sides.
+            let h = 1e-4;
+            let seen = |readout_s: f64| {
+                let share = delay * readout_s / 0.1;
+                let turned =
+                    UnitQuaternion::from_scaled_axis(turn.scaled_axis() * share) * point + step.translation * share;
+                turned.xy() / turned.z
+            };
+            let measured = (seen(h) - seen(-h)) / (2.0 * h);
+            assert!((told - measured).norm() < 1e-6, "row {row_px}: {told} told, {measured} measured");
+        }
+    }
+
+    #[test]
+    fn a_readout_time_that_is_held_or_nonsense_is_not_learnt() {
+        let held = Shutter::new(0.02, 240, false);
+        assert_eq!((held.variance(), held.to_adjust().expected), (0.0, None));
+        let mut shutter = held;
+        shutter.learn(&Readout { seconds: 0.01, found_information: 1e9, ..held.to_adjust() });
+        assert_eq!(shutter, held);
+        let mut learning = Shutter::new(0.0, 240, true);
+        let before = learning;
+        learning.learn(&Readout { seconds: f64::NAN, ..learning.to_adjust() });
+        learning.learn(&Readout { found_information: f64::INFINITY, ..learning.to_adjust() });
+        assert_eq!(learning, before);
+    }
+
+    #[test]
+    fn what_is_learnt_is_bounded_in_size_and_in_how_surely_it_is_known() {
+        let mut shutter = Shutter::new(0.0, 240, true);
+        assert!((shutter.variance().sqrt() - PRIOR_SIGMA_S).abs() < 1e-12);
+        // Nothing seen: a little is forgotten.
+        shutter.learn(&Readout { seconds: 0.001, ..shutter.to_adjust() });
+        assert!(shutter.variance().sqrt() > PRIOR_SIGMA_S);
+        for _ in 0..20 {
+            shutter.learn(&Readout { seconds: 0.2, found_information: 1e12, ..shutter.to_adjust() });
+        }
+        assert_eq!(shutter.readout_s, MAX_READOUT_S);
+        assert!((shutter.variance().sqrt() - FLOOR_SIGMA_S).abs() < 1e-12);
+        // What the adjustment takes as its prior weighs the more, as it believes a part of its own data only.
+        let (_, information) = shutter.to_adjust().expected.expect("an unknown");
+        assert!((information * FLOOR_SIGMA_S.powi(2) * BELIEVED - 1.0).abs() < 1e-9);
+    }
+}

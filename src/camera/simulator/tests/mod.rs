@@ -1,5 +1,6 @@
 //! Tests of the simulator as a whole, by subject.
 
+mod hardships;
 mod movement;
 mod picture;
 mod source;

@@ -1,6 +1,6 @@
 //! Movements: smooth, as fast as promised, clear of the furniture.
 
-use super::super::room;
+use super::super::{place, room};
 use super::*;
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
@@ -123,10 +123,9 @@ fn no_movement_runs_into_furniture() {
         let mut config = SimulatorConfig::ideal(Scenario::RoomTour);
         config.seed = seed;
         config.chessboard.enabled = true;
-        let plan = room::Plan { seed, texel_m: 0.1, rich: true, chessboard: &config.chessboard };
-        let (indoors, passage) = (room::furnished_room(&plan), room::corridor(&plan));
+        let plan = room::Plan { seed, texel_m: 0.1, rich: true, chessboard: &config.chessboard, desk: &config.desk };
         for scenario in Scenario::ALL {
-            let scene = if scenario == Scenario::Corridor { &passage } else { &indoors };
+            let scene = place(scenario, &plan);
             let mut config = config.clone();
             config.scenario = scenario;
             let trajectory = super::super::Trajectory::new(&config, Some(0));

@@ -5,7 +5,7 @@ use super::super::rays::Rays;
 use super::super::render::{Renderer, Shot};
 use super::super::scene::Quad;
 use super::super::texture::Texture;
-use super::super::{effects, room};
+use super::super::{effects, place, room};
 use super::*;
 use nalgebra::Vector3;
 
@@ -30,11 +30,9 @@ fn another_seed_gives_another_room() {
 
 /// Every face in one grey of its own: then the picture names the face.
 fn painted_by_number(config: &SimulatorConfig) -> super::super::scene::Scene {
-    let plan = room::Plan { seed: config.seed, texel_m: 0.02, rich: true, chessboard: &config.chessboard };
-    let mut scene = match config.scenario {
-        Scenario::Corridor => room::corridor(&plan),
-        _ => room::furnished_room(&plan),
-    };
+    let plan =
+        room::Plan { seed: config.seed, texel_m: 0.02, rich: true, chessboard: &config.chessboard, desk: &config.desk };
+    let mut scene = place(config.scenario, &plan);
     for (i, texture) in scene.textures.iter_mut().enumerate() {
         *texture = Texture::new(1, 1, vec![grey(i)]);
     }
@@ -55,7 +53,7 @@ fn culling_never_loses_a_face() {
         let simulator = simulator(&config);
         let trajectory = simulator.trajectory();
         let rays = Rays::new(simulator.camera_model());
-        let mut renderer = Renderer::new(rays.clone());
+        let mut renderer = Renderer::new(rays.clone(), None);
         let view_at = |t: f64| {
             let pose = trajectory.pose_at_seconds(t);
             View { rotation: pose.rotation.to_rotation_matrix().into_inner(), position: pose.translation }
@@ -110,10 +108,11 @@ fn outlines_are_shaded_by_the_share_that_each_face_has() {
         size: [9.0, 4.0],
         texture,
         density: 1.0,
+        polished: false,
     };
     scene.quads = vec![face(3.0, 4.5, 1), face(1.0, 0.013, 0)];
     let camera = simulator.camera_model().clone();
-    let mut renderer = Renderer::new(Rays::new(&camera));
+    let mut renderer = Renderer::new(Rays::new(&camera), None);
     let view = View {
         rotation: crate::geometry::ros_from_optical().to_rotation_matrix().into_inner(),
         position: Vector3::zeros(),

@@ -68,7 +68,7 @@ fn real_time_gives_up_waiting_after_the_timeout() {
 #[test]
 fn impossible_values_are_refused_by_key_value_and_unit() {
     type Spoil = fn(&mut SimulatorConfig);
-    let cases: [(&str, Spoil); 14] = [
+    let cases: [(&str, Spoil); 20] = [
         ("width = 100 px", |c| c.width = 100),
         ("height = 1080 px", |c| c.height = 1080),
         ("rate_hz = NaN Hz", |c| c.rate_hz = f64::NAN),
@@ -82,6 +82,12 @@ fn impossible_values_are_refused_by_key_value_and_unit() {
         ("rolling_shutter.readout_ms = 34 ms", |c| c.rolling_shutter.readout_ms = 34.0),
         ("occluder.share = 0.95", |c| c.occluder.share = 0.95),
         ("chessboard.square_m = 0.1 m", |c| c.chessboard.square_m = 0.1),
+        ("exposure.hunt_period_s = 0.1 s", |c| c.exposure.hunt_period_s = 0.1),
+        ("exposure.hunt_ev = 3 EV", |c| c.exposure.hunt_ev = 3.0),
+        ("jerks.period_s = 0.5 s", |c| c.jerks.period_s = 0.5),
+        ("jerks.turn_deg_s = 400 degrees/s", |c| c.jerks.turn_deg_s = 400.0),
+        ("gloss.spread_deg = 0 degrees", |c| c.gloss.spread_deg = 0.0),
+        ("people.walk_m_s = NaN m/s", |c| c.people.walk_m_s = f64::NAN),
         ("chessboard.enabled = false", |c| c.scenario = Scenario::CalibrationSweep),
     ];
     for (text, spoil) in cases {

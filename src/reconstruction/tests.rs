@@ -1,0 +1,179 @@
+//! Of a frame's journey as a whole: what no step of it shows alone.
+
+use std::sync::Arc;
+
+use nalgebra::{Matrix3, UnitQuaternion, Vector2, Vector3};
+
+use super::odometry::Odometry;
+use super::track::search::observe;
+use super::*;
+use crate::features::thumbnail::Thumbnail;
+use crate::image::{GreyImage, Pyramid};
+use crate::map::{Keyframe, Landmark, LandmarkId, Map};
+
+const FOCAL_PX: f64 = 300.0;
+const FRAME_NS: i64 = 33_000_000;
+
+fn camera() -> CameraModel {
+    CameraModel::new(320, 240, FOCAL_PX, FOCAL_PX, 159.5, 119.5, [0.0; 5]).unwrap()
+}
+
+/// A wall of speckles at distance 1, seen by a camera that has moved to the right by `shift` px at its distance.
+fn wall(shift: usize) -> Pyramid {
+    let mut picture = GreyImage::new(320, 240);
+    let speckle = |x: usize, y: usize| {
+        let mixed =
+            ((x as u32).wrapping_mul(0x9E37_79B9) ^ (y as u32).wrapping_mul(0x85EB_CA6B)).wrapping_mul(0xC2B2_AE35);
+        ((mixed >> 15).wrapping_mul(0x27D4_EB2F) >> 24) as u8 / 4
+    };
+    for (i, pixel) in picture.data.iter_mut().enumerate() {
+        // Fine ones for landmarks, coarse ones for thumbnails.
+        let (x, y) = (i % 320 + shift, i / 320);
+        *pixel = 40 + speckle(x / 6, y / 6) + speckle(x / 30 + 977, y / 30);
+    }
+    let mut pyramid = Pyramid::new(4);
+    pyramid.build(&picture);
+    pyramid
+}
+
+fn keyframe(camera_from_world: Se3<Camera, World>, pyramid: Pyramid) -> Keyframe {
+    let mut thumbnail = Thumbnail::default();
+    thumbnail.build(&pyramid);
+    Keyframe {
+        sequence: 0,
+        timestamp_ns: 0,
+        map: crate::map::MapId(0),
+        camera_from_world,
+        motion: None,
+        pyramid: Arc::new(pyramid),
+        thumbnail,
+        scale_from: None,
+        observations: Vec::new(),
+        covisible: Vec::new(),
+        corners: Vec::new(),
+    }
+}
+
+/// Tracking in a map of one keyframe at the world's origin, which sees 165 landmarks on the wall; the frame before was at `last`.
+fn before_the_wall(last: Se3<Camera, World>) -> Reconstruction {
+    let camera = camera();
+    let mut map = Map::default();
+    let id = map.add_keyframe(keyframe(Se3::identity(), wall(0)));
+    for n in 0..165 {
+        let pixel = Vector2::new(24.0 + 18.0 * (n % 15) as f32, 24.0 + 18.0 * (n / 15) as f32);
+        let seen = observe(&camera, LandmarkId::default(), pixel, 1.0).unwrap();
+        let landmark = Landmark {
+            position: seen.normalised.push(1.0),
+            covariance: Matrix3::identity() * 1e-8,
+            observers: Vec::new(),
+            created_by: id,
+            assumed: None,
+            sought: 9,
+            found: 9,
+            disagreed: 0,
+        };
+        map.add_landmark(landmark, &[(id, seen)]);
+    }
+    let config = ReconstructionConfig::default();
+    let mut reconstruction = Reconstruction::new(&config, &camera, Box::new(InlineWorker::default()), true);
+    reconstruction.active.map = map;
+    reconstruction.active.reference = id;
+    reconstruction.active.odometry = Odometry::begin(0, last);
+    reconstruction.state = TrackingState::Tracking;
+    reconstruction
+}
+
+fn frame(timestamp_ns: i64, shift: usize) -> FrameFeatures {
+    let pyramid = Arc::new(wall(shift));
+    FrameFeatures { sequence: 1, timestamp_ns, arrival_ns: 0, decoded_ns: 0, pyramid, tracks: Vec::new() }
+}
+
+fn looking_aside(rad: f64) -> Se3<Camera, World> {
+    Se3::new(UnitQuaternion::from_scaled_axis(Vector3::y() * rad), Vector3::zeros())
+}
+
+fn events(reconstruction: &mut Reconstruction) -> Vec<TrajectoryEvent> {
+    let mut out = Vec::new();
+    reconstruction.take_trajectory_events(&mut out);
+    out
+}
+
+/// Poses that the record holds: time stamp, world position by the reference keyframe's own pose.
+fn recorded(reconstruction: &mut Reconstruction) -> Vec<(i64, Vector3<f64>)> {
+    let place = |e: &TrajectoryEvent| match e {
+        TrajectoryEvent::Pose { timestamp_ns, keyframe_from_camera, .. } => {
+            Some((*timestamp_ns, keyframe_from_camera.translation))
+        }
+        _ => None,
+    };
+    events(reconstruction).iter().filter_map(place).collect()
+}
+
+#[test]
+fn a_pose_replaced_behind_a_turn_is_replaced_in_the_record() {
+    let mut reconstruction = before_the_wall(Se3::identity());
+    let at = |x: f64| Se3::new(UnitQuaternion::identity(), Vector3::new(-x, 0.0, 0.0));
+    reconstruction.record_pose(100, &at(0.1));
+    reconstruction.record_pose(200, &at(0.2));
+    reconstruction.record_instead(200, &at(0.5));
+    let expected = [(100, Vector3::x() * 0.1), (200, Vector3::x() * 0.5)];
+    assert_eq!(
+        recorded(&mut reconstruction),
+        expected,
+        "one pose a frame, the later one, and the frame before it as it was"
+    );
+
+    // A frame whose pose was drained already, or that had none: nothing is invented for it.
+    reconstruction.record_instead(200, &at(0.7));
+    reconstruction.record_pose(300, &at(0.3));
+    reconstruction.record_instead(400, &at(0.9));
+    assert_eq!(recorded(&mut reconstruction), [(300, Vector3::x() * 0.3)]);
+}
+
+#[test]
+fn a_frame_found_elsewhere_leaves_the_matches_of_its_own_search() {
+    // The prediction looks 70 degrees aside, where nothing of the map is; the thumbnail knows the view.
+    let mut reconstruction = before_the_wall(looking_aside(1.2));
+    let features = frame(FRAME_NS, 4);
+    let tracked = reconstruction.place(&features).expect("the view of the only keyframe");
+    let moved = tracked.camera_from_world.inverse().translation - Vector3::new(4.0 / FOCAL_PX, 0.0, 0.0);
+    assert!(
+        moved.norm() < 0.005 && tracked.camera_from_world.rotation.angle() < 0.005,
+        "{:?}",
+        tracked.camera_from_world
+    );
+    let matches: Vec<_> = reconstruction.tracker.inliers().copied().collect();
+    assert_eq!(matches.len(), tracked.landmarks, "what the map will learn from is what the pose rests on");
+    for m in &matches {
+        let seen = camera().project(&tracked.camera_from_world.transform(&m.point)).expect("before the camera");
+        assert!((seen - m.pixel.cast::<f64>()).norm() < 1.5, "matched at {}, seen at {seen}", m.pixel);
+    }
+    // The usual search's own buffers are kept for the next time.
+    assert_eq!(reconstruction.relocaliser.tracker.inliers().count(), 0, "the failed search found nothing");
+}
+
+#[test]
+fn a_frame_found_where_it_was_expected_is_not_looked_for_elsewhere() {
+    let mut reconstruction = before_the_wall(Se3::identity());
+    let tracked = reconstruction.place(&frame(FRAME_NS, 4)).expect("near the frame before");
+    assert!(tracked.landmarks > 60, "{} landmarks", tracked.landmarks);
+    assert_eq!(reconstruction.tracker.inliers().count(), tracked.landmarks);
+    assert!(reconstruction.relocaliser.tracker.matches().is_empty());
+}
+
+#[test]
+fn a_frame_that_was_found_again_is_recorded_counted_and_no_keyframe() {
+    let mut reconstruction = before_the_wall(looking_aside(1.2));
+    reconstruction.active.odometry.lost_frames = 3;
+    reconstruction.state = TrackingState::Lost;
+    let estimate = reconstruction.track(&frame(FRAME_NS, 4));
+    assert_eq!(estimate.state, TrackingState::Tracking);
+    assert!(estimate.landmarks >= 30 && estimate.world_from_camera.is_some());
+    assert_eq!(reconstruction.counters().relocalisations, 1);
+    assert!(reconstruction.pending.keyframe.is_none(), "its templates would be those of a view that was just lost");
+    let recorded = recorded(&mut reconstruction);
+    assert!(
+        matches!(recorded.as_slice(), [(FRAME_NS, at)] if (at - Vector3::x() * (4.0 / FOCAL_PX)).norm() < 0.005),
+        "{recorded:?}"
+    );
+}
