@@ -68,7 +68,11 @@ impl Reconstruction {
         optics.shutter.learn(result.readout());
         let old_from_new = result.merge(&mut active.map);
         optics.intrinsics.merge(&result, lens, &mut active.map, &mut optics.camera);
+        let before = active.odometry.last.map(|last| last.camera_from_world);
         active.odometry.correct(&old_from_new);
+        if let Some((old, new)) = before.zip(active.odometry.last.map(|last| last.camera_from_world)) {
+            self.corrections.adjusted(&old, &new);
+        }
         if when != Merge::AtTheEnd && optics.intrinsics.wants_restart(&optics.camera) {
             self.reset();
         }
