@@ -36,6 +36,8 @@
 //!   it is accepted once the direction of
 //!   the first motion is sure enough for how long the camera has moved, and most of the picture agrees with it, so neither standing
 //!   nor turning on the spot starts a map, nor (with a calibrated lens) something large that moves past.
+//! - Until then the tracks alone tell how the camera has turned since the first frame, moving or not (`initialise::orientation`): published
+//!   without a position, and gone on with by the odometry of the map.
 //! - A turn on the spot goes on where the map's landmarks leave the picture: corners without parallax become landmarks at an assumed
 //!   distance, which tracking eliminates and adjustments and planners never see; the first motion after the turn is found by two views
 //!   (`keyframe::distance_prior` and `keyframe::after_rotation`), and log, health and covariance say what its scale rests on.

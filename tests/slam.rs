@@ -110,6 +110,10 @@ fn every_published_pose_rests_on_enough_landmarks_and_no_other_frame_has_one() {
             }
             _ => assert!(e.covariance.iter().all(|v| v.is_nan()) && e.landmarks == 0 && e.quality == 0.0),
         }
+        assert_eq!(e.orientation.is_some(), e.state == TrackingState::Orientation);
+        if e.state == TrackingState::Orientation {
+            assert_eq!(tracked, 0, "only before the first map");
+        }
     }
     assert!(tracked > 100, "{tracked} tracked");
 }
@@ -133,9 +137,62 @@ fn two_runs_give_the_same_bits() {
 fn turning_on_the_spot_and_standing_still_start_no_map() {
     for scenario in [Scenario::PureRotation, Scenario::Standing] {
         let run = run(&webcam(scenario), 120, |_, _| {});
-        assert!(run.estimates.iter().all(|e| e.state == TrackingState::Initializing), "{scenario:?}: a false start");
-        assert!(run.trajectory.is_empty());
+        assert!(run.estimates.iter().all(|e| e.world_from_camera.is_none()), "{scenario:?}: a false start");
+        assert!(run.trajectory.is_empty(), "{scenario:?}: an orientation is no pose");
     }
+}
+
+/// Error of an orientation since the first frame, rad, and its square in standard deviations; `None` without one.
+fn orientation_error(run: &Run, i: usize) -> Option<(f64, f64)> {
+    let told = run.estimates[i].orientation?;
+    let truth = run.truth[0].1.rotation.inverse() * run.truth[i].1.rotation;
+    let e = (told.first_from_camera.inverse() * truth).scaled_axis();
+    let squared = told.covariance.try_inverse().map_or(0.0, |inverse| e.dot(&(inverse * e)));
+    Some((e.norm(), squared))
+}
+
+#[test]
+fn turning_on_the_spot_tells_the_orientation_as_well_as_it_says() {
+    for seed in 3..6 {
+        let config = SimulatorConfig { seed, ..SimulatorConfig::everything(Scenario::PureRotation) };
+        let run = run(&config, 240, |_, _| {});
+        let errors: Vec<(f64, f64)> = (0..240).filter_map(|i| orientation_error(&run, i)).collect();
+        let largest = errors.iter().map(|e| e.0).fold(0.0, f64::max);
+        // 95 % of chi-square with three degrees of freedom.
+        let outside = errors.iter().filter(|e| e.1 > 7.81).count();
+        println!("seed {seed}: {} told, largest error {largest} rad, {outside} outside", errors.len());
+        assert!(errors.len() >= 230, "seed {seed}: {} of 240 told", errors.len());
+        assert!(largest < 0.05, "seed {seed}: {largest} rad");
+        assert!(outside * 10 <= errors.len(), "seed {seed}: {outside} of {} outside", errors.len());
+        assert!(run.estimates.iter().all(|e| e.reset_counter == 0), "seed {seed}");
+    }
+}
+
+#[test]
+fn a_map_goes_on_with_the_orientation_before_it() {
+    let run = run(&webcam(Scenario::HandHeld), 150, |_, _| {});
+    let start = run.estimates.iter().position(|e| e.state == TrackingState::Tracking).expect("a start");
+    assert!(start > 1 && run.estimates[start - 1].orientation.is_some());
+    assert_eq!(run.estimates[start].reset_counter, run.estimates[start - 1].reset_counter);
+    for i in [start, 149] {
+        let truth = run.truth[0].1.rotation.inverse() * run.truth[i].1.rotation;
+        let smooth = run.estimates[i].odom_from_camera.expect("tracked").rotation;
+        assert!(smooth.angle_to(&truth) < 0.03, "frame {i}: {} rad", smooth.angle_to(&truth));
+    }
+}
+
+#[test]
+fn darkness_before_the_start_tells_no_orientation_and_what_follows_is_unrelated() {
+    let run = run(&webcam(Scenario::PureRotation), 60, |sequence, picture| {
+        if (20..30).contains(&sequence) {
+            picture.data.fill(3);
+        }
+    });
+    let dark = &run.estimates[20..30];
+    assert!(dark.iter().all(|e| e.state == TrackingState::Initializing && e.orientation.is_none()));
+    assert_eq!((run.estimates[19].reset_counter, run.estimates[59].reset_counter), (0, 1));
+    assert_eq!(run.estimates[59].state, TrackingState::Orientation);
+    assert_eq!(run.counters.resets, 0, "no map was dropped");
 }
 
 #[test]
@@ -183,6 +240,9 @@ fn a_map_that_was_lost_is_joined_when_its_place_is_seen_again() {
     let Counters { resets, maps_joined, .. } = run.counters;
     assert_eq!((resets, maps_joined), (1, 1));
     assert_eq!(run.estimates.last().map(|e| (e.map.0, e.reset_counter)), Some((1, 1)), "the numbers do not go back");
+    let revisions: Vec<u32> = run.estimates.iter().map(|e| e.map_revision).collect();
+    assert!(revisions.is_sorted() && revisions[0] == 0, "{revisions:?}");
+    assert!((1..=2).contains(&revisions[revisions.len() - 1]), "the join, and the adjustment after it: {revisions:?}");
     assert!(coverage > 0.9, "one trajectory: {coverage}");
     assert!(error < 0.02, "error {error} of the path");
     // Nothing jumps at the join: from frame to frame the pose moves as the camera does.

@@ -61,6 +61,8 @@ fn publishing_a_pose_allocates_nothing() {
         state: TrackingState::Tracking,
         world_from_camera: Some(Se3::identity()),
         odom_from_camera: Some(Se3::identity()),
+        orientation: None,
+        map_revision: 0,
         anchor: Some(KeyframeId(0)),
         covariance: Matrix6::identity(),
         angular_velocity: Vector3::zeros(),

@@ -72,6 +72,12 @@ inline bool usable(const Pose &pose, Duration max_age) {
     return cairn_pose_is_usable(&pose, detail::ns(max_age)) != 0;
 }
 
+// Angle about the vertical in odom, counter-clockwise from above, rad; also before there is a map. No leave to drive: see usable().
+inline std::optional<double> heading(const Pose &pose) {
+    double angle = 0.0;
+    return cairn_pose_heading(&pose, &angle) != 0 ? std::optional(angle) : std::nullopt;
+}
+
 // A connection to one daemon, which need not run yet. One thread at a time.
 class Client {
   public:

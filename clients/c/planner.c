@@ -9,7 +9,7 @@
 
 #include "cairn.h"
 
-static const char *const STATES[] = {"INITIALIZING", "TRACKING", "LOST"};
+static const char *const STATES[] = {"INITIALIZING", "TRACKING", "LOST", "ORIENTATION", "DEAD_RECKONING"};
 
 int main(int count, char **words) {
     long left = count > 1 ? strtol(words[1], NULL, 10) : -1;
@@ -33,15 +33,18 @@ int main(int count, char **words) {
         /* Only a pose that was tracked, and just now, may steer a robot. Metres only where `scale` says so. */
         int usable = cairn_pose_is_usable(&pose, 200000000);
         printf("%llu %s x %.3f y %.3f z %.3f -> %s\n", (unsigned long long)pose.sequence,
-               pose.state < 3 ? STATES[pose.state] : "UNKNOWN", pose.position[0], pose.position[1], pose.position[2],
+               pose.state < sizeof STATES / sizeof *STATES ? STATES[pose.state] : "UNKNOWN", pose.position[0], pose.position[1], pose.position[2],
                usable ? "drive" : "stop");
+        double heading;
+        if (!usable && cairn_pose_heading(&pose, &heading))
+            printf("heading %.1f degrees since the first picture\n", heading * 57.29577951308232);
         /* A map comes twice a second; it is read where it lies. */
         if (cairn_map_wait(client, 0, &map) == CAIRN_MESSAGE) {
             double ahead = 0.0;
             for (size_t i = 0; i < map.count; i++)
                 ahead += map.landmarks[i].position[0];
-            printf("map %u revision %llu: %zu landmarks, mean x %.3f\n", map.header->map_id,
-                   (unsigned long long)map.header->revision, map.count, map.count ? ahead / (double)map.count : 0.0);
+            printf("map %u content %llu: %zu landmarks, mean x %.3f\n", map.header->map_id,
+                   (unsigned long long)map.header->content_revision, map.count, map.count ? ahead / (double)map.count : 0.0);
             cairn_map_release(&map);
         }
         left -= left > 0;

@@ -33,7 +33,10 @@ int main(int count, char **words) try {
         if (auto newer = client.map(0s))
             map = std::move(newer);
         if (!pose || !cairn::usable(*pose, 200ms)) {
-            std::cout << "stop" << std::endl;
+            std::cout << "stop";
+            if (const auto heading = pose ? cairn::heading(*pose) : std::nullopt)
+                std::cout << ", turned by " << *heading << " rad";
+            std::cout << std::endl;
         } else {
             const auto obstacles = map ? in_the_way(*pose, *map) : 0;
             std::cout << pose->sequence << (obstacles > 20 ? " turn" : " drive") << ", points ahead " << obstacles << std::endl;

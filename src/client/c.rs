@@ -4,7 +4,7 @@
 //! `cargo rustc --release --lib --crate-type cdylib --no-default-features --features c`.
 //!
 //! In: a handle, a timeout (ns), a place for the answer. Out: [`MESSAGE`], [`NOTHING`] or [`ERROR`]; the reason of the latter by
-//! `cairn_error`. Poses and health are copied (424 and 416 bytes); map, keyframes and pictures are views of shared memory that
+//! `cairn_error`. Poses and health are copied (448 and 512 bytes); map, keyframes and pictures are views of shared memory that
 //! must be released. A handle is used by one thread at a time; several handles may live in several threads.
 //!
 //! Does not: start threads, install signal handlers, unwind into C, keep anything global but the last error of each thread.
@@ -22,8 +22,8 @@ use crate::messages::{
     Command, CommandReply, FrameHeader, Health, Keyframe, KeyframesHeader, Landmark, MapHeader, Pose,
 };
 
-/// Grows when a function of this header changes or goes; compare it with `cairn_abi_version()`.
-pub const ABI_VERSION: u32 = 1;
+/// Grows when a function or a message of this header changes or goes; compare it with `cairn_abi_version()`.
+pub const ABI_VERSION: u32 = 2;
 
 /// There is a message, and it is where it was to be put.
 pub const MESSAGE: i32 = 1;
@@ -233,6 +233,23 @@ pub unsafe extern "C" fn cairn_pose_wait(client: *mut Handle, timeout_ns: u64, p
 pub unsafe extern "C" fn cairn_pose_is_usable(pose: *const Pose, max_age_ns: u64) -> i32 {
     // SAFETY: null is looked at, and otherwise the caller promises that it may be read.
     unsafe { pose.as_ref() }.is_some_and(|pose| pose.is_usable(Duration::from_nanos(max_age_ns))).into()
+}
+
+/// 1 if the body's orientation is known, with a position (`CAIRN_STATE_TRACKING`) or before there is one (`CAIRN_STATE_ORIENTATION`); then
+/// `heading_rad`, unless null, is its angle about the vertical in odom, counter-clockwise from above, rad. Else 0, and nothing is written.
+/// It is no leave to drive: ask `cairn_pose_is_usable` for that.
+///
+/// # Safety
+/// `pose` is null or may be read; `heading_rad` is null or may be written.
+#[unsafe(no_mangle)] // SAFETY: as above
+pub unsafe extern "C" fn cairn_pose_heading(pose: *const Pose, heading_rad: *mut f64) -> i32 {
+    // SAFETY: null is looked at, and otherwise the caller promises that it may be read.
+    let Some(heading) = unsafe { pose.as_ref() }.and_then(Pose::heading_rad) else { return 0 };
+    // SAFETY: as above, for writing.
+    if let Some(place) = unsafe { heading_rad.as_mut() } {
+        *place = heading;
+    }
+    1
 }
 
 /// The pose's covariance as a 6x6 matrix, 36 numbers, order x, y, z, rotation about x, y, z; in the body's axes, or (`in_map_axes` not

@@ -42,7 +42,7 @@ pub struct Subscription<T: Topic> {
     ended: bool,
 }
 
-/// Subscription to poses; its items are copies (424 bytes).
+/// Subscription to poses; its items are copies (448 bytes).
 pub type Poses = Subscription<PoseTopic>;
 /// Subscription to health; its items are copies.
 pub type Healths = Subscription<HealthTopic>;

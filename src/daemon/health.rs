@@ -318,6 +318,7 @@ impl HealthWatch {
         let stale = self.status.last_pose_arrival_ns().is_some_and(|at| now_ns - at > NO_FRAMES_NS);
         match self.status.state() {
             TrackingState::Tracking if blind || stale => TrackingState::Lost,
+            TrackingState::Orientation if blind => TrackingState::Initializing,
             state => state,
         }
     }
@@ -339,6 +340,7 @@ impl HealthWatch {
                 stage.heartbeat_age_ns = heart.age_ns(now_ns).unwrap_or(UNKNOWN_NS);
             }
         }
+        let (map_revision, [correction_distance, correction_rad]) = s.corrections();
         let (knowledge, [fx, fy, cx, cy, focal_sigma, centre_sigma_px]) = s.lens();
         Health {
             errors,
@@ -358,6 +360,11 @@ impl HealthWatch {
             adjustments_late: s.adjustments_late.get(),
             resets: s.resets.get(),
             relocalisations: s.relocalisations.get(),
+            maps_joined: s.maps_joined.get(),
+            maps: s.maps(),
+            map_revision,
+            correction_distance,
+            correction_rad,
             frame_age_ns: age(s.last_arrival_ns()),
             pose_age_ns: age(s.last_pose_arrival_ns()),
             stages,

@@ -290,6 +290,7 @@ impl ReconstructStep {
         let Some(reconstruction) = &self.reconstruction else { return };
         let counters = reconstruction.counters();
         self.status.set_counters(&counters);
+        self.status.set_corrections(&reconstruction.corrections(), reconstruction.maps());
         if e.keyframe {
             let (keyframes, landmarks_made) = (counters.keyframes_made, counters.landmarks_made);
             // Where much is new there is one a second, which would fill a journal in a night.
@@ -405,7 +406,11 @@ impl ReconstructStep {
 /// What a map message says of the map as it is now. It may have been dropped after the last frame was placed, so the counter is the map's and not
 /// that of the frame's pose.
 fn context(reconstruction: &Reconstruction, placements: u32, timestamp_ns: i64) -> MapContext {
-    MapContext { timestamp_ns, reset_counter: reconstruction.reset_counter().wrapping_add(placements) }
+    MapContext {
+        timestamp_ns,
+        reset_counter: reconstruction.reset_counter().wrapping_add(placements),
+        map_revision: reconstruction.corrections().revision,
+    }
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU32, Ordering};
 
 use crate::map::MapSnapshot;
-use crate::reconstruction::{Counters, LensEstimate, LensKnowledge, PoseEstimate, TrackingState};
+use crate::reconstruction::{Corrections, Counters, LensEstimate, LensKnowledge, PoseEstimate, TrackingState};
 use crate::telemetry::{Counter, Heartbeat, Histogram};
 
 /// State and statistics of one run.
@@ -42,6 +42,7 @@ pub struct Status {
     pub landmarks_made: Counter,
     pub resets: Counter,
     pub relocalisations: Counter,
+    pub maps_joined: Counter,
     /// Turns on the spot behind which the scale is an assumption.
     pub blind_turns: Counter,
     pub adjustments: Counter,
@@ -74,6 +75,11 @@ pub struct Status {
     map_landmarks: AtomicU32,
     map_keyframes: AtomicU32,
     map_id: AtomicU32,
+    map_revision: AtomicU32,
+    /// Kept, the current one among them.
+    maps: AtomicU32,
+    /// Bits of: how far the last correction moved (map units) and turned (rad) the pose.
+    correction: [AtomicU32; 2],
     reset_counter: AtomicU32,
     /// That the last frame's pose rests on.
     landmarks_tracked: AtomicU32,
@@ -113,6 +119,7 @@ impl Default for Status {
             landmarks_made: Counter::default(),
             resets: Counter::default(),
             relocalisations: Counter::default(),
+            maps_joined: Counter::default(),
             blind_turns: Counter::default(),
             adjustments: Counter::default(),
             adjustments_late: Counter::default(),
@@ -132,6 +139,9 @@ impl Default for Status {
             map_landmarks: AtomicU32::new(0),
             map_keyframes: AtomicU32::new(0),
             map_id: AtomicU32::new(0),
+            map_revision: AtomicU32::new(0),
+            maps: AtomicU32::new(0),
+            correction: [const { AtomicU32::new(f32::NAN.to_bits()) }; 2],
             reset_counter: AtomicU32::new(0),
             landmarks_tracked: AtomicU32::new(0),
             points_followed: AtomicU32::new(0),
@@ -198,6 +208,7 @@ impl Status {
         match self.state.load(Ordering::Relaxed) {
             1 => TrackingState::Tracking,
             2 => TrackingState::Lost,
+            3 => TrackingState::Orientation,
             _ => TrackingState::Initializing,
         }
     }
@@ -218,6 +229,7 @@ impl Status {
             TrackingState::Initializing => 0,
             TrackingState::Tracking => 1,
             TrackingState::Lost => 2,
+            TrackingState::Orientation => 3,
         };
         self.state.store(state, Ordering::Relaxed);
         self.map_id.store(estimate.map.0, Ordering::Relaxed);
@@ -282,6 +294,26 @@ impl Status {
         (self.map_id.load(Ordering::Relaxed), self.reset_counter.load(Ordering::Relaxed))
     }
 
+    /// Takes over how often and how far map coordinates were corrected, and how many maps are kept.
+    pub fn set_corrections(&self, corrections: &Corrections, maps: usize) {
+        self.map_revision.store(corrections.revision, Ordering::Relaxed);
+        self.maps.store(u32::try_from(maps).unwrap_or(u32::MAX), Ordering::Relaxed);
+        for (slot, number) in self.correction.iter().zip([corrections.distance, corrections.angle_rad]) {
+            slot.store((number as f32).to_bits(), Ordering::Relaxed);
+        }
+    }
+
+    /// Corrections of map coordinates so far; how far the last one moved (map units) and turned (rad) the pose.
+    pub fn corrections(&self) -> (u32, [f32; 2]) {
+        let far = std::array::from_fn(|i| f32::from_bits(self.correction[i].load(Ordering::Relaxed)));
+        (self.map_revision.load(Ordering::Relaxed), far)
+    }
+
+    /// Maps that are kept, the current one among them; 0 before the first frame.
+    pub fn maps(&self) -> u32 {
+        self.maps.load(Ordering::Relaxed)
+    }
+
     /// CLOCK_MONOTONIC of the last frame's arrival, if there was one.
     pub fn last_arrival_ns(&self) -> Option<i64> {
         Some(self.last_arrival_ns.load(Ordering::Relaxed)).filter(|ns| *ns != 0)
@@ -302,6 +334,7 @@ impl Status {
         self.landmarks_made.set(c.landmarks_made);
         self.resets.set(c.resets);
         self.relocalisations.set(c.relocalisations);
+        self.maps_joined.set(c.maps_joined);
         self.blind_turns.set(c.blind_turns);
         self.adjustments.set(c.adjustments);
         self.adjustments_late.set(c.adjustments_late);
@@ -314,5 +347,6 @@ pub fn state_name(state: TrackingState) -> &'static str {
         TrackingState::Initializing => "INITIALIZING",
         TrackingState::Tracking => "TRACKING",
         TrackingState::Lost => "LOST",
+        TrackingState::Orientation => "ORIENTATION",
     }
 }

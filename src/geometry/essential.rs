@@ -211,6 +211,18 @@ pub fn refine_motion(
     refined.is_finite().then_some(refined)
 }
 
+/// Information of a motion's five parameters (left rotation, rad, then the translation's direction on its sphere, rad) from Sampson
+/// distances, in the unit of the matches; `None` without a translation.
+pub fn motion_information(
+    motion: &Se3<Second, First>,
+    matches: impl Iterator<Item = (Vector2<f64>, Vector2<f64>)> + Clone,
+    loss: Loss,
+) -> Option<SMatrix<f64, 5, 5>> {
+    let mut information = MotionProblem { matches, loss }.linearise(&Motion::new(motion)?).hessian;
+    information.fill_upper_triangle_with_lower_triangle();
+    Some(information)
+}
+
 /// Essential matrices for the robust loop.
 struct Problem<'a> {
     x1: &'a [Vector2<f64>],

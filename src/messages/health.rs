@@ -64,9 +64,22 @@ pub mod error {
 
     /// Names of the bits that are set; bits of a newer daemon together are `UNKNOWN`.
     pub fn names(errors: u64) -> impl Iterator<Item = &'static str> {
-        let known = NAMES.iter().fold(0, |all, (bit, _)| all | bit);
-        let unknown = (errors & !known != 0).then_some("UNKNOWN");
-        NAMES.iter().filter(move |(bit, _)| errors & bit != 0).map(|(_, name)| *name).chain(unknown)
+        crate::messages::bit_names(&NAMES, errors)
+    }
+}
+
+/// Bits of `map_mode`: how the current map is used. None is sent yet.
+pub mod map_mode {
+    /// The map does not grow: the robot is only located in it.
+    pub const LOCALISATION_ONLY: u8 = 1 << 0;
+    /// The current map is that of the map file, or has been joined to it: places in it are those of earlier runs.
+    pub const STORED: u8 = 1 << 1;
+
+    const NAMES: [(u8, &str); 2] = [(LOCALISATION_ONLY, "LOCALISATION_ONLY"), (STORED, "STORED")];
+
+    /// Names of the bits that are set; bits of a newer daemon together are `UNKNOWN`.
+    pub fn names(mode: u8) -> impl Iterator<Item = &'static str> {
+        crate::messages::bit_names(&NAMES, mode)
     }
 }
 
@@ -124,7 +137,7 @@ impl Default for StageHealth {
 /// The daemon's health. Counters count from its start.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
-#[type_name("cairn.Health.v2")]
+#[type_name("cairn.Health.v3")]
 pub struct Health {
     /// Another value at every start of the daemon.
     pub run_id: u64,
@@ -158,6 +171,10 @@ pub struct Health {
     pub resets: u64,
     /// Times that a lost robot was found again in its map.
     pub relocalisations: u64,
+    /// Maps that were recognised and joined to the current one.
+    pub maps_joined: u64,
+    /// Loops closed; always 0 in this version.
+    pub loops_closed: u64,
     /// Time since the last frame arrived, ns; [`UNKNOWN_NS`] if there was none.
     pub frame_age_ns: i64,
     /// Time since the last frame with a pose arrived, ns; [`UNKNOWN_NS`] if there was none.
@@ -168,14 +185,18 @@ pub struct Health {
     pub keyframes: u32,
     /// Landmarks in the current map.
     pub landmarks: u32,
+    /// Maps that are kept, the current one among them.
+    pub maps: u32,
     /// As in [`super::Pose::reset_counter`].
     pub reset_counter: u32,
     /// As in [`super::Pose::map_id`].
     pub map_id: u32,
+    /// As in [`super::Pose::map_revision`].
+    pub map_revision: u32,
     /// Process id of the daemon.
     pub pid: u32,
-    /// [`super::STATE_INITIALIZING`], [`super::STATE_TRACKING`], [`super::STATE_LOST`] of the last frame;
-    /// lost, too, when pictures have stopped coming while tracking.
+    /// As in [`super::Pose::state`], of the last frame; lost, too, when pictures have stopped coming while tracking, and initializing
+    /// when they have while only the orientation was known.
     pub state: u8,
     /// [`super::CLOCK_MONOTONIC`] or [`super::CLOCK_RECORDING`]: what the source's times count from.
     pub clock: u8,
@@ -194,15 +215,24 @@ pub struct Health {
     pub focal_sigma: f32,
     /// Standard deviation of the principal point, the larger of both coordinates, px; NaN before the first frame.
     pub centre_sigma_px: f32,
+    /// How far the map pose was moved when `map_revision` grew last, map units; NaN if it never did.
+    pub correction_distance: f32,
+    /// How far it was turned then, rad.
+    pub correction_rad: f32,
+    /// Bits of [`map_mode`]: how the current map is used.
+    pub map_mode: u8,
+    /// Zero.
+    pub reserved: [u8; 63],
 }
 
-layout!(Health, "cairn.Health.v2", 416, {
+layout!(Health, "cairn.Health.v3", 512, {
     run_id @ 0, sequence @ 8, published_ns @ 16, uptime_ns @ 24, realtime_minus_monotonic_ns @ 32, errors @ 40,
     frames_captured @ 48, frames_dropped @ 56, frames_corrupt @ 64, frames_tracked @ 72, keyframes_made @ 80,
-    landmarks_made @ 88, adjustments @ 96, adjustments_late @ 104, resets @ 112, relocalisations @ 120,
-    frame_age_ns @ 128, pose_age_ns @ 136, stages @ 144, keyframes @ 336, landmarks @ 340, reset_counter @ 344,
-    map_id @ 348, pid @ 352, state @ 356, clock @ 357, intrinsics @ 358, lens_model @ 359, version @ 360, focal_px @ 392,
-    centre_px @ 400, focal_sigma @ 408, centre_sigma_px @ 412,
+    landmarks_made @ 88, adjustments @ 96, adjustments_late @ 104, resets @ 112, relocalisations @ 120, maps_joined @ 128,
+    loops_closed @ 136, frame_age_ns @ 144, pose_age_ns @ 152, stages @ 160, keyframes @ 352, landmarks @ 356, maps @ 360,
+    reset_counter @ 364, map_id @ 368, map_revision @ 372, pid @ 376, state @ 380, clock @ 381, intrinsics @ 382,
+    lens_model @ 383, version @ 384, focal_px @ 416, centre_px @ 424, focal_sigma @ 432, centre_sigma_px @ 436,
+    correction_distance @ 440, correction_rad @ 444, map_mode @ 448, reserved @ 449,
 });
 
 impl Default for Health {
@@ -225,13 +255,17 @@ impl Default for Health {
             adjustments_late: 0,
             resets: 0,
             relocalisations: 0,
+            maps_joined: 0,
+            loops_closed: 0,
             frame_age_ns: UNKNOWN_NS,
             pose_age_ns: UNKNOWN_NS,
             stages: [StageHealth::default(); STAGES],
             keyframes: 0,
             landmarks: 0,
+            maps: 0,
             reset_counter: 0,
             map_id: 0,
+            map_revision: 0,
             pid: 0,
             state: STATE_INITIALIZING,
             clock: CLOCK_MONOTONIC,
@@ -242,6 +276,10 @@ impl Default for Health {
             centre_px: [f32::NAN; 2],
             focal_sigma: f32::NAN,
             centre_sigma_px: f32::NAN,
+            correction_distance: f32::NAN,
+            correction_rad: f32::NAN,
+            map_mode: 0,
+            reserved: [0; 63],
         }
     }
 }

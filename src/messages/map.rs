@@ -22,12 +22,12 @@ layout!(Landmark, "cairn.Landmark.v1", 24, { id @ 0, observations @ 4, position 
 /// What a map message is a picture of.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend)]
-#[type_name("cairn.MapHeader.v1")]
+#[type_name("cairn.MapHeader.v2")]
 pub struct MapHeader {
     /// Another value at every start of the daemon.
     pub run_id: u64,
-    /// Grows with every change of the map.
-    pub revision: u64,
+    /// Grows with every change of what the message holds: another picture of the map.
+    pub content_revision: u64,
     /// Capture time of the newest frame that the map knows of, in the source's clock (`clock`), ns.
     pub timestamp_ns: i64,
     /// CLOCK_MONOTONIC when this message was sent, ns.
@@ -40,19 +40,26 @@ pub struct MapHeader {
     pub map_id: u32,
     /// As in [`super::Pose::reset_counter`].
     pub reset_counter: u32,
+    /// As in [`super::Pose::map_revision`]: what was kept of messages with another one is out of place.
+    pub map_revision: u32,
     /// Relative standard deviation of the scale; NaN unless it is estimated.
     pub scale_sigma: f32,
     /// [`super::SCALE_UNKNOWN`], [`super::SCALE_ESTIMATED`], [`super::SCALE_METRIC`].
     pub scale: u8,
+    /// As in [`super::Pose::scale_source`].
+    pub scale_source: u8,
     /// [`super::CLOCK_MONOTONIC`], [`super::CLOCK_RECORDING`].
     pub clock: u8,
+    /// Bits of [`super::map_mode`].
+    pub map_mode: u8,
     /// Zero.
-    pub reserved: [u8; 2],
+    pub reserved: [u8; 4],
 }
 
-layout!(MapHeader, "cairn.MapHeader.v1", 56, {
-    run_id @ 0, revision @ 8, timestamp_ns @ 16, published_ns @ 24, count @ 32, total @ 36, map_id @ 40,
-    reset_counter @ 44, scale_sigma @ 48, scale @ 52, clock @ 53, reserved @ 54,
+layout!(MapHeader, "cairn.MapHeader.v2", 64, {
+    run_id @ 0, content_revision @ 8, timestamp_ns @ 16, published_ns @ 24, count @ 32, total @ 36, map_id @ 40,
+    reset_counter @ 44, map_revision @ 48, scale_sigma @ 52, scale @ 56, scale_source @ 57, clock @ 58, map_mode @ 59,
+    reserved @ 60,
 });
 
 /// One keyframe; `PREFIX/keyframes` carries a slice of them, ascending `id`.
@@ -76,15 +83,15 @@ layout!(Keyframe, "cairn.Keyframe.v1", 72, {
     timestamp_ns @ 0, position @ 8, orientation @ 32, id @ 64, reserved @ 68,
 });
 
-/// What a keyframes message is a picture of; the same revision as the map message that was sent with it.
+/// What a keyframes message is a picture of; the same `content_revision` as the map message that was sent with it.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend)]
-#[type_name("cairn.KeyframesHeader.v1")]
+#[type_name("cairn.KeyframesHeader.v2")]
 pub struct KeyframesHeader {
     /// Another value at every start of the daemon.
     pub run_id: u64,
-    /// Grows with every change of the map.
-    pub revision: u64,
+    /// Grows with every change of what the message holds: another picture of the map.
+    pub content_revision: u64,
     /// Capture time of the newest frame that the map knows of, in the source's clock (`clock`), ns.
     pub timestamp_ns: i64,
     /// CLOCK_MONOTONIC when this message was sent, ns.
@@ -97,17 +104,24 @@ pub struct KeyframesHeader {
     pub map_id: u32,
     /// As in [`super::Pose::reset_counter`].
     pub reset_counter: u32,
+    /// As in [`super::Pose::map_revision`]: what was kept of messages with another one is out of place.
+    pub map_revision: u32,
     /// Relative standard deviation of the scale; NaN unless it is estimated.
     pub scale_sigma: f32,
     /// [`super::SCALE_UNKNOWN`], [`super::SCALE_ESTIMATED`], [`super::SCALE_METRIC`].
     pub scale: u8,
+    /// As in [`super::Pose::scale_source`].
+    pub scale_source: u8,
     /// [`super::CLOCK_MONOTONIC`], [`super::CLOCK_RECORDING`].
     pub clock: u8,
+    /// Bits of [`super::map_mode`].
+    pub map_mode: u8,
     /// Zero.
-    pub reserved: [u8; 2],
+    pub reserved: [u8; 4],
 }
 
-layout!(KeyframesHeader, "cairn.KeyframesHeader.v1", 56, {
-    run_id @ 0, revision @ 8, timestamp_ns @ 16, published_ns @ 24, count @ 32, total @ 36, map_id @ 40,
-    reset_counter @ 44, scale_sigma @ 48, scale @ 52, clock @ 53, reserved @ 54,
+layout!(KeyframesHeader, "cairn.KeyframesHeader.v2", 64, {
+    run_id @ 0, content_revision @ 8, timestamp_ns @ 16, published_ns @ 24, count @ 32, total @ 36, map_id @ 40,
+    reset_counter @ 44, map_revision @ 48, scale_sigma @ 52, scale @ 56, scale_source @ 57, clock @ 58, map_mode @ 59,
+    reserved @ 60,
 });

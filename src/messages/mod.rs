@@ -45,7 +45,7 @@ pub use command::{Command, CommandReply, TEXT_LEN, command_kind, reply_code};
 pub(crate) use endpoint::user_name;
 pub use endpoint::{DEFAULT_PREFIX, Endpoint, EndpointError, Presence, Squatter, effective_uid, service_name};
 pub use frame::FrameHeader;
-pub use health::{Health, STAGES, StageHealth, error, stage};
+pub use health::{Health, STAGES, StageHealth, error, map_mode, stage};
 pub use map::{Keyframe, KeyframesHeader, Landmark, MapHeader};
 pub use pose::Pose;
 pub use transform::Transform;
@@ -64,6 +64,19 @@ const fn size_of_field<T, F>(_field: fn(&T) -> &F) -> usize {
     core::mem::size_of::<F>()
 }
 
+/// Names of the bits that are set, in the order given; all others together are `UNKNOWN`.
+fn bit_names<B: BitFlags>(names: &'static [(B, &'static str)], set: B) -> impl Iterator<Item = &'static str> {
+    let none = B::default();
+    let unknown = names.iter().fold(set, |rest, (bit, _)| rest & !*bit) != none;
+    let known = names.iter().filter(move |(bit, _)| set & *bit != none).map(|(_, name)| *name);
+    known.chain(unknown.then_some("UNKNOWN"))
+}
+
+/// An integer whose bits mean something each.
+trait BitFlags: Copy + Default + PartialEq + core::ops::BitAnd<Output = Self> + core::ops::Not<Output = Self> {}
+impl BitFlags for u8 {}
+impl BitFlags for u64 {}
+
 /// Stands where a time or duration in ns is not known.
 pub const UNKNOWN_NS: i64 = i64::MIN;
 /// Stands where there is no keyframe.
@@ -75,6 +88,11 @@ pub const STATE_INITIALIZING: u8 = 0;
 pub const STATE_TRACKING: u8 = 1;
 /// `state`: there was a map and this frame could not be placed in it; no pose.
 pub const STATE_LOST: u8 = 2;
+/// `state`: no map yet, but how the body has turned since the first frame is known: orientation and its covariance without a position. Not
+/// tracking, and nothing to drive by; enough for a heading while a robot turns on the spot.
+pub const STATE_ORIENTATION: u8 = 3;
+/// `state`: reserved, not sent yet: `odom` goes on by other means than the picture, with growing covariance. Not tracking.
+pub const STATE_DEAD_RECKONING: u8 = 4;
 
 /// `scale`: lengths are arbitrary (one camera alone); only ratios mean something.
 pub const SCALE_UNKNOWN: u8 = 0;
@@ -82,6 +100,25 @@ pub const SCALE_UNKNOWN: u8 = 0;
 pub const SCALE_ESTIMATED: u8 = 1;
 /// `scale`: lengths are metres, the mount's translation is applied, `scale_sigma` says how well.
 pub const SCALE_METRIC: u8 = 2;
+
+/// Bits of `scale_source`: what a scale comes from. None is sent yet; 0 while `scale` is [`SCALE_UNKNOWN`].
+pub mod scale_source {
+    /// Wheel odometry.
+    pub const WHEELS: u8 = 1 << 0;
+    /// The camera's known height above the floor.
+    pub const HEIGHT: u8 = 1 << 1;
+    /// A tag or board of known size.
+    pub const TAG: u8 = 1 << 2;
+    /// The map was metric when it was loaded.
+    pub const STORED_MAP: u8 = 1 << 3;
+
+    const NAMES: [(u8, &str); 4] = [(WHEELS, "WHEELS"), (HEIGHT, "HEIGHT"), (TAG, "TAG"), (STORED_MAP, "STORED_MAP")];
+
+    /// Names of the bits that are set; bits of a newer daemon together are `UNKNOWN`.
+    pub fn names(source: u8) -> impl Iterator<Item = &'static str> {
+        super::bit_names(&NAMES, source)
+    }
+}
 
 /// `clock`: `timestamp_ns` is CLOCK_MONOTONIC of this machine.
 pub const CLOCK_MONOTONIC: u8 = 0;
@@ -107,6 +144,10 @@ pub enum State {
     Initializing,
     Tracking,
     Lost,
+    /// Orientation without a position.
+    Orientation,
+    /// Reserved: not sent yet.
+    DeadReckoning,
     Unknown(u8),
 }
 
@@ -117,16 +158,20 @@ impl State {
             STATE_INITIALIZING => Self::Initializing,
             STATE_TRACKING => Self::Tracking,
             STATE_LOST => Self::Lost,
+            STATE_ORIENTATION => Self::Orientation,
+            STATE_DEAD_RECKONING => Self::DeadReckoning,
             other => Self::Unknown(other),
         }
     }
 
-    /// `INITIALIZING`, `TRACKING`, `LOST`, `UNKNOWN`.
+    /// `INITIALIZING`, `TRACKING`, `LOST`, `ORIENTATION`, `DEAD_RECKONING`, `UNKNOWN`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Initializing => "INITIALIZING",
             Self::Tracking => "TRACKING",
             Self::Lost => "LOST",
+            Self::Orientation => "ORIENTATION",
+            Self::DeadReckoning => "DEAD_RECKONING",
             Self::Unknown(_) => "UNKNOWN",
         }
     }
@@ -285,7 +330,12 @@ mod tests {
         assert_eq!(Intrinsics::from_wire(9), Intrinsics::Unknown(9));
         assert_eq!(LensModel::from_wire(9), LensModel::Unknown(9));
         assert_eq!(LensModel::from_wire(1).name(), "KANNALA_BRANDT");
-        let pose = Pose { state: 77, ..Pose::default() };
-        assert!(!pose.is_tracking());
+        for state in [STATE_ORIENTATION, STATE_DEAD_RECKONING, 77] {
+            let pose = Pose { state, ..Pose::default() };
+            assert!(!pose.is_tracking(), "{}", pose.state().name());
+            assert_eq!(pose.has_orientation(), state == STATE_ORIENTATION);
+        }
+        assert_eq!(scale_source::names(0b1000_0101).collect::<Vec<_>>(), ["WHEELS", "TAG", "UNKNOWN"]);
+        assert_eq!(map_mode::names(map_mode::STORED).collect::<Vec<_>>(), ["STORED"]);
     }
 }

@@ -4,7 +4,8 @@ use iceoryx2::prelude::ZeroCopySend;
 
 use super::{CLOCK_MONOTONIC, Clock, NO_KEYFRAME, SCALE_UNKNOWN, STATE_INITIALIZING, Scale, State, UNKNOWN_NS};
 
-/// One frame's pose. Unless `state` is [`super::STATE_TRACKING`], everything that belongs to the pose is NaN or zero.
+/// One frame's pose. Unless `state` is [`super::STATE_TRACKING`], everything that belongs to the pose is NaN or zero; but with
+/// [`super::STATE_ORIENTATION`] both orientations, the covariance of the rotation and the angular velocity are there.
 ///
 /// # Covariance
 /// `covariance` is the upper triangle, row by row, of the symmetric 6x6 matrix in the order x, y, z, rotation about x, y, z,
@@ -22,7 +23,7 @@ use super::{CLOCK_MONOTONIC, Clock, NO_KEYFRAME, SCALE_UNKNOWN, STATE_INITIALIZI
 /// MAVLink want (`covariance_in_map_axes`).
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
-#[type_name("cairn.Pose.v1")]
+#[type_name("cairn.Pose.v2")]
 pub struct Pose {
     /// Another value at every start of the daemon: ids, counters and frames of two runs are unrelated.
     pub run_id: u64,
@@ -43,11 +44,12 @@ pub struct Pose {
     pub frames_dropped: u64,
     /// Map pose: the body's origin in the map, map units.
     pub position: [f64; 3],
-    /// Map pose: `map_from_body`, quaternion (x, y, z, w).
+    /// Map pose: `map_from_body`, quaternion (x, y, z, w). With [`super::STATE_ORIENTATION`], as there is no map, the same as `odom_orientation`.
     pub orientation: [f64; 4],
     /// Odom pose: the body's origin in odom, map units.
     pub odom_position: [f64; 3],
-    /// Odom pose: `odom_from_body`, quaternion (x, y, z, w).
+    /// Odom pose: `odom_from_body`, quaternion (x, y, z, w). With [`super::STATE_ORIENTATION`]: since the first frame; a map that then begins
+    /// continues it.
     pub odom_orientation: [f64; 4],
     /// Upper triangle of the 6x6 covariance, see above.
     pub covariance: [f64; 21],
@@ -67,24 +69,32 @@ pub struct Pose {
     pub reset_counter: u32,
     /// The map that the pose is in.
     pub map_id: u32,
+    /// Grows whenever coordinates of the map are corrected by more than ordinary adjustment; `odom` does not move then.
+    pub map_revision: u32,
     /// Keyframe that the covariance is relative to; [`NO_KEYFRAME`] if there is none.
     pub anchor_keyframe: u32,
-    /// [`super::STATE_INITIALIZING`], [`super::STATE_TRACKING`], [`super::STATE_LOST`].
+    /// [`super::STATE_INITIALIZING`], [`super::STATE_TRACKING`], [`super::STATE_LOST`], [`super::STATE_ORIENTATION`],
+    /// [`super::STATE_DEAD_RECKONING`].
     pub state: u8,
     /// [`super::SCALE_UNKNOWN`], [`super::SCALE_ESTIMATED`], [`super::SCALE_METRIC`].
     pub scale: u8,
+    /// Bits of [`super::scale_source`]: what the scale comes from; 0 = nothing.
+    pub scale_source: u8,
     /// [`super::CLOCK_MONOTONIC`], [`super::CLOCK_RECORDING`].
     pub clock: u8,
     /// 1 if this frame becomes a keyframe, else 0.
     pub keyframe: u8,
+    /// Zero.
+    pub reserved: [u8; 19],
 }
 
-layout!(Pose, "cairn.Pose.v1", 424, {
+layout!(Pose, "cairn.Pose.v2", 448, {
     run_id @ 0, sequence @ 8, timestamp_ns @ 16, arrival_ns @ 24, published_ns @ 32, latency_arrival_ns @ 40,
     latency_capture_ns @ 48, frames_dropped @ 56, position @ 64, orientation @ 88, odom_position @ 120,
     odom_orientation @ 144, covariance @ 176, linear_velocity @ 344, angular_velocity @ 368, quality @ 392,
     scale_sigma @ 396, landmarks @ 400, landmarks_sought @ 404, reset_counter @ 408, map_id @ 412,
-    anchor_keyframe @ 416, state @ 420, scale @ 421, clock @ 422, keyframe @ 423,
+    map_revision @ 416, anchor_keyframe @ 420, state @ 424, scale @ 425, scale_source @ 426, clock @ 427, keyframe @ 428,
+    reserved @ 429,
 });
 
 impl Default for Pose {
@@ -112,11 +122,14 @@ impl Default for Pose {
             landmarks_sought: 0,
             reset_counter: 0,
             map_id: 0,
+            map_revision: 0,
             anchor_keyframe: NO_KEYFRAME,
             state: STATE_INITIALIZING,
             scale: SCALE_UNKNOWN,
+            scale_source: 0,
             clock: CLOCK_MONOTONIC,
             keyframe: 0,
+            reserved: [0; 19],
         }
     }
 }
@@ -130,6 +143,11 @@ impl Pose {
     /// There is a pose in this message.
     pub fn is_tracking(&self) -> bool {
         self.state() == State::Tracking
+    }
+
+    /// The orientations and their covariance are known: of a pose, or alone before there is a map.
+    pub fn has_orientation(&self) -> bool {
+        matches!(self.state(), State::Tracking | State::Orientation)
     }
 
     /// `scale` as a type.

@@ -91,6 +91,13 @@ impl Pose {
         self.is_tracking().then_some(Transform { position: self.odom_position, orientation: self.odom_orientation })
     }
 
+    /// Heading: the body's angle about the vertical in odom, counter-clockwise from above, rad in (-pi, pi]; `None` where no orientation is
+    /// known. It goes on from before the first map into it.
+    pub fn heading_rad(&self) -> Option<f64> {
+        let turned = Transform { position: [0.0; 3], orientation: self.odom_orientation };
+        self.has_orientation().then(|| turned.yaw_rad())
+    }
+
     /// `map_from_odom`, which REP-105 wants as the parent of `odom_from_body`: moves only when the map is corrected.
     pub fn map_from_odom(&self) -> Option<Transform> {
         Some(self.map_from_body()? * self.odom_from_body()?.inverse())
@@ -150,5 +157,9 @@ mod tests {
         close(joined.orientation, map.orientation);
         pose.state = crate::messages::STATE_LOST;
         assert_eq!((pose.map_from_body(), pose.odom_from_body(), pose.map_from_odom()), (None, None, None));
+        assert_eq!(pose.heading_rad(), None);
+        pose.state = crate::messages::STATE_ORIENTATION;
+        assert_eq!((pose.map_from_body(), pose.odom_from_body()), (None, None), "no position, no place");
+        assert!((pose.heading_rad().expect("heading") - 0.3).abs() < 1e-12);
     }
 }

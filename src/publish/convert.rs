@@ -26,7 +26,7 @@ use crate::geometry::frames::{Body, Camera, World};
 use crate::geometry::{Se3, ros_from_optical};
 use crate::map::{KeyframeView, LandmarkView};
 use crate::messages::{self, Keyframe, Landmark, NO_KEYFRAME, Pose};
-use crate::reconstruction::{LensKnowledge, PoseEstimate, TrackingState};
+use crate::reconstruction::{LensKnowledge, OrientationEstimate, PoseEstimate, TrackingState};
 
 /// What is known of the length of a map unit.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -162,6 +162,7 @@ pub fn state(state: TrackingState) -> u8 {
         TrackingState::Initializing => messages::STATE_INITIALIZING,
         TrackingState::Tracking => messages::STATE_TRACKING,
         TrackingState::Lost => messages::STATE_LOST,
+        TrackingState::Orientation => messages::STATE_ORIENTATION,
     }
 }
 
@@ -178,13 +179,23 @@ pub fn pose(estimate: &PoseEstimate, conversion: &Conversion) -> Pose {
         landmarks_sought: estimate.landmarks_sought,
         reset_counter: estimate.reset_counter,
         map_id: estimate.map.0,
+        map_revision: estimate.map_revision,
         state: state(estimate.state),
         scale,
         clock: clock(conversion.clock),
         ..Pose::default()
     };
-    if estimate.state != TrackingState::Tracking {
-        return pose;
+    match (estimate.state, &estimate.orientation) {
+        (TrackingState::Tracking, _) => {}
+        (TrackingState::Orientation, Some(orientation)) => {
+            turned(&mut pose, orientation, conversion);
+            return pose;
+        }
+        (TrackingState::Orientation, None) => {
+            pose.state = messages::STATE_INITIALIZING;
+            return pose;
+        }
+        _ => return pose,
     }
     let finite = |p: &Se3<_, Camera>| p.is_finite();
     let Some(world_from_camera) = estimate.world_from_camera.filter(finite) else {
@@ -209,6 +220,24 @@ pub fn pose(estimate: &PoseEstimate, conversion: &Conversion) -> Pose {
     pose.anchor_keyframe = estimate.anchor.map_or(NO_KEYFRAME, |k| k.0);
     pose.keyframe = u8::from(estimate.keyframe);
     pose
+}
+
+/// Fills in what is known of a body without a place: how it has turned since the first frame. Its covariance is that of the camera with
+/// the mount's axes; all of it that a position has part in is NaN.
+fn turned(pose: &mut Pose, orientation: &OrientationEstimate, conversion: &Conversion) {
+    let m = conversion.rotation();
+    let first_from_camera: Se3<Map, Camera> = Se3::new(orientation.first_from_camera, Vector3::zeros());
+    let (_, quaternion) = to_wire(&conversion.body(&first_from_camera));
+    let axes = m.to_rotation_matrix();
+    let mut covariance = Matrix6::from_element(f64::NAN);
+    covariance.fixed_view_mut::<3, 3>(3, 3).copy_from(&(axes * orientation.covariance * axes.transpose()));
+    if !quaternion.iter().chain(covariance.fixed_view::<3, 3>(3, 3).iter()).all(|v| v.is_finite()) {
+        pose.state = messages::STATE_INITIALIZING;
+        return;
+    }
+    (pose.orientation, pose.odom_orientation) = (quaternion, quaternion);
+    pose.covariance = upper_triangle(&covariance);
+    pose.angular_velocity = (m * orientation.angular_velocity).into();
 }
 
 /// Covariance of the body's pose, order position, rotation, right tangent; from that of the left perturbation of

@@ -262,6 +262,7 @@ pub struct MapContext {
     pub timestamp_ns: i64,
     /// As in the poses.
     pub reset_counter: u32,
+    pub map_revision: u32,
 }
 
 impl MapPublisher {
@@ -275,7 +276,7 @@ impl MapPublisher {
     ///
     /// Both are written before either is sent, and the map is the last: a reader that it wakes often gets this thread's core, and
     /// would wait there for whatever is left to do, so the way to the reader would grow with the map. Who wakes by the map also
-    /// finds the keyframes of the same revision.
+    /// finds the keyframes of the same content.
     pub fn publish(
         &mut self,
         snapshot: &MapSnapshot,
@@ -291,32 +292,38 @@ impl MapPublisher {
         let path = self.keyframes.fill(keyframes, |k| convert::keyframe(k, conversion))?;
         let header = KeyframesHeader {
             run_id: self.run_id,
-            revision: snapshot.revision,
+            content_revision: snapshot.revision,
             timestamp_ns: context.timestamp_ns,
             published_ns: monotonic_ns(),
             count: count(keyframes.len()),
             total: count(snapshot.keyframes.len()),
             map_id: snapshot.map.0,
             reset_counter: context.reset_counter,
+            map_revision: context.map_revision,
             scale_sigma,
             scale,
+            scale_source: 0,
             clock: convert::clock(conversion.clock),
-            reserved: [0; 2],
+            map_mode: 0,
+            reserved: [0; 4],
         };
         self.keyframes.send_filled(path, header)?;
         let header = MapHeader {
             run_id: self.run_id,
-            revision: snapshot.revision,
+            content_revision: snapshot.revision,
             timestamp_ns: context.timestamp_ns,
             published_ns: monotonic_ns(),
             count: count(landmarks.len()),
             total: count(snapshot.landmarks.len()),
             map_id: snapshot.map.0,
             reset_counter: context.reset_counter,
+            map_revision: context.map_revision,
             scale_sigma,
             scale,
+            scale_source: 0,
             clock: convert::clock(conversion.clock),
-            reserved: [0; 2],
+            map_mode: 0,
+            reserved: [0; 4],
         };
         self.map.send_filled(map, header)
     }

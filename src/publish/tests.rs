@@ -1,6 +1,6 @@
 use std::f64::consts::FRAC_PI_2;
 
-use nalgebra::{Matrix6, UnitQuaternion, Vector3, Vector6};
+use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3, Vector6};
 
 use super::convert::{self, Conversion, ScaleEstimate};
 use super::*;
@@ -9,7 +9,7 @@ use crate::geometry::random::Random;
 use crate::geometry::{Se3, ros_from_optical};
 use crate::map::{KeyframeId, KeyframeView, LandmarkId, LandmarkView, MapId};
 use crate::messages::State;
-use crate::reconstruction::TrackingState;
+use crate::reconstruction::{OrientationEstimate, TrackingState};
 
 fn estimate(world_from_camera: Se3<World, Camera>) -> PoseEstimate {
     PoseEstimate {
@@ -19,6 +19,8 @@ fn estimate(world_from_camera: Se3<World, Camera>) -> PoseEstimate {
         state: TrackingState::Tracking,
         world_from_camera: Some(world_from_camera),
         odom_from_camera: Some(world_from_camera.relabel::<Odom, Camera>()),
+        orientation: None,
+        map_revision: 0,
         anchor: Some(KeyframeId(3)),
         covariance: Matrix6::identity(),
         angular_velocity: Vector3::zeros(),
@@ -163,6 +165,65 @@ fn what_is_not_tracked_has_no_pose_on_the_wire() {
     assert_eq!(pose.state(), State::Lost);
     assert!(pose.position.iter().chain(&pose.odom_orientation).chain(&pose.covariance).all(|v| v.is_nan()));
     assert_eq!((pose.quality, pose.landmarks, pose.anchor(), pose.keyframe), (0.0, 0, None, 0));
+}
+
+fn turned(first_from_camera: UnitQuaternion<f64>, covariance: Matrix3<f64>) -> PoseEstimate {
+    let orientation = OrientationEstimate {
+        first_from_camera,
+        covariance,
+        angular_velocity: Vector3::new(0.0, -0.5, 0.0), // about "down", to the left
+    };
+    PoseEstimate {
+        state: TrackingState::Orientation,
+        world_from_camera: None,
+        odom_from_camera: None,
+        orientation: Some(orientation),
+        ..estimate(Se3::identity())
+    }
+}
+
+#[test]
+fn an_orientation_alone_is_sent_with_its_covariance_and_without_a_position() {
+    let covariance = Matrix3::from_diagonal(&Vector3::new(1.0, 4.0, 9.0)); // about right, down, forward
+    // A turn to the left is one about "down", backwards.
+    let sent = turned(rotation(Vector3::y(), -0.5), covariance);
+    let placed =
+        Conversion { map_from_world: Some(Se3::new(rotation(Vector3::z(), 1.0), Vector3::x())), ..Default::default() };
+    for conversion in [Conversion::default(), placed] {
+        let pose = convert::pose(&sent, &conversion);
+        assert_eq!(pose.state(), State::Orientation);
+        assert!(!pose.is_tracking() && pose.has_orientation() && pose.map_from_body().is_none());
+        assert!(pose.position.iter().chain(&pose.odom_position).chain(&pose.linear_velocity).all(|v| v.is_nan()));
+        assert!((pose.heading_rad().expect("heading") - 0.5).abs() < 1e-12);
+        assert_eq!(pose.orientation, pose.odom_orientation);
+        close(pose.angular_velocity, [0.0, 0.0, 0.5]);
+        let full = pose.covariance_matrix();
+        for (i, row) in full.iter().enumerate() {
+            for (j, entry) in row.iter().enumerate() {
+                assert_eq!(entry.is_finite(), i >= 3 && j >= 3, "{i}, {j}");
+            }
+        }
+        close([full[3][3], full[4][4], full[5][5]], [9.0, 1.0, 4.0]);
+        assert_eq!((pose.quality, pose.landmarks, pose.anchor(), pose.keyframe), (0.0, 0, None, 0));
+    }
+    // Seen from the side: the camera looks to the body's left, so its "forward" is the body's y.
+    let left = Se3::new(rotation(Vector3::z(), FRAC_PI_2) * ros_from_optical(), Vector3::zeros());
+    let pose = convert::pose(&sent, &Conversion { body_from_camera: left, ..Default::default() });
+    assert!((pose.heading_rad().expect("heading") - 0.5).abs() < 1e-12, "the same turn of the body");
+    let full = pose.covariance_matrix();
+    close([full[3][3], full[4][4], full[5][5]], [1.0, 9.0, 4.0]);
+}
+
+#[test]
+fn an_orientation_that_is_not_finite_is_not_sent() {
+    for broken in [
+        turned(UnitQuaternion::identity(), Matrix3::repeat(f64::NAN)),
+        PoseEstimate { orientation: None, ..turned(UnitQuaternion::identity(), Matrix3::zeros()) },
+    ] {
+        let pose = convert::pose(&broken, &Conversion::default());
+        assert_eq!((pose.state(), pose.heading_rad()), (State::Initializing, None));
+        assert!(pose.orientation.iter().chain(&pose.covariance).all(|v| v.is_nan()));
+    }
 }
 
 #[test]

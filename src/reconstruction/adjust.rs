@@ -71,7 +71,11 @@ impl Reconstruction {
         if let (Some(found), Some(lens)) = (found, lens) {
             optics.intrinsics.merge(&found, lens, &mut active.map, &mut optics.camera);
         }
+        let before = active.odometry.last.map(|last| last.camera_from_world);
         active.odometry.correct(&old_from_new);
+        if let Some((old, new)) = before.zip(active.odometry.last.map(|last| last.camera_from_world)) {
+            self.corrections.adjusted(&old, &new);
+        }
         if when != Merge::AtTheEnd && optics.intrinsics.wants_restart(&optics.camera) {
             self.reset();
         }

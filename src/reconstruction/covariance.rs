@@ -6,7 +6,7 @@ use super::Reconstruction;
 use super::odometry::Step;
 use super::track::Tracked;
 use super::track::search::Match;
-use super::types::{PoseEstimate, TrackingState};
+use super::types::{OrientationEstimate, PoseEstimate, TrackingState};
 use crate::features::FrameFeatures;
 use crate::map::{KeyframeId, KeyframeView, LandmarkId, LandmarkView, MapSnapshot, largest_sigma};
 
@@ -41,6 +41,7 @@ impl Reconstruction {
             state: self.state,
             world_from_camera: None,
             odom_from_camera: None,
+            orientation: None,
             anchor: None,
             covariance: Matrix6::from_element(f64::NAN),
             angular_velocity: Vector3::from_element(f64::NAN),
@@ -49,8 +50,22 @@ impl Reconstruction {
             landmarks_sought: 0,
             quality: 0.0,
             map: self.active.id,
+            map_revision: self.corrections.revision,
             reset_counter: self.reset_counter(),
             keyframe: false,
+        }
+    }
+
+    /// Without a map: how the camera has turned since the first frame, if that is known, else nothing.
+    pub(super) fn estimate_turned(
+        &self,
+        features: &FrameFeatures,
+        orientation: Option<OrientationEstimate>,
+    ) -> PoseEstimate {
+        let none = self.estimate_none(features);
+        match orientation {
+            Some(_) => PoseEstimate { state: TrackingState::Orientation, orientation, ..none },
+            None => none,
         }
     }
 

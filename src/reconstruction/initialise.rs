@@ -2,7 +2,9 @@
 
 mod consensus;
 pub mod initialiser;
+pub mod orientation;
 pub mod pure_rotation;
+mod turn;
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -45,7 +47,7 @@ const TRACK_SIGMA_PX: f64 = 1.5;
 const REFINE_PX: f64 = 2.0;
 
 impl Reconstruction {
-    /// A frame without a map: perhaps the one that makes it.
+    /// A frame without a map: perhaps the one that makes it; else how the camera has turned since the first one.
     pub(super) fn try_start(&mut self, features: &FrameFeatures) -> PoseEstimate {
         let starts = self.initialiser.step(
             features,
@@ -53,7 +55,22 @@ impl Reconstruction {
             self.optics.intrinsics.freedom().as_ref(),
             &self.config,
         );
-        self.start_from(&starts, features).unwrap_or_else(|| self.estimate_none(features))
+        let uncertainty = self.optics.intrinsics.uncertainty();
+        let orientation = self.orientation.step(features, &self.optics.camera, &uncertainty);
+        match self.start_from(&starts, features) {
+            Some(estimate) => self.go_on_turning(estimate),
+            None => self.estimate_turned(features, orientation),
+        }
+    }
+
+    /// The first pose of a map: its smooth pose is turned such that the orientation before goes on in it.
+    fn go_on_turning(&mut self, mut estimate: PoseEstimate) -> PoseEstimate {
+        if let Some(first_from_camera) = self.orientation.end(estimate.timestamp_ns) {
+            self.active.odometry.turn_to(first_from_camera);
+        }
+        estimate.odom_from_camera = Some(self.active.odometry.odom_from_camera);
+        estimate.reset_counter = self.reset_counter();
+        estimate
     }
 
     /// Begins a map in place of the present, empty one, if one of the starts holds.

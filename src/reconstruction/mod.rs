@@ -7,6 +7,7 @@
 mod active_map;
 mod adjust;
 pub mod config;
+mod corrections;
 mod covariance;
 mod initialise;
 mod keyframe;
@@ -21,11 +22,13 @@ pub mod types;
 pub use adjust::intrinsics::{FOUND_SIGMA, LensEstimate, LensKnowledge, LensPrior, guessed_camera};
 pub use adjust::job::{InlineWorker, MappingJob, MappingResult, MappingWorker};
 pub use config::ReconstructionConfig;
+pub use corrections::Corrections;
 pub use types::*;
 
 use active_map::ActiveMap;
 use adjust::mapper::{Mapper, Merge};
 use initialise::initialiser::Initialiser;
+use initialise::orientation::OrientationTracker;
 use keyframe::distance_prior::{self, mostly_assumed};
 use keyframe::epipolar::{EpipolarMatcher, Lens};
 use keyframe::pictures::{WHOLE_PICTURES, reduce_pictures};
@@ -66,12 +69,15 @@ pub struct Reconstruction {
     active: ActiveMap,
     others: OtherMaps,
     initialiser: Initialiser,
+    /// While there is no map.
+    orientation: OrientationTracker,
     tracker: Tracker,
     relocaliser: Relocaliser,
     epipolar: EpipolarMatcher,
     /// Of the newest keyframes and their neighbours: when one is reduced the next takes its place, which keeps the heap in one piece.
     pictures: PyramidPool,
     mapper: Mapper,
+    corrections: Corrections,
     pending: Pending,
     /// Timestamp of the newest frame, ns.
     frame_ns: i64,
@@ -106,11 +112,13 @@ impl Reconstruction {
             active: ActiveMap::default(),
             others: OtherMaps::default(),
             initialiser: Initialiser::default(),
+            orientation: OrientationTracker::default(),
             tracker: Tracker::default(),
             relocaliser: Relocaliser::default(),
             epipolar: EpipolarMatcher::default(),
             pictures: PyramidPool::new(WHOLE_PICTURES, 1),
             mapper: Mapper::new(worker, lockstep),
+            corrections: Corrections::default(),
             pending: Pending::default(),
             frame_ns: i64::MIN,
             events: Vec::new(),
@@ -331,7 +339,9 @@ impl Reconstruction {
         retire(&self.active.map, &mut self.events);
         self.optics.intrinsics.end_map(&self.optics.camera);
         self.active = self.active.successor();
+        self.corrections.end_map();
         self.initialiser.clear();
+        self.orientation.clear();
         self.tracker = Tracker::default();
         self.pending = Pending::default();
         self.state = TrackingState::Initializing;
@@ -380,9 +390,19 @@ impl Reconstruction {
         self.state
     }
 
-    /// How often poses became unrelated to earlier ones; of the map as it is now.
+    /// How often map coordinates were corrected beyond ordinary adjustment, and how far the last time.
+    pub fn corrections(&self) -> Corrections {
+        self.corrections
+    }
+
+    /// Maps that are kept, the current one among them.
+    pub fn maps(&self) -> usize {
+        self.others.kept.len() + 1
+    }
+
+    /// How often poses, and orientations before a map, became unrelated to earlier ones; of the map as it is now.
     pub fn reset_counter(&self) -> u32 {
-        self.counters.resets as u32
+        (self.counters.resets as u32).wrapping_add(self.orientation.restarts)
     }
 
     /// The camera as it is believed now: its focal length is refined from the motion.

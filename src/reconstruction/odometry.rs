@@ -1,5 +1,7 @@
 //! Where the camera was last, how it moved, and the smooth pose that follows from it.
 
+use nalgebra::UnitQuaternion;
+
 use crate::geometry::Se3;
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, Odom, World};
@@ -38,6 +40,12 @@ impl Odometry {
             odom_from_camera: camera_from_world.inverse().relabel(),
             lost_frames: 0,
         }
+    }
+
+    /// Turns the smooth frame about its origin such that the camera has this orientation in it.
+    pub fn turn_to(&mut self, odom_from_camera: UnitQuaternion<f64>) {
+        let turn = odom_from_camera * self.odom_from_camera.rotation.inverse();
+        self.odom_from_camera = Se3::new(odom_from_camera, turn * self.odom_from_camera.translation);
     }
 
     /// Takes over a frame that was tracked; the motion that led to it, if the one before was not lost.
@@ -101,7 +109,7 @@ impl Odometry {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{UnitQuaternion, Vector3};
+    use nalgebra::Vector3;
 
     use super::*;
 
@@ -121,6 +129,19 @@ mod tests {
         assert!(odometry.guesses(300_000_000).1 == 1 && odometry.motion().is_none());
         assert!(odometry.accept(300_000_000, at(0.5, 0.0)).is_none(), "what led here after lost frames is not known");
         assert_eq!(odometry.lost_frames, 0);
+    }
+
+    #[test]
+    fn a_smooth_frame_that_is_turned_keeps_all_motions() {
+        let mut odometry = Odometry::begin(0, at(2.0, 0.4));
+        let before = odometry.odom_from_camera;
+        let turned = UnitQuaternion::from_scaled_axis(Vector3::new(0.1, 1.5, -0.2));
+        odometry.turn_to(turned);
+        assert!(odometry.odom_from_camera.rotation.angle_to(&turned) < 1e-12);
+        let shift = odometry.odom_from_camera.translation.norm() - before.translation.norm();
+        assert!(shift.abs() < 1e-12, "about the origin");
+        let camera_shift = |odom: &Se3<Odom, Camera>| odom.rotation.inverse() * odom.translation;
+        assert!((camera_shift(&odometry.odom_from_camera) - camera_shift(&before)).norm() < 1e-12);
     }
 
     #[test]

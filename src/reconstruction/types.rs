@@ -1,6 +1,6 @@
 //! What reconstruction tells the outside: poses, trajectory events, counters.
 
-use nalgebra::{Matrix6, Vector3};
+use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
 
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, Keyframe, Odom, World};
@@ -12,10 +12,23 @@ pub enum TrackingState {
     /// No map yet; no pose.
     #[default]
     Initializing,
+    /// No map yet, but how the camera has turned since the first frame is known.
+    Orientation,
     /// The pose rests on landmarks seen in this frame.
     Tracking,
     /// There was a map and this frame could not be placed in it; no pose.
     Lost,
+}
+
+/// How the camera has turned since the first frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OrientationEstimate {
+    /// Axes of the camera in those of the first frame's.
+    pub first_from_camera: UnitQuaternion<f64>,
+    /// Of its right tangent (rotations about the camera's axes now), rad².
+    pub covariance: Matrix3<f64>,
+    /// In the camera's axes, rad/s; NaN = unknown.
+    pub angular_velocity: Vector3<f64>,
 }
 
 /// One frame's outcome.
@@ -29,6 +42,8 @@ pub struct PoseEstimate {
     pub world_from_camera: Option<Se3<World, Camera>>,
     /// Smooth pose, continuous within one reset counter; `None` unless tracking.
     pub odom_from_camera: Option<Se3<Odom, Camera>>,
+    /// `Some` in the state of that name only.
+    pub orientation: Option<OrientationEstimate>,
     /// Keyframe that the covariance is relative to.
     pub anchor: Option<KeyframeId>,
     /// Covariance of the left perturbation of `camera_from_world` (tangent `[rotation rad, translation map units]` in the
@@ -44,6 +59,8 @@ pub struct PoseEstimate {
     /// 0 (none) to 1 (as good as it gets).
     pub quality: f32,
     pub map: MapId,
+    /// Counts corrections of published map coordinates beyond ordinary adjustment; the smooth pose does not move then.
+    pub map_revision: u32,
     /// Counts re-initialisations and resets: poses across a change are unrelated.
     pub reset_counter: u32,
     /// This frame will become a keyframe.

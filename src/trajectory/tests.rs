@@ -297,6 +297,8 @@ fn the_live_trajectory_holds_what_was_published_and_nothing_else() {
         state,
         world_from_camera: pose,
         odom_from_camera: None,
+        orientation: None,
+        map_revision: 0,
         anchor: None,
         covariance: nalgebra::Matrix6::repeat(f64::NAN),
         angular_velocity: Vector3::repeat(f64::NAN),

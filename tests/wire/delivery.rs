@@ -112,8 +112,8 @@ fn a_late_joiner_gets_the_last_pose_map_keyframes_and_health_at_once() {
     publisher.health.publish(&Health { errors: error::NO_CAMERA, ..Health::default() }).unwrap();
 
     assert_eq!(poses.latest().unwrap().expect("pose").sequence, 5);
-    assert_eq!(next(&mut map).header().revision, 42);
-    assert_eq!(next(&mut keyframes).header().revision, 42);
+    assert_eq!(next(&mut map).header().content_revision, 42);
+    assert_eq!(next(&mut keyframes).header().content_revision, 42);
     assert_eq!(next(&mut health).errors, error::LOST);
     assert_eq!(next(&mut health).errors, error::NO_CAMERA);
 }
@@ -124,11 +124,12 @@ fn the_map_is_a_slice_and_says_what_was_left_out() {
     let mut publisher = place.publisher();
     let mut map = place.client().map();
     connect(&mut map);
-    let context = MapContext { timestamp_ns: 77, reset_counter: 3 };
+    let context = MapContext { timestamp_ns: 77, reset_counter: 3, map_revision: 2 };
     publisher.map.publish(&snapshot(1, 130), &Conversion::default(), &context).unwrap();
     let first = next(&mut map);
     let header = *first.header();
-    assert_eq!((header.count, header.total, header.timestamp_ns, header.reset_counter), (100, 130, 77, 3));
+    assert_eq!((header.count, header.total, header.timestamp_ns), (100, 130, 77));
+    assert_eq!((header.reset_counter, header.map_revision, header.content_revision), (3, 2, 1));
     assert_eq!((first.len(), first[0].id, first[99].id), (100, 30, 129));
     assert_eq!(first[0].position, [1.0, -30.0, 0.0], "right, down, forward became forward, left, up");
 
@@ -138,9 +139,9 @@ fn the_map_is_a_slice_and_says_what_was_left_out() {
     assert!(second.is_empty());
     publisher.map.publish(&snapshot(3, 5), &Conversion::default(), &context).unwrap();
     assert!(matches!(map.try_next(), Err(ClientError::TooManyHeld { limit: 2, .. })));
-    assert_eq!((first.header().revision, first[99].id), (1, 129));
+    assert_eq!((first.header().content_revision, first[99].id), (1, 129));
     drop(second);
-    assert_eq!(next(&mut map).header().revision, 3);
+    assert_eq!(next(&mut map).header().content_revision, 3);
 }
 
 #[test]
@@ -151,7 +152,7 @@ fn a_map_that_outlives_its_subscription_does_not_change() {
     connect(&mut subscription);
     publisher.map.publish(&snapshot(1, 50), &Conversion::default(), &MapContext::default()).unwrap();
     let map = next(&mut subscription);
-    let seen = |map: &cairn::client::MapSnapshot| (map.header().revision, map.header().count, map.to_vec());
+    let seen = |map: &cairn::client::MapSnapshot| (map.header().content_revision, map.header().count, map.to_vec());
     let before = seen(&map);
     drop(subscription);
     for revision in 2..40 {
@@ -322,12 +323,12 @@ fn the_ninth_subscriber_is_told_that_the_house_is_full() {
     connect(&mut client.poses());
 }
 
-/// The layout of a later version, as an older program would meet it.
-#[derive(Debug, Clone, Copy, Default, ZeroCopySend)]
+/// The layout of another version: 424 bytes as those of the first one, which older programs send.
+#[derive(Debug, Clone, Copy, ZeroCopySend)]
 #[repr(C)]
-#[type_name("cairn.Pose.v2")]
-struct LaterPose {
-    anything: [u64; 4],
+#[type_name("cairn.Pose.v1")]
+struct EarlierPose {
+    anything: [u64; 53],
 }
 
 #[test]
@@ -339,14 +340,32 @@ fn another_version_is_told_so_on_both_sides() {
         .signal_handling_mode(SignalHandlingMode::Disabled)
         .create::<ipc::Service>()
         .unwrap();
-    let service = node.service_builder(&endpoint.service("pose").unwrap()).publish_subscribe::<LaterPose>();
+    let service = node.service_builder(&endpoint.service("pose").unwrap()).publish_subscribe::<EarlierPose>();
     let _service = service.create().unwrap();
 
     let error = place.client().poses().try_next().expect_err("another version").to_string();
-    assert!(error.contains("cairn.Pose.v2 of 32 bytes") && error.contains("cairn.Pose.v1"), "{error}");
+    assert!(error.contains("cairn.Pose.v1 of 424 bytes") && error.contains("cairn.Pose.v2"), "{error}");
 
     let error = Publisher::open(&endpoint, &small()).expect_err("another version");
     assert!(matches!(&error, PublishError::Incompatible { pids, .. } if *pids == [std::process::id()]), "{error}");
+}
+
+#[test]
+fn a_program_of_the_version_before_is_refused_by_this_daemons_service() {
+    let place = Place::new();
+    let _publisher = place.publisher();
+    let endpoint = place.endpoint();
+    let node = NodeBuilder::new()
+        .config(endpoint.config())
+        .signal_handling_mode(SignalHandlingMode::Disabled)
+        .create::<ipc::Service>()
+        .unwrap();
+    // What a client of the first version asks iceoryx2 for; its own check names both versions before it comes so far.
+    let service = node.service_builder(&endpoint.service("pose").unwrap()).publish_subscribe::<EarlierPose>();
+    let refused = service.open().expect_err("another version");
+    assert_eq!(format!("{refused:?}"), "IncompatibleTypes");
+    // And it has broken nothing for others.
+    assert!(place.client().poses().try_next().unwrap().is_none());
 }
 
 #[test]

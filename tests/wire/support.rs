@@ -259,6 +259,8 @@ pub fn estimate(sequence: u64) -> PoseEstimate {
         state: TrackingState::Tracking,
         world_from_camera: Some(Se3::new(UnitQuaternion::identity(), at)),
         odom_from_camera: Some(Se3::new(UnitQuaternion::identity(), at)),
+        orientation: None,
+        map_revision: 0,
         anchor: Some(KeyframeId(0)),
         covariance: Matrix6::identity() * 1e-4,
         angular_velocity: Vector3::zeros(),

@@ -10,8 +10,10 @@ UNKNOWN_NS = -(2**63)
 NO_KEYFRAME = 2**32 - 1
 TEXT_LEN = 512
 
-STATES = ("INITIALIZING", "TRACKING", "LOST")
+STATES = ("INITIALIZING", "TRACKING", "LOST", "ORIENTATION", "DEAD_RECKONING")
 SCALES = ("UNKNOWN", "ESTIMATED", "METRIC")
+SCALE_SOURCES = ("WHEELS", "HEIGHT", "TAG", "STORED_MAP")
+MAP_MODES = ("LOCALISATION_ONLY", "STORED")
 CLOCKS = ("MONOTONIC", "RECORDING")
 INTRINSICS = ("CALIBRATED", "ESTIMATED", "GUESSED")
 LENS_MODELS = ("RADIAL_TANGENTIAL", "KANNALA_BRANDT")
@@ -44,6 +46,11 @@ def word(words, value):
     return words[value] if value < len(words) else "UNKNOWN"
 
 
+def bits(words, value):
+    """Words of the bits that are set; those of a newer daemon together are UNKNOWN."""
+    return [name for bit, name in enumerate(words) if value >> bit & 1] + ["UNKNOWN"] * (value >> len(words) != 0)
+
+
 class _Message(c.Structure):
     VERSION = 1
 
@@ -54,6 +61,7 @@ class _Message(c.Structure):
 
 
 class Pose(_Message):
+    VERSION = 2
     _fields_ = [
         ("run_id", c.c_uint64),
         ("sequence", c.c_uint64),
@@ -76,11 +84,14 @@ class Pose(_Message):
         ("landmarks_sought", c.c_uint32),
         ("reset_counter", c.c_uint32),
         ("map_id", c.c_uint32),
+        ("map_revision", c.c_uint32),
         ("anchor_keyframe", c.c_uint32),
         ("state", c.c_uint8),
         ("scale", c.c_uint8),
+        ("scale_source", c.c_uint8),
         ("clock", c.c_uint8),
         ("keyframe", c.c_uint8),
+        ("reserved", c.c_uint8 * 19),
     ]
 
 
@@ -96,7 +107,7 @@ class StageHealth(_Message):
 
 
 class Health(_Message):
-    VERSION = 2
+    VERSION = 3
     _fields_ = [
         ("run_id", c.c_uint64),
         ("sequence", c.c_uint64),
@@ -114,13 +125,17 @@ class Health(_Message):
         ("adjustments_late", c.c_uint64),
         ("resets", c.c_uint64),
         ("relocalisations", c.c_uint64),
+        ("maps_joined", c.c_uint64),
+        ("loops_closed", c.c_uint64),
         ("frame_age_ns", c.c_int64),
         ("pose_age_ns", c.c_int64),
         ("stages", StageHealth * len(STAGES)),
         ("keyframes", c.c_uint32),
         ("landmarks", c.c_uint32),
+        ("maps", c.c_uint32),
         ("reset_counter", c.c_uint32),
         ("map_id", c.c_uint32),
+        ("map_revision", c.c_uint32),
         ("pid", c.c_uint32),
         ("state", c.c_uint8),
         ("clock", c.c_uint8),
@@ -131,6 +146,10 @@ class Health(_Message):
         ("centre_px", c.c_float * 2),
         ("focal_sigma", c.c_float),
         ("centre_sigma_px", c.c_float),
+        ("correction_distance", c.c_float),
+        ("correction_rad", c.c_float),
+        ("map_mode", c.c_uint8),
+        ("reserved", c.c_uint8 * 63),
     ]
 
 
@@ -144,19 +163,23 @@ class Landmark(_Message):
 
 
 class MapHeader(_Message):
+    VERSION = 2
     _fields_ = [
         ("run_id", c.c_uint64),
-        ("revision", c.c_uint64),
+        ("content_revision", c.c_uint64),
         ("timestamp_ns", c.c_int64),
         ("published_ns", c.c_int64),
         ("count", c.c_uint32),
         ("total", c.c_uint32),
         ("map_id", c.c_uint32),
         ("reset_counter", c.c_uint32),
+        ("map_revision", c.c_uint32),
         ("scale_sigma", c.c_float),
         ("scale", c.c_uint8),
+        ("scale_source", c.c_uint8),
         ("clock", c.c_uint8),
-        ("reserved", c.c_uint8 * 2),
+        ("map_mode", c.c_uint8),
+        ("reserved", c.c_uint8 * 4),
     ]
 
 
@@ -171,6 +194,7 @@ class Keyframe(_Message):
 
 
 class KeyframesHeader(_Message):
+    VERSION = 2
     _fields_ = MapHeader._fields_
 
 

@@ -58,8 +58,18 @@ class Value:
         return m.word(m.SCALES, self.raw.scale)
 
     @property
+    def scale_source(self):
+        """What the scale comes from, as words; empty = nothing."""
+        return m.bits(m.SCALE_SOURCES, self.raw.scale_source)
+
+    @property
+    def map_mode(self):
+        """How the map is used, as words (in health, maps and keyframes)."""
+        return m.bits(m.MAP_MODES, self.raw.map_mode)
+
+    @property
     def state(self):
-        """INITIALIZING, TRACKING, LOST, or UNKNOWN for one of a newer daemon."""
+        """INITIALIZING, ORIENTATION (how the body has turned is known, not where it is), TRACKING, LOST, DEAD_RECKONING (not sent yet), or UNKNOWN for one of a newer daemon."""
         return m.word(m.STATES, self.raw.state)
 
     def __repr__(self):
@@ -67,7 +77,7 @@ class Value:
 
 
 class Pose(Value):
-    """One frame's pose. Unless `tracking`, everything that belongs to the pose is NaN or zero."""
+    """One frame's pose. Unless `tracking`, everything that belongs to the pose is NaN or zero, but for the rotation while `oriented`."""
 
     __slots__ = ()
 
@@ -75,6 +85,16 @@ class Pose(Value):
     def tracking(self):
         """There is a pose in this message."""
         return self.raw.state == 1
+
+    @property
+    def oriented(self):
+        """The orientations and their covariance are known: of a pose, or alone, before there is a map."""
+        return self.state in ("TRACKING", "ORIENTATION")
+
+    @property
+    def heading(self):
+        """Angle about the vertical in odom, counter-clockwise from above, rad; None unless `oriented`. It goes on into the first map."""
+        return _yaw(self.raw.odom_orientation) if self.oriented else None
 
     @property
     def age(self):
@@ -93,8 +113,7 @@ class Pose(Value):
     @property
     def yaw(self):
         """Angle about the vertical in the map, counter-clockwise from above, rad."""
-        x, y, z, w = self.raw.orientation
-        return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        return _yaw(self.raw.orientation)
 
     @property
     def map_from_body(self):
@@ -127,6 +146,11 @@ class Pose(Value):
         return turn @ self.covariance @ turn.T
 
 
+def _yaw(orientation):
+    x, y, z, w = orientation
+    return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
 def _matrix(position, orientation):
     matrix = np.eye(4)
     matrix[:3, :3] = rotation_matrix(orientation)
@@ -142,9 +166,7 @@ class Health(Value):
     @property
     def errors(self):
         """Faults that stand now, as words."""
-        bits = self.raw.errors
-        known = [name for bit, name in enumerate(m.ERRORS) if bits >> bit & 1]
-        return known + ["UNKNOWN"] * (bits >> len(m.ERRORS) != 0)
+        return m.bits(m.ERRORS, self.raw.errors)
 
     @property
     def stages(self):
@@ -215,7 +237,7 @@ class Map(_Slice):
         return points.copy() if copy else points
 
     def __repr__(self):
-        return f"<Map {self.map_id} revision {self.revision}: {len(self)} of {self.total} landmarks>"
+        return f"<Map {self.map_id} content {self.content_revision}: {len(self)} of {self.total} landmarks>"
 
 
 class Keyframes(_Slice):
@@ -232,7 +254,7 @@ class Keyframes(_Slice):
     timestamps_ns = property(lambda self: self.elements["timestamp_ns"], doc="(N,) in the source's clock.")
 
     def __repr__(self):
-        return f"<Keyframes of map {self.map_id} revision {self.revision}: {len(self)} of {self.total}>"
+        return f"<Keyframes of map {self.map_id} content {self.content_revision}: {len(self)} of {self.total}>"
 
 
 class Frame(_Slice):

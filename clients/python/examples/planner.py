@@ -60,7 +60,8 @@ def main():
         pose = poses.wait(0.5)
         landmarks = maps.latest()
         if pose is None or not pose.usable(0.2) or landmarks is None:
-            print("stop: no pose to drive by", flush=True)
+            turned = "" if pose is None or pose.heading is None else f", turned by {np.degrees(pose.heading):.0f} degrees"
+            print(f"stop: no pose to drive by{turned}", flush=True)
             continue
         # Points that few keyframes have seen are often wrong.
         points = landmarks.points[landmarks.observations >= 3]

@@ -4,6 +4,7 @@ python -m pytest clients/python
 """
 
 import ctypes
+import math
 import os
 import re
 import shutil
@@ -116,12 +117,27 @@ def test_the_words_are_the_headers_numbers():
         return {name: eval(value) for name, value in found if name not in skip}  # noqa: S307 - digits and shifts
 
     assert numbers("STATE") == {name: i for i, name in enumerate(messages.STATES)}
-    assert numbers("SCALE") == {name: i for i, name in enumerate(messages.SCALES)}
+    sources = {f"SOURCE_{name}": 1 << i for i, name in enumerate(messages.SCALE_SOURCES)}
+    assert numbers("SCALE") == {name: i for i, name in enumerate(messages.SCALES)} | sources
+    assert numbers("MAP_MODE") == {name: 1 << i for i, name in enumerate(messages.MAP_MODES)}
     assert numbers("CLOCK") == {name: i for i, name in enumerate(messages.CLOCKS)}
     assert numbers("ERROR") == {name: 1 << i for i, name in enumerate(messages.ERRORS)}
     assert numbers("STAGE") == {name.upper(): i for i, name in enumerate(messages.STAGES)}
     assert numbers("COMMAND") == messages.COMMANDS
     assert numbers("REPLY") == {name: i for i, name in enumerate(messages.REPLIES)}
+
+
+def test_an_orientation_without_a_position_is_a_heading_and_nothing_to_drive_by():
+    half = 0.5**0.5
+    raw = messages.Pose(state=3, position=(math.nan,) * 3, odom_orientation=(0, 0, half, half), arrival_ns=time.monotonic_ns())
+    pose = cairn.Pose(raw)
+    assert pose.state == "ORIENTATION" and pose.oriented and not pose.tracking and not pose.usable(10.0)
+    assert abs(pose.heading - math.pi / 2) < 1e-12
+    for state, word in ((0, "INITIALIZING"), (2, "LOST"), (4, "DEAD_RECKONING"), (77, "UNKNOWN")):
+        raw.state = state
+        assert pose.state == word and pose.heading is None and not pose.usable(10.0), word
+    raw.scale_source = 0b1000_0101
+    assert pose.scale_source == ["WHEELS", "TAG", "UNKNOWN"]
 
 
 def test_without_a_daemon_nothing_is_made_and_nothing_raised(tmp_path, monkeypatch):
@@ -235,7 +251,7 @@ def test_the_robot_is_where_a_planner_says_it_is(daemon):
 
 def test_another_version_is_told_so(daemon, monkeypatch):
     monkeypatch.setattr(messages.Pose, "type_name", classmethod(lambda cls: "cairn.Pose.v0"))
-    with pytest.raises(cairn.VersionMismatch, match=r"cairn\.Pose\.v1 of 424 bytes.*cairn\.Pose\.v0"):
+    with pytest.raises(cairn.VersionMismatch, match=r"cairn\.Pose\.v2 of 448 bytes.*cairn\.Pose\.v0"):
         cairn.poses().wait(5)
 
 

@@ -6,7 +6,8 @@ use serde::Serialize;
 
 use crate::client::MapSnapshot;
 use crate::messages::{
-    Clock, Health, Intrinsics, MapHeader, NO_KEYFRAME, Pose, Scale, State, UNKNOWN_NS, error, stage,
+    Clock, Health, Intrinsics, MapHeader, NO_KEYFRAME, Pose, Scale, State, UNKNOWN_NS, error, map_mode, scale_source,
+    stage,
 };
 
 /// A message that can be printed on one line.
@@ -74,9 +75,11 @@ impl Render for Pose {
             .field("landmarks_sought", self.landmarks_sought)
             .field("reset_counter", self.reset_counter)
             .field("map_id", self.map_id)
+            .field("map_revision", self.map_revision)
             .field("anchor_keyframe", (self.anchor_keyframe != NO_KEYFRAME).then_some(self.anchor_keyframe))
             .field("state", self.state().name())
             .field("scale", self.scale().name())
+            .field("scale_source", scale_source::names(self.scale_source).collect::<Vec<_>>())
             .field("clock", self.clock().name())
             .field("keyframe", self.keyframe)
             .end()
@@ -87,8 +90,16 @@ impl Render for Pose {
         let yaw = yaw_rad(&self.orientation).to_degrees();
         let unit = if self.scale() == Scale::Metric { "m" } else { "u" };
         let mut line = format!("{:>7} {:12}", self.sequence, self.state().name());
-        if self.state() == State::Tracking {
-            let _ = write!(line, " x {x:8.3} y {y:8.3} z {z:8.3} {unit}  yaw {yaw:6.1} deg");
+        match self.state() {
+            State::Tracking => {
+                let _ = write!(line, " x {x:8.3} y {y:8.3} z {z:8.3} {unit}  yaw {yaw:6.1} deg");
+            }
+            State::Orientation => {
+                // Of a rotation about the body's own vertical: the last entry of the triangle.
+                let sigma = self.covariance.last().map_or(f64::NAN, |variance| variance.sqrt().to_degrees());
+                let _ = write!(line, " yaw {yaw:6.1} deg +- {sigma:.1}");
+            }
+            _ => {}
         }
         let _ = write!(
             line,
@@ -147,13 +158,17 @@ impl Render for Health {
             .field("adjustments_late", self.adjustments_late)
             .field("resets", self.resets)
             .field("relocalisations", self.relocalisations)
+            .field("maps_joined", self.maps_joined)
+            .field("loops_closed", self.loops_closed)
             .field("frame_age_ns", time(self.frame_age_ns))
             .field("pose_age_ns", time(self.pose_age_ns))
             .field("stages", stages.collect::<Vec<_>>())
             .field("keyframes", self.keyframes)
             .field("landmarks", self.landmarks)
+            .field("maps", self.maps)
             .field("reset_counter", self.reset_counter)
             .field("map_id", self.map_id)
+            .field("map_revision", self.map_revision)
             .field("pid", self.pid)
             .field("state", self.state().name())
             .field("clock", self.clock().name())
@@ -164,6 +179,9 @@ impl Render for Health {
             .field("centre_px", self.centre_px)
             .field("focal_sigma", self.focal_sigma)
             .field("centre_sigma_px", self.centre_sigma_px)
+            .field("correction_distance", self.correction_distance)
+            .field("correction_rad", self.correction_rad)
+            .field("map_mode", map_mode::names(self.map_mode).collect::<Vec<_>>())
             .end()
     }
 
@@ -208,22 +226,28 @@ impl Render for MapHeader {
     fn json(&self) -> String {
         Object::new()
             .field("run_id", self.run_id)
-            .field("revision", self.revision)
+            .field("content_revision", self.content_revision)
             .field("timestamp_ns", self.timestamp_ns)
             .field("published_ns", self.published_ns)
             .field("count", self.count)
             .field("total", self.total)
             .field("map_id", self.map_id)
             .field("reset_counter", self.reset_counter)
+            .field("map_revision", self.map_revision)
             .field("scale_sigma", self.scale_sigma)
             .field("scale", Scale::from_wire(self.scale).name())
+            .field("scale_source", scale_source::names(self.scale_source).collect::<Vec<_>>())
             .field("clock", Clock::from_wire(self.clock).name())
+            .field("map_mode", map_mode::names(self.map_mode).collect::<Vec<_>>())
             .end()
     }
 
     fn text(&self) -> String {
         let all = if self.total > self.count { format!(" of {}", self.total) } else { String::new() };
-        format!("map {} revision {}: {}{all} landmarks", self.map_id, self.revision, self.count)
+        format!(
+            "map {} corrected {} content {}: {}{all} landmarks",
+            self.map_id, self.map_revision, self.content_revision, self.count
+        )
     }
 }
 
@@ -232,7 +256,7 @@ mod tests {
     use serde_json::Value;
 
     use super::*;
-    use crate::messages::{Field, STATE_TRACKING};
+    use crate::messages::{Field, STATE_ORIENTATION, STATE_TRACKING};
 
     /// Keys in their order, with the values as JSON.
     fn keys(json: &str) -> Vec<String> {
@@ -292,7 +316,13 @@ mod tests {
     }
 
     #[test]
-    fn a_lost_pose_prints_no_position() {
+    fn a_lost_pose_prints_no_position_and_an_orientation_only_its_heading() {
         assert!(!Pose::default().text().contains("NaN"));
+        let half = 0.5f64.sqrt();
+        let mut pose = Pose { state: STATE_ORIENTATION, orientation: [0.0, 0.0, half, half], ..Pose::default() };
+        pose.covariance[20] = (2.0f64.to_radians()).powi(2);
+        let text = pose.text();
+        assert!(text.contains("ORIENTATION") && text.contains("yaw   90.0 deg +- 2.0"), "{text}");
+        assert!(!text.contains(" x ") && !text.contains("NaN"), "{text}");
     }
 }

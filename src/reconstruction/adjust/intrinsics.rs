@@ -186,8 +186,12 @@ impl Intrinsics {
 
     /// How far the lens may be from what it is supposed to be; `None`: it was calibrated.
     pub fn freedom(&self) -> Option<LensFreedom> {
-        let freedom = LensFreedom { focal: self.sigma[0], centre_px: self.sigma[1], distortion: self.sigma[3] };
-        self.guessed.then_some(freedom)
+        self.guessed.then(|| self.uncertainty())
+    }
+
+    /// The same of any lens.
+    pub fn uncertainty(&self) -> LensFreedom {
+        LensFreedom { focal: self.sigma[0], centre_px: self.sigma[1], distortion: self.sigma[3] }
     }
 
     /// What may be said of the lens.

@@ -51,6 +51,7 @@ impl Reconstruction {
             return self.estimate_none(features);
         };
         self.mapper.discard();
+        self.corrections.end_map();
         self.optics.intrinsics.end_map(&self.optics.camera);
         self.counters.resets += 1;
         estimate.reset_counter = self.reset_counter();
@@ -153,6 +154,7 @@ impl Reconstruction {
             scale: present_from_other.scale,
         });
         self.counters.maps_joined += 1;
+        self.corrections.join();
         active.frames += other.frames;
         active.next_whole = 0;
         active.unadjusted = newest;
