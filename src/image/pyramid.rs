@@ -140,7 +140,8 @@ pub fn double(half: &GreyImage) -> GreyImage {
         return full;
     }
     // Of two neighbours the nearer one weighs three quarters.
-    let beside = |i: usize, size: usize| if i % 2 == 0 { (i / 2).saturating_sub(1) } else { (i / 2 + 1).min(size - 1) };
+    let beside =
+        |i: usize, size: usize| if i.is_multiple_of(2) { (i / 2).saturating_sub(1) } else { (i / 2 + 1).min(size - 1) };
     for (y, out) in full.data.chunks_exact_mut(2 * width).enumerate() {
         let (near, far) = (half.row(y / 2), half.row(beside(y, height)));
         for (x, out) in out.iter_mut().enumerate() {

@@ -45,7 +45,7 @@ fn keyframe(camera_from_world: Se3<Camera, World>, pyramid: Pyramid) -> Keyframe
         map: crate::map::MapId(0),
         camera_from_world,
         motion: None,
-        pyramid: Arc::new(pyramid),
+        picture: crate::map::picture::KeyframePicture::new(Arc::new(pyramid)),
         thumbnail,
         scale_from: None,
         observations: Vec::new(),

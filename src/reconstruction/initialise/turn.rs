@@ -269,8 +269,9 @@ impl TurnProblem<'_> {
     }
 }
 
-impl LeastSquares<UNKNOWNS> for TurnProblem<'_> {
+impl LeastSquares for TurnProblem<'_> {
     type State = TurnState;
+    type Normal = NormalEquations<UNKNOWNS>;
 
     fn linearise(&self, s: &TurnState) -> NormalEquations<UNKNOWNS> {
         let mut normal = NormalEquations::default();

@@ -114,14 +114,15 @@ mod tests {
     #[test]
     fn a_readout_time_that_is_held_or_nonsense_is_not_learnt() {
         let held = Shutter::new(0.02, 240, false);
-        assert_eq!((held.variance(), held.to_adjust().expected), (0.0, None));
+        assert_eq!((held.variance(), held.prior()), (0.0, (0.02, f64::INFINITY)));
         let mut shutter = held;
-        shutter.learn(&Readout { seconds: 0.01, found_information: 1e9, ..held.to_adjust() });
+        shutter.learn(0.01, 1e-9);
         assert_eq!(shutter, held);
         let mut learning = Shutter::new(0.0, 240, true);
         let before = learning;
-        learning.learn(&Readout { seconds: f64::NAN, ..learning.to_adjust() });
-        learning.learn(&Readout { found_information: f64::INFINITY, ..learning.to_adjust() });
+        learning.learn(f64::NAN, 1e-6);
+        learning.learn(0.001, 0.0);
+        learning.learn(0.001, f64::NAN);
         assert_eq!(learning, before);
     }
 
@@ -129,16 +130,16 @@ mod tests {
     fn what_is_learnt_is_bounded_in_size_and_in_how_surely_it_is_known() {
         let mut shutter = Shutter::new(0.0, 240, true);
         assert!((shutter.variance().sqrt() - PRIOR_SIGMA_S).abs() < 1e-12);
-        // Nothing seen: a little is forgotten.
-        shutter.learn(&Readout { seconds: 0.001, ..shutter.to_adjust() });
+        // Nothing seen but the prior: a little is forgotten.
+        shutter.learn(0.001, 1.0 / shutter.prior().1);
         assert!(shutter.variance().sqrt() > PRIOR_SIGMA_S);
         for _ in 0..20 {
-            shutter.learn(&Readout { seconds: 0.2, found_information: 1e12, ..shutter.to_adjust() });
+            shutter.learn(0.2, 1e-12);
         }
         assert_eq!(shutter.readout_s, MAX_READOUT_S);
         assert!((shutter.variance().sqrt() - FLOOR_SIGMA_S).abs() < 1e-12);
         // What the adjustment takes as its prior weighs the more, as it believes a part of its own data only.
-        let (_, information) = shutter.to_adjust().expected.expect("an unknown");
+        let (_, information) = shutter.prior();
         assert!((information * FLOOR_SIGMA_S.powi(2) * BELIEVED - 1.0).abs() < 1e-9);
     }
 }

@@ -30,7 +30,7 @@ fn a_jerk_is_as_quick_as_configured_smooth_and_taken_back() {
         let pose = |t: f64| simulator.trajectory().pose_at_seconds(t);
         let h = 1e-3;
         let (mut fastest, mut quickest, mut at_rest, mut worst_step) = (0.0f64, 0.0f64, 0, 0.0f64);
-        let mut peaks = vec![0.0f64; 20];
+        let mut peaks = [0.0f64; 20];
         let mut last = None;
         for i in 0..40_000 {
             let t = f64::from(i) * h;
