@@ -142,10 +142,12 @@ fn turning_on_the_spot_and_standing_still_start_no_map() {
     }
 }
 
-/// Error of an orientation since the first frame, rad, and its square in standard deviations; `None` without one.
+/// Error of an orientation since the first frame of its reset counter, rad, and its square in standard deviations; `None` without one.
 fn orientation_error(run: &Run, i: usize) -> Option<(f64, f64)> {
     let told = run.estimates[i].orientation?;
-    let truth = run.truth[0].1.rotation.inverse() * run.truth[i].1.rotation;
+    let since = |e: &PoseEstimate| e.orientation.is_some() && e.reset_counter == run.estimates[i].reset_counter;
+    let first = run.estimates.iter().position(since)?;
+    let truth = run.truth[first].1.rotation.inverse() * run.truth[i].1.rotation;
     let e = (told.first_from_camera.inverse() * truth).scaled_axis();
     let squared = told.covariance.try_inverse().map_or(0.0, |inverse| e.dot(&(inverse * e)));
     Some((e.norm(), squared))
@@ -160,11 +162,15 @@ fn turning_on_the_spot_tells_the_orientation_as_well_as_it_says() {
         let largest = errors.iter().map(|e| e.0).fold(0.0, f64::max);
         // 95 % of chi-square with three degrees of freedom.
         let outside = errors.iter().filter(|e| e.1 > 7.81).count();
-        println!("seed {seed}: {} told, largest error {largest} rad, {outside} outside", errors.len());
-        assert!(errors.len() >= 230, "seed {seed}: {} of 240 told", errors.len());
+        let restarts = run.estimates[239].reset_counter;
+        println!(
+            "seed {seed}: {} told, {restarts} restarts, largest error {largest} rad, {outside} outside",
+            errors.len()
+        );
+        // Somebody walks through the picture; while he fills it nothing is told.
+        assert!(errors.len() >= 210 && restarts <= 1, "seed {seed}: {} of 240 told, {restarts} restarts", errors.len());
         assert!(largest < 0.05, "seed {seed}: {largest} rad");
         assert!(outside * 10 <= errors.len(), "seed {seed}: {outside} of {} outside", errors.len());
-        assert!(run.estimates.iter().all(|e| e.reset_counter == 0), "seed {seed}");
     }
 }
 

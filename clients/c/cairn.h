@@ -42,6 +42,17 @@
 #define CAIRN_STATE_LOST 2
 
 /**
+ * `state`: no map yet, but how the body has turned since the first frame is known: orientation and its covariance without a position. Not
+ * tracking, and nothing to drive by; enough for a heading while a robot turns on the spot.
+ */
+#define CAIRN_STATE_ORIENTATION 3
+
+/**
+ * `state`: reserved, not sent yet: `odom` goes on by other means than the picture, with growing covariance. Not tracking.
+ */
+#define CAIRN_STATE_DEAD_RECKONING 4
+
+/**
  * `scale`: lengths are arbitrary (one camera alone); only ratios mean something.
  */
 #define CAIRN_SCALE_UNKNOWN 0
@@ -234,6 +245,16 @@
 #define CAIRN_ERROR_SCALE_ASSUMED (1 << 15)
 
 /**
+ * The map does not grow: the robot is only located in it.
+ */
+#define CAIRN_MAP_MODE_LOCALISATION_ONLY (1 << 0)
+
+/**
+ * The current map is that of the map file, or has been joined to it: places in it are those of earlier runs.
+ */
+#define CAIRN_MAP_MODE_STORED (1 << 1)
+
+/**
  * Frames from the source into the ring.
  */
 #define CAIRN_STAGE_CAPTURE 0
@@ -299,9 +320,29 @@
 #define CAIRN_MAX_COMMANDERS 8
 
 /**
- * Grows when a function of this header changes or goes; compare it with `cairn_abi_version()`.
+ * Wheel odometry.
  */
-#define CAIRN_ABI_VERSION 1
+#define CAIRN_SCALE_SOURCE_WHEELS (1 << 0)
+
+/**
+ * The camera's known height above the floor.
+ */
+#define CAIRN_SCALE_SOURCE_HEIGHT (1 << 1)
+
+/**
+ * A tag or board of known size.
+ */
+#define CAIRN_SCALE_SOURCE_TAG (1 << 2)
+
+/**
+ * The map was metric when it was loaded.
+ */
+#define CAIRN_SCALE_SOURCE_STORED_MAP (1 << 3)
+
+/**
+ * Grows when a function or a message of this header changes or goes; compare it with `cairn_abi_version()`.
+ */
+#define CAIRN_ABI_VERSION 2
 
 /**
  * There is a message, and it is where it was to be put.
@@ -339,7 +380,8 @@ typedef struct cairn_keyframes_hold cairn_keyframes_hold;
 typedef struct cairn_map_hold cairn_map_hold;
 
 /**
- * One frame's pose. Unless `state` is CAIRN_STATE_TRACKING, everything that belongs to the pose is NaN or zero.
+ * One frame's pose. Unless `state` is CAIRN_STATE_TRACKING, everything that belongs to the pose is NaN or zero; but with
+ * CAIRN_STATE_ORIENTATION both orientations, the covariance of the rotation and the angular velocity are there.
  *
  * # Covariance
  * `covariance` is the upper triangle, row by row, of the symmetric 6x6 matrix in the order x, y, z, rotation about x, y, z,
@@ -395,7 +437,7 @@ typedef struct cairn_pose {
    */
   double position[3];
   /**
-   * Map pose: `map_from_body`, quaternion (x, y, z, w).
+   * Map pose: `map_from_body`, quaternion (x, y, z, w). With CAIRN_STATE_ORIENTATION, as there is no map, the same as `odom_orientation`.
    */
   double orientation[4];
   /**
@@ -403,7 +445,8 @@ typedef struct cairn_pose {
    */
   double odom_position[3];
   /**
-   * Odom pose: `odom_from_body`, quaternion (x, y, z, w).
+   * Odom pose: `odom_from_body`, quaternion (x, y, z, w). With CAIRN_STATE_ORIENTATION: since the first frame; a map that then begins
+   * continues it.
    */
   double odom_orientation[4];
   /**
@@ -435,7 +478,7 @@ typedef struct cairn_pose {
    */
   uint32_t landmarks_sought;
   /**
-   * Grows with every reset and re-initialisation: poses across a change are unrelated.
+   * Grows with every reset and re-initialisation, and where an orientation without a map begins anew: poses across a change are unrelated.
    */
   uint32_t reset_counter;
   /**
@@ -443,17 +486,26 @@ typedef struct cairn_pose {
    */
   uint32_t map_id;
   /**
+   * Grows whenever coordinates of the map are corrected by more than ordinary adjustment; `odom` does not move then.
+   */
+  uint32_t map_revision;
+  /**
    * Keyframe that the covariance is relative to; CAIRN_NO_KEYFRAME if there is none.
    */
   uint32_t anchor_keyframe;
   /**
-   * CAIRN_STATE_INITIALIZING, CAIRN_STATE_TRACKING, CAIRN_STATE_LOST.
+   * CAIRN_STATE_INITIALIZING, CAIRN_STATE_TRACKING, CAIRN_STATE_LOST, CAIRN_STATE_ORIENTATION,
+   * CAIRN_STATE_DEAD_RECKONING.
    */
   uint8_t state;
   /**
    * CAIRN_SCALE_UNKNOWN, CAIRN_SCALE_ESTIMATED, CAIRN_SCALE_METRIC.
    */
   uint8_t scale;
+  /**
+   * Bits of scale_source: what the scale comes from; 0 = nothing.
+   */
+  uint8_t scale_source;
   /**
    * CAIRN_CLOCK_MONOTONIC, CAIRN_CLOCK_RECORDING.
    */
@@ -462,6 +514,10 @@ typedef struct cairn_pose {
    * 1 if this frame becomes a keyframe, else 0.
    */
   uint8_t keyframe;
+  /**
+   * Zero.
+   */
+  uint8_t reserved[19];
 } cairn_pose;
 
 /**
@@ -563,6 +619,14 @@ typedef struct cairn_health {
    */
   uint64_t relocalisations;
   /**
+   * Maps that were recognised and joined to the current one.
+   */
+  uint64_t maps_joined;
+  /**
+   * Loops closed; always 0 in this version.
+   */
+  uint64_t loops_closed;
+  /**
    * Time since the last frame arrived, ns; CAIRN_UNKNOWN_NS if there was none.
    */
   int64_t frame_age_ns;
@@ -583,6 +647,10 @@ typedef struct cairn_health {
    */
   uint32_t landmarks;
   /**
+   * Maps that are kept, the current one among them.
+   */
+  uint32_t maps;
+  /**
    * As in cairn_pose.reset_counter.
    */
   uint32_t reset_counter;
@@ -591,12 +659,16 @@ typedef struct cairn_health {
    */
   uint32_t map_id;
   /**
+   * As in cairn_pose.map_revision.
+   */
+  uint32_t map_revision;
+  /**
    * Process id of the daemon.
    */
   uint32_t pid;
   /**
-   * CAIRN_STATE_INITIALIZING, CAIRN_STATE_TRACKING, CAIRN_STATE_LOST of the last frame;
-   * lost, too, when pictures have stopped coming while tracking.
+   * As in cairn_pose.state, of the last frame; lost, too, when pictures have stopped coming while tracking, and initializing
+   * when they have while only the orientation was known.
    */
   uint8_t state;
   /**
@@ -632,6 +704,22 @@ typedef struct cairn_health {
    * Standard deviation of the principal point, the larger of both coordinates, px; NaN before the first frame.
    */
   float centre_sigma_px;
+  /**
+   * How far the map pose was moved when `map_revision` grew last, map units; NaN if it never did.
+   */
+  float correction_distance;
+  /**
+   * How far it was turned then, rad.
+   */
+  float correction_rad;
+  /**
+   * Bits of map_mode: how the current map is used.
+   */
+  uint8_t map_mode;
+  /**
+   * Zero.
+   */
+  uint8_t reserved[63];
 } cairn_health;
 
 /**
@@ -643,9 +731,9 @@ typedef struct cairn_map_header {
    */
   uint64_t run_id;
   /**
-   * Grows with every change of the map.
+   * Grows with every change of what the message holds: another picture of the map.
    */
-  uint64_t revision;
+  uint64_t content_revision;
   /**
    * Capture time of the newest frame that the map knows of, in the source's clock (`clock`), ns.
    */
@@ -671,6 +759,10 @@ typedef struct cairn_map_header {
    */
   uint32_t reset_counter;
   /**
+   * As in cairn_pose.map_revision: what was kept of messages with another one is out of place.
+   */
+  uint32_t map_revision;
+  /**
    * Relative standard deviation of the scale; NaN unless it is estimated.
    */
   float scale_sigma;
@@ -679,13 +771,21 @@ typedef struct cairn_map_header {
    */
   uint8_t scale;
   /**
+   * As in cairn_pose.scale_source.
+   */
+  uint8_t scale_source;
+  /**
    * CAIRN_CLOCK_MONOTONIC, CAIRN_CLOCK_RECORDING.
    */
   uint8_t clock;
   /**
+   * Bits of map_mode.
+   */
+  uint8_t map_mode;
+  /**
    * Zero.
    */
-  uint8_t reserved[2];
+  uint8_t reserved[4];
 } cairn_map_header;
 
 /**
@@ -730,7 +830,7 @@ typedef struct cairn_map {
 } cairn_map;
 
 /**
- * What a keyframes message is a picture of; the same revision as the map message that was sent with it.
+ * What a keyframes message is a picture of; the same `content_revision` as the map message that was sent with it.
  */
 typedef struct cairn_keyframes_header {
   /**
@@ -738,9 +838,9 @@ typedef struct cairn_keyframes_header {
    */
   uint64_t run_id;
   /**
-   * Grows with every change of the map.
+   * Grows with every change of what the message holds: another picture of the map.
    */
-  uint64_t revision;
+  uint64_t content_revision;
   /**
    * Capture time of the newest frame that the map knows of, in the source's clock (`clock`), ns.
    */
@@ -766,6 +866,10 @@ typedef struct cairn_keyframes_header {
    */
   uint32_t reset_counter;
   /**
+   * As in cairn_pose.map_revision: what was kept of messages with another one is out of place.
+   */
+  uint32_t map_revision;
+  /**
    * Relative standard deviation of the scale; NaN unless it is estimated.
    */
   float scale_sigma;
@@ -774,13 +878,21 @@ typedef struct cairn_keyframes_header {
    */
   uint8_t scale;
   /**
+   * As in cairn_pose.scale_source.
+   */
+  uint8_t scale_source;
+  /**
    * CAIRN_CLOCK_MONOTONIC, CAIRN_CLOCK_RECORDING.
    */
   uint8_t clock;
   /**
+   * Bits of map_mode.
+   */
+  uint8_t map_mode;
+  /**
    * Zero.
    */
-  uint8_t reserved[2];
+  uint8_t reserved[4];
 } cairn_keyframes_header;
 
 /**
@@ -1010,6 +1122,17 @@ int32_t cairn_pose_wait(struct cairn_client *client,
 int32_t cairn_pose_is_usable(const struct cairn_pose *pose, uint64_t max_age_ns);
 
 /**
+ * 1 if the body's orientation is known, with a position (`CAIRN_STATE_TRACKING`) or before there is one (`CAIRN_STATE_ORIENTATION`); then
+ * `heading_rad`, unless null, is its angle about the vertical in odom, counter-clockwise from above, rad. Else 0, and nothing is written.
+ * It is no leave to drive: ask `cairn_pose_is_usable` for that.
+ *
+ * # Safety
+ * `pose` is null or may be read; `heading_rad` is null or may be written.
+ */
+int32_t cairn_pose_heading(const struct cairn_pose *pose,
+                           double *heading_rad);
+
+/**
  * The pose's covariance as a 6x6 matrix, 36 numbers, order x, y, z, rotation about x, y, z; in the body's axes, or (`in_map_axes` not
  * 0) in the map's, as `nav_msgs/Odometry` and MAVLink want it.
  *
@@ -1106,13 +1229,13 @@ int32_t cairn_send_command(struct cairn_client *client,
 #endif  /* CAIRN_H */
 
 /* Names that iceoryx2 compares when two processes meet. */
-#define CAIRN_POSE_TYPE "cairn.Pose.v1"
-#define CAIRN_HEALTH_TYPE "cairn.Health.v2"
+#define CAIRN_POSE_TYPE "cairn.Pose.v2"
+#define CAIRN_HEALTH_TYPE "cairn.Health.v3"
 #define CAIRN_STAGE_HEALTH_TYPE "cairn.StageHealth.v1"
 #define CAIRN_LANDMARK_TYPE "cairn.Landmark.v1"
-#define CAIRN_MAP_HEADER_TYPE "cairn.MapHeader.v1"
+#define CAIRN_MAP_HEADER_TYPE "cairn.MapHeader.v2"
 #define CAIRN_KEYFRAME_TYPE "cairn.Keyframe.v1"
-#define CAIRN_KEYFRAMES_HEADER_TYPE "cairn.KeyframesHeader.v1"
+#define CAIRN_KEYFRAMES_HEADER_TYPE "cairn.KeyframesHeader.v2"
 #define CAIRN_FRAME_HEADER_TYPE "cairn.FrameHeader.v1"
 #define CAIRN_COMMAND_TYPE "cairn.Command.v1"
 #define CAIRN_COMMAND_REPLY_TYPE "cairn.CommandReply.v1"
@@ -1123,7 +1246,7 @@ int32_t cairn_send_command(struct cairn_client *client,
 #else
 #define CAIRN_ASSERT(fact) _Static_assert(fact, #fact)
 #endif
-CAIRN_ASSERT(sizeof(cairn_pose) == 424);
+CAIRN_ASSERT(sizeof(cairn_pose) == 448);
 CAIRN_ASSERT(offsetof(cairn_pose, run_id) == 0 && sizeof(((cairn_pose *)0)->run_id) == 8);
 CAIRN_ASSERT(offsetof(cairn_pose, sequence) == 8 && sizeof(((cairn_pose *)0)->sequence) == 8);
 CAIRN_ASSERT(offsetof(cairn_pose, timestamp_ns) == 16 && sizeof(((cairn_pose *)0)->timestamp_ns) == 8);
@@ -1145,12 +1268,15 @@ CAIRN_ASSERT(offsetof(cairn_pose, landmarks) == 400 && sizeof(((cairn_pose *)0)-
 CAIRN_ASSERT(offsetof(cairn_pose, landmarks_sought) == 404 && sizeof(((cairn_pose *)0)->landmarks_sought) == 4);
 CAIRN_ASSERT(offsetof(cairn_pose, reset_counter) == 408 && sizeof(((cairn_pose *)0)->reset_counter) == 4);
 CAIRN_ASSERT(offsetof(cairn_pose, map_id) == 412 && sizeof(((cairn_pose *)0)->map_id) == 4);
-CAIRN_ASSERT(offsetof(cairn_pose, anchor_keyframe) == 416 && sizeof(((cairn_pose *)0)->anchor_keyframe) == 4);
-CAIRN_ASSERT(offsetof(cairn_pose, state) == 420 && sizeof(((cairn_pose *)0)->state) == 1);
-CAIRN_ASSERT(offsetof(cairn_pose, scale) == 421 && sizeof(((cairn_pose *)0)->scale) == 1);
-CAIRN_ASSERT(offsetof(cairn_pose, clock) == 422 && sizeof(((cairn_pose *)0)->clock) == 1);
-CAIRN_ASSERT(offsetof(cairn_pose, keyframe) == 423 && sizeof(((cairn_pose *)0)->keyframe) == 1);
-CAIRN_ASSERT(sizeof(cairn_health) == 416);
+CAIRN_ASSERT(offsetof(cairn_pose, map_revision) == 416 && sizeof(((cairn_pose *)0)->map_revision) == 4);
+CAIRN_ASSERT(offsetof(cairn_pose, anchor_keyframe) == 420 && sizeof(((cairn_pose *)0)->anchor_keyframe) == 4);
+CAIRN_ASSERT(offsetof(cairn_pose, state) == 424 && sizeof(((cairn_pose *)0)->state) == 1);
+CAIRN_ASSERT(offsetof(cairn_pose, scale) == 425 && sizeof(((cairn_pose *)0)->scale) == 1);
+CAIRN_ASSERT(offsetof(cairn_pose, scale_source) == 426 && sizeof(((cairn_pose *)0)->scale_source) == 1);
+CAIRN_ASSERT(offsetof(cairn_pose, clock) == 427 && sizeof(((cairn_pose *)0)->clock) == 1);
+CAIRN_ASSERT(offsetof(cairn_pose, keyframe) == 428 && sizeof(((cairn_pose *)0)->keyframe) == 1);
+CAIRN_ASSERT(offsetof(cairn_pose, reserved) == 429 && sizeof(((cairn_pose *)0)->reserved) == 19);
+CAIRN_ASSERT(sizeof(cairn_health) == 512);
 CAIRN_ASSERT(offsetof(cairn_health, run_id) == 0 && sizeof(((cairn_health *)0)->run_id) == 8);
 CAIRN_ASSERT(offsetof(cairn_health, sequence) == 8 && sizeof(((cairn_health *)0)->sequence) == 8);
 CAIRN_ASSERT(offsetof(cairn_health, published_ns) == 16 && sizeof(((cairn_health *)0)->published_ns) == 8);
@@ -1167,23 +1293,31 @@ CAIRN_ASSERT(offsetof(cairn_health, adjustments) == 96 && sizeof(((cairn_health 
 CAIRN_ASSERT(offsetof(cairn_health, adjustments_late) == 104 && sizeof(((cairn_health *)0)->adjustments_late) == 8);
 CAIRN_ASSERT(offsetof(cairn_health, resets) == 112 && sizeof(((cairn_health *)0)->resets) == 8);
 CAIRN_ASSERT(offsetof(cairn_health, relocalisations) == 120 && sizeof(((cairn_health *)0)->relocalisations) == 8);
-CAIRN_ASSERT(offsetof(cairn_health, frame_age_ns) == 128 && sizeof(((cairn_health *)0)->frame_age_ns) == 8);
-CAIRN_ASSERT(offsetof(cairn_health, pose_age_ns) == 136 && sizeof(((cairn_health *)0)->pose_age_ns) == 8);
-CAIRN_ASSERT(offsetof(cairn_health, stages) == 144 && sizeof(((cairn_health *)0)->stages) == 192);
-CAIRN_ASSERT(offsetof(cairn_health, keyframes) == 336 && sizeof(((cairn_health *)0)->keyframes) == 4);
-CAIRN_ASSERT(offsetof(cairn_health, landmarks) == 340 && sizeof(((cairn_health *)0)->landmarks) == 4);
-CAIRN_ASSERT(offsetof(cairn_health, reset_counter) == 344 && sizeof(((cairn_health *)0)->reset_counter) == 4);
-CAIRN_ASSERT(offsetof(cairn_health, map_id) == 348 && sizeof(((cairn_health *)0)->map_id) == 4);
-CAIRN_ASSERT(offsetof(cairn_health, pid) == 352 && sizeof(((cairn_health *)0)->pid) == 4);
-CAIRN_ASSERT(offsetof(cairn_health, state) == 356 && sizeof(((cairn_health *)0)->state) == 1);
-CAIRN_ASSERT(offsetof(cairn_health, clock) == 357 && sizeof(((cairn_health *)0)->clock) == 1);
-CAIRN_ASSERT(offsetof(cairn_health, intrinsics) == 358 && sizeof(((cairn_health *)0)->intrinsics) == 1);
-CAIRN_ASSERT(offsetof(cairn_health, lens_model) == 359 && sizeof(((cairn_health *)0)->lens_model) == 1);
-CAIRN_ASSERT(offsetof(cairn_health, version) == 360 && sizeof(((cairn_health *)0)->version) == 32);
-CAIRN_ASSERT(offsetof(cairn_health, focal_px) == 392 && sizeof(((cairn_health *)0)->focal_px) == 8);
-CAIRN_ASSERT(offsetof(cairn_health, centre_px) == 400 && sizeof(((cairn_health *)0)->centre_px) == 8);
-CAIRN_ASSERT(offsetof(cairn_health, focal_sigma) == 408 && sizeof(((cairn_health *)0)->focal_sigma) == 4);
-CAIRN_ASSERT(offsetof(cairn_health, centre_sigma_px) == 412 && sizeof(((cairn_health *)0)->centre_sigma_px) == 4);
+CAIRN_ASSERT(offsetof(cairn_health, maps_joined) == 128 && sizeof(((cairn_health *)0)->maps_joined) == 8);
+CAIRN_ASSERT(offsetof(cairn_health, loops_closed) == 136 && sizeof(((cairn_health *)0)->loops_closed) == 8);
+CAIRN_ASSERT(offsetof(cairn_health, frame_age_ns) == 144 && sizeof(((cairn_health *)0)->frame_age_ns) == 8);
+CAIRN_ASSERT(offsetof(cairn_health, pose_age_ns) == 152 && sizeof(((cairn_health *)0)->pose_age_ns) == 8);
+CAIRN_ASSERT(offsetof(cairn_health, stages) == 160 && sizeof(((cairn_health *)0)->stages) == 192);
+CAIRN_ASSERT(offsetof(cairn_health, keyframes) == 352 && sizeof(((cairn_health *)0)->keyframes) == 4);
+CAIRN_ASSERT(offsetof(cairn_health, landmarks) == 356 && sizeof(((cairn_health *)0)->landmarks) == 4);
+CAIRN_ASSERT(offsetof(cairn_health, maps) == 360 && sizeof(((cairn_health *)0)->maps) == 4);
+CAIRN_ASSERT(offsetof(cairn_health, reset_counter) == 364 && sizeof(((cairn_health *)0)->reset_counter) == 4);
+CAIRN_ASSERT(offsetof(cairn_health, map_id) == 368 && sizeof(((cairn_health *)0)->map_id) == 4);
+CAIRN_ASSERT(offsetof(cairn_health, map_revision) == 372 && sizeof(((cairn_health *)0)->map_revision) == 4);
+CAIRN_ASSERT(offsetof(cairn_health, pid) == 376 && sizeof(((cairn_health *)0)->pid) == 4);
+CAIRN_ASSERT(offsetof(cairn_health, state) == 380 && sizeof(((cairn_health *)0)->state) == 1);
+CAIRN_ASSERT(offsetof(cairn_health, clock) == 381 && sizeof(((cairn_health *)0)->clock) == 1);
+CAIRN_ASSERT(offsetof(cairn_health, intrinsics) == 382 && sizeof(((cairn_health *)0)->intrinsics) == 1);
+CAIRN_ASSERT(offsetof(cairn_health, lens_model) == 383 && sizeof(((cairn_health *)0)->lens_model) == 1);
+CAIRN_ASSERT(offsetof(cairn_health, version) == 384 && sizeof(((cairn_health *)0)->version) == 32);
+CAIRN_ASSERT(offsetof(cairn_health, focal_px) == 416 && sizeof(((cairn_health *)0)->focal_px) == 8);
+CAIRN_ASSERT(offsetof(cairn_health, centre_px) == 424 && sizeof(((cairn_health *)0)->centre_px) == 8);
+CAIRN_ASSERT(offsetof(cairn_health, focal_sigma) == 432 && sizeof(((cairn_health *)0)->focal_sigma) == 4);
+CAIRN_ASSERT(offsetof(cairn_health, centre_sigma_px) == 436 && sizeof(((cairn_health *)0)->centre_sigma_px) == 4);
+CAIRN_ASSERT(offsetof(cairn_health, correction_distance) == 440 && sizeof(((cairn_health *)0)->correction_distance) == 4);
+CAIRN_ASSERT(offsetof(cairn_health, correction_rad) == 444 && sizeof(((cairn_health *)0)->correction_rad) == 4);
+CAIRN_ASSERT(offsetof(cairn_health, map_mode) == 448 && sizeof(((cairn_health *)0)->map_mode) == 1);
+CAIRN_ASSERT(offsetof(cairn_health, reserved) == 449 && sizeof(((cairn_health *)0)->reserved) == 63);
 CAIRN_ASSERT(sizeof(cairn_stage_health) == 32);
 CAIRN_ASSERT(offsetof(cairn_stage_health, steps) == 0 && sizeof(((cairn_stage_health *)0)->steps) == 8);
 CAIRN_ASSERT(offsetof(cairn_stage_health, heartbeat_age_ns) == 8 && sizeof(((cairn_stage_health *)0)->heartbeat_age_ns) == 8);
@@ -1196,38 +1330,44 @@ CAIRN_ASSERT(offsetof(cairn_landmark, id) == 0 && sizeof(((cairn_landmark *)0)->
 CAIRN_ASSERT(offsetof(cairn_landmark, observations) == 4 && sizeof(((cairn_landmark *)0)->observations) == 4);
 CAIRN_ASSERT(offsetof(cairn_landmark, position) == 8 && sizeof(((cairn_landmark *)0)->position) == 12);
 CAIRN_ASSERT(offsetof(cairn_landmark, sigma) == 20 && sizeof(((cairn_landmark *)0)->sigma) == 4);
-CAIRN_ASSERT(sizeof(cairn_map_header) == 56);
+CAIRN_ASSERT(sizeof(cairn_map_header) == 64);
 CAIRN_ASSERT(offsetof(cairn_map_header, run_id) == 0 && sizeof(((cairn_map_header *)0)->run_id) == 8);
-CAIRN_ASSERT(offsetof(cairn_map_header, revision) == 8 && sizeof(((cairn_map_header *)0)->revision) == 8);
+CAIRN_ASSERT(offsetof(cairn_map_header, content_revision) == 8 && sizeof(((cairn_map_header *)0)->content_revision) == 8);
 CAIRN_ASSERT(offsetof(cairn_map_header, timestamp_ns) == 16 && sizeof(((cairn_map_header *)0)->timestamp_ns) == 8);
 CAIRN_ASSERT(offsetof(cairn_map_header, published_ns) == 24 && sizeof(((cairn_map_header *)0)->published_ns) == 8);
 CAIRN_ASSERT(offsetof(cairn_map_header, count) == 32 && sizeof(((cairn_map_header *)0)->count) == 4);
 CAIRN_ASSERT(offsetof(cairn_map_header, total) == 36 && sizeof(((cairn_map_header *)0)->total) == 4);
 CAIRN_ASSERT(offsetof(cairn_map_header, map_id) == 40 && sizeof(((cairn_map_header *)0)->map_id) == 4);
 CAIRN_ASSERT(offsetof(cairn_map_header, reset_counter) == 44 && sizeof(((cairn_map_header *)0)->reset_counter) == 4);
-CAIRN_ASSERT(offsetof(cairn_map_header, scale_sigma) == 48 && sizeof(((cairn_map_header *)0)->scale_sigma) == 4);
-CAIRN_ASSERT(offsetof(cairn_map_header, scale) == 52 && sizeof(((cairn_map_header *)0)->scale) == 1);
-CAIRN_ASSERT(offsetof(cairn_map_header, clock) == 53 && sizeof(((cairn_map_header *)0)->clock) == 1);
-CAIRN_ASSERT(offsetof(cairn_map_header, reserved) == 54 && sizeof(((cairn_map_header *)0)->reserved) == 2);
+CAIRN_ASSERT(offsetof(cairn_map_header, map_revision) == 48 && sizeof(((cairn_map_header *)0)->map_revision) == 4);
+CAIRN_ASSERT(offsetof(cairn_map_header, scale_sigma) == 52 && sizeof(((cairn_map_header *)0)->scale_sigma) == 4);
+CAIRN_ASSERT(offsetof(cairn_map_header, scale) == 56 && sizeof(((cairn_map_header *)0)->scale) == 1);
+CAIRN_ASSERT(offsetof(cairn_map_header, scale_source) == 57 && sizeof(((cairn_map_header *)0)->scale_source) == 1);
+CAIRN_ASSERT(offsetof(cairn_map_header, clock) == 58 && sizeof(((cairn_map_header *)0)->clock) == 1);
+CAIRN_ASSERT(offsetof(cairn_map_header, map_mode) == 59 && sizeof(((cairn_map_header *)0)->map_mode) == 1);
+CAIRN_ASSERT(offsetof(cairn_map_header, reserved) == 60 && sizeof(((cairn_map_header *)0)->reserved) == 4);
 CAIRN_ASSERT(sizeof(cairn_keyframe) == 72);
 CAIRN_ASSERT(offsetof(cairn_keyframe, timestamp_ns) == 0 && sizeof(((cairn_keyframe *)0)->timestamp_ns) == 8);
 CAIRN_ASSERT(offsetof(cairn_keyframe, position) == 8 && sizeof(((cairn_keyframe *)0)->position) == 24);
 CAIRN_ASSERT(offsetof(cairn_keyframe, orientation) == 32 && sizeof(((cairn_keyframe *)0)->orientation) == 32);
 CAIRN_ASSERT(offsetof(cairn_keyframe, id) == 64 && sizeof(((cairn_keyframe *)0)->id) == 4);
 CAIRN_ASSERT(offsetof(cairn_keyframe, reserved) == 68 && sizeof(((cairn_keyframe *)0)->reserved) == 4);
-CAIRN_ASSERT(sizeof(cairn_keyframes_header) == 56);
+CAIRN_ASSERT(sizeof(cairn_keyframes_header) == 64);
 CAIRN_ASSERT(offsetof(cairn_keyframes_header, run_id) == 0 && sizeof(((cairn_keyframes_header *)0)->run_id) == 8);
-CAIRN_ASSERT(offsetof(cairn_keyframes_header, revision) == 8 && sizeof(((cairn_keyframes_header *)0)->revision) == 8);
+CAIRN_ASSERT(offsetof(cairn_keyframes_header, content_revision) == 8 && sizeof(((cairn_keyframes_header *)0)->content_revision) == 8);
 CAIRN_ASSERT(offsetof(cairn_keyframes_header, timestamp_ns) == 16 && sizeof(((cairn_keyframes_header *)0)->timestamp_ns) == 8);
 CAIRN_ASSERT(offsetof(cairn_keyframes_header, published_ns) == 24 && sizeof(((cairn_keyframes_header *)0)->published_ns) == 8);
 CAIRN_ASSERT(offsetof(cairn_keyframes_header, count) == 32 && sizeof(((cairn_keyframes_header *)0)->count) == 4);
 CAIRN_ASSERT(offsetof(cairn_keyframes_header, total) == 36 && sizeof(((cairn_keyframes_header *)0)->total) == 4);
 CAIRN_ASSERT(offsetof(cairn_keyframes_header, map_id) == 40 && sizeof(((cairn_keyframes_header *)0)->map_id) == 4);
 CAIRN_ASSERT(offsetof(cairn_keyframes_header, reset_counter) == 44 && sizeof(((cairn_keyframes_header *)0)->reset_counter) == 4);
-CAIRN_ASSERT(offsetof(cairn_keyframes_header, scale_sigma) == 48 && sizeof(((cairn_keyframes_header *)0)->scale_sigma) == 4);
-CAIRN_ASSERT(offsetof(cairn_keyframes_header, scale) == 52 && sizeof(((cairn_keyframes_header *)0)->scale) == 1);
-CAIRN_ASSERT(offsetof(cairn_keyframes_header, clock) == 53 && sizeof(((cairn_keyframes_header *)0)->clock) == 1);
-CAIRN_ASSERT(offsetof(cairn_keyframes_header, reserved) == 54 && sizeof(((cairn_keyframes_header *)0)->reserved) == 2);
+CAIRN_ASSERT(offsetof(cairn_keyframes_header, map_revision) == 48 && sizeof(((cairn_keyframes_header *)0)->map_revision) == 4);
+CAIRN_ASSERT(offsetof(cairn_keyframes_header, scale_sigma) == 52 && sizeof(((cairn_keyframes_header *)0)->scale_sigma) == 4);
+CAIRN_ASSERT(offsetof(cairn_keyframes_header, scale) == 56 && sizeof(((cairn_keyframes_header *)0)->scale) == 1);
+CAIRN_ASSERT(offsetof(cairn_keyframes_header, scale_source) == 57 && sizeof(((cairn_keyframes_header *)0)->scale_source) == 1);
+CAIRN_ASSERT(offsetof(cairn_keyframes_header, clock) == 58 && sizeof(((cairn_keyframes_header *)0)->clock) == 1);
+CAIRN_ASSERT(offsetof(cairn_keyframes_header, map_mode) == 59 && sizeof(((cairn_keyframes_header *)0)->map_mode) == 1);
+CAIRN_ASSERT(offsetof(cairn_keyframes_header, reserved) == 60 && sizeof(((cairn_keyframes_header *)0)->reserved) == 4);
 CAIRN_ASSERT(sizeof(cairn_frame_header) == 48);
 CAIRN_ASSERT(offsetof(cairn_frame_header, run_id) == 0 && sizeof(((cairn_frame_header *)0)->run_id) == 8);
 CAIRN_ASSERT(offsetof(cairn_frame_header, sequence) == 8 && sizeof(((cairn_frame_header *)0)->sequence) == 8);

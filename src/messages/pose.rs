@@ -65,7 +65,7 @@ pub struct Pose {
     pub landmarks: u32,
     /// Landmarks that were looked for in this frame.
     pub landmarks_sought: u32,
-    /// Grows with every reset and re-initialisation: poses across a change are unrelated.
+    /// Grows with every reset and re-initialisation, and where an orientation without a map begins anew: poses across a change are unrelated.
     pub reset_counter: u32,
     /// The map that the pose is in.
     pub map_id: u32,

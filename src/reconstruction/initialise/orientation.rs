@@ -33,6 +33,10 @@ const FEW_SHARE: f64 = 0.5;
 const OUTGROWN: f64 = 1.2;
 /// What all tracks of two frames share in drift of the flow, readout and lens, rad: 0.3 px of a usual camera.
 const SHARED_RAD: f64 = 6e-4;
+/// What is told of the covariance, over what the formulas above give: they leave out the lens's further coefficients, the readout of the rows, and
+/// what neighbouring tracks have in common beyond that. In four simulated turns on the spot (seeds 4 and 11 to 13, 300 frames each) the mean of
+/// the squared error in standard deviations was 10 to 19 without it, where 3 is due.
+const LEFT_OUT: f64 = 5.0;
 /// Frames farther apart tell no angular velocity, s.
 const LONGEST_STEP_S: f64 = 0.3;
 
@@ -145,7 +149,7 @@ impl OrientationTracker {
         let before = self.last.replace((known, turn));
         OrientationEstimate {
             first_from_camera: known.first_from_camera,
-            covariance: known.covariance + known.by_lens * known.by_lens.transpose(),
+            covariance: (known.covariance + known.by_lens * known.by_lens.transpose()) * LEFT_OUT,
             angular_velocity: known.angular_velocity(before.as_ref().map(|(before, _)| before)),
         }
     }

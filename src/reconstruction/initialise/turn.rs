@@ -229,7 +229,8 @@ impl TurnProblem<'_> {
         let place = p.xy() / p.z;
         let residual = scale * (place - second);
         let by_point = scale * Matrix2x3::new(1.0, 0.0, -place.x, 0.0, 1.0, -place.y) / p.z;
-        let by_lens = |first: Vector2<f64>, second| by_point * (s.rotation * first.push(0.0)) - scale * second;
+        let by_lens =
+            |first: Vector2<f64>, second: Vector2<f64>| by_point * (s.rotation * first.push(0.0)) - scale * second;
         let mut jacobian = SMatrix::<f64, 2, UNKNOWNS>::zeros();
         jacobian.fixed_view_mut::<2, 3>(0, 0).copy_from(&(-by_point * turned.cross_matrix()));
         jacobian.fixed_view_mut::<2, 3>(0, 3).copy_from(&by_point);

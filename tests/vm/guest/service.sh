@@ -119,7 +119,7 @@ check "camera rule" test "$(stat -c '%G %a' /dev/video0)" = "video 660"
 check "frames flow" within 15 status_lacks NO_
 check "planners of the user hear it" flowing
 check "root is told why it hears nothing" says cairn cairn watch --count 1 --timeout 3
-check "journal: STATE" within 10 logged STATE=INITIALIZING PRIORITY=6
+check "journal: STATE" within 10 logged STATE=INITIALIZING STATE=ORIENTATION PRIORITY=6
 check "doctor hears no fault" says "and no fault" as cairn cairn doctor
 check "doctor finds nothing to do" says "has all it needs" as cairn cairn doctor
 check "doctor of root sees who has the camera" says "is used by a daemon (pid $(show MainPID))" cairn doctor
