@@ -107,7 +107,7 @@ fn measure() {
 fn bare_message((_, publisher, notifier): &BarePublisher) -> i64 {
     std::thread::sleep(PERIOD);
     let start = Instant::now();
-    publisher.send_copy(Bare { published_ns: monotonic_ns(), filler: [0; 52] }).expect("send");
+    publisher.send_copy(Bare { published_ns: monotonic_ns(), filler: [0; 55] }).expect("send");
     notifier.notify().expect("notify");
     start.elapsed().as_nanos() as i64
 }

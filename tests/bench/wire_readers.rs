@@ -24,7 +24,7 @@ const QUIET: Duration = Duration::from_millis(600);
 #[type_name("bench.Bare.v1")]
 pub struct Bare {
     pub published_ns: i64,
-    pub filler: [u64; 52],
+    pub filler: [u64; 55],
 }
 const _: () = assert!(size_of::<Bare>() == size_of::<cairn::messages::Pose>());
 
