@@ -99,6 +99,7 @@ pub(super) fn unit(key: &str) -> Option<&'static str> {
         ("_mb", "MB"),
         ("_percent", "%"),
         ("_m_s", "m/s"),
+        ("_deg_s", "degrees/s"),
     ];
     // The longest suffix wins: `_m_s` is not `_s`.
     UNITS

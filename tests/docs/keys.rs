@@ -70,8 +70,11 @@ fn unit(key: &str) -> Option<&'static str> {
         ("_frames", "frames"),
         ("_widths", "picture widths"),
         ("_ev", "EV"),
+        ("_m_s", "m/s"),
+        ("_deg_s", "degrees/s"),
     ];
-    units.iter().find(|(end, _)| key.ends_with(end)).map(|(_, unit)| *unit)
+    // The longest end wins: `_m_s` is not `_s`.
+    units.iter().filter(|(end, _)| key.ends_with(end)).max_by_key(|(end, _)| end.len()).map(|(_, unit)| *unit)
 }
 
 /// Equal, numbers to the precision that the configuration keeps of them.
