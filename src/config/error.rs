@@ -82,7 +82,7 @@ fn excerpt(text: &str, span: &Range<usize>) -> String {
 
 /// The unit that a key's name ends in, spelled out.
 pub(super) fn unit(key: &str) -> Option<&'static str> {
-    const UNITS: [(&str, &str); 16] = [
+    const UNITS: [(&str, &str); 17] = [
         ("_px", "px"),
         ("_ns", "ns"),
         ("_us", "us"),
