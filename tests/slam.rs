@@ -149,7 +149,7 @@ fn orientation_error(run: &Run, i: usize) -> Option<(f64, f64)> {
     let first = run.estimates.iter().position(since)?;
     let truth = run.truth[first].1.rotation.inverse() * run.truth[i].1.rotation;
     let e = (told.first_from_camera.inverse() * truth).scaled_axis();
-    let squared = told.covariance.try_inverse().map_or(0.0, |inverse| e.dot(&(inverse * e)));
+    let squared = told.covariance.try_inverse().map_or(f64::INFINITY, |inverse| e.dot(&(inverse * e)));
     Some((e.norm(), squared))
 }
 

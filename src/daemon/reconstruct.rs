@@ -284,7 +284,14 @@ impl ReconstructStep {
         }
         if self.last_state != Some(e.state) {
             let from = self.last_state.map_or("none", state_name);
-            info!(sequence, timestamp_ns, map, from, state = state_name(e.state), landmarks = e.landmarks, "state");
+            let (state, landmarks) = (state_name(e.state), e.landmarks);
+            // In dim light an orientation may come and go with each frame, which would fill a journal.
+            let before_a_map = |s: TrackingState| matches!(s, TrackingState::Initializing | TrackingState::Orientation);
+            if before_a_map(e.state) && self.last_state.is_some_and(before_a_map) {
+                debug!(sequence, timestamp_ns, map, from, state, landmarks, "state");
+            } else {
+                info!(sequence, timestamp_ns, map, from, state, landmarks, "state");
+            }
             self.last_state = Some(e.state);
         }
         let Some(reconstruction) = &self.reconstruction else { return };

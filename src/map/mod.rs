@@ -404,6 +404,11 @@ impl Map {
         let Some(entry) = self.landmark(gone).filter(|_| kept != gone) else { return };
         let seen: Vec<(KeyframeId, Observation)> =
             entry.observers.iter().filter_map(|&k| Some((k, *self.keyframe(k)?.observation(gone)?))).collect();
+        for (keyframe, _) in &seen {
+            if let Some(k) = self.keyframes.get_mut(keyframe.0) {
+                k.picture.rename(gone.0, kept.0);
+            }
+        }
         self.remove_landmark(gone);
         for (keyframe, observation) in seen {
             self.add_observation(keyframe, Observation { landmark: kept, ..observation });

@@ -94,6 +94,14 @@ impl KeyframePicture {
         (self.patches, self.pyramid) = (patches, Arc::new(coarser));
     }
 
+    /// One landmark turned out to be another.
+    pub(super) fn rename(&mut self, landmark: u32, to: u32) {
+        if let (Ok(from), Err(_)) = (self.place(landmark), self.place(to)) {
+            self.patches[from].landmark = to;
+            self.patches.sort_by_key(|p| p.landmark);
+        }
+    }
+
     /// The landmark is not observed any more.
     pub(super) fn forget(&mut self, landmark: u32) {
         if let Ok(i) = self.place(landmark) {

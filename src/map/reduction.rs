@@ -22,7 +22,9 @@ impl Map {
         }
         if let Some(k) = self.keyframes.get_mut(id.0) {
             k.picture.reduce(kept.into_iter());
-            k.corners = Vec::new();
+            if k.picture.whole().is_none() {
+                k.corners = Vec::new();
+            }
         }
     }
 

@@ -2,7 +2,8 @@
 //!
 //! A join carries what was in another map's coordinates over into the present ones, and the first adjustment of both together then moves
 //! poses and landmarks by more than the usual fraction of a pixel. A planner that keeps things in map coordinates must hear of both: each
-//! raises the revision that pose and map messages carry. Ordinary adjustments are left uncounted, as they come several times a second.
+//! raises the revision that pose and map messages carry, and so does a camera that is
+//! placed anew once parallax tells where it went behind a turn on the spot. Ordinary adjustments are left uncounted, as they come several times a second.
 
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
@@ -34,10 +35,15 @@ impl Corrections {
     /// An adjustment was merged that moved the newest camera so.
     pub(super) fn adjusted(&mut self, old: &Se3<Camera, World>, new: &Se3<Camera, World>) {
         if std::mem::take(&mut self.awaited) {
-            self.revision = self.revision.wrapping_add(1);
-            self.distance = (old.inverse().translation - new.inverse().translation).norm();
-            self.angle_rad = old.rotation.angle_to(&new.rotation);
+            self.moved(old, new);
         }
+    }
+
+    /// The newest camera was placed anew, and what was seen since a turn with it.
+    pub(super) fn moved(&mut self, old: &Se3<Camera, World>, new: &Se3<Camera, World>) {
+        self.revision = self.revision.wrapping_add(1);
+        self.distance = (old.inverse().translation - new.inverse().translation).norm();
+        self.angle_rad = old.rotation.angle_to(&new.rotation);
     }
 
     /// Another map begins: what is adjusted next is that one.

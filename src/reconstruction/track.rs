@@ -232,12 +232,16 @@ impl Tracker {
             self.pairs.push(PosePair::new(landmark.position, normalised, pixel_scale, 1.0 / FLOW_SIGMA_PX));
         }
         let tracks = self.pairs.len();
+        let assumed = features
+            .tracks
+            .iter()
+            .any(|t| matches!(bindings.get(t.id), Some(Target::Landmark(id)) if is_assumed(frame, *id)));
         self.seeds.append_pairs(guess, frame.motion.as_ref(), frame.shutter, &mut self.pairs);
         // Seeds alone would rest on a distance that nobody knows.
         if tracks == 0 || self.pairs.len() < MIN_FLOW {
             return None;
         }
-        let options = PoseOptions { first_round_relaxation: 25.0, ..pose_options(frame) };
+        let options = PoseOptions { first_round_relaxation: 25.0, ..pose_options(frame, assumed) };
         let solution = optimise_pose(guess, &self.pairs, &options, &mut self.inlier)?;
         (solution.inliers >= MIN_FLOW && 2 * solution.inliers >= self.pairs.len()).then_some(solution.camera_from_world)
     }
@@ -279,7 +283,7 @@ impl Tracker {
             // The motion that the shutter saw is known only now. (Without: errors 17 % larger over 35 sequences.)
             solution = self.solve(frame, &solution.camera_from_world, motion.as_ref())?;
         }
-        if self.rests_on_assumed(frame) {
+        if self.assumes(frame) {
             // Distances were eliminated at poses that did not know that the camera has moved.
             for _ in 0..MAX_ELIMINATIONS {
                 let before = solution.camera_from_world;
@@ -327,7 +331,7 @@ impl Tracker {
             self.pairs.push(measurement_of(frame, m.landmark, start, pair));
         }
         self.seeds.append_pairs(start, motion, shutter, &mut self.pairs);
-        let solution = optimise_pose(start, &self.pairs, &pose_options(frame), &mut self.inlier)?;
+        let solution = optimise_pose(start, &self.pairs, &pose_options(frame, self.assumes(frame)), &mut self.inlier)?;
         // Seeds come after the matches.
         for (m, &ok) in self.search.matches.iter_mut().zip(&self.inlier) {
             m.inlier = ok;
@@ -335,8 +339,9 @@ impl Tracker {
         Some(solution)
     }
 
-    fn rests_on_assumed(&self, frame: &Frame<'_>) -> bool {
-        !self.seeds.is_empty() || self.search.matches.iter().any(|m| is_assumed(frame, m.landmark))
+    /// Landmarks of assumed distance are among those found.
+    fn assumes(&self, frame: &Frame<'_>) -> bool {
+        self.search.matches.iter().any(|m| is_assumed(frame, m.landmark))
     }
 
     /// The last solution with the newcomers that agree with established landmarks only.
@@ -346,8 +351,9 @@ impl Tracker {
         // Nothing vouches for seeds, which come after the matches.
         let established =
             |i: usize| matches.get(i).and_then(|m| frame.map.landmark(m.landmark)).is_some_and(|l| l.found >= enough);
-        let options = pose_options(frame);
-        let judged = self.newcomers.judge(&self.pairs, established, &solution, &options, &mut self.inlier);
+        let options = pose_options(frame, self.assumes(frame));
+        let judged =
+            self.newcomers.judge(&self.pairs, matches.len(), established, &solution, &options, &mut self.inlier);
         for (m, &ok) in self.search.matches.iter_mut().zip(&self.inlier) {
             m.inlier = ok;
         }
@@ -355,9 +361,10 @@ impl Tracker {
     }
 }
 
-/// Leverage is judged through a lens that is known: a wrong one bends the picture most where leverage is.
-fn pose_options(frame: &Frame<'_>) -> PoseOptions {
-    PoseOptions { leverage: frame.is_calibrated, ..PoseOptions::default() }
+/// Leverage is judged through a lens that is known (a wrong one bends the picture most where leverage is), and where no landmark's
+/// distance is assumed: those agree with every way of the camera and would contradict the few that know it.
+fn pose_options(frame: &Frame<'_>, assumed: bool) -> PoseOptions {
+    PoseOptions { leverage: frame.is_calibrated && !assumed, ..PoseOptions::default() }
 }
 
 /// Whether the camera can have made this step (it was expected to turn by `expected_rad`) among landmarks at this mean depth.

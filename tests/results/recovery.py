@@ -273,7 +273,7 @@ def cases(way, folder, seed, depth):
                     short = recording(folder, again, shown[: found + BEYOND])
                     error = error_at(*replay(short, out)[2:], shown[found], poses[found])
             waited = math.inf if found is None else max(0, found - (back if back is not None else found))
-            lost = any(states[i] != ("TRACKING", own) for i in range(first, after + 1))
+            lost = any(states[i] not in (("TRACKING", own), ("DROPPED", -1)) for i in range(first, after + 1))
             yield "came back", (waited, error and error / depth, one, lost)
 
 

@@ -53,9 +53,10 @@ struct Known {
 }
 
 impl Known {
-    /// By definition, at the first frame.
+    /// By definition, at the first frame; a covariance of zero would be read as an unknown one.
     fn first(timestamp_ns: i64) -> Self {
-        let (covariance, by_lens) = (Matrix3::zeros(), Matrix3x2::zeros());
+        let covariance = Matrix3::from_diagonal_element(SHARED_RAD * SHARED_RAD);
+        let by_lens = Matrix3x2::zeros();
         Self { timestamp_ns, first_from_camera: UnitQuaternion::identity(), covariance, by_lens }
     }
 

@@ -60,6 +60,9 @@ impl Reconstruction {
             features.sequence,
         )?;
         let pose = placed.camera_from_world;
+        if let Some(before) = self.active.odometry.last.map(|last| last.camera_from_world) {
+            self.corrections.moved(&before, &pose);
+        }
         self.active.odometry.replace(pose);
         // One under way began from poses that are no more; the keyframe that this frame becomes posts another.
         self.mapper.discard();

@@ -53,11 +53,12 @@ impl Newcomers {
         Self { established: flags(), heard: flags(), pairs: Vec::with_capacity(n), inlier: flags() }
     }
 
-    /// `established` and `inlier`: one flag a pair; `inlier` comes from `solution` and is overwritten with the result's. `None`
+    /// `landmarks`: so many pairs are of landmarks, seeds come after them. `established` and `inlier`: one flag a pair; `inlier` comes from `solution` and is overwritten with the result's. `None`
     /// leaves everything as it was: no newcomer takes part, or the established are too few to speak.
     pub fn judge(
         &mut self,
         pairs: &[PosePair],
+        landmarks: usize,
         established: impl Fn(usize) -> bool,
         solution: &PoseSolution,
         options: &PoseOptions,
@@ -77,12 +78,16 @@ impl Newcomers {
         // The established pose is as sure as its own residuals say, unless most newcomers say that it is not: they are seldom wrong
         // all over, it is where a turn leaves it little at the edge of the picture.
         let sure = doubt * (own.scale * own.scale);
-        let doubt = if 2 * self.hear(pairs, &own, &sure) < self.hear(pairs, &own, &doubt) { doubt } else { sure };
+        let doubt = if 2 * self.hear(pairs, landmarks, &own, &sure) < self.hear(pairs, landmarks, &own, &doubt) {
+            doubt
+        } else {
+            sure
+        };
         let mut agreed = own;
         // Together they may still pull further than one alone could: then only those count that lie just where the established
         // pose puts them.
         for doubt in [doubt, Matrix6::zeros()] {
-            self.hear(pairs, &own, &doubt);
+            self.hear(pairs, landmarks, &own, &doubt);
             take(pairs, &self.heard, &mut self.pairs);
             agreed = optimise_pose(&own.camera_from_world, &self.pairs, options, &mut self.inlier)?;
             let step = agreed.camera_from_world * own.camera_from_world.inverse();
@@ -99,14 +104,15 @@ impl Newcomers {
         Some(agreed)
     }
 
-    /// Hears the established, and the newcomers that lie where a pose of that covariance lets them lie; how many these are.
-    fn hear(&mut self, pairs: &[PosePair], own: &PoseSolution, doubt: &Matrix6<f64>) -> usize {
+    /// Hears the established, and the newcomers that lie where a pose of that covariance lets them lie; how many of these are
+    /// landmarks.
+    fn hear(&mut self, pairs: &[PosePair], landmarks: usize, own: &PoseSolution, doubt: &Matrix6<f64>) -> usize {
         let mut newcomers = 0;
         self.heard.clear();
-        for (pair, &established) in pairs.iter().zip(&self.established) {
+        for (i, (pair, &established)) in pairs.iter().zip(&self.established).enumerate() {
             let agrees =
                 !established && pair.innovation(&own.camera_from_world, doubt).is_some_and(|chi2| chi2 <= CHI2_2D_95);
-            newcomers += usize::from(agrees);
+            newcomers += usize::from(agrees && i < landmarks);
             self.heard.push(established || agrees);
         }
         newcomers
@@ -172,7 +178,7 @@ mod tests {
             let newcomers = |inlier: &[bool]| inlier[60..].iter().filter(|i| **i).count();
             assert!(bent > 0.004 && newcomers(&inlier) > 60, "seed {seed}: the scene is too easy, off by {bent}");
             let asked = Newcomers::default()
-                .judge(&pairs, |i| i < 60, &all, &PoseOptions::default(), &mut inlier)
+                .judge(&pairs, pairs.len(), |i| i < 60, &all, &PoseOptions::default(), &mut inlier)
                 .expect("a judgement");
             assert!(off(&asked) < 0.5 * bent, "seed {seed}: off by {} and before by {bent}", off(&asked));
             assert!(newcomers(&inlier) < 45, "seed {seed}: {} newcomers took part", newcomers(&inlier));
@@ -188,7 +194,7 @@ mod tests {
             let (all, mut inlier) = solved(&truth, &pairs);
             before += count(&inlier);
             Newcomers::default()
-                .judge(&pairs, |i| i < 60, &all, &PoseOptions::default(), &mut inlier)
+                .judge(&pairs, pairs.len(), |i| i < 60, &all, &PoseOptions::default(), &mut inlier)
                 .expect("a judgement");
             after += count(&inlier);
         }
@@ -208,8 +214,14 @@ mod tests {
         let (all, inlier) = solved(&truth, &pairs);
         let mut asked = inlier.clone();
         for established in [0, MIN_ESTABLISHED - 1, pairs.len()] {
-            let judged =
-                Newcomers::default().judge(&pairs, |i| i < established, &all, &PoseOptions::default(), &mut asked);
+            let judged = Newcomers::default().judge(
+                &pairs,
+                pairs.len(),
+                |i| i < established,
+                &all,
+                &PoseOptions::default(),
+                &mut asked,
+            );
             assert!(judged.is_none() && asked == inlier, "{established}");
         }
     }

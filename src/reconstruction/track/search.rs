@@ -288,14 +288,17 @@ pub fn align_template(
     let coarse_levels = options.coarse_levels.max(options.blurred_levels);
     for level in (own..=(own + coarse_levels).min(top)).rev() {
         let source_level = ((level as f64 - log_scale).round().max(0.0) as usize).min(top);
-        let scale = (1u32 << level) as f64 / (1u32 << source_level) as f64;
-        let source_from_patch = (inverse * scale).cast::<f32>();
-        let mut pixels = [0.0f32; 100];
-        let source = level_from_base(source_level, observation.pixel);
-        let Some(crop) = keyframe.picture.around(source_level, observation.landmark.0) else { continue };
-        if !warp_patch(&crop, source, &source_from_patch, &mut pixels) {
-            continue;
-        }
+        let cut = |source_level: usize| {
+            let scale = (1u32 << level) as f64 / (1u32 << source_level) as f64;
+            let source_from_patch = (inverse * scale).cast::<f32>();
+            let mut pixels = [0.0f32; 100];
+            let source = level_from_base(source_level, observation.pixel);
+            let crop = keyframe.picture.around(source_level, observation.landmark.0)?;
+            warp_patch(&crop, source, &source_from_patch, &mut pixels).then_some(pixels)
+        };
+        // Of a picture that was reduced there may be no patch, or too small a one: half the resolution is better than nothing.
+        let is_short = source_level == 0 && top > 0 && keyframe.picture.whole().is_none();
+        let Some(pixels) = cut(source_level).or_else(|| if is_short { cut(1) } else { None }) else { continue };
         let template = Template::from_pixels(&pixels);
         match align(&template, &pyramid.levels[level], level_from_base(level, position), &AlignOptions::default()) {
             Ok(aligned) if aligned.ncc >= MIN_CORRELATION => {
@@ -314,7 +317,7 @@ pub fn align_template(
     Some(Found { pixel: position, inv_sigma_px: 1.0 / (options.sigma_px * (1u32 << level) as f64) })
 }
 
-/// The observation whose direction of view is closest to the present one.
+/// The observation whose direction of view is closest to the present one, of those that show it in full if there are any.
 fn closest_view<'a>(
     map: &'a Map,
     centre: &Vector3<f64>,
@@ -324,15 +327,16 @@ fn closest_view<'a>(
     let ray = candidate.point - centre;
     let depth = ray.norm();
     let mut best = None;
-    let mut best_score = f64::NEG_INFINITY;
+    let mut best_score = (false, f64::NEG_INFINITY);
     for &id in &landmark.observers {
         let keyframe = map.keyframe(id)?;
         let other = candidate.point - keyframe.centre();
         let other_depth = other.norm();
         let cosine = ray.dot(&other) / (depth * other_depth).max(1e-12);
         // Angle first; a scale change of two costs as much as a turn by 25 degrees.
-        let score = cosine - 0.1 * (depth / other_depth.max(1e-12)).log2().abs();
-        if cosine >= MIN_VIEW_COSINE && score > best_score && keyframe.picture.shows(candidate.landmark.0) {
+        let closeness = cosine - 0.1 * (depth / other_depth.max(1e-12)).log2().abs();
+        let score = (keyframe.picture.shows(candidate.landmark.0), closeness);
+        if cosine >= MIN_VIEW_COSINE && score > best_score {
             best_score = score;
             best = Some(keyframe);
         }

@@ -70,11 +70,6 @@ impl SeedRays {
         }
     }
 
-    /// Whether none takes part.
-    pub fn is_empty(&self) -> bool {
-        self.list.is_empty()
-    }
-
     /// Their pairs near `pose`, for a camera that moves as `motion` says.
     pub fn append_pairs(
         &self,

@@ -262,7 +262,8 @@ impl<const W: usize> System<W> {
         g.fixed_rows_mut::<W>(at).copy_from(&-self.global_gradient);
         let mut inverses = Vec::with_capacity(self.points.len());
         for (i, point) in self.points.iter().enumerate() {
-            let inverse = damped(&point.own, damping).try_inverse().unwrap_or_else(Matrix3::zeros);
+            let inverse = damped(&point.own, damping).try_inverse();
+            let inverse = inverse.filter(|m| m.iter().all(|v| v.is_finite())).unwrap_or_else(Matrix3::zeros);
             let rest = inverse * point.gradient;
             let seen = self.seen(i);
             for (a, cross_a) in seen {

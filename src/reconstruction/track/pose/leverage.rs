@@ -29,6 +29,7 @@ const BINS_PER_SIGMA: f64 = 64.0;
 pub(super) struct Fit {
     pub(super) information: Matrix6<f64>,
     pub(super) count: usize,
+    /// Of residuals whitened by the landmarks' own uncertainty, in px.
     pub(super) sum_px2: f64,
     pub(super) scale: f64,
 }
@@ -42,7 +43,7 @@ impl Fit {
             let Some((e, p)) = residual(pose, pair) else { continue };
             let (jx, jy) = jacobian_rows(&p, &pair.sqrt_information);
             accumulate(&mut information, &jx, &jy, 1.0);
-            let w = 1.0 / pair.variance_px2;
+            let w = pair.certainty / pair.variance_px2;
             sum_px2 += e.norm_squared() * pair.variance_px2;
             bins[((e.norm() * BINS_PER_SIGMA) as usize).min(BINS - 1)] += w;
             weight += w;
