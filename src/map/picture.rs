@@ -1,7 +1,7 @@
 //! What a keyframe keeps of its picture: all of it while it is among the newest or their neighbours, later what templates are cut from.
 //!
 //! Level 0 is three quarters of a pyramid, and of an old keyframe little of it is read again: the surroundings of its landmarks. So
-//! [`reduce`](KeyframePicture::reduce) replaces level 0 by patches of [`PATCH_PX`] x [`PATCH_PX`] pixels around some of its
+//! `reduce` replaces level 0 by patches of [`PATCH_PX`] x [`PATCH_PX`] pixels around some of its
 //! observations ([`Map::reduce_picture`](super::Map::reduce_picture) says which) and keeps the coarser levels whole: relocalisation
 //! describes landmarks there, and coarse searches start there.
 //!
