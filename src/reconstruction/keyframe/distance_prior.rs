@@ -18,9 +18,11 @@ use super::point::{refine_point, reprojection_chi2};
 use crate::geometry::{CameraModel, median};
 use crate::map::{KeyframeId, Landmark, LandmarkId, Map, Observation};
 use crate::reconstruction::measurement::CHI2_2D_95;
-use crate::reconstruction::measurement::inverse_distance::{FEW_MATCHES, Ray, SIGMA_SHARE};
+use crate::reconstruction::measurement::inverse_distance::{Ray, SIGMA_SHARE};
 use crate::reconstruction::track::search::Match;
 
+/// A keyframe with fewer matches than this makes landmarks at an assumed distance.
+const FEW_MATCHES: usize = 60;
 /// A distance is told by parallax once its standard deviation is below this share of it (a degree of parallax gives 0.13).
 const TOLD_SHARE: f64 = 0.2;
 /// A keyframe that sees landmarks at assumed distances and fewer others than this stays where it was tracked.

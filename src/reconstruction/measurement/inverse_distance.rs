@@ -10,8 +10,6 @@ use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::map::{AssumedDistance, LandmarkId, Map, Observation};
 
-/// A keyframe with fewer matches than this makes landmarks at an assumed distance.
-pub const FEW_MATCHES: usize = 60;
 /// Standard deviation of the inverse distance in shares of it. A narrow one is worse than none: together, many landmarks would
 /// rather turn the camera than not lie on a sphere.
 pub const SIGMA_SHARE: f64 = 2.0;
