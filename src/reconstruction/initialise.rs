@@ -3,8 +3,7 @@
 mod consensus;
 pub mod initialiser;
 pub mod orientation;
-pub mod pure_rotation;
-mod turn;
+pub mod turn;
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -49,13 +48,8 @@ const REFINE_PX: f64 = 2.0;
 impl Reconstruction {
     /// A frame without a map: perhaps the one that makes it; else how the camera has turned since the first one.
     pub(super) fn try_start(&mut self, features: &FrameFeatures) -> PoseEstimate {
-        let starts = self.initialiser.step(
-            features,
-            &self.optics.camera,
-            self.optics.intrinsics.freedom().as_ref(),
-            &self.config,
-        );
         let uncertainty = self.optics.intrinsics.uncertainty();
+        let starts = self.initialiser.step(features, &self.optics.camera, &uncertainty, &self.config);
         let orientation = self.orientation.step(features, &self.optics.camera, &uncertainty);
         match self.start_from(&starts, features) {
             Some(estimate) => self.go_on_turning(estimate),
@@ -174,7 +168,7 @@ impl Reconstruction {
         if sigma > MAX_DIRECTION_SIGMA * (1.0 + start.trying_s / PATIENCE_S).min(LARGEST_RELAXATION) {
             return None;
         }
-        if self.optics.intrinsics.freedom().is_none() {
+        if self.optics.intrinsics.is_calibrated() {
             if !self.most_agrees(&views, start.trying_s) {
                 self.initialiser.disagree();
                 return None;

@@ -81,7 +81,7 @@ pub struct NewKeyframe<'a> {
     pub scale_from: Option<TurnId>,
     /// Its pose rests on assumed distances: nothing can be triangulated from it.
     pub unmeasured: bool,
-    /// Distance at which corners without parallax become landmarks, map units; `None`: there are enough without them.
+    /// Distance at which corners without parallax become landmarks, map units; `None` where nothing tells one.
     pub assumed_distance: Option<f64>,
 }
 

@@ -184,12 +184,7 @@ impl Intrinsics {
         }
     }
 
-    /// How far the lens may be from what it is supposed to be; `None`: it was calibrated.
-    pub fn freedom(&self) -> Option<LensFreedom> {
-        self.guessed.then(|| self.uncertainty())
-    }
-
-    /// The same of any lens.
+    /// How far the lens may be from what it is supposed to be.
     pub fn uncertainty(&self) -> LensFreedom {
         LensFreedom { focal: self.sigma[0], centre_px: self.sigma[1], distortion: self.sigma[3] }
     }

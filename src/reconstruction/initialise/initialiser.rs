@@ -3,16 +3,16 @@
 //! Views are held while their tracks live, and the oldest of them is the reference. Once the flow that a rotation cannot explain is
 //! large enough, two-view geometry is tried (essential matrix or homography, [`two_view`](crate::geometry::two_view)): from the
 //! oldest view, which has the longest baseline, and from the oldest that shares half of today's tracks, which has more points.
-//! Standing still and turning on the spot never pass: their rotation-compensated flow stays at the noise. Of a lens that is a guess,
-//! what a rotation seen through another lens explains is taken out as well (`pure_rotation`). All frames in between are remembered by
-//! their tracks, so that their poses can be solved once there is a map.
+//! Standing still and turning on the spot never pass: their rotation-compensated flow stays at the noise. What a rotation seen through
+//! another lens than the supposed one explains is taken out as well, as far as the lens is uncertain (`turn`). All frames in between
+//! are remembered by their tracks, so that their poses can be solved once there is a map.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use nalgebra::{Matrix3, Rotation3, Vector2, Vector3};
+use nalgebra::{Vector2, Vector3};
 
-use super::pure_rotation::unexplained_flow;
+use super::turn::{Pair, SupposedLens, unexplained_px};
 use crate::features::{FrameFeatures, Track};
 use crate::geometry::frames::{First, Second};
 use crate::geometry::two_view::{TwoViewOptions, reconstruct_two_views};
@@ -111,6 +111,7 @@ pub struct Initialiser {
     /// How long the camera has moved without a start, s: standing still takes it back. It outlasts the reference.
     trying_s: f64,
     last_ns: Option<i64>,
+    lengths: Vec<f64>,
     /// All frames since the last reset, or since the map before was lost, that may still get a pose, the reference among them.
     pub pending: VecDeque<PendingFrame>,
 }
@@ -169,30 +170,27 @@ impl Initialiser {
         self.views.push(view());
     }
 
-    /// Takes a frame; what it could start together with a view before, best first. `freedom`: of a lens that is a guess.
+    /// Takes a frame; what it could start together with a view before, best first. `freedom`: of the lens.
     pub fn step(
         &mut self,
         features: &FrameFeatures,
         camera: &CameraModel,
-        freedom: Option<&LensFreedom>,
+        freedom: &LensFreedom,
         config: &ReconstructionConfig,
     ) -> Vec<Start> {
         let Some(pairs) = self.follow(features, camera) else { return Vec::new() };
-        let flow = rotation_compensated_flow(&pairs, camera);
-        self.spend_patience(features.timestamp_ns, flow.0);
-        let richer = |pairs: &Vec<Pair>| 2 * pairs.len() >= features.tracks.len();
+        let lens = SupposedLens { focal_px: camera.focal_px(), freedom: *freedom };
+        let flow = unexplained_px(&pairs.places, lens, &mut self.lengths);
+        self.spend_patience(features.timestamp_ns, flow);
+        let richer = |pairs: &Pairs| 2 * pairs.tracks.len() >= features.tracks.len();
         let second = if richer(&pairs) {
             None
         } else {
             let pairs = |v: &View| pairs_with(v, features, camera).filter(richer);
             self.views.iter().enumerate().skip(1).find_map(|(i, v)| Some((i, pairs(v)?)))
         };
-        let second = second.map(|(i, pairs)| (i, rotation_compensated_flow(&pairs, camera), pairs));
-        let starts = std::iter::once((0, flow, pairs)).chain(second).filter_map(|(i, (mut flow, turn), pairs)| {
-            if let Some(freedom) = freedom.filter(|_| flow >= config.start_flow_px) {
-                let places: Vec<_> = pairs.iter().map(|p| (p.first, p.second)).collect();
-                flow = flow.min(unexplained_flow(&places, &turn, camera, freedom));
-            }
+        let second = second.map(|(i, pairs)| (i, unexplained_px(&pairs.places, lens, &mut self.lengths), pairs));
+        let starts = std::iter::once((0, flow, pairs)).chain(second).filter_map(|(i, flow, pairs)| {
             (flow >= config.start_flow_px).then(|| self.attempt(i, &pairs, features, camera, config))?
         });
         let starts = starts.collect();
@@ -209,7 +207,7 @@ impl Initialiser {
 
     /// Follows the tracks into a frame: those that the reference shares with it. `None` if no view does; then this frame becomes the
     /// reference.
-    fn follow(&mut self, features: &FrameFeatures, camera: &CameraModel) -> Option<Vec<Pair>> {
+    fn follow(&mut self, features: &FrameFeatures, camera: &CameraModel) -> Option<Pairs> {
         self.voted = false;
         self.pending.push_back(PendingFrame::of(features));
         if self.pending.len() > MAX_PENDING {
@@ -247,21 +245,22 @@ impl Initialiser {
     fn attempt(
         &self,
         index: usize,
-        pairs: &[Pair],
+        pairs: &Pairs,
         features: &FrameFeatures,
         camera: &CameraModel,
         config: &ReconstructionConfig,
     ) -> Option<Start> {
         let (reference, between) = self.views.get(index..)?.split_first()?;
-        let first: Vec<Vector2<f64>> = pairs.iter().map(|p| p.first).collect();
-        let second: Vec<Vector2<f64>> = pairs.iter().map(|p| p.second).collect();
+        let first: Vec<Vector2<f64>> = pairs.places.iter().map(|p| p.first).collect();
+        let second: Vec<Vector2<f64>> = pairs.places.iter().map(|p| p.second).collect();
         let options =
             TwoViewOptions { seed: features.sequence, ..TwoViewOptions::new(START_SIGMA_PX, camera.focal_px()) };
         let solution = reconstruct_two_views(&first, &second, &options).ok()?;
         let points: Vec<StartPoint> = pairs
+            .tracks
             .iter()
             .zip(&solution.points)
-            .filter_map(|(pair, point)| Some(StartPoint { track: pair.track, point: (*point)? }))
+            .filter_map(|(&track, point)| Some(StartPoint { track, point: (*point)? }))
             .collect();
         if points.len() < config.start_landmarks {
             return None;
@@ -276,87 +275,41 @@ impl Initialiser {
     }
 }
 
-#[derive(Debug, Clone, Copy)]
-struct Pair {
-    track: u64,
-    first: Vector2<f64>,
-    second: Vector2<f64>,
+/// Tracks that two frames share, and where both see them.
+struct Pairs {
+    tracks: Vec<u64>,
+    places: Vec<Pair>,
 }
 
-/// Tracks that a view shares with a frame, if they are enough.
-fn pairs_with(view: &View, features: &FrameFeatures, camera: &CameraModel) -> Option<Vec<Pair>> {
-    let pairs = common(&view.frame, &features.tracks, camera);
-    (pairs.len() >= MIN_COMMON.max(view.frame.tracks.len() / 4)).then_some(pairs)
-}
-
-/// Tracks that both frames see, undistorted; of a wide-angle lens where the plane z = 1 is even, as two-view geometry weighs all alike.
-fn common(reference: &PendingFrame, tracks: &[Track], camera: &CameraModel) -> Vec<Pair> {
-    let central = |n: &Vector2<f64>| camera.is_central(n);
-    tracks
-        .iter()
-        .filter_map(|t| {
-            let first_pixel = reference.track(t.id)?;
-            Some(Pair {
-                track: t.id,
-                first: camera.undistort(&first_pixel.cast()).filter(central)?,
-                second: camera.undistort(&t.position.cast()).filter(central)?,
-            })
-        })
-        .collect()
-}
-
-/// Median flow (px) that remains when the rotation that explains it best is taken out: Kabsch's rotation between the rays,
-/// twice, the second time over the better half. And that rotation, second from first.
-fn rotation_compensated_flow(pairs: &[Pair], camera: &CameraModel) -> (f64, Rotation3<f64>) {
-    let ray = |n: &Vector2<f64>| Vector3::new(n.x, n.y, 1.0).normalize();
-    let mut rest: Vec<f64> = Vec::new();
-    let mut limit = f64::INFINITY;
-    let mut rotation = Rotation3::identity();
-    for _ in 0..3 {
-        let mut sum = Matrix3::zeros();
-        for (i, p) in pairs.iter().enumerate() {
-            if rest.get(i).is_none_or(|&r| r <= limit) {
-                sum += ray(&p.second) * ray(&p.first).transpose();
-            }
-        }
-        let Some(svd) = sum.try_svd(true, true, 1e-12, 100) else { return (0.0, rotation) };
-        let (Some(u), Some(vt)) = (svd.u, svd.v_t) else { return (0.0, rotation) };
-        let d = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, (u * vt).determinant().signum()));
-        rotation = Rotation3::from_matrix_unchecked(u * d * vt);
-        rest.clear();
-        rest.extend(pairs.iter().map(|p| {
-            let r = rotation * ray(&p.first);
-            camera.pixels(&p.second, &(Vector2::new(r.x / r.z, r.y / r.z) - p.second))
-        }));
-        limit = crate::geometry::median(&mut rest.clone()).unwrap_or(0.0);
-    }
-    (limit, rotation)
+/// Tracks that a view shares with a frame, if they are enough; of a wide-angle lens where the plane z = 1 is even, as two-view geometry
+/// weighs all alike.
+fn pairs_with(view: &View, features: &FrameFeatures, camera: &CameraModel) -> Option<Pairs> {
+    let pair = |t: &Track| {
+        let first = camera.undistort(&view.frame.track(t.id)?.cast()).filter(|n| camera.is_central(n))?;
+        Some((t.id, Pair::of(first, &t.position, camera)?))
+    };
+    let (tracks, places): (Vec<_>, Vec<_>) = features.tracks.iter().filter_map(pair).unzip();
+    (tracks.len() >= MIN_COMMON.max(view.frame.tracks.len() / 4)).then_some(Pairs { tracks, places })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn pairs(rotation: Rotation3<f64>, translation: Vector3<f64>) -> Vec<Pair> {
-        let mut pairs = Vec::new();
+    const LENS: LensFreedom = LensFreedom { focal: 0.01, centre_px: 0.1, distortion: 0.02 };
+
+    /// Where a camera that has moved so sees some eighty points.
+    fn places(moved: Vector3<f64>) -> Vec<Vector2<f64>> {
+        let mut places = Vec::new();
         for i in 0..10 {
             for j in 0..8 {
                 let depth = 3.0 + ((i * 7 + j * 3) % 5) as f64 * 0.5;
                 let n = Vector2::new((i as f64 - 4.5) * 0.1, (j as f64 - 3.5) * 0.1);
-                let p = rotation * (Vector3::new(n.x, n.y, 1.0) * depth) + translation;
-                pairs.push(Pair { track: 0, first: n, second: Vector2::new(p.x / p.z, p.y / p.z) });
+                let p = n.push(1.0) * depth + moved;
+                places.push(p.xy() / p.z);
             }
         }
-        pairs
-    }
-
-    #[test]
-    fn turning_on_the_spot_leaves_no_flow_and_translation_does() {
-        let camera = CameraModel::new(640, 480, 500.0, 500.0, 320.0, 240.0, [0.0; 5]).unwrap();
-        let turn = Rotation3::from_euler_angles(0.1, -0.3, 0.2);
-        assert!(rotation_compensated_flow(&pairs(turn, Vector3::zeros()), &camera).0 < 1e-6);
-        let moved = rotation_compensated_flow(&pairs(turn, Vector3::new(0.3, 0.0, 0.0)), &camera).0;
-        assert!(moved > 3.0, "{moved}");
+        places
     }
 
     #[test]
@@ -369,9 +322,9 @@ mod tests {
         let mut go_on = |seconds: f64, first_id: u64, step: f64| {
             for n in 0..(seconds * 30.0) as usize {
                 let moved = Vector3::new(0.15 + step * n as f64, 0.0, 0.0);
-                let tracks = pairs(Rotation3::identity(), moved).into_iter().enumerate().map(|(i, p)| Track {
+                let tracks = places(moved).into_iter().enumerate().map(|(i, p)| Track {
                     id: first_id + i as u64,
-                    position: (p.second * 500.0 + Vector2::new(320.0, 240.0)).cast(),
+                    position: (p * 500.0 + Vector2::new(320.0, 240.0)).cast(),
                     age: 1,
                 });
                 let features = FrameFeatures {
@@ -380,7 +333,7 @@ mod tests {
                     tracks: tracks.collect(),
                     ..FrameFeatures::default()
                 };
-                assert!(initialiser.step(&features, &camera, None, &config).is_empty());
+                assert!(initialiser.step(&features, &camera, &LENS, &config).is_empty());
                 frames += 1;
             }
             initialiser.trying_s
@@ -400,13 +353,13 @@ mod tests {
         let mut initialiser = Initialiser::default();
         // Five of eighty tracks are lost in every frame: after four of them sixty are left.
         for n in 0..6 {
-            let tracks = pairs(Rotation3::identity(), Vector3::zeros()).into_iter().enumerate().map(|(i, p)| Track {
+            let tracks = places(Vector3::zeros()).into_iter().enumerate().map(|(i, p)| Track {
                 id: 5 * n + i as u64,
-                position: (p.second * 500.0 + Vector2::new(320.0, 240.0)).cast(),
+                position: (p * 500.0 + Vector2::new(320.0, 240.0)).cast(),
                 age: 1,
             });
             let features = FrameFeatures { sequence: n, tracks: tracks.collect(), ..FrameFeatures::default() };
-            initialiser.step(&features, &camera, None, &config);
+            initialiser.step(&features, &camera, &LENS, &config);
         }
         let held: Vec<u64> = initialiser.views.iter().map(|v| v.frame.sequence).collect();
         assert_eq!(held, [1, 2, 3, 4, 5]);
@@ -418,7 +371,7 @@ mod tests {
         let config = ReconstructionConfig::default();
         let mut initialiser = Initialiser::default();
         let mut in_a_frame = |ask: fn(&mut Initialiser) -> bool| {
-            initialiser.step(&FrameFeatures::default(), &camera, None, &config);
+            initialiser.step(&FrameFeatures::default(), &camera, &LENS, &config);
             [ask(&mut initialiser), ask(&mut initialiser)]
         };
         let disagree = |i: &mut Initialiser| {

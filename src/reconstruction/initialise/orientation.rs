@@ -9,23 +9,21 @@
 //! ```
 //!
 //! `w` is the left perturbation of `R`; its covariance `P_w` is what noise makes of it, `l_w` what one standard deviation of the focal
-//! length and one of the distortion do (3x2). A lens that is wrong is so at every anchor, so `l` is added up as it is, a turn back takes it
+//! length and one of each other unknown of the lens do (3x4). A lens that is wrong is so at every anchor, so `l` is added up as it is, a turn back takes it
 //! away, and the covariance that is told is `P + l lᵀ`.
 //!
 //! Where nothing supports a turn (dark, covered, too few tracks, or most of them on something that moves otherwise) there is none, and once
 //! the anchor's tracks are gone all that is left is to begin anew: [`OrientationTracker::restarts`] counts that, as orientations before
 //! and after have nothing to do with each other. A crowd that fills most of the picture and moves as one is taken for the world.
 
-use nalgebra::{Matrix3, Matrix3x2, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Matrix3, Matrix3x4, UnitQuaternion, Vector2, Vector3};
 
-use super::turn::{MIN_TRACKS, Pair, SupposedLens, TurnState, ViewTurn, view_turn};
+use super::turn::{MAX_PAIRS, MIN_TRACKS, Pair, SupposedLens, TurnState, ViewTurn, view_turn};
 use crate::features::FrameFeatures;
 use crate::geometry::CameraModel;
 use crate::reconstruction::adjust::intrinsics::LensFreedom;
 use crate::reconstruction::types::OrientationEstimate;
 
-/// Tracks that two frames are compared by, at the most, evenly chosen; it bounds the time.
-const MAX_PAIRS: usize = 120;
 /// The anchor is given up when less than this share of its tracks is left, or fewer than so many where the newest frame has more.
 const FEW_TRACKS: usize = 50;
 const FEW_SHARE: f64 = 0.5;
@@ -48,15 +46,15 @@ struct Known {
     first_from_camera: UnitQuaternion<f64>,
     /// Right tangent, rad², without the lens's part.
     covariance: Matrix3<f64>,
-    /// Right tangent for one standard deviation of the focal length, and one of the distortion, rad.
-    by_lens: Matrix3x2<f64>,
+    /// Right tangent for one standard deviation of each unknown of the lens, rad.
+    by_lens: Matrix3x4<f64>,
 }
 
 impl Known {
     /// By definition, at the first frame; a covariance of zero would be read as an unknown one.
     fn first(timestamp_ns: i64) -> Self {
         let covariance = Matrix3::from_diagonal_element(SHARED_RAD * SHARED_RAD);
-        let by_lens = Matrix3x2::zeros();
+        let by_lens = Matrix3x4::zeros();
         Self { timestamp_ns, first_from_camera: UnitQuaternion::identity(), covariance, by_lens }
     }
 
@@ -128,11 +126,7 @@ impl OrientationTracker {
             return Some(self.tell(known, TurnState::none()));
         };
         let guess = self.last.map_or(TurnState::none(), |(_, turn)| turn);
-        let lens = SupposedLens {
-            focal_px: camera.focal_px(),
-            focal_sigma: uncertainty.focal,
-            distortion_sigma: uncertainty.distortion,
-        };
+        let lens = SupposedLens { focal_px: camera.focal_px(), freedom: *uncertainty };
         let turn = view_turn(&self.pairs, &guess, lens, &mut self.lengths)?;
         let known = anchor.turned(features.timestamp_ns, &turn);
         let halved = (common as f64) < FEW_SHARE * self.anchor.len() as f64;
@@ -184,10 +178,7 @@ impl OrientationTracker {
         let common = features.tracks.iter().filter(|t| place(t.id).is_some()).count();
         let every = common.div_ceil(MAX_PAIRS).max(1);
         let shared = features.tracks.iter().filter_map(|t| Some((place(t.id)?, t.position))).step_by(every);
-        self.pairs.extend(shared.filter_map(|(first, pixel)| {
-            let second = camera.undistort(&pixel.cast()).filter(|n| camera.is_central(n))?;
-            Some(Pair { first, second, scale: camera.pixel_scale(&second) })
-        }));
+        self.pairs.extend(shared.filter_map(|(first, pixel)| Pair::of(first, &pixel, camera)));
         common
     }
 }

@@ -2,10 +2,11 @@
 //!
 //! Corresponding points on z = 1 of the lens that is supposed -> `second_from_first` rotation with its covariance, or `None` where too few
 //! tracks agree on one. Two models are weighed:
-//! - **Turn**: a rotation through a lens whose focal length and first distortion coefficient are known so far (they make much the same of a
-//!   turn's flow). As a small sideways motion looks like a turn, a translation before a frontal plane is fitted along, held near none by
-//!   as much as the tracks leave unexplained. With `u` the logarithm of the supposed focal length over the true one, and
-//!   `q(n) = n e^u (1 + k |n e^u|²)` the place on the true lens's plane, `P = R [q(n1); 1] + m` is seen at `q(n2) = P.xy / P.z`.
+//! - **Turn**: a rotation through a lens whose focal length, principal point and first distortion coefficient are known so far: seen through
+//!   another one a turn's flow has a pattern that no rotation has, and looks like parallax. As a small sideways motion looks like a turn, a
+//!   translation before a frontal plane is fitted along, held near none by as much as the tracks leave unexplained. With `u` the logarithm
+//!   of the supposed focal length over the true one, `c` the principal point on the supposed plane, and `m = (n - c) e^u`, the place on the
+//!   true lens's plane is `q(n) = m (1 + k |m|²)`, and `P = R [q(n1); 1] + t` is seen at `q(n2) = P.xy / P.z`.
 //! - **Motion**: rotation and direction of a translation through a scene of any shape, by Sampson's distances to epipolar lines
 //!   ([`refine_motion`]), begun with the translation that the turn's rotation leaves: the least eigenvector of `sum m mᵀ`,
 //!   `m = R x1 × x2`.
@@ -18,23 +19,32 @@
 //! GRIC = sum min(e²/s², 2 (4 - d)) + n d ln 4 + k ln(4 n)
 //! ```
 //!
-//! Cost: 0.1 ms where a turn explains the tracks, 0.25 ms where it does not. Everything is on the stack or in buffers that are kept. Not
-//! here: samples (tracks are mostly right, and the frame before gives the start), positions.
+//! What no turn explains of the flow ([`unexplained_px`]) tells whether a start of a map is worth trying.
+//!
+//! Cost: 0.15 ms where a turn explains the tracks, 0.3 ms where it does not. Everything is on the stack or in buffers that are kept. Not
+//! here: samples (tracks are mostly right, and the frame before gives the start), positions, finding the focal length of a camera that only
+//! turns (Hartley 1994), which a few degrees hardly show.
 
 use nalgebra::{
-    Matrix2, Matrix2x3, Matrix3, Matrix3x2, SMatrix, SVector, SymmetricEigen, UnitQuaternion, Vector2, Vector3,
+    Matrix2, Matrix2x3, Matrix2x4, Matrix3, Matrix3x4, SMatrix, SVector, SymmetricEigen, UnitQuaternion, Vector2,
+    Vector3,
 };
 
 use crate::geometry::epipolar::sampson_squared;
 use crate::geometry::essential::{essential_of, motion_information, refine_motion};
 use crate::geometry::frames::{First, Second};
 use crate::geometry::least_squares::{LeastSquares, LmOptions, Loss, NormalEquations, minimise};
-use crate::geometry::{Se3, median};
+use crate::geometry::{CameraModel, Se3, median};
+use crate::reconstruction::adjust::intrinsics::LensFreedom;
 
 /// Standard deviation of a track over some dozen frames, px: the least that any are taken for.
 const TRACK_PX: f64 = 0.5;
 /// A track farther than this from where the model has it does not agree, px.
 const AGREEING_PX: f64 = 4.0;
+/// Tracks that two frames are compared by, at the most; it bounds the time.
+pub const MAX_PAIRS: usize = 120;
+/// Median of a length of two components with a standard deviation of one.
+const RAYLEIGH_MEDIAN: f64 = 1.1774;
 /// Tracks that agree, at the least, and their share.
 pub const MIN_TRACKS: usize = 25;
 const MIN_SHARE: f64 = 0.6;
@@ -53,7 +63,7 @@ const INDEPENDENT: f64 = 20.0;
 const ROUNDS: usize = 6;
 const STEPS: usize = 6;
 const MOTION_STEPS: usize = 8;
-/// GRIC: dimensions of two views' points, of the models' manifolds, and their parameters.
+/// GRIC: dimensions of two views' points, of the models' manifolds, and their parameters (the principal point is hardly free).
 const POINT_DIMENSIONS: f64 = 4.0;
 const TURN: (f64, f64) = (2.0, 8.0);
 const MOTION: (f64, f64) = (3.0, 5.0);
@@ -66,26 +76,39 @@ pub struct Pair {
     pub scale: Matrix2<f64>,
 }
 
+impl Pair {
+    /// Of a place on z = 1 and a pixel; `None` where the lens shows nothing, or its plane z = 1 is no longer even.
+    pub fn of(first: Vector2<f64>, second: &Vector2<f32>, camera: &CameraModel) -> Option<Self> {
+        let second = camera.undistort(&second.cast()).filter(|n| camera.is_central(n))?;
+        Some(Self { first, second, scale: camera.pixel_scale(&second) })
+    }
+}
+
 /// A rotation between two views.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ViewTurn {
     pub second_from_first: UnitQuaternion<f64>,
     /// Of its left perturbation (the second camera's axes), rad², without what the lens makes.
     pub covariance: Matrix3<f64>,
-    /// The same perturbation for one standard deviation of the focal length, and for one of what is left of the distortion then, rad.
-    pub by_lens: Matrix3x2<f64>,
-    /// The camera moved, too.
-    pub moved: bool,
+    /// The same perturbation for one standard deviation of the focal length, and of what is left of the distortion and of each
+    /// coordinate of the principal point then, rad.
+    pub by_lens: Matrix3x4<f64>,
     /// The turn that explains the tracks best: to begin with at the next frame.
     pub state: TurnState,
 }
 
-/// The lens that is supposed: its focal length, px, the standard deviation of that as a share, and of the first coefficient of undistortion.
+/// The lens that is supposed: its focal length, px, and how far it may be from what it is.
 #[derive(Debug, Clone, Copy)]
 pub struct SupposedLens {
     pub focal_px: f64,
-    pub focal_sigma: f64,
-    pub distortion_sigma: f64,
+    pub freedom: LensFreedom,
+}
+
+/// The median flow (px) that no turn and no lens near the supposed one explains, of at most [`MAX_PAIRS`] evenly chosen pairs.
+pub fn unexplained_px(pairs: &[Pair], lens: SupposedLens, lengths: &mut Vec<f64>) -> f64 {
+    let chosen: Vec<Pair> = pairs.iter().step_by(pairs.len().div_ceil(MAX_PAIRS).max(1)).copied().collect();
+    let mut turn = TurnProblem { pairs: &chosen, lens, hidden_px: HELD_PX, loss: Loss::Squared };
+    turn.fit(TurnState::none(), lengths).1 * RAYLEIGH_MEDIAN
 }
 
 /// The rotation near `guess`; `lengths` is scratch.
@@ -133,44 +156,60 @@ fn variance(typical_px: f64, tracks: usize) -> f64 {
 }
 
 /// Rotation (second from first), translation before a frontal plane one unit away, and the true lens as against the supposed one: logarithm
-/// of the focal lengths' ratio, supposed to true, and first coefficient of undistortion.
+/// of the focal lengths' ratio, supposed to true, first coefficient of undistortion, and principal point on the supposed plane z = 1.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TurnState {
     rotation: UnitQuaternion<f64>,
     shift: Vector3<f64>,
     focal: f64,
     distortion: f64,
+    centre: Vector2<f64>,
 }
 
 impl TurnState {
     /// Of a view and itself.
     pub fn none() -> Self {
-        Self { rotation: UnitQuaternion::identity(), shift: Vector3::zeros(), focal: 0.0, distortion: 0.0 }
+        let (rotation, shift, centre) = (UnitQuaternion::identity(), Vector3::zeros(), Vector2::zeros());
+        Self { rotation, shift, focal: 0.0, distortion: 0.0, centre }
     }
 
     /// The same through the lens that the tracks have told so far.
     pub fn restarted(&self) -> Self {
-        Self { focal: self.focal, distortion: self.distortion, ..Self::none() }
+        Self { focal: self.focal, distortion: self.distortion, centre: self.centre, ..Self::none() }
     }
 
     /// What something is known of beforehand, in the order of the unknowns; of the rotation nothing.
     fn known(&self) -> SVector<f64, UNKNOWNS> {
-        let m = &self.shift;
-        SVector::from([0.0, 0.0, 0.0, m.x, m.y, m.z, self.focal, self.distortion])
+        let (t, c) = (&self.shift, &self.centre);
+        SVector::from([0.0, 0.0, 0.0, t.x, t.y, t.z, self.focal, self.distortion, c.x, c.y])
     }
 
-    /// Place on the true lens's plane, and its derivatives by focal length and distortion.
-    fn lift(&self, n: &Vector2<f64>) -> (Vector2<f64>, Vector2<f64>, Vector2<f64>) {
-        let m = n * self.focal.exp();
+    /// Place on the true lens's plane.
+    fn lift(&self, n: &Vector2<f64>) -> Vector2<f64> {
+        let m = (n - self.centre) * self.focal.exp();
+        m * (1.0 + self.distortion * m.norm_squared())
+    }
+
+    /// Its derivatives by the unknowns of the lens.
+    fn lift_jacobian(&self, n: &Vector2<f64>) -> Matrix2x4<f64> {
+        let stretch = self.focal.exp();
+        let m = (n - self.centre) * stretch;
         let square = m.norm_squared();
         let radial = self.distortion * square;
-        (m * (1.0 + radial), m * (1.0 + 3.0 * radial), m * square)
+        let by_centre = (Matrix2::identity() * (1.0 + radial) + m * m.transpose() * (2.0 * self.distortion)) * -stretch;
+        Matrix2x4::from_columns(&[
+            m * (1.0 + 3.0 * radial),
+            m * square,
+            by_centre.column(0).into_owned(),
+            by_centre.column(1).into_owned(),
+        ])
     }
 }
 
-const UNKNOWNS: usize = 8;
-/// Of these, where the lens begins.
+const UNKNOWNS: usize = 10;
+/// Of these, where the lens begins, and how many it has.
 const LENS: usize = 6;
+const OF_LENS: usize = UNKNOWNS - LENS;
 
 struct TurnProblem<'a> {
     pairs: &'a [Pair],
@@ -188,9 +227,10 @@ impl TurnProblem<'_> {
         let mut typical = self.typical_px(&state, lengths);
         for _ in 0..ROUNDS {
             self.loss = Loss::Cauchy(2.0 * (typical / TRACK_PX).max(1.0));
-            state = minimise(self, state, &options).0;
+            let (found, summary) = minimise(self, state, &options);
+            state = found;
             let before = std::mem::replace(&mut typical, self.typical_px(&state, lengths));
-            if typical > 0.9 * before || typical <= TRACK_PX {
+            if summary.converged && typical > 0.9 * before || typical <= TRACK_PX {
                 break;
             }
         }
@@ -198,44 +238,44 @@ impl TurnProblem<'_> {
         (state, typical)
     }
 
-    /// Information of translation (frontal plane one unit away), logarithm of the focal length, and distortion.
+    /// Information of translation (frontal plane one unit away), logarithm of the focal length, distortion, and principal point.
     fn prior(&self) -> SVector<f64, UNKNOWNS> {
         let information = |sigma: f64| 1.0 / sigma.max(1e-4).powi(2);
         let shift = (self.lens.focal_px / self.hidden_px).powi(2);
-        let (focal, distortion) = (information(self.lens.focal_sigma), information(self.lens.distortion_sigma));
-        SVector::from([0.0, 0.0, 0.0, shift, shift, shift, focal, distortion])
+        let LensFreedom { focal, centre_px, distortion } = self.lens.freedom;
+        let [focal, distortion, centre] = [focal, distortion, centre_px / self.lens.focal_px].map(information);
+        SVector::from([0.0, 0.0, 0.0, shift, shift, shift, focal, distortion, centre, centre])
     }
 
     /// Where the model has a track in the second view, less where it is, px; `None` behind the camera.
     fn residual(&self, s: &TurnState, pair: &Pair) -> Option<Vector2<f64>> {
-        let p = s.rotation * s.lift(&pair.first).0.push(1.0) + s.shift;
-        (p.z > 1e-3).then(|| pair.scale * (p.xy() / p.z - s.lift(&pair.second).0) * (-s.focal).exp())
+        let p = s.rotation * s.lift(&pair.first).push(1.0) + s.shift;
+        (p.z > 1e-3).then(|| pair.scale * (p.xy() / p.z - s.lift(&pair.second)) * (-s.focal).exp())
     }
 
     fn squared(&self, s: &TurnState, pair: &Pair) -> f64 {
         self.residual(s, pair).map_or(f64::INFINITY, |e| e.norm_squared())
     }
 
-    /// The residual, and its derivative by rotation (left), translation, logarithm of the focal length and distortion.
+    /// The residual, and its derivative by rotation (left), translation, and the unknowns of the lens.
     fn residual_jacobian(&self, s: &TurnState, pair: &Pair) -> Option<(Vector2<f64>, SMatrix<f64, 2, UNKNOWNS>)> {
-        let (first, first_by_focal, first_by_distortion) = s.lift(&pair.first);
-        let (second, second_by_focal, second_by_distortion) = s.lift(&pair.second);
-        let turned = s.rotation * first.push(1.0);
+        let turned = s.rotation * s.lift(&pair.first).push(1.0);
         let p = turned + s.shift;
         if p.z <= 1e-3 {
             return None;
         }
         let scale = pair.scale * (-s.focal).exp();
         let place = p.xy() / p.z;
-        let residual = scale * (place - second);
+        let residual = scale * (place - s.lift(&pair.second));
         let by_point = scale * Matrix2x3::new(1.0, 0.0, -place.x, 0.0, 1.0, -place.y) / p.z;
-        let by_lens =
-            |first: Vector2<f64>, second: Vector2<f64>| by_point * (s.rotation * first.push(0.0)) - scale * second;
+        let rotated = s.rotation.to_rotation_matrix().matrix().fixed_columns::<2>(0).into_owned();
+        let by_lens = by_point * rotated * s.lift_jacobian(&pair.first) - scale * s.lift_jacobian(&pair.second);
         let mut jacobian = SMatrix::<f64, 2, UNKNOWNS>::zeros();
         jacobian.fixed_view_mut::<2, 3>(0, 0).copy_from(&(-by_point * turned.cross_matrix()));
         jacobian.fixed_view_mut::<2, 3>(0, 3).copy_from(&by_point);
-        jacobian.column_mut(LENS).copy_from(&(by_lens(first_by_focal, second_by_focal) - residual));
-        jacobian.column_mut(LENS + 1).copy_from(&by_lens(first_by_distortion, second_by_distortion));
+        jacobian.fixed_view_mut::<2, OF_LENS>(0, LENS).copy_from(&by_lens);
+        let mut by_focal = jacobian.column_mut(LENS);
+        by_focal -= residual;
         Some((residual, jacobian))
     }
 
@@ -243,8 +283,7 @@ impl TurnProblem<'_> {
     fn typical_px(&self, s: &TurnState, lengths: &mut Vec<f64>) -> f64 {
         lengths.clear();
         lengths.extend(self.pairs.iter().map(|p| self.squared(s, p).sqrt()));
-        // Median of Rayleigh's distribution.
-        median(lengths).unwrap_or(f64::INFINITY) / 1.1774
+        median(lengths).unwrap_or(f64::INFINITY) / RAYLEIGH_MEDIAN
     }
 
     fn judge(&self, s: &TurnState, typical_px: f64) -> Option<ViewTurn> {
@@ -258,13 +297,12 @@ impl TurnProblem<'_> {
         information += SMatrix::from_diagonal(&(self.prior() * (1.0 - 1.0 / excess)));
         let covariance = information.cholesky()?.inverse();
         // In units of the lens's own standard deviations: G = S_wl L⁻ᵀ with S_ll = L Lᵀ.
-        let lens = covariance.fixed_view::<2, 2>(LENS, LENS).into_owned().cholesky()?.l();
-        let by_lens = covariance.fixed_view::<3, 2>(0, LENS) * lens.try_inverse()?.transpose();
+        let lens = covariance.fixed_view::<OF_LENS, OF_LENS>(LENS, LENS).into_owned().cholesky()?.l();
+        let by_lens = covariance.fixed_view::<3, OF_LENS>(0, LENS) * lens.try_inverse()?.transpose();
         Some(ViewTurn {
             second_from_first: s.rotation,
             covariance: covariance.fixed_view::<3, 3>(0, 0) - by_lens * by_lens.transpose(),
             by_lens,
-            moved: false,
             state: *s,
         })
     }
@@ -305,6 +343,7 @@ impl LeastSquares for TurnProblem<'_> {
             shift: s.shift + delta.fixed_rows::<3>(3),
             focal: s.focal + delta[LENS],
             distortion: s.distortion + delta[LENS + 1],
+            centre: s.centre + delta.fixed_rows::<2>(LENS + 2),
         }
     }
 }
@@ -360,7 +399,7 @@ fn motion(
 
 impl ViewMotion {
     fn turn(&self, pairs: &[Pair], lens: SupposedLens, state: TurnState) -> Option<ViewTurn> {
-        let SupposedLens { focal_px, focal_sigma, distortion_sigma } = lens;
+        let SupposedLens { focal_px, freedom } = lens;
         if !agrees(pairs, sampson_px2(&self.second_from_first, focal_px)) {
             return None;
         }
@@ -370,14 +409,18 @@ impl ViewMotion {
         let covariance = information.cholesky()?.inverse();
         let rotation = self.second_from_first.rotation;
         // A turn across the axis is as much too large as the focal length is too short, or the distortion makes of the mean flow; about the
-        // axis it is what it is.
+        // axis it is what it is. What a wrong principal point makes of the flow is none in the mean.
         let across = rotation.scaled_axis().component_mul(&Vector3::new(1.0, 1.0, 0.0));
         let square = pairs.iter().map(|p| p.second.norm_squared()).sum::<f64>() / pairs.len() as f64;
         Some(ViewTurn {
             second_from_first: rotation,
             covariance: covariance.fixed_view::<3, 3>(0, 0).into_owned(),
-            by_lens: Matrix3x2::from_columns(&[across * focal_sigma, across * (2.0 * square * distortion_sigma)]),
-            moved: true,
+            by_lens: Matrix3x4::from_columns(&[
+                across * freedom.focal,
+                across * (2.0 * square * freedom.distortion),
+                Vector3::zeros(),
+                Vector3::zeros(),
+            ]),
             state,
         })
     }

@@ -1,7 +1,7 @@
 //! Landmarks whose distance is not known yet.
 //!
 //! A camera that turns on the spot sees no parallax, so what comes into view cannot be triangulated; yet its direction is known
-//! at once, and that is all that a turn needs. When the map's landmarks run out of the picture, corners without parallax
+//! at once, and that is all that a turn needs. Corners that two keyframes have seen without the camera having moved between them
 //! become landmarks on the ray from the keyframe that saw them first, at the distance that the scene has had so far, with a
 //! deviation in inverse distance that says next to nothing (inverse, because infinity is then a place like any other: Civera,
 //! Davison, Montiel 2008, section III). Tracking eliminates the distance: where the camera has moved, only what lies across the
@@ -21,18 +21,13 @@ use crate::reconstruction::measurement::CHI2_2D_95;
 use crate::reconstruction::measurement::inverse_distance::{Ray, SIGMA_SHARE};
 use crate::reconstruction::track::search::Match;
 
-/// A keyframe with fewer matches than this makes landmarks at an assumed distance.
-const FEW_MATCHES: usize = 60;
 /// A distance is told by parallax once its standard deviation is below this share of it (a degree of parallax gives 0.13).
 const TOLD_SHARE: f64 = 0.2;
 /// A keyframe that sees landmarks at assumed distances and fewer others than this stays where it was tracked.
 const HELD_BELOW: usize = 30;
 
-/// Median distance of the matches' landmarks from `centre`, if these are too few to go on with.
+/// Median distance of the matches' landmarks from `centre`.
 pub fn distance_to_assume(matches: &[Match], centre: &Vector3<f64>) -> Option<f64> {
-    if matches.len() >= FEW_MATCHES {
-        return None;
-    }
     let mut distances: Vec<f64> = matches.iter().map(|m| (m.point - centre).norm()).collect();
     median(&mut distances).filter(|d| d.is_finite() && *d > 1e-6)
 }

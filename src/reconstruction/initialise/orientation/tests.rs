@@ -103,10 +103,11 @@ fn a_turn_in_an_arc_is_told_although_the_camera_moves() {
 
 #[test]
 fn the_lens_adds_up_over_anchors_and_a_turn_back_takes_it_away() {
+    let none = Vector3::zeros();
     let turn = |angle: f64| {
         let (second_from_first, by_lens) =
-            (yaw(angle), Matrix3x2::from_columns(&[Vector3::new(0.0, 0.05 * angle, 0.0), Vector3::zeros()]));
-        ViewTurn { second_from_first, covariance: Matrix3::zeros(), by_lens, moved: false, state: TurnState::none() }
+            (yaw(angle), Matrix3x4::from_columns(&[Vector3::new(0.0, 0.05 * angle, 0.0), none, none, none]));
+        ViewTurn { second_from_first, covariance: Matrix3::zeros(), by_lens, state: TurnState::none() }
     };
     let known = Known::first(0).turned(1, &turn(0.4)).turned(2, &turn(0.4)).turned(3, &turn(0.4));
     assert!((known.by_lens.norm() - 0.06).abs() < 1e-12, "a twentieth of 1.2 rad, and not less by chance");
