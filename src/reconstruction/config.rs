@@ -67,7 +67,7 @@ impl Default for ReconstructionConfig {
             merge_after_frames: 3,
             max_keyframes: 300,
             redundant_share: 0.9,
-            start_flow_px: 5.0,
+            start_flow_px: 4.0,
             start_landmarks: 50,
             lost_frames: 15,
         }
