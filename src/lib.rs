@@ -114,6 +114,8 @@ pub mod camera;
 pub mod cli;
 #[cfg(feature = "robot")]
 pub mod config;
+#[cfg(feature = "tools")]
+pub mod console;
 #[cfg(feature = "robot")]
 pub mod daemon;
 #[cfg(feature = "tools")]
