@@ -171,8 +171,7 @@ impl Lines {
 /// A record as the page shows it: time, level, message and the record's own fields, in small letters; `None` for what is no record.
 fn record(line: &[u8]) -> Option<Value> {
     let Ok(Value::Object(object)) = serde_json::from_slice(line) else {
-        let text = String::from_utf8_lossy(line);
-        return (!text.trim().is_empty()).then(|| json!({ "level": "INFO", "message": text.trim() }));
+        return human(String::from_utf8_lossy(line).trim());
     };
     let is_journal = object.contains_key("__REALTIME_TIMESTAMP");
     let (mut out, mut fields) = (Map::new(), Map::new());
@@ -193,6 +192,17 @@ fn record(line: &[u8]) -> Option<Value> {
     }
     out.insert("fields".into(), Value::Object(fields));
     Some(Value::Object(out))
+}
+
+/// A line for a person: as on a terminal, time and level first, or any other.
+fn human(line: &str) -> Option<Value> {
+    let mut words = line.split_whitespace();
+    if let (Some(time), Some(level @ ("ERROR" | "WARN" | "INFO" | "DEBUG" | "TRACE"))) = (words.next(), words.next())
+        && let Some((_, message)) = line.split_once(level)
+    {
+        return Some(json!({ "time": time, "level": level, "message": message.trim(), "fields": {} }));
+    }
+    (!line.is_empty()).then(|| json!({ "level": "INFO", "message": line, "fields": {} }))
 }
 
 /// Of syslog's numbers.
@@ -220,7 +230,9 @@ mod tests {
         let file = br#"{"timestamp":"2026-01-01T00:00:00Z","level":"WARN","message":"fault began","target":"t","fault":"LOST"}"#;
         let made = record(file).expect("record");
         assert_eq!(made["fields"], json!({ "fault": "LOST" }));
-        assert_eq!(record(b"plain words\n"), Some(json!({ "level": "INFO", "message": "plain words" })));
+        assert_eq!(record(b"plain words\n"), Some(json!({ "level": "INFO", "message": "plain words", "fields": {} })));
+        let terminal = record(b"2026-11-23T15:01:24Z  WARN fault began fault=\"LOST\"\n").expect("record");
+        assert_eq!((&terminal["level"], &terminal["message"]), (&json!("WARN"), &json!("fault began fault=\"LOST\"")));
         assert_eq!(record(b"\n"), None);
     }
 

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::messages::{Keyframe, Landmark};
+use crate::messages::{Feature, Keyframe, Landmark, NO_LANDMARK, NO_TRACK};
 
 /// A message as it goes on the wire; its copies share the memory.
 pub type Bytes = tungstenite::Bytes;
@@ -126,12 +126,25 @@ pub fn keyframes(keyframes: &[Keyframe], h: &MapHead) -> Bytes {
     out.into()
 }
 
-/// A picture: sequence, time, size, then the JPEG.
-pub fn frame(sequence: u64, time_s: f64, (width, height): (u32, u32), jpeg: &[u8]) -> Bytes {
-    let mut out = head(Kind::Frame, 0, 24 + jpeg.len());
+/// Bytes of a feature, and its flags: a landmark of the map was found here; it is no track.
+const FEATURE: usize = 16;
+const MATCHED: u16 = 1;
+const UNTRACKED: u16 = 2;
+
+/// A picture: sequence, time, size, what was found in it (x, y, track, age, flags, 16 bytes each), then the JPEG.
+pub fn frame(sequence: u64, time_s: f64, (width, height): (u32, u32), features: &[Feature], jpeg: &[u8]) -> Bytes {
+    let mut out = head(Kind::Frame, features.len(), 24 + features.len() * FEATURE + jpeg.len());
     out.extend_from_slice(&sequence.to_le_bytes());
     out.extend_from_slice(&time_s.to_le_bytes());
     words(&mut out, &[width, height]);
+    for f in features {
+        let flag = |set: bool, flag: u16| if set { flag } else { 0 };
+        let flags = flag(f.landmark != NO_LANDMARK, MATCHED) | flag(f.track == NO_TRACK, UNTRACKED);
+        floats(&mut out, &f.position);
+        words(&mut out, &[f.track as u32]);
+        out.extend_from_slice(&u16::try_from(f.age).unwrap_or(u16::MAX).to_le_bytes());
+        out.extend_from_slice(&flags.to_le_bytes());
+    }
     out.extend_from_slice(jpeg);
     out.into()
 }
@@ -177,7 +190,10 @@ mod tests {
         let head = MapHead { epoch: 7, total: 9, scale: 0, revision: 3 };
         assert_eq!(map(&[Landmark::default(); 2], &head).len(), 24 + 32);
         assert_eq!(keyframes(&[Keyframe::default()], &head).len(), 24 + 32);
-        assert_eq!(frame(1, 2.0, (640, 480), &[1, 2, 3]).len(), 32 + 3);
+        let found = Feature { track: NO_TRACK, position: [1.0, 2.0], age: 70_000, landmark: 3 };
+        let bytes = frame(1, 2.0, (640, 480), &[found, Feature { landmark: NO_LANDMARK, ..found }], &[1, 2, 3]);
+        assert_eq!(bytes.len(), 32 + 2 * FEATURE + 3);
+        assert_eq!((&bytes[44..48], &bytes[60..64]), (&[255, 255, 3, 0][..], &[255, 255, 2, 0][..]));
         assert_eq!(json(Kind::State, &f32::NAN)[8..], *b"null");
     }
 }

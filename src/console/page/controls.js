@@ -4,7 +4,7 @@ const ASK_MS = 4000; // how long a button that drops something waits for its sec
 const COMMANDS = [
   { name: "Drop the map", danger: true, action: () => ({ do: "reset" }), shell: () => "reset" },
   { name: "Save the map", fields: [{ name: "File of the daemon's machine", value: "/var/lib/cairn/map.ply" }], action: ([path]) => ({ do: "save_map", path }), shell: ([path]) => `save-map ${quoted(path)}` },
-  { name: "Save the way", fields: [{ name: "File of the daemon's machine", value: "/var/lib/cairn/trajectory.txt" }], action: ([path]) => ({ do: "save_trajectory", path }), shell: ([path]) => `save-trajectory ${quoted(path)}` },
+  { name: "Save the trajectory", fields: [{ name: "File of the daemon's machine", value: "/var/lib/cairn/trajectory.txt" }], action: ([path]) => ({ do: "save_trajectory", path }), shell: ([path]) => `save-trajectory ${quoted(path)}` },
   {
     name: "The robot is at", fields: ["x", "y", "yaw, degrees"].map((name) => ({ name, value: "0", number: true })),
     action: ([x, y, yaw]) => ({ do: "set_pose", x: Number(x), y: Number(y), yaw_deg: Number(yaw) }),

@@ -50,6 +50,7 @@ export class MapView {
     this.scene = new Scene();
     this.controls = new OrbitControls(this.camera, this.canvas);
     this.controls.addEventListener("change", () => this.draw());
+    this.controls.addEventListener("start", () => { this.taken = true; });
     this.controls.listenToKeyEvents(this.canvas);
     this.build();
     this.colours();
@@ -126,7 +127,8 @@ export class MapView {
     const left = total > count ? `, the newest of ${total}` : "";
     set($("map-size"), count > 0 ? `${count} landmarks${left}` : "");
     $("map-empty").hidden = count > 0;
-    if (count > 0 && (!this.fitted || this.view === "top")) this.fit();
+    // The view grows with the map until somebody takes hold of it.
+    if (count > 0 && !this.taken && this.view !== "follow" && !(this.radius < 1.15 * this.fitted)) this.fit();
     this.draw();
     this.canvas.dataset.landmarks = count;
     this.canvas.dataset.updateMs = (performance.now() - began).toFixed(2);
@@ -175,6 +177,7 @@ export class MapView {
   /** Positions of another epoch are out of place. */
   turnTo(epoch) {
     if (this.epoch === epoch) return;
+    [this.taken, this.fitted] = [false, undefined];
     this.epoch = epoch;
     this.drawWay();
   }
@@ -217,6 +220,7 @@ export class MapView {
   }
 
   choose(view) {
+    this.taken = false;
     if (view === "fit") return this.fit();
     this.view = view;
     for (const button of document.querySelectorAll("[data-view][aria-pressed]")) button.setAttribute("aria-pressed", `${button.dataset.view === view}`);
@@ -227,7 +231,7 @@ export class MapView {
 
   fit() {
     if (!this.renderer || !(this.count > 0)) return;
-    this.fitted = true;
+    this.fitted = this.radius;
     const away = (1.15 * this.radius) / Math.tan((Math.PI / 180) * (this.camera.fov / 2));
     const from = this.view === "top" ? new Vector3(-1e-3, 0, 1) : new Vector3(-0.75, -0.75, 0.62);
     this.controls.target.copy(this.center);
