@@ -159,7 +159,8 @@ fn exposes_little(name: &str, limit: f64) {
         return;
     };
     let report = String::from_utf8_lossy(&output.stdout);
-    let Some(level) = report.lines().find_map(|l| l.split(&format!("exposure level for {name}.service: ")).nth(1)) else {
+    let Some(level) = report.lines().find_map(|l| l.split(&format!("exposure level for {name}.service: ")).nth(1))
+    else {
         // Before systemd 250 there is no --offline.
         println!("skipped: systemd-analyze says nothing: {}", String::from_utf8_lossy(&output.stderr));
         return;

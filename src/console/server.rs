@@ -90,24 +90,25 @@ impl Console {
     /// Until `stop`. Ends within seconds, whatever pages do.
     pub fn run(&self, stop: &AtomicBool) {
         let hub = Arc::new(Hub::default());
-        let source = Source::new(self.options.endpoint.clone());
+        let source = Arc::new(Source::new(self.options.endpoint.clone()));
         let (orders, commands) = bounded::<Ordered>(COMMANDS);
         let log = match &self.options.log {
             LogChoice::Unit(unit) => LogSource::journal(unit),
             LogChoice::File(path) => LogSource::File(path.clone()),
         };
-        let prefix = self.options.endpoint.prefix();
+        // Not waited for: a daemon that hangs may hold a command for half a minute.
+        let commander = source.clone();
+        std::thread::spawn(move || {
+            for (page, id, action) in commands {
+                let done = commander.client().map_err(|e| e.to_string()).and_then(|client| action.carry_out(&client));
+                reply(&page, id, &action, commander.prefix(), done);
+            }
+        });
         std::thread::scope(|scope| {
             scope.spawn(|| robot::run(&hub, &source, self.options.advice, stop));
             scope.spawn(|| pictures::run(&hub, &source, stop));
             scope.spawn(|| robot::run_map(&hub, &source, stop));
             scope.spawn(|| journal::run(&hub, &log, stop));
-            scope.spawn(|| {
-                for (page, id, action) in commands {
-                    let done = source.client().map_err(|e| e.to_string()).and_then(|client| action.carry_out(&client));
-                    reply(&page, id, &action, prefix, done);
-                }
-            });
             self.accept(&hub, orders, stop);
             hub.close_all();
         });

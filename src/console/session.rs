@@ -210,7 +210,11 @@ fn write(writer: &mut WebSocket<TcpStream>, page: &Outbox) {
             Next::Send(message) => writer.send(Message::Binary(message)),
             Next::Pong(payload) => writer.send(Message::Pong(payload.into())),
             Next::Idle => Ok(()),
-            Next::Closed => return,
+            Next::Closed => {
+                // Where the console ends the reader still waits.
+                let _ = writer.get_ref().shutdown(Shutdown::Read);
+                return;
+            }
         };
         let sent = sent.and_then(|()| {
             if pinged.elapsed() < PING_EVERY {

@@ -106,7 +106,8 @@ impl Outlet {
     ) -> Result<(), PublishError> {
         let stamp = self.stamp(features);
         let Some(publisher) = &mut self.features else { return Ok(()) };
-        publisher.publish(&features.tracks, matches, features.pyramid.size(), &stamp).map(|_| ())
+        let tracks = features.tracks.iter().map(|t| (t.id, [t.position.x, t.position.y], t.age));
+        publisher.publish(matches, tracks, features.pyramid.size(), &stamp).map(|_| ())
     }
 
     fn stamp(&self, features: &FrameFeatures) -> FrameStamp {

@@ -1,6 +1,5 @@
 //! `PREFIX/features`: corners, tracks and matched landmarks of a frame, made only while somebody subscribes.
 
-use crate::features::Track;
 use crate::map::LandmarkId;
 use crate::messages::services::MAX_FEATURES;
 use crate::messages::{Feature, FeaturesHeader, NO_LANDMARK, NO_TRACK};
@@ -27,11 +26,12 @@ impl FeaturesPublisher {
         self.port.subscribers() > 0
     }
 
-    /// Sends what was found in a picture of `size`, if somebody subscribes: places of landmarks, then tracks. Allocates nothing of its own.
+    /// Sends what was found in a picture, if somebody subscribes: places of landmarks, then tracks (id, place, age in frames). Allocates nothing
+    /// of its own.
     pub fn publish(
         &mut self,
-        tracks: &[Track],
         matches: impl Iterator<Item = (LandmarkId, [f32; 2])>,
+        tracks: impl Iterator<Item = (u64, [f32; 2], u32)>,
         (width, height): (usize, usize),
         stamp: &FrameStamp,
     ) -> Result<bool, PublishError> {
@@ -42,12 +42,7 @@ impl FeaturesPublisher {
         let mut total = 0;
         let matches =
             matches.map(|(landmark, position)| Feature { track: NO_TRACK, position, age: 0, landmark: landmark.0 });
-        let tracks = tracks.iter().map(|t| Feature {
-            track: t.id,
-            position: [t.position.x, t.position.y],
-            age: t.age,
-            landmark: NO_LANDMARK,
-        });
+        let tracks = tracks.map(|(track, position, age)| Feature { track, position, age, landmark: NO_LANDMARK });
         for feature in matches.chain(tracks) {
             total += 1;
             if self.features.len() < MAX_FEATURES {

@@ -175,7 +175,8 @@ fn no_file_is_known_by_what_it_knows() {
 #[test]
 fn only_the_daemon_and_processes_beside_it_start_threads() {
     let found = places(&[], &["thread::spawn", "thread::Builder", "thread::scope", "rayon::"]);
-    let wrong: Vec<_> = found.iter().filter(|place| !["daemon", "console"].iter().any(|room| place.starts_with(room))).collect();
+    let wrong: Vec<_> =
+        found.iter().filter(|place| !["daemon", "console"].iter().any(|room| place.starts_with(room))).collect();
     assert!(wrong.is_empty(), "{wrong:#?}");
     assert!(!found.is_empty(), "the daemon's own threads were not found: the test looks for the wrong thing");
 }

@@ -28,7 +28,10 @@ impl Place {
 
     fn cairn(&self) -> Command {
         let mut command = Command::new(env!("CARGO_BIN_EXE_cairn"));
-        command.env("CAIRN_IPC_ROOT", &self.root).env("CAIRN_IPC_PREFIX", &self.ipc_prefix).env("CAIRN_PREFIX", "robot");
+        command
+            .env("CAIRN_IPC_ROOT", &self.root)
+            .env("CAIRN_IPC_PREFIX", &self.ipc_prefix)
+            .env("CAIRN_PREFIX", "robot");
         command.stdin(Stdio::null()).stdout(Stdio::null());
         command
     }
