@@ -1,5 +1,5 @@
 // Small charts of the last minutes.
-const SPAN_S = 180, EVERY_S = 0.2;
+const SPAN_S = 180, LEAST_S = 30, EVERY_S = 0.2;
 
 export class Chart {
   constructor(canvas, label, { value, unit, digits, colour }) {
@@ -36,7 +36,8 @@ export class Chart {
     const top = nice(Math.max(1, ...finite.map((p) => p.value)));
     const now = points.at(-1)?.time ?? 0;
     const [left, bottom] = [34, height - 16];
-    const x = (t) => left + (width - left - 4) * (1 - (now - t) / SPAN_S);
+    const span = Math.min(SPAN_S, Math.max(LEAST_S, now - (points[0]?.time ?? now)));
+    const x = (t) => left + (width - left - 4) * (1 - (now - t) / span);
     const y = (v) => bottom - (bottom - 6) * Math.min(v / top, 1);
     c.font = "11px system-ui, sans-serif";
     c.fillStyle = colour("--quiet");
@@ -53,7 +54,7 @@ export class Chart {
     }
     c.textBaseline = "alphabetic";
     c.textAlign = "left";
-    c.fillText("3 min ago", left, height - 3);
+    c.fillText(span < SPAN_S ? `${Math.round(span)} s ago` : "3 min ago", left, height - 3);
     c.textAlign = "right";
     c.fillText("now", width - 2, height - 3);
     c.beginPath();

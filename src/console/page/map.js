@@ -100,8 +100,8 @@ export class MapView {
     this.scene.background = new Color(getComputedStyle(this.canvas).getPropertyValue("--stage").trim() || "#dfe5ec");
     const { below, above } = this.points.material.uniforms;
     // As they are to be seen: the shader writes them without a conversion.
-    below.value.set(dark ? "#2f66d8" : "#082a78").convertLinearToSRGB();
-    above.value.set(dark ? "#c4dcff" : "#4c9bff").convertLinearToSRGB();
+    below.value.set(dark ? "#2450c0" : "#082a78").convertLinearToSRGB();
+    above.value.set(dark ? "#8cbcff" : "#4c9bff").convertLinearToSRGB();
     this.line.material.color.set(red);
     this.frusta.material.color.set(red);
     this.robot.material.color.set(dark ? "#ffb020" : "#e07b00");
@@ -122,8 +122,8 @@ export class MapView {
     this.points.geometry.setDrawRange(0, count);
     this.metric = scale === 2;
     this.count = count;
-    this.measure(points, count);
     this.turnTo(epoch);
+    this.measure(points, count);
     const left = total > count ? `, the newest of ${total}` : "";
     set($("map-size"), count > 0 ? `${count} landmarks${left}` : "");
     $("map-empty").hidden = count > 0;
@@ -142,8 +142,12 @@ export class MapView {
     if (axes[0].length === 0) return;
     axes.forEach((values) => values.sort((a, b) => a - b));
     const at = (a, share) => axes[a][Math.floor(share * (axes[a].length - 1))];
-    this.center.set(...[0, 1, 2].map((a) => (at(a, 0.05) + at(a, 0.95)) / 2));
-    this.radius = Math.max(1e-3, Math.hypot(...[0, 1, 2].map((a) => (at(a, 0.95) - at(a, 0.05)) / 2)));
+    const ends = [0, 1, 2].map((a) => [at(a, 0.05), at(a, 0.95)]);
+    for (const { epoch, position } of this.way) {
+      if (epoch === this.epoch) ends.forEach((end, a) => { [end[0], end[1]] = [Math.min(end[0], position[a]), Math.max(end[1], position[a])]; });
+    }
+    this.center.set(...ends.map(([from, to]) => (from + to) / 2));
+    this.radius = Math.max(1e-3, Math.hypot(...ends.map(([from, to]) => (to - from) / 2)));
     const { low, high } = this.points.material.uniforms;
     [low.value, high.value] = [at(2, 0.05), at(2, 0.95)];
     const cell = 10 ** Math.ceil(Math.log10(this.radius / 4));

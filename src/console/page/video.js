@@ -2,7 +2,7 @@
 import { set } from "/state.js";
 
 const $ = (id) => document.getElementById(id);
-const TAIL = 12; // frames that a track's tail reaches back
+const TAIL_S = 0.4; // how far back a track's tail reaches
 const MATCHED = 1, NO_TRACK = 2; // flags of a feature
 const STALE_MS = 1500;
 
@@ -11,7 +11,7 @@ export class Video {
     this.seen = seen;
     this.canvas = $("video");
     this.context = this.canvas.getContext("2d");
-    this.tails = new Map(); // track -> [x, y, x, y, ...], newest last
+    this.tails = new Map(); // track -> [x, y, time, x, y, time, ...], newest last
     this.times = [];
     setInterval(() => this.look(), 500);
   }
@@ -29,7 +29,7 @@ export class Video {
   }
 
   /** Tails grow by this frame; those of tracks that have ended go. */
-  follow({ features, count, sequence }) {
+  follow({ features, count, sequence, time }) {
     if (!(sequence > this.sequence) || sequence - this.sequence > 30) this.tails.clear();
     this.sequence = sequence;
     const tails = new Map();
@@ -41,8 +41,8 @@ export class Video {
       const isTrack = (flags & NO_TRACK) === 0;
       if (isTrack) {
         const tail = age > 0 ? this.tails.get(id) ?? [] : [];
-        tail.push(x, y);
-        if (tail.length > 2 * TAIL) tail.splice(0, 2);
+        tail.push(x, y, time);
+        while (tail.length > 6 && tail[2] < time - TAIL_S) tail.splice(0, 3);
         tails.set(id, tail);
       }
       this.features.push({ x, y, age, isTrack, isMatched: (flags & MATCHED) !== 0 });
@@ -66,7 +66,7 @@ export class Video {
     context.beginPath();
     for (const tail of this.tails.values()) {
       context.moveTo(tail[0], tail[1]);
-      for (let i = 2; i < tail.length; i += 2) context.lineTo(tail[i], tail[i + 1]);
+      for (let i = 3; i < tail.length; i += 3) context.lineTo(tail[i], tail[i + 1]);
     }
     context.strokeStyle = "#ffc531";
     context.lineWidth = 1.4 * size;
