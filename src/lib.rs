@@ -59,9 +59,9 @@
 //! 2. [`geometry`] knows nalgebra only: no threads, IO, clock, logging, configuration, unseeded randomness.
 //! 3. [`ring`] knows no images; [`features`] knows no map; [`map`] knows no threads; [`reconstruction`] knows no V4L2, ring or
 //!    iceoryx2. ([`map`] uses one thing of [`features`]: the thumbnail that a keyframe keeps for relocalisation.)
-//! 4. Only [`daemon`] spawns threads. Every stage is also a plain step that a test calls without threads.
+//! 4. Of the daemon's process only [`daemon`] spawns threads; [`console`] is another process, with its own. Every stage is also a plain step that a test calls without threads.
 //! 5. Camera, recording and simulator come in by one door ([`camera::FrameSource`]).
-//! 6. The daemon opens no network socket.
+//! 6. The daemon opens no network socket. The one room that does is [`console`], which runs as another process.
 //! 7. Lock-step replay is deterministic, byte for byte: no clock in a decision, no iteration over hash maps, seeds from frame
 //!    numbers, sequential reductions.
 //! 8. Every queue and store is bounded and counts what it drops. A trajectory streams to disk as keyframe and relative pose.
@@ -82,6 +82,9 @@
 //!   truth (`cairn compare`). It is no stage of the daemon, needs single pictures, calibrations and truth of several kinds, and
 //!   would otherwise put files and clocks into `features` and `geometry`; it knows these two, and only `cli` knows it.
 //!
+//! - A room more, [`console`]: the web page (`cairn console`), a subscriber of the same services as any planner. It knows the client's side of
+//!   the wire alone; what to do about a fault it is told by `cli`, so that page, log and doctor say the same.
+//!
 //! # Features
 //!
 //! | feature | what it is | package |
@@ -89,7 +92,7 @@
 //! | `client` | wire types and subscriptions, iceoryx2 only | |
 //! | `c` | the same as a C library, for `--crate-type cdylib` | |
 //! | `robot` | the daemon: camera, services, calibration, and the commands run, doctor, watch, command, calibrate, replay | `cairn` |
-//! | `tools` (default) | the whole: also simulator, plot, workbench, evaluation, and the commands demo, simulate, evaluate, twoview, compare | `cairn-tools` |
+//! | `tools` (default) | the whole: also simulator, plot, workbench, evaluation, console, and the commands demo, console, simulate, evaluate, twoview, compare | `cairn-tools` |
 //!
 //! Each contains those above it but `c`. What a room of its own brings along that a robot may do without (a console, a recorder to share, a
 //! fleet) is a feature of its own, which `tools` contains. Rooms are left out whole: below `cli`, `cfg` stands at a room's door and hardly anywhere
@@ -114,6 +117,8 @@ pub mod camera;
 pub mod cli;
 #[cfg(feature = "robot")]
 pub mod config;
+#[cfg(feature = "tools")]
+pub mod console;
 #[cfg(feature = "robot")]
 pub mod daemon;
 #[cfg(feature = "tools")]

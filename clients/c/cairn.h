@@ -27,6 +27,16 @@
 #define CAIRN_NO_KEYFRAME UINT32_MAX
 
 /**
+ * Stands where there is no landmark.
+ */
+#define CAIRN_NO_LANDMARK UINT32_MAX
+
+/**
+ * Stands where there is no track.
+ */
+#define CAIRN_NO_TRACK UINT64_MAX
+
+/**
  * `state`: no map yet, no pose.
  */
 #define CAIRN_STATE_INITIALIZING 0
@@ -358,6 +368,11 @@
  * It cannot work, and waiting will not help: see `cairn_error()`.
  */
 #define CAIRN_ERROR -1
+
+/**
+ * Keeps features in shared memory.
+ */
+typedef struct cairn_features_hold cairn_features_hold;
 
 /**
  * Keeps a picture in shared memory.
@@ -1003,6 +1018,94 @@ typedef struct cairn_frame {
 } cairn_frame;
 
 /**
+ * Which picture the features are of.
+ */
+typedef struct cairn_features_header {
+  /**
+   * Another value at every start of the daemon.
+   */
+  uint64_t run_id;
+  /**
+   * As in cairn_pose.sequence of the same frame.
+   */
+  uint64_t sequence;
+  /**
+   * Capture time in the source's clock (`clock`), ns.
+   */
+  int64_t timestamp_ns;
+  /**
+   * CLOCK_MONOTONIC when the frame arrived in the daemon, ns.
+   */
+  int64_t arrival_ns;
+  /**
+   * Pixels.
+   */
+  uint32_t width;
+  /**
+   * Pixels.
+   */
+  uint32_t height;
+  /**
+   * Features in this message.
+   */
+  uint32_t count;
+  /**
+   * Features of the frame; if larger than `count`, the newest tracks were left out.
+   */
+  uint32_t total;
+  /**
+   * CAIRN_CLOCK_MONOTONIC, CAIRN_CLOCK_RECORDING.
+   */
+  uint8_t clock;
+  /**
+   * Zero.
+   */
+  uint8_t reserved[7];
+} cairn_features_header;
+
+/**
+ * A place in a picture that was found; `PREFIX/features` carries a slice of them: first the landmarks of the map that the pose rests on, then
+ * the tracks, ascending `track`. A track may lie where a landmark was found.
+ */
+typedef struct cairn_feature {
+  /**
+   * Of a track: unique within a run; CAIRN_NO_TRACK for a landmark.
+   */
+  uint64_t track;
+  /**
+   * In the picture as the camera gave it, (0, 0) in the middle of its first pixel, px.
+   */
+  float position[2];
+  /**
+   * Of a track: frames since the corner was detected, 0 in this one; 0 for a landmark.
+   */
+  uint32_t age;
+  /**
+   * As in cairn_landmark.id; CAIRN_NO_LANDMARK for a track.
+   */
+  uint32_t landmark;
+} cairn_feature;
+
+/**
+ * What was found in a picture, in shared memory; never changes. Two may be held at a time.
+ */
+typedef struct cairn_features {
+  /**
+   * Which picture, and how many features.
+   */
+  const struct cairn_features_header *header;
+  /**
+   * `count` features.
+   */
+  const struct cairn_feature *features;
+  size_t count;
+  /**
+   * For `cairn_features_release`.
+   */
+  struct cairn_features_hold *held;
+} cairn_features;
+
+/**
  * A request to the daemon.
  */
 typedef struct cairn_command {
@@ -1212,6 +1315,33 @@ void cairn_frame_release(struct cairn_frame *frame);
 void cairn_frames_stop(struct cairn_client *client);
 
 /**
+ * What was found in the next picture, waiting for it if need be. From the first call until `cairn_close` or `cairn_features_stop` the
+ * daemon tells it. Release it with `cairn_features_release`.
+ *
+ * # Safety
+ * `client` comes from `cairn_connect`; `features` may be written.
+ */
+int32_t cairn_features_wait(struct cairn_client *client,
+                            uint64_t timeout_ns,
+                            struct cairn_features *features);
+
+/**
+ * Gives features back; the view is empty then. Null and empty views are left alone.
+ *
+ * # Safety
+ * `features` is null or was filled by `cairn_features_wait`, and is zeroed or unchanged since.
+ */
+void cairn_features_release(struct cairn_features *features);
+
+/**
+ * No more features are wanted.
+ *
+ * # Safety
+ * `client` is null or comes from `cairn_connect`.
+ */
+void cairn_features_stop(struct cairn_client *client);
+
+/**
  * Sends a command and waits for its reply, which may be a refusal: look at `reply->code`. Zero `command` before it is filled in.
  *
  * # Safety
@@ -1237,6 +1367,8 @@ int32_t cairn_send_command(struct cairn_client *client,
 #define CAIRN_KEYFRAME_TYPE "cairn.Keyframe.v1"
 #define CAIRN_KEYFRAMES_HEADER_TYPE "cairn.KeyframesHeader.v2"
 #define CAIRN_FRAME_HEADER_TYPE "cairn.FrameHeader.v1"
+#define CAIRN_FEATURE_TYPE "cairn.Feature.v1"
+#define CAIRN_FEATURES_HEADER_TYPE "cairn.FeaturesHeader.v1"
 #define CAIRN_COMMAND_TYPE "cairn.Command.v1"
 #define CAIRN_COMMAND_REPLY_TYPE "cairn.CommandReply.v1"
 
@@ -1378,6 +1510,22 @@ CAIRN_ASSERT(offsetof(cairn_frame_header, height) == 36 && sizeof(((cairn_frame_
 CAIRN_ASSERT(offsetof(cairn_frame_header, stride) == 40 && sizeof(((cairn_frame_header *)0)->stride) == 4);
 CAIRN_ASSERT(offsetof(cairn_frame_header, clock) == 44 && sizeof(((cairn_frame_header *)0)->clock) == 1);
 CAIRN_ASSERT(offsetof(cairn_frame_header, reserved) == 45 && sizeof(((cairn_frame_header *)0)->reserved) == 3);
+CAIRN_ASSERT(sizeof(cairn_feature) == 24);
+CAIRN_ASSERT(offsetof(cairn_feature, track) == 0 && sizeof(((cairn_feature *)0)->track) == 8);
+CAIRN_ASSERT(offsetof(cairn_feature, position) == 8 && sizeof(((cairn_feature *)0)->position) == 8);
+CAIRN_ASSERT(offsetof(cairn_feature, age) == 16 && sizeof(((cairn_feature *)0)->age) == 4);
+CAIRN_ASSERT(offsetof(cairn_feature, landmark) == 20 && sizeof(((cairn_feature *)0)->landmark) == 4);
+CAIRN_ASSERT(sizeof(cairn_features_header) == 56);
+CAIRN_ASSERT(offsetof(cairn_features_header, run_id) == 0 && sizeof(((cairn_features_header *)0)->run_id) == 8);
+CAIRN_ASSERT(offsetof(cairn_features_header, sequence) == 8 && sizeof(((cairn_features_header *)0)->sequence) == 8);
+CAIRN_ASSERT(offsetof(cairn_features_header, timestamp_ns) == 16 && sizeof(((cairn_features_header *)0)->timestamp_ns) == 8);
+CAIRN_ASSERT(offsetof(cairn_features_header, arrival_ns) == 24 && sizeof(((cairn_features_header *)0)->arrival_ns) == 8);
+CAIRN_ASSERT(offsetof(cairn_features_header, width) == 32 && sizeof(((cairn_features_header *)0)->width) == 4);
+CAIRN_ASSERT(offsetof(cairn_features_header, height) == 36 && sizeof(((cairn_features_header *)0)->height) == 4);
+CAIRN_ASSERT(offsetof(cairn_features_header, count) == 40 && sizeof(((cairn_features_header *)0)->count) == 4);
+CAIRN_ASSERT(offsetof(cairn_features_header, total) == 44 && sizeof(((cairn_features_header *)0)->total) == 4);
+CAIRN_ASSERT(offsetof(cairn_features_header, clock) == 48 && sizeof(((cairn_features_header *)0)->clock) == 1);
+CAIRN_ASSERT(offsetof(cairn_features_header, reserved) == 49 && sizeof(((cairn_features_header *)0)->reserved) == 7);
 CAIRN_ASSERT(sizeof(cairn_command) == 576);
 CAIRN_ASSERT(offsetof(cairn_command, kind) == 0 && sizeof(((cairn_command *)0)->kind) == 4);
 CAIRN_ASSERT(offsetof(cairn_command, path_len) == 4 && sizeof(((cairn_command *)0)->path_len) == 4);

@@ -67,6 +67,13 @@ struct Keyframes : detail::Held<cairn_keyframes, cairn_keyframes_release> {
 // A grey picture: header, pixels, size.
 using Frame = detail::Held<cairn_frame, cairn_frame_release>;
 
+// What was found in a picture: header, features, count.
+struct Features : detail::Held<cairn_features, cairn_features_release> {
+    using Held::Held;
+    const cairn_feature *begin() const { return (*this)->features; }
+    const cairn_feature *end() const { return (*this)->features + (*this)->count; }
+};
+
 // The robot may act on this pose: tracked, and its frame arrived no longer than max_age ago.
 inline bool usable(const Pose &pose, Duration max_age) {
     return cairn_pose_is_usable(&pose, detail::ns(max_age)) != 0;
@@ -108,6 +115,7 @@ class Client {
     std::optional<Map> map(Duration timeout) { return view<Map>(cairn_map_wait, timeout); }
     std::optional<Keyframes> keyframes(Duration timeout) { return view<Keyframes>(cairn_keyframes_wait, timeout); }
     std::optional<Frame> frame(Duration timeout) { return view<Frame>(cairn_frame_wait, timeout); }
+    std::optional<Features> features(Duration timeout) { return view<Features>(cairn_features_wait, timeout); }
 
     // Throws only if there is no answer; a refusal is an answer.
     cairn_command_reply command(const cairn_command &command, Duration timeout) {

@@ -5,7 +5,7 @@ use clap::error::{ContextKind, ContextValue};
 use super::error::{CliError, exit_code};
 
 /// Commands that only the whole build has; the robot's answers them with where they are.
-pub const TOOLS_COMMANDS: [&str; 5] = ["compare", "demo", "evaluate", "simulate", "twoview"];
+pub const TOOLS_COMMANDS: [&str; 6] = ["compare", "console", "demo", "evaluate", "simulate", "twoview"];
 
 /// The sentence for something that this build leaves out.
 pub fn not_in_this_build(what: &str) -> String {

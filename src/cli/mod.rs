@@ -7,6 +7,8 @@ pub mod command;
 #[cfg(feature = "tools")]
 pub mod compare;
 #[cfg(feature = "tools")]
+pub mod console;
+#[cfg(feature = "tools")]
 pub mod demo;
 pub mod doctor;
 pub mod endpoint_args;
@@ -34,7 +36,7 @@ pub use error::{CliError, exit_code};
 #[cfg_attr(
     not(feature = "tools"),
     command(
-        after_help = "In the package cairn-tools, as commands of `cairn-tools`: compare, demo, evaluate, simulate, twoview."
+        after_help = "In the package cairn-tools, as commands of `cairn-tools`: compare, console, demo, evaluate, simulate, twoview."
     )
 )]
 pub struct Arguments {
@@ -60,6 +62,8 @@ enum Command {
     TwoView(twoview::TwoViewArgs),
     #[cfg(feature = "tools")]
     Compare(compare::CompareArgs),
+    #[cfg(feature = "tools")]
+    Console(console::ConsoleArgs),
     #[command(name = "command")]
     Send(command::CommandArgs),
 }
@@ -82,6 +86,8 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode, CliError> {
         Command::TwoView(args) => twoview::run(args),
         #[cfg(feature = "tools")]
         Command::Compare(args) => compare::run(args),
+        #[cfg(feature = "tools")]
+        Command::Console(args) => console::run(args),
         Command::Send(args) => command::run(args),
     }
 }

@@ -116,7 +116,8 @@ pub fn stop_flag() -> Result<Arc<AtomicBool>, CliError> {
 pub fn open_wire(config: &Config, clock: Clock, size: Option<(u32, u32)>) -> Result<(Outlet, Desk), PublishError> {
     let endpoint = Endpoint::new(&config.prefix).and_then(Endpoint::with_environment)?;
     let publisher = Publisher::open(&endpoint, &config.publish.limits(size))?;
-    let outlet = Outlet::new(publisher.poses, publisher.map, publisher.frames, &config.mount, clock);
+    let outlet = Outlet::new(publisher.poses, publisher.map, publisher.frames, &config.mount, clock)
+        .with_features(publisher.features);
     Ok((outlet, Desk { health: publisher.health, commands: publisher.commands }))
 }
 

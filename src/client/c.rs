@@ -15,11 +15,12 @@ use std::ffi::CString;
 use std::time::Duration;
 
 use super::{
-    Client, ClientError, Frame, Frames, Healths, Keyframes, KeyframesSnapshot, Map, MapSnapshot, Poses, Subscription,
-    Topic, monotonic_ns,
+    Client, ClientError, FeatureLists, Features, Frame, Frames, Healths, Keyframes, KeyframesSnapshot, Map,
+    MapSnapshot, Poses, Subscription, Topic, monotonic_ns,
 };
 use crate::messages::{
-    Command, CommandReply, FrameHeader, Health, Keyframe, KeyframesHeader, Landmark, MapHeader, Pose,
+    Command, CommandReply, Feature, FeaturesHeader, FrameHeader, Health, Keyframe, KeyframesHeader, Landmark,
+    MapHeader, Pose,
 };
 
 /// Grows when a function or a message of this header changes or goes; compare it with `cairn_abi_version()`.
@@ -51,6 +52,7 @@ pub struct Handle {
     map: Map,
     keyframes: Keyframes,
     frames: Option<Frames>,
+    features: Option<FeatureLists>,
 }
 
 /// A map in shared memory; never changes. Two may be held at a time.
@@ -98,6 +100,21 @@ pub struct FrameView {
 /// Keeps a picture in shared memory.
 pub struct FrameHold(#[expect(dead_code, reason = "held until it is dropped")] Frame);
 
+/// What was found in a picture, in shared memory; never changes. Two may be held at a time.
+#[repr(C)]
+pub struct FeaturesView {
+    /// Which picture, and how many features.
+    pub header: *const FeaturesHeader,
+    /// `count` features.
+    pub features: *const Feature,
+    pub count: usize,
+    /// For `cairn_features_release`.
+    pub held: *mut FeaturesHold,
+}
+
+/// Keeps features in shared memory.
+pub struct FeaturesHold(#[expect(dead_code, reason = "held until it is dropped")] Features);
+
 /// `ABI_VERSION` of the library.
 #[unsafe(no_mangle)] // SAFETY: every name begins with `cairn_` and is defined once, here.
 pub extern "C" fn cairn_abi_version() -> u32 {
@@ -138,7 +155,7 @@ pub unsafe extern "C" fn cairn_connect(prefix: *const c_char) -> *mut Handle {
     match client {
         Ok(client) => {
             let (poses, health, map, keyframes) = (client.poses(), client.health(), client.map(), client.keyframes());
-            Box::into_raw(Box::new(Handle { client, poses, health, map, keyframes, frames: None }))
+            Box::into_raw(Box::new(Handle { client, poses, health, map, keyframes, frames: None, features: None }))
         }
         Err(error) => {
             failed(&error.to_string());
@@ -403,6 +420,59 @@ pub unsafe extern "C" fn cairn_frames_stop(client: *mut Handle) {
     // SAFETY: the caller's promise; null is looked at.
     if let Some(handle) = unsafe { client.as_mut() } {
         handle.frames = None;
+    }
+}
+
+/// What was found in the next picture, waiting for it if need be. From the first call until `cairn_close` or `cairn_features_stop` the
+/// daemon tells it. Release it with `cairn_features_release`.
+///
+/// # Safety
+/// `client` comes from `cairn_connect`; `features` may be written.
+#[unsafe(no_mangle)] // SAFETY: as above
+pub unsafe extern "C" fn cairn_features_wait(client: *mut Handle, timeout_ns: u64, features: *mut FeaturesView) -> i32 {
+    let handle = handle!(client);
+    let lists = handle.features.get_or_insert_with(|| handle.client.features());
+    let item = newest(lists, Duration::from_nanos(timeout_ns));
+    let view = |features: Features| FeaturesView {
+        header: features.header(),
+        features: features.as_ptr(),
+        count: features.len(),
+        held: Box::into_raw(Box::new(FeaturesHold(features))),
+    };
+    // SAFETY: the caller's promise.
+    unsafe { hand_over(item, features, view) }
+}
+
+/// Gives features back; the view is empty then. Null and empty views are left alone.
+///
+/// # Safety
+/// `features` is null or was filled by `cairn_features_wait`, and is zeroed or unchanged since.
+#[unsafe(no_mangle)] // SAFETY: as above
+pub unsafe extern "C" fn cairn_features_release(features: *mut FeaturesView) {
+    // SAFETY: the caller's promise; what is held came out of `Box::into_raw` and is taken once.
+    if let Some(features) = unsafe { features.as_mut() }
+        && !features.held.is_null()
+    {
+        // SAFETY: as above.
+        drop(unsafe { Box::from_raw(features.held) });
+        *features = FeaturesView {
+            header: core::ptr::null(),
+            features: core::ptr::null(),
+            count: 0,
+            held: core::ptr::null_mut(),
+        };
+    }
+}
+
+/// No more features are wanted.
+///
+/// # Safety
+/// `client` is null or comes from `cairn_connect`.
+#[unsafe(no_mangle)] // SAFETY: as above
+pub unsafe extern "C" fn cairn_features_stop(client: *mut Handle) {
+    // SAFETY: the caller's promise; null is looked at.
+    if let Some(handle) = unsafe { client.as_mut() } {
+        handle.features = None;
     }
 }
 

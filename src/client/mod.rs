@@ -46,8 +46,8 @@ use std::time::{Duration, Instant};
 use iceoryx2_bb_posix::clock::{ClockType, Time};
 
 pub use error::ClientError;
-pub use subscription::{Frames, Healths, Keyframes, Map, Poses, Subscription};
-pub use topics::{Frame, KeyframesSnapshot, MapSnapshot, Slice, Topic};
+pub use subscription::{FeatureLists, Frames, Healths, Keyframes, Map, Poses, Subscription};
+pub use topics::{Features, Frame, KeyframesSnapshot, MapSnapshot, Slice, Topic};
 
 use crate::messages::services::topic;
 use crate::messages::{DEFAULT_PREFIX, Endpoint};
@@ -125,6 +125,11 @@ impl Client {
 
     /// Grey pictures as the daemon sees them. The daemon copies pictures only while somebody holds such a subscription.
     pub fn frames(&self) -> Frames {
+        Subscription::new(self.link.clone())
+    }
+
+    /// Corners, tracks and matched landmarks of each picture. The daemon makes them only while somebody holds such a subscription.
+    pub fn features(&self) -> FeatureLists {
         Subscription::new(self.link.clone())
     }
 }

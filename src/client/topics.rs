@@ -14,7 +14,9 @@ use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
 use super::link::Ipc;
 use crate::messages::services::topic;
-use crate::messages::{FrameHeader, Health, Keyframe, KeyframesHeader, Landmark, MapHeader, Pose};
+use crate::messages::{
+    Feature, FeaturesHeader, FrameHeader, Health, Keyframe, KeyframesHeader, Landmark, MapHeader, Pose,
+};
 
 /// The map as it was at one moment: a slice of [`Landmark`] in shared memory.
 pub type MapSnapshot = Slice<Landmark, MapHeader>;
@@ -22,6 +24,9 @@ pub type MapSnapshot = Slice<Landmark, MapHeader>;
 pub type KeyframesSnapshot = Slice<Keyframe, KeyframesHeader>;
 /// A grey picture in shared memory, rows of [`FrameHeader::stride`] bytes.
 pub type Frame = Slice<u8, FrameHeader>;
+
+/// What was found in a picture: a slice of [`Feature`] in shared memory.
+pub type Features = Slice<Feature, FeaturesHeader>;
 
 /// A service's port, and the service: the port must be gone when the service is closed.
 type SlicePort<T, H> = Arc<(Subscriber<Ipc, [T], H>, PortFactory<Ipc, [T], H>)>;
@@ -170,6 +175,9 @@ impl WireName for Landmark {
 impl WireName for Keyframe {
     const WIRE_NAME: &'static str = Keyframe::TYPE_NAME;
 }
+impl WireName for Feature {
+    const WIRE_NAME: &'static str = Feature::TYPE_NAME;
+}
 impl WireName for u8 {
     const WIRE_NAME: &'static str = "u8";
 }
@@ -193,4 +201,8 @@ topic!(
 topic!(
     /// [`Frame`], while somebody subscribes.
     FrameTopic, topic::FRAME, [u8], u8, FrameHeader, true, Frame, held
+);
+topic!(
+    /// [`Features`], while somebody subscribes.
+    FeaturesTopic, topic::FEATURES, [Feature], Feature, FeaturesHeader, true, Features, held
 );

@@ -5,11 +5,12 @@ use crate::features::FrameFeatures;
 use crate::frame::{Clock, monotonic_ns};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Body, World};
-use crate::map::{MapId, MapSnapshot};
+use crate::map::{LandmarkId, MapId, MapSnapshot};
 use crate::messages::Pose;
 use crate::publish::convert::{self, Map};
 use crate::publish::{
-    Conversion, FramePublisher, FrameStamp, MapContext, MapPublisher, PosePublisher, PublishError, ScaleEstimate,
+    Conversion, FeaturesPublisher, FramePublisher, FrameStamp, MapContext, MapPublisher, PosePublisher, PublishError,
+    ScaleEstimate,
 };
 use crate::reconstruction::PoseEstimate;
 
@@ -29,6 +30,7 @@ pub struct Outlet {
     poses: PosePublisher,
     map: MapPublisher,
     frames: FramePublisher,
+    features: Option<FeaturesPublisher>,
     conversion: Conversion,
     placement: Option<Placement>,
     /// As published.
@@ -50,7 +52,13 @@ impl Outlet {
             clock,
             map_from_world: None,
         };
-        Self { poses, map, frames, conversion, placement: None, last: None }
+        Self { poses, map, frames, features: None, conversion, placement: None, last: None }
+    }
+
+    /// Tells what is found in the pictures, too.
+    pub fn with_features(mut self, features: FeaturesPublisher) -> Self {
+        self.features = Some(features);
+        self
     }
 
     /// One frame's pose, or its lack of one. `frames_dropped`: frames of this run that were never looked at.
@@ -87,13 +95,28 @@ impl Outlet {
     /// The frame's grey picture, if anybody subscribes to it.
     pub fn frame(&mut self, features: &FrameFeatures) -> Result<(), PublishError> {
         let Some(picture) = features.pyramid.levels.first() else { return Ok(()) };
-        let stamp = FrameStamp {
+        self.frames.publish(picture, &self.stamp(features)).map(|_| ())
+    }
+
+    /// What was found in the frame's picture, if anybody subscribes to it.
+    pub fn features(
+        &mut self,
+        features: &FrameFeatures,
+        matches: impl Iterator<Item = (LandmarkId, [f32; 2])>,
+    ) -> Result<(), PublishError> {
+        let stamp = self.stamp(features);
+        let Some(publisher) = &mut self.features else { return Ok(()) };
+        let tracks = features.tracks.iter().map(|t| (t.id, [t.position.x, t.position.y], t.age));
+        publisher.publish(matches, tracks, features.pyramid.size(), &stamp).map(|_| ())
+    }
+
+    fn stamp(&self, features: &FrameFeatures) -> FrameStamp {
+        FrameStamp {
             sequence: features.sequence,
             timestamp_ns: features.timestamp_ns,
             arrival_ns: features.arrival_ns,
             clock: self.conversion.clock,
-        };
-        self.frames.publish(picture, &stamp).map(|_| ())
+        }
     }
 
     /// It is time for another map message.

@@ -242,8 +242,10 @@ impl ReconstructStep {
             Err(error) => self.publish_failed(&error),
         }
         self.status.latency.record_ns(monotonic_ns() - estimate.arrival_ns);
-        if let Some(outlet) = self.outlet.as_mut()
-            && let Err(error) = outlet.frame(features)
+        // The picture last: who is woken by it finds what was found in it.
+        if let (Some(outlet), Some(reconstruction)) = (self.outlet.as_mut(), &self.reconstruction)
+            && let Err(error) =
+                outlet.features(features, reconstruction.matches()).and_then(|()| outlet.frame(features))
         {
             self.publish_failed(&error);
         }

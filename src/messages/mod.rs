@@ -33,6 +33,7 @@ macro_rules! layout {
 
 mod command;
 mod endpoint;
+mod features;
 mod frame;
 mod health;
 mod map;
@@ -44,6 +45,7 @@ mod unfilled;
 pub use command::{Command, CommandReply, TEXT_LEN, command_kind, reply_code};
 pub(crate) use endpoint::user_name;
 pub use endpoint::{DEFAULT_PREFIX, Endpoint, EndpointError, Presence, Squatter, effective_uid, service_name};
+pub use features::{Feature, FeaturesHeader};
 pub use frame::FrameHeader;
 pub use health::{Health, STAGES, StageHealth, error, map_mode, stage};
 pub use map::{Keyframe, KeyframesHeader, Landmark, MapHeader};
@@ -81,6 +83,10 @@ impl BitFlags for u64 {}
 pub const UNKNOWN_NS: i64 = i64::MIN;
 /// Stands where there is no keyframe.
 pub const NO_KEYFRAME: u32 = u32::MAX;
+/// Stands where there is no landmark.
+pub const NO_LANDMARK: u32 = u32::MAX;
+/// Stands where there is no track.
+pub const NO_TRACK: u64 = u64::MAX;
 
 /// `state`: no map yet, no pose.
 pub const STATE_INITIALIZING: u8 = 0;
@@ -319,7 +325,19 @@ mod tests {
                 assert!(matches!(version, Some(Ok(1..))), "{}", <$type>::TYPE_NAME);
             )+};
         }
-        check!(Pose, Health, Landmark, MapHeader, Keyframe, KeyframesHeader, FrameHeader, Command, CommandReply);
+        check!(
+            Pose,
+            Health,
+            Landmark,
+            MapHeader,
+            Keyframe,
+            KeyframesHeader,
+            FrameHeader,
+            Feature,
+            FeaturesHeader,
+            Command,
+            CommandReply
+        );
     }
 
     #[test]

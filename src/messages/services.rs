@@ -10,6 +10,7 @@ pub mod topic {
     pub const KEYFRAMES: &str = "keyframes";
     pub const HEALTH: &str = "health";
     pub const FRAME: &str = "frame";
+    pub const FEATURES: &str = "features";
     pub const COMMAND: &str = "command";
 }
 
@@ -41,6 +42,8 @@ pub const DEFAULT_MAX_LANDMARKS: usize = 20_000;
 pub const DEFAULT_MAX_KEYFRAMES: usize = 2_000;
 /// Bytes of a frame message unless the daemon knows its source's picture size: 640x480.
 pub const DEFAULT_MAX_FRAME_BYTES: usize = 640 * 480;
+/// Features in a features message: a frame has a few hundred.
+pub const MAX_FEATURES: usize = 3_000;
 /// Map messages a second at most.
 pub const MAP_RATE_HZ: f64 = 2.0;
 
@@ -75,3 +78,5 @@ pub const KEYFRAMES: Qos = Qos { history: 1, buffer: 1, borrowed: 2 };
 pub const HEALTH: Qos = Qos { history: 1, buffer: 4, borrowed: 2 };
 /// Always the newest. No history: pictures are sent only while somebody subscribes.
 pub const FRAME: Qos = Qos { history: 0, buffer: 1, borrowed: 2 };
+/// As frames; a few more, so that who reads a picture finds its features.
+pub const FEATURES: Qos = Qos { history: 0, buffer: 4, borrowed: 2 };

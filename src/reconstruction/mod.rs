@@ -44,7 +44,7 @@ use crate::features::{Feedback, FrameFeatures};
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::image::pyramid::PyramidPool;
-use crate::map::{KeyframeId, KeyframeView, Sought};
+use crate::map::{KeyframeId, KeyframeView, LandmarkId, Sought};
 
 /// Share of the landmarks looked for that are seen: below the first a frame is looked for elsewhere too (after a stretch of blur
 /// a few landmarks can hold a pose that has slid away), below the second it is no keyframe. Without the first, errors over 35 sequences
@@ -380,6 +380,12 @@ impl Reconstruction {
     pub fn scale_is_assumed(&self) -> bool {
         self.state == TrackingState::Tracking
             && self.active.map.keyframe(self.active.reference).is_some_and(|k| k.scale_from.is_some())
+    }
+
+    /// Landmarks that the last frame's pose rests on, and where they were found in its picture, px; none unless it was tracked.
+    pub fn matches(&self) -> impl Iterator<Item = (LandmarkId, [f32; 2])> {
+        let tracked = self.state == TrackingState::Tracking;
+        self.tracker.matches().iter().filter(move |_| tracked).map(|m| (m.landmark, [m.pixel.x, m.pixel.y]))
     }
 
     pub fn counters(&self) -> Counters {

@@ -11,7 +11,7 @@ const PAGE: &str = "src/messages/WIRE.md";
 /// Type and documentation of every field, by struct and field, out of the sources.
 fn documented() -> BTreeMap<(String, String), (String, String)> {
     let mut found = BTreeMap::new();
-    for file in ["pose", "map", "frame", "health", "command"] {
+    for file in ["pose", "map", "frame", "features", "health", "command"] {
         let text = std::fs::read_to_string(root().join(format!("src/messages/{file}.rs"))).expect("source");
         let (mut inside, mut words) = (None::<String>, Vec::new());
         for line in text.lines() {
@@ -55,12 +55,13 @@ fn queues() -> String {
     let mut table = String::from(
         "| service | history for late joiners | queue of a reader | held by a reader |\n|---|---:|---:|---:|\n",
     );
-    let rows: [(&str, Qos); 5] = [
+    let rows: [(&str, Qos); 6] = [
         (services::topic::POSE, services::POSE),
         (services::topic::MAP, services::MAP),
         (services::topic::KEYFRAMES, services::KEYFRAMES),
         (services::topic::HEALTH, services::HEALTH),
         (services::topic::FRAME, services::FRAME),
+        (services::topic::FEATURES, services::FEATURES),
     ];
     for (name, qos) in rows {
         table += &format!("| `PREFIX/{name}` | {} | {} | {} |\n", qos.history, qos.buffer, qos.borrowed);

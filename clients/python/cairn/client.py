@@ -98,6 +98,10 @@ class Client:
         """Grey pictures. The daemon copies pictures only while somebody holds such a subscription."""
         return Subscription(self, "frame", iox2.Slice[ctypes.c_uint8], m.FrameHeader, values.Frame)
 
+    def features(self):
+        """Corners, tracks and matched landmarks of pictures. The daemon makes them only while somebody holds such a subscription."""
+        return Subscription(self, "features", iox2.Slice[m.Feature], m.FeaturesHeader, values.Features)
+
     def wait_for_daemon(self, timeout):
         """True once a daemon is there; False after `timeout` seconds."""
         end = time.monotonic() + timeout

@@ -8,6 +8,8 @@ import ctypes as c
 
 UNKNOWN_NS = -(2**63)
 NO_KEYFRAME = 2**32 - 1
+NO_LANDMARK = 2**32 - 1
+NO_TRACK = 2**64 - 1
 TEXT_LEN = 512
 
 STATES = ("INITIALIZING", "TRACKING", "LOST", "ORIENTATION", "DEAD_RECKONING")
@@ -209,6 +211,30 @@ class FrameHeader(_Message):
         ("stride", c.c_uint32),
         ("clock", c.c_uint8),
         ("reserved", c.c_uint8 * 3),
+    ]
+
+
+class Feature(_Message):
+    _fields_ = [
+        ("track", c.c_uint64),
+        ("position", c.c_float * 2),
+        ("age", c.c_uint32),
+        ("landmark", c.c_uint32),
+    ]
+
+
+class FeaturesHeader(_Message):
+    _fields_ = [
+        ("run_id", c.c_uint64),
+        ("sequence", c.c_uint64),
+        ("timestamp_ns", c.c_int64),
+        ("arrival_ns", c.c_int64),
+        ("width", c.c_uint32),
+        ("height", c.c_uint32),
+        ("count", c.c_uint32),
+        ("total", c.c_uint32),
+        ("clock", c.c_uint8),
+        ("reserved", c.c_uint8 * 7),
     ]
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from . import messages as m
 
 LANDMARK = np.dtype([("id", "<u4"), ("observations", "<u4"), ("position", "<f4", 3), ("sigma", "<f4")])
+FEATURE = np.dtype([("track", "<u8"), ("position", "<f4", 2), ("age", "<u4"), ("landmark", "<u4")])
 KEYFRAME = np.dtype(
     [("timestamp_ns", "<i8"), ("position", "<f8", 3), ("orientation", "<f8", 4), ("id", "<u4"), ("reserved", "<u4")]
 )
@@ -275,3 +276,20 @@ class Frame(_Slice):
 
     def __repr__(self):
         return f"<Frame {self.sequence} {self.width}x{self.height}>"
+
+
+class Features(_Slice):
+    """What was found in one picture: landmarks that the pose rests on, then tracks."""
+
+    __slots__ = ()
+
+    def __init__(self, sample, port):
+        super().__init__(sample, port, m.FeaturesHeader, FEATURE)
+
+    points = property(lambda self: self.elements["position"], doc="(N, 2) float32, px: a view.")
+    tracks = property(lambda self: self.elements["track"], doc="(N,) `NO_TRACK` where a landmark was found.")
+    ages = property(lambda self: self.elements["age"], doc="(N,) frames since the corner was detected.")
+    landmarks = property(lambda self: self.elements["landmark"], doc="(N,) `NO_LANDMARK` for a track.")
+
+    def __repr__(self):
+        return f"<Features of {self.sequence}: {len(self)} of {self.total}>"

@@ -1,0 +1,105 @@
+//! What a page may have the daemon do: the commands of `cairn command`, and each as it is typed there.
+
+use std::time::Duration;
+
+use serde::Deserialize;
+
+use crate::client::Client;
+use crate::messages::{CommandReply, DEFAULT_PREFIX, Transform, reply_code};
+
+/// How long the daemon may take; saving a large map takes seconds.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// A button.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(tag = "do", rename_all = "snake_case", deny_unknown_fields)]
+pub enum Action {
+    /// With braces, as serde would let unknown fields of a bare variant pass.
+    Reset {},
+    SaveTrajectory {
+        path: String,
+    },
+    SaveMap {
+        path: String,
+    },
+    /// Map units and degrees, counter-clockwise from above.
+    SetPose {
+        x: f64,
+        y: f64,
+        yaw_deg: f64,
+    },
+}
+
+impl Action {
+    /// The same on a terminal.
+    pub fn terminal(&self, prefix: &str) -> String {
+        let prefix = if prefix == DEFAULT_PREFIX { String::new() } else { format!(" --prefix {}", quoted(prefix)) };
+        let what = match self {
+            Self::Reset {} => "reset".into(),
+            Self::SaveTrajectory { path } => format!("save-trajectory {}", quoted(path)),
+            Self::SaveMap { path } => format!("save-map {}", quoted(path)),
+            Self::SetPose { x, y, yaw_deg } => format!("set-pose {x} {y} {yaw_deg}"),
+        };
+        format!("cairn command{prefix} {what}")
+    }
+
+    /// Sends it and waits; the sentence says what became of it, or why it failed.
+    pub fn carry_out(&self, client: &Client) -> Result<String, String> {
+        if let Self::SaveTrajectory { path } | Self::SaveMap { path } = self
+            && !path.starts_with('/')
+        {
+            return Err(format!("{path:?} is no absolute path; the daemon has a working folder of its own"));
+        }
+        let reply = match self {
+            Self::Reset {} => client.reset(PATIENCE),
+            Self::SaveTrajectory { path } => client.save_trajectory(path, PATIENCE),
+            Self::SaveMap { path } => client.save_map(path, PATIENCE),
+            Self::SetPose { x, y, yaw_deg } => {
+                client.set_pose(&Transform::level(*x, *y, yaw_deg.to_radians()), PATIENCE)
+            }
+        };
+        outcome(&reply.map_err(|e| e.to_string())?)
+    }
+}
+
+fn outcome(reply: &CommandReply) -> Result<String, String> {
+    let message = if reply.message().is_empty() { "done" } else { reply.message() }.to_owned();
+    if reply.code == reply_code::OK { Ok(message) } else { Err(message) }
+}
+
+/// A word for a shell.
+fn quoted(word: &str) -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "/._-+:@".contains(c);
+    if !word.is_empty() && word.chars().all(plain) { word.into() } else { format!("'{}'", word.replace('\'', r"'\''")) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn terminal(json: &str, prefix: &str) -> String {
+        serde_json::from_str::<Action>(json).expect("action").terminal(prefix)
+    }
+
+    #[test]
+    fn a_button_is_a_line_of_the_terminal() {
+        assert_eq!(terminal(r#"{"do":"reset"}"#, "cairn"), "cairn command reset");
+        assert_eq!(terminal(r#"{"do":"reset"}"#, "left"), "cairn command --prefix left reset");
+        assert_eq!(
+            terminal(r#"{"do":"save_map","path":"/tmp/it's"}"#, "cairn"),
+            r"cairn command save-map '/tmp/it'\''s'"
+        );
+        assert_eq!(
+            terminal(r#"{"do":"set_pose","x":-1,"y":0.5,"yaw_deg":90}"#, "cairn"),
+            "cairn command set-pose -1 0.5 90"
+        );
+    }
+
+    #[test]
+    fn what_is_no_button_is_refused() {
+        for text in [r#"{"do":"shutdown"}"#, r#"{"do":"reset","now":1}"#, r#"{"do":"save_map"}"#, "[]", "1"] {
+            assert!(serde_json::from_str::<Action>(text).is_err(), "{text}");
+        }
+        assert!(outcome(&CommandReply::new(reply_code::BUSY, "later")).is_err());
+    }
+}

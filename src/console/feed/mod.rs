@@ -1,0 +1,7 @@
+//! The daemon's services, each subscribed once for all pages.
+
+pub mod pictures;
+pub mod robot;
+mod source;
+
+pub use source::{Source, wait};

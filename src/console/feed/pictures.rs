@@ -1,0 +1,88 @@
+//! The camera's pictures and what was found in them: subscribed only while a page shows them, encoded once for all.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use jpeg_encoder::{ColorType, Encoder};
+use tracing::warn;
+
+use super::source::{Source, pause, wait};
+use crate::client::{ClientError, FeatureLists, Features, Frame};
+use crate::console::hub::{Hub, demand};
+use crate::console::wire::{self, Bytes, Kind};
+
+/// Pictures a second at most: enough to drive by, and a third less than a webcam's to encode.
+const RATE_HZ: f64 = 20.0;
+/// Of 100; grey 640x480 becomes some 40 kB.
+const QUALITY: u8 = 70;
+/// How soon the end of a demand is noticed.
+const NAP: Duration = Duration::from_millis(100);
+
+/// Until `stop`.
+pub fn run(hub: &Hub, source: &Source, stop: &AtomicBool) {
+    while !stop.load(Ordering::Relaxed) {
+        if !hub.wants(demand::VIDEO) {
+            wait(stop, NAP);
+        } else if let Err(error) = show(hub, source, stop) {
+            warn!(%error, "console: no pictures");
+            pause(stop);
+        }
+    }
+}
+
+/// While somebody looks.
+fn show(hub: &Hub, source: &Source, stop: &AtomicBool) -> Result<(), ClientError> {
+    let client = source.client()?;
+    let (mut frames, mut found) = (client.frames(), client.features());
+    let mut jpeg = Vec::new();
+    let pause = Duration::from_secs_f64(1.0 / RATE_HZ);
+    // Nothing is encoded sooner after the last than this; a tenth less, as a camera's frames do not come by our clock.
+    let mut next = Instant::now();
+    while !stop.load(Ordering::Relaxed) && hub.wants(demand::VIDEO) {
+        let Some(frame) = frames.wait(NAP)? else { continue };
+        let features = of_frame(&mut found, frame.header().sequence)?;
+        let now = Instant::now();
+        if now < next {
+            continue;
+        }
+        next = now.max(next + pause).min(now + pause) - pause / 10;
+        if let Some(message) = encode(&frame, features, &mut jpeg) {
+            hub.tell(Kind::Frame, demand::VIDEO, &message);
+        }
+    }
+    Ok(())
+}
+
+/// What was found in the frame of this number; it was sent before the picture. `None` if that of a later one came already.
+fn of_frame(found: &mut FeatureLists, sequence: u64) -> Result<Option<Features>, ClientError> {
+    while let Some(features) = found.try_next()? {
+        if features.header().sequence >= sequence {
+            return Ok(Some(features).filter(|f| f.header().sequence == sequence));
+        }
+    }
+    Ok(None)
+}
+
+/// `None` for a picture that JPEG has no size for.
+fn encode(frame: &Frame, features: Option<Features>, jpeg: &mut Vec<u8>) -> Option<Bytes> {
+    let h = frame.header();
+    let (width, height) = (u16::try_from(h.width).ok()?, u16::try_from(h.height).ok()?);
+    let (row, stride) = (usize::from(width), h.stride as usize);
+    let rows: Vec<u8>;
+    let pixels: &[u8] = if stride == row {
+        frame
+    } else {
+        rows = frame.chunks(stride.max(1)).flat_map(|line| line.iter().take(row)).copied().collect();
+        &rows
+    };
+    let pixels = pixels.get(..row * usize::from(height))?;
+    jpeg.clear();
+    Encoder::new(&mut *jpeg, QUALITY).encode(pixels, width, height, ColorType::Luma).ok()?;
+    Some(wire::frame(
+        h.sequence,
+        h.arrival_ns as f64 * 1e-9,
+        (h.width, h.height),
+        features.as_deref().unwrap_or_default(),
+        jpeg,
+    ))
+}

@@ -1,0 +1,101 @@
+// Buttons: each is a command of the terminal, and shows it.
+const ASK_MS = 4000; // how long a button that drops something waits for its second click
+
+const COMMANDS = [
+  { name: "Drop the map", danger: true, action: () => ({ do: "reset" }), shell: () => "reset" },
+  { name: "Save the map", fields: [{ name: "File of the daemon's machine", value: "/var/lib/cairn/map.ply" }], action: ([path]) => ({ do: "save_map", path }), shell: ([path]) => `save-map ${quoted(path)}` },
+  { name: "Save the trajectory", fields: [{ name: "File of the daemon's machine", value: "/var/lib/cairn/trajectory.txt" }], action: ([path]) => ({ do: "save_trajectory", path }), shell: ([path]) => `save-trajectory ${quoted(path)}` },
+  {
+    name: "The robot is at", fields: ["x", "y", "yaw, degrees"].map((name) => ({ name, value: "0", number: true })),
+    action: ([x, y, yaw]) => ({ do: "set_pose", x: Number(x), y: Number(y), yaw_deg: Number(yaw) }),
+    shell: (values) => `set-pose ${values.map((v) => Number(v)).join(" ")}`,
+  },
+];
+
+function quoted(word) {
+  return /^[\w/.+:@-]+$/.test(word) ? word : `'${word.replaceAll("'", "'\\''")}'`;
+}
+
+export class Controls {
+  constructor(say) {
+    this.say = say;
+    this.prefix = "cairn";
+    this.id = 0;
+    this.waiting = new Map();
+    this.rows = COMMANDS.map((command) => this.row(command));
+    document.getElementById("commands").append(...this.rows.map((row) => row.element));
+  }
+
+  row(command) {
+    const element = document.createElement("form");
+    element.className = "command";
+    const button = Object.assign(document.createElement("button"), { type: "submit", textContent: command.name });
+    const fields = Object.assign(document.createElement("div"), { className: "fields" });
+    const inputs = (command.fields ?? []).map(({ name, value, number }) => {
+      const input = Object.assign(document.createElement("input"), { value, required: true, title: name, spellcheck: false });
+      if (number) [input.inputMode, input.pattern] = ["decimal", "-?[0-9]+([.][0-9]+)?"];
+      else [input.pattern, input.maxLength] = ["/.+", 500];
+      input.setAttribute("aria-label", `${command.name}: ${name}`);
+      fields.append(input);
+      return input;
+    });
+    const shell = Object.assign(document.createElement("code"), { className: "shell" });
+    const output = document.createElement("output");
+    element.append(button, fields, shell, output);
+    const row = { element, button, output, command, values: () => inputs.map((input) => input.value) };
+    row.show = () => { shell.textContent = `cairn command${this.prefix === "cairn" ? "" : ` --prefix ${quoted(this.prefix)}`} ${command.shell(row.values())}`; };
+    element.addEventListener("input", row.show);
+    element.addEventListener("submit", (event) => {
+      event.preventDefault();
+      this.press(row);
+    });
+    row.show();
+    return row;
+  }
+
+  press(row) {
+    if (row.command.danger && !row.armed) {
+      row.armed = setTimeout(() => this.disarm(row), ASK_MS);
+      row.button.classList.add("danger");
+      row.button.textContent = "Really drop it?";
+      return;
+    }
+    this.disarm(row);
+    this.id += 1;
+    this.waiting.set(this.id, row);
+    row.button.disabled = true;
+    this.answer(row, null, "asked …");
+    this.say({ command: { id: this.id, action: row.command.action(row.values()) } });
+  }
+
+  disarm(row) {
+    clearTimeout(row.armed);
+    row.armed = null;
+    row.button.classList.remove("danger");
+    row.button.textContent = row.command.name;
+  }
+
+  reply({ id, ok, text }) {
+    const row = this.waiting.get(id);
+    if (!row) return;
+    this.waiting.delete(id);
+    row.button.disabled = false;
+    this.answer(row, ok, text);
+  }
+
+  answer(row, ok, text) {
+    row.output.textContent = text;
+    row.output.dataset.ok = ok ?? "";
+  }
+
+  /** Answers of a connection that has gone do not come any more. */
+  lost() {
+    for (const id of [...this.waiting.keys()]) this.reply({ id, ok: false, text: "The connection was lost: it may have been carried out." });
+  }
+
+  setPrefix(prefix) {
+    if (prefix === this.prefix) return;
+    this.prefix = prefix;
+    this.rows.forEach((row) => row.show());
+  }
+}

@@ -1,0 +1,81 @@
+// Brings the page's parts together.
+import { KIND } from "/wire.js";
+import { Link } from "/link.js";
+import { StateView, set } from "/state.js";
+import { Video } from "/video.js";
+import { MapView } from "/map.js";
+import { Chart } from "/charts.js";
+import { Controls } from "/controls.js";
+import { Log } from "/log.js";
+
+const $ = (id) => document.getElementById(id);
+const PARTS = { live: ["video", "map"], log: ["log"] };
+
+const state = new StateView();
+const controls = new Controls((word) => link.say(word));
+const log = new Log();
+const video = new Video(() => link.seen(KIND.FRAME));
+const map = new MapView();
+const charts = [
+  new Chart($("latency"), $("latency-now"), { value: (s) => s.latency, unit: " ms", digits: 1, colour: "--accent" }),
+  new Chart($("landmarks"), $("landmarks-now"), { value: (s) => s.landmarks, unit: "", digits: 0, colour: "--good" }),
+];
+
+const receive = {
+  [KIND.STATE]: ({ value }) => {
+    controls.setPrefix(value.prefix);
+    const trouble = state.report(value);
+    set($("banner"), trouble);
+    map.setAway(trouble !== "", value.daemon?.state);
+  },
+  [KIND.HISTORY]: ({ samples }) => {
+    charts.forEach((chart) => chart.replace(samples));
+    map.history(samples);
+  },
+  [KIND.POSES]: ({ samples }) => samples.forEach((sample) => {
+    state.sample(sample);
+    map.pose(sample);
+    charts.forEach((chart) => chart.add(sample));
+  }),
+  [KIND.FRAME]: (frame) => video.frame(frame),
+  [KIND.MAP]: (message) => {
+    map.landmarks(message);
+    link.seen(KIND.MAP);
+  },
+  [KIND.KEYFRAMES]: (message) => map.keyframes(message),
+  [KIND.REPLY]: ({ value }) => controls.reply(value),
+  [KIND.LOG]: ({ value }) => log.add(value),
+};
+
+const link = new Link({
+  message: (message) => receive[message.kind]?.(message),
+  status: (sentence) => {
+    if (sentence === "") return;
+    controls.lost();
+    set($("banner"), sentence);
+    set($("state"), "no console");
+    $("state").dataset.state = "NONE";
+  },
+  ask: (wrong) => new Promise((resolve) => {
+    if (wrong) $("ask-why").textContent = "That is not the token. It stands in the file that the console was started with.";
+    $("token").value = "";
+    $("ask").addEventListener("close", () => resolve($("token").value), { once: true });
+    $("ask").addEventListener("cancel", (event) => event.preventDefault());
+    $("ask").showModal();
+  }),
+});
+
+function turn() {
+  const view = location.hash.slice(1) in PARTS ? location.hash.slice(1) : "live";
+  for (const name of Object.keys(PARTS)) {
+    $(name).hidden = name !== view;
+    const anchor = document.querySelector(`nav a[href="#${name}"]`);
+    if (name === view) anchor.setAttribute("aria-current", "page");
+    else anchor.removeAttribute("aria-current");
+  }
+  link.show(PARTS[view]);
+}
+
+addEventListener("hashchange", turn);
+turn();
+setInterval(() => charts.forEach((chart) => chart.draw()), 250);

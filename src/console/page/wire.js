@@ -1,0 +1,43 @@
+// Messages of the console as values; docs/console.md describes their bytes.
+export const KIND = { STATE: 1, POSES: 2, KEYFRAMES: 3, MAP: 4, FRAME: 5, LOG: 6, REPLY: 7, HISTORY: 9 };
+export const STATES = ["INITIALIZING", "TRACKING", "LOST", "ORIENTATION", "DEAD_RECKONING"];
+const SAMPLE = 64;
+const text = new TextDecoder();
+
+export function parse(buffer) {
+  const view = new DataView(buffer);
+  const kind = view.getUint8(0);
+  const count = view.getUint32(4, true);
+  switch (kind) {
+    case KIND.STATE: case KIND.LOG: case KIND.REPLY:
+      return { kind, value: JSON.parse(text.decode(new Uint8Array(buffer, 8))) };
+    case KIND.POSES: case KIND.HISTORY:
+      return { kind, samples: Array.from({ length: count }, (_, i) => sample(view, 8 + i * SAMPLE)) };
+    case KIND.MAP:
+      return { kind, ...head(view), points: new Float32Array(buffer, 24, 4 * count) };
+    case KIND.KEYFRAMES:
+      return { kind, ...head(view), keyframes: new Float32Array(buffer, 24, 8 * count) };
+    case KIND.FRAME:
+      return {
+        kind, count, sequence: Number(view.getBigUint64(8, true)), time: view.getFloat64(16, true),
+        width: view.getUint32(24, true), height: view.getUint32(28, true),
+        features: new DataView(buffer, 32, 16 * count), jpeg: new Uint8Array(buffer, 32 + 16 * count),
+      };
+    default:
+      return { kind }; // of a newer console
+  }
+}
+
+function head(view) {
+  return { count: view.getUint32(4, true), epoch: view.getUint32(8, true), total: view.getUint32(12, true), scale: view.getUint32(20, true) };
+}
+
+function sample(view, at) {
+  const f = (i) => view.getFloat32(at + i, true);
+  const u = (i) => view.getUint32(at + i, true);
+  return {
+    time: view.getFloat64(at, true), position: [f(8), f(12), f(16)], orientation: [f(20), f(24), f(28), f(32)],
+    latency: f(36), quality: f(40), landmarks: u(44), sought: u(48), epoch: u(52), dropped: u(56),
+    state: STATES[view.getUint8(at + 60)] ?? "UNKNOWN", scale: view.getUint8(at + 61), keyframe: view.getUint8(at + 62) !== 0,
+  };
+}

@@ -1,0 +1,244 @@
+//! Listens, and gives each connection a thread.
+
+use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::Duration;
+
+use crossbeam::channel::{Sender, TrySendError, bounded};
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use serde_json::json;
+use tracing::{info, warn};
+
+use super::commands::Action;
+use super::feed::{Source, pictures, robot};
+use super::guard::{Access, Token};
+use super::hub::{Hub, lock};
+use super::journal::{self, LogSource};
+use super::outbox::Outbox;
+use super::session::{self, Order};
+use super::wire::{self, Kind};
+use super::{ConsoleError, assets::Assets, http};
+use crate::client::monotonic_ns;
+use crate::messages::Endpoint;
+use crate::telemetry::RateLimiter;
+
+/// Connections at a time, pages among them; others wait to be accepted.
+const MAX_CONNECTIONS: usize = 128;
+/// How soon the end is noticed while nobody connects.
+const NAP: Duration = Duration::from_millis(200);
+/// An answer of HTTP must be taken within this.
+const WRITE_TIME: Duration = Duration::from_secs(10);
+/// Commands that wait for the one before.
+const COMMANDS: usize = 4;
+/// Stack of a connection's thread, bytes: it parses a few kilobytes.
+const STACK: usize = 512 * 1024;
+
+/// How the console is run.
+#[derive(Debug)]
+pub struct Options {
+    pub listen: SocketAddr,
+    pub token: Option<Token>,
+    /// Names of this host besides its addresses.
+    pub names: Vec<String>,
+    pub endpoint: Endpoint,
+    pub log: LogChoice,
+    /// What to do about a fault of health, by its name.
+    pub advice: fn(&str) -> &'static str,
+}
+
+/// Where the daemon's log is.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum LogChoice {
+    /// The journal's of this unit.
+    Unit(String),
+    /// A file of JSON lines.
+    File(PathBuf),
+}
+
+/// A console that listens.
+#[derive(Debug)]
+pub struct Console {
+    listener: TcpListener,
+    address: SocketAddr,
+    access: Arc<Access>,
+    assets: Arc<Assets>,
+    options: Options,
+}
+
+/// A command on its way.
+type Ordered = (Arc<Outbox>, u32, Action);
+
+impl Console {
+    /// Listens; nothing is answered before [`Self::run`].
+    pub fn listen(options: Options) -> Result<Self, ConsoleError> {
+        let access = Access::new(options.listen, options.token.clone(), &options.names)?;
+        let fail = |reason| ConsoleError::Listen { address: options.listen, reason };
+        let listener = TcpListener::bind(options.listen).map_err(fail)?;
+        let address = listener.local_addr().map_err(fail)?;
+        let assets = Assets::load().map_err(ConsoleError::Assets)?;
+        Ok(Self { listener, address, access: Arc::new(access), assets: Arc::new(assets), options })
+    }
+
+    /// With the port that the system chose for port 0.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// Until `stop`. Ends within seconds, whatever pages do.
+    pub fn run(&self, stop: &AtomicBool) {
+        let hub = Arc::new(Hub::default());
+        let source = Arc::new(Source::new(self.options.endpoint.clone()));
+        let (orders, commands) = bounded::<Ordered>(COMMANDS);
+        let log = match &self.options.log {
+            LogChoice::Unit(unit) => LogSource::journal(unit),
+            LogChoice::File(path) => LogSource::File(path.clone()),
+        };
+        // Not waited for: a daemon that hangs may hold a command for half a minute.
+        let commander = source.clone();
+        std::thread::spawn(move || {
+            for (page, id, action) in commands {
+                let done = commander.client().map_err(|e| e.to_string()).and_then(|client| action.carry_out(&client));
+                reply(&page, id, &action, commander.prefix(), done);
+            }
+        });
+        std::thread::scope(|scope| {
+            scope.spawn(|| robot::run(&hub, &source, self.options.advice, stop));
+            scope.spawn(|| pictures::run(&hub, &source, stop));
+            scope.spawn(|| robot::run_map(&hub, &source, stop));
+            scope.spawn(|| journal::run(&hub, &log, stop));
+            self.accept(&hub, orders, stop);
+            hub.close_all();
+        });
+    }
+
+    fn accept(&self, hub: &Arc<Hub>, orders: Sender<Ordered>, stop: &AtomicBool) {
+        let prefix = self.options.endpoint.prefix().to_owned();
+        let order: Arc<Order> = Arc::new(Box::new(move |page, id, action| {
+            let (TrySendError::Full(back) | TrySendError::Disconnected(back)) =
+                match orders.try_send((page.clone(), id, action)) {
+                    Ok(()) => return,
+                    Err(e) => e,
+                };
+            reply(page, id, &back.2, &prefix, Err("other commands are under way: try again".into()));
+        }));
+        let connections = Arc::new(AtomicUsize::new(0));
+        let refused = Arc::new(Mutex::new(RateLimiter::default()));
+        let nap = Timespec { tv_sec: 0, tv_nsec: NAP.as_nanos() as i64 };
+        while !stop.load(Ordering::Relaxed) {
+            if connections.load(Ordering::Relaxed) >= MAX_CONNECTIONS {
+                std::thread::sleep(Duration::from_millis(20));
+                continue;
+            }
+            let mut waiting = [PollFd::new(&self.listener, PollFlags::IN)];
+            if !matches!(poll(&mut waiting, Some(&nap)), Ok(1..)) {
+                continue;
+            }
+            let stream = match self.listener.accept() {
+                Ok((stream, _)) => stream,
+                Err(error) => {
+                    // Of one connection that has gone, or too many files are open: neither ends the console.
+                    warn!(%error, "console: connection not accepted");
+                    std::thread::sleep(NAP);
+                    continue;
+                }
+            };
+            let place = Place::take(&connections);
+            let visit = Visit {
+                hub: hub.clone(),
+                access: self.access.clone(),
+                assets: self.assets.clone(),
+                order: order.clone(),
+                refused: refused.clone(),
+            };
+            let spawned = std::thread::Builder::new().name("console-page".into()).stack_size(STACK).spawn(move || {
+                let _place = place;
+                visit.serve(stream);
+            });
+            if let Err(error) = spawned {
+                warn!(%error, "console: no thread for a connection");
+            }
+        }
+    }
+}
+
+/// What became of a command, to the page that asked for it.
+fn reply(page: &Outbox, id: u32, action: &Action, prefix: &str, done: Result<String, String>) {
+    let (ok, text) = match done {
+        Ok(text) => (true, text),
+        Err(text) => (false, text),
+    };
+    info!(terminal = action.terminal(prefix), ok, text, "console: command");
+    page.put(
+        Kind::Reply,
+        wire::json(Kind::Reply, &json!({ "id": id, "ok": ok, "text": text, "terminal": action.terminal(prefix) })),
+    );
+}
+
+/// One of the connections that there may be.
+struct Place(Arc<AtomicUsize>);
+
+impl Place {
+    fn take(count: &Arc<AtomicUsize>) -> Self {
+        count.fetch_add(1, Ordering::Relaxed);
+        Self(count.clone())
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+/// What a connection's thread needs.
+struct Visit {
+    hub: Arc<Hub>,
+    access: Arc<Access>,
+    assets: Arc<Assets>,
+    order: Arc<Order>,
+    refused: Arc<Mutex<RateLimiter>>,
+}
+
+impl Visit {
+    /// Errors of a connection are its own.
+    fn serve(&self, mut stream: TcpStream) {
+        let prepared = stream.set_nonblocking(false).and_then(|()| stream.set_write_timeout(Some(WRITE_TIME)));
+        if prepared.is_err() {
+            return;
+        }
+        let request = match http::read(&mut stream) {
+            Ok(request) => request,
+            Err(http::Bad::Refuse(status, sentence)) => {
+                self.refuse(&stream, status);
+                if http::say(&mut stream, status, sentence).is_ok() {
+                    http::linger(&mut stream);
+                }
+                return;
+            }
+            Err(http::Bad::Gone) => return,
+        };
+        if let Err(refused) = self.access.judge(&request.host, request.origin.as_deref()) {
+            self.refuse(&stream, &format!("{refused:?}"));
+            let _ = http::say(&mut stream, "403 Forbidden", refused.sentence());
+            return;
+        }
+        let _ = match (request.path.as_str(), &request.websocket_key) {
+            ("/ws", Some(key)) => http::upgrade(&mut stream, key)
+                .and_then(|()| session::run(stream, request.rest, &self.hub, &self.access, &self.order)),
+            ("/ws", None) => http::say(&mut stream, "426 Upgrade Required", "Here is a WebSocket."),
+            ("/access", _) => {
+                http::say(&mut stream, "200 OK", if self.access.needs_token() { "token" } else { "open" })
+            }
+            _ => http::serve(&mut stream, &request, &self.assets),
+        };
+    }
+
+    fn refuse(&self, stream: &TcpStream, why: &str) {
+        if let Some(requests) = lock(&self.refused).event(monotonic_ns()) {
+            warn!(requests, why, peer = ?stream.peer_addr().ok(), "console: request refused");
+        }
+    }
+}

@@ -1,0 +1,255 @@
+//! One page's WebSocket: what it says, and what it is told.
+//!
+//! Two threads share the connection, as one of them always waits: the reader (the connection's own thread) writes nothing, and hands pings to the
+//! writer. The first message must be `hello`, with the token if one is asked for.
+
+use std::io::{self, Read, Write};
+use std::net::{Shutdown, TcpStream};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use serde::Deserialize;
+use tracing::warn;
+use tungstenite::protocol::frame::CloseFrame;
+use tungstenite::protocol::frame::coding::CloseCode;
+use tungstenite::protocol::{Role, WebSocketConfig};
+use tungstenite::{Message, WebSocket};
+
+use super::commands::Action;
+use super::guard::Access;
+use super::hub::{Hub, demand};
+use super::outbox::{Next, Outbox};
+use super::wire::Kind;
+
+/// Longest message of a page, bytes.
+const MAX_MESSAGE: usize = 4 * 1024;
+/// Messages of a page a second; one that draws sends about thirty.
+const MAX_RATE: u32 = 200;
+/// Time for the first message.
+const HELLO_TIME: Duration = Duration::from_secs(5);
+/// A page that says nothing for so long has gone: it answers pings.
+const SILENCE: Duration = Duration::from_secs(45);
+const PING_EVERY: Duration = Duration::from_secs(15);
+/// A connection that takes nothing for so long is ended.
+const WRITE_TIME: Duration = Duration::from_secs(10);
+/// Pause after a wrong token: with all connections at it, some hundred guesses a second.
+const WRONG_TOKEN_PAUSE: Duration = Duration::from_millis(500);
+/// Codes of our own with which a WebSocket is closed.
+const CLOSE_TOKEN: u16 = 4401;
+const CLOSE_FULL: u16 = 4429;
+
+/// What a page says.
+#[derive(Debug, PartialEq, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Word {
+    Hello {
+        token: Option<String>,
+    },
+    /// What it shows from now on.
+    Show(Vec<Part>),
+    /// It has dealt with a message of this kind.
+    Seen(u64),
+    Command {
+        id: u32,
+        action: Action,
+    },
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Part {
+    Video,
+    Map,
+    Log,
+}
+
+impl Part {
+    fn bit(self) -> u32 {
+        match self {
+            Self::Video => demand::VIDEO,
+            Self::Map => demand::MAP,
+            Self::Log => demand::LOG,
+        }
+    }
+}
+
+/// Takes a command of a page; the answer goes into its outbox.
+pub type Order = Box<dyn Fn(&Arc<Outbox>, u32, Action) + Send + Sync>;
+
+/// The reader's half: tungstenite wants to answer pings and closes itself, in the middle of what the writer writes.
+struct Deaf(TcpStream);
+
+impl Read for Deaf {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        self.0.read(buffer)
+    }
+}
+
+impl Write for Deaf {
+    fn write(&mut self, buffer: &[u8]) -> io::Result<usize> {
+        Ok(buffer.len())
+    }
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+fn config() -> WebSocketConfig {
+    WebSocketConfig::default()
+        .max_message_size(Some(MAX_MESSAGE))
+        .max_frame_size(Some(MAX_MESSAGE))
+        .read_buffer_size(MAX_MESSAGE)
+        .write_buffer_size(0)
+}
+
+/// Serves a page until it goes. `rest`: bytes that came with the request.
+pub fn run(stream: TcpStream, rest: Vec<u8>, hub: &Hub, access: &Access, order: &Order) -> io::Result<()> {
+    stream.set_nodelay(true)?;
+    stream.set_write_timeout(Some(WRITE_TIME))?;
+    stream.set_read_timeout(Some(HELLO_TIME))?;
+    let mut reader = WebSocket::from_partially_read(Deaf(stream.try_clone()?), rest, Role::Server, Some(config()));
+    let mut writer = WebSocket::from_raw_socket(stream.try_clone()?, Role::Server, Some(config()));
+    match word(reader.read()) {
+        Ok(Some(Word::Hello { token })) if access.opens(token.as_deref().unwrap_or("")) => {}
+        Ok(Some(Word::Hello { .. })) => {
+            warn!(peer = ?stream.peer_addr().ok(), "console: wrong token");
+            std::thread::sleep(WRONG_TOKEN_PAUSE);
+            return close(&mut writer, CLOSE_TOKEN, "token");
+        }
+        _ => return close(&mut writer, CloseCode::Policy.into(), "hello expected"),
+    }
+    let Some(page) = hub.join() else { return close(&mut writer, CLOSE_FULL, "too many pages") };
+    page.open();
+    hub.greet(&page);
+    stream.set_read_timeout(Some(SILENCE))?;
+    let end = std::thread::scope(|scope| {
+        scope.spawn(|| write(&mut writer, &page));
+        let end = listen(&mut reader, hub, &page, order);
+        hub.leave(&page);
+        end
+    });
+    if let Some((code, reason)) = end {
+        let _ = close(&mut writer, code, reason);
+    }
+    // Both directions; it may be gone already.
+    let _ = stream.shutdown(Shutdown::Both);
+    Ok(())
+}
+
+fn close(writer: &mut WebSocket<TcpStream>, code: u16, reason: &'static str) -> io::Result<()> {
+    let frame = CloseFrame { code: code.into(), reason: reason.into() };
+    // Whoever has gone needs no reason.
+    let _ = writer.close(Some(frame)).and_then(|()| writer.flush());
+    writer.get_ref().shutdown(Shutdown::Write)
+}
+
+/// A message of the page; `None` for what is none of its words.
+fn word(message: tungstenite::Result<Message>) -> tungstenite::Result<Option<Word>> {
+    message.map(|message| match message {
+        Message::Text(text) => serde_json::from_str(text.as_str()).ok(),
+        _ => None,
+    })
+}
+
+/// Until the page goes; with a code if it is its own fault.
+fn listen(reader: &mut WebSocket<Deaf>, hub: &Hub, page: &Arc<Outbox>, order: &Order) -> Option<(u16, &'static str)> {
+    let (mut second, mut count) = (Instant::now(), 0);
+    loop {
+        let message = match reader.read() {
+            Ok(message) => message,
+            Err(tungstenite::Error::Capacity(_)) => return Some((CloseCode::Size.into(), "message too large")),
+            Err(tungstenite::Error::Protocol(_) | tungstenite::Error::Utf8(_)) => {
+                return Some((CloseCode::Protocol.into(), "malformed"));
+            }
+            Err(_) => return None,
+        };
+        if second.elapsed() >= Duration::from_secs(1) {
+            (second, count) = (Instant::now(), 0);
+        }
+        count += 1;
+        if count > MAX_RATE {
+            return Some((CloseCode::Policy.into(), "too many messages"));
+        }
+        match message {
+            Message::Ping(payload) => page.pong(payload.to_vec()),
+            Message::Pong(_) => {}
+            Message::Close(_) => return Some((CloseCode::Normal.into(), "")),
+            message => match word(Ok(message)) {
+                Ok(Some(word)) => obey(word, hub, page, order),
+                _ => return Some((CloseCode::Policy.into(), "not understood")),
+            },
+        }
+    }
+}
+
+fn obey(word: Word, hub: &Hub, page: &Arc<Outbox>, order: &Order) {
+    match word {
+        Word::Hello { .. } => {}
+        Word::Show(parts) => {
+            let before = page.demand();
+            let bits = parts.iter().fold(0, |bits, part| bits | part.bit());
+            if bits & demand::LOG != 0 && before & demand::LOG == 0 {
+                hub.replay_log(page);
+            }
+            page.set_demand(bits);
+        }
+        Word::Seen(number) => {
+            if let Some(kind) = Kind::acknowledged(number) {
+                page.seen(kind);
+            }
+        }
+        Word::Command { id, action } => order(page, id, action),
+    }
+}
+
+/// Until the page's outbox is closed or nobody takes what is written.
+fn write(writer: &mut WebSocket<TcpStream>, page: &Outbox) {
+    let mut pinged = Instant::now();
+    loop {
+        let sent = match page.next(PING_EVERY) {
+            Next::Send(message) => writer.send(Message::Binary(message)),
+            Next::Pong(payload) => writer.send(Message::Pong(payload.into())),
+            Next::Idle => Ok(()),
+            Next::Closed => {
+                // Where the console ends the reader still waits.
+                let _ = writer.get_ref().shutdown(Shutdown::Read);
+                return;
+            }
+        };
+        let sent = sent.and_then(|()| {
+            if pinged.elapsed() < PING_EVERY {
+                return Ok(());
+            }
+            pinged = Instant::now();
+            writer.send(Message::Ping(tungstenite::Bytes::new()))
+        });
+        if sent.is_err() {
+            // The reader wakes, and ends the session.
+            let _ = writer.get_ref().shutdown(Shutdown::Both);
+            return;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn word(text: &str) -> Option<Word> {
+        serde_json::from_str(text).ok()
+    }
+
+    #[test]
+    fn a_page_has_few_words() {
+        assert_eq!(word(r#"{"hello":{}}"#), Some(Word::Hello { token: None }));
+        assert_eq!(word(r#"{"show":["video","log"]}"#), Some(Word::Show(vec![Part::Video, Part::Log])));
+        assert_eq!(word(r#"{"seen":5}"#), Some(Word::Seen(5)));
+        let command = word(r#"{"command":{"id":1,"action":{"do":"reset"}}}"#);
+        assert_eq!(command, Some(Word::Command { id: 1, action: Action::Reset {} }));
+        for text in
+            ["", "{}", r#"{"hello":{"tokens":1}}"#, r#"{"show":["all"]}"#, r#"{"seen":-1}"#, r#"{"seen":1,"show":[]}"#]
+        {
+            assert_eq!(word(text), None, "{text}");
+        }
+    }
+}

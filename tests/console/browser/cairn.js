@@ -1,0 +1,51 @@
+// `cairn demo` and `cairn console` as processes, in shared memory of their own.
+import { spawn } from "node:child_process";
+import { mkdtempSync, rmSync, readdirSync, openSync, writeFileSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
+
+const BINARY = process.env.CAIRN_BINARY ?? "target/release/cairn";
+
+export class Robot {
+  constructor() {
+    this.name = `cb${process.pid}`;
+    this.folder = mkdtempSync(join(tmpdir(), "cairn-console-"));
+    this.log = join(this.folder, "log");
+    this.running = new Set();
+    writeFileSync(this.log, "");
+    this.env = { ...process.env, CAIRN_PREFIX: "robot", CAIRN_IPC_ROOT: join("/tmp", this.name), CAIRN_IPC_PREFIX: `${this.name}_` };
+  }
+
+  start(args, stderr) {
+    const child = spawn(BINARY, args, { env: this.env, stdio: ["ignore", "ignore", stderr] });
+    this.running.add(child);
+    child.on("exit", () => this.running.delete(child));
+    return child;
+  }
+
+  demo() {
+    return this.start(["demo", "--seconds", "160", "--log", "info", "--output", join(this.folder, "demo")], openSync(this.log, "a"));
+  }
+
+  /** Its address, once it listens. */
+  console(...args) {
+    const child = this.start(["console", "--listen", "127.0.0.1:0", "--log-file", this.log, ...args], "pipe");
+    return new Promise((resolve, reject) => {
+      let said = "";
+      child.stderr.on("data", (data) => {
+        said += data;
+        const found = said.match(/http:\/\/[\d.]+:\d+\//);
+        if (found) resolve({ child, url: found[0] });
+      });
+      child.on("error", reject);
+      child.on("exit", () => reject(new Error(`the console has ended: ${said}`)));
+    });
+  }
+
+  end() {
+    for (const child of this.running) child.kill("SIGKILL");
+    rmSync(this.folder, { recursive: true, force: true });
+    rmSync(this.env.CAIRN_IPC_ROOT, { recursive: true, force: true });
+    for (const file of readdirSync("/dev/shm")) if (file.startsWith(this.env.CAIRN_IPC_PREFIX)) rmSync(join("/dev/shm", file), { force: true });
+  }
+}

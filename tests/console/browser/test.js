@@ -1,0 +1,180 @@
+// The page end to end. Prints a line for each check, and fails with the first that does not hold.
+import { existsSync, mkdirSync, readFileSync, writeFileSync } from "node:fs";
+import { join } from "node:path";
+import { chromium } from "playwright-core";
+import { PNG } from "pngjs";
+import { Robot } from "./cairn.js";
+
+const PATIENCE_MS = 40_000;
+const pictures = process.argv[2];
+mkdirSync(pictures, { recursive: true });
+const robot = new Robot();
+let passed = 0;
+
+function check(holds, what) {
+  if (!holds) throw new Error(`does not hold: ${what}`);
+  passed += 1;
+  console.log(`ok  ${what}`);
+}
+
+/** Pixels of an element for which `wanted` holds. */
+async function pixels(locator, wanted) {
+  const { data } = PNG.sync.read(await locator.screenshot());
+  let count = 0;
+  for (let i = 0; i < data.length; i += 4) if (wanted(data[i], data[i + 1], data[i + 2])) count += 1;
+  return count;
+}
+
+const troubles = [];
+
+async function open(browser, url, options = {}) {
+  const page = await (await browser.newContext(options)).newPage();
+  page.setDefaultTimeout(PATIENCE_MS);
+  page.on("pageerror", (error) => troubles.push(`${error}`));
+  page.on("console", (message) => {
+    if (message.type() === "error") troubles.push(message.text());
+  });
+  page.on("request", (request) => {
+    const own = new URL(url).host === new URL(request.url()).host || /^(data|blob):/.test(request.url());
+    if (!own) troubles.push(`foreign request ${request.url()}`);
+  });
+  await page.goto(url);
+  return page;
+}
+
+const frames = (page) => page.locator("#video").getAttribute("data-frames").then(Number);
+const number = (page, name) => page.locator("#numbers div", { hasText: name }).locator("dd").first().innerText();
+const answer = (page, name) => page.locator(".command", { hasText: name }).locator("output");
+const stateIs = (page, text) => page.waitForFunction((t) => document.getElementById("state").textContent === t, text);
+
+async function live(page) {
+  await stateIs(page, "tracking");
+  check(true, "state is told");
+  await page.waitForFunction(() => Number(document.getElementById("video").dataset.frames) > 3);
+  const [before, began] = [await frames(page), Date.now()];
+  await page.waitForTimeout(3000);
+  const rate = (1000 * ((await frames(page)) - before)) / (Date.now() - began);
+  check(rate > 3, `video advances, ${rate.toFixed(1)} pictures a second here`);
+  const video = page.locator("#video");
+  check((await pixels(video, (r, g, b) => Math.abs(r - g) < 8 && Math.abs(g - b) < 8 && r > 20 && r < 235)) > 20_000, "the picture is grey");
+  check((await pixels(video, (r, g, b) => g > 150 && g > r + 60 && g > b + 40)) > 100, "matches are drawn in green");
+  check((await pixels(video, (r, g, b) => r > 180 && r > g + 80 && r > b + 80)) > 50, "corners are drawn in red");
+  await page.waitForFunction(() => Number(document.getElementById("map").dataset.landmarks) > 300);
+  const map = page.locator("#map");
+  await page.waitForTimeout(500);
+  check((await pixels(map, (r, g, b) => b > 100 && b > r + 50)) > 300, "landmarks are drawn in blue");
+  check((await pixels(map, (r, g, b) => r > 150 && r > b + 60 && r > g + 60)) > 40, "the way is drawn in red");
+  const update = Number(await map.getAttribute("data-update-ms"));
+  check(update < 30, `a map message takes ${update} ms of the page's thread`);
+  for (const view of ["Top", "Follow", "Orbit"]) {
+    await page.getByRole("button", { name: view, exact: true }).click();
+    await page.waitForTimeout(400);
+    check((await pixels(map, (r, g, b) => b > 100 && b > r + 50)) > 100, `landmarks are seen in the view ${view}`);
+  }
+  check((await pixels(page.locator("#latency"), (r, g, b) => b > r + 60)) > 20, "latency is drawn");
+}
+
+async function buttons(page) {
+  const ply = join(robot.folder, "map.ply");
+  const save = page.locator(".command", { hasText: "Save the map" });
+  await save.locator("input").fill(ply);
+  check((await save.locator(".shell").innerText()) === `cairn command --prefix robot save-map ${ply}`, "a button shows its command");
+  await save.getByRole("button").click();
+  await page.waitForFunction(() => document.querySelectorAll("output[data-ok=true]").length === 1);
+  check(existsSync(ply) && readFileSync(ply, "latin1").startsWith("ply"), "the map is saved where the button says");
+  const text = join(robot.folder, "trajectory.txt");
+  const trajectory = page.locator(".command", { hasText: "Save the trajectory" });
+  await trajectory.locator("input").fill(text);
+  await trajectory.getByRole("button").click();
+  await page.waitForFunction(() => document.querySelectorAll("output[data-ok=true]").length === 2);
+  check(existsSync(text) && readFileSync(text, "utf8").length > 100, "the trajectory is saved");
+  await trajectory.locator("input").fill("/proc/nowhere/trajectory.txt");
+  await trajectory.getByRole("button").click();
+  await page.waitForFunction(() => document.querySelector("output[data-ok=false]"));
+  check((await answer(page, "Save the trajectory").innerText()).length > 5, "a refusal is told");
+  const place = page.locator(".command", { hasText: "The robot is at" });
+  for (const [i, value] of ["50", "0", "0"].entries()) await place.locator("input").nth(i).fill(value);
+  await place.getByRole("button").click();
+  await page.waitForFunction(() => /^(4[89]|5[012])\./.test([...document.querySelectorAll("#numbers div")].find((d) => d.firstChild.textContent === "Position").lastChild.textContent));
+  check(true, "the robot is where it was said to be");
+  const resets = Number(await number(page, "Resets"));
+  const drop = page.getByRole("button", { name: "Drop the map" });
+  await drop.click();
+  await page.getByRole("button", { name: "Really drop it?" }).click();
+  await page.waitForFunction((n) => Number([...document.querySelectorAll("#numbers div")].find((d) => d.firstChild.textContent === "Resets").lastChild.textContent) > n, resets);
+  check((await answer(page, "Drop the map").getAttribute("data-ok")) === "true", "the map is dropped by a second click");
+}
+
+async function log(page) {
+  await page.getByRole("link", { name: "Log" }).press("Enter");
+  await page.waitForFunction(() => [...document.querySelectorAll("#records li")].some((li) => li.textContent.includes("running")));
+  check(true, "the log is shown");
+  await page.locator("#log-filter").fill("camera model");
+  const rows = page.locator("#records li");
+  await page.waitForFunction(() => [...document.querySelectorAll("#records li")].every((li) => li.textContent.includes("camera model")));
+  check((await rows.count()) >= 1, "the log is filtered");
+  await page.screenshot({ path: join(pictures, "log.png") });
+  await page.getByRole("link", { name: "Live" }).click();
+}
+
+async function killed(page, demo) {
+  demo.kill("SIGKILL");
+  await page.waitForFunction(() => document.getElementById("banner").textContent.includes("No daemon"));
+  check((await page.locator("#state").innerText()) === "no daemon", "a killed daemon is told");
+  await page.screenshot({ path: join(pictures, "away.png") });
+  robot.demo();
+  await stateIs(page, "tracking");
+  const before = await frames(page);
+  await page.waitForFunction((n) => Number(document.getElementById("video").dataset.frames) > n + 3, before);
+  check((await page.locator("#banner").innerText()) === "", "the next daemon is found");
+}
+
+async function token(browser) {
+  const file = join(robot.folder, "token");
+  writeFileSync(file, "a-secret-of-some-length", { mode: 0o600 });
+  const { url, child } = await robot.console("--token-file", file);
+  const page = await open(browser, url);
+  await page.locator("#token").fill("another-secret-of-some");
+  await page.getByRole("button", { name: "Open" }).click();
+  await page.getByText("That is not the token").waitFor();
+  check((await page.locator("#state").innerText()) === "connecting", "a wrong token shows nothing");
+  await page.locator("#token").fill("a-secret-of-some-length");
+  await page.getByRole("button", { name: "Open" }).click();
+  await stateIs(page, "tracking");
+  check(!page.url().includes("secret"), "a token opens the page, and stands in no address");
+  child.kill("SIGKILL");
+  await page.getByText("The console is gone").waitFor();
+  check(true, "a console that has gone is told");
+}
+
+const browser = await chromium.launch({ executablePath: "/usr/bin/chromium", args: ["--no-sandbox", "--enable-unsafe-swiftshader"] });
+try {
+  const demo = robot.demo();
+  const { url } = await robot.console();
+  const page = await open(browser, url, { viewport: { width: 1360, height: 1000 } });
+  await live(page);
+  await page.screenshot({ path: join(pictures, "desktop.png") });
+  await buttons(page);
+  await log(page);
+  await stateIs(page, "tracking");
+  for (const [name, options] of [["dark", { colorScheme: "dark", viewport: { width: 1360, height: 1000 } }], ["phone", { viewport: { width: 360, height: 780 }, deviceScaleFactor: 2 }]]) {
+    const other = await open(browser, url, options);
+    await other.waitForFunction(() => Number(document.getElementById("map").dataset.landmarks) > 100);
+    await other.waitForTimeout(1500);
+    await other.screenshot({ path: join(pictures, `${name}.png`), fullPage: name === "phone" });
+    const [wide, wanted] = await other.evaluate(() => [document.documentElement.scrollWidth, innerWidth]);
+    check(wide <= wanted, `nothing is wider than the screen (${name})`);
+    await other.context().close();
+  }
+  await killed(page, demo);
+  check(troubles.length === 0, `no error and no foreign request ${troubles.join("; ")}`);
+  // The browser tells refused connections as errors; here they are meant.
+  await token(browser);
+  console.log(`${passed} passed, 0 failed`);
+} catch (error) {
+  console.log(`${error.stack}\n${troubles.join("\n")}\n${passed} passed, 1 failed`);
+  process.exitCode = 1;
+} finally {
+  await browser.close();
+  robot.end();
+}

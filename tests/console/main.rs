@@ -1,0 +1,204 @@
+//! The console as browsers and attackers meet it: `cairn console` and `cairn demo` as processes, HTTP and WebSocket by hand.
+
+mod support;
+
+use std::io::Write;
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+use tungstenite::Message;
+
+use support::{Console, PATIENCE, Page, Place};
+
+const FRAME: u8 = 5;
+const MAP: u8 = 4;
+const KEYFRAMES: u8 = 3;
+const REPLY: u8 = 7;
+
+fn u32_at(bytes: &[u8], at: usize) -> usize {
+    u32::from_le_bytes(bytes[at..at + 4].try_into().expect("four bytes")) as usize
+}
+
+#[test]
+fn foreign_hosts_and_origins_and_what_is_no_request_are_refused() {
+    let place = Place::new();
+    let console = Console::start(&place, &["--allow-host", "robot.local"]);
+    let get = |path: &str, lines: &str| console.raw(format!("GET {path} HTTP/1.1\r\n{lines}\r\n\r\n").as_bytes());
+    let here = format!("Host: 127.0.0.1:{}", console.port);
+    let upgrade = "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==";
+    for (lines, path, status) in [
+        (here.clone(), "/", "200"),
+        ("Host: robot.local:7979".into(), "/", "200"),
+        ("Host: evil.example".into(), "/", "403"),
+        (format!("Host: 127.0.0.1.evil.example\r\n{upgrade}"), "/ws", "403"),
+        (format!("{here}\r\nOrigin: http://evil.example"), "/", "403"),
+        (format!("{here}\r\nOrigin: null\r\n{upgrade}"), "/ws", "403"),
+        (format!("{here}\r\nOrigin: http://127.0.0.1:1\r\n{upgrade}"), "/ws", "403"),
+        (format!("{here}\r\nOrigin: http://127.0.0.1:{}\r\n{upgrade}", console.port), "/ws", "101"),
+        (here.clone(), "/ws", "426"),
+        (here.clone(), "/../../etc/passwd", "404"),
+        (format!("{here}\r\nContent-Length: 9"), "/", "400"),
+        (format!("{here}\r\nX: {}", "x".repeat(20_000)), "/", "431"),
+    ] {
+        let answer = get(path, &lines);
+        assert!(answer.starts_with(&format!("HTTP/1.1 {status} ")), "{path} {lines}: {answer:.100}");
+        if status != "101" {
+            for header in ["Content-Security-Policy: default-src 'none'", "X-Frame-Options: DENY", "nosniff"] {
+                assert!(answer.contains(header), "{path} {lines}: no {header}");
+            }
+        }
+    }
+    assert!(console.raw(b"POST / HTTP/1.1\r\nHost: localhost\r\n\r\n").starts_with("HTTP/1.1 405 "));
+    assert!(console.raw(&[0x16, 3, 1, 0, 0xff]).starts_with("HTTP/1.1 400 "));
+    // A head that never ends.
+    let start = Instant::now();
+    assert!(console.raw(b"GET / HTTP/1.1\r\nHost: loc").starts_with("HTTP/1.1 408 "));
+    assert!(start.elapsed() < Duration::from_secs(8));
+    assert!(get("/", &here).starts_with("HTTP/1.1 200 "));
+}
+
+#[test]
+fn a_token_is_asked_for_and_never_written() {
+    let place = Place::new();
+    let secret = "correct-horse-battery";
+    let file = tempfile::NamedTempFile::new().expect("file");
+    file.as_file().write_all(secret.as_bytes()).expect("written");
+    let console = Console::start(&place, &["--token-file", file.path().to_str().expect("text")]);
+    for hello in [r#"{"hello":{}}"#, r#"{"hello":{"token":"wrong-horse-battery"}}"#] {
+        let mut page = console.connect();
+        page.send(hello);
+        assert_eq!(page.closed(), Some(4401), "{hello}");
+    }
+    let mut page = console.connect();
+    page.send(r#"{"show":["video"]}"#);
+    assert_eq!(page.closed(), Some(1008), "something else than a hello");
+    let mut page = console.connect();
+    page.send(&format!(r#"{{"hello":{{"token":"{secret}"}}}}"#));
+    assert_eq!(page.state()["link"], "waiting");
+    let said = console.end();
+    assert!(said.contains("wrong token") && !said.contains("horse"), "{said}");
+}
+
+#[test]
+fn another_address_without_a_token_is_refused() {
+    let run = |arguments: &[&str]| {
+        let output = Command::new(env!("CARGO_BIN_EXE_cairn")).arg("console").args(arguments).output().expect("run");
+        (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    let (code, message) = run(&["--listen", "0.0.0.0:0"]);
+    assert!(code == Some(64) && message.contains("--token-file"), "{code:?} {message}");
+    let (code, message) = run(&["--token-file", "/nowhere/token"]);
+    assert!(code == Some(66) && message.contains("/nowhere/token"), "{code:?} {message}");
+    let (code, message) = run(&["--allow-host", "http://robot"]);
+    assert!(code == Some(64) && message.contains("--allow-host"), "{code:?} {message}");
+}
+
+#[test]
+fn malformed_and_oversized_messages_end_their_own_page_only() {
+    let place = Place::new();
+    let console = Console::start(&place, &[]);
+    let mut good = console.page();
+    let cases: [(Message, u16); 4] = [
+        (Message::text("x".repeat(5000)), 1009),
+        (Message::text(r#"{"shutdown":true}"#), 1008),
+        (Message::text("{"), 1008),
+        (Message::binary(vec![0u8; 100]), 1008),
+    ];
+    for (message, code) in cases {
+        let mut page = console.page();
+        page.socket.send(message.clone()).expect("sent");
+        assert_eq!(page.closed(), Some(code), "{message:?}");
+    }
+    // Too many messages.
+    let mut page = console.page();
+    for _ in 0..300 {
+        if page.socket.send(Message::text(r#"{"seen":5}"#)).is_err() {
+            break;
+        }
+    }
+    assert!(matches!(page.closed(), Some(1008) | None));
+    // A frame without a mask, which is no client's.
+    let mut page = console.page();
+    page.socket.get_mut().write_all(&[0x81, 1, b'x']).expect("sent");
+    assert!(matches!(page.closed(), Some(1002) | None));
+    assert_eq!(good.state()["link"], "waiting");
+}
+
+#[test]
+fn pages_see_video_features_map_and_answers_and_a_slow_one_holds_nobody_up() {
+    let place = Place::new();
+    let console = Console::start(&place, &[]);
+    let _demo = place.demo(60);
+    let mut page = console.page();
+    page.send(r#"{"show":["video","map"]}"#);
+    let mut sequence = 0;
+    // The service of the features is found a picture or two after that of the pictures.
+    let (mut whole, start) = (0, Instant::now());
+    while whole < 10 {
+        assert!(start.elapsed() < PATIENCE, "{whole} pictures with features");
+        let frame = page.next(FRAME);
+        let now = u64::from_le_bytes(frame[8..16].try_into().expect("eight bytes"));
+        assert!(now > sequence || sequence == 0, "{now} after {sequence}");
+        sequence = now;
+        let features = u32_at(&frame, 4);
+        assert_eq!((u32_at(&frame, 24), u32_at(&frame, 28)), (640, 480));
+        assert!(frame[32 + 16 * features..].starts_with(&[0xff, 0xd8, 0xff]), "no JPEG behind {features} features");
+        whole += usize::from(features > 50);
+        page.send(r#"{"seen":5}"#);
+    }
+    let map = page.next(MAP);
+    assert_eq!(map.len(), 24 + 16 * u32_at(&map, 4));
+    page.send(r#"{"seen":4}"#);
+    let start = Instant::now();
+    let tracked = loop {
+        let keyframes = page.next(KEYFRAMES);
+        if u32_at(&keyframes, 4) >= 2 {
+            break keyframes;
+        }
+        assert!(start.elapsed() < PATIENCE, "no keyframes");
+    };
+    assert_eq!(tracked.len(), 24 + 32 * u32_at(&tracked, 4));
+    // One that never reads and never acknowledges, and twenty that do: one subscription of each service for all.
+    let listeners = place.listeners();
+    let mut slow = console.page();
+    slow.send(r#"{"show":["video","map"]}"#);
+    let mut pages: Vec<Page> = (0..20).map(|_| console.page()).collect();
+    for page in &mut pages {
+        page.send(r#"{"show":["video"]}"#);
+    }
+    for _ in 0..5 {
+        for page in &mut pages {
+            page.next(FRAME);
+            page.send(r#"{"seen":5}"#);
+        }
+    }
+    assert_eq!(place.listeners(), listeners, "pages cost subscriptions");
+    // What waits for the slow one is what a page may have under way, however long ago it was.
+    let waiting = slow.drain(FRAME);
+    assert!((1..=2).contains(&waiting), "{waiting} pictures");
+    page.send(r#"{"command":{"id":7,"action":{"do":"reset"}}}"#);
+    let reply: Value = serde_json::from_slice(&page.next(REPLY)[8..]).expect("JSON");
+    assert_eq!((&reply["id"], &reply["ok"]), (&7.into(), &true.into()), "{reply}");
+    assert!(reply["terminal"].as_str().is_some_and(|t| t.ends_with(" reset")), "{reply}");
+    page.send(r#"{"command":{"id":8,"action":{"do":"save_map","path":"map.ply"}}}"#);
+    let reply: Value = serde_json::from_slice(&page.next(REPLY)[8..]).expect("JSON");
+    assert_eq!((&reply["id"], &reply["ok"]), (&8.into(), &false.into()), "{reply}");
+}
+
+#[test]
+fn a_killed_daemon_is_told_and_the_next_one_is_found() {
+    let place = Place::new();
+    let console = Console::start(&place, &[]);
+    let mut page = console.page();
+    assert_eq!(page.state()["link"], "waiting");
+    let first = place.demo(60);
+    let run = page.state_until("connected")["daemon"]["run_id"].clone();
+    drop(first); // kill -9
+    page.state_until("waiting");
+    let _second = place.demo(60);
+    let again = page.state_until("connected")["daemon"]["run_id"].clone();
+    assert!(run.is_string() && again != run, "{run} {again}");
+    page.send(r#"{"show":["video"]}"#);
+    page.next(FRAME);
+}
