@@ -137,6 +137,10 @@ pub mod reconstruction;
 #[cfg(feature = "robot")]
 pub mod ring;
 #[cfg(feature = "robot")]
+pub mod ros;
+#[cfg(feature = "robot")]
+pub mod share;
+#[cfg(feature = "robot")]
 pub mod telemetry;
 #[cfg(feature = "robot")]
 pub mod trajectory;

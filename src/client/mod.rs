@@ -46,8 +46,8 @@ use std::time::{Duration, Instant};
 use iceoryx2_bb_posix::clock::{ClockType, Time};
 
 pub use error::ClientError;
-pub use subscription::{Frames, Healths, Keyframes, Map, Poses, Subscription};
-pub use topics::{Frame, KeyframesSnapshot, MapSnapshot, Slice, Topic};
+pub use subscription::{Encodeds, Frames, Healths, Keyframes, Map, Poses, Subscription};
+pub use topics::{Encoded, Frame, KeyframesSnapshot, MapSnapshot, Slice, Topic};
 
 use crate::messages::services::topic;
 use crate::messages::{DEFAULT_PREFIX, Endpoint};
@@ -125,6 +125,12 @@ impl Client {
 
     /// Grey pictures as the daemon sees them. The daemon copies pictures only while somebody holds such a subscription.
     pub fn frames(&self) -> Frames {
+        Subscription::new(self.link.clone())
+    }
+
+    /// Every picture as it came from the camera (JPEG, rows of grey), with what is believed of its lens: for recorders. The queue holds half a
+    /// second; the daemon copies these bytes only while somebody holds such a subscription, and two can.
+    pub fn encoded(&self) -> Encodeds {
         Subscription::new(self.link.clone())
     }
 }

@@ -11,7 +11,7 @@ use iceoryx2::service::builder::event::EventOpenError;
 use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
 
 use super::link::{Ipc, Link};
-use super::topics::{FrameTopic, HealthTopic, KeyframesTopic, MapTopic, OpenFailure, PoseTopic, Topic};
+use super::topics::{EncodedTopic, FrameTopic, HealthTopic, KeyframesTopic, MapTopic, OpenFailure, PoseTopic, Topic};
 use super::{ClientError, LOOK_EVERY};
 
 /// Silence after which it is checked whether the daemon has died.
@@ -52,6 +52,8 @@ pub type Map = Subscription<MapTopic>;
 pub type Keyframes = Subscription<KeyframesTopic>;
 /// Subscription to grey pictures.
 pub type Frames = Subscription<FrameTopic>;
+/// Subscription to the camera's own bytes.
+pub type Encodeds = Subscription<EncodedTopic>;
 
 /// Ports of a connected subscription, dropped in this order.
 struct Open<T: Topic> {

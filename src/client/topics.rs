@@ -14,7 +14,7 @@ use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
 use super::link::Ipc;
 use crate::messages::services::topic;
-use crate::messages::{FrameHeader, Health, Keyframe, KeyframesHeader, Landmark, MapHeader, Pose};
+use crate::messages::{EncodedHeader, FrameHeader, Health, Keyframe, KeyframesHeader, Landmark, MapHeader, Pose};
 
 /// The map as it was at one moment: a slice of [`Landmark`] in shared memory.
 pub type MapSnapshot = Slice<Landmark, MapHeader>;
@@ -22,6 +22,8 @@ pub type MapSnapshot = Slice<Landmark, MapHeader>;
 pub type KeyframesSnapshot = Slice<Keyframe, KeyframesHeader>;
 /// A grey picture in shared memory, rows of [`FrameHeader::stride`] bytes.
 pub type Frame = Slice<u8, FrameHeader>;
+/// A picture's bytes as they came from the camera, in shared memory.
+pub type Encoded = Slice<u8, EncodedHeader>;
 
 /// A service's port, and the service: the port must be gone when the service is closed.
 type SlicePort<T, H> = Arc<(Subscriber<Ipc, [T], H>, PortFactory<Ipc, [T], H>)>;
@@ -193,4 +195,8 @@ topic!(
 topic!(
     /// [`Frame`], while somebody subscribes.
     FrameTopic, topic::FRAME, [u8], u8, FrameHeader, true, Frame, held
+);
+topic!(
+    /// [`Encoded`], while somebody subscribes.
+    EncodedTopic, topic::ENCODED, [u8], u8, EncodedHeader, true, Encoded, held
 );

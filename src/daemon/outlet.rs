@@ -9,7 +9,7 @@ use crate::map::{MapId, MapSnapshot};
 use crate::messages::Pose;
 use crate::publish::convert::{self, Map};
 use crate::publish::{
-    Conversion, FramePublisher, FrameStamp, MapContext, MapPublisher, PosePublisher, PublishError, ScaleEstimate,
+    Conversion, EncodedPublisher, FramePublisher, FrameStamp, MapContext, MapPublisher, PosePublisher, PublishError, ScaleEstimate,
 };
 use crate::reconstruction::PoseEstimate;
 
@@ -29,6 +29,8 @@ pub struct Outlet {
     poses: PosePublisher,
     map: MapPublisher,
     frames: FramePublisher,
+    /// For the capture stage, which takes it.
+    encoded: Option<EncodedPublisher>,
     conversion: Conversion,
     placement: Option<Placement>,
     /// As published.
@@ -50,7 +52,19 @@ impl Outlet {
             clock,
             map_from_world: None,
         };
-        Self { poses, map, frames, conversion, placement: None, last: None }
+        Self { poses, map, frames, encoded: None, conversion, placement: None, last: None }
+    }
+
+    /// With the camera's own bytes, too.
+    pub fn with_encoded(mut self, mut encoded: EncodedPublisher) -> Self {
+        encoded.describe(&self.conversion.body_from_camera, self.conversion.clock);
+        self.encoded = Some(encoded);
+        self
+    }
+
+    /// The part that the capture stage sends: every picture as it came, also those that are dropped because a later one is there.
+    pub(super) fn take_encoded(&mut self) -> Option<EncodedPublisher> {
+        self.encoded.take()
     }
 
     /// One frame's pose, or its lack of one. `frames_dropped`: frames of this run that were never looked at.

@@ -32,6 +32,7 @@ macro_rules! layout {
 }
 
 mod command;
+mod encoded;
 mod endpoint;
 mod frame;
 mod health;
@@ -42,6 +43,7 @@ mod transform;
 mod unfilled;
 
 pub use command::{Command, CommandReply, TEXT_LEN, command_kind, reply_code};
+pub use encoded::EncodedHeader;
 pub(crate) use endpoint::user_name;
 pub use endpoint::{DEFAULT_PREFIX, Endpoint, EndpointError, Presence, Squatter, effective_uid, service_name};
 pub use frame::FrameHeader;
@@ -137,6 +139,15 @@ pub const INTRINSICS_GUESSED: u8 = 2;
 pub const LENS_RADIAL_TANGENTIAL: u8 = 0;
 /// `lens_model`: wide angle (Kannala-Brandt; `equidistant` of ROS, OpenCV's `fisheye`): `focal_px` is pixels per radian off the axis.
 pub const LENS_KANNALA_BRANDT: u8 = 1;
+
+/// `format` of an encoded picture: rows of `stride` bytes, one byte a pixel, top left first.
+pub const ENCODED_GREY: u8 = 0;
+/// `format` of an encoded picture: rows of `stride` bytes, packed 4:2:2 as Y0 U Y1 V.
+pub const ENCODED_YUYV: u8 = 1;
+/// `format` of an encoded picture: a JPEG, or a webcam's motion JPEG, which may lack its Huffman tables.
+pub const ENCODED_JPEG: u8 = 2;
+/// `format` of an encoded picture: a PNG.
+pub const ENCODED_PNG: u8 = 3;
 
 /// `state` as a type; a value from a newer daemon is kept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -319,7 +330,8 @@ mod tests {
                 assert!(matches!(version, Some(Ok(1..))), "{}", <$type>::TYPE_NAME);
             )+};
         }
-        check!(Pose, Health, Landmark, MapHeader, Keyframe, KeyframesHeader, FrameHeader, Command, CommandReply);
+        check!(Pose, Health, Landmark, MapHeader, Keyframe, KeyframesHeader, FrameHeader, EncodedHeader);
+        check!(Command, CommandReply);
     }
 
     #[test]

@@ -8,13 +8,14 @@
 //! - [`convert`] turns optical axes into REP-103 axes of the robot's body, covariance included.
 //! - One daemon a prefix: a second one gets [`PublishError::AlreadyRunning`]. What a killed one left behind is cleared away.
 //! - Shared memory, reserved though not touched before it is used, for 8 subscribers: poses 0.2 MB, health 0.03 MB, map
-//!   12.5 MB (20,000 landmarks), keyframes 3.8 MB (2,000), frames 8 MB (640x480). A full `/dev/shm` kills a process by
+//!   12.5 MB (20,000 landmarks), keyframes 3.8 MB (2,000), frames 8 MB (640x480), encoded pictures 12 MB (the same). A full `/dev/shm` kills a process by
 //!   SIGBUS, so [`Publisher::open`] refuses to start where there is no room.
 //!
 //! Does not: log, read configuration, spawn threads, convert pictures.
 
 mod commands;
 pub mod convert;
+mod encoded;
 mod error;
 mod opening;
 mod ports;
@@ -27,13 +28,14 @@ use iceoryx2::prelude::{Node, NodeBuilder, NodeName, SignalHandlingMode};
 
 pub use commands::{CommandServer, Request};
 pub use convert::{Conversion, ScaleEstimate};
+pub use encoded::{CameraView, EncodedPublisher};
 pub use error::PublishError;
 
 use crate::frame::{Clock, monotonic_ns};
 use crate::image::GreyImage;
 use crate::map::MapSnapshot;
 use crate::messages::services::{self, topic};
-use crate::messages::{Endpoint, FrameHeader, Health, Keyframe, KeyframesHeader, Landmark, MapHeader, Pose, Presence};
+use crate::messages::{EncodedHeader, Endpoint, FrameHeader, Health, Keyframe, KeyframesHeader, Landmark, MapHeader, Pose, Presence};
 use crate::reconstruction::PoseEstimate;
 use opening::Ipc;
 use ports::{Loan, Port};
@@ -55,7 +57,7 @@ pub struct Limits {
     pub landmarks: usize,
     /// Keyframes in a keyframes message; of a larger map the newest are sent.
     pub keyframes: usize,
-    /// Bytes of a picture; larger ones are not sent ([`PublishError::FrameTooLarge`]).
+    /// Bytes of a picture, decoded or not; larger ones are not sent ([`PublishError::FrameTooLarge`]).
     pub frame_bytes: usize,
 }
 
@@ -78,6 +80,7 @@ impl Limits {
             (services::MAP, self.landmarks * size_of::<Landmark>()),
             (services::KEYFRAMES, self.keyframes * size_of::<Keyframe>()),
             (services::FRAME, self.frame_bytes),
+            (services::ENCODED, self.frame_bytes),
         ];
         // 256: headers and rounding of a message.
         parts.iter().map(|(qos, bytes)| (qos.messages() * (bytes + 256)) as u64).sum()
@@ -90,6 +93,7 @@ pub struct Publisher {
     pub poses: PosePublisher,
     pub map: MapPublisher,
     pub frames: FramePublisher,
+    pub encoded: EncodedPublisher,
     pub health: HealthPublisher,
     pub commands: CommandServer,
 }
@@ -118,6 +122,8 @@ impl Publisher {
             Port::open_slices(&node, endpoint, topic::KEYFRAMES, services::KEYFRAMES, limits.keyframes)?;
         let frames: Port<[u8], FrameHeader> =
             Port::open_slices(&node, endpoint, topic::FRAME, services::FRAME, limits.frame_bytes)?;
+        let encoded: Port<[u8], EncodedHeader> =
+            Port::open_slices(&node, endpoint, topic::ENCODED, services::ENCODED, limits.frame_bytes)?;
         let commands = CommandServer::open(&node, endpoint)?;
         let health: Port<Health, ()> = Port::open(&node, endpoint, topic::HEALTH, services::HEALTH)?;
         let others = vec![
@@ -125,11 +131,13 @@ impl Publisher {
             updater(&map.publisher),
             updater(&keyframes.publisher),
             updater(&frames.publisher),
+            updater(&encoded.publisher),
         ];
         Ok(Self {
             poses: PosePublisher { next: None, port: poses, run_id },
             map: MapPublisher { map, keyframes, limits: *limits, run_id, sent_ns: None },
             frames: FramePublisher { port: frames, limit: limits.frame_bytes, run_id },
+            encoded: EncodedPublisher::new(encoded, limits.frame_bytes, run_id),
             health: HealthPublisher {
                 port: health,
                 node,

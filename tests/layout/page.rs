@@ -53,23 +53,24 @@ fn fields(wire: &str) -> String {
 /// The table of queues.
 fn queues() -> String {
     let mut table = String::from(
-        "| service | history for late joiners | queue of a reader | held by a reader |\n|---|---:|---:|---:|\n",
+        "| service | history for late joiners | queue of a reader | held by a reader | readers |\n|---|---:|---:|---:|---:|\n",
     );
-    let rows: [(&str, Qos); 5] = [
+    let rows: [(&str, Qos); 6] = [
         (services::topic::POSE, services::POSE),
         (services::topic::MAP, services::MAP),
         (services::topic::KEYFRAMES, services::KEYFRAMES),
         (services::topic::HEALTH, services::HEALTH),
         (services::topic::FRAME, services::FRAME),
+        (services::topic::ENCODED, services::ENCODED),
     ];
     for (name, qos) in rows {
-        table += &format!("| `PREFIX/{name}` | {} | {} | {} |\n", qos.history, qos.buffer, qos.borrowed);
+        let Qos { history, buffer, borrowed, subscribers } = qos;
+        table += &format!("| `PREFIX/{name}` | {history} | {buffer} | {borrowed} | {subscribers} |\n");
     }
     table
         + &format!(
-            "\nOf each service: {} publisher, {} readers, {} processes; {} processes may send commands at once.\n",
+            "\nOf each service: {} publisher, {} processes; {} processes may send commands at once.\n",
             services::MAX_PUBLISHERS,
-            services::MAX_SUBSCRIBERS,
             services::MAX_NODES,
             services::MAX_COMMANDERS
         )

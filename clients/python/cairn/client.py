@@ -98,6 +98,10 @@ class Client:
         """Grey pictures. The daemon copies pictures only while somebody holds such a subscription."""
         return Subscription(self, "frame", iox2.Slice[ctypes.c_uint8], m.FrameHeader, values.Frame)
 
+    def encoded(self):
+        """Every picture as it came from the camera, for recorders; a queue of half a second, two readers at a time."""
+        return Subscription(self, "encoded", iox2.Slice[ctypes.c_uint8], m.EncodedHeader, values.Encoded)
+
     def wait_for_daemon(self, timeout):
         """True once a daemon is there; False after `timeout` seconds."""
         end = time.monotonic() + timeout
