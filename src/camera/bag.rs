@@ -107,7 +107,8 @@ impl Bag {
         let number = self.next;
         self.next += 1;
         // A message that cannot be read has no stamp either, and is skipped at once.
-        let stamp = if self.by_log_time { log_time_ns } else { picture::read_stamp(&self.message).unwrap_or(log_time_ns) };
+        let stamp =
+            if self.by_log_time { log_time_ns } else { picture::read_stamp(&self.message).unwrap_or(log_time_ns) };
         self.held = Some((stamp, number));
         Ok(self.held)
     }
@@ -125,7 +126,9 @@ impl FrameSource for Bag {
         {
             self.held = None;
             let how = if timestamp_ns == last { "repeats the" } else { "goes back behind the" };
-            return Ok(Grab::Skipped { reason: format!("message {number}: timestamp {timestamp_ns} ns {how} one before") });
+            return Ok(Grab::Skipped {
+                reason: format!("message {number}: timestamp {timestamp_ns} ns {how} one before"),
+            });
         }
         if let Some(pacer) = &mut self.pacer {
             let now = monotonic_ns();
@@ -237,7 +240,8 @@ impl Beginning {
         }
         let by_log_time = stamps.first().is_none_or(|first| *first == 0);
         let times = if by_log_time { log_times } else { stamps };
-        let mut steps: Vec<i64> = times.windows(2).map(|w| w[1].saturating_sub(w[0])).filter(|step| *step > 0).collect();
+        let mut steps: Vec<i64> =
+            times.windows(2).map(|w| w[1].saturating_sub(w[0])).filter(|step| *step > 0).collect();
         let middle = steps.len() / 2;
         let interval_ns = (!steps.is_empty()).then(|| *steps.select_nth_unstable(middle).1);
         Ok(Self { size, interval_ns, by_log_time })

@@ -83,8 +83,7 @@ pub fn run(args: &RecordArgs) -> Result<ExitCode, CliError> {
         return Err(CliError::new(exit_code::USAGE, message));
     }
     let endpoint = Endpoint::new(&config.prefix).and_then(Endpoint::with_environment)?;
-    let origin =
-        Origin { prefix: config.prefix.clone(), realtime_minus_monotonic_ns: realtime_minus_monotonic_ns() };
+    let origin = Origin { prefix: config.prefix.clone(), realtime_minus_monotonic_ns: realtime_minus_monotonic_ns() };
     let plan = Plan {
         out: args.out.clone(),
         origin,

@@ -9,7 +9,8 @@ use crate::map::{MapId, MapSnapshot};
 use crate::messages::Pose;
 use crate::publish::convert::{self, Map};
 use crate::publish::{
-    Conversion, EncodedPublisher, FramePublisher, FrameStamp, MapContext, MapPublisher, PosePublisher, PublishError, ScaleEstimate,
+    Conversion, EncodedPublisher, FramePublisher, FrameStamp, MapContext, MapPublisher, PosePublisher, PublishError,
+    ScaleEstimate,
 };
 use crate::reconstruction::PoseEstimate;
 

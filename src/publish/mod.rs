@@ -35,7 +35,9 @@ use crate::frame::{Clock, monotonic_ns};
 use crate::image::GreyImage;
 use crate::map::MapSnapshot;
 use crate::messages::services::{self, topic};
-use crate::messages::{EncodedHeader, Endpoint, FrameHeader, Health, Keyframe, KeyframesHeader, Landmark, MapHeader, Pose, Presence};
+use crate::messages::{
+    EncodedHeader, Endpoint, FrameHeader, Health, Keyframe, KeyframesHeader, Landmark, MapHeader, Pose, Presence,
+};
 use crate::reconstruction::PoseEstimate;
 use opening::Ipc;
 use ports::{Loan, Port};

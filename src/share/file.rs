@@ -69,9 +69,7 @@ impl McapFile {
         for (id, topic) in channels.iter_mut().zip(Topic::ALL) {
             let (name, definition) = topic.schema();
             let schema = writer.add_schema(name, "ros2msg", definition.as_bytes()).map_err(failed)?;
-            *id = writer
-                .add_channel(schema, &topic.name(&origin.prefix), "cdr", &BTreeMap::new())
-                .map_err(failed)?;
+            *id = writer.add_channel(schema, &topic.name(&origin.prefix), "cdr", &BTreeMap::new()).map_err(failed)?;
         }
         let metadata = BTreeMap::from([
             ("prefix".to_owned(), origin.prefix.clone()),
@@ -92,11 +90,6 @@ impl McapFile {
     /// Of the daemon's services.
     pub fn prefix(&self) -> &str {
         &self.prefix
-    }
-
-    /// Messages by topic, in [`Topic::ALL`]'s order.
-    pub fn messages(&self) -> [u64; Topic::ALL.len()] {
-        self.messages
     }
 
     /// How long ago it was made.

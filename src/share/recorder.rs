@@ -121,7 +121,12 @@ impl Recorder {
             let missed = header.sequence.saturating_sub(sequence + 1);
             self.heard.missed += missed;
             if missed > 0 && self.is_news() {
-                warn!(missed, missed_total = self.heard.missed, sequence = header.sequence, "pictures missing in the recording");
+                warn!(
+                    missed,
+                    missed_total = self.heard.missed,
+                    sequence = header.sequence,
+                    "pictures missing in the recording"
+                );
             }
         }
         self.last_picture = Some((header.run_id, header.sequence));
@@ -223,7 +228,8 @@ mod tests {
         let data: Vec<u8> = (0..3 * 8 - 3).collect();
         let mut file = Vec::new();
         assert_eq!(png(&header, &data, &mut file), Some(()));
-        let raw = crate::frame::RawFrame { format: crate::frame::PixelFormat::Png, data: file.clone(), ..Default::default() };
+        let raw =
+            crate::frame::RawFrame { format: crate::frame::PixelFormat::Png, data: file.clone(), ..Default::default() };
         let mut grey = crate::image::GreyImage::default();
         crate::image::decode::Decoder::default().decode(&raw, &mut grey).expect("PNG");
         assert_eq!(grey.data, [0, 1, 2, 3, 4, 8, 9, 10, 11, 12, 16, 17, 18, 19, 20]);

@@ -11,8 +11,8 @@
 
 use super::wire::Keyframes;
 use crate::messages::{
-    self, CLOCK_MONOTONIC, EncodedHeader, Health, Keyframe, KeyframesHeader, Landmark, LensModel, MapHeader, Pose, Scale, State,
-    Transform,
+    self, CLOCK_MONOTONIC, EncodedHeader, Health, Keyframe, KeyframesHeader, Landmark, LensModel, MapHeader, Pose,
+    Scale, State, Transform,
 };
 use crate::ros::standard::{self as ros, Header, Time};
 use crate::ros::{Byte, Bytes, Message};
@@ -257,8 +257,10 @@ impl Converter {
         }
         self.diagnosed = Some((health.errors, health.state, health.published_ns));
         let status = diagnostics(health, &self.prefix);
-        let message =
-            ros::DiagnosticArray { header: Header { stamp: Time::from_ns(time_ns), frame_id: "" }, status: vec![status] };
+        let message = ros::DiagnosticArray {
+            header: Header { stamp: Time::from_ns(time_ns), frame_id: "" },
+            status: vec![status],
+        };
         out.push(Record { topic: Topic::Diagnostics, time_ns, data: message.to_cdr() });
     }
 }
@@ -363,7 +365,8 @@ fn diagnostics<'a>(health: &Health, prefix: &'a str) -> ros::DiagnosticStatus<'a
         e if e & (NO_CAMERA | NO_FRAMES | BAD_CALIBRATION | STALLED_STAGE | LOST) != 0 => ERROR,
         _ => WARN,
     };
-    let message = if faults.is_empty() { state.name().into() } else { format!("{}: {}", state.name(), faults.join(" ")) };
+    let message =
+        if faults.is_empty() { state.name().into() } else { format!("{}: {}", state.name(), faults.join(" ")) };
     let end_to_end = &health.stages[messages::stage::END_TO_END];
     let value = |key, value: String| ros::KeyValue { key, value };
     ros::DiagnosticStatus {

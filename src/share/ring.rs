@@ -76,11 +76,6 @@ impl Ring {
         })
     }
 
-    /// Files that were kept.
-    pub fn kept(&self) -> &[PathBuf] {
-        &self.kept
-    }
-
     /// Appends one message.
     pub fn write(&mut self, record: &Record) -> Result<(), ShareError> {
         if self.current.as_ref().is_some_and(|file| file.age() >= SEGMENT) {

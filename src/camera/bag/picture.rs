@@ -130,10 +130,17 @@ pub fn camera_info(message: &[u8]) -> Result<Option<CameraModel>, String> {
         (_, []) => LensModel::PINHOLE,
         ("equidistant" | "fisheye", [k1, k2, k3, k4]) => LensModel::KannalaBrandt([*k1, *k2, *k3, *k4]),
         // rational_polynomial without its denominator is the same.
-        ("plumb_bob" | "rational_polynomial" | "", [k1, k2, p1, p2, rest @ ..]) if rest.iter().skip(1).all(|v| *v == 0.0) => {
+        ("plumb_bob" | "rational_polynomial" | "", [k1, k2, p1, p2, rest @ ..])
+            if rest.iter().skip(1).all(|v| *v == 0.0) =>
+        {
             LensModel::RadialTangential([*k1, *k2, *p1, *p2, rest.first().copied().unwrap_or(0.0)])
         }
-        _ => return Err(format!("distortion model {model:?} with {} coefficients is not supported, give --camera", d.len())),
+        _ => {
+            return Err(format!(
+                "distortion model {model:?} with {} coefficients is not supported, give --camera",
+                d.len()
+            ));
+        }
     };
     let [fx, _, cx, _, fy, cy, ..] = k;
     CameraModel::new(width, height, fx, fy, cx, cy, lens).map(Some).map_err(|e| e.to_string())

@@ -118,22 +118,25 @@ fn scan(mut records: Records) -> Vec<Topic> {
 pub fn choose<'a>(topics: &'a [Topic], asked: Option<&str>) -> Result<(&'a Topic, Kind), String> {
     let pictures: Vec<(&Topic, Kind)> = topics.iter().filter_map(|t| Some((t, t.kind()?))).collect();
     let list = |what: &[(&Topic, Kind)]| {
-        let lines: Vec<String> = what.iter().map(|(t, _)| format!("{} ({}, {} messages)", t.name, t.schema, t.messages)).collect();
+        let lines: Vec<String> =
+            what.iter().map(|(t, _)| format!("{} ({}, {} messages)", t.name, t.schema, t.messages)).collect();
         lines.join(", ")
     };
     if let Some(asked) = asked {
         return match pictures.iter().find(|(t, _)| t.name == asked) {
             Some(found) => Ok(*found),
-            None if topics.iter().any(|t| t.name == asked) => {
-                Err(format!("--topic {asked} holds no sensor_msgs Image or CompressedImage in CDR; there are: {}", list(&pictures)))
-            }
+            None if topics.iter().any(|t| t.name == asked) => Err(format!(
+                "--topic {asked} holds no sensor_msgs Image or CompressedImage in CDR; there are: {}",
+                list(&pictures)
+            )),
             None => Err(format!("there is no topic {asked} with pictures; there are: {}", list(&pictures))),
         };
     }
     let filled: Vec<(&Topic, Kind)> = pictures.into_iter().filter(|(t, _)| t.messages > 0).collect();
     match filled.as_slice() {
         [] => {
-            let others: Vec<String> = topics.iter().map(|t| format!("{} ({}, {})", t.name, t.schema, t.encoding)).collect();
+            let others: Vec<String> =
+                topics.iter().map(|t| format!("{} ({}, {})", t.name, t.schema, t.encoding)).collect();
             let others = if others.is_empty() { "nothing at all".into() } else { others.join(", ") };
             Err(format!("holds no pictures (sensor_msgs Image or CompressedImage in CDR), but {others}"))
         }
@@ -188,7 +191,10 @@ mod tests {
         assert_eq!(name(&[compressed.clone(), raw.clone()], None), Ok(raw.name.clone()));
         let several = [raw.clone(), other.clone()];
         let error = name(&several, None).expect_err("not plain");
-        assert!(error.contains("--topic") && error.contains("/cam/image_raw (") && error.contains("/rear/image"), "{error}");
+        assert!(
+            error.contains("--topic") && error.contains("/cam/image_raw (") && error.contains("/rear/image"),
+            "{error}"
+        );
         assert_eq!(name(&several, Some("/rear/image")), Ok(other.name.clone()));
         assert!(name(&several, Some("/rear")).is_err_and(|e| e.contains("/rear/image")));
         assert!(name(&[imu.clone(), other.clone()], Some("/imu")).is_err_and(|e| e.contains("holds no sensor_msgs")));
