@@ -44,7 +44,7 @@ pub struct Bag {
     pacer: Option<Pacer>,
     last_timestamp_ns: Option<i64>,
     /// Message that was read and is not due yet.
-    held: Option<(i64, u64)>,
+    held: Option<(Option<i64>, u64)>,
     message: Vec<u8>,
     next: u64,
 }
@@ -98,17 +98,15 @@ impl Bag {
         })
     }
 
-    /// Time and number of the next message, whose bytes are in `self.message`; `None` at the end.
-    fn next_message(&mut self) -> Result<Option<(i64, u64)>, SourceError> {
+    /// Time and number of the next message, whose bytes are in `self.message`; no time if it has none that can be read. `None` at the end.
+    fn next_message(&mut self) -> Result<Option<(Option<i64>, u64)>, SourceError> {
         if self.held.is_some() {
             return Ok(self.held);
         }
         let Some(log_time_ns) = self.stream.next(&mut self.message)? else { return Ok(None) };
         let number = self.next;
         self.next += 1;
-        // A message that cannot be read has no stamp either, and is skipped at once.
-        let stamp =
-            if self.by_log_time { log_time_ns } else { picture::read_stamp(&self.message).unwrap_or(log_time_ns) };
+        let stamp = if self.by_log_time { Some(log_time_ns) } else { picture::read_stamp(&self.message).ok() };
         self.held = Some((stamp, number));
         Ok(self.held)
     }
@@ -120,7 +118,11 @@ impl FrameSource for Bag {
     }
 
     fn grab(&mut self, slot: &mut RawFrame, timeout: Duration) -> Result<Grab, SourceError> {
-        let Some((timestamp_ns, number)) = self.next_message()? else { return Ok(Grab::End) };
+        let Some((stamp, number)) = self.next_message()? else { return Ok(Grab::End) };
+        let Some(timestamp_ns) = stamp else {
+            self.held = None;
+            return Ok(Grab::Skipped { reason: format!("message {number}: has no header that can be read") });
+        };
         if let Some(last) = self.last_timestamp_ns
             && timestamp_ns <= last
         {

@@ -13,6 +13,7 @@ mod file;
 mod recorder;
 mod records;
 mod ring;
+mod room;
 mod sink;
 mod wire;
 

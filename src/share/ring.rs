@@ -16,6 +16,7 @@ use super::ShareError;
 use super::copy::copy;
 use super::file::{McapFile, Origin};
 use super::records::Record;
+use super::room::free_bytes;
 
 /// Length of one file of the ring.
 const SEGMENT: Duration = Duration::from_secs(10);
@@ -36,6 +37,8 @@ pub struct Ring {
     folder: PathBuf,
     origin: Origin,
     length: Duration,
+    /// Left free on the disk, bytes.
+    floor: u64,
     segments: VecDeque<Segment>,
     current: Option<McapFile>,
     next_number: u64,
@@ -46,7 +49,7 @@ pub struct Ring {
 
 impl Ring {
     /// Makes or finds the folder; what another recorder left in it belongs to this ring.
-    pub fn open(out: &Path, origin: &Origin, length: Duration) -> Result<Self, ShareError> {
+    pub fn open(out: &Path, origin: &Origin, length: Duration, floor: u64) -> Result<Self, ShareError> {
         let folder = out.with_extension("ring");
         fs::create_dir_all(&folder).map_err(|e| ShareError::write(&folder, e))?;
         let mut left = Vec::new();
@@ -68,6 +71,7 @@ impl Ring {
             folder,
             origin: origin.clone(),
             length,
+            floor,
             segments: left.into_iter().map(|(_, segment)| segment).collect(),
             current: None,
             next_number,
@@ -143,6 +147,13 @@ impl Ring {
             warn!(event = name, kept = self.kept.len(), "ring not kept, there are as many files of it as there may be");
             return Ok(());
         }
+        let length = |segment: &Segment| fs::metadata(&segment.path).map_or(0, |m| m.len());
+        let needed: u64 = self.segments.iter().map(length).sum();
+        if let Some(free) = free_bytes(&self.out).filter(|free| *free < needed.saturating_add(self.floor)) {
+            let (free_mb, needed_mb) = (free >> 20, needed >> 20);
+            warn!(event = name, free_mb, needed_mb, "ring not kept, the disk has no room for a copy of it");
+            return Ok(());
+        }
         let stem = self.out.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
         let time = utc(SystemTime::now());
         let path = self.out.with_file_name(format!("{stem}-{time}-{name}.mcap"));
@@ -165,7 +176,13 @@ impl Ring {
     pub fn finish(mut self, name: &str) -> Result<Vec<PathBuf>, ShareError> {
         let name = self.pending.take().map_or_else(|| name.to_owned(), |(name, _)| name);
         if self.current.is_some() || !self.segments.is_empty() {
+            let kept = self.kept.len();
             self.keep(&name)?;
+            if self.kept.len() == kept {
+                // Not kept: what there is stays where it is.
+                let left: Vec<PathBuf> = self.segments.iter().map(|segment| segment.path.clone()).collect();
+                return Ok(self.kept.into_iter().chain(left).collect());
+            }
         }
         while self.drop_oldest() {}
         // It stays if somebody has put something into it.

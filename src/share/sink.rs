@@ -4,7 +4,7 @@
 //! that a slow disk costs records and never memory, and nobody else anything. A disk with less than [`FLOOR_BYTES`] left ends the recording with its
 //! file whole (a ring gives its oldest files first).
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
@@ -16,6 +16,7 @@ use super::ShareError;
 use super::file::{McapFile, Origin};
 use super::records::{Record, Topic};
 use super::ring::Ring;
+use super::room::free_bytes;
 
 /// Records that wait for the disk, bytes.
 pub const QUEUE_BYTES: usize = 64 << 20;
@@ -125,7 +126,7 @@ pub fn open(plan: &Plan) -> Result<(Queue, Sink), ShareError> {
 
 fn open_with(plan: &Plan, limit: usize, floor: u64) -> Result<(Queue, Sink), ShareError> {
     let target = match plan.ring {
-        Some(length) => Target::Ring(Box::new(Ring::open(&plan.out, &plan.origin, length)?)),
+        Some(length) => Target::Ring(Box::new(Ring::open(&plan.out, &plan.origin, length, floor)?)),
         None => Target::File(Box::new(McapFile::create(&plan.out, &plan.origin)?)),
     };
     let (orders, queue) = bounded(QUEUE_RECORDS);
@@ -231,15 +232,10 @@ impl Sink {
     }
 }
 
-/// Free bytes of the disk that a file is on; `None` if the system does not say.
-fn free_bytes(path: &Path) -> Option<u64> {
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let stat = rustix::fs::statvfs(folder).ok()?;
-    Some(stat.f_bavail.saturating_mul(stat.f_frsize))
-}
-
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use super::*;
 
     fn plan(folder: &Path, ring: Option<Duration>) -> Plan {

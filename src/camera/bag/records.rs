@@ -27,6 +27,8 @@ pub enum Step {
 pub struct Records {
     path: PathBuf,
     file: File,
+    /// Bytes that have not been read.
+    left: u64,
     reader: LinearReader,
 }
 
@@ -54,7 +56,8 @@ impl Records {
             .with_skip_end_magic(true)
             .with_validate_chunk_crcs(true)
             .with_record_length_limit(MAX_RECORD_BYTES);
-        Ok(Self { path: path.to_owned(), file, reader: LinearReader::new_with_options(options) })
+        let left = metadata.len().saturating_sub(MAGIC.len() as u64);
+        Ok(Self { path: path.to_owned(), file, left, reader: LinearReader::new_with_options(options) })
     }
 
     pub fn path(&self) -> &Path {
@@ -69,9 +72,11 @@ impl Records {
                 Some(Err(McapError::UnexpectedEof)) => return Ok(Step::CutOff),
                 Some(Err(e)) => return Err(reason(&e)),
                 Some(Ok(LinearReadEvent::ReadRequest(wanted))) => {
-                    // Never more than asked for but a piece: a length that lies must not take the memory at once.
-                    let piece = self.reader.insert(wanted.clamp(READ_BYTES, MAX_RECORD_BYTES));
+                    // A length that lies must not take more memory than the file has bytes.
+                    let left = usize::try_from(self.left).unwrap_or(usize::MAX);
+                    let piece = self.reader.insert(wanted.min(left).max(READ_BYTES));
                     let read = self.file.read(piece).map_err(|e| e.to_string())?;
+                    self.left = self.left.saturating_sub(read as u64);
                     self.reader.notify_read(read);
                 }
                 // Behind it are copies of what was seen, and the index.
