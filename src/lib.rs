@@ -78,6 +78,9 @@
 //! - A keyframe copies its frame's pyramid (0.4 MB, 30 us, after the pose is published) instead of holding it, so that the pool of
 //!   pyramids never allocates on the path of a pose. At most 18 keyframes are whole, in a pool of their own; of an older one level 0
 //!   is reduced to patches around its landmarks (`map/picture.rs`).
+//! - Two rooms more for recordings: [`share`] is `cairn record`, a process of its own that subscribes like a planner, and [`ros`] the messages of ROS 2 that it
+//!   writes and a replay reads, which knows nothing of ours. Both are in the robot's build: to record is what a robot's owner does on the robot.
+//!   `share` starts no thread; `cli` has the daemon's room start the one that writes to the disk.
 //! - A room more, [`workbench`]: the method step by step on two pictures from files (`cairn twoview`) and on many pairs with known
 //!   truth (`cairn compare`). It is no stage of the daemon, needs single pictures, calibrations and truth of several kinds, and
 //!   would otherwise put files and clocks into `features` and `geometry`; it knows these two, and only `cli` knows it.
@@ -91,7 +94,7 @@
 //! |---|---|---|
 //! | `client` | wire types and subscriptions, iceoryx2 only | |
 //! | `c` | the same as a C library, for `--crate-type cdylib` | |
-//! | `robot` | the daemon: camera, services, calibration, and the commands run, doctor, watch, command, calibrate, replay | `cairn` |
+//! | `robot` | the daemon: camera, services, calibration, and the commands run, doctor, watch, command, calibrate, record, replay | `cairn` |
 //! | `tools` (default) | the whole: also simulator, plot, workbench, evaluation, console, and the commands demo, console, simulate, evaluate, twoview, compare | `cairn-tools` |
 //!
 //! Each contains those above it but `c`. What a room of its own brings along that a robot may do without (a console, a recorder to share, a
@@ -141,6 +144,10 @@ pub mod publish;
 pub mod reconstruction;
 #[cfg(feature = "robot")]
 pub mod ring;
+#[cfg(feature = "robot")]
+pub mod ros;
+#[cfg(feature = "robot")]
+pub mod share;
 #[cfg(feature = "robot")]
 pub mod telemetry;
 #[cfg(feature = "robot")]

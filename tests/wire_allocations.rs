@@ -1,4 +1,4 @@
-//! Publishing a pose allocates nothing, with and without readers. A binary of its own, for its allocator that counts.
+//! Publishing a pose allocates nothing, with and without readers, and a recorder's picture no more than iceoryx2 does. A binary of its own, for its allocator that counts.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -6,10 +6,11 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use cairn::client::Client;
+use cairn::frame::{PixelFormat, RawFrame};
 use cairn::geometry::Se3;
 use cairn::map::{KeyframeId, MapId};
 use cairn::messages::Endpoint;
-use cairn::publish::{Conversion, Limits, Publisher};
+use cairn::publish::{CameraView, Conversion, Limits, Publisher};
 use cairn::reconstruction::{PoseEstimate, TrackingState};
 use nalgebra::{Matrix6, Vector3};
 
@@ -87,7 +88,8 @@ fn publishing_a_pose_allocates_nothing() {
     allocations(10);
     assert_eq!(allocations(1_000), 0, "without a reader");
 
-    let mut poses = Client::with_endpoint(endpoint).expect("client").poses();
+    let client = Client::with_endpoint(endpoint).expect("client");
+    let mut poses = client.poses();
     let start = Instant::now();
     while poses.latest().expect("latest").is_none() {
         assert!(start.elapsed() < Duration::from_secs(10), "no pose has come");
@@ -96,7 +98,28 @@ fn publishing_a_pose_allocates_nothing() {
     allocations(10);
     // Its queue overflows and gives the oldest message back each time.
     assert_eq!(allocations(1_000), 0, "with a reader");
-    drop((publisher, poses));
+
+    let mut encoded = client.encoded();
+    let camera = CameraView { pinhole_px: [1.0; 4], distortion: [0.0; 5], intrinsics: 0, lens_model: 0 };
+    let data = vec![7; 10];
+    let frame = RawFrame { format: PixelFormat::Grey, width: 5, height: 2, stride: 5, data, ..RawFrame::default() };
+    let mut pictures = |times: usize| {
+        let before = ALLOCATIONS.get();
+        (0..times).for_each(|_| drop(publisher.encoded.publish(&frame, &camera).expect("picture")));
+        ALLOCATIONS.get() - before
+    };
+    assert_eq!(pictures(1_000), 0, "nobody records");
+    while encoded.try_next().expect("next").is_none() {
+        assert!(start.elapsed() < Duration::from_secs(10), "no picture has come");
+        pictures(1);
+    }
+    pictures(20);
+    let each = pictures(1_000);
+    assert!(each <= 1_000, "{each} allocations for 1000 pictures: one each is iceoryx2's");
+    // More bytes than there is room for are an error and no crash.
+    let large = RawFrame { data: vec![7; 11], ..frame.clone() };
+    assert!(publisher.encoded.publish(&large, &camera).is_err());
+    drop((publisher, poses, encoded));
     let _ = std::fs::remove_dir_all(&root);
     for entry in std::fs::read_dir("/dev/shm").into_iter().flatten().flatten() {
         if entry.file_name().to_string_lossy().starts_with(&name) {

@@ -1,5 +1,6 @@
 //! Frames from anywhere through one door, [`FrameSource`].
 
+pub mod bag;
 pub mod recording;
 #[cfg(feature = "tools")]
 pub mod simulator;
@@ -7,6 +8,7 @@ pub mod simulator_config;
 #[cfg(target_os = "linux")]
 pub mod v4l2;
 
+pub use bag::Bag;
 pub use recording::{Pacing, Recording};
 
 use crate::frame::{Clock, RawFrame};

@@ -31,7 +31,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// Longest picture file that is read: 1920x1200 with 16 bits and alpha, uncompressed, is 18 MB.
-const MAX_PICTURE_BYTES: u64 = 32 << 20;
+pub(super) const MAX_PICTURE_BYTES: u64 = 32 << 20;
 /// Longest time that is waited for the next frame, whatever the timestamps say.
 const MAX_GAP_NS: i64 = 2_000_000_000;
 
@@ -202,7 +202,7 @@ fn median_interval_ns(frames: &[ListedFrame]) -> Option<i64> {
 
 /// The schedule of real-time playing: which moment a timestamp stands for. Knows no clock.
 #[derive(Debug)]
-struct Pacer {
+pub(super) struct Pacer {
     /// Lateness that is made up for; beyond it the schedule moves, ns.
     tolerance_ns: i64,
     /// Timestamp and due moment of the last frame that was given.
@@ -210,13 +210,13 @@ struct Pacer {
 }
 
 impl Pacer {
-    fn new(interval_ns: Option<i64>) -> Self {
+    pub fn new(interval_ns: Option<i64>) -> Self {
         // An interval, but neither so short that jitter moves the schedule nor so long that a stall goes unnoticed.
         Self { tolerance_ns: interval_ns.unwrap_or(0).clamp(10_000_000, 200_000_000), last: None }
     }
 
     /// When the next frame is due, CLOCK_MONOTONIC ns.
-    fn due_ns(&self, timestamp_ns: i64, now_ns: i64) -> i64 {
+    pub fn due_ns(&self, timestamp_ns: i64, now_ns: i64) -> i64 {
         match self.last {
             None => now_ns,
             Some((timestamp, due)) => due + timestamp_ns.saturating_sub(timestamp).clamp(0, MAX_GAP_NS),
@@ -224,7 +224,7 @@ impl Pacer {
     }
 
     /// The next frame was given at `now_ns`.
-    fn gave(&mut self, timestamp_ns: i64, now_ns: i64) {
+    pub fn gave(&mut self, timestamp_ns: i64, now_ns: i64) {
         let due = self.due_ns(timestamp_ns, now_ns);
         let stalled = now_ns - due > self.tolerance_ns;
         self.last = Some((timestamp_ns, if stalled { now_ns } else { due }));

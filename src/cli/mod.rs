@@ -15,6 +15,7 @@ pub mod endpoint_args;
 mod error;
 #[cfg(feature = "tools")]
 pub mod evaluate;
+pub mod record;
 mod reload;
 pub mod replay;
 pub mod run;
@@ -50,6 +51,7 @@ enum Command {
     #[cfg(feature = "tools")]
     Demo(demo::DemoArgs),
     Replay(replay::ReplayArgs),
+    Record(record::RecordArgs),
     Watch(watch::WatchArgs),
     Calibrate(calibrate::CalibrateArgs),
     Doctor(doctor::DoctorArgs),
@@ -75,6 +77,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode, CliError> {
         #[cfg(feature = "tools")]
         Command::Demo(args) => demo::run(args),
         Command::Replay(args) => replay::run(args),
+        Command::Record(args) => record::run(args),
         Command::Watch(args) => watch::run(args),
         Command::Calibrate(args) => calibrate::run(args),
         Command::Doctor(args) => doctor::run(args),
@@ -99,7 +102,7 @@ mod tests {
     use clap::{CommandFactory, Parser};
 
     /// The commands that the robot's build has; so it is said in `src/lib.rs`.
-    const ROBOT_COMMANDS: [&str; 6] = ["calibrate", "command", "doctor", "replay", "run", "watch"];
+    const ROBOT_COMMANDS: [&str; 7] = ["calibrate", "command", "doctor", "record", "replay", "run", "watch"];
 
     #[test]
     fn each_build_has_the_commands_that_its_package_promises() {

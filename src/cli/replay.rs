@@ -12,7 +12,7 @@ use super::session::{self, Resources, ResultArgs, SessionArgs, StageLatencies, S
 use super::{CliError, camera_calibration, exit_code};
 use crate::calibration::{Unsaid, load_camera_with};
 use crate::camera::recording::OwnCalibration;
-use crate::camera::{FrameSource, Pacing, Recording};
+use crate::camera::{Bag, FrameSource, Pacing, Recording, SourceDescription, SourceError, bag};
 use crate::config::Config;
 use crate::daemon::{self, Calibration, End, Outputs, Parts, Status, Supply, state_name};
 use crate::frame::process_cpu_ns;
@@ -21,15 +21,18 @@ use crate::reconstruction::LensKnowledge;
 /// Replays a recording: prints a summary, writes trajectory, map and pictures
 #[derive(Debug, clap::Args)]
 pub struct ReplayArgs {
-    /// Folder in TUM RGB-D or EuRoC layout
+    /// MCAP file, rosbag2 folder of them, or folder in TUM RGB-D or EuRoC layout
     pub dir: PathBuf,
+    /// Topic of the pictures in an MCAP file, where there are several
+    #[arg(long)]
+    pub topic: Option<String>,
     /// Every frame, as fast as they can be processed, with the same result every time
     #[arg(long)]
     pub lockstep: bool,
-    /// Camera calibration: ours (TOML) or a YAML with fx fy cx cy and distortion [default: DIR/camera.yaml]
+    /// Camera calibration: ours (TOML) or a YAML with fx fy cx cy and distortion [default: DIR/camera.yaml, the MCAP file's CameraInfo]
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
-    /// As if there were no calibration: the lens is estimated from the motion. So it is, too, where DIR has no camera.yaml
+    /// As if there were no calibration: the lens is estimated from the motion. So it is, too, where the recording has none
     #[arg(long, conflicts_with = "camera")]
     pub uncalibrated: bool,
     /// Write every tracked frame as the map knows it at the end (TUM format)
@@ -119,15 +122,14 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode, CliError> {
     let pacing = if args.lockstep { Pacing::LockStep } else { Pacing::RealTime };
     let uncalibrated = args.uncalibrated || config.calibration.ignore;
     let own = if args.camera.is_some() || uncalibrated { OwnCalibration::Ignore } else { OwnCalibration::Read };
-    let recording =
-        Recording::open_with(&args.dir, pacing, own).map_err(|e| CliError::new(exit_code::NO_INPUT, e.to_string()))?;
+    let recording = open(args, pacing, own).map_err(|e| CliError::new(exit_code::NO_INPUT, e.to_string()))?;
     let description = recording.description().clone();
-    let calibration = calibration(args, &config, &recording)?;
+    let calibration = calibration(args, &config, &description)?;
 
     let status = Arc::new(Status::default());
     let mut parts = Parts {
         config,
-        supply: Supply::Once(Box::new(recording)),
+        supply: Supply::Once(recording),
         calibration,
         outlet: None,
         outputs,
@@ -190,20 +192,37 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode, CliError> {
     Ok(ExitCode::SUCCESS)
 }
 
+/// A folder with a list of pictures is that recording; any other with MCAP files in it, and every file, is one of those.
+fn open(args: &ReplayArgs, pacing: Pacing, own: OwnCalibration) -> Result<Box<dyn FrameSource>, SourceError> {
+    let is_list = args.dir.join("rgb.txt").exists();
+    if !is_list && bag::files(&args.dir).is_some() {
+        return Ok(Box::new(Bag::open(&args.dir, pacing, own, args.topic.as_deref())?));
+    }
+    if let Some(topic) = &args.topic {
+        let reason = format!("--topic {topic}: only an MCAP file has topics");
+        return Err(SourceError::Open { path: args.dir.display().to_string(), reason });
+    }
+    Ok(Box::new(Recording::open_with(&args.dir, pacing, own)?))
+}
+
 /// The camera that was named, else the recording's own.
-fn calibration(args: &ReplayArgs, config: &Config, recording: &Recording) -> Result<Calibration, CliError> {
+fn calibration(args: &ReplayArgs, config: &Config, recording: &SourceDescription) -> Result<Calibration, CliError> {
     if let Some(path) = &args.camera {
         let unsaid = Unsaid { size: None, lens: config.calibration.unsaid_lens() };
         let model = load_camera_with(path, &unsaid).map_err(|e| CliError::new(exit_code::NO_INPUT, e.to_string()))?;
         return Ok(Calibration::known(model, path.display().to_string()));
     }
-    match &recording.description().camera {
-        Some(model) => Ok(Calibration::known(model.clone(), args.dir.join("camera.yaml").display().to_string())),
+    match &recording.camera {
+        Some(model) => {
+            let file = args.dir.join("camera.yaml");
+            let origin = if file.exists() { file.display().to_string() } else { recording.name.clone() };
+            Ok(Calibration::known(model.clone(), origin))
+        }
         None => {
             let view_deg = config.calibration.supposed_view_deg;
             // A stand-in where the first frame has still to tell the size: `Calibration::fit` makes it fit.
-            let size = recording.description().size.unwrap_or((640, 480));
-            warn!(dir = %args.dir.display(), view_deg, "no calibration (camera.yaml or --camera): the lens is a guess");
+            let size = recording.size.unwrap_or((640, 480));
+            warn!(dir = %args.dir.display(), view_deg, "no calibration (camera.yaml, CameraInfo or --camera): the lens is a guess");
             camera_calibration::guess(size, view_deg)
         }
     }

@@ -46,8 +46,8 @@ use std::time::{Duration, Instant};
 use iceoryx2_bb_posix::clock::{ClockType, Time};
 
 pub use error::ClientError;
-pub use subscription::{FeatureLists, Frames, Healths, Keyframes, Map, Poses, Subscription};
-pub use topics::{Features, Frame, KeyframesSnapshot, MapSnapshot, Slice, Topic};
+pub use subscription::{Encodeds, FeatureLists, Frames, Healths, Keyframes, Map, Poses, Subscription};
+pub use topics::{Encoded, Features, Frame, KeyframesSnapshot, MapSnapshot, Slice, Topic};
 
 use crate::messages::services::topic;
 use crate::messages::{DEFAULT_PREFIX, Endpoint};
@@ -130,6 +130,12 @@ impl Client {
 
     /// Corners, tracks and matched landmarks of each picture. The daemon makes them only while somebody holds such a subscription.
     pub fn features(&self) -> FeatureLists {
+        Subscription::new(self.link.clone())
+    }
+
+    /// Every picture as it came from the camera (JPEG, rows of grey), with what is believed of its lens: for recorders. The queue holds half a
+    /// second; the daemon copies these bytes only while somebody holds such a subscription, and two can.
+    pub fn encoded(&self) -> Encodeds {
         Subscription::new(self.link.clone())
     }
 }

@@ -11,7 +11,9 @@ use iceoryx2::service::builder::event::EventOpenError;
 use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
 
 use super::link::{Ipc, Link};
-use super::topics::{FeaturesTopic, FrameTopic, HealthTopic, KeyframesTopic, MapTopic, OpenFailure, PoseTopic, Topic};
+use super::topics::{
+    EncodedTopic, FeaturesTopic, FrameTopic, HealthTopic, KeyframesTopic, MapTopic, OpenFailure, PoseTopic, Topic,
+};
 use super::{ClientError, LOOK_EVERY};
 
 /// Silence after which it is checked whether the daemon has died.
@@ -54,6 +56,8 @@ pub type Keyframes = Subscription<KeyframesTopic>;
 pub type Frames = Subscription<FrameTopic>;
 /// Subscription to what is found in the pictures.
 pub type FeatureLists = Subscription<FeaturesTopic>;
+/// Subscription to the camera's own bytes.
+pub type Encodeds = Subscription<EncodedTopic>;
 
 /// Ports of a connected subscription, dropped in this order.
 struct Open<T: Topic> {

@@ -15,7 +15,7 @@ use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use super::link::Ipc;
 use crate::messages::services::topic;
 use crate::messages::{
-    Feature, FeaturesHeader, FrameHeader, Health, Keyframe, KeyframesHeader, Landmark, MapHeader, Pose,
+    EncodedHeader, Feature, FeaturesHeader, FrameHeader, Health, Keyframe, KeyframesHeader, Landmark, MapHeader, Pose,
 };
 
 /// The map as it was at one moment: a slice of [`Landmark`] in shared memory.
@@ -24,6 +24,8 @@ pub type MapSnapshot = Slice<Landmark, MapHeader>;
 pub type KeyframesSnapshot = Slice<Keyframe, KeyframesHeader>;
 /// A grey picture in shared memory, rows of [`FrameHeader::stride`] bytes.
 pub type Frame = Slice<u8, FrameHeader>;
+/// A picture's bytes as they came from the camera, in shared memory.
+pub type Encoded = Slice<u8, EncodedHeader>;
 
 /// What was found in a picture: a slice of [`Feature`] in shared memory.
 pub type Features = Slice<Feature, FeaturesHeader>;
@@ -205,4 +207,6 @@ topic!(
 topic!(
     /// [`Features`], while somebody subscribes.
     FeaturesTopic, topic::FEATURES, [Feature], Feature, FeaturesHeader, true, Features, held
+    /// [`Encoded`], while somebody subscribes.
+    EncodedTopic, topic::ENCODED, [u8], u8, EncodedHeader, true, Encoded, held
 );

@@ -16,6 +16,7 @@ use super::status::Status;
 use super::timestamps::{TimestampGate, Verdict};
 use crate::camera::{FrameSource, Grab, SourceError};
 use crate::frame::{Clock, RawFrame, monotonic_ns};
+use crate::publish::{CameraView, EncodedPublisher, convert};
 use crate::telemetry::RateLimiter;
 
 /// Opens a source again after it was lost.
@@ -82,6 +83,9 @@ pub struct CaptureStep {
     next_number: u64,
     unreadable: RateLimiter,
     bad_times: RateLimiter,
+    unsent: RateLimiter,
+    /// For recorders; `None` where nothing is published.
+    encoded: Option<EncodedPublisher>,
     status: Arc<Status>,
 }
 
@@ -116,8 +120,16 @@ impl CaptureStep {
             next_number: 0,
             unreadable: RateLimiter::default(),
             bad_times: RateLimiter::default(),
+            unsent: RateLimiter::default(),
+            encoded: None,
             status,
         })
+    }
+
+    /// With a service for recorders, which get every good frame as it came.
+    pub fn sharing(mut self, encoded: Option<EncodedPublisher>) -> Self {
+        self.encoded = encoded;
+        self
     }
 
     /// Waits at most `timeout` for a frame.
@@ -156,8 +168,12 @@ impl CaptureStep {
             self.status.capture_delay.record_ns(slot.arrival_ns.saturating_sub(slot.timestamp_ns));
         }
         match self.gate.judge(slot.timestamp_ns) {
-            Verdict::Accept => Captured::Frame,
+            Verdict::Accept => {
+                self.share(slot);
+                Captured::Frame
+            }
             Verdict::AcceptNewTimeline => {
+                self.share(slot);
                 warn!(timestamp_ns = slot.timestamp_ns, "time went back for good, starting over");
                 Captured::FrameOfNewTimeline
             }
@@ -174,6 +190,24 @@ impl CaptureStep {
                     );
                 }
                 Captured::Nothing
+            }
+        }
+    }
+
+    /// The frame as it came, if anybody records.
+    fn share(&mut self, frame: &RawFrame) {
+        let Some(encoded) = self.encoded.as_mut().filter(|encoded| encoded.is_wanted()) else { return };
+        let (pinhole_px, distortion) = self.status.exact_lens();
+        let camera = CameraView {
+            pinhole_px,
+            distortion,
+            intrinsics: convert::intrinsics(self.status.lens().0),
+            lens_model: convert::lens_model(self.status.lens_is_wide_angle()),
+        };
+        if let Err(error) = encoded.publish(frame, &camera) {
+            self.status.publish_failures.add(1);
+            if let Some(messages) = self.unsent.event(monotonic_ns()) {
+                warn!(messages, %error, "message cannot be sent");
             }
         }
     }

@@ -110,7 +110,8 @@ pub(super) struct Threads {
 
 /// Starts all threads. They end when the source ends, or when [`Status::request_stop`] is called.
 pub(super) fn start(parts: Parts) -> Result<Threads, DaemonError> {
-    let Parts { config, supply, calibration, outlet, outputs, spool_folder, keep_lens, status } = parts;
+    let Parts { config, supply, calibration, mut outlet, outputs, spool_folder, keep_lens, status } = parts;
+    let encoded = outlet.as_mut().and_then(Outlet::take_encoded);
     let recorder = Recorder::new(&outputs, spool_folder.as_deref(), status.clone())?.keeping(keep_lens);
     let (orders, order_queue) = bounded::<Order>(RECORD_QUEUE);
     let recorder = spawn("cairn-recorder", move || serve(recorder, &order_queue))?;
@@ -144,14 +145,14 @@ pub(super) fn start(parts: Parts) -> Result<Threads, DaemonError> {
     let feature_step = FeatureStep::new(&config.features, status.clone());
     let beat = status.clone();
     let features = spawn("cairn-features", move || extract(feature_step, consumer, &empty_queue, &full, &beat))?;
-    let capture_step = CaptureStep::new(supply, status.clone()).map_err(DaemonError::Thread)?;
+    let capture_step = CaptureStep::new(supply, status.clone()).map_err(DaemonError::Thread)?.sharing(encoded);
     let to_reset = requests.clone();
     let capture = spawn("cairn-capture", move || capture_frames(capture_step, producer, &to_reset, &status))?;
     Ok(Threads { capture, features, reconstruction, mapping, recorder, requests })
 }
 
 /// A named thread whose panic is logged with the fields of any other record.
-fn spawn<T: Send + 'static>(
+pub fn spawn<T: Send + 'static>(
     name: &'static str,
     work: impl FnOnce() -> T + Send + 'static,
 ) -> Result<JoinHandle<T>, DaemonError> {

@@ -9,8 +9,8 @@ use crate::map::{LandmarkId, MapId, MapSnapshot};
 use crate::messages::Pose;
 use crate::publish::convert::{self, Map};
 use crate::publish::{
-    Conversion, FeaturesPublisher, FramePublisher, FrameStamp, MapContext, MapPublisher, PosePublisher, PublishError,
-    ScaleEstimate,
+    Conversion, EncodedPublisher, FeaturesPublisher, FramePublisher, FrameStamp, MapContext, MapPublisher,
+    PosePublisher, PublishError, ScaleEstimate,
 };
 use crate::reconstruction::PoseEstimate;
 
@@ -31,6 +31,8 @@ pub struct Outlet {
     map: MapPublisher,
     frames: FramePublisher,
     features: Option<FeaturesPublisher>,
+    /// For the capture stage, which takes it.
+    encoded: Option<EncodedPublisher>,
     conversion: Conversion,
     placement: Option<Placement>,
     /// As published.
@@ -52,13 +54,25 @@ impl Outlet {
             clock,
             map_from_world: None,
         };
-        Self { poses, map, frames, features: None, conversion, placement: None, last: None }
+        Self { poses, map, frames, features: None, encoded: None, conversion, placement: None, last: None }
     }
 
     /// Tells what is found in the pictures, too.
     pub fn with_features(mut self, features: FeaturesPublisher) -> Self {
         self.features = Some(features);
         self
+    }
+
+    /// With the camera's own bytes, too.
+    pub fn with_encoded(mut self, mut encoded: EncodedPublisher) -> Self {
+        encoded.describe(&self.conversion.body_from_camera, self.conversion.clock);
+        self.encoded = Some(encoded);
+        self
+    }
+
+    /// The part that the capture stage sends: every picture as it came, also those that are dropped because a later one is there.
+    pub(super) fn take_encoded(&mut self) -> Option<EncodedPublisher> {
+        self.encoded.take()
     }
 
     /// One frame's pose, or its lack of one. `frames_dropped`: frames of this run that were never looked at.

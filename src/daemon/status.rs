@@ -1,7 +1,7 @@
 //! What the stages say of themselves while they run: counters, latencies, signs of life. Written by the stages, read by
 //! the supervisor and by whoever prints a summary. Fixed size, no locks.
 
-use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU32, AtomicU64, Ordering};
 
 use crate::map::MapSnapshot;
 use crate::reconstruction::{Corrections, Counters, LensEstimate, LensKnowledge, PoseEstimate, TrackingState};
@@ -93,6 +93,8 @@ pub struct Status {
     lens_is_wide_angle: AtomicBool,
     /// Bits of: fx fy cx cy, standard deviations of the focal length (share) and the principal point (px).
     lens: [AtomicU32; 6],
+    /// The same lens with all digits, for recorders: fx fy cx cy (px), and its coefficients.
+    exact_lens: [AtomicU64; 9],
     stop: AtomicBool,
 }
 
@@ -150,6 +152,7 @@ impl Default for Status {
             lens_knowledge: AtomicU8::new(2),
             lens_is_wide_angle: AtomicBool::new(false),
             lens: [const { AtomicU32::new(f32::NAN.to_bits()) }; 6],
+            exact_lens: [const { AtomicU64::new(f64::NAN.to_bits()) }; 9],
             stop: AtomicBool::new(false),
         }
     }
@@ -248,6 +251,10 @@ impl Status {
         for (slot, number) in self.lens.iter().zip(numbers) {
             slot.store((number as f32).to_bits(), Ordering::Relaxed);
         }
+        let coefficients = c.lens.coefficients().iter().copied().chain([0.0]);
+        for (slot, number) in self.exact_lens.iter().zip([c.fx, c.fy, c.cx, c.cy].into_iter().chain(coefficients)) {
+            slot.store(number.to_bits(), Ordering::Relaxed);
+        }
         self.set_lens_knowledge(lens.knowledge);
         self.lens_is_wide_angle.store(c.lens.is_wide_angle(), Ordering::Relaxed);
     }
@@ -276,6 +283,12 @@ impl Status {
             _ => LensKnowledge::Guessed,
         };
         (knowledge, std::array::from_fn(|i| f32::from_bits(self.lens[i].load(Ordering::Relaxed))))
+    }
+
+    /// fx fy cx cy (px), and k1 k2 p1 p2 k3 or the four coefficients of a wide-angle lens and zero; NaN before the first frame.
+    pub fn exact_lens(&self) -> ([f64; 4], [f64; 5]) {
+        let number = |i: usize| f64::from_bits(self.exact_lens[i].load(Ordering::Relaxed));
+        (std::array::from_fn(number), std::array::from_fn(|i| number(4 + i)))
     }
 
     /// Landmarks and keyframes of the map, as of its last snapshot.

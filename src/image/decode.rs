@@ -15,6 +15,7 @@
 
 use super::error::check_size;
 pub use super::error::{DecodeError, MAX_HEIGHT, MAX_WIDTH};
+pub(crate) use super::png::luma;
 use super::{GreyImage, jpeg, png};
 use crate::frame::{PixelFormat, RawFrame};
 

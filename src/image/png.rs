@@ -72,6 +72,6 @@ fn map_pixels<const N: usize>(pixels: &[u8], out: &mut GreyImage, grey: impl Fn(
 
 /// BT.601 luma in 16-bit fixed point, rounded; the weights add up to 1 exactly, so that white stays white.
 #[inline]
-pub(super) fn luma(r: u8, g: u8, b: u8) -> u8 {
+pub(crate) fn luma(r: u8, g: u8, b: u8) -> u8 {
     ((19_595 * u32::from(r) + 38_470 * u32::from(g) + 7_471 * u32::from(b) + 32_768) >> 16) as u8
 }

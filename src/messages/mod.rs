@@ -32,6 +32,7 @@ macro_rules! layout {
 }
 
 mod command;
+mod encoded;
 mod endpoint;
 mod features;
 mod frame;
@@ -43,6 +44,7 @@ mod transform;
 mod unfilled;
 
 pub use command::{Command, CommandReply, TEXT_LEN, command_kind, reply_code};
+pub use encoded::EncodedHeader;
 pub(crate) use endpoint::user_name;
 pub use endpoint::{DEFAULT_PREFIX, Endpoint, EndpointError, Presence, Squatter, effective_uid, service_name};
 pub use features::{Feature, FeaturesHeader};
@@ -143,6 +145,15 @@ pub const INTRINSICS_GUESSED: u8 = 2;
 pub const LENS_RADIAL_TANGENTIAL: u8 = 0;
 /// `lens_model`: wide angle (Kannala-Brandt; `equidistant` of ROS, OpenCV's `fisheye`): `focal_px` is pixels per radian off the axis.
 pub const LENS_KANNALA_BRANDT: u8 = 1;
+
+/// `format` of an encoded picture: rows of `stride` bytes, one byte a pixel, top left first.
+pub const ENCODED_GREY: u8 = 0;
+/// `format` of an encoded picture: rows of `stride` bytes, packed 4:2:2 as Y0 U Y1 V.
+pub const ENCODED_YUYV: u8 = 1;
+/// `format` of an encoded picture: a JPEG, or a webcam's motion JPEG, which may lack its Huffman tables.
+pub const ENCODED_JPEG: u8 = 2;
+/// `format` of an encoded picture: a PNG.
+pub const ENCODED_PNG: u8 = 3;
 
 /// `state` as a type; a value from a newer daemon is kept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -333,6 +344,7 @@ mod tests {
             Keyframe,
             KeyframesHeader,
             FrameHeader,
+            EncodedHeader,
             Feature,
             FeaturesHeader,
             Command,

@@ -11,6 +11,7 @@ pub mod topic {
     pub const HEALTH: &str = "health";
     pub const FRAME: &str = "frame";
     pub const FEATURES: &str = "features";
+    pub const ENCODED: &str = "encoded";
     pub const COMMAND: &str = "command";
 }
 
@@ -27,8 +28,10 @@ pub const EVENT_MAX: usize = 15;
 /// Notifiers at most: the publisher's, and those that iceoryx2 makes for a moment to report a death.
 pub const MAX_NOTIFIERS: usize = 4;
 
-/// Subscribers of a service at most.
+/// Subscribers of a service at most, but of `encoded`.
 pub const MAX_SUBSCRIBERS: usize = 8;
+/// Subscribers of `encoded` at most: each has a queue of whole pictures.
+pub const MAX_ENCODED_SUBSCRIBERS: usize = 2;
 /// Publishers of a service.
 pub const MAX_PUBLISHERS: usize = 1;
 /// Processes that can open a service.
@@ -56,12 +59,14 @@ pub struct Qos {
     pub buffer: usize,
     /// Messages that a subscriber may hold at a time.
     pub borrowed: usize,
+    /// Subscribers at a time.
+    pub subscribers: usize,
 }
 
 impl Qos {
     /// Messages that the publisher keeps memory for: `subscribers * (buffer + borrowed) + history`, and two being written.
     pub const fn messages(&self) -> usize {
-        MAX_SUBSCRIBERS * (self.buffer + self.borrowed) + self.history + PUBLISHER_LOANS
+        self.subscribers * (self.buffer + self.borrowed) + self.history + PUBLISHER_LOANS
     }
 }
 
@@ -69,14 +74,16 @@ impl Qos {
 pub const PUBLISHER_LOANS: usize = 2;
 
 /// A second of poses at 30 Hz for a reader that is busy. The history covers the time that a subscriber needs to connect.
-pub const POSE: Qos = Qos { history: 4, buffer: 32, borrowed: 4 };
+pub const POSE: Qos = Qos { history: 4, buffer: 32, borrowed: 4, subscribers: MAX_SUBSCRIBERS };
 /// Always the newest.
-pub const MAP: Qos = Qos { history: 1, buffer: 1, borrowed: 2 };
+pub const MAP: Qos = Qos { history: 1, buffer: 1, borrowed: 2, subscribers: MAX_SUBSCRIBERS };
 /// Always the newest.
-pub const KEYFRAMES: Qos = Qos { history: 1, buffer: 1, borrowed: 2 };
+pub const KEYFRAMES: Qos = Qos { history: 1, buffer: 1, borrowed: 2, subscribers: MAX_SUBSCRIBERS };
 /// A few, so that no change of state is missed by a reader that is busy.
-pub const HEALTH: Qos = Qos { history: 1, buffer: 4, borrowed: 2 };
+pub const HEALTH: Qos = Qos { history: 1, buffer: 4, borrowed: 2, subscribers: MAX_SUBSCRIBERS };
 /// Always the newest. No history: pictures are sent only while somebody subscribes.
-pub const FRAME: Qos = Qos { history: 0, buffer: 1, borrowed: 2 };
+pub const FRAME: Qos = Qos { history: 0, buffer: 1, borrowed: 2, subscribers: MAX_SUBSCRIBERS };
+/// Half a second at 30 Hz, so that a recorder that is not run for a moment misses nothing. No history, as above.
+pub const ENCODED: Qos = Qos { history: 0, buffer: 16, borrowed: 2, subscribers: MAX_ENCODED_SUBSCRIBERS };
 /// As frames; a few more, so that who reads a picture finds its features.
-pub const FEATURES: Qos = Qos { history: 0, buffer: 4, borrowed: 2 };
+pub const FEATURES: Qos = Qos { history: 0, buffer: 4, borrowed: 2, subscribers: MAX_SUBSCRIBERS };

@@ -8,13 +8,14 @@
 //! - [`convert`] turns optical axes into REP-103 axes of the robot's body, covariance included.
 //! - One daemon a prefix: a second one gets [`PublishError::AlreadyRunning`]. What a killed one left behind is cleared away.
 //! - Shared memory, reserved though not touched before it is used, for 8 subscribers: poses 0.2 MB, health 0.03 MB, map
-//!   12.5 MB (20,000 landmarks), keyframes 3.8 MB (2,000), frames 8 MB (640x480), features 3.6 MB. A full `/dev/shm` kills a process by
+//!   12.5 MB (20,000 landmarks), keyframes 3.8 MB (2,000), frames 8 MB (640x480), features 3.6 MB, encoded pictures 12 MB (as frames). A full `/dev/shm` kills a process by
 //!   SIGBUS, so [`Publisher::open`] refuses to start where there is no room.
 //!
 //! Does not: log, read configuration, spawn threads, convert pictures.
 
 mod commands;
 pub mod convert;
+mod encoded;
 mod error;
 mod features;
 mod opening;
@@ -28,6 +29,7 @@ use iceoryx2::prelude::{Node, NodeBuilder, NodeName, SignalHandlingMode};
 
 pub use commands::{CommandServer, Request};
 pub use convert::{Conversion, ScaleEstimate};
+pub use encoded::{CameraView, EncodedPublisher};
 pub use error::PublishError;
 pub use features::FeaturesPublisher;
 
@@ -36,8 +38,8 @@ use crate::image::GreyImage;
 use crate::map::MapSnapshot;
 use crate::messages::services::{self, topic};
 use crate::messages::{
-    Endpoint, Feature, FeaturesHeader, FrameHeader, Health, Keyframe, KeyframesHeader, Landmark, MapHeader, Pose,
-    Presence,
+    EncodedHeader, Endpoint, Feature, FeaturesHeader, FrameHeader, Health, Keyframe, KeyframesHeader, Landmark,
+    MapHeader, Pose, Presence,
 };
 use crate::reconstruction::PoseEstimate;
 use opening::Ipc;
@@ -60,7 +62,7 @@ pub struct Limits {
     pub landmarks: usize,
     /// Keyframes in a keyframes message; of a larger map the newest are sent.
     pub keyframes: usize,
-    /// Bytes of a picture; larger ones are not sent ([`PublishError::FrameTooLarge`]).
+    /// Bytes of a picture, decoded or not; larger ones are not sent ([`PublishError::FrameTooLarge`]).
     pub frame_bytes: usize,
 }
 
@@ -84,6 +86,7 @@ impl Limits {
             (services::KEYFRAMES, self.keyframes * size_of::<Keyframe>()),
             (services::FRAME, self.frame_bytes),
             (services::FEATURES, services::MAX_FEATURES * size_of::<Feature>()),
+            (services::ENCODED, self.frame_bytes),
         ];
         // 256: headers and rounding of a message.
         parts.iter().map(|(qos, bytes)| (qos.messages() * (bytes + 256)) as u64).sum()
@@ -97,6 +100,7 @@ pub struct Publisher {
     pub map: MapPublisher,
     pub frames: FramePublisher,
     pub features: FeaturesPublisher,
+    pub encoded: EncodedPublisher,
     pub health: HealthPublisher,
     pub commands: CommandServer,
 }
@@ -127,6 +131,8 @@ impl Publisher {
             Port::open_slices(&node, endpoint, topic::FRAME, services::FRAME, limits.frame_bytes)?;
         let features: Port<[Feature], FeaturesHeader> =
             Port::open_slices(&node, endpoint, topic::FEATURES, services::FEATURES, services::MAX_FEATURES)?;
+        let encoded: Port<[u8], EncodedHeader> =
+            Port::open_slices(&node, endpoint, topic::ENCODED, services::ENCODED, limits.frame_bytes)?;
         let commands = CommandServer::open(&node, endpoint)?;
         let health: Port<Health, ()> = Port::open(&node, endpoint, topic::HEALTH, services::HEALTH)?;
         let others = vec![
@@ -135,12 +141,14 @@ impl Publisher {
             updater(&keyframes.publisher),
             updater(&frames.publisher),
             updater(&features.publisher),
+            updater(&encoded.publisher),
         ];
         Ok(Self {
             poses: PosePublisher { next: None, port: poses, run_id },
             map: MapPublisher { map, keyframes, limits: *limits, run_id, sent_ns: None },
             frames: FramePublisher { port: frames, limit: limits.frame_bytes, run_id },
             features: FeaturesPublisher::new(features, run_id),
+            encoded: EncodedPublisher::new(encoded, limits.frame_bytes, run_id),
             health: HealthPublisher {
                 port: health,
                 node,

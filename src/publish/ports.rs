@@ -48,7 +48,7 @@ macro_rules! service {
             .publish_subscribe::<$payload>()
             .user_header::<$header>()
             .max_publishers(services::MAX_PUBLISHERS)
-            .max_subscribers(services::MAX_SUBSCRIBERS)
+            .max_subscribers($qos.subscribers)
             .max_nodes(services::MAX_NODES)
             .history_size($qos.history)
             .subscriber_max_buffer_size($qos.buffer)

@@ -17,6 +17,7 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
     ("frame", &[]),
     ("geometry", &[]),
     ("ring", &[]),
+    ("ros", &[]),
     ("telemetry", &[]),
     ("atomic_file", &[]),
     // The wire: builds alone, for planners.
@@ -25,7 +26,7 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
     // Pictures and where they come from.
     ("image", &["frame"]),
     ("calibration", &["atomic_file", "geometry", "image"]),
-    ("camera", &["calibration", "frame", "geometry", "image", "trajectory"]),
+    ("camera", &["calibration", "frame", "geometry", "image", "ros", "trajectory"]),
     // From pictures to a map. Features know no map, the map knows no reconstruction, and none of them knows a camera, the
     // ring or the wire.
     ("features", &["frame", "geometry", "image"]),
@@ -41,6 +42,8 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
     ("publish", &["frame", "geometry", "image", "map", "messages", "reconstruction"]),
     // The web console: a process of its own, a subscriber like any planner. What it says of faults it is given.
     ("console", &["client", "messages", "telemetry"]),
+    // A recorder is a process of its own, and a subscriber like any other.
+    ("share", &["client", "messages", "ros"]),
     // The method on two pictures: what `features` and `geometry` can do, on files, outside the daemon. Nobody but `cli` knows it.
     ("workbench", &["atomic_file", "calibration", "camera", "features", "frame", "geometry", "image", "trajectory"]),
     // What holds it together.
@@ -83,6 +86,7 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
             "plot",
             "publish",
             "reconstruction",
+            "share",
             "telemetry",
             "trajectory",
             "workbench",

@@ -13,8 +13,10 @@ use clap::Parser;
 use clap::error::ErrorKind;
 
 /// Words of capitals, and a value that each may have.
-const PLACEHOLDERS: [(&str, &str); 16] = [
+const PLACEHOLDERS: [(&str, &str); 18] = [
     ("DIR", "folder"),
+    ("OUT.mcap", "out.mcap"),
+    ("FILE.mcap", "file.mcap"),
     ("FILE", "file.txt"),
     ("PATH", "folder"),
     ("A", "a.png"),

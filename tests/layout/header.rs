@@ -9,11 +9,12 @@ use cairn::messages::Field;
 
 use crate::support::{compare, plain, renames, root, types};
 
-const SOURCES: [&str; 7] = [
+const SOURCES: [&str; 8] = [
     "src/messages/mod.rs",
     "src/messages/pose.rs",
     "src/messages/map.rs",
     "src/messages/frame.rs",
+    "src/messages/encoded.rs",
     "src/messages/health.rs",
     "src/messages/command.rs",
     "src/client/c.rs",

@@ -11,7 +11,7 @@ const PAGE: &str = "src/messages/WIRE.md";
 /// Type and documentation of every field, by struct and field, out of the sources.
 fn documented() -> BTreeMap<(String, String), (String, String)> {
     let mut found = BTreeMap::new();
-    for file in ["pose", "map", "frame", "features", "health", "command"] {
+    for file in ["pose", "map", "frame", "encoded", "features", "health", "command"] {
         let text = std::fs::read_to_string(root().join(format!("src/messages/{file}.rs"))).expect("source");
         let (mut inside, mut words) = (None::<String>, Vec::new());
         for line in text.lines() {
@@ -53,7 +53,7 @@ fn fields(wire: &str) -> String {
 /// The table of queues.
 fn queues() -> String {
     let mut table = String::from(
-        "| service | history for late joiners | queue of a reader | held by a reader |\n|---|---:|---:|---:|\n",
+        "| service | history for late joiners | queue of a reader | held by a reader | readers |\n|---|---:|---:|---:|---:|\n",
     );
     let rows: [(&str, Qos); 6] = [
         (services::topic::POSE, services::POSE),
@@ -62,15 +62,16 @@ fn queues() -> String {
         (services::topic::HEALTH, services::HEALTH),
         (services::topic::FRAME, services::FRAME),
         (services::topic::FEATURES, services::FEATURES),
+        (services::topic::ENCODED, services::ENCODED),
     ];
     for (name, qos) in rows {
-        table += &format!("| `PREFIX/{name}` | {} | {} | {} |\n", qos.history, qos.buffer, qos.borrowed);
+        let Qos { history, buffer, borrowed, subscribers } = qos;
+        table += &format!("| `PREFIX/{name}` | {history} | {buffer} | {borrowed} | {subscribers} |\n");
     }
     table
         + &format!(
-            "\nOf each service: {} publisher, {} readers, {} processes; {} processes may send commands at once.\n",
+            "\nOf each service: {} publisher, {} processes; {} processes may send commands at once.\n",
             services::MAX_PUBLISHERS,
-            services::MAX_SUBSCRIBERS,
             services::MAX_NODES,
             services::MAX_COMMANDERS
         )

@@ -20,12 +20,13 @@ from .errors import (
     TooManySubscribers,
     VersionMismatch,
 )
-from .values import Features, Frame, Health, Keyframes, Map, Pose
+from .values import Encoded, Features, Frame, Health, Keyframes, Map, Pose
 
 __version__ = "0.1.0"
 __all__ = [
     "CairnError",
     "Client",
+    "Encoded",
     "Features",
     "Frame",
     "Health",

@@ -102,6 +102,10 @@ class Client:
         """Corners, tracks and matched landmarks of pictures. The daemon makes them only while somebody holds such a subscription."""
         return Subscription(self, "features", iox2.Slice[m.Feature], m.FeaturesHeader, values.Features)
 
+    def encoded(self):
+        """Every picture as it came from the camera, for recorders; a queue of half a second, two readers at a time."""
+        return Subscription(self, "encoded", iox2.Slice[ctypes.c_uint8], m.EncodedHeader, values.Encoded)
+
     def wait_for_daemon(self, timeout):
         """True once a daemon is there; False after `timeout` seconds."""
         end = time.monotonic() + timeout

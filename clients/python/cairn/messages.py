@@ -238,6 +238,28 @@ class FeaturesHeader(_Message):
     ]
 
 
+class EncodedHeader(_Message):
+    _fields_ = [
+        ("run_id", c.c_uint64),
+        ("sequence", c.c_uint64),
+        ("timestamp_ns", c.c_int64),
+        ("arrival_ns", c.c_int64),
+        ("focal_px", c.c_double * 2),
+        ("centre_px", c.c_double * 2),
+        ("distortion", c.c_double * 5),
+        ("camera_position", c.c_double * 3),
+        ("camera_orientation", c.c_double * 4),
+        ("width", c.c_uint32),
+        ("height", c.c_uint32),
+        ("stride", c.c_uint32),
+        ("format", c.c_uint8),
+        ("clock", c.c_uint8),
+        ("intrinsics", c.c_uint8),
+        ("lens_model", c.c_uint8),
+        ("reserved", c.c_uint8 * 16),
+    ]
+
+
 class Command(_Message):
     _fields_ = [
         ("kind", c.c_uint32),

@@ -293,3 +293,20 @@ class Features(_Slice):
 
     def __repr__(self):
         return f"<Features of {self.sequence}: {len(self)} of {self.total}>"
+
+
+class Encoded(_Slice):
+    """A picture's bytes as they came from the camera: `format` says what they are (0 grey, 1 YUYV, 2 JPEG, 3 PNG)."""
+
+    __slots__ = ()
+
+    def __init__(self, sample, port):
+        super().__init__(sample, port, m.EncodedHeader, np.dtype("u1"))
+
+    @property
+    def data(self):
+        """(N,) uint8: a view."""
+        return self.elements
+
+    def __repr__(self):
+        return f"<Encoded {self.sequence} {self.width}x{self.height}, {len(self.elements)} bytes>"

@@ -44,7 +44,7 @@ pub fn read(folder: &Path) -> Result<Sequence, SourceError> {
     let failed = |reason: String| SourceError::Open { path: folder.display().to_string(), reason };
     let metadata = std::fs::metadata(folder).map_err(|e| failed(e.to_string()))?;
     if !metadata.is_dir() {
-        return Err(failed("is not a folder: a recording is one, with rgb.txt or mav0/cam0/data.csv in it".into()));
+        return Err(failed("is not a folder with rgb.txt or mav0/cam0/data.csv in it, nor an MCAP file".into()));
     }
     let existing = |path: PathBuf| path.exists().then_some(path);
     if let Some(list) = existing(folder.join("rgb.txt")) {
@@ -62,7 +62,7 @@ pub fn read(folder: &Path) -> Result<Sequence, SourceError> {
     Err(failed(if is_empty {
         "the folder is empty".into()
     } else {
-        "is no recording: neither rgb.txt (TUM RGB-D layout) nor mav0/cam0/data.csv (EuRoC layout) is in it".into()
+        "is no recording: neither rgb.txt (TUM RGB-D layout) nor mav0/cam0/data.csv (EuRoC layout) nor an MCAP file is in it".into()
     }))
 }
 

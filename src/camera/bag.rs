@@ -1,0 +1,254 @@
+//! An MCAP recording as a [`FrameSource`]: a file, or a rosbag2 folder of them, whoever wrote it.
+//!
+//! Input: a topic of sensor_msgs/Image (mono8, mono16, bgr8, rgb8, bgra8, rgba8, yuv422_yuy2, yuv422) or CompressedImage (JPEG, PNG) in CDR, and a
+//! CameraInfo beside it. Output: pictures unchanged where the decoder takes them (grey, YUYV, JPEG, PNG), colour as BT.601 luma like that of a PNG;
+//! times are the headers' stamps to the nanosecond (where the first is zero: the log times), so a lock-step replay equals that of the same
+//! pictures in a folder, byte for byte.
+//!
+//! Frames come in the order of the file, which is that of recording. Files are read in pieces, once for a survey if they have no summary and
+//! once for the pictures, LZ4 and Zstandard alike; memory holds one record. A file that is cut off gives what is before the cut, with a warning;
+//! damage inside is an error when it is reached.
+//!
+//! Skipped with a reason: what a folder's recording skips, and a message that is not what its topic says. Not here: sqlite3 bags, ROS 1,
+//! wheel odometry, other messages than pictures and the first CameraInfo.
+
+mod picture;
+mod records;
+mod survey;
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use mcap::records::Record;
+use tracing::warn;
+
+use super::recording::{OwnCalibration, Pacer, Pacing};
+use super::{FrameSource, Grab, SourceDescription, SourceError};
+use crate::frame::{Clock, RawFrame, monotonic_ns};
+use crate::geometry::CameraModel;
+use crate::image::decode::picture_size;
+use picture::Kind;
+use records::{Records, Step};
+
+/// Pictures that the rate is found from.
+const RATE_PICTURES: usize = 31;
+
+/// An open recording.
+#[derive(Debug)]
+pub struct Bag {
+    description: SourceDescription,
+    stream: Stream,
+    kind: Kind,
+    /// The headers' stamps are all zero.
+    by_log_time: bool,
+    pacer: Option<Pacer>,
+    last_timestamp_ns: Option<i64>,
+    /// Message that was read and is not due yet.
+    held: Option<(Option<i64>, u64)>,
+    message: Vec<u8>,
+    next: u64,
+}
+
+/// The MCAP files of `path`: itself, or those of a rosbag2 folder; `None` if it is neither.
+pub fn files(path: &Path) -> Option<Vec<PathBuf>> {
+    if !path.is_dir() {
+        return path.is_file().then(|| vec![path.to_owned()]);
+    }
+    let entries = std::fs::read_dir(path).ok()?.flatten().map(|entry| entry.path());
+    let mut found: Vec<PathBuf> = entries.filter(|p| p.extension().is_some_and(|e| e == "mcap")).collect();
+    // name_2 before name_10.
+    found.sort_by_key(|p| (p.as_os_str().len(), p.clone()));
+    (!found.is_empty()).then_some(found)
+}
+
+impl Bag {
+    /// Opens a file or folder. `topic`: where the pictures are, if there are several.
+    pub fn open(path: &Path, pacing: Pacing, own: OwnCalibration, topic: Option<&str>) -> Result<Self, SourceError> {
+        let failed = |path: &Path, reason: String| SourceError::Open { path: path.display().to_string(), reason };
+        let files = files(path).ok_or_else(|| failed(path, "is neither a file nor a folder with MCAP files".into()))?;
+        let topics = survey::survey(&files).map_err(|(file, reason)| failed(&file, reason))?;
+        let (pictures, kind) = survey::choose(&topics, topic).map_err(|reason| failed(path, reason))?;
+        let info = survey::camera_info(&topics, &pictures.name).filter(|_| own == OwnCalibration::Read);
+        let camera = match info {
+            Some(info) => {
+                let wrong = |reason| failed(path, format!("{}: {reason}", info.name));
+                first_camera(&files, &info.name).map_err(wrong)?
+            }
+            None => None,
+        };
+        let beginning = Beginning::read(&files, &pictures.name, kind).map_err(|reason| failed(path, reason))?;
+        let description = SourceDescription {
+            name: format!("recording {} {}", path.display(), pictures.name),
+            size: beginning.size,
+            rate_hz: beginning.interval_ns.map(|ns| 1e9 / ns as f64),
+            clock: Clock::Recording,
+            camera,
+            frames: Some(pictures.messages),
+        };
+        Ok(Self {
+            description,
+            stream: Stream::new(files, &pictures.name),
+            kind,
+            by_log_time: beginning.by_log_time,
+            pacer: (pacing == Pacing::RealTime).then(|| Pacer::new(beginning.interval_ns)),
+            last_timestamp_ns: None,
+            held: None,
+            message: Vec::new(),
+            next: 0,
+        })
+    }
+
+    /// Time and number of the next message, whose bytes are in `self.message`; no time if it has none that can be read. `None` at the end.
+    fn next_message(&mut self) -> Result<Option<(Option<i64>, u64)>, SourceError> {
+        if self.held.is_some() {
+            return Ok(self.held);
+        }
+        let Some(log_time_ns) = self.stream.next(&mut self.message)? else { return Ok(None) };
+        let number = self.next;
+        self.next += 1;
+        let stamp = if self.by_log_time { Some(log_time_ns) } else { picture::read_stamp(&self.message).ok() };
+        self.held = Some((stamp, number));
+        Ok(self.held)
+    }
+}
+
+impl FrameSource for Bag {
+    fn description(&self) -> &SourceDescription {
+        &self.description
+    }
+
+    fn grab(&mut self, slot: &mut RawFrame, timeout: Duration) -> Result<Grab, SourceError> {
+        let Some((stamp, number)) = self.next_message()? else { return Ok(Grab::End) };
+        let Some(timestamp_ns) = stamp else {
+            self.held = None;
+            return Ok(Grab::Skipped { reason: format!("message {number}: has no header that can be read") });
+        };
+        if let Some(last) = self.last_timestamp_ns
+            && timestamp_ns <= last
+        {
+            self.held = None;
+            let how = if timestamp_ns == last { "repeats the" } else { "goes back behind the" };
+            return Ok(Grab::Skipped {
+                reason: format!("message {number}: timestamp {timestamp_ns} ns {how} one before"),
+            });
+        }
+        if let Some(pacer) = &mut self.pacer {
+            let now = monotonic_ns();
+            let wait_ns = pacer.due_ns(timestamp_ns, now) - now;
+            if wait_ns > 0 {
+                let wait = Duration::from_nanos(wait_ns.unsigned_abs());
+                std::thread::sleep(wait.min(timeout));
+                if wait > timeout {
+                    return Ok(Grab::TimedOut);
+                }
+            }
+            pacer.gave(timestamp_ns, monotonic_ns());
+        }
+        self.held = None;
+        self.last_timestamp_ns = Some(timestamp_ns);
+        if let Err(reason) = picture::read(self.kind, &self.message, slot) {
+            return Ok(Grab::Skipped { reason: format!("message {number}: {reason}") });
+        }
+        slot.sequence = number;
+        slot.timestamp_ns = timestamp_ns;
+        slot.arrival_ns = monotonic_ns();
+        Ok(Grab::Frame)
+    }
+}
+
+/// The messages of one topic, file after file.
+#[derive(Debug)]
+struct Stream {
+    files: Vec<PathBuf>,
+    next_file: usize,
+    topic: String,
+    open: Option<(Records, Vec<u16>)>,
+}
+
+impl Stream {
+    fn new(files: Vec<PathBuf>, topic: &str) -> Self {
+        Self { files, next_file: 0, topic: topic.into(), open: None }
+    }
+
+    /// The next message's bytes into `message`, and its log time; `None` at the end.
+    fn next(&mut self, message: &mut Vec<u8>) -> Result<Option<i64>, SourceError> {
+        loop {
+            if self.open.is_none() {
+                let Some(path) = self.files.get(self.next_file) else { return Ok(None) };
+                let records = Records::open(path).map_err(|reason| failed(path, reason))?;
+                self.next_file += 1;
+                self.open = Some((records, Vec::new()));
+            }
+            let Some((records, channels)) = &mut self.open else { return Ok(None) };
+            let mut found = None;
+            let step = records.step(|record| match record {
+                Record::Channel(channel) if channel.topic == self.topic => channels.push(channel.id),
+                Record::Message { header, data } if channels.contains(&header.channel_id) => {
+                    message.clear();
+                    message.extend_from_slice(data);
+                    found = Some(i64::try_from(header.log_time).unwrap_or(i64::MAX));
+                }
+                _ => {}
+            });
+            match step.map_err(|reason| failed(records.path(), reason))? {
+                Step::Record => {}
+                Step::End => self.open = None,
+                Step::CutOff => {
+                    warn!(path = %records.path().display(), "recording is cut off, what is before the cut is replayed");
+                    self.open = None;
+                }
+            }
+            if found.is_some() {
+                return Ok(found);
+            }
+        }
+    }
+}
+
+fn failed(path: &Path, reason: String) -> SourceError {
+    SourceError::Open { path: path.display().to_string(), reason }
+}
+
+/// The first message of a calibration's topic.
+fn first_camera(files: &[PathBuf], topic: &str) -> Result<Option<CameraModel>, String> {
+    let mut message = Vec::new();
+    match Stream::new(files.to_vec(), topic).next(&mut message) {
+        Ok(Some(_)) => picture::camera_info(&message),
+        Ok(None) => Ok(None),
+        Err(error) => Err(error.to_string()),
+    }
+}
+
+/// What the first pictures tell.
+struct Beginning {
+    size: Option<(u32, u32)>,
+    interval_ns: Option<i64>,
+    by_log_time: bool,
+}
+
+impl Beginning {
+    fn read(files: &[PathBuf], topic: &str, kind: Kind) -> Result<Self, String> {
+        let (mut message, mut slot) = (Vec::new(), RawFrame::default());
+        let mut stream = Stream::new(files.to_vec(), topic);
+        let (mut size, mut stamps, mut log_times) = (None, Vec::new(), Vec::new());
+        while log_times.len() < RATE_PICTURES
+            && let Some(log_time_ns) = stream.next(&mut message).map_err(|e| e.to_string())?
+        {
+            if size.is_none() && picture::read(kind, &message, &mut slot).is_ok() {
+                size = picture_size(&slot.data).or(Some((slot.width, slot.height)));
+            }
+            stamps.extend(picture::read_stamp(&message));
+            log_times.push(log_time_ns);
+        }
+        let by_log_time = stamps.first().is_none_or(|first| *first == 0);
+        let times = if by_log_time { log_times } else { stamps };
+        let mut steps: Vec<i64> =
+            times.windows(2).map(|w| w[1].saturating_sub(w[0])).filter(|step| *step > 0).collect();
+        let middle = steps.len() / 2;
+        let interval_ns = (!steps.is_empty()).then(|| *steps.select_nth_unstable(middle).1);
+        Ok(Self { size, interval_ns, by_log_time })
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,100 @@
+//! The records of one MCAP file, one after the other, read in pieces: a file may be larger than memory, and may end early.
+
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use mcap::records::{Record, op};
+use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use mcap::{MAGIC, McapError};
+
+/// Read at once, bytes.
+const READ_BYTES: usize = 256 << 10;
+/// A longer record is a broken length, bytes: an uncompressed picture of 1920x1200 with 16 bits and alpha is 18 MB, a cloud of a large lidar the same.
+const MAX_RECORD_BYTES: usize = 256 << 20;
+
+/// What one step came to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Step {
+    /// A record was shown.
+    Record,
+    End,
+    /// The file ends in the middle of a record, as that of a killed recorder does.
+    CutOff,
+}
+
+/// An open file.
+pub struct Records {
+    path: PathBuf,
+    file: File,
+    /// Bytes that have not been read.
+    left: u64,
+    reader: LinearReader,
+}
+
+impl std::fmt::Debug for Records {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Records").field("path", &self.path).finish_non_exhaustive()
+    }
+}
+
+impl Records {
+    /// Opens a file and looks at its first bytes.
+    pub fn open(path: &Path) -> Result<Self, String> {
+        let metadata = std::fs::metadata(path).map_err(|e| e.to_string())?;
+        if !metadata.is_file() {
+            return Err("is not a file".into());
+        }
+        let mut file = File::open(path).map_err(|e| e.to_string())?;
+        let mut begin = Vec::new();
+        file.by_ref().take(MAGIC.len() as u64).read_to_end(&mut begin).map_err(|e| e.to_string())?;
+        if begin != MAGIC {
+            return Err(format!("is no MCAP file, begins with {begin:02x?}"));
+        }
+        let options = LinearReaderOptions::default()
+            .with_skip_start_magic(true)
+            .with_skip_end_magic(true)
+            .with_validate_chunk_crcs(true)
+            .with_record_length_limit(MAX_RECORD_BYTES);
+        let left = metadata.len().saturating_sub(MAGIC.len() as u64);
+        Ok(Self { path: path.to_owned(), file, left, reader: LinearReader::new_with_options(options) })
+    }
+
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Shows the next record. An error is damage, after which nothing is to be had.
+    pub fn step(&mut self, mut show: impl FnMut(&Record)) -> Result<Step, String> {
+        loop {
+            match self.reader.next_event() {
+                None => return Ok(Step::End),
+                Some(Err(McapError::UnexpectedEof)) => return Ok(Step::CutOff),
+                Some(Err(e)) => return Err(reason(&e)),
+                Some(Ok(LinearReadEvent::ReadRequest(wanted))) => {
+                    // A length that lies must not take more memory than the file has bytes.
+                    let left = usize::try_from(self.left).unwrap_or(usize::MAX);
+                    let piece = self.reader.insert(wanted.min(left).max(READ_BYTES));
+                    let read = self.file.read(piece).map_err(|e| e.to_string())?;
+                    self.left = self.left.saturating_sub(read as u64);
+                    self.reader.notify_read(read);
+                }
+                // Behind it are copies of what was seen, and the index.
+                Some(Ok(LinearReadEvent::Record { opcode: op::DATA_END | op::FOOTER, .. })) => return Ok(Step::End),
+                Some(Ok(LinearReadEvent::Record { opcode, data })) => {
+                    show(&mcap::parse_record(opcode, data).map_err(|e| reason(&e))?);
+                    return Ok(Step::Record);
+                }
+            }
+        }
+    }
+}
+
+/// What happened, not that something did.
+fn reason(error: &McapError) -> String {
+    match error {
+        McapError::Io(e) => format!("is damaged: {e}"),
+        McapError::Parse(_) => "is damaged: a record cannot be parsed".into(),
+        e => format!("is damaged: {e}"),
+    }
+}

@@ -1,0 +1,237 @@
+"""Recordings beside programs that are not ours: PyPI's `mcap`, `mcap-ros2-support` and `rosbags` read what `cairn record` writes, and `cairn replay`
+reads what `rosbags` writes.
+
+    python tests/peers/recordings.py [--cairn target/release/cairn]
+
+1. A demo is recorded while the Python client listens to the same services. Both readers decode every message of the file, and their fields are those
+   of the wire, whose bytes the client got by another way.
+2. Bags in the dialects of Humble and Jazzy, with Image in mono8, bgr8 and yuyv, are replayed. mono8 must come to the same bytes as the
+   folder of the same pictures.
+"""
+
+import argparse
+import math
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+ROOT = Path(__file__).resolve().parents[2]
+SECONDS = 8
+
+
+def run(*words, **options):
+    done = subprocess.run([str(w) for w in words], capture_output=True, text=True, timeout=120, **options)
+    if done.returncode != 0:
+        sys.exit(f"{' '.join(map(str, words))}: {done.returncode}\n{done.stdout}\n{done.stderr}")
+    return done.stdout
+
+
+class Listener(threading.Thread):
+    """What the Python client hears of poses, health and pictures, by their numbers."""
+
+    def __init__(self):
+        super().__init__(daemon=True)
+        self.stop, self.poses, self.health, self.pictures = False, {}, {}, {}
+
+    def run(self):
+        import cairn
+
+        client = cairn.Client()
+        poses, health, encoded = client.poses(), client.health(), client.encoded()
+        while not self.stop:
+            picture = encoded.wait(0.02)
+            while picture is not None:
+                self.pictures[picture.sequence] = bytes(picture.data)
+                picture = encoded.wait(0)
+            for subscription, found in ((poses, self.poses), (health, self.health)):
+                item = subscription.wait(0)
+                while item is not None:
+                    found[item.sequence] = item.raw
+                    item = subscription.wait(0)
+
+
+def record(cairn, out):
+    listener = Listener()
+    listener.start()
+    demo = subprocess.Popen([cairn, "demo", "--quiet", "--seconds", str(SECONDS), "--output", out / "demo"], stdout=subprocess.DEVNULL)
+    run(cairn, "record", out / "out.mcap", "--quiet", "--seconds", SECONDS - 3)
+    demo.wait(timeout=60)
+    listener.stop = True
+    listener.join(timeout=10)
+    return listener
+
+
+def same(ours, wire, fields, where):
+    for name in fields:
+        a, b = getattr(ours, name), getattr(wire, name)
+        a, b = np.atleast_1d(np.asarray(a)), np.atleast_1d(np.asarray(b))
+        if a.shape != b.shape or not np.array_equal(a, b, equal_nan=a.dtype.kind == "f"):
+            sys.exit(f"{where}.{name}: {a} in the file, {b} on the wire")
+
+
+POSE = ("run_id timestamp_ns arrival_ns published_ns latency_arrival_ns frames_dropped position orientation odom_position odom_orientation "
+        "covariance linear_velocity angular_velocity quality landmarks landmarks_sought reset_counter map_id anchor_keyframe state scale").split()
+HEALTH = "run_id published_ns uptime_ns realtime_minus_monotonic_ns errors frames_captured state focal_px centre_px focal_sigma".split()
+
+
+def finite(*vectors):
+    return all(math.isfinite(getattr(v, k)) for v in vectors for k in "xyzw" if hasattr(v, k))
+
+
+def check(messages, listener, offset, prefix, reader):
+    """`messages`: (topic, message), decoded by somebody else."""
+    seen, compared, headers, poses = Counter(), Counter(), {}, {}
+    images = []
+    for topic, m in messages:
+        seen[topic] += 1
+        if topic == f"/{prefix}/pose":
+            poses[m.timestamp_ns + offset] = m
+            if m.sequence in listener.poses:
+                same(m, listener.poses[m.sequence], POSE, f"{reader}: pose {m.sequence}")
+                compared["pose"] += 1
+        elif topic == f"/{prefix}/health" and m.sequence in listener.health:
+            same(m, listener.health[m.sequence], HEALTH, f"{reader}: health {m.sequence}")
+            assert abs(m.realtime_minus_monotonic_ns - offset) < 100_000_000
+            compared["health"] += 1
+        elif topic == f"/{prefix}/image/header":
+            headers[m.timestamp_ns + offset] = m
+        elif topic == f"/{prefix}/image/compressed":
+            images.append((m.header.stamp.sec * 10**9 + m.header.stamp.nanosec, m.format, bytes(m.data)))
+        elif topic == f"/{prefix}/odom":
+            p, q = m.pose.pose.position, m.pose.pose.orientation
+            assert finite(p, q) and m.header.frame_id == "odom_unscaled" and m.child_frame_id == "base_link_unscaled"
+            wire = poses[m.header.stamp.sec * 10**9 + m.header.stamp.nanosec]
+            assert [p.x, p.y, p.z] == list(wire.odom_position) and [q.x, q.y, q.z, q.w] == list(wire.odom_orientation)
+            assert m.twist.covariance[0] == -1
+            compared["odom"] += 1
+        elif topic == "/tf":
+            assert all(finite(t.transform.translation, t.transform.rotation) for t in m.transforms)
+            assert [t.child_frame_id for t in m.transforms[:2]] == ["odom_unscaled", "base_link_unscaled"]
+        elif topic == f"/{prefix}/points":
+            assert len(m.data) == m.row_step == m.width * m.point_step
+        elif topic == f"/{prefix}/camera_info":
+            assert m.width > 0 and m.distortion_model == "plumb_bob" and len(m.d) == 5 and m.k[0] > 100
+    for stamp, format, data in images:
+        header = headers[stamp]
+        raw = listener.pictures.get(header.sequence)
+        if raw is not None:
+            import png
+
+            assert format == "png"
+            width, height, rows, _ = png.Reader(bytes=data).read()
+            assert (width, height) == (header.width, header.height) and b"".join(rows) == raw
+            compared["picture"] += 1
+    for kind in ("pose", "health", "odom", "picture"):
+        if compared[kind] < 5:
+            sys.exit(f"{reader}: only {compared[kind]} of {kind} compared; seen {seen}")
+    print(f"{reader}: {sum(seen.values())} messages decoded, as on the wire: {dict(compared)}")
+
+
+def foreign_readers(cairn, out, prefix):
+    listener = record(cairn, out)
+    file = out / "out.mcap"
+    with file.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()], validate_crcs=True)
+        metadata = {m.name: m.metadata for m in reader.iter_metadata()}["cairn"]
+        offset = int(metadata["realtime_minus_monotonic_ns"])
+        messages = [(channel.topic, m) for _, channel, _, m in reader.iter_decoded_messages()]
+    check(messages, listener, offset, prefix, "mcap-ros2-support")
+    store = get_typestore(Stores.ROS2_JAZZY)
+    with file.open("rb") as stream:
+        for schema in make_reader(stream).get_summary().schemas.values():
+            if schema.name.startswith("cairn_msgs/"):
+                store.register(get_types_from_msg(schema.data.decode(), schema.name))
+    with AnyReader([file], default_typestore=store) as reader:
+        messages = [(c.topic, store.deserialize_cdr(raw, c.msgtype)) for c, _, raw in reader.messages()]
+    check(messages, listener, offset, prefix, "rosbags")
+
+
+def pictures(folder):
+    import png
+
+    for line in (folder / "rgb.txt").read_text().splitlines():
+        if not line.startswith("#"):
+            time, file = line.split()
+            seconds, _, fraction = time.partition(".")
+            width, height, rows, info = png.Reader(filename=str(folder / file)).read()
+            assert info["planes"] == 1
+            yield int(seconds), int(fraction.ljust(9, "0")), np.vstack([np.asarray(r, np.uint8) for r in rows])
+
+
+def write_bag(path, folder, store, version, encoding, camera):
+    types = store.types
+    with Writer(path, version=version, storage_plugin=StoragePlugin.MCAP) as writer:
+        topic = writer.add_connection("/cam/image_raw", "sensor_msgs/msg/Image", typestore=store)
+        info = writer.add_connection("/cam/camera_info", "sensor_msgs/msg/CameraInfo", typestore=store)
+        for sec, nanosec, grey in pictures(folder):
+            height, width = grey.shape
+            data = {"mono8": lambda: grey, "bgr8": lambda: np.repeat(grey[:, :, None], 3, 2),
+                    "yuyv": lambda: np.dstack([grey, np.full_like(grey, 128)])}[encoding]()
+            header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](sec, nanosec), "cam")
+            name = {"yuyv": "yuv422_yuy2"}.get(encoding, encoding)
+            step = data.size // height
+            time = 1_700_000_000 * 10**9 + sec * 10**9 + nanosec
+            image = types["sensor_msgs/msg/Image"](header, height, width, name, 0, step, np.ascontiguousarray(data).reshape(-1))
+            fx, fy, cx, cy, d = camera
+            region = types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+            k = np.array([fx, 0, cx, 0, fy, cy, 0, 0, 1.0])
+            p = np.array([fx, 0, cx, 0, 0, fy, cy, 0, 0, 0, 1, 0.0])
+            calibration = types["sensor_msgs/msg/CameraInfo"](header, height, width, "plumb_bob", d, k, np.eye(3).reshape(-1), p, 0, 0, region)
+            writer.write(info, time, store.serialize_cdr(calibration, "sensor_msgs/msg/CameraInfo"))
+            writer.write(topic, time, store.serialize_cdr(image, "sensor_msgs/msg/Image"))
+
+
+def read_camera(file):
+    """fx fy cx cy and distortion of the camera.yaml that `cairn simulate` writes: `name: value` in a line."""
+    values = dict(line.split(": ", 1) for line in file.read_text().splitlines() if ": " in line and line[0] != "#")
+    fx, fy, cx, cy = (float(values[name]) for name in ("fx", "fy", "cx", "cy"))
+    return fx, fy, cx, cy, np.array([float(v) for v in values["distortion"].strip("[]").split(",")])
+
+
+def foreign_bags(cairn, out):
+    folder = out / "folder"
+    run(cairn, "simulate", "--scenario", "hand_held", "--seconds", 3, "--size", "320x240", "--output", folder)
+    camera = read_camera(folder / "camera.yaml")
+
+    def replay(path):
+        trajectory = out / "trajectory.txt"
+        run(cairn, "replay", path, "--lockstep", "--quiet", "--trajectory", trajectory)
+        return trajectory.read_bytes()
+
+    want = replay(folder)
+    assert want.count(b"\n") > 30, want
+    dialects = (("humble", Stores.ROS2_HUMBLE, 8), ("jazzy", Stores.ROS2_JAZZY, 9))
+    for dialect, store, version in dialects:
+        for encoding in ("mono8", "bgr8", "yuyv"):
+            path = out / f"{dialect}-{encoding}"
+            write_bag(path, folder, get_typestore(store), version, encoding, camera)
+            # Grey as colour and as YUYV is the same grey: luma's weights add up to one.
+            if replay(path) != want:
+                sys.exit(f"{path}: its replay differs from that of the folder")
+    print(f"rosbags: {len(dialects)} dialects in 3 encodings replayed to the same {want.count(bytes([10]))} poses as the folder")
+
+
+def main():
+    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments.add_argument("--cairn", default=ROOT / "target/release/cairn", type=Path)
+    cairn = arguments.parse_args().cairn.resolve()
+    prefix = f"recordings{os.getpid()}"
+    os.environ["CAIRN_PREFIX"] = prefix
+    with tempfile.TemporaryDirectory() as out:
+        foreign_readers(cairn, Path(out), prefix)
+        foreign_bags(cairn, Path(out))
+
+
+if __name__ == "__main__":
+    main()
