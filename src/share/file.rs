@@ -63,6 +63,8 @@ impl McapFile {
             .compression(Some(Compression::Lz4))
             .compression_threads(0)
             .chunk_size(Some(CHUNK_BYTES))
+            // A chunk comes whole, with its length, and is not patched afterwards: whenever the process dies, no reader meets a lie.
+            .disable_seeking(true)
             .create(BufWriter::new(file))
             .map_err(failed)?;
         let mut channels = [0; Topic::ALL.len()];

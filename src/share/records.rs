@@ -387,3 +387,113 @@ fn diagnostics<'a>(health: &Health, prefix: &'a str) -> ros::DiagnosticStatus<'a
         ],
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages::{
+        INTRINSICS_CALIBRATED, INTRINSICS_GUESSED, LENS_KANNALA_BRANDT, SCALE_METRIC, STATE_LOST, STATE_TRACKING,
+    };
+    use crate::ros::Reader;
+
+    fn pose(scale: u8) -> Pose {
+        Pose {
+            state: STATE_TRACKING,
+            scale,
+            timestamp_ns: 5,
+            published_ns: 7,
+            position: [1.0, 2.0, 3.0],
+            orientation: [0.0, 0.0, 0.0, 1.0],
+            odom_position: [1.0, 2.0, 2.5],
+            odom_orientation: [0.0, 0.0, 0.0, 1.0],
+            ..Pose::default()
+        }
+    }
+
+    fn topics(records: &[Record]) -> Vec<Topic> {
+        records.iter().map(|record| record.topic).collect()
+    }
+
+    fn holds(record: &Record, text: &str) -> bool {
+        record.data.windows(text.len() + 1).any(|w| w == format!("{text}\0").as_bytes())
+    }
+
+    #[test]
+    fn a_pose_without_a_position_is_no_odometry() {
+        let mut converter = Converter::new("robot", 0);
+        let mut out = Vec::new();
+        for wrong in [
+            Pose { state: STATE_LOST, ..pose(0) },
+            Pose { odom_position: [f64::NAN; 3], ..pose(0) },
+            Pose { orientation: [f64::INFINITY; 4], ..pose(0) },
+            Pose::default(),
+        ] {
+            out.clear();
+            converter.pose(&wrong, &mut out);
+            assert_eq!(topics(&out), [Topic::Pose], "{wrong:?}");
+        }
+    }
+
+    #[test]
+    fn lengths_that_are_no_metres_are_in_no_metric_frame_and_one_offset_makes_unix_time() {
+        let mut converter = Converter::new("robot", 1_000_000_000_000);
+        let (mut out, mut data) = (Vec::new(), EncodedHeader::default());
+        data.camera_position = [0.25, 0.0, 0.5];
+        converter.picture(&data, "png", &[1], &mut out);
+        assert_eq!(topics(&out), [Topic::Image, Topic::EncodedHeader], "a lens of which nothing is known is not told");
+        for (scale, end) in [(0, "_unscaled"), (SCALE_METRIC, "")] {
+            out.clear();
+            converter.pose(&pose(scale), &mut out);
+            assert_eq!(topics(&out), [Topic::Pose, Topic::Odometry, Topic::Tf]);
+            assert!(out.iter().all(|record| record.time_ns == 1_000_000_000_007));
+            assert!(["odom", "base_link"].iter().all(|frame| holds(&out[1], &format!("{frame}{end}"))));
+            assert!(["map", "odom", "base_link", "camera"].iter().all(|f| holds(&out[2], &format!("{f}{end}"))));
+            let mount = out[2].data.windows(8).any(|w| w == 0.25_f64.to_le_bytes());
+            assert_eq!(mount, scale == SCALE_METRIC, "the mount's translation is metres");
+            let mut stamp = Reader::new(&out[1].data).expect("CDR");
+            assert_eq!((stamp.i32(), stamp.u32()), (Ok(1000), Ok(5)));
+        }
+        let recorded = Pose { clock: crate::messages::CLOCK_RECORDING, ..pose(0) };
+        out.clear();
+        converter.pose(&recorded, &mut out);
+        let mut stamp = Reader::new(&out[1].data).expect("CDR");
+        assert_eq!((stamp.i32(), stamp.u32()), (Ok(0), Ok(5)), "a recording's own time");
+    }
+
+    #[test]
+    fn a_guessed_lens_is_no_calibration() {
+        let known = EncodedHeader {
+            focal_px: [500.0; 2],
+            centre_px: [320.0, 240.0],
+            distortion: [0.1, 0.2, 0.3, 0.4, 0.0],
+            intrinsics: INTRINSICS_CALIBRATED,
+            lens_model: LENS_KANNALA_BRANDT,
+            ..EncodedHeader::default()
+        };
+        let header = || Header { stamp: Time::from_ns(0), frame_id: "camera" };
+        let info = camera_info(&known, header()).expect("a camera");
+        assert_eq!((info.distortion_model, info.d.len(), info.k[0]), ("equidistant", 4, 500.0));
+        let guess = camera_info(&EncodedHeader { intrinsics: INTRINSICS_GUESSED, ..known }, header()).expect("told");
+        assert_eq!((guess.d.len(), guess.k), (0, [0.0; 9]));
+    }
+
+    #[test]
+    fn the_same_map_is_written_once_and_faults_are_told_when_they_begin() {
+        let mut converter = Converter::new("robot", 0);
+        let mut out = Vec::new();
+        let header = MapHeader { content_revision: 4, ..MapHeader::default() };
+        converter.map(&header, &[Landmark::default()], &mut out);
+        converter.map(&MapHeader { published_ns: 9, ..header }, &[Landmark::default()], &mut out);
+        assert_eq!(topics(&out), [Topic::MapHeader, Topic::Points]);
+        converter.map(&MapHeader { content_revision: 5, ..header }, &[], &mut out);
+        assert_eq!(out.len(), 4);
+        out.clear();
+        let health = Health::default();
+        converter.health(&health, &mut out);
+        converter.health(&Health { published_ns: 1, ..health }, &mut out);
+        converter.health(&Health { published_ns: 2, errors: messages::error::LOST, ..health }, &mut out);
+        let told = topics(&out).iter().filter(|topic| **topic == Topic::Diagnostics).count();
+        assert_eq!((out.len(), told), (5, 2));
+        assert_eq!(Topic::Pose.name("front-left/cam.2"), "/front_left/cam_2/pose");
+    }
+}

@@ -221,6 +221,13 @@ def test_pictures_are_arrays(daemon):
     assert not frame.image.flags.writeable and frame.live
 
 
+def test_the_cameras_own_bytes_come_with_their_lens(daemon):
+    encoded = cairn.connect().encoded().wait(10)
+    assert encoded.format == 0 and len(encoded.data) == encoded.stride * encoded.height > 0
+    assert not encoded.data.flags.writeable
+    assert encoded.focal_px[0] > 100 and len(encoded.distortion) == 5
+
+
 def test_commands_are_answered(daemon):
     client = cairn.connect()
     path = daemon.root / "map.ply"

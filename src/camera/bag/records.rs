@@ -70,6 +70,8 @@ impl Records {
             match self.reader.next_event() {
                 None => return Ok(Step::End),
                 Some(Err(McapError::UnexpectedEof)) => return Ok(Step::CutOff),
+                // A recorder that writes a chunk's length last, and died before.
+                Some(Err(McapError::UnexpectedEoc)) if self.left == 0 => return Ok(Step::CutOff),
                 Some(Err(e)) => return Err(reason(&e)),
                 Some(Ok(LinearReadEvent::ReadRequest(wanted))) => {
                     // A length that lies must not take more memory than the file has bytes.
