@@ -50,6 +50,7 @@ impl Assets {
             "/charts.js" "charts.js" JS,
             "/controls.js" "controls.js" JS,
             "/log.js" "log.js" JS,
+            "/pair.js" "pair.js" JS,
         ];
         let mut assets = Vec::with_capacity(plain.len() + 1);
         for (path, media_type, bytes) in plain {

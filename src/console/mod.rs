@@ -15,7 +15,7 @@
 //! - Everything is bounded: connections, pages, sizes and times of requests, messages of a page a second, and what waits for it.
 //!
 //! Threads, because 32 pages are few: one a connection and one more a page. The bytes of the WebSocket are described in `docs/console.md`.
-//! Does not: know the daemon's rooms, configuration, or keep anything on disk.
+//! Does not: know the daemon's rooms or configuration, or keep anything on disk but the two pictures of [`pair`], until it ends.
 
 pub mod assets;
 mod commands;
@@ -25,8 +25,11 @@ pub mod guard;
 mod history;
 mod http;
 mod hub;
+mod jobs;
 mod journal;
 mod outbox;
+mod pair;
+mod picture;
 mod server;
 mod session;
 mod wire;

@@ -7,20 +7,16 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
 
-use crossbeam::channel::{Sender, TrySendError, bounded};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
-use serde_json::json;
-use tracing::{info, warn};
+use tracing::warn;
 
-use super::commands::Action;
 use super::feed::{Source, pictures, robot};
 use super::guard::{Access, Token};
 use super::hub::{Hub, lock};
 use super::journal::{self, LogSource};
-use super::outbox::Outbox;
+use super::pair::Pair;
 use super::session::{self, Order};
-use super::wire::{self, Kind};
-use super::{ConsoleError, assets::Assets, http};
+use super::{ConsoleError, assets::Assets, http, jobs};
 use crate::client::monotonic_ns;
 use crate::messages::Endpoint;
 use crate::telemetry::RateLimiter;
@@ -31,8 +27,6 @@ const MAX_CONNECTIONS: usize = 128;
 const NAP: Duration = Duration::from_millis(200);
 /// An answer of HTTP must be taken within this.
 const WRITE_TIME: Duration = Duration::from_secs(10);
-/// Commands that wait for the one before.
-const COMMANDS: usize = 4;
 /// Stack of a connection's thread, bytes: it parses a few kilobytes.
 const STACK: usize = 512 * 1024;
 
@@ -68,9 +62,6 @@ pub struct Console {
     options: Options,
 }
 
-/// A command on its way.
-type Ordered = (Arc<Outbox>, u32, Action);
-
 impl Console {
     /// Listens; nothing is answered before [`Self::run`].
     pub fn listen(options: Options) -> Result<Self, ConsoleError> {
@@ -89,41 +80,25 @@ impl Console {
 
     /// Until `stop`. Ends within seconds, whatever pages do.
     pub fn run(&self, stop: &AtomicBool) {
-        let hub = Arc::new(Hub::default());
+        let (hub, pair) = (Arc::new(Hub::default()), Arc::new(Pair::new()));
         let source = Arc::new(Source::new(self.options.endpoint.clone()));
-        let (orders, commands) = bounded::<Ordered>(COMMANDS);
         let log = match &self.options.log {
             LogChoice::Unit(unit) => LogSource::journal(unit),
             LogChoice::File(path) => LogSource::File(path.clone()),
         };
-        // Not waited for: a daemon that hangs may hold a command for half a minute.
-        let commander = source.clone();
-        std::thread::spawn(move || {
-            for (page, id, action) in commands {
-                let done = commander.client().map_err(|e| e.to_string()).and_then(|client| action.carry_out(&client));
-                reply(&page, id, &action, commander.prefix(), done);
-            }
-        });
         std::thread::scope(|scope| {
             scope.spawn(|| robot::run(&hub, &source, self.options.advice, stop));
             scope.spawn(|| pictures::run(&hub, &source, stop));
             scope.spawn(|| robot::run_map(&hub, &source, stop));
             scope.spawn(|| journal::run(&hub, &log, stop));
-            self.accept(&hub, orders, stop);
+            self.accept(&hub, jobs::start(&source, &pair), stop);
             hub.close_all();
         });
+        pair.clear();
     }
 
-    fn accept(&self, hub: &Arc<Hub>, orders: Sender<Ordered>, stop: &AtomicBool) {
-        let prefix = self.options.endpoint.prefix().to_owned();
-        let order: Arc<Order> = Arc::new(Box::new(move |page, id, action| {
-            let (TrySendError::Full(back) | TrySendError::Disconnected(back)) =
-                match orders.try_send((page.clone(), id, action)) {
-                    Ok(()) => return,
-                    Err(e) => e,
-                };
-            reply(page, id, &back.2, &prefix, Err("other commands are under way: try again".into()));
-        }));
+    fn accept(&self, hub: &Arc<Hub>, order: Order, stop: &AtomicBool) {
+        let order = Arc::new(order);
         let connections = Arc::new(AtomicUsize::new(0));
         let refused = Arc::new(Mutex::new(RateLimiter::default()));
         let nap = Timespec { tv_sec: 0, tv_nsec: NAP.as_nanos() as i64 };
@@ -162,19 +137,6 @@ impl Console {
             }
         }
     }
-}
-
-/// What became of a command, to the page that asked for it.
-fn reply(page: &Outbox, id: u32, action: &Action, prefix: &str, done: Result<String, String>) {
-    let (ok, text) = match done {
-        Ok(text) => (true, text),
-        Err(text) => (false, text),
-    };
-    info!(terminal = action.terminal(prefix), ok, text, "console: command");
-    page.put(
-        Kind::Reply,
-        wire::json(Kind::Reply, &json!({ "id": id, "ok": ok, "text": text, "terminal": action.terminal(prefix) })),
-    );
 }
 
 /// One of the connections that there may be.

@@ -19,6 +19,7 @@ use super::commands::Action;
 use super::guard::Access;
 use super::hub::{Hub, demand};
 use super::outbox::{Next, Outbox};
+use super::pair::{Method, Which};
 use super::wire::Kind;
 
 /// Longest message of a page, bytes.
@@ -53,6 +54,24 @@ pub enum Word {
         id: u32,
         action: Action,
     },
+    /// Takes one of the two pictures.
+    Take {
+        id: u32,
+        which: Which,
+    },
+    /// Runs the two-picture chain on them.
+    Chain {
+        id: u32,
+        method: Method,
+    },
+}
+
+/// What takes its time.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Job {
+    Command(Action),
+    Take(Which),
+    Chain(Method),
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
@@ -73,8 +92,8 @@ impl Part {
     }
 }
 
-/// Takes a command of a page; the answer goes into its outbox.
-pub type Order = Box<dyn Fn(&Arc<Outbox>, u32, Action) + Send + Sync>;
+/// Takes a job of a page; the answer goes into its outbox.
+pub type Order = Box<dyn Fn(&Arc<Outbox>, u32, Job) + Send + Sync>;
 
 /// The reader's half: tungstenite wants to answer pings and closes itself, in the middle of what the writer writes.
 struct Deaf(TcpStream);
@@ -198,7 +217,9 @@ fn obey(word: Word, hub: &Hub, page: &Arc<Outbox>, order: &Order) {
                 page.seen(kind);
             }
         }
-        Word::Command { id, action } => order(page, id, action),
+        Word::Command { id, action } => order(page, id, Job::Command(action)),
+        Word::Take { id, which } => order(page, id, Job::Take(which)),
+        Word::Chain { id, method } => order(page, id, Job::Chain(method)),
     }
 }
 

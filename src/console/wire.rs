@@ -18,6 +18,7 @@ pub enum Kind {
     Frame = 5,
     Log = 6,
     Reply = 7,
+    Picture = 8,
     History = 9,
 }
 
@@ -158,6 +159,15 @@ pub fn json(kind: Kind, value: &impl Serialize) -> Bytes {
         out.truncate(8);
         out.extend_from_slice(b"null");
     }
+    out.into()
+}
+
+/// A PNG behind a JSON of `count` bytes that says what it is.
+pub fn picture(name: &str, png: &[u8]) -> Bytes {
+    let said = serde_json::json!({ "name": name }).to_string();
+    let mut out = head(Kind::Picture, said.len(), said.len() + png.len());
+    out.extend_from_slice(said.as_bytes());
+    out.extend_from_slice(png);
     out.into()
 }
 

@@ -15,6 +15,7 @@ const FRAME: u8 = 5;
 const MAP: u8 = 4;
 const KEYFRAMES: u8 = 3;
 const REPLY: u8 = 7;
+const PICTURE: u8 = 8;
 
 fn u32_at(bytes: &[u8], at: usize) -> usize {
     u32::from_le_bytes(bytes[at..at + 4].try_into().expect("four bytes")) as usize
@@ -184,6 +185,36 @@ fn pages_see_video_features_map_and_answers_and_a_slow_one_holds_nobody_up() {
     page.send(r#"{"command":{"id":8,"action":{"do":"save_map","path":"map.ply"}}}"#);
     let reply: Value = serde_json::from_slice(&page.next(REPLY)[8..]).expect("JSON");
     assert_eq!((&reply["id"], &reply["ok"]), (&8.into(), &false.into()), "{reply}");
+}
+
+#[test]
+fn two_pictures_are_taken_and_go_through_the_chain() {
+    let place = Place::new();
+    let console = Console::start(&place, &[]);
+    let mut page = console.page();
+    let reply = |page: &mut Page| -> Value { serde_json::from_slice(&page.next(REPLY)[8..]).expect("JSON") };
+    let method = r#"{"detector":"fast","matcher":"gradients","guided":false}"#;
+    page.send(&format!(r#"{{"chain":{{"id":1,"method":{method}}}}}"#));
+    assert_eq!(reply(&mut page)["text"], "take picture A first");
+    let _demo = place.demo(60);
+    page.state_until("connected");
+    for which in ["a", "b"] {
+        page.send(&format!(r#"{{"take":{{"id":2,"which":"{which}"}}}}"#));
+        let picture = page.next(PICTURE);
+        let said = 8 + u32_at(&picture, 4);
+        assert_eq!(picture[8..said], *format!(r#"{{"name":"{which}"}}"#).as_bytes());
+        assert!(picture[said..].starts_with(b"\x89PNG"));
+        assert_eq!(reply(&mut page)["ok"], true);
+        std::thread::sleep(Duration::from_millis(700));
+    }
+    page.send(&format!(r#"{{"chain":{{"id":3,"method":{method}}}}}"#));
+    let said = reply(&mut page);
+    assert_eq!((&said["id"], &said["ok"]), (&3.into(), &true.into()), "{said}");
+    let text = said["text"].as_str().expect("text");
+    for step in ["corners", "matches", "F ", "outcome"] {
+        assert!(text.lines().any(|line| line.starts_with(step)), "{step} is not in {text}");
+    }
+    assert!(said["terminal"].as_str().is_some_and(|t| t.starts_with("cairn twoview a.png b.png")), "{said}");
 }
 
 #[test]

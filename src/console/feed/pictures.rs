@@ -9,6 +9,7 @@ use tracing::warn;
 use super::source::{Source, pause, wait};
 use crate::client::{ClientError, FeatureLists, Features, Frame};
 use crate::console::hub::{Hub, demand};
+use crate::console::picture::{Grey, grey};
 use crate::console::wire::{self, Bytes, Kind};
 
 /// Pictures a second at most: enough to drive by, and a third less than a webcam's to encode.
@@ -66,18 +67,9 @@ fn of_frame(found: &mut FeatureLists, sequence: u64) -> Result<Option<Features>,
 /// `None` for a picture that JPEG has no size for.
 fn encode(frame: &Frame, features: Option<Features>, jpeg: &mut Vec<u8>) -> Option<Bytes> {
     let h = frame.header();
-    let (width, height) = (u16::try_from(h.width).ok()?, u16::try_from(h.height).ok()?);
-    let (row, stride) = (usize::from(width), h.stride as usize);
-    let rows: Vec<u8>;
-    let pixels: &[u8] = if stride == row {
-        frame
-    } else {
-        rows = frame.chunks(stride.max(1)).flat_map(|line| line.iter().take(row)).copied().collect();
-        &rows
-    };
-    let pixels = pixels.get(..row * usize::from(height))?;
+    let Grey { width, height, pixels } = grey(frame)?;
     jpeg.clear();
-    Encoder::new(&mut *jpeg, QUALITY).encode(pixels, width, height, ColorType::Luma).ok()?;
+    Encoder::new(&mut *jpeg, QUALITY).encode(&pixels, width, height, ColorType::Luma).ok()?;
     Some(wire::frame(
         h.sequence,
         h.arrival_ns as f64 * 1e-9,

@@ -7,13 +7,15 @@ import { MapView } from "/map.js";
 import { Chart } from "/charts.js";
 import { Controls } from "/controls.js";
 import { Log } from "/log.js";
+import { PairView } from "/pair.js";
 
 const $ = (id) => document.getElementById(id);
-const PARTS = { live: ["video", "map"], log: ["log"] };
+const PARTS = { live: ["video", "map"], pair: [], log: ["log"] };
 
 const state = new StateView();
 const controls = new Controls((word) => link.say(word));
 const log = new Log();
+const pair = new PairView((word) => link.say(word));
 const video = new Video(() => link.seen(KIND.FRAME));
 const map = new MapView();
 const charts = [
@@ -43,7 +45,11 @@ const receive = {
     link.seen(KIND.MAP);
   },
   [KIND.KEYFRAMES]: (message) => map.keyframes(message),
-  [KIND.REPLY]: ({ value }) => controls.reply(value),
+  [KIND.REPLY]: ({ value }) => {
+    controls.reply(value);
+    pair.reply(value);
+  },
+  [KIND.PICTURE]: (message) => pair.picture(message),
   [KIND.LOG]: ({ value }) => log.add(value),
 };
 
@@ -52,6 +58,7 @@ const link = new Link({
   status: (sentence) => {
     if (sentence === "") return;
     controls.lost();
+    pair.lost();
     set($("banner"), sentence);
     set($("state"), "no console");
     $("state").dataset.state = "NONE";

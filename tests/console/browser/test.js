@@ -105,6 +105,27 @@ async function buttons(page) {
   check((await answer(page, "Drop the map").getAttribute("data-ok")) === "true", "the map is dropped by a second click");
 }
 
+async function pair(page) {
+  await page.getByRole("link", { name: "Two pictures" }).click();
+  for (const which of ["a", "b"]) {
+    await page.locator(`#take-${which}`).click();
+    await page.waitForFunction((w) => document.getElementById(`picture-${w}`).naturalWidth === 640 && !document.getElementById("take-a").disabled, which);
+    await page.waitForTimeout(800);
+  }
+  check(true, "two pictures are taken");
+  const run = page.getByRole("button", { name: "Run the chain" });
+  for (const [count, matcher] of [[1, "gradients"], [2, "descriptors"]]) {
+    await page.locator("#matcher").selectOption(matcher);
+    await run.click();
+    await page.waitForFunction((n) => document.querySelectorAll("#results article").length === n, count);
+  }
+  const text = await page.locator("#results article").last().innerText();
+  check(/cairn twoview .*--matcher descriptors/.test(text) && /Outcome/.test(text), "the chain shows its command and its outcome");
+  const drawn = await page.evaluate(() => [...document.querySelectorAll("#results img")].map((i) => i.complete && i.naturalWidth > 100));
+  check(drawn.length >= 6 && drawn.every(Boolean), `two runs are beside each other, with ${drawn.length} pictures`);
+  await page.screenshot({ path: join(pictures, "pair.png"), fullPage: true });
+}
+
 async function log(page) {
   await page.getByRole("link", { name: "Log" }).press("Enter");
   await page.waitForFunction(() => [...document.querySelectorAll("#records li")].some((li) => li.textContent.includes("running")));
@@ -155,6 +176,7 @@ try {
   await live(page);
   await page.screenshot({ path: join(pictures, "desktop.png") });
   await buttons(page);
+  await pair(page);
   await log(page);
   await stateIs(page, "tracking");
   for (const [name, options] of [["dark", { colorScheme: "dark", viewport: { width: 1360, height: 1000 } }], ["phone", { viewport: { width: 360, height: 780 }, deviceScaleFactor: 2 }]]) {
