@@ -72,7 +72,7 @@ impl Bag {
         let camera = match info {
             Some(info) => {
                 let wrong = |reason| failed(path, format!("{}: {reason}", info.name));
-                first_camera(&files, &info.name).map_err(wrong)?
+                first_camera(&files, &info.name, survey::is_rectified(&pictures.name)).map_err(wrong)?
             }
             None => None,
         };
@@ -182,7 +182,11 @@ impl Stream {
             let Some((records, channels)) = &mut self.open else { return Ok(None) };
             let mut found = None;
             let step = records.step(|record| match record {
-                Record::Channel(channel) if channel.topic == self.topic => channels.push(channel.id),
+                Record::Channel(channel) if channel.topic == self.topic => {
+                    if !channels.contains(&channel.id) {
+                        channels.push(channel.id);
+                    }
+                }
                 Record::Message { header, data } if channels.contains(&header.channel_id) => {
                     message.clear();
                     message.extend_from_slice(data);
@@ -209,11 +213,11 @@ fn failed(path: &Path, reason: String) -> SourceError {
     SourceError::Open { path: path.display().to_string(), reason }
 }
 
-/// The first message of a calibration's topic.
-fn first_camera(files: &[PathBuf], topic: &str) -> Result<Option<CameraModel>, String> {
+/// The first message of a calibration's topic, of pictures that are rectified or not.
+fn first_camera(files: &[PathBuf], topic: &str, rectified: bool) -> Result<Option<CameraModel>, String> {
     let mut message = Vec::new();
     match Stream::new(files.to_vec(), topic).next(&mut message) {
-        Ok(Some(_)) => picture::camera_info(&message),
+        Ok(Some(_)) => picture::camera_info(&message, rectified),
         Ok(None) => Ok(None),
         Err(error) => Err(error.to_string()),
     }

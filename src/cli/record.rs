@@ -95,7 +95,8 @@ pub fn run(args: &RecordArgs) -> Result<ExitCode, CliError> {
         .map_err(|e| CliError::new(exit_code::FAILURE, e.to_string()))?;
     let mut line = StatusLine::new(args.result.quiet);
     let began = Instant::now();
-    let heard = listen(args, endpoint, &plan, queue, &Flags { stop, keep }, &mut line);
+    let is_over = || writer.is_finished();
+    let heard = listen(args, endpoint, &plan, queue, &Flags { stop, keep, is_over: &is_over }, &mut line);
     line.clear();
     // The queue's end is gone by now: the rest is written and the file closed, whatever ended the listening.
     let written = end(writer)?;
@@ -111,9 +112,11 @@ pub fn run(args: &RecordArgs) -> Result<ExitCode, CliError> {
     Ok(ExitCode::SUCCESS)
 }
 
-struct Flags {
+struct Flags<'a> {
     stop: Arc<AtomicBool>,
     keep: Arc<AtomicBool>,
+    /// Nobody writes any more.
+    is_over: &'a dyn Fn() -> bool,
 }
 
 /// Set by SIGUSR1.
@@ -130,13 +133,13 @@ fn listen(
     endpoint: Endpoint,
     plan: &Plan,
     queue: Queue,
-    flags: &Flags,
+    flags: &Flags<'_>,
     line: &mut StatusLine,
 ) -> Result<(Heard, bool, Option<Duration>), ShareError> {
     let mut recorder = Recorder::new(endpoint, plan.origin.realtime_minus_monotonic_ns, queue.clone())?;
     let (mut first, mut shown, mut connected) = (None::<Instant>, Instant::now(), None);
     while !flags.stop.load(Ordering::Relaxed) {
-        if !recorder.step()? {
+        if !recorder.step()? || (flags.is_over)() {
             break;
         }
         if flags.keep.swap(false, Ordering::Relaxed) {

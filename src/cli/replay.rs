@@ -194,7 +194,7 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode, CliError> {
 
 /// A folder with a list of pictures is that recording; any other with MCAP files in it, and every file, is one of those.
 fn open(args: &ReplayArgs, pacing: Pacing, own: OwnCalibration) -> Result<Box<dyn FrameSource>, SourceError> {
-    let is_list = args.dir.join("rgb.txt").exists();
+    let is_list = args.dir.join("rgb.txt").exists() || args.dir.join("mav0/cam0/data.csv").exists();
     if !is_list && bag::files(&args.dir).is_some() {
         return Ok(Box::new(Bag::open(&args.dir, pacing, own, args.topic.as_deref())?));
     }
@@ -215,7 +215,11 @@ fn calibration(args: &ReplayArgs, config: &Config, recording: &SourceDescription
     match &recording.camera {
         Some(model) => {
             let file = args.dir.join("camera.yaml");
-            let origin = if file.exists() { file.display().to_string() } else { recording.name.clone() };
+            let origin = if recording.name.ends_with(&args.dir.display().to_string()) && file.exists() {
+                file.display().to_string()
+            } else {
+                recording.name.clone()
+            };
             Ok(Calibration::known(model.clone(), origin))
         }
         None => {

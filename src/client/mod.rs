@@ -133,8 +133,8 @@ impl Client {
         Subscription::new(self.link.clone())
     }
 
-    /// Every picture as it came from the camera (JPEG, rows of grey), with what is believed of its lens: for recorders. The queue holds half a
-    /// second; the daemon copies these bytes only while somebody holds such a subscription, and two can.
+    /// Every picture as it came from the camera (JPEG, rows of grey), with what is believed of its lens: for recorders. The queue holds a fifth of
+    /// a second; the daemon copies these bytes only while somebody holds such a subscription, and two can.
     pub fn encoded(&self) -> Encodeds {
         Subscription::new(self.link.clone())
     }

@@ -83,7 +83,8 @@ pub const KEYFRAMES: Qos = Qos { history: 1, buffer: 1, borrowed: 2, subscribers
 pub const HEALTH: Qos = Qos { history: 1, buffer: 4, borrowed: 2, subscribers: MAX_SUBSCRIBERS };
 /// Always the newest. No history: pictures are sent only while somebody subscribes.
 pub const FRAME: Qos = Qos { history: 0, buffer: 1, borrowed: 2, subscribers: MAX_SUBSCRIBERS };
-/// Half a second at 30 Hz, so that a recorder that is not run for a moment misses nothing. No history, as above.
-pub const ENCODED: Qos = Qos { history: 0, buffer: 16, borrowed: 2, subscribers: MAX_ENCODED_SUBSCRIBERS };
+/// A fifth of a second at 30 Hz, so that a recorder that is not run for a moment misses nothing; more would need memory that a small `/dev/shm` has
+/// not. No history, as above.
+pub const ENCODED: Qos = Qos { history: 0, buffer: 6, borrowed: 2, subscribers: MAX_ENCODED_SUBSCRIBERS };
 /// As frames; a few more, so that who reads a picture finds its features.
 pub const FEATURES: Qos = Qos { history: 0, buffer: 4, borrowed: 2, subscribers: MAX_SUBSCRIBERS };

@@ -8,7 +8,7 @@
 //! - [`convert`] turns optical axes into REP-103 axes of the robot's body, covariance included.
 //! - One daemon a prefix: a second one gets [`PublishError::AlreadyRunning`]. What a killed one left behind is cleared away.
 //! - Shared memory, reserved though not touched before it is used, for 8 subscribers: poses 0.2 MB, health 0.03 MB, map
-//!   12.5 MB (20,000 landmarks), keyframes 3.8 MB (2,000), frames 8 MB (640x480), features 3.6 MB, encoded pictures 12 MB (as frames). A full `/dev/shm` kills a process by
+//!   12.5 MB (20,000 landmarks), keyframes 3.8 MB (2,000), frames 8 MB (640x480), features 3.6 MB, encoded pictures 6 MB (as frames). A full `/dev/shm` kills a process by
 //!   SIGBUS, so [`Publisher::open`] refuses to start where there is no room.
 //!
 //! Does not: log, read configuration, spawn threads, convert pictures.

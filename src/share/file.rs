@@ -39,6 +39,8 @@ pub struct McapFile {
     path: PathBuf,
     prefix: String,
     writer: Writer<BufWriter<File>>,
+    /// The same file, wherever it is moved meanwhile.
+    file: File,
     channels: [u16; Topic::ALL.len()],
     /// Messages by topic, in [`Topic::ALL`]'s order.
     messages: [u64; Topic::ALL.len()],
@@ -56,6 +58,7 @@ impl McapFile {
             ErrorKind::AlreadyExists => ShareError::Exists { path: path.display().to_string() },
             _ => ShareError::write(path, e),
         })?;
+        let own = file.try_clone().map_err(|e| ShareError::write(path, e))?;
         let failed = |e: mcap::McapError| ShareError::write(path, reason(&e));
         let mut writer = WriteOptions::new()
             .profile("ros2")
@@ -82,7 +85,18 @@ impl McapFile {
         let (path, now) = (path.to_owned(), Instant::now());
         let messages = [0; Topic::ALL.len()];
         let prefix = origin.prefix.clone();
-        Ok(Self { path, prefix, writer, channels, messages, pending: 0, flushed: now, synced: now, made: now })
+        Ok(Self {
+            path,
+            prefix,
+            writer,
+            file: own,
+            channels,
+            messages,
+            pending: 0,
+            flushed: now,
+            synced: now,
+            made: now,
+        })
     }
 
     pub fn path(&self) -> &Path {
@@ -123,9 +137,7 @@ impl McapFile {
         }
         if self.synced.elapsed() >= SYNC_EVERY {
             self.synced = Instant::now();
-            // By another handle, as the writer keeps its own to itself; it is the same file.
-            let synced = File::open(&self.path).and_then(|file| file.sync_data());
-            synced.map_err(|e| ShareError::write(&self.path, e))?;
+            self.file.sync_data().map_err(|e| ShareError::write(&self.path, e))?;
         }
         Ok(())
     }
@@ -137,7 +149,7 @@ impl McapFile {
 
     /// Bytes of the file so far.
     pub fn bytes(&self) -> u64 {
-        std::fs::metadata(&self.path).map_or(0, |m| m.len())
+        self.file.metadata().map_or(0, |m| m.len())
     }
 
     /// Writes index and summary, and waits for the disk; the bytes of the whole file.

@@ -11,12 +11,16 @@ use super::ShareError;
 use super::records::{Converter, Record};
 use super::sink::{Queue, Queued};
 use crate::client::{Client, Encodeds, Healths, Keyframes, Map, Poses, Subscription, Topic};
-use crate::messages::{ENCODED_GREY, ENCODED_JPEG, ENCODED_PNG, EncodedHeader, Endpoint, Health, Pose, State};
+use crate::messages::{
+    ENCODED_GREY, ENCODED_JPEG, ENCODED_PNG, ENCODED_YUYV, EncodedHeader, Endpoint, Health, Pose, State,
+};
 
 /// Longest sleep: how late a signal is noticed while nothing comes.
 pub const TURN: Duration = Duration::from_millis(50);
 /// Both clocks may come apart so far, by a time server's nudges, before it is worth a word, ns.
 const CLOCK_STEP_NS: i64 = 500_000_000;
+/// Pictures that are taken in a row, before everything else is looked after: making a PNG may take as long as the camera for a picture.
+const PICTURES_A_TURN: usize = 4;
 /// What repeats is said once in so long.
 const SAY_EVERY: Duration = Duration::from_secs(1);
 
@@ -90,10 +94,17 @@ impl Recorder {
     /// Waits for the next picture for [`TURN`] at most, and takes everything that has come. `false`: nobody writes any more.
     pub fn step(&mut self) -> Result<bool, ShareError> {
         let mut picture = self.encoded.wait(TURN)?;
-        while let Some(slice) = picture {
+        let mut taken = 0;
+        while let Some(slice) = picture.take() {
             self.picture(slice.header(), &slice);
             drop(slice);
-            picture = self.encoded.try_next()?;
+            if !self.hand_over() {
+                return Ok(false);
+            }
+            taken += 1;
+            if taken < PICTURES_A_TURN {
+                picture = self.encoded.try_next()?;
+            }
         }
         let Self { converter, records, .. } = self;
         let mut poses = Vec::new();
@@ -133,7 +144,7 @@ impl Recorder {
         match header.format {
             ENCODED_JPEG => self.converter.picture(header, "jpeg", data, &mut self.records),
             ENCODED_PNG => self.converter.picture(header, "png", data, &mut self.records),
-            ENCODED_GREY if png(header, data, &mut self.png).is_some() => {
+            ENCODED_GREY | ENCODED_YUYV if png(header, data, &mut self.png).is_some() => {
                 self.converter.picture(header, "png", &self.png, &mut self.records);
             }
             format => {
@@ -146,12 +157,14 @@ impl Recorder {
     }
 
     fn note_pose(&mut self, pose: &Pose) {
-        if self.last_run.replace(pose.run_id) != Some(pose.run_id) {
+        let same_run = self.last_run.replace(pose.run_id) == Some(pose.run_id);
+        if !same_run {
             self.heard.daemons += 1;
             info!(run_id = pose.run_id, daemons = self.heard.daemons, "recording a daemon");
         }
         let before = self.last_state.replace(pose.state());
-        if before == Some(State::Tracking) && pose.state() == State::Lost {
+        // A map that is young is given up at once: its end is told as INITIALIZING or ORIENTATION.
+        if same_run && before == Some(State::Tracking) && pose.state() != State::Tracking {
             self.queue.event("LOST");
         }
     }
@@ -167,6 +180,7 @@ impl Recorder {
 
     /// `false`: nobody writes any more.
     fn hand_over(&mut self) -> bool {
+        let dropped_before = self.heard.dropped;
         for record in self.records.drain(..) {
             match self.queue.push(record) {
                 Queued::Waits => {}
@@ -174,7 +188,7 @@ impl Recorder {
                 Queued::Closed => return false,
             }
         }
-        if self.heard.dropped > 0 && self.queue.waiting() > super::sink::QUEUE_BYTES / 2 && self.is_news() {
+        if self.heard.dropped > dropped_before && self.is_news() {
             warn!(dropped_total = self.heard.dropped, "disk too slow, records dropped");
         }
         true
@@ -197,10 +211,12 @@ fn drain<T: Topic>(subscription: &mut Subscription<T>, mut take: impl FnMut(T::I
     Ok(())
 }
 
-/// Rows of grey as a PNG file; `None` if they are not there.
+/// Rows of grey, or the luma of YUYV, as a PNG file; `None` if they are not there.
 fn png(header: &EncodedHeader, data: &[u8], out: &mut Vec<u8>) -> Option<()> {
     let (width, height, stride) = (header.width as usize, header.height as usize, header.stride as usize);
-    if width == 0 || stride < width || data.len() < stride.checked_mul(height.checked_sub(1)?)? + width {
+    let bytes_a_pixel = if header.format == ENCODED_YUYV { 2 } else { 1 };
+    let row = bytes_a_pixel * width;
+    if width == 0 || stride < row || data.len() < stride.checked_mul(height.checked_sub(1)?)?.checked_add(row)? {
         return None;
     }
     out.clear();
@@ -209,10 +225,11 @@ fn png(header: &EncodedHeader, data: &[u8], out: &mut Vec<u8>) -> Option<()> {
     encoder.set_depth(::png::BitDepth::Eight);
     encoder.set_compression(::png::Compression::Fast);
     let mut writer = encoder.write_header().ok()?;
-    if stride == width {
+    if bytes_a_pixel == 1 && stride == width {
         writer.write_image_data(&data[..width * height]).ok()?;
     } else {
-        let rows: Vec<u8> = data.chunks(stride).take(height).flat_map(|row| &row[..width]).copied().collect();
+        let rows = data.chunks(stride).take(height).flat_map(|line| line[..row].iter().step_by(bytes_a_pixel));
+        let rows: Vec<u8> = rows.copied().collect();
         writer.write_image_data(&rows).ok()?;
     }
     writer.finish().ok()
@@ -233,6 +250,11 @@ mod tests {
         let mut grey = crate::image::GreyImage::default();
         crate::image::decode::Decoder::default().decode(&raw, &mut grey).expect("PNG");
         assert_eq!(grey.data, [0, 1, 2, 3, 4, 8, 9, 10, 11, 12, 16, 17, 18, 19, 20]);
+        let yuyv = EncodedHeader { width: 4, height: 2, stride: 8, format: ENCODED_YUYV, ..header };
+        assert_eq!(png(&yuyv, &data[..16], &mut file), Some(()));
+        let raw = crate::frame::RawFrame { data: file.clone(), ..raw };
+        crate::image::decode::Decoder::default().decode(&raw, &mut grey).expect("PNG");
+        assert_eq!(grey.data, [0, 2, 4, 6, 8, 10, 12, 14]);
         for wrong in [
             EncodedHeader { height: 4, ..header },
             EncodedHeader { stride: 4, ..header },

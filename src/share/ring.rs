@@ -6,7 +6,7 @@
 //! disk's floor, what is kept by [`MAX_KEPT`] a run.
 
 use std::collections::VecDeque;
-use std::fs;
+use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime};
 
@@ -28,7 +28,7 @@ pub const MAX_KEPT: usize = 50;
 /// A closed file of the ring.
 struct Segment {
     path: PathBuf,
-    closed: SystemTime,
+    closed: Instant,
 }
 
 /// See module.
@@ -42,6 +42,10 @@ pub struct Ring {
     segments: VecDeque<Segment>,
     current: Option<McapFile>,
     next_number: u64,
+    /// The newest message: while nothing comes nothing grows old, or the ring of a robot that died at night would be empty in the morning.
+    written: Instant,
+    /// Nobody else writes into the folder as long as this is open.
+    _lock: File,
     /// What is to be kept, and when.
     pending: Option<(String, Instant)>,
     kept: Vec<PathBuf>,
@@ -52,11 +56,18 @@ impl Ring {
     pub fn open(out: &Path, origin: &Origin, length: Duration, floor: u64) -> Result<Self, ShareError> {
         let folder = out.with_extension("ring");
         fs::create_dir_all(&folder).map_err(|e| ShareError::write(&folder, e))?;
+        let lock = File::open(&folder).map_err(|e| ShareError::read(&folder, e))?;
+        if lock.try_lock().is_err() {
+            return Err(ShareError::write(&folder, "another recorder writes into this ring"));
+        }
+        let now = Instant::now();
         let mut left = Vec::new();
         for entry in fs::read_dir(&folder).map_err(|e| ShareError::read(&folder, e))?.flatten() {
             let path = entry.path();
             let number = path.file_stem().and_then(|stem| stem.to_str()).and_then(|stem| stem.parse::<u64>().ok());
-            let closed = entry.metadata().and_then(|m| m.modified()).unwrap_or(SystemTime::UNIX_EPOCH);
+            let age =
+                entry.metadata().and_then(|m| m.modified()).ok().and_then(|t| t.elapsed().ok()).unwrap_or_default();
+            let closed = now.checked_sub(age).unwrap_or(now);
             if let (Some(number), Some("mcap")) = (number, path.extension().and_then(|e| e.to_str())) {
                 left.push((number, Segment { path, closed }));
             }
@@ -75,6 +86,8 @@ impl Ring {
             segments: left.into_iter().map(|(_, segment)| segment).collect(),
             current: None,
             next_number,
+            written: now,
+            _lock: lock,
             pending: None,
             kept: Vec::new(),
         })
@@ -90,6 +103,7 @@ impl Ring {
             self.next_number += 1;
             self.current = Some(McapFile::create(&path, &self.origin)?);
         }
+        self.written = Instant::now();
         self.current.as_mut().map_or(Ok(()), |file| file.write(record))
     }
 
@@ -116,7 +130,8 @@ impl Ring {
     }
 
     fn prune(&mut self, length: Duration) {
-        let old = |segment: &Segment| segment.closed.elapsed().is_ok_and(|age| age > length);
+        let written = self.written;
+        let old = |segment: &Segment| written.saturating_duration_since(segment.closed) > length;
         while self.segments.front().is_some_and(old) {
             self.drop_oldest();
         }
@@ -135,7 +150,7 @@ impl Ring {
         if let Some(file) = self.current.take() {
             let path = file.path().to_owned();
             file.finish()?;
-            self.segments.push_back(Segment { path, closed: SystemTime::now() });
+            self.segments.push_back(Segment { path, closed: Instant::now() });
         }
         Ok(())
     }

@@ -29,17 +29,12 @@ const TURN: Duration = Duration::from_millis(100);
 /// How often the disk's room and the file's length are looked at.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 
-/// What goes to the writing half.
-#[derive(Debug)]
-enum Order {
-    Record(Record),
-    Event(String),
-}
-
 /// The sending end of the queue.
 #[derive(Debug, Clone)]
 pub struct Queue {
-    orders: Sender<Order>,
+    records: Sender<Record>,
+    /// Beside the records: when these are too many, one is to be heard the more.
+    events: Sender<String>,
     waiting: Arc<AtomicUsize>,
     limit: usize,
 }
@@ -59,7 +54,7 @@ impl Queue {
     pub fn push(&self, record: Record) -> Queued {
         let bytes = record.data.len();
         if self.waiting.fetch_add(bytes, Ordering::Relaxed) + bytes <= self.limit {
-            match self.orders.try_send(Order::Record(record)) {
+            match self.records.try_send(record) {
                 Ok(()) => return Queued::Waits,
                 Err(TrySendError::Full(_)) => {}
                 Err(TrySendError::Disconnected(_)) => return Queued::Closed,
@@ -71,8 +66,8 @@ impl Queue {
 
     /// Something happened that a ring is kept for.
     pub fn event(&self, name: &str) {
-        // A full queue: the next event comes.
-        let _ = self.orders.try_send(Order::Event(name.into()));
+        // One that waits already stands for this one.
+        let _ = self.events.try_send(name.into());
     }
 
     /// Bytes that wait.
@@ -112,7 +107,8 @@ enum Target {
 pub struct Sink {
     plan: Plan,
     target: Target,
-    orders: Receiver<Order>,
+    records: Receiver<Record>,
+    events: Receiver<String>,
     waiting: Arc<AtomicUsize>,
     messages: [u64; Topic::ALL.len()],
     looked: Instant,
@@ -129,18 +125,20 @@ fn open_with(plan: &Plan, limit: usize, floor: u64) -> Result<(Queue, Sink), Sha
         Some(length) => Target::Ring(Box::new(Ring::open(&plan.out, &plan.origin, length, floor)?)),
         None => Target::File(Box::new(McapFile::create(&plan.out, &plan.origin)?)),
     };
-    let (orders, queue) = bounded(QUEUE_RECORDS);
+    let (records, queue) = bounded(QUEUE_RECORDS);
+    let (events, heard) = bounded(1);
     let waiting = Arc::new(AtomicUsize::new(0));
     let sink = Sink {
         plan: plan.clone(),
         target,
-        orders: queue,
+        records: queue,
+        events: heard,
         waiting: waiting.clone(),
         messages: [0; Topic::ALL.len()],
         looked: Instant::now(),
         floor,
     };
-    Ok((Queue { orders, waiting, limit }, sink))
+    Ok((Queue { records, events, waiting, limit }, sink))
 }
 
 impl Sink {
@@ -156,15 +154,14 @@ impl Sink {
     /// `true`: as long as it may get.
     fn write_all(&mut self) -> Result<bool, ShareError> {
         loop {
-            match self.orders.recv_timeout(TURN) {
-                Ok(Order::Record(record)) => {
+            let record = self.records.recv_timeout(TURN);
+            if let (Target::Ring(ring), Ok(name)) = (&mut self.target, self.events.try_recv()) {
+                ring.event(&name);
+            }
+            match record {
+                Ok(record) => {
                     self.waiting.fetch_sub(record.data.len(), Ordering::Relaxed);
                     self.write(&record)?;
-                }
-                Ok(Order::Event(name)) => {
-                    if let Target::Ring(ring) = &mut self.target {
-                        ring.event(&name);
-                    }
                 }
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => return Ok(false),

@@ -103,7 +103,7 @@ class Client:
         return Subscription(self, "features", iox2.Slice[m.Feature], m.FeaturesHeader, values.Features)
 
     def encoded(self):
-        """Every picture as it came from the camera, for recorders; a queue of half a second, two readers at a time."""
+        """Every picture as it came from the camera, for recorders; a queue of a fifth of a second, two readers at a time."""
         return Subscription(self, "encoded", iox2.Slice[ctypes.c_uint8], m.EncodedHeader, values.Encoded)
 
     def wait_for_daemon(self, timeout):

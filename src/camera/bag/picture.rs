@@ -77,7 +77,7 @@ fn raw(reader: &mut Reader, slot: &mut RawFrame) -> Result<(), String> {
         }
     };
     let row = u64::from(width) * bytes_per_pixel;
-    let needed = u64::from(height).saturating_sub(1) * u64::from(step) + row;
+    let needed = (u64::from(height).saturating_sub(1) * u64::from(step)).saturating_add(row);
     if width == 0 || height == 0 || u64::from(step) < row || (data.len() as u64) < needed {
         let have = data.len();
         return Err(format!("{width}x{height} px of {encoding} with rows of {step} bytes are not in {have} bytes"));
@@ -107,24 +107,33 @@ fn raw(reader: &mut Reader, slot: &mut RawFrame) -> Result<(), String> {
     Ok(())
 }
 
-/// The camera of a sensor_msgs/CameraInfo; `None` if it says that there is no calibration (`k` all zero).
-pub fn camera_info(message: &[u8]) -> Result<Option<CameraModel>, String> {
+/// The camera of a sensor_msgs/CameraInfo, of its raw or its rectified pictures; `None` if it says that there is no calibration (`k` all zero).
+pub fn camera_info(message: &[u8], rectified: bool) -> Result<Option<CameraModel>, String> {
     let mut reader = Reader::new(message).map_err(|e| e.to_string())?;
     stamp_ns(&mut reader)?;
     let mut parts = || -> Result<_, crate::ros::CdrError> {
         let (height, width) = (reader.u32()?, reader.u32()?);
         let (model, d, k) = (reader.text()?.to_owned(), reader.f64_sequence()?, reader.f64_array::<9>()?);
         let _rectification = reader.f64_array::<9>()?;
-        let _projection = reader.f64_array::<12>()?;
+        let p = reader.f64_array::<12>()?;
         let (binning_x, binning_y) = (reader.u32()?, reader.u32()?);
-        Ok((height, width, model, d, k, binning_x.max(binning_y)))
+        let (x_offset, y_offset) = (reader.u32()?, reader.u32()?);
+        Ok((height, width, model, d, k, p, binning_x.max(binning_y), x_offset.max(y_offset)))
     };
-    let (height, width, model, d, k, binning) = parts().map_err(|e| e.to_string())?;
+    let (height, width, model, d, k, p, binning, cut) = parts().map_err(|e| e.to_string())?;
     if k.iter().all(|v| *v == 0.0) {
         return Ok(None);
     }
     if binning > 1 {
         return Err(format!("binning {binning} is not supported, give --camera"));
+    }
+    if cut > 0 {
+        return Err(format!("a region of interest that begins at {cut} px is not supported, give --camera"));
+    }
+    if rectified {
+        let [fx, _, cx, _, _, fy, cy, ..] = p;
+        let camera = CameraModel::new(width, height, fx, fy, cx, cy, LensModel::PINHOLE);
+        return camera.map(Some).map_err(|e| e.to_string());
     }
     let lens = match (model.as_str(), d.as_slice()) {
         (_, []) => LensModel::PINHOLE,

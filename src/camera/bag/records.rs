@@ -1,7 +1,7 @@
 //! The records of one MCAP file, one after the other, read in pieces: a file may be larger than memory, and may end early.
 
 use std::fs::File;
-use std::io::Read;
+use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use mcap::records::{Record, op};
@@ -12,6 +12,9 @@ use mcap::{MAGIC, McapError};
 const READ_BYTES: usize = 256 << 10;
 /// A longer record is a broken length, bytes: an uncompressed picture of 1920x1200 with 16 bits and alpha is 18 MB, a cloud of a large lidar the same.
 const MAX_RECORD_BYTES: usize = 256 << 20;
+/// At the end of a file that was closed: a footer (opcode, length, start of the summary, two words more), and the format's eight bytes.
+const FOOTER_BYTES: u64 = 1 + 8 + 20;
+const END_BYTES: u64 = FOOTER_BYTES + MAGIC.len() as u64;
 
 /// What one step came to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -29,6 +32,8 @@ pub struct Records {
     file: File,
     /// Bytes that have not been read.
     left: u64,
+    /// The file was closed by who wrote it.
+    closed: bool,
     reader: LinearReader,
 }
 
@@ -51,27 +56,43 @@ impl Records {
         if begin != MAGIC {
             return Err(format!("is no MCAP file, begins with {begin:02x?}"));
         }
-        let options = LinearReaderOptions::default()
-            .with_skip_start_magic(true)
-            .with_skip_end_magic(true)
-            .with_validate_chunk_crcs(true)
-            .with_record_length_limit(MAX_RECORD_BYTES);
+        let mut end = [0; MAGIC.len()];
+        let at = metadata.len().saturating_sub(MAGIC.len() as u64);
+        file.seek(SeekFrom::Start(at)).and_then(|_| file.read_exact(&mut end)).map_err(|e| e.to_string())?;
+        file.seek(SeekFrom::Start(MAGIC.len() as u64)).map_err(|e| e.to_string())?;
         let left = metadata.len().saturating_sub(MAGIC.len() as u64);
-        Ok(Self { path: path.to_owned(), file, left, reader: LinearReader::new_with_options(options) })
+        Ok(Self { path: path.to_owned(), file, left, closed: end == MAGIC && at > 0, reader: reader() })
+    }
+
+    /// The same file from its summary on; `None` if it has none.
+    pub fn summary(&self) -> Option<Self> {
+        let mut file = File::open(&self.path).ok()?;
+        let size = file.metadata().ok()?.len();
+        let footer_at = size.checked_sub(END_BYTES).filter(|_| self.closed)?;
+        let mut footer = [0; FOOTER_BYTES as usize];
+        file.seek(SeekFrom::Start(footer_at)).ok()?;
+        file.read_exact(&mut footer).ok()?;
+        let summary_at = u64::from_le_bytes(footer[9..17].try_into().ok()?);
+        if footer[0] != op::FOOTER || !(MAGIC.len() as u64..footer_at).contains(&summary_at) {
+            return None;
+        }
+        file.seek(SeekFrom::Start(summary_at)).ok()?;
+        Some(Self { path: self.path.clone(), file, left: size - summary_at, closed: true, reader: reader() })
     }
 
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Shows the next record. An error is damage, after which nothing is to be had.
+    /// Shows the next record, if it is a schema, a channel, a message or the statistics: others are not looked into, as no picture depends on
+    /// them. An error is damage, after which nothing is to be had.
     pub fn step(&mut self, mut show: impl FnMut(&Record)) -> Result<Step, String> {
         loop {
             match self.reader.next_event() {
                 None => return Ok(Step::End),
                 Some(Err(McapError::UnexpectedEof)) => return Ok(Step::CutOff),
                 // A recorder that writes a chunk's length last, and died before.
-                Some(Err(McapError::UnexpectedEoc)) if self.left == 0 => return Ok(Step::CutOff),
+                Some(Err(McapError::UnexpectedEoc)) if !self.closed => return Ok(Step::CutOff),
                 Some(Err(e)) => return Err(reason(&e)),
                 Some(Ok(LinearReadEvent::ReadRequest(wanted))) => {
                     // A length that lies must not take more memory than the file has bytes.
@@ -83,13 +104,28 @@ impl Records {
                 }
                 // Behind it are copies of what was seen, and the index.
                 Some(Ok(LinearReadEvent::Record { opcode: op::DATA_END | op::FOOTER, .. })) => return Ok(Step::End),
+                // Chunks are opened by the reader; one that it shows as it is begins where a length has lied.
+                Some(Ok(LinearReadEvent::Record { opcode: op::CHUNK, .. })) => {
+                    return Err("is damaged: a record's length is not that of the record".into());
+                }
                 Some(Ok(LinearReadEvent::Record { opcode, data })) => {
-                    show(&mcap::parse_record(opcode, data).map_err(|e| reason(&e))?);
+                    if let op::SCHEMA | op::CHANNEL | op::MESSAGE | op::STATISTICS = opcode {
+                        show(&mcap::parse_record(opcode, data).map_err(|e| reason(&e))?);
+                    }
                     return Ok(Step::Record);
                 }
             }
         }
     }
+}
+
+fn reader() -> LinearReader {
+    let options = LinearReaderOptions::default()
+        .with_skip_start_magic(true)
+        .with_skip_end_magic(true)
+        .with_validate_chunk_crcs(true)
+        .with_record_length_limit(MAX_RECORD_BYTES);
+    LinearReader::new_with_options(options)
 }
 
 /// What happened, not that something did.

@@ -3,12 +3,9 @@
 //! A file's summary tells its topics and their messages; one without it (its recorder was killed) is read through once.
 
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::{Read, Seek};
 use std::path::{Path, PathBuf};
 
 use mcap::records::Record;
-use mcap::sans_io::{SummaryReadEvent, SummaryReader, SummaryReaderOptions};
 
 use super::picture::Kind;
 use super::records::{Records, Step};
@@ -47,7 +44,9 @@ pub fn survey(files: &[PathBuf]) -> Result<Vec<Topic>, (PathBuf, String)> {
     let mut all = BTreeMap::<String, Topic>::new();
     for file in files {
         for topic in survey_file(file).map_err(|reason| (file.clone(), reason))? {
-            all.entry(topic.name.clone()).and_modify(|t| t.messages += topic.messages).or_insert(topic);
+            all.entry(topic.name.clone())
+                .and_modify(|t| t.messages = t.messages.saturating_add(topic.messages))
+                .or_insert(topic);
         }
     }
     Ok(all.into_values().collect())
@@ -56,42 +55,19 @@ pub fn survey(files: &[PathBuf]) -> Result<Vec<Topic>, (PathBuf, String)> {
 fn survey_file(path: &Path) -> Result<Vec<Topic>, String> {
     // Opened first: it tells what is no MCAP file at all.
     let records = Records::open(path)?;
-    match summary(path) {
-        Some(topics) => Ok(topics),
-        None => Ok(scan(records)),
+    match records.summary().map(scan) {
+        Some((topics, true)) => Ok(topics),
+        // It does not count messages.
+        _ => Ok(scan(records).0),
     }
 }
 
-/// `None` if there is none, or it does not count messages.
-fn summary(path: &Path) -> Option<Vec<Topic>> {
-    let mut file = File::open(path).ok()?;
-    let size = file.metadata().ok()?.len();
-    let mut reader = SummaryReader::new_with_options(SummaryReaderOptions::default().with_file_size(size));
-    while let Some(event) = reader.next_event() {
-        match event.ok()? {
-            SummaryReadEvent::ReadRequest(wanted) => {
-                let read = file.read(reader.insert(wanted)).ok()?;
-                reader.notify_read(read);
-            }
-            SummaryReadEvent::SeekRequest(to) => reader.notify_seeked(file.seek(to).ok()?),
-        }
-    }
-    let summary = reader.finish()?;
-    let counts = summary.stats?.channel_message_counts;
-    let topics = summary.channels.values().map(|channel| Topic {
-        name: channel.topic.clone(),
-        schema: channel.schema.as_ref().map(|s| s.name.clone()).unwrap_or_default(),
-        encoding: channel.message_encoding.clone(),
-        messages: counts.get(&channel.id).copied().unwrap_or(0),
-    });
-    // A summary that leaves its channels out says nothing.
-    (!summary.channels.is_empty() || counts.is_empty()).then(|| topics.collect())
-}
-
-/// Counts what can be read; damage ends it, and is told when the pictures before it are used up.
-fn scan(mut records: Records) -> Vec<Topic> {
+/// Counts what can be read, and whether statistics have told the counts; damage ends it, and is told when the pictures before it are used up.
+fn scan(mut records: Records) -> (Vec<Topic>, bool) {
     let (mut schemas, mut topics) = (BTreeMap::<u16, String>::new(), BTreeMap::<u16, Topic>::new());
+    let mut statistics = None;
     let mut note = |record: &Record| match record {
+        Record::Statistics(found) => statistics = Some(found.channel_message_counts.clone()),
         Record::Schema { header, .. } => {
             schemas.insert(header.id, header.name.clone());
         }
@@ -111,7 +87,12 @@ fn scan(mut records: Records) -> Vec<Topic> {
         _ => {}
     };
     while records.step(&mut note) == Ok(Step::Record) {}
-    topics.into_values().collect()
+    // A summary that leaves its channels out says nothing.
+    let counts = statistics.filter(|counts| counts.is_empty() || !topics.is_empty());
+    for (id, count) in counts.iter().flatten() {
+        topics.entry(*id).and_modify(|topic| topic.messages = *count);
+    }
+    (topics.into_values().collect(), counts.is_some())
 }
 
 /// The topic of the pictures: the one that is asked for, else the only one, else the raw one of those that show the same.
@@ -155,6 +136,11 @@ pub fn choose<'a>(topics: &'a [Topic], asked: Option<&str>) -> Result<(&'a Topic
 /// `/camera/image_raw` of `/camera/image_raw/compressed`.
 fn base(topic: &str) -> &str {
     topic.strip_suffix("/compressed").unwrap_or(topic)
+}
+
+/// Its pictures are rectified, so that a CameraInfo's distortion is not in them (REP 104's `image_rect`, `image_rect_color`).
+pub fn is_rectified(pictures: &str) -> bool {
+    base(pictures).rsplit('/').next().is_some_and(|name| name.contains("_rect"))
 }
 
 /// The topic of the calibration that belongs to a topic of pictures: its neighbour, else the only one.
