@@ -91,7 +91,7 @@ impl Recorder {
         self.poses.is_connected()
     }
 
-    /// Waits for the next picture for [`TURN`] at most, and takes everything that has come. `false`: nobody writes any more.
+    /// Waits for the next picture for 50 ms at most, and takes everything that has come. `false`: nobody writes any more.
     pub fn step(&mut self) -> Result<bool, ShareError> {
         let mut picture = self.encoded.wait(TURN)?;
         let mut taken = 0;
