@@ -221,6 +221,20 @@ def test_pictures_are_arrays(daemon):
     assert not frame.image.flags.writeable and frame.live
 
 
+def test_what_was_found_in_a_picture_is_an_array(daemon):
+    lists = cairn.connect().features()
+    features = lists.wait(10)
+    # The first ones may be of a frame without a pose.
+    for _ in range(30):
+        if (features.landmarks != messages.NO_LANDMARK).any():
+            break
+        features = lists.wait(10)
+    found, tracked = features.landmarks != messages.NO_LANDMARK, features.tracks != messages.NO_TRACK
+    assert found.sum() > 20 and tracked.sum() > 20 and (found ^ tracked).all()
+    assert features.points.shape == (len(features), 2)
+    assert (features.points >= -0.5).all() and (features.points < [features.width, features.height]).all()
+
+
 def test_commands_are_answered(daemon):
     client = cairn.connect()
     path = daemon.root / "map.ply"
