@@ -207,6 +207,8 @@ topic!(
 topic!(
     /// [`Features`], while somebody subscribes.
     FeaturesTopic, topic::FEATURES, [Feature], Feature, FeaturesHeader, true, Features, held
+);
+topic!(
     /// [`Encoded`], while somebody subscribes.
     EncodedTopic, topic::ENCODED, [u8], u8, EncodedHeader, true, Encoded, held
 );

@@ -35,7 +35,7 @@ export class Chart {
     const finite = points.filter((p) => Number.isFinite(p.value));
     const top = nice(Math.max(1, ...finite.map((p) => p.value)));
     const now = points.at(-1)?.time ?? 0;
-    const [left, bottom] = [34, height - 16];
+    const [left, bottom] = [42, height - 16];
     const span = Math.min(SPAN_S, Math.max(LEAST_S, now - (points[0]?.time ?? now)));
     const x = (t) => left + (width - left - 4) * (1 - (now - t) / span);
     const y = (v) => bottom - (bottom - 6) * Math.min(v / top, 1);
