@@ -182,10 +182,8 @@ impl Stream {
             let Some((records, channels)) = &mut self.open else { return Ok(None) };
             let mut found = None;
             let step = records.step(|record| match record {
-                Record::Channel(channel) if channel.topic == self.topic => {
-                    if !channels.contains(&channel.id) {
-                        channels.push(channel.id);
-                    }
+                Record::Channel(channel) if channel.topic == self.topic && !channels.contains(&channel.id) => {
+                    channels.push(channel.id);
                 }
                 Record::Message { header, data } if channels.contains(&header.channel_id) => {
                     message.clear();

@@ -13,6 +13,8 @@ const MAX_HEADERS: usize = 64;
 /// Time for a head to arrive as a whole.
 const HEAD_TIME: Duration = Duration::from_secs(5);
 
+/// Time for an answer to be taken as a whole.
+const SEND_TIME: Duration = Duration::from_secs(10);
 /// How long a refused request is read on.
 const LINGER: Duration = Duration::from_millis(300);
 
@@ -131,8 +133,26 @@ pub fn say(stream: &mut TcpStream, status: &str, sentence: &str) -> io::Result<(
         "HTTP/1.1 {status}\r\nContent-Type: text/plain; charset=utf-8\r\nContent-Length: {}\r\nCache-Control: no-store\r\n{HEADERS}\r\n",
         sentence.len() + 1
     );
-    stream.write_all(head.as_bytes())?;
-    stream.write_all(format!("{sentence}\n").as_bytes())
+    send(stream, &[head.as_bytes(), sentence.as_bytes(), b"\n"].concat())
+}
+
+/// However slowly the other side takes it, it ends in [`SEND_TIME`].
+fn send(stream: &mut TcpStream, mut bytes: &[u8]) -> io::Result<()> {
+    let start = Instant::now();
+    while !bytes.is_empty() {
+        let left = SEND_TIME.saturating_sub(start.elapsed());
+        if left.is_zero() {
+            return Err(io::ErrorKind::TimedOut.into());
+        }
+        stream.set_write_timeout(Some(left))?;
+        match stream.write(bytes) {
+            Ok(0) => return Err(io::ErrorKind::WriteZero.into()),
+            Ok(n) => bytes = &bytes[n..],
+            Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
+            Err(e) => return Err(e),
+        }
+    }
+    Ok(())
 }
 
 /// Takes what the other side still sends, for a moment: a connection that is closed over unread bytes may lose the answer on its way.
@@ -152,7 +172,7 @@ pub fn serve(stream: &mut TcpStream, request: &Request, assets: &Assets) -> io::
     let etag = &asset.etag;
     let fixed = format!("ETag: {etag}\r\nCache-Control: no-cache\r\nVary: Accept-Encoding\r\n{HEADERS}");
     if known {
-        return stream.write_all(format!("HTTP/1.1 304 Not Modified\r\n{fixed}\r\n").as_bytes());
+        return send(stream, format!("HTTP/1.1 304 Not Modified\r\n{fixed}\r\n").as_bytes());
     }
     let (body, encoding) = content(asset, request.takes_gzip)?;
     let head = format!(
@@ -160,8 +180,8 @@ pub fn serve(stream: &mut TcpStream, request: &Request, assets: &Assets) -> io::
         asset.media_type,
         body.len()
     );
-    stream.write_all(head.as_bytes())?;
-    if request.is_head { Ok(()) } else { stream.write_all(&body) }
+    send(stream, head.as_bytes())?;
+    if request.is_head { Ok(()) } else { send(stream, &body) }
 }
 
 fn content(asset: &Asset, takes_gzip: bool) -> io::Result<(std::borrow::Cow<'_, [u8]>, &'static str)> {
@@ -174,7 +194,7 @@ pub fn upgrade(stream: &mut TcpStream, key: &str) -> io::Result<()> {
     let head = format!(
         "HTTP/1.1 101 Switching Protocols\r\nConnection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Accept: {accept}\r\n\r\n"
     );
-    stream.write_all(head.as_bytes())
+    send(stream, head.as_bytes())
 }
 
 #[cfg(test)]

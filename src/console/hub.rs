@@ -55,9 +55,15 @@ impl Hub {
     /// All that a page that has just said who it is must know.
     pub fn greet(&self, page: &Outbox) {
         page.put(Kind::History, wire::samples(Kind::History, lock(&self.history).samples()));
-        for (kind, message) in lock(&self.last).iter().enumerate().filter_map(|(k, m)| Some((k, m.clone()?))) {
-            if let Some(kind) = [Kind::State, Kind::Keyframes, Kind::Map].into_iter().find(|k| *k as usize == kind) {
-                page.put(kind, message);
+        self.replay(page, &[Kind::State, Kind::Keyframes, Kind::Map]);
+    }
+
+    /// The newest messages of these kinds, to a page that has missed them.
+    pub fn replay(&self, page: &Outbox, kinds: &[Kind]) {
+        let last = lock(&self.last);
+        for kind in kinds {
+            if let Some(message) = &last[*kind as usize] {
+                page.put(*kind, message.clone());
             }
         }
     }
@@ -90,12 +96,17 @@ impl Hub {
     /// The log so far, to a page that begins to show it.
     pub fn replay_log(&self, page: &Outbox) {
         let log = lock(&self.log);
-        page.put(Kind::Log, wire::json(Kind::Log, &serde_json::json!({ "replace": true, "records": *log })));
+        page.replace(Kind::Log, wire::json(Kind::Log, &serde_json::json!({ "replace": true, "records": *log })));
     }
 
-    /// The log is read anew from its end.
+    /// The log is read anew from its end: what pages show of it comes again.
     pub fn clear_log(&self) {
-        lock(&self.log).clear();
+        let mut log = lock(&self.log);
+        log.clear();
+        let message = wire::json(Kind::Log, &serde_json::json!({ "replace": true, "records": *log }));
+        for page in lock(&self.pages).iter().filter(|page| page.demand() & demand::LOG != 0) {
+            page.replace(Kind::Log, message.clone());
+        }
     }
 
     pub fn close_all(&self) {

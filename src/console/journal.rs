@@ -14,7 +14,7 @@ use serde_json::{Map, Value, json};
 use super::hub::{Hub, demand};
 
 /// Longest record, bytes; a longer one is left out.
-const MAX_LINE: usize = 64 * 1024;
+const MAX_LINE: usize = 8 * 1024;
 /// Records of before that are read.
 const BEFORE: &str = "200";
 /// Bytes of a file of before that are read.

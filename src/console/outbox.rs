@@ -12,6 +12,8 @@ use super::wire::{Bytes, KINDS, Kind};
 pub const IN_FLIGHT: u32 = 2;
 /// Answers, log lines and pictures of the two-picture chain that wait; the oldest give way.
 const QUEUE: usize = 256;
+/// And their bytes: of all pages together no more than the console may use.
+const QUEUE_BYTES: usize = 4 << 20;
 
 /// What the writer of a page is to do next.
 #[derive(Debug)]
@@ -26,7 +28,7 @@ pub enum Next {
 #[derive(Debug, Default)]
 struct Waiting {
     newest: [Option<Bytes>; KINDS],
-    queue: VecDeque<Bytes>,
+    queue: VecDeque<(Kind, Bytes)>,
     pong: Option<Vec<u8>>,
     in_flight: [u32; KINDS],
     closed: bool,
@@ -54,12 +56,19 @@ impl Outbox {
         if kind.is_newest_only() {
             waiting.newest[kind as usize] = Some(message);
         } else {
-            if waiting.queue.len() >= QUEUE {
+            waiting.queue.push_back((kind, message));
+            // The newest goes, however large it is.
+            while waiting.queue.len() > QUEUE || waiting.queue.len() > 1 && waiting.bytes() > QUEUE_BYTES {
                 waiting.queue.pop_front();
             }
-            waiting.queue.push_back(message);
         }
         self.changed.notify_one();
+    }
+
+    /// Queues it in place of all that waits of this kind.
+    pub fn replace(&self, kind: Kind, message: Bytes) {
+        self.lock().queue.retain(|(other, _)| *other != kind);
+        self.put(kind, message);
     }
 
     /// The newest ping is answered.
@@ -123,6 +132,10 @@ impl Outbox {
 }
 
 impl Waiting {
+    fn bytes(&self) -> usize {
+        self.queue.iter().map(|(_, message)| message.len()).sum()
+    }
+
     fn has_any(&self) -> bool {
         !self.queue.is_empty() || (0..KINDS).any(|k| self.newest[k].is_some() && self.may_go(k))
     }
@@ -133,7 +146,7 @@ impl Waiting {
 
     /// The queue first, then the small kinds: a picture must not hold up what says that the robot is lost.
     fn take(&mut self) -> Option<Bytes> {
-        if let Some(message) = self.queue.pop_front() {
+        if let Some((_, message)) = self.queue.pop_front() {
             return Some(message);
         }
         let kind = (0..KINDS).find(|k| self.newest[*k].is_some() && self.may_go(*k))?;
@@ -190,6 +203,14 @@ mod tests {
         assert_eq!(sent(&outbox), Some(10));
         assert_eq!(sent(&outbox), Some(11));
         assert_eq!(outbox.lock().queue.len(), QUEUE - 2);
+        for _ in 0..100 {
+            outbox.replace(Kind::Log, message(1));
+        }
+        assert_eq!(outbox.lock().queue.len(), QUEUE - 1);
+        for _ in 0..10 {
+            outbox.put(Kind::Reply, vec![0; QUEUE_BYTES / 4].into());
+        }
+        assert!(outbox.lock().bytes() <= QUEUE_BYTES);
         outbox.close();
         assert!(matches!(outbox.next(SOON), Next::Closed));
     }

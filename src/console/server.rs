@@ -25,8 +25,6 @@ use crate::telemetry::RateLimiter;
 const MAX_CONNECTIONS: usize = 128;
 /// How soon the end is noticed while nobody connects.
 const NAP: Duration = Duration::from_millis(200);
-/// An answer of HTTP must be taken within this.
-const WRITE_TIME: Duration = Duration::from_secs(10);
 /// Stack of a connection's thread, bytes: it parses a few kilobytes.
 const STACK: usize = 512 * 1024;
 
@@ -167,14 +165,13 @@ struct Visit {
 impl Visit {
     /// Errors of a connection are its own.
     fn serve(&self, mut stream: TcpStream) {
-        let prepared = stream.set_nonblocking(false).and_then(|()| stream.set_write_timeout(Some(WRITE_TIME)));
-        if prepared.is_err() {
+        if stream.set_nonblocking(false).is_err() {
             return;
         }
         let request = match http::read(&mut stream) {
             Ok(request) => request,
             Err(http::Bad::Refuse(status, sentence)) => {
-                self.refuse(&stream, status);
+                self.refuse(stream.peer_addr().ok(), status);
                 if http::say(&mut stream, status, sentence).is_ok() {
                     http::linger(&mut stream);
                 }
@@ -183,13 +180,16 @@ impl Visit {
             Err(http::Bad::Gone) => return,
         };
         if let Err(refused) = self.access.judge(&request.host, request.origin.as_deref()) {
-            self.refuse(&stream, &format!("{refused:?}"));
+            self.refuse(stream.peer_addr().ok(), &format!("{refused:?}"));
             let _ = http::say(&mut stream, "403 Forbidden", refused.sentence());
             return;
         }
         let _ = match (request.path.as_str(), &request.websocket_key) {
-            ("/ws", Some(key)) => http::upgrade(&mut stream, key)
-                .and_then(|()| session::run(stream, request.rest, &self.hub, &self.access, &self.order)),
+            ("/ws", Some(key)) => http::upgrade(&mut stream, key).and_then(|()| {
+                let peer = stream.peer_addr().ok();
+                let refuse = |why: &str| self.refuse(peer, why);
+                session::run(stream, request.rest, &self.hub, &self.access, &self.order, &refuse)
+            }),
             ("/ws", None) => http::say(&mut stream, "426 Upgrade Required", "Here is a WebSocket."),
             ("/access", _) => {
                 http::say(&mut stream, "200 OK", if self.access.needs_token() { "token" } else { "open" })
@@ -198,9 +198,9 @@ impl Visit {
         };
     }
 
-    fn refuse(&self, stream: &TcpStream, why: &str) {
+    fn refuse(&self, peer: Option<SocketAddr>, why: &str) {
         if let Some(requests) = lock(&self.refused).event(monotonic_ns()) {
-            warn!(requests, why, peer = ?stream.peer_addr().ok(), "console: request refused");
+            warn!(requests, why, ?peer, "console: request refused");
         }
     }
 }

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use serde::Deserialize;
-use tracing::warn;
+use tungstenite::error::ProtocolError;
 use tungstenite::protocol::frame::CloseFrame;
 use tungstenite::protocol::frame::coding::CloseCode;
 use tungstenite::protocol::{Role, WebSocketConfig};
@@ -95,12 +95,21 @@ impl Part {
 /// Takes a job of a page; the answer goes into its outbox.
 pub type Order = Box<dyn Fn(&Arc<Outbox>, u32, Job) + Send + Sync>;
 
-/// The reader's half: tungstenite wants to answer pings and closes itself, in the middle of what the writer writes.
-struct Deaf(TcpStream);
+/// The reader's half: tungstenite wants to answer pings and closes itself, in the middle of what the writer writes. A message must be there as a
+/// whole by the deadline, however its bytes trickle in.
+struct Deaf {
+    stream: TcpStream,
+    deadline: Instant,
+}
 
 impl Read for Deaf {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        self.0.read(buffer)
+        let left = self.deadline.saturating_duration_since(Instant::now());
+        if left.is_zero() {
+            return Err(io::ErrorKind::TimedOut.into());
+        }
+        self.stream.set_read_timeout(Some(left))?;
+        self.stream.read(buffer)
     }
 }
 
@@ -121,26 +130,38 @@ fn config() -> WebSocketConfig {
         .write_buffer_size(0)
 }
 
-/// Serves a page until it goes. `rest`: bytes that came with the request.
-pub fn run(stream: TcpStream, rest: Vec<u8>, hub: &Hub, access: &Access, order: &Order) -> io::Result<()> {
+/// Serves a page until it goes. `rest`: bytes that came with the request; `refuse` says why a page is sent away.
+pub fn run(
+    stream: TcpStream,
+    rest: Vec<u8>,
+    hub: &Hub,
+    access: &Access,
+    order: &Order,
+    refuse: &dyn Fn(&str),
+) -> io::Result<()> {
     stream.set_nodelay(true)?;
     stream.set_write_timeout(Some(WRITE_TIME))?;
-    stream.set_read_timeout(Some(HELLO_TIME))?;
-    let mut reader = WebSocket::from_partially_read(Deaf(stream.try_clone()?), rest, Role::Server, Some(config()));
+    let deaf = Deaf { stream: stream.try_clone()?, deadline: Instant::now() + HELLO_TIME };
+    let mut reader = WebSocket::from_partially_read(deaf, rest, Role::Server, Some(config()));
     let mut writer = WebSocket::from_raw_socket(stream.try_clone()?, Role::Server, Some(config()));
     match word(reader.read()) {
         Ok(Some(Word::Hello { token })) if access.opens(token.as_deref().unwrap_or("")) => {}
         Ok(Some(Word::Hello { .. })) => {
-            warn!(peer = ?stream.peer_addr().ok(), "console: wrong token");
+            refuse("wrong token");
             std::thread::sleep(WRONG_TOKEN_PAUSE);
             return close(&mut writer, CLOSE_TOKEN, "token");
         }
-        _ => return close(&mut writer, CloseCode::Policy.into(), "hello expected"),
+        _ => {
+            refuse("no hello");
+            return close(&mut writer, CloseCode::Policy.into(), "hello expected");
+        }
     }
-    let Some(page) = hub.join() else { return close(&mut writer, CLOSE_FULL, "too many pages") };
+    let Some(page) = hub.join() else {
+        refuse("too many pages");
+        return close(&mut writer, CLOSE_FULL, "too many pages");
+    };
     page.open();
     hub.greet(&page);
-    stream.set_read_timeout(Some(SILENCE))?;
     let end = std::thread::scope(|scope| {
         scope.spawn(|| write(&mut writer, &page));
         let end = listen(&mut reader, hub, &page, order);
@@ -148,6 +169,9 @@ pub fn run(stream: TcpStream, rest: Vec<u8>, hub: &Hub, access: &Access, order: 
         end
     });
     if let Some((code, reason)) = end {
+        if code != u16::from(CloseCode::Normal) {
+            refuse(reason);
+        }
         let _ = close(&mut writer, code, reason);
     }
     // Both directions; it may be gone already.
@@ -174,8 +198,11 @@ fn word(message: tungstenite::Result<Message>) -> tungstenite::Result<Option<Wor
 fn listen(reader: &mut WebSocket<Deaf>, hub: &Hub, page: &Arc<Outbox>, order: &Order) -> Option<(u16, &'static str)> {
     let (mut second, mut count) = (Instant::now(), 0);
     loop {
+        reader.get_mut().deadline = Instant::now() + SILENCE;
         let message = match reader.read() {
             Ok(message) => message,
+            // As when a laptop is closed.
+            Err(tungstenite::Error::Protocol(ProtocolError::ResetWithoutClosingHandshake)) => return None,
             Err(tungstenite::Error::Capacity(_)) => return Some((CloseCode::Size.into(), "message too large")),
             Err(tungstenite::Error::Protocol(_) | tungstenite::Error::Utf8(_)) => {
                 return Some((CloseCode::Protocol.into(), "malformed"));
@@ -207,10 +234,14 @@ fn obey(word: Word, hub: &Hub, page: &Arc<Outbox>, order: &Order) {
         Word::Show(parts) => {
             let before = page.demand();
             let bits = parts.iter().fold(0, |bits, part| bits | part.bit());
-            if bits & demand::LOG != 0 && before & demand::LOG == 0 {
+            page.set_demand(bits);
+            let begun = bits & !before;
+            if begun & demand::LOG != 0 {
                 hub.replay_log(page);
             }
-            page.set_demand(bits);
+            if begun & demand::MAP != 0 {
+                hub.replay(page, &[Kind::Keyframes, Kind::Map]);
+            }
         }
         Word::Seen(number) => {
             if let Some(kind) = Kind::acknowledged(number) {

@@ -243,11 +243,10 @@ impl ReconstructStep {
         }
         self.status.latency.record_ns(monotonic_ns() - estimate.arrival_ns);
         // The picture last: who is woken by it finds what was found in it.
-        if let (Some(outlet), Some(reconstruction)) = (self.outlet.as_mut(), &self.reconstruction)
-            && let Err(error) =
-                outlet.features(features, reconstruction.matches()).and_then(|()| outlet.frame(features))
-        {
-            self.publish_failed(&error);
+        let (Some(outlet), Some(reconstruction)) = (self.outlet.as_mut(), &self.reconstruction) else { return };
+        let told = [outlet.features(features, reconstruction.matches()), outlet.frame(features)];
+        for error in told.iter().filter_map(|told| told.as_ref().err()) {
+            self.publish_failed(error);
         }
     }
 

@@ -55,7 +55,7 @@ fn queues() -> String {
     let mut table = String::from(
         "| service | history for late joiners | queue of a reader | held by a reader | readers |\n|---|---:|---:|---:|---:|\n",
     );
-    let rows: [(&str, Qos); 6] = [
+    let rows: [(&str, Qos); 7] = [
         (services::topic::POSE, services::POSE),
         (services::topic::MAP, services::MAP),
         (services::topic::KEYFRAMES, services::KEYFRAMES),

@@ -221,13 +221,13 @@ def test_pictures_are_arrays(daemon):
     assert not frame.image.flags.writeable and frame.live
 
 
-<<<<<<< HEAD
 def test_the_cameras_own_bytes_come_with_their_lens(daemon):
     encoded = cairn.connect().encoded().wait(10)
     assert encoded.format == 0 and len(encoded.data) == encoded.stride * encoded.height > 0
     assert not encoded.data.flags.writeable
     assert encoded.focal_px[0] > 100 and len(encoded.distortion) == 5
-=======
+
+
 def test_what_was_found_in_a_picture_is_an_array(daemon):
     lists = cairn.connect().features()
     features = lists.wait(10)
@@ -240,7 +240,6 @@ def test_what_was_found_in_a_picture_is_an_array(daemon):
     assert found.sum() > 20 and tracked.sum() > 20 and (found ^ tracked).all()
     assert features.points.shape == (len(features), 2)
     assert (features.points >= -0.5).all() and (features.points < [features.width, features.height]).all()
->>>>>>> console
 
 
 def test_commands_are_answered(daemon):

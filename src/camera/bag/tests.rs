@@ -1,6 +1,8 @@
 //! Messages as drivers write them, and what is wrong with others.
 
 use super::picture::{Kind, camera_info, read};
+use super::records::{Records, Step};
+use super::survey;
 use crate::frame::{PixelFormat, RawFrame};
 use crate::geometry::LensModel;
 use crate::image::GreyImage;
@@ -100,25 +102,62 @@ fn info(model: &str, d: &[f64], fx: f64) -> Vec<u8> {
     d.iter().for_each(|v| w.number(v.to_le_bytes()));
     let k = if fx > 0.0 { [fx, 0.0, 320.0, 0.0, fx, 240.0, 0.0, 0.0, 1.0] } else { [0.0; 9] };
     k.iter().chain(&[0.0; 21]).for_each(|v| w.number(v.to_le_bytes()));
-    w.number(0_u32.to_le_bytes());
-    w.number(0_u32.to_le_bytes());
+    // Binning in both directions; place and size of the region of interest.
+    (0..6).for_each(|_| w.number(0_u32.to_le_bytes()));
     w.into_bytes()
 }
 
 #[test]
+fn rectified_pictures_have_no_distortion() {
+    // Its projection is all zero: there is no such camera, and the raw one is not taken instead.
+    let info = info("plumb_bob", &[0.1, 0.2, 0.3, 0.4, 0.5], 500.0);
+    assert!(camera_info(&info, true).is_err());
+    assert!(survey::is_rectified("/cam/image_rect") && survey::is_rectified("/cam/image_rect_color/compressed"));
+    assert!(!survey::is_rectified("/cam/image_raw") && !survey::is_rectified("/rect_cam/image"));
+}
+
+/// Its length says 32 bytes and its inner lengths say none of them: mcap 0.26 panics when it looks into such a record.
+#[test]
+fn an_attachment_is_not_looked_into() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("hostile.mcap");
+    let mut bytes = mcap::MAGIC.to_vec();
+    bytes.push(mcap::records::op::ATTACHMENT);
+    bytes.extend(32_u64.to_le_bytes());
+    bytes.extend([0; 32]);
+    std::fs::write(&path, &bytes).expect("file");
+    let mut records = Records::open(&path).expect("opens");
+    assert_eq!(records.step(|_| panic!("shown")), Ok(Step::Record));
+    assert_eq!(records.step(|_| panic!("shown")), Ok(Step::CutOff));
+    // The same as a summary.
+    let at = mcap::MAGIC.len() as u64;
+    bytes.push(mcap::records::op::FOOTER);
+    bytes.extend(20_u64.to_le_bytes());
+    bytes.extend(at.to_le_bytes());
+    bytes.extend([0; 12]);
+    bytes.extend(mcap::MAGIC);
+    std::fs::write(&path, &bytes).expect("file");
+    let mut summary = Records::open(&path).expect("opens").summary().expect("a summary");
+    assert_eq!(summary.step(|_| panic!("shown")), Ok(Step::Record));
+    assert_eq!(summary.step(|_| panic!("shown")), Ok(Step::End));
+}
+
+#[test]
 fn a_camera_info_is_a_camera_or_says_that_there_is_none() {
-    let camera = camera_info(&info("plumb_bob", &[0.1, 0.2, 0.3, 0.4, 0.5], 500.0)).expect("read").expect("a camera");
+    let camera =
+        camera_info(&info("plumb_bob", &[0.1, 0.2, 0.3, 0.4, 0.5], 500.0), false).expect("read").expect("a camera");
     assert_eq!((camera.width, camera.height, camera.fx, camera.cy), (640, 480, 500.0, 240.0));
     assert_eq!(camera.lens, LensModel::RadialTangential([0.1, 0.2, 0.3, 0.4, 0.5]));
-    let fisheye = camera_info(&info("equidistant", &[0.1, 0.2, 0.3, 0.4], 300.0)).expect("read").expect("a camera");
+    let fisheye =
+        camera_info(&info("equidistant", &[0.1, 0.2, 0.3, 0.4], 300.0), false).expect("read").expect("a camera");
     assert_eq!(fisheye.lens, LensModel::KannalaBrandt([0.1, 0.2, 0.3, 0.4]));
     let rational = [0.1, 0.2, 0.3, 0.4, 0.5, 0.0, 0.0, 0.0];
-    assert!(camera_info(&info("rational_polynomial", &rational, 500.0)).is_ok_and(|c| c.is_some()));
-    assert_eq!(camera_info(&info("plumb_bob", &[0.0; 5], 0.0)), Ok(None));
+    assert!(camera_info(&info("rational_polynomial", &rational, 500.0), false).is_ok_and(|c| c.is_some()));
+    assert_eq!(camera_info(&info("plumb_bob", &[0.0; 5], 0.0), false), Ok(None));
     for (model, d) in
         [("rational_polynomial", [0.1; 8].as_slice()), ("equidistant", &[0.1; 5]), ("panoramic", &[0.1; 4])]
     {
-        assert!(camera_info(&info(model, d, 500.0)).is_err_and(|e| e.contains(model) && e.contains("--camera")));
+        assert!(camera_info(&info(model, d, 500.0), false).is_err_and(|e| e.contains(model) && e.contains("--camera")));
     }
-    assert!(camera_info(&[0, 1, 0, 0, 1]).is_err());
+    assert!(camera_info(&[0, 1, 0, 0, 1], false).is_err());
 }

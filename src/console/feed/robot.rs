@@ -147,6 +147,7 @@ fn follow(hub: &Hub, source: &Source, advice: fn(&str) -> &'static str, stop: &A
     let (mut poses, mut healths) = (client.poses(), client.health());
     let mut told: Option<(Instant, &str)> = None;
     let mut scale = (Scale::Arbitrary, f32::NAN);
+    let mut connected_ns = None;
     while !stop.load(Ordering::Relaxed) {
         if let Some(pose) = poses.wait(NAP)? {
             scale = (pose.scale(), pose.scale_sigma);
@@ -155,9 +156,13 @@ fn follow(hub: &Hub, source: &Source, advice: fn(&str) -> &'static str, stop: &A
         }
         let is_connected = poses.is_connected();
         let health = healths.latest()?;
-        let silent = health.is_none_or(|h| h.age_ns(monotonic_ns()) > SILENT_NS);
+        connected_ns = is_connected.then(|| connected_ns.unwrap_or_else(monotonic_ns));
+        let since_ns = connected_ns.map_or(0, |at| monotonic_ns() - at);
+        let silent = health.map_or(since_ns, |h| h.age_ns(monotonic_ns())) > SILENT_NS;
         let link = match (is_connected, silent) {
             (false, _) => "waiting",
+            // It has just begun.
+            (true, false) if health.is_none() => "waiting",
             (true, true) => "silent",
             (true, false) => "connected",
         };

@@ -65,7 +65,8 @@ export class Controls {
     this.waiting.set(this.id, row);
     row.button.disabled = true;
     this.answer(row, null, "asked …");
-    this.say({ command: { id: this.id, action: row.command.action(row.values()) } });
+    const said = this.say({ command: { id: this.id, action: row.command.action(row.values()) } });
+    if (!said) this.reply({ id: this.id, ok: false, text: "There is no connection to the console." });
   }
 
   disarm(row) {

@@ -18,7 +18,7 @@ export class Link {
 
   async connect() {
     try {
-      const needed = await (await fetch("/access", { cache: "no-store" })).text();
+      const needed = await (await fetch("/access", { cache: "no-store", signal: AbortSignal.timeout(SILENCE_MS) })).text();
       if (needed.trim() === "token" && !sessionStorage.getItem(STORED)) {
         sessionStorage.setItem(STORED, await this.handlers.ask(false));
       }
@@ -73,8 +73,11 @@ export class Link {
     }
   }
 
+  /** False if there is no connection to say it on. */
   say(word) {
-    if (this.socket?.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(word));
+    const isOpen = this.socket?.readyState === WebSocket.OPEN;
+    if (isOpen) this.socket.send(JSON.stringify(word));
+    return isOpen;
   }
 
   seen(kind) {

@@ -56,10 +56,13 @@ const receive = {
 const link = new Link({
   message: (message) => receive[message.kind]?.(message),
   status: (sentence) => {
-    if (sentence === "") return;
+    // Answers of the connection before do not come any more, now that there is another one either.
     controls.lost();
     pair.lost();
+    if (sentence === "") return;
     set($("banner"), sentence);
+    state.away();
+    map.setAway(true);
     set($("state"), "no console");
     $("state").dataset.state = "NONE";
   },

@@ -269,7 +269,7 @@ export class MapView {
   setAway(away, state) {
     this.canvas.parentElement.classList.toggle("stale", away);
     if (!this.renderer) return;
-    if (away) this.robot.visible = false;
+    if (away || state !== "TRACKING") this.robot.visible = false;
     if (!(this.count > 0)) {
       set($("map-empty"), away ? "No map: there is no daemon to hear." : state === "LOST" ? "Lost." : "No map yet: move the camera sideways.");
     }

@@ -2,6 +2,7 @@
 const $ = (id) => document.getElementById(id);
 const known = (v) => v !== null && v !== undefined && Number.isFinite(v);
 const number = (v, digits = 0, unit = "") => (known(v) ? `${v.toFixed(digits)}${unit}` : "–");
+const percent = (v) => (known(v) ? number(100 * v, 0, " %") : "–");
 const WORDS = { INITIALIZING: "initializing", TRACKING: "tracking", LOST: "lost", ORIENTATION: "heading only", DEAD_RECKONING: "dead reckoning" };
 
 const NUMBERS = [
@@ -18,8 +19,8 @@ const NUMBERS = [
   ["Maps kept, joined", (d) => `${d.maps}, ${d.maps_joined}`],
   ["Resets", (d) => `${d.resets}`],
   ["Found again", (d) => `${d.relocalisations}`],
-  ["Scale", (d) => ({ UNKNOWN: "map units", ESTIMATED: `estimated ± ${number(100 * d.scale_sigma, 0, " %")}`, METRIC: "metres" })[d.scale]],
-  ["Lens", (d) => (d.intrinsics === "CALIBRATED" ? "calibrated" : `${d.intrinsics.toLowerCase()} ± ${number(100 * d.focal_sigma, 0, " %")}`)],
+  ["Scale", (d) => ({ UNKNOWN: "map units", ESTIMATED: `estimated ± ${percent(d.scale_sigma)}`, METRIC: "metres" })[d.scale]],
+  ["Lens", (d) => (d.intrinsics === "CALIBRATED" ? "calibrated" : `${d.intrinsics.toLowerCase()} ± ${percent(d.focal_sigma)}`)],
   ["Focal length", (d) => number(d.focal_px[0], 0, " px")],
   ["Position", (d, s) => (s?.state === "TRACKING" ? s.position.map((v) => v.toFixed(2)).join(" ") : "–")],
   ["Up for", (d) => duration(d.uptime_s)],
@@ -57,17 +58,26 @@ export class StateView {
     set($("state"), live ? WORDS[state] ?? state : words[link] ?? "connecting");
     $("state").dataset.state = state;
     set($("sentence"), report.sentence);
-    NUMBERS.forEach(([, value], i) => set(this.values[i], live ? value(daemon, this.last) : "–"));
-    this.faults(live ? daemon.faults : []);
-    document.body.classList.toggle("away", !live);
+    // Without a camera no pose comes, and the last one is none of now.
+    const now = state === "TRACKING" ? this.last : undefined;
+    NUMBERS.forEach(([, value], i) => set(this.values[i], live ? value(daemon, now) : "–"));
+    this.faults(live ? daemon.faults : null);
     return live ? "" : report.sentence;
   }
 
+  /** The console is gone: nothing is known. */
+  away() {
+    this.values.forEach((value) => set(value, "–"));
+    set($("sentence"), "");
+    this.faults(null);
+  }
+
+  /** `null`: they are not known. */
   faults(faults) {
     const key = JSON.stringify(faults);
     if (key === this.shownFaults) return;
     this.shownFaults = key;
-    const items = faults.map(({ name, advice }) => {
+    const items = (faults ?? []).map(({ name, advice }) => {
       const li = document.createElement("li");
       const b = document.createElement("b");
       b.textContent = name;
@@ -76,7 +86,7 @@ export class StateView {
     });
     if (items.length === 0) {
       const li = document.createElement("li");
-      [li.className, li.textContent] = ["none", "No fault stands."];
+      [li.className, li.textContent] = ["none", faults ? "No fault stands." : "Not known."];
       items.push(li);
     }
     $("faults").replaceChildren(...items);

@@ -18,11 +18,17 @@ export class Video {
 
   async frame(frame) {
     this.newest = performance.now();
-    this.follow(frame);
     try {
       const picture = await createImageBitmap(new Blob([frame.jpeg], { type: "image/jpeg" }));
-      this.draw(picture, frame);
+      // Two may be decoded at a time; corners belong to their own picture.
+      const late = frame.sequence <= this.sequence && this.sequence - frame.sequence < 30;
+      if (!late) {
+        this.follow(frame);
+        this.draw(picture, frame);
+      }
       picture.close();
+    } catch (error) {
+      console.warn("a picture cannot be decoded", error);
     } finally {
       this.seen();
     }

@@ -168,6 +168,7 @@ async function token(browser) {
   check(true, "a console that has gone is told");
 }
 
+for (const signal of ["SIGTERM", "SIGINT"]) process.on(signal, () => { robot.end(); process.exit(1); });
 const browser = await chromium.launch({ executablePath: "/usr/bin/chromium", args: ["--no-sandbox", "--enable-unsafe-swiftshader"] });
 try {
   const demo = robot.demo();
