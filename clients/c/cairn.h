@@ -114,6 +114,26 @@
 #define CAIRN_LENS_KANNALA_BRANDT 1
 
 /**
+ * `format` of an encoded picture: rows of `stride` bytes, one byte a pixel, top left first.
+ */
+#define CAIRN_ENCODED_GREY 0
+
+/**
+ * `format` of an encoded picture: rows of `stride` bytes, packed 4:2:2 as Y0 U Y1 V.
+ */
+#define CAIRN_ENCODED_YUYV 1
+
+/**
+ * `format` of an encoded picture: a JPEG, or a webcam's motion JPEG, which may lack its Huffman tables.
+ */
+#define CAIRN_ENCODED_JPEG 2
+
+/**
+ * `format` of an encoded picture: a PNG.
+ */
+#define CAIRN_ENCODED_PNG 3
+
+/**
  * Bytes of a path or message at most.
  */
 #define CAIRN_TEXT_LEN 512
@@ -320,7 +340,7 @@
 #define CAIRN_EVENT_MAX 15
 
 /**
- * Subscribers of a service at most.
+ * Subscribers of a service at most, but of `encoded`.
  */
 #define CAIRN_MAX_SUBSCRIBERS 8
 
@@ -1149,6 +1169,83 @@ typedef struct cairn_command_reply {
   uint8_t message[CAIRN_TEXT_LEN];
 } cairn_command_reply;
 
+/**
+ * Describes the bytes of a `PREFIX/encoded` message: the picture as it came from the camera, before it is decoded or looked at, with what is
+ * believed of its lens and mount at that moment.
+ */
+typedef struct cairn_encoded_header {
+  /**
+   * Another value at every start of the daemon.
+   */
+  uint64_t run_id;
+  /**
+   * As in cairn_pose.sequence of the same frame, whether it becomes a pose or not.
+   */
+  uint64_t sequence;
+  /**
+   * Capture time in the source's clock (`clock`), ns.
+   */
+  int64_t timestamp_ns;
+  /**
+   * CLOCK_MONOTONIC when the frame arrived in the daemon, ns.
+   */
+  int64_t arrival_ns;
+  /**
+   * Focal lengths fx and fy in use, px; NaN before the first frame was looked at.
+   */
+  double focal_px[2];
+  /**
+   * Principal point in use, px; NaN as `focal_px`.
+   */
+  double centre_px[2];
+  /**
+   * Distortion in use: k1 k2 p1 p2 k3, or k1 k2 k3 k4 and zero of a wide-angle lens; NaN as `focal_px`.
+   */
+  double distortion[5];
+  /**
+   * The mount: the camera's optical centre in the body, m. Part of a pose only where `scale` is CAIRN_SCALE_METRIC.
+   */
+  double camera_position[3];
+  /**
+   * The mount: `body_from_camera` of the optical axes (right, down, forward), quaternion (x, y, z, w).
+   */
+  double camera_orientation[4];
+  /**
+   * Pixels; 0 where the picture's own header cannot be read.
+   */
+  uint32_t width;
+  /**
+   * Pixels; 0 where the picture's own header cannot be read.
+   */
+  uint32_t height;
+  /**
+   * Bytes from one row to the next of CAIRN_ENCODED_GREY and CAIRN_ENCODED_YUYV; else 0.
+   */
+  uint32_t stride;
+  /**
+   * CAIRN_ENCODED_GREY, CAIRN_ENCODED_YUYV, CAIRN_ENCODED_JPEG, CAIRN_ENCODED_PNG.
+   */
+  uint8_t format;
+  /**
+   * CAIRN_CLOCK_MONOTONIC, CAIRN_CLOCK_RECORDING.
+   */
+  uint8_t clock;
+  /**
+   * As in cairn_health.intrinsics.
+   */
+  uint8_t intrinsics;
+  /**
+   * As in cairn_health.lens_model.
+   */
+  uint8_t lens_model;
+  /**
+   * Zero.
+   */
+  uint8_t reserved[16];
+} cairn_encoded_header;
+
+
+
 
 
 
@@ -1367,6 +1464,7 @@ int32_t cairn_send_command(struct cairn_client *client,
 #define CAIRN_KEYFRAME_TYPE "cairn.Keyframe.v1"
 #define CAIRN_KEYFRAMES_HEADER_TYPE "cairn.KeyframesHeader.v2"
 #define CAIRN_FRAME_HEADER_TYPE "cairn.FrameHeader.v1"
+#define CAIRN_ENCODED_HEADER_TYPE "cairn.EncodedHeader.v1"
 #define CAIRN_FEATURE_TYPE "cairn.Feature.v1"
 #define CAIRN_FEATURES_HEADER_TYPE "cairn.FeaturesHeader.v1"
 #define CAIRN_COMMAND_TYPE "cairn.Command.v1"
@@ -1510,6 +1608,24 @@ CAIRN_ASSERT(offsetof(cairn_frame_header, height) == 36 && sizeof(((cairn_frame_
 CAIRN_ASSERT(offsetof(cairn_frame_header, stride) == 40 && sizeof(((cairn_frame_header *)0)->stride) == 4);
 CAIRN_ASSERT(offsetof(cairn_frame_header, clock) == 44 && sizeof(((cairn_frame_header *)0)->clock) == 1);
 CAIRN_ASSERT(offsetof(cairn_frame_header, reserved) == 45 && sizeof(((cairn_frame_header *)0)->reserved) == 3);
+CAIRN_ASSERT(sizeof(cairn_encoded_header) == 192);
+CAIRN_ASSERT(offsetof(cairn_encoded_header, run_id) == 0 && sizeof(((cairn_encoded_header *)0)->run_id) == 8);
+CAIRN_ASSERT(offsetof(cairn_encoded_header, sequence) == 8 && sizeof(((cairn_encoded_header *)0)->sequence) == 8);
+CAIRN_ASSERT(offsetof(cairn_encoded_header, timestamp_ns) == 16 && sizeof(((cairn_encoded_header *)0)->timestamp_ns) == 8);
+CAIRN_ASSERT(offsetof(cairn_encoded_header, arrival_ns) == 24 && sizeof(((cairn_encoded_header *)0)->arrival_ns) == 8);
+CAIRN_ASSERT(offsetof(cairn_encoded_header, focal_px) == 32 && sizeof(((cairn_encoded_header *)0)->focal_px) == 16);
+CAIRN_ASSERT(offsetof(cairn_encoded_header, centre_px) == 48 && sizeof(((cairn_encoded_header *)0)->centre_px) == 16);
+CAIRN_ASSERT(offsetof(cairn_encoded_header, distortion) == 64 && sizeof(((cairn_encoded_header *)0)->distortion) == 40);
+CAIRN_ASSERT(offsetof(cairn_encoded_header, camera_position) == 104 && sizeof(((cairn_encoded_header *)0)->camera_position) == 24);
+CAIRN_ASSERT(offsetof(cairn_encoded_header, camera_orientation) == 128 && sizeof(((cairn_encoded_header *)0)->camera_orientation) == 32);
+CAIRN_ASSERT(offsetof(cairn_encoded_header, width) == 160 && sizeof(((cairn_encoded_header *)0)->width) == 4);
+CAIRN_ASSERT(offsetof(cairn_encoded_header, height) == 164 && sizeof(((cairn_encoded_header *)0)->height) == 4);
+CAIRN_ASSERT(offsetof(cairn_encoded_header, stride) == 168 && sizeof(((cairn_encoded_header *)0)->stride) == 4);
+CAIRN_ASSERT(offsetof(cairn_encoded_header, format) == 172 && sizeof(((cairn_encoded_header *)0)->format) == 1);
+CAIRN_ASSERT(offsetof(cairn_encoded_header, clock) == 173 && sizeof(((cairn_encoded_header *)0)->clock) == 1);
+CAIRN_ASSERT(offsetof(cairn_encoded_header, intrinsics) == 174 && sizeof(((cairn_encoded_header *)0)->intrinsics) == 1);
+CAIRN_ASSERT(offsetof(cairn_encoded_header, lens_model) == 175 && sizeof(((cairn_encoded_header *)0)->lens_model) == 1);
+CAIRN_ASSERT(offsetof(cairn_encoded_header, reserved) == 176 && sizeof(((cairn_encoded_header *)0)->reserved) == 16);
 CAIRN_ASSERT(sizeof(cairn_feature) == 24);
 CAIRN_ASSERT(offsetof(cairn_feature, track) == 0 && sizeof(((cairn_feature *)0)->track) == 8);
 CAIRN_ASSERT(offsetof(cairn_feature, position) == 8 && sizeof(((cairn_feature *)0)->position) == 8);
