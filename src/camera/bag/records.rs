@@ -89,7 +89,7 @@ impl Records {
     pub fn step(&mut self, mut show: impl FnMut(&Record)) -> Result<Step, String> {
         loop {
             match self.reader.next_event() {
-                None => return Ok(Step::End),
+                None => return Ok(if self.closed { Step::End } else { Step::CutOff }),
                 Some(Err(McapError::UnexpectedEof)) => return Ok(Step::CutOff),
                 // A recorder that writes a chunk's length last, and died before.
                 Some(Err(McapError::UnexpectedEoc)) if !self.closed => return Ok(Step::CutOff),
