@@ -97,7 +97,7 @@
 //! | `robot` | the daemon: camera, services, calibration, and the commands run, doctor, watch, command, calibrate, record, replay | `cairn` |
 //! | `tools` (default) | the whole: also simulator, plot, workbench, evaluation, console, and the commands demo, console, simulate, evaluate, twoview, compare | `cairn-tools` |
 //!
-//! Each contains those above it but `c`. What a room of its own brings along that a robot may do without (a console, a recorder to share, a
+//! Each contains those above it but `c`. What a room of its own brings along that a robot may do without (a console, a bridge to share, a
 //! fleet) is a feature of its own, which `tools` contains. Rooms are left out whole: below `cli`, `cfg` stands at a room's door and hardly anywhere
 //! else. The robot's build replays, because a recording gives the same bytes only from the same build on the same kind of processor;
 //! it reads and checks the configuration of what it leaves out, so that one file serves both, and answers what it cannot do with one sentence.
