@@ -1,4 +1,5 @@
-//! Publishing a pose allocates nothing, with and without readers, and a recorder's picture no more than iceoryx2 does. A binary of its own, for its allocator that counts.
+//! Publishing a pose allocates nothing, with and without readers, and a recorder's picture or a list of features no more than iceoryx2 does. A
+//! binary of its own, for its allocator that counts.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -6,11 +7,12 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use cairn::client::Client;
-use cairn::frame::{PixelFormat, RawFrame};
+use cairn::frame::{Clock, PixelFormat, RawFrame};
 use cairn::geometry::Se3;
-use cairn::map::{KeyframeId, MapId};
-use cairn::messages::Endpoint;
-use cairn::publish::{CameraView, Conversion, Limits, Publisher};
+use cairn::map::{KeyframeId, LandmarkId, MapId};
+use cairn::messages::services::MAX_FEATURES;
+use cairn::messages::{Endpoint, NO_LANDMARK, NO_TRACK};
+use cairn::publish::{CameraView, Conversion, FrameStamp, Limits, Publisher};
 use cairn::reconstruction::{PoseEstimate, TrackingState};
 use nalgebra::{Matrix6, Vector3};
 
@@ -121,7 +123,35 @@ fn publishing_a_pose_allocates_nothing() {
     // More bytes than there is room for are an error and no crash.
     let large = RawFrame { data: vec![7; 11], ..frame.clone() };
     assert!(publisher.encoded.publish(&large, &camera).is_err());
-    drop((publisher, poses, encoded));
+
+    let mut features = client.features();
+    let stamp = FrameStamp { sequence: 1, timestamp_ns: 2, arrival_ns: 3, clock: Clock::Recording };
+    let mut lists = |times: usize| {
+        let (before, mut sent) = (ALLOCATIONS.get(), 0);
+        for _ in 0..times {
+            let matches = (0..5).map(|i| (LandmarkId(i), [1.0, 2.0]));
+            let tracks = (0..MAX_FEATURES as u64).map(|id| (id, [3.0, 4.0], 6));
+            sent += usize::from(publisher.features.publish(matches, tracks, (640, 480), &stamp).expect("features"));
+        }
+        (ALLOCATIONS.get() - before, sent)
+    };
+    assert_eq!(lists(1_000), (0, 0), "nobody asks for features");
+    let list = loop {
+        assert!(start.elapsed() < Duration::from_secs(10), "no features have come");
+        if let Some(list) = features.try_next().expect("next") {
+            break list;
+        }
+        lists(1);
+    };
+    // Landmarks first, and the newest tracks are what there is no room for.
+    assert_eq!((list.header().count as usize, list.header().total as usize), (MAX_FEATURES, MAX_FEATURES + 5));
+    assert_eq!((list[4].landmark, list[4].track), (4, NO_TRACK));
+    assert_eq!((list[5].landmark, list[5].track, list[5].age), (NO_LANDMARK, 0, 6));
+    drop(list);
+    lists(20);
+    let (each, sent) = lists(1_000);
+    assert!(sent == 1_000 && each <= 1_000, "{each} allocations for {sent} lists: one each is iceoryx2's");
+    drop((publisher, poses, encoded, features));
     let _ = std::fs::remove_dir_all(&root);
     for entry in std::fs::read_dir("/dev/shm").into_iter().flatten().flatten() {
         if entry.file_name().to_string_lossy().starts_with(&name) {
