@@ -17,6 +17,7 @@ use tungstenite::{Message, WebSocket};
 
 use super::commands::Action;
 use super::guard::Access;
+use super::http;
 use super::hub::{Hub, demand};
 use super::outbox::{Next, Outbox};
 use super::pair::{Method, Which};
@@ -183,7 +184,9 @@ fn close(writer: &mut WebSocket<TcpStream>, code: u16, reason: &'static str) -> 
     let frame = CloseFrame { code: code.into(), reason: reason.into() };
     // Whoever has gone needs no reason.
     let _ = writer.close(Some(frame)).and_then(|()| writer.flush());
-    writer.get_ref().shutdown(Shutdown::Write)
+    // What it has said meanwhile is taken: a connection that is closed over it loses the reason on its way.
+    http::linger(writer.get_mut());
+    Ok(())
 }
 
 /// A message of the page; `None` for what is none of its words.
