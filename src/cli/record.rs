@@ -67,7 +67,7 @@ impl From<ShareError> for CliError {
     fn from(error: ShareError) -> Self {
         match error {
             ShareError::Client(error) => error.into(),
-            ShareError::Thread(_) | ShareError::Panicked => Self::new(exit_code::FAILURE, error.to_string()),
+            ShareError::Panicked => Self::new(exit_code::FAILURE, error.to_string()),
             _ => Self::new(exit_code::CANNOT_CREATE, error.to_string()),
         }
     }

@@ -8,8 +8,8 @@
 //!
 //! - [`guard`] decides who may speak: names of this host, the page's own origin, and a token unless only this machine can connect.
 //! - `http` answers with what is embedded ([`assets`]); all that the robot tells goes through the WebSocket (`session`).
-//! - `feed` subscribes once however many pages there are, and only to what a page that is looked at shows: without one the daemon copies no
-//!   picture. A picture is encoded once for all.
+//! - `feed` subscribes once however many pages there are: to poses and health always, to pictures, features and map only while a page
+//!   that is looked at shows them, so that without one the daemon copies no picture. A picture is encoded once for all.
 //! - A page that is slow gets fewer pictures: an `outbox` keeps the newest message of a kind, and at most `outbox::IN_FLIGHT` pictures are under
 //!   way to a page that has not said that it has drawn them.
 //! - Everything is bounded: connections, pages, sizes and times of requests, messages of a page a second, and what waits for it.

@@ -14,8 +14,6 @@ pub enum ShareError {
     /// The file is closed and whole.
     #[error("{path}: {free_mb} MB are left on the disk, {floor_mb} MB are kept free: the recording ends here")]
     DiskFull { path: String, free_mb: u64, floor_mb: u64 },
-    #[error("cannot start a thread: {0}")]
-    Thread(std::io::Error),
     #[error("the writing thread panicked")]
     Panicked,
     /// The daemon cannot be heard, and waiting would not cure it. What was recorded is whole.
