@@ -136,6 +136,10 @@ pub mod geometry;
 pub mod image;
 #[cfg(feature = "robot")]
 pub mod map;
+#[cfg(feature = "robot")]
+pub mod motion;
+#[cfg(feature = "robot")]
+pub mod places;
 #[cfg(feature = "tools")]
 pub mod plot;
 #[cfg(feature = "robot")]

@@ -1,0 +1,1 @@
+//! Places: knowing one again after a long way, correcting the drift, and keeping maps on disk from one day to the next.
