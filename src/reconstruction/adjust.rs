@@ -77,7 +77,7 @@ impl Reconstruction {
             self.corrections.adjusted(&old, &new);
         }
         if when != Merge::AtTheEnd && optics.intrinsics.wants_restart(&optics.camera) {
-            self.reset();
+            self.put_aside();
         }
     }
 

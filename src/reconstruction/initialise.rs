@@ -12,6 +12,7 @@ use super::adjust::job::MappingJob;
 use super::keyframe::point::refine_point;
 use super::measurement::PosePair;
 use super::odometry::Odometry;
+use super::optics::Optics;
 use super::track::Tracked;
 use super::track::association::{Seed, Target};
 use super::track::frame::Frame;
@@ -211,10 +212,16 @@ impl Reconstruction {
     /// Adjusts the whole (new, small) map at once: how surely the newest camera's direction from the first is known (rad), and the
     /// readout time found with it (s, and its variance); `None` if too few landmarks hold.
     fn adjust_whole(&mut self) -> Option<(f64, (f64, f64))> {
-        let result = MappingJob::whole(&self.active.map, &self.optics.camera, &self.optics.shutter, START_STEPS)?.run();
+        let Optics { camera, shutter, intrinsics, .. } = &self.optics;
+        let result = MappingJob::whole(&self.active.map, camera, shutter, START_STEPS)?.run();
         let supported = result.supported_landmarks();
-        let (sigma, readout) = (result.direction_sigma(), result.readout());
+        let (mut sigma, readout) = (result.direction_sigma(), result.readout());
         result.merge(&mut self.active.map);
+        if !intrinsics.is_calibrated() {
+            // What the lens may be wrong by, the direction may be as well.
+            sigma =
+                intrinsics.unknown_lens_job(&self.active.map, camera, shutter, START_STEPS)?.run().direction_sigma();
+        }
         (supported >= self.config.start_landmarks).then_some((sigma, readout))
     }
 

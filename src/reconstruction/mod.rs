@@ -35,7 +35,7 @@ use keyframe::pictures::{WHOLE_PICTURES, reduce_pictures};
 use keyframe::{KeyframeInputs, NewKeyframe};
 use optics::Optics;
 use relocalise::Relocaliser;
-use relocalise::other_maps::{OtherMaps, WORTH_KEEPING, retire};
+use relocalise::other_maps::{OtherMap, OtherMaps, WORTH_KEEPING, retire};
 use track::frame::Frame;
 use track::search::Match;
 use track::{Tracked, Tracker};
@@ -335,10 +335,23 @@ impl Reconstruction {
 
     /// Drops the present map.
     fn end_map(&mut self) {
-        self.mapper.discard();
         retire(&self.active.map, &mut self.events);
+        self.leave_map();
+    }
+
+    /// Puts the present map aside, for the next one to be joined to, and starts over.
+    fn put_aside(&mut self) {
+        let old = self.leave_map();
+        let gone = self.others.keep(OtherMap::new(old), self.config.max_keyframes);
+        gone.iter().for_each(|map| retire(map, &mut self.events));
+    }
+
+    /// Starts over; returns the map that was.
+    fn leave_map(&mut self) -> ActiveMap {
+        self.mapper.discard();
         self.optics.intrinsics.end_map(&self.optics.camera);
-        self.active = self.active.successor();
+        let next = self.active.successor();
+        let old = std::mem::replace(&mut self.active, next);
         self.corrections.end_map();
         self.initialiser.clear();
         self.orientation.clear();
@@ -346,6 +359,7 @@ impl Reconstruction {
         self.pending = Pending::default();
         self.state = TrackingState::Initializing;
         self.counters.resets += 1;
+        old
     }
 
     /// Starts over with another camera model, because the pictures have another size now.

@@ -264,6 +264,23 @@ impl Intrinsics {
         Some(job)
     }
 
+    /// Adjustment of the whole map through a lens that is free within what is known of it.
+    pub fn unknown_lens_job(
+        &self,
+        map: &Map,
+        camera: &CameraModel,
+        shutter: &Shutter,
+        steps: usize,
+    ) -> Option<MappingJob> {
+        let mut job = MappingJob::whole(map, camera, shutter, steps)?;
+        let mut information = self.sigma.map(|s| 1.0 / (s * s));
+        if !is_pinhole(camera) {
+            information.as_mut_slice()[WITHOUT_DISTORTION..].fill(f64::INFINITY);
+        }
+        job.refine_intrinsics(map, camera, &IntrinsicsVector::zeros(), &information);
+        Some(job)
+    }
+
     /// Keyframes at which the whole map is to be adjusted again: when it has grown by a third; a guessed lens at every keyframe of a
     /// small map and when a larger one has grown by a sixth.
     pub fn next_whole(&self, keyframes: usize) -> usize {
