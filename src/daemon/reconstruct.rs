@@ -17,6 +17,7 @@ use crate::frame::monotonic_ns;
 use crate::geometry::frames::Body;
 use crate::geometry::{CameraModel, Se3};
 use crate::map::MapSnapshot;
+use crate::motion::wheel::WheelQueue;
 use crate::publish::convert::Map;
 use crate::publish::{MapContext, PublishError};
 use crate::reconstruction::{
@@ -95,6 +96,8 @@ pub struct ReconstructStep {
     outlet: Option<Outlet>,
     recorder: RecorderLink,
     status: Arc<Status>,
+    /// What the base's wheels tell; `None`: nobody asks them.
+    wheels: Option<Arc<WheelQueue>>,
     publish_faults: RateLimiter,
     events: Vec<TrajectoryEvent>,
     snapshot: MapSnapshot,
@@ -133,6 +136,7 @@ impl ReconstructStep {
             outlet,
             recorder,
             status,
+            wheels: None,
             publish_faults: RateLimiter::default(),
             events: Vec::new(),
             snapshot: MapSnapshot::default(),
@@ -147,6 +151,12 @@ impl ReconstructStep {
         }
     }
 
+    /// With what the base's wheels tell.
+    pub fn with_wheels(mut self, wheels: Arc<WheelQueue>) -> Self {
+        self.wheels = Some(wheels);
+        self
+    }
+
     /// One frame, from features to map. `ready_ns`: CLOCK_MONOTONIC when its features were ready. The error is the
     /// calibration's: no frame of this source can ever be placed.
     pub fn step(&mut self, features: &FrameFeatures, ready_ns: i64, feedback: &mut Feedback) -> Result<(), String> {
@@ -156,6 +166,9 @@ impl ReconstructStep {
         }
         let Some(reconstruction) = self.reconstruction.as_mut() else { return Ok(()) };
         let begin = Instant::now();
+        if let Some(wheels) = &self.wheels {
+            wheels.take(features.timestamp_ns, |reading| reconstruction.add_wheel(reading));
+        }
         let mut estimate = reconstruction.track(features);
         estimate.reset_counter = estimate.reset_counter.wrapping_add(self.placements);
         self.status.track.record(begin.elapsed());

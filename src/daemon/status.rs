@@ -1,9 +1,11 @@
 //! What the stages say of themselves while they run: counters, latencies, signs of life. Written by the stages, read by
 //! the supervisor and by whoever prints a summary. Fixed size, no locks.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU32, AtomicU64, Ordering};
 
 use crate::map::MapSnapshot;
+use crate::motion::wheel::WheelCounts;
 use crate::reconstruction::{Corrections, Counters, LensEstimate, LensKnowledge, PoseEstimate, TrackingState};
 use crate::telemetry::{Counter, Heartbeat, Histogram};
 
@@ -47,6 +49,8 @@ pub struct Status {
     pub blind_turns: Counter,
     pub adjustments: Counter,
     pub adjustments_late: Counter,
+    /// What has become of the messages of the base's driver.
+    pub wheels: Arc<WheelCounts>,
 
     /// Grey picture from the bytes of a frame.
     pub decode: Histogram,
@@ -125,6 +129,7 @@ impl Default for Status {
             blind_turns: Counter::default(),
             adjustments: Counter::default(),
             adjustments_late: Counter::default(),
+            wheels: Arc::default(),
             decode: Histogram::default(),
             feature: Histogram::default(),
             queue: Histogram::default(),
