@@ -31,19 +31,38 @@ pub struct WheelMessage {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum WheelFault {
     /// NaN or infinite, by name.
-    NotFinite { name: &'static str, value: f64 },
-    Speed { name: &'static str, value_mps: f64 },
-    TurnRate { value_radps: f64 },
+    NotFinite {
+        name: &'static str,
+        value: f64,
+    },
+    Speed {
+        name: &'static str,
+        value_mps: f64,
+    },
+    TurnRate {
+        value_radps: f64,
+    },
     /// Negative or infinite.
-    Variance { name: &'static str, value: f64 },
+    Variance {
+        name: &'static str,
+        value: f64,
+    },
     /// The interval ends where it starts or before, or is longer than a gap.
-    Interval { length_ns: i64 },
+    Interval {
+        length_ns: i64,
+    },
     /// Time repeats or goes back behind the message before.
-    GoesBack { by_ns: i64 },
+    GoesBack {
+        by_ns: i64,
+    },
     /// One message ahead of those that follow it.
-    JumpsAhead { by_ns: i64 },
+    JumpsAhead {
+        by_ns: i64,
+    },
     /// The stamp is not of the pictures' clock.
-    WrongClock { ahead_ns: i64 },
+    WrongClock {
+        ahead_ns: i64,
+    },
     /// There is a publisher already, and this is another one.
     SecondPublisher,
 }
@@ -74,10 +93,7 @@ impl fmt::Display for WheelFault {
                 write!(f, "{name} {value_mps} m/s: faster than {MAX_SPEED_MPS} m/s; is it in another unit?")
             }
             Self::TurnRate { value_radps } => {
-                write!(
-                    f,
-                    "angular_z_radps {value_radps} rad/s: faster than {MAX_TURN_RADPS} rad/s; is it in degrees?"
-                )
+                write!(f, "angular_z_radps {value_radps} rad/s: faster than {MAX_TURN_RADPS} rad/s; is it in degrees?")
             }
             Self::Variance { name, value } => write!(f, "variance of {name} is {value}: must be 0 or more, or NaN"),
             Self::Interval { length_ns } => {
