@@ -266,7 +266,7 @@ fn reconstruct(
                 // It fails only when the feature thread is gone, which the next turn will see.
                 let _ = empty.send(parcel);
             }
-            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Timeout) => step.listen(),
             Err(RecvTimeoutError::Disconnected) => break,
         }
     }

@@ -5,10 +5,12 @@
 
 use std::sync::Arc;
 
-use tracing::warn;
+use tracing::{info, warn};
 
+use super::status::Status;
 use crate::frame::monotonic_ns;
 use crate::motion::wheel::{WheelFault, WheelMessage, WheelQueue};
+use crate::publish::WheelInbox;
 use crate::telemetry::RateLimiter;
 
 /// One filler's end of the queue.
@@ -38,6 +40,51 @@ impl WheelIntake {
         if let Some(messages) = self.refused.event(monotonic_ns()) {
             let (number, fault, reason) = (message.number, fault.name(), fault.to_string());
             warn!(messages, origin, number, fault, reason, "wheel reading not believed");
+        }
+    }
+}
+
+/// The wire's end of the queue: a driver that comes, goes, or is not alone is told here.
+#[derive(Debug)]
+pub struct WheelListener {
+    inbox: WheelInbox,
+    intake: WheelIntake,
+    status: Arc<Status>,
+    second: RateLimiter,
+    failures: RateLimiter,
+}
+
+impl WheelListener {
+    pub fn new(inbox: WheelInbox, queue: Arc<WheelQueue>, status: Arc<Status>) -> Self {
+        let intake = WheelIntake::new(queue);
+        Self { inbox, intake, status, second: RateLimiter::default(), failures: RateLimiter::default() }
+    }
+
+    /// Takes in everything that has come by now.
+    pub fn listen(&mut self) {
+        let now_ns = monotonic_ns();
+        let intake = &mut self.intake;
+        let news = match self.inbox.read(now_ns, &mut |message, fault| intake.take("wire", message, fault)) {
+            Ok(news) => news,
+            Err(error) => {
+                if let Some(times) = self.failures.event(now_ns) {
+                    warn!(times, %error, "wheel readings cannot be received");
+                }
+                return;
+            }
+        };
+        if news.messages == 0 {
+            return;
+        }
+        self.status.set_wheels_heard_ns(now_ns);
+        self.status.wheels.missing.add(news.missing);
+        if let Some(pid) = news.driver {
+            info!(pid, "wheel driver heard");
+        }
+        if let Some(pid) = news.second
+            && let Some(times) = self.second.event(now_ns)
+        {
+            warn!(times, pid, "a second wheel driver is not believed");
         }
     }
 }

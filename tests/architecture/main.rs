@@ -41,7 +41,7 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
         &["atomic_file", "camera", "features", "frame", "geometry", "image", "map", "reconstruction", "trajectory"],
     ),
     ("plot", &["atomic_file", "image", "map", "trajectory"]),
-    ("publish", &["frame", "geometry", "image", "map", "messages", "reconstruction"]),
+    ("publish", &["frame", "geometry", "image", "map", "messages", "motion", "reconstruction"]),
     // The web console: a process of its own, a subscriber like any planner. What it says of faults it is given.
     ("console", &["client", "messages", "telemetry"]),
     // A recorder is a process of its own, and a subscriber like any other.
