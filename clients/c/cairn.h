@@ -275,6 +275,21 @@
 #define CAIRN_ERROR_SCALE_ASSUMED (1 << 15)
 
 /**
+ * The base's driver has told of its wheels and has fallen silent, for a second at least.
+ */
+#define CAIRN_ERROR_WHEELS_SILENT (1 << 16)
+
+/**
+ * Wheel messages lately were not believed: no number, an absurd speed, another clock, time that goes back, a second publisher.
+ */
+#define CAIRN_ERROR_WHEELS_WRONG (1 << 17)
+
+/**
+ * Wheel messages lately were lost, or most of them came after the frame that they belong to.
+ */
+#define CAIRN_ERROR_WHEELS_LATE (1 << 18)
+
+/**
  * The map does not grow: the robot is only located in it.
  */
 #define CAIRN_MAP_MODE_LOCALISATION_ONLY (1 << 0)
@@ -754,7 +769,23 @@ typedef struct cairn_health {
   /**
    * Zero.
    */
-  uint8_t reserved[63];
+  uint8_t reserved[31];
+  /**
+   * Messages of the base's driver that were believed; 0, as the three that follow, where nothing tells of wheels.
+   */
+  uint64_t wheel_messages;
+  /**
+   * Messages of a driver that were not: no number, an absurd speed, another clock, time that goes back, a second publisher.
+   */
+  uint64_t wheel_refused;
+  /**
+   * Messages of the driver that were lost on the way, or dropped because no frame asked for them.
+   */
+  uint64_t wheel_missing;
+  /**
+   * Messages of the driver that came after the frame that they belong to; they count from the next one on.
+   */
+  uint64_t wheel_late;
 } cairn_health;
 
 /**
@@ -1170,6 +1201,44 @@ typedef struct cairn_command_reply {
 } cairn_command_reply;
 
 /**
+ * The mean twist of the base over an interval, in the base frame at its start (REP-103: x forward, y left, yaw positive to the left).
+ */
+typedef struct cairn_wheel_odometry {
+  /**
+   * Counts the driver's messages, so that lost ones are seen; a driver that starts anew may begin anywhere.
+   */
+  uint64_t sequence;
+  /**
+   * CLOCK_MONOTONIC at the end of the interval, ns.
+   */
+  int64_t timestamp_ns;
+  /**
+   * CLOCK_MONOTONIC at its start, ns, at most 0.5 s before; CAIRN_UNKNOWN_NS: where the message before ended.
+   */
+  int64_t interval_start_ns;
+  /**
+   * Forward, m/s.
+   */
+  double linear_x_mps;
+  /**
+   * To the left, m/s; 0 of a base that cannot.
+   */
+  double linear_y_mps;
+  /**
+   * Turn to the left, rad/s.
+   */
+  double angular_z_radps;
+  /**
+   * Variances of the three, (m/s)^2, (m/s)^2, (rad/s)^2; NaN where the driver does not know.
+   */
+  double variance[3];
+  /**
+   * Zero.
+   */
+  uint8_t reserved[24];
+} cairn_wheel_odometry;
+
+/**
  * Describes the bytes of a `PREFIX/encoded` message: the picture as it came from the camera, before it is decoded or looked at, with what is
  * believed of its lens and mount at that moment.
  */
@@ -1243,6 +1312,8 @@ typedef struct cairn_encoded_header {
    */
   uint8_t reserved[16];
 } cairn_encoded_header;
+
+
 
 
 
@@ -1449,6 +1520,37 @@ int32_t cairn_send_command(struct cairn_client *client,
                            uint64_t timeout_ns,
                            struct cairn_command_reply *reply);
 
+/**
+ * For the driver of the robot's base: its mean twist since the last call, up to now (REP-103: forward, to the left, turn to the left). To be
+ * called 20 to 100 times a second. `CAIRN_MESSAGE` if a daemon is there, `CAIRN_NOTHING` if not, `CAIRN_ERROR` where waiting does not
+ * help: another driver tells of the wheels already. Never waits.
+ *
+ * # Safety
+ * `client` comes from `cairn_connect`.
+ */
+int32_t cairn_wheel_send(struct cairn_client *client,
+                         double linear_x_mps,
+                         double linear_y_mps,
+                         double angular_z_radps);
+
+/**
+ * The same with stamps and variances of the driver's own; `sequence` is filled in here. Fill in every field: what the driver does not know is
+ * `CAIRN_UNKNOWN_NS` or NaN.
+ *
+ * # Safety
+ * `client` comes from `cairn_connect`; `message` may be read.
+ */
+int32_t cairn_wheel_publish(struct cairn_client *client,
+                            const struct cairn_wheel_odometry *message);
+
+/**
+ * The driver tells no more; another one may.
+ *
+ * # Safety
+ * `client` is null or comes from `cairn_connect`.
+ */
+void cairn_wheel_stop(struct cairn_client *client);
+
 #ifdef __cplusplus
 }  // extern "C"
 #endif  // __cplusplus
@@ -1469,6 +1571,7 @@ int32_t cairn_send_command(struct cairn_client *client,
 #define CAIRN_FEATURES_HEADER_TYPE "cairn.FeaturesHeader.v1"
 #define CAIRN_COMMAND_TYPE "cairn.Command.v1"
 #define CAIRN_COMMAND_REPLY_TYPE "cairn.CommandReply.v1"
+#define CAIRN_WHEEL_ODOMETRY_TYPE "cairn.WheelOdometry.v1"
 
 /* The layout, checked wherever this file is included. */
 #ifdef __cplusplus
@@ -1547,7 +1650,11 @@ CAIRN_ASSERT(offsetof(cairn_health, centre_sigma_px) == 436 && sizeof(((cairn_he
 CAIRN_ASSERT(offsetof(cairn_health, correction_distance) == 440 && sizeof(((cairn_health *)0)->correction_distance) == 4);
 CAIRN_ASSERT(offsetof(cairn_health, correction_rad) == 444 && sizeof(((cairn_health *)0)->correction_rad) == 4);
 CAIRN_ASSERT(offsetof(cairn_health, map_mode) == 448 && sizeof(((cairn_health *)0)->map_mode) == 1);
-CAIRN_ASSERT(offsetof(cairn_health, reserved) == 449 && sizeof(((cairn_health *)0)->reserved) == 63);
+CAIRN_ASSERT(offsetof(cairn_health, reserved) == 449 && sizeof(((cairn_health *)0)->reserved) == 31);
+CAIRN_ASSERT(offsetof(cairn_health, wheel_messages) == 480 && sizeof(((cairn_health *)0)->wheel_messages) == 8);
+CAIRN_ASSERT(offsetof(cairn_health, wheel_refused) == 488 && sizeof(((cairn_health *)0)->wheel_refused) == 8);
+CAIRN_ASSERT(offsetof(cairn_health, wheel_missing) == 496 && sizeof(((cairn_health *)0)->wheel_missing) == 8);
+CAIRN_ASSERT(offsetof(cairn_health, wheel_late) == 504 && sizeof(((cairn_health *)0)->wheel_late) == 8);
 CAIRN_ASSERT(sizeof(cairn_stage_health) == 32);
 CAIRN_ASSERT(offsetof(cairn_stage_health, steps) == 0 && sizeof(((cairn_stage_health *)0)->steps) == 8);
 CAIRN_ASSERT(offsetof(cairn_stage_health, heartbeat_age_ns) == 8 && sizeof(((cairn_stage_health *)0)->heartbeat_age_ns) == 8);
@@ -1652,4 +1759,13 @@ CAIRN_ASSERT(sizeof(cairn_command_reply) == 520);
 CAIRN_ASSERT(offsetof(cairn_command_reply, code) == 0 && sizeof(((cairn_command_reply *)0)->code) == 4);
 CAIRN_ASSERT(offsetof(cairn_command_reply, message_len) == 4 && sizeof(((cairn_command_reply *)0)->message_len) == 4);
 CAIRN_ASSERT(offsetof(cairn_command_reply, message) == 8 && sizeof(((cairn_command_reply *)0)->message) == 512);
+CAIRN_ASSERT(sizeof(cairn_wheel_odometry) == 96);
+CAIRN_ASSERT(offsetof(cairn_wheel_odometry, sequence) == 0 && sizeof(((cairn_wheel_odometry *)0)->sequence) == 8);
+CAIRN_ASSERT(offsetof(cairn_wheel_odometry, timestamp_ns) == 8 && sizeof(((cairn_wheel_odometry *)0)->timestamp_ns) == 8);
+CAIRN_ASSERT(offsetof(cairn_wheel_odometry, interval_start_ns) == 16 && sizeof(((cairn_wheel_odometry *)0)->interval_start_ns) == 8);
+CAIRN_ASSERT(offsetof(cairn_wheel_odometry, linear_x_mps) == 24 && sizeof(((cairn_wheel_odometry *)0)->linear_x_mps) == 8);
+CAIRN_ASSERT(offsetof(cairn_wheel_odometry, linear_y_mps) == 32 && sizeof(((cairn_wheel_odometry *)0)->linear_y_mps) == 8);
+CAIRN_ASSERT(offsetof(cairn_wheel_odometry, angular_z_radps) == 40 && sizeof(((cairn_wheel_odometry *)0)->angular_z_radps) == 8);
+CAIRN_ASSERT(offsetof(cairn_wheel_odometry, variance) == 48 && sizeof(((cairn_wheel_odometry *)0)->variance) == 24);
+CAIRN_ASSERT(offsetof(cairn_wheel_odometry, reserved) == 72 && sizeof(((cairn_wheel_odometry *)0)->reserved) == 24);
 #undef CAIRN_ASSERT

@@ -117,6 +117,16 @@ class Client {
     std::optional<Frame> frame(Duration timeout) { return view<Frame>(cairn_frame_wait, timeout); }
     std::optional<Features> features(Duration timeout) { return view<Features>(cairn_features_wait, timeout); }
 
+    // For the driver of the robot's base: its mean twist since the last call, up to now (forward, to the left, turn to the left), 20 to 100
+    // times a second. True if a daemon is there; throws where another driver tells of the wheels already. Never waits.
+    bool send_wheels(double linear_x_mps, double linear_y_mps, double angular_z_radps) {
+        return detail::came(cairn_wheel_send(client_.get(), linear_x_mps, linear_y_mps, angular_z_radps));
+    }
+    // With stamps and variances of the driver's own.
+    bool publish_wheels(const cairn_wheel_odometry &message) {
+        return detail::came(cairn_wheel_publish(client_.get(), &message));
+    }
+
     // Throws only if there is no answer; a refusal is an answer.
     cairn_command_reply command(const cairn_command &command, Duration timeout) {
         cairn_command_reply reply;

@@ -13,6 +13,7 @@ pub use recording::{Pacing, Recording};
 
 use crate::frame::{Clock, RawFrame};
 use crate::geometry::CameraModel;
+use crate::motion::wheel::{WheelFault, WheelMessage};
 
 /// What a source says of itself once it is open.
 #[derive(Debug, Clone)]
@@ -61,4 +62,8 @@ pub trait FrameSource: Send {
     /// Waits at most `timeout` for the next frame and copies it into `slot`, whose buffer is reused.
     /// A paced source sleeps until the frame is due; a lock-step source never waits.
     fn grab(&mut self, slot: &mut RawFrame, timeout: std::time::Duration) -> Result<Grab, SourceError>;
+
+    /// Wheel odometry that the source brings with its frames, up to a frame's timestamp, each message once; with it what the source itself knows to
+    /// be wrong with it. A camera has none.
+    fn wheels(&mut self, _until_ns: i64, _to: &mut dyn FnMut(&WheelMessage, Option<WheelFault>)) {}
 }

@@ -16,15 +16,19 @@
 //! decoder.
 //!
 //! Cost: one read of a file (0.1 ms for 130 kB in the page cache). Nothing is read ahead and nothing is allocated per
-//! frame once the slot has grown, but for the path. Not here: ground truth, IMU, stereo, decoding.
+//! frame once the slot has grown, but for the path. Wheel odometry beside the list (see [`odometry`]) is read whole when opening.
+//! Not here: ground truth, IMU, stereo, decoding.
 
 pub mod list;
+mod odometry;
 
 use super::{FrameSource, Grab, SourceDescription, SourceError};
 use crate::calibration;
 use crate::frame::{Clock, PixelFormat, RawFrame, monotonic_ns};
 use crate::image::decode::{picture_size, sniff};
+use crate::motion::wheel::{WheelFault, WheelMessage};
 use list::{ListedFrame, Sequence};
+use odometry::Odometry;
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -66,6 +70,7 @@ pub struct Recording {
     last_timestamp_ns: Option<i64>,
     /// `None` in lock-step.
     pacer: Option<Pacer>,
+    odometry: Odometry,
     /// Kept for its capacity.
     path: PathBuf,
 }
@@ -104,7 +109,13 @@ impl Recording {
         let mut by_time: Vec<u32> = (0..sequence.frames.len() as u32).collect();
         by_time.sort_by_key(|i| sequence.frames[*i as usize].timestamp_ns);
         let pacer = (pacing == Pacing::RealTime).then(|| Pacer::new(interval_ns));
-        Ok(Self { description, sequence, by_time, next: 0, last_timestamp_ns: None, pacer, path: PathBuf::new() })
+        let stamps = || sequence.frames.iter().map(|frame| frame.timestamp_ns);
+        let odometry = match (&sequence.odometry, stamps().min(), stamps().max()) {
+            (Some(file), Some(first), Some(last)) => Odometry::read(file, (first, last))?,
+            _ => Odometry::default(),
+        };
+        let (last_timestamp_ns, path) = (None, PathBuf::new());
+        Ok(Self { description, sequence, by_time, next: 0, last_timestamp_ns, pacer, odometry, path })
     }
 
     /// Every frame of the list, in the list's order, those that will be skipped too.
@@ -162,6 +173,10 @@ impl FrameSource for Recording {
         slot.timestamp_ns = frame.timestamp_ns;
         slot.arrival_ns = monotonic_ns();
         Ok(Grab::Frame)
+    }
+
+    fn wheels(&mut self, until_ns: i64, to: &mut dyn FnMut(&WheelMessage, Option<WheelFault>)) {
+        self.odometry.give(until_ns, to);
     }
 }
 

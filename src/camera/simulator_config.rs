@@ -96,6 +96,10 @@ macro_rules! config {
     };
 }
 
+mod wheels;
+
+pub use wheels::WheelsConfig;
+
 config! {
     /// The simulated webcam.
     SimulatorConfig {
@@ -142,6 +146,8 @@ config! {
         gloss: GlossConfig = GlossConfig::default(),
         /// People who walk through.
         people: PeopleConfig = PeopleConfig::default(),
+        /// The base under the camera, where one drives it, and what its wheels tell.
+        wheels: WheelsConfig = WheelsConfig::default(),
         /// What the desk of `desk_sweep` is like.
         desk: DeskConfig = DeskConfig::default(),
     }
@@ -419,6 +425,7 @@ impl SimulatorConfig {
         within("gloss.spread_deg", self.gloss.spread_deg, "degrees", 0.5, 20.0)?;
         within("people.start_s", self.people.start_s, "s", 0.0, 1e7)?;
         within("people.walk_m_s", self.people.walk_m_s, "m/s", 0.2, 2.0)?;
+        self.wheels.validate()?;
         let board = &self.chessboard;
         within("chessboard.columns", f64::from(board.columns), "inner corners", 3.0, 20.0)?;
         within("chessboard.rows", f64::from(board.rows), "inner corners", 3.0, 20.0)?;

@@ -19,7 +19,7 @@ use super::{CliError, exit_code};
 use crate::config::{self, Config};
 use crate::evaluation::association::CoverageBasis;
 use crate::evaluation::suite::{self, SuiteError, SuiteOptions};
-use crate::evaluation::{Evaluation, EvaluationError, Reference, evaluate};
+use crate::evaluation::{Evaluation, EvaluationError, MetricFigures, Reference, evaluate};
 use crate::trajectory::{TrajectoryError, read_tum};
 
 /// Runs the command.
@@ -61,6 +61,9 @@ struct JsonReport<'a> {
     plot: Option<String>,
     #[serde(flatten)]
     figures: &'a Evaluation,
+    /// With `--metric`; null where nothing can be aligned.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    metric: Option<Option<MetricFigures>>,
 }
 
 fn judge_one(args: &EvaluateArgs, estimate_path: &Path, ground_truth: &Path) -> Result<ExitCode, CliError> {
@@ -80,10 +83,11 @@ fn judge_one(args: &EvaluateArgs, estimate_path: &Path, ground_truth: &Path) -> 
             frames: reference.frames_path.as_ref().map(|p| p.display().to_string()),
             plot,
             figures,
+            metric: args.metric.then_some(outcome.metric),
         };
         json(&report)?
     } else {
-        report(figures, plot.as_deref())
+        report(figures, outcome.metric.as_ref().filter(|_| args.metric), plot.as_deref())
     };
     print(&text)?;
     let mut line = StatusLine::new(args.result.quiet);
@@ -107,7 +111,7 @@ fn judge_one(args: &EvaluateArgs, estimate_path: &Path, ground_truth: &Path) -> 
 }
 
 /// The figures for a person.
-fn report(figures: &Evaluation, plot: Option<&str>) -> String {
+fn report(figures: &Evaluation, metric: Option<&MetricFigures>, plot: Option<&str>) -> String {
     let mut lines = Vec::new();
     let mut line = |name: &str, value: String| lines.push(format!("{name:<15}{value}\n"));
     let of = match figures.coverage_basis {
@@ -133,6 +137,16 @@ fn report(figures: &Evaluation, plot: Option<&str>) -> String {
     if let Some(alignment) = &figures.alignment {
         line("scale", format!("{:.6} m a unit of the estimate", alignment.scale));
         line("path", format!("{:.3} m over {} poses", figures.path_m, figures.matched_poses));
+    }
+    if let Some(MetricFigures { scale, ate_m: ate, relative }) = metric {
+        let (mean, median, max) = (ate.mean, ate.median, ate.max);
+        line("metric ATE RMSE", format!(" {:.4} m  (mean {mean:.4}, median {median:.4}, max {max:.4})", ate.rmse));
+        if let Some(relative) = relative {
+            let percent = relative.translation_percent.rmse;
+            line("metric relative", format!(" {percent:.3} % a metre  ({} segments of 1 m)", relative.segments));
+        }
+        let off = 100.0 * (scale - 1.0);
+        line("metric scale", format!("a metre of the estimate is {scale:.6} m ({off:+.3} %)"));
     }
     if let Some(plot) = plot {
         line("picture", plot.to_string());

@@ -78,8 +78,36 @@ struct Summary {
     #[serde(flatten)]
     resources: Resources,
     intrinsics: IntrinsicsSummary,
+    /// Only where the recording tells of wheels.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    wheels: Option<WheelSummary>,
     stages: StageLatencies,
     files: Vec<PathBuf>,
+}
+
+/// What has become of the lines of `odometry.txt`.
+#[derive(Debug, Clone, Copy, Serialize)]
+struct WheelSummary {
+    /// Believed.
+    readings: u64,
+    /// Not believed: a speed that cannot be, or no number.
+    absurd: u64,
+    /// Not believed: time repeats, goes back or jumps ahead.
+    out_of_order: u64,
+    /// Stretches of over 0.5 s without a reading.
+    gaps: u64,
+    /// Dropped because no frame asked for them.
+    dropped: u64,
+}
+
+impl WheelSummary {
+    /// `None`: nothing was told.
+    fn of(status: &Status) -> Option<Self> {
+        let w = &status.wheels;
+        let (readings, absurd, out_of_order) = (w.received.get(), w.absurd.get(), w.out_of_order.get());
+        let (gaps, dropped) = (w.gaps.get(), w.dropped.get());
+        (readings + w.refused() > 0).then_some(Self { readings, absurd, out_of_order, gaps, dropped })
+    }
 }
 
 /// The lens at the end, and how surely it is known.
@@ -264,6 +292,7 @@ fn summarise(status: &Status, end: &End) -> Summary {
         elapsed_s: 0.0,
         resources: Resources { cpu_ms_per_frame: 0.0, peak_rss_mb: 0.0 },
         intrinsics: IntrinsicsSummary::of(status),
+        wheels: WheelSummary::of(status),
         stages: StageLatencies::of(status),
         files: end.written.files.clone(),
     }
@@ -292,6 +321,10 @@ fn text(s: &Summary) -> String {
     );
     if s.blind_turns > 0 {
         text += &format!("  {} turns on the spot behind which the scale is an assumption\n", s.blind_turns);
+    }
+    if let Some(w) = &s.wheels {
+        let refused = w.absurd + w.out_of_order;
+        text += &format!("  {} wheel readings, {refused} not believed, {} gaps of over 0.5 s\n", w.readings, w.gaps);
     }
     let lens = &s.intrinsics;
     if lens.knowledge != LensKnowledge::Calibrated.name() {

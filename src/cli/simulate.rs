@@ -48,6 +48,10 @@ pub enum Effect {
     Gloss,
     /// People who walk through.
     People,
+    /// `odometry.txt` of the base's wheels; on from the start where a base drives the camera.
+    Wheels,
+    /// Wheels that slip in bursts of 1 to 4 s.
+    WheelSlip,
 }
 
 impl Effect {
@@ -70,6 +74,8 @@ impl Effect {
             Self::Jerks => &mut config.jerks.enabled,
             Self::Gloss => &mut config.gloss.enabled,
             Self::People => &mut config.people.enabled,
+            Self::Wheels => &mut config.wheels.enabled,
+            Self::WheelSlip => &mut config.wheels.slip,
         };
         *key = on;
     }
@@ -114,8 +120,28 @@ pub struct SimulateArgs {
     /// Time from the first row to the last, ms
     #[arg(long, value_name = "MS")]
     pub readout_ms: Option<f64>,
+    /// By how much the true radius of the left and the right wheel exceeds what the driver supposes, percent
+    #[arg(long, value_name = "LEFT,RIGHT", value_parser = parse_pair, allow_hyphen_values = true)]
+    pub wheel_radius_error: Option<(f64, f64)>,
+    /// Time by which the driver's stamps are later than the motion, ms
+    #[arg(long, value_name = "MS")]
+    pub wheel_delay_ms: Option<f64>,
+    /// Wheel messages that are lost, percent
+    #[arg(long, value_name = "PERCENT")]
+    pub wheel_loss: Option<f64>,
+    /// Place of the camera on the base, forward and to the left of the middle between the wheels, m
+    #[arg(long, value_name = "X,Y", value_parser = parse_pair, allow_hyphen_values = true)]
+    pub camera_on_base: Option<(f64, f64)>,
+    /// Angle by which the camera looks to the left of where the base drives, degrees
+    #[arg(long, value_name = "DEG", allow_hyphen_values = true)]
+    pub camera_yaw_on_base: Option<f64>,
     #[command(flatten)]
     pub quiet: QuietArgs,
+}
+
+fn parse_pair(text: &str) -> Result<(f64, f64), String> {
+    let parsed = text.split_once(',').and_then(|(a, b)| Some((a.trim().parse().ok()?, b.trim().parse().ok()?)));
+    parsed.ok_or_else(|| format!("`{text}` is not two numbers, as in 0.1,-0.05"))
 }
 
 fn parse_size(text: &str) -> Result<(u32, u32), String> {
@@ -133,6 +159,7 @@ impl SimulateArgs {
         config.rate_hz = self.rate;
         config.speed = self.speed;
         config.chessboard.enabled = self.scenario == Scenario::CalibrationSweep;
+        config.wheels.enabled = self.scenario.is_driven();
         for effect in &self.with {
             effect.switch(&mut config, true);
         }
@@ -145,6 +172,14 @@ impl SimulateArgs {
         if let Some(ms) = self.readout_ms {
             config.rolling_shutter.readout_ms = ms;
         }
+        let wheels = &mut config.wheels;
+        if let Some((left, right)) = self.wheel_radius_error {
+            wheels.radius_error = [left * 1e-2, right * 1e-2];
+        }
+        wheels.delay_ms = self.wheel_delay_ms.unwrap_or(wheels.delay_ms);
+        wheels.loss_share = self.wheel_loss.map_or(wheels.loss_share, |percent| percent * 1e-2);
+        wheels.camera_m = self.camera_on_base.map_or(wheels.camera_m, |(x, y)| [x, y]);
+        wheels.camera_yaw_deg = self.camera_yaw_on_base.unwrap_or(wheels.camera_yaw_deg);
         config
     }
 }
@@ -157,6 +192,12 @@ pub fn run(args: &SimulateArgs) -> Result<ExitCode, CliError> {
     }
     let config = args.config();
     config.validate().map_err(|e| CliError::new(exit_code::USAGE, e.to_string()))?;
+    if args.with.contains(&Effect::Wheels) && !config.scenario.is_driven() {
+        let scenario = config.scenario.name();
+        let message =
+            format!("--with wheels: no base drives the camera of {scenario}; use room_tour, square or corridor");
+        return Err(CliError::new(exit_code::USAGE, message));
+    }
     let mut simulator =
         Simulator::new(&config, Pacing::LockStep).map_err(|e| CliError::new(exit_code::FAILURE, e.to_string()))?;
     let written = simulator

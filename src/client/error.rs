@@ -21,6 +21,8 @@ pub enum ClientError {
     TooManyHeld { service: String, limit: usize },
     /// The daemon's files belong to another user: nothing would ever arrive.
     OtherOwner { path: PathBuf, owner: u32 },
+    /// Another process tells of the wheels already.
+    SecondPublisher { service: String, pid: Option<u32> },
     /// No daemon took the command.
     NoDaemon { prefix: String },
     /// The daemon did not answer in time; it may still carry the command out.
@@ -67,6 +69,13 @@ impl fmt::Display for ClientError {
                     "{} belongs to user {owner} and this process runs as {us}, so nothing would arrive: \
                      run both as the same user (for instance `sudo -u` it)",
                     path.display()
+                )
+            }
+            Self::SecondPublisher { service, pid } => {
+                let who = pid.map(|pid| format!(" (process {pid})")).unwrap_or_default();
+                write!(
+                    f,
+                    "{service} has a publisher already{who}: only one driver may tell of the wheels, stop the other"
                 )
             }
             Self::NoDaemon { prefix } => write!(f, "no daemon with prefix {prefix:?} takes commands: is it running?"),

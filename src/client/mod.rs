@@ -39,6 +39,7 @@ mod latest;
 mod link;
 mod subscription;
 mod topics;
+mod wheel;
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -48,6 +49,7 @@ use iceoryx2_bb_posix::clock::{ClockType, Time};
 pub use error::ClientError;
 pub use subscription::{Encodeds, FeatureLists, Frames, Healths, Keyframes, Map, Poses, Subscription};
 pub use topics::{Encoded, Features, Frame, KeyframesSnapshot, MapSnapshot, Slice, Topic};
+pub use wheel::WheelPublisher;
 
 use crate::messages::services::topic;
 use crate::messages::{DEFAULT_PREFIX, Endpoint};

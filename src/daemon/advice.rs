@@ -27,6 +27,13 @@ pub fn advice(fault: &str) -> &'static str {
         "SCALE_ASSUMED" => {
             "a turn on the spot left all known distances behind: see a place from before it again, turn in an arc, or use a wider lens"
         }
+        "WHEELS_SILENT" => {
+            "the base's driver has stopped telling of its wheels: is it running? It is heard again by itself"
+        }
+        "WHEELS_WRONG" => {
+            "the records before name what is wrong: stamps must be CLOCK_MONOTONIC, speeds m/s and rad/s, from one driver alone"
+        }
+        "WHEELS_LATE" => "have the driver send at once and 20 to 100 times a second; a busy machine loses its messages",
         "PUBLISH_FAILED" => "the record before says why; if /dev/shm is full, `cairn doctor` shows by what",
         "UNCALIBRATED" => "the lens is a guess: `cairn calibrate --camera auto`, or turn and move the camera",
         _ => "a fault of a newer version: `cairn doctor` of that version knows it",
@@ -40,8 +47,8 @@ mod tests {
 
     #[test]
     fn every_fault_has_its_own_advice() {
-        let names: Vec<_> = error::names((1 << 16) - 1).collect();
-        assert!(names.len() >= 16 && !names.contains(&"UNKNOWN"), "{names:?}");
+        let names: Vec<_> = error::names((1 << 19) - 1).collect();
+        assert!(names.len() >= 19 && !names.contains(&"UNKNOWN"), "{names:?}");
         for name in &names {
             assert_ne!(advice(name), advice("UNKNOWN"), "{name}");
         }

@@ -14,6 +14,7 @@ use super::background::TURN;
 use super::background::{Background, Progress};
 use super::status::Status;
 use super::timestamps::{TimestampGate, Verdict};
+use super::wheels::WheelIntake;
 use crate::camera::{FrameSource, Grab, SourceError};
 use crate::frame::{Clock, RawFrame, monotonic_ns};
 use crate::publish::{CameraView, EncodedPublisher, convert};
@@ -86,6 +87,8 @@ pub struct CaptureStep {
     unsent: RateLimiter,
     /// For recorders; `None` where nothing is published.
     encoded: Option<EncodedPublisher>,
+    /// For what the source tells of wheels; `None`: nobody asks.
+    wheels: Option<WheelIntake>,
     status: Arc<Status>,
 }
 
@@ -122,6 +125,7 @@ impl CaptureStep {
             bad_times: RateLimiter::default(),
             unsent: RateLimiter::default(),
             encoded: None,
+            wheels: None,
             status,
         })
     }
@@ -129,6 +133,12 @@ impl CaptureStep {
     /// With a service for recorders, which get every good frame as it came.
     pub fn sharing(mut self, encoded: Option<EncodedPublisher>) -> Self {
         self.encoded = encoded;
+        self
+    }
+
+    /// With a queue for the wheel odometry that a source brings.
+    pub fn with_wheels(mut self, wheels: WheelIntake) -> Self {
+        self.wheels = Some(wheels);
         self
     }
 
@@ -169,6 +179,7 @@ impl CaptureStep {
         }
         match self.gate.judge(slot.timestamp_ns) {
             Verdict::Accept => {
+                self.take_wheels(slot.timestamp_ns);
                 self.share(slot);
                 Captured::Frame
             }
@@ -192,6 +203,12 @@ impl CaptureStep {
                 Captured::Nothing
             }
         }
+    }
+
+    /// What the source tells of wheels up to this frame, before the frame goes on its way.
+    fn take_wheels(&mut self, until_ns: i64) {
+        let (Some(source), Some(wheels)) = (self.source.as_mut(), self.wheels.as_mut()) else { return };
+        source.wheels(until_ns, &mut |message, fault| wheels.take("source", message, fault));
     }
 
     /// The frame as it came, if anybody records.

@@ -19,6 +19,8 @@ use crate::telemetry::{Counter, Heartbeat, Percentiles, Snapshot};
 
 /// A source that is open and gives nothing for so long has a fault, ns.
 const NO_FRAMES_NS: i64 = 2_000_000_000;
+/// A driver of the base that was heard and is silent for so long has stopped, ns.
+const WHEELS_SILENT_NS: i64 = 1_000_000_000;
 /// Fewer points or landmarks than this may soon be too few.
 const FEW: u32 = 40;
 /// A camera that gives less than this part of its rate over a second has a fault.
@@ -68,6 +70,7 @@ struct Totals {
     publish_failures: u64,
     adjustments_late: u64,
     records_lost: u64,
+    wheels: WheelTotals,
     decode: Snapshot,
     feature: Snapshot,
     queue: Snapshot,
@@ -92,6 +95,7 @@ impl Totals {
             publish_failures: s.publish_failures.get(),
             adjustments_late: s.adjustments_late.get(),
             records_lost: s.records_lost.get(),
+            wheels: WheelTotals::of(s),
             decode: s.decode.snapshot(),
             feature: s.feature.snapshot(),
             queue: s.queue.snapshot(),
@@ -101,6 +105,39 @@ impl Totals {
             capture_delay: s.capture_delay.snapshot(),
             latency: s.latency.snapshot(),
         }
+    }
+}
+
+/// What has become of the messages of the base's driver, at one moment.
+#[derive(Debug, Clone, Copy, Default)]
+struct WheelTotals {
+    received: u64,
+    refused: u64,
+    missing: u64,
+    late: u64,
+}
+
+impl WheelTotals {
+    fn of(s: &Status) -> Self {
+        let w = &s.wheels;
+        let missing = w.missing.get() + w.dropped.get();
+        Self { received: w.received.get(), refused: w.refused(), missing, late: w.late.get() }
+    }
+
+    /// Faults of the time since `before`, logged where messages were lost or late. (Those that were not believed have records of their own.)
+    fn faults_since(&self, before: &Self) -> [(u64, u64); 2] {
+        let [received, refused, missing, late] = [
+            self.received - before.received,
+            self.refused - before.refused,
+            self.missing - before.missing,
+            self.late - before.late,
+        ];
+        // One that comes late now and then is how a busy machine is.
+        let faulty = missing > 0 || 2 * late > received;
+        if faulty {
+            warn!(missing, late, received, "wheel readings lost or late");
+        }
+        [(refused, error::WHEELS_WRONG), (u64::from(faulty), error::WHEELS_LATE)]
     }
 }
 
@@ -177,7 +214,10 @@ impl HealthWatch {
         let expected = self.status.nominal_rate_hz() * interval_ns as f64 * 1e-9;
         let slow = flows && self.flowed && (captured as f64) < SLOW_SHARE * expected;
         self.flowed = flows;
+        let [wheels_wrong, wheels_late] = now.wheels.faults_since(&before.wheels);
         self.events = [
+            wheels_wrong,
+            wheels_late,
             (dropped + missed, error::DROPPED_FRAMES),
             (u64::from(slow), error::LOW_RATE),
             (now.corrupt - before.corrupt, error::CORRUPT_FRAMES),
@@ -276,6 +316,7 @@ impl HealthWatch {
             (s.calibration_refused(), error::BAD_CALIBRATION),
             (seen_any && s.lens().0 == LensKnowledge::Guessed, error::UNCALIBRATED),
             (s.scale_is_assumed(), error::SCALE_ASSUMED),
+            (s.wheels_heard_ns().is_some_and(|at| now_ns - at > WHEELS_SILENT_NS), error::WHEELS_SILENT),
             (!self.all_alive(now_ns), error::STALLED_STAGE),
             (state == TrackingState::Lost, error::LOST),
             (self.save_failed, error::SAVE_FAILED),
@@ -342,8 +383,13 @@ impl HealthWatch {
         }
         let (map_revision, [correction_distance, correction_rad]) = s.corrections();
         let (knowledge, [fx, fy, cx, cy, focal_sigma, centre_sigma_px]) = s.lens();
+        let wheels = WheelTotals::of(s);
         Health {
             errors,
+            wheel_messages: wheels.received,
+            wheel_refused: wheels.refused,
+            wheel_missing: wheels.missing,
+            wheel_late: wheels.late,
             intrinsics: convert::intrinsics(knowledge),
             lens_model: convert::lens_model(s.lens_is_wide_angle()),
             focal_px: [fx, fy],

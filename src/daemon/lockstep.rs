@@ -14,16 +14,20 @@ use super::reconstruct::{ReconstructStep, Request};
 use super::recorder::{Recorder, RecorderLink, Written};
 use super::status::Status;
 use super::supervisor::{End, EndCause};
+use super::wheels::WheelIntake;
 use super::{DaemonError, Parts, TURN};
 use crate::features::{Feedback, FrameFeatures};
 use crate::frame::{RawFrame, monotonic_ns};
+use crate::motion::wheel::WheelQueue;
 use crate::reconstruction::InlineWorker;
 
 /// Replays until the source ends, `stop` is set, or `go_on` (called once a frame) says no.
 pub fn run(parts: Parts, stop: &AtomicBool, go_on: &mut dyn FnMut(&Status) -> bool) -> Result<End, DaemonError> {
     let Parts { config, supply, calibration, outlet, outputs, spool_folder, keep_lens, status } = parts;
     let recorder = Recorder::new(&outputs, spool_folder.as_deref(), status.clone())?.keeping(keep_lens);
-    let mut capture = CaptureStep::new(supply, status.clone()).map_err(DaemonError::Thread)?;
+    let wheels = Arc::new(WheelQueue::new(status.wheels.clone()));
+    let capture = CaptureStep::new(supply, status.clone()).map_err(DaemonError::Thread)?;
+    let mut capture = capture.with_wheels(WheelIntake::new(wheels.clone()));
     let mut feature = FeatureStep::new(&config.features, status.clone());
     let mut reconstruct = ReconstructStep::new(
         &config.reconstruction,
@@ -33,7 +37,8 @@ pub fn run(parts: Parts, stop: &AtomicBool, go_on: &mut dyn FnMut(&Status) -> bo
         outlet,
         RecorderLink::Inline(recorder),
         status.clone(),
-    );
+    )
+    .with_wheels(wheels);
     let mut slot = RawFrame::default();
     let mut features = FrameFeatures::default();
     let mut feedback = Feedback::default();

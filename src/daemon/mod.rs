@@ -29,6 +29,7 @@ mod status;
 mod supervisor;
 mod timestamps;
 mod waiting;
+mod wheels;
 mod worker;
 
 use std::path::PathBuf;
@@ -51,11 +52,13 @@ pub use waiting::await_camera;
 use crate::config::Config;
 use crate::features::{Feedback, FrameFeatures};
 use crate::frame::{RawFrame, monotonic_ns};
+use crate::motion::wheel::WheelQueue;
 use crate::ring::{Consumer, Producer, Wait, frame_ring};
 use capture::CaptureStep;
 use feature::FeatureStep;
 use reconstruct::ReconstructStep;
 use recorder::{Order, Recorder, RecorderLink, serve};
+use wheels::WheelIntake;
 use worker::ThreadWorker;
 
 /// Records on their way to the recorder: some 30 seconds of frames while a disk hangs.
@@ -118,6 +121,7 @@ pub(super) fn start(parts: Parts) -> Result<Threads, DaemonError> {
 
     let (worker, mapping) = ThreadWorker::spawn().map_err(DaemonError::Thread)?;
     let link = RecorderLink::Queue(orders, status.clone());
+    let wheels = Arc::new(WheelQueue::new(status.wheels.clone()));
     let step = ReconstructStep::new(
         &config.reconstruction,
         calibration,
@@ -126,7 +130,8 @@ pub(super) fn start(parts: Parts) -> Result<Threads, DaemonError> {
         outlet,
         link,
         status.clone(),
-    );
+    )
+    .with_wheels(wheels.clone());
 
     // As many parcels as may wait, and the one that reconstruction works on.
     let parcels = config.daemon.queue_frames + 1;
@@ -145,7 +150,8 @@ pub(super) fn start(parts: Parts) -> Result<Threads, DaemonError> {
     let feature_step = FeatureStep::new(&config.features, status.clone());
     let beat = status.clone();
     let features = spawn("cairn-features", move || extract(feature_step, consumer, &empty_queue, &full, &beat))?;
-    let capture_step = CaptureStep::new(supply, status.clone()).map_err(DaemonError::Thread)?.sharing(encoded);
+    let capture_step = CaptureStep::new(supply, status.clone()).map_err(DaemonError::Thread)?;
+    let capture_step = capture_step.sharing(encoded).with_wheels(WheelIntake::new(wheels));
     let to_reset = requests.clone();
     let capture = spawn("cairn-capture", move || capture_frames(capture_step, producer, &to_reset, &status))?;
     Ok(Threads { capture, features, reconstruction, mapping, recorder, requests })
@@ -260,7 +266,7 @@ fn reconstruct(
                 // It fails only when the feature thread is gone, which the next turn will see.
                 let _ = empty.send(parcel);
             }
-            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Timeout) => step.listen(),
             Err(RecvTimeoutError::Disconnected) => break,
         }
     }

@@ -10,7 +10,7 @@ use crate::messages::Pose;
 use crate::publish::convert::{self, Map};
 use crate::publish::{
     Conversion, EncodedPublisher, FeaturesPublisher, FramePublisher, FrameStamp, MapContext, MapPublisher,
-    PosePublisher, PublishError, ScaleEstimate,
+    PosePublisher, PublishError, ScaleEstimate, WheelInbox,
 };
 use crate::reconstruction::PoseEstimate;
 
@@ -33,6 +33,8 @@ pub struct Outlet {
     features: Option<FeaturesPublisher>,
     /// For the capture stage, which takes it.
     encoded: Option<EncodedPublisher>,
+    /// For the reconstruction step, which takes it.
+    wheels: Option<WheelInbox>,
     conversion: Conversion,
     placement: Option<Placement>,
     /// As published.
@@ -54,7 +56,17 @@ impl Outlet {
             clock,
             map_from_world: None,
         };
-        Self { poses, map, frames, features: None, encoded: None, conversion, placement: None, last: None }
+        Self {
+            poses,
+            map,
+            frames,
+            features: None,
+            encoded: None,
+            wheels: None,
+            conversion,
+            placement: None,
+            last: None,
+        }
     }
 
     /// Tells what is found in the pictures, too.
@@ -68,6 +80,17 @@ impl Outlet {
         encoded.describe(&self.conversion.body_from_camera, self.conversion.clock);
         self.encoded = Some(encoded);
         self
+    }
+
+    /// Hearing the base's driver, too; not in a replay of a recording, whose clock is another one.
+    pub fn with_wheels(mut self, wheels: WheelInbox) -> Self {
+        self.wheels = Some(wheels).filter(|_| self.conversion.clock == Clock::Monotonic);
+        self
+    }
+
+    /// What the base's driver tells, for who asks before each frame.
+    pub(super) fn take_wheels(&mut self) -> Option<WheelInbox> {
+        self.wheels.take()
     }
 
     /// The part that the capture stage sends: every picture as it came, also those that are dropped because a later one is there.

@@ -12,11 +12,13 @@ use tracing::{debug, error, info, warn};
 use super::outlet::Outlet;
 use super::recorder::{FinalMap, Record, RecorderLink, SaveKind};
 use super::status::{Status, state_name};
+use super::wheels::WheelListener;
 use crate::features::{Feedback, FrameFeatures};
 use crate::frame::monotonic_ns;
 use crate::geometry::frames::Body;
 use crate::geometry::{CameraModel, Se3};
 use crate::map::MapSnapshot;
+use crate::motion::wheel::WheelQueue;
 use crate::publish::convert::Map;
 use crate::publish::{MapContext, PublishError};
 use crate::reconstruction::{
@@ -95,6 +97,10 @@ pub struct ReconstructStep {
     outlet: Option<Outlet>,
     recorder: RecorderLink,
     status: Arc<Status>,
+    /// What the base's wheels tell; `None`: nobody asks them.
+    wheels: Option<Arc<WheelQueue>>,
+    /// Their driver on the wire.
+    driver: Option<WheelListener>,
     publish_faults: RateLimiter,
     events: Vec<TrajectoryEvent>,
     snapshot: MapSnapshot,
@@ -133,6 +139,8 @@ impl ReconstructStep {
             outlet,
             recorder,
             status,
+            wheels: None,
+            driver: None,
             publish_faults: RateLimiter::default(),
             events: Vec::new(),
             snapshot: MapSnapshot::default(),
@@ -147,15 +155,34 @@ impl ReconstructStep {
         }
     }
 
+    /// With what the base's wheels tell.
+    pub fn with_wheels(mut self, wheels: Arc<WheelQueue>) -> Self {
+        let inbox = self.outlet.as_mut().and_then(Outlet::take_wheels);
+        self.driver = inbox.map(|inbox| WheelListener::new(inbox, wheels.clone(), self.status.clone()));
+        self.wheels = Some(wheels);
+        self
+    }
+
+    /// Hears the base's driver; to be called while no frame comes, too.
+    pub fn listen(&mut self) {
+        if let Some(driver) = &mut self.driver {
+            driver.listen();
+        }
+    }
+
     /// One frame, from features to map. `ready_ns`: CLOCK_MONOTONIC when its features were ready. The error is the
     /// calibration's: no frame of this source can ever be placed.
     pub fn step(&mut self, features: &FrameFeatures, ready_ns: i64, feedback: &mut Feedback) -> Result<(), String> {
         self.status.queue.record_ns(monotonic_ns() - ready_ns);
+        self.listen();
         if !self.fits(features)? {
             return Ok(());
         }
         let Some(reconstruction) = self.reconstruction.as_mut() else { return Ok(()) };
         let begin = Instant::now();
+        if let Some(wheels) = &self.wheels {
+            wheels.take(features.timestamp_ns, |reading| reconstruction.add_wheel(reading));
+        }
         let mut estimate = reconstruction.track(features);
         estimate.reset_counter = estimate.reset_counter.wrapping_add(self.placements);
         self.status.track.record(begin.elapsed());

@@ -1,9 +1,11 @@
 //! What the stages say of themselves while they run: counters, latencies, signs of life. Written by the stages, read by
 //! the supervisor and by whoever prints a summary. Fixed size, no locks.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU32, AtomicU64, Ordering};
 
 use crate::map::MapSnapshot;
+use crate::motion::wheel::WheelCounts;
 use crate::reconstruction::{Corrections, Counters, LensEstimate, LensKnowledge, PoseEstimate, TrackingState};
 use crate::telemetry::{Counter, Heartbeat, Histogram};
 
@@ -47,6 +49,8 @@ pub struct Status {
     pub blind_turns: Counter,
     pub adjustments: Counter,
     pub adjustments_late: Counter,
+    /// What has become of the messages of the base's driver.
+    pub wheels: Arc<WheelCounts>,
 
     /// Grey picture from the bytes of a frame.
     pub decode: Histogram,
@@ -88,6 +92,8 @@ pub struct Status {
     /// CLOCK_MONOTONIC of the arrival of the last frame, and of the last with a pose, ns; 0 before the first.
     last_arrival_ns: AtomicI64,
     last_pose_arrival_ns: AtomicI64,
+    /// CLOCK_MONOTONIC when the base's driver was heard last on the wire, ns; 0 before.
+    wheels_heard_ns: AtomicI64,
     /// 0 calibrated, 1 estimated, 2 guessed. Nothing is known of a lens before there is one: then it is no better than a guess.
     lens_knowledge: AtomicU8,
     lens_is_wide_angle: AtomicBool,
@@ -125,6 +131,7 @@ impl Default for Status {
             blind_turns: Counter::default(),
             adjustments: Counter::default(),
             adjustments_late: Counter::default(),
+            wheels: Arc::default(),
             decode: Histogram::default(),
             feature: Histogram::default(),
             queue: Histogram::default(),
@@ -149,6 +156,7 @@ impl Default for Status {
             points_followed: AtomicU32::new(0),
             last_arrival_ns: AtomicI64::new(0),
             last_pose_arrival_ns: AtomicI64::new(0),
+            wheels_heard_ns: AtomicI64::new(0),
             lens_knowledge: AtomicU8::new(2),
             lens_is_wide_angle: AtomicBool::new(false),
             lens: [const { AtomicU32::new(f32::NAN.to_bits()) }; 6],
@@ -335,6 +343,15 @@ impl Status {
     /// The same of the last frame with a pose.
     pub fn last_pose_arrival_ns(&self) -> Option<i64> {
         Some(self.last_pose_arrival_ns.load(Ordering::Relaxed)).filter(|ns| *ns != 0)
+    }
+
+    /// When the base's driver was heard last on the wire, CLOCK_MONOTONIC ns.
+    pub fn wheels_heard_ns(&self) -> Option<i64> {
+        Some(self.wheels_heard_ns.load(Ordering::Relaxed)).filter(|ns| *ns != 0)
+    }
+
+    pub fn set_wheels_heard_ns(&self, ns: i64) {
+        self.wheels_heard_ns.store(ns, Ordering::Relaxed);
     }
 
     pub fn set_last_arrival_ns(&self, ns: i64) {

@@ -2,7 +2,7 @@
 //!
 //! Input: pairs of camera poses, estimate and truth, of the same instants. Output: scale, rotation and translation that
 //! minimise the squared distances of the positions (Umeyama, "Least-squares estimation of transformation parameters between two
-//! point patterns", PAMI 1991, eq. 40-42), and what is weak about them in words.
+//! point patterns", PAMI 1991, eq. 40-42), and what is weak about them in words; and the SE(3) that does so where the estimate claims to be in metres.
 //!
 //! On a straight line the positions say nothing about the roll around it: every roll has the same position error. There
 //! it is the orientations that choose it, so that a rotation error can be stated at all; position errors are not touched.
@@ -27,6 +27,15 @@ impl TruthFromEstimate {
     pub fn transform(&self, position: &Vector3<f64>) -> Vector3<f64> {
         self.scale * (self.rotation * position) + self.translation
     }
+}
+
+/// The same rotation with the estimate's own lengths, `scale = 1`: of all SE(3) the best one, since Umeyama's rotation does not depend on the scale
+/// and the translation takes one mean to the other.
+pub fn without_scale(found: &TruthFromEstimate, pairs: &[Pair]) -> TruthFromEstimate {
+    let n = pairs.len().max(1) as f64;
+    let left = |p: &Pair| p.truth.translation - found.rotation * p.estimate.translation;
+    let translation = pairs.iter().map(left).sum::<Vector3<f64>>() / n;
+    TruthFromEstimate { scale: 1.0, rotation: found.rotation, translation }
 }
 
 /// An alignment and its caveats.

@@ -4,6 +4,7 @@
 //! - Coverage: of every frame of `rgb.txt` that has ground truth within 20 ms, the share with a pose ([`association`]).
 //! - One Sim(3) over all matched poses of the file ([`alignment`]), then ATE, rotation error and relative error a metre
 //!   ([`metrics`]). They agree with `evo_ape -as`, `evo_ape -as -r angle_deg` and `evo_rpe -as -d 1 -u m` (sources: each module).
+//! - For an estimate that claims to be in metres the same errors after an SE(3) (`evo_ape -a`), and the scale itself ([`MetricFigures`]).
 //! - Units: the ground truth's, taken as metres; degrees.
 //!
 //! [`suite`] replays many sequences and tabulates them.
@@ -56,6 +57,17 @@ pub struct RelativeFigures {
     pub rotation_deg_per_m: Statistics,
 }
 
+/// How far off an estimate is that claims to be in metres: no scale is taken from the truth.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct MetricFigures {
+    /// True metres in a metre of the estimate, that of the Sim(3) alignment; 1 is right.
+    pub scale: f64,
+    /// Distance of the positions after the SE(3) alignment, m.
+    pub ate_m: Statistics,
+    /// Relative error of the estimate's own lengths.
+    pub relative: Option<RelativeFigures>,
+}
+
 /// The figures of one trajectory.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Evaluation {
@@ -97,6 +109,8 @@ pub struct Outcome {
     pub samples: Vec<Sample>,
     /// Ascending time.
     pub expected: Vec<Expected>,
+    /// The same errors without a scale; `None` where there is no alignment.
+    pub metric: Option<MetricFigures>,
 }
 
 /// Judges `estimate` (ascending time, possibly empty) by `reference`.
@@ -114,12 +128,13 @@ pub fn evaluate(estimate: &[TumPose], reference: &Reference) -> Result<Outcome, 
         notes.push(format!("{} poses carry no frame's timestamp and are not judged", association.poses_without_frame));
     }
     let mut samples = Vec::new();
-    let mut alignment = None;
+    let (mut alignment, mut metric) = (None, None);
     match alignment::align(&association.pairs) {
         Ok(aligned) => {
             notes.extend(aligned.notes);
             let found = aligned.truth_from_estimate;
             samples = absolute_errors(&association.pairs, &found);
+            metric = metric_figures(&association.pairs, &found);
             let (q, t) = (found.rotation.coords, found.translation);
             alignment = Some(AlignmentFigures {
                 scale: found.scale,
@@ -160,7 +175,14 @@ pub fn evaluate(estimate: &[TumPose], reference: &Reference) -> Result<Outcome, 
         relative,
         notes,
     };
-    Ok(Outcome { figures, samples, expected: association.expected })
+    Ok(Outcome { figures, samples, expected: association.expected, metric })
+}
+
+fn metric_figures(pairs: &[association::Pair], found: &alignment::TruthFromEstimate) -> Option<MetricFigures> {
+    let samples = absolute_errors(pairs, &alignment::without_scale(found, pairs));
+    let distances: Vec<f64> = samples.iter().map(|sample| sample.position_error_m).collect();
+    let relative = relative_figures(&samples);
+    Some(MetricFigures { scale: found.scale, ate_m: statistics(&distances)?, relative })
 }
 
 fn relative_figures(samples: &[Sample]) -> Option<RelativeFigures> {

@@ -97,6 +97,23 @@ fn the_alignment_is_the_best_one() {
 }
 
 #[test]
+fn without_a_scale_the_error_is_that_of_the_estimates_own_metres() {
+    let truth = winding(200);
+    let rotation = UnitQuaternion::from_euler_angles(0.3, -0.5, 2.0);
+    let estimate = in_other_world(&truth, 1.02, rotation, Vector3::new(3.0, -2.0, 1.0));
+    let outcome = evaluate(&estimate, &reference(truth.clone(), Some(times(&truth)))).unwrap();
+    assert!(outcome.figures.ate_m.unwrap().max < 1e-9, "with a scale it is perfect");
+    let metric = outcome.metric.unwrap();
+    assert!((metric.scale - 1.0 / 1.02).abs() < 1e-9, "{}", metric.scale);
+    // Laid mean upon mean, each position is off by 2 % of its distance from the mean.
+    let mean = truth.iter().map(|p| p.world_from_camera.translation).sum::<Vector3<f64>>() / 200.0;
+    let spread = truth.iter().map(|p| (p.world_from_camera.translation - mean).norm_squared()).sum::<f64>() / 200.0;
+    assert!((metric.ate_m.rmse - 0.02 * spread.sqrt()).abs() < 1e-9, "{}", metric.ate_m.rmse);
+    let percent = metric.relative.unwrap().translation_percent.mean;
+    assert!((1.9..2.1).contains(&percent), "{percent} %");
+}
+
+#[test]
 fn mirrored_positions_are_not_aligned_by_a_reflection() {
     let truth = winding(100);
     let mut estimate = truth.clone();

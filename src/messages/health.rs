@@ -43,7 +43,14 @@ pub mod error {
     /// and may be off by a factor from those before.
     pub const SCALE_ASSUMED: u64 = 1 << 15;
 
-    const NAMES: [(u64, &str); 16] = [
+    /// The base's driver has told of its wheels and has fallen silent, for a second at least.
+    pub const WHEELS_SILENT: u64 = 1 << 16;
+    /// Wheel messages lately were not believed: no number, an absurd speed, another clock, time that goes back, a second publisher.
+    pub const WHEELS_WRONG: u64 = 1 << 17;
+    /// Wheel messages lately were lost, or most of them came after the frame that they belong to.
+    pub const WHEELS_LATE: u64 = 1 << 18;
+
+    const NAMES: [(u64, &str); 19] = [
         (NO_CAMERA, "NO_CAMERA"),
         (NO_FRAMES, "NO_FRAMES"),
         (NO_FEATURES, "NO_FEATURES"),
@@ -60,6 +67,9 @@ pub mod error {
         (UNCALIBRATED, "UNCALIBRATED"),
         (LOW_RATE, "LOW_RATE"),
         (SCALE_ASSUMED, "SCALE_ASSUMED"),
+        (WHEELS_SILENT, "WHEELS_SILENT"),
+        (WHEELS_WRONG, "WHEELS_WRONG"),
+        (WHEELS_LATE, "WHEELS_LATE"),
     ];
 
     /// Names of the bits that are set; bits of a newer daemon together are `UNKNOWN`.
@@ -222,7 +232,15 @@ pub struct Health {
     /// Bits of [`map_mode`]: how the current map is used.
     pub map_mode: u8,
     /// Zero.
-    pub reserved: [u8; 63],
+    pub reserved: [u8; 31],
+    /// Messages of the base's driver that were believed; 0, as the three that follow, where nothing tells of wheels.
+    pub wheel_messages: u64,
+    /// Messages of a driver that were not: no number, an absurd speed, another clock, time that goes back, a second publisher.
+    pub wheel_refused: u64,
+    /// Messages of the driver that were lost on the way, or dropped because no frame asked for them.
+    pub wheel_missing: u64,
+    /// Messages of the driver that came after the frame that they belong to; they count from the next one on.
+    pub wheel_late: u64,
 }
 
 layout!(Health, "cairn.Health.v3", 512, {
@@ -233,6 +251,7 @@ layout!(Health, "cairn.Health.v3", 512, {
     reset_counter @ 364, map_id @ 368, map_revision @ 372, pid @ 376, state @ 380, clock @ 381, intrinsics @ 382,
     lens_model @ 383, version @ 384, focal_px @ 416, centre_px @ 424, focal_sigma @ 432, centre_sigma_px @ 436,
     correction_distance @ 440, correction_rad @ 444, map_mode @ 448, reserved @ 449,
+    wheel_messages @ 480, wheel_refused @ 488, wheel_missing @ 496, wheel_late @ 504,
 });
 
 impl Default for Health {
@@ -279,7 +298,11 @@ impl Default for Health {
             correction_distance: f32::NAN,
             correction_rad: f32::NAN,
             map_mode: 0,
-            reserved: [0; 63],
+            reserved: [0; 31],
+            wheel_messages: 0,
+            wheel_refused: 0,
+            wheel_missing: 0,
+            wheel_late: 0,
         }
     }
 }

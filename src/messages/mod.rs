@@ -42,6 +42,7 @@ mod pose;
 pub mod services;
 mod transform;
 mod unfilled;
+mod wheel;
 
 pub use command::{Command, CommandReply, TEXT_LEN, command_kind, reply_code};
 pub use encoded::EncodedHeader;
@@ -53,6 +54,7 @@ pub use health::{Health, STAGES, StageHealth, error, map_mode, stage};
 pub use map::{Keyframe, KeyframesHeader, Landmark, MapHeader};
 pub use pose::Pose;
 pub use transform::Transform;
+pub use wheel::WheelOdometry;
 
 /// A field of a wire struct, for documentation, bindings to other languages and tests.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -348,7 +350,8 @@ mod tests {
             Feature,
             FeaturesHeader,
             Command,
-            CommandReply
+            CommandReply,
+            WheelOdometry
         );
     }
 

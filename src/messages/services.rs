@@ -1,6 +1,6 @@
 //! Names and quality of service of everything on the wire, in one place.
 //!
-//! Everywhere: one publisher, so that a second daemon with the same prefix is refused; safe overflow, so that a reader that
+//! Everywhere but in `wheel`, which the daemon reads: one publisher, so that a second daemon with the same prefix is refused; safe overflow, so that a reader that
 //! is slow or stuck loses its oldest messages and delays nobody; memory of fixed size, reserved at the start.
 
 /// Last part of the services' names.
@@ -13,6 +13,7 @@ pub mod topic {
     pub const FEATURES: &str = "features";
     pub const ENCODED: &str = "encoded";
     pub const COMMAND: &str = "command";
+    pub const WHEEL: &str = "wheel";
 }
 
 /// Event: a publisher has come.
@@ -34,6 +35,8 @@ pub const MAX_SUBSCRIBERS: usize = 8;
 pub const MAX_ENCODED_SUBSCRIBERS: usize = 2;
 /// Publishers of a service.
 pub const MAX_PUBLISHERS: usize = 1;
+/// Publishers of `wheel`: the base's driver, and a place for a second one, so that it is seen and named.
+pub const MAX_WHEEL_PUBLISHERS: usize = 2;
 /// Processes that can open a service.
 pub const MAX_NODES: usize = 24;
 /// Processes that can send commands at once.
@@ -88,3 +91,6 @@ pub const FRAME: Qos = Qos { history: 0, buffer: 1, borrowed: 2, subscribers: MA
 pub const ENCODED: Qos = Qos { history: 0, buffer: 6, borrowed: 2, subscribers: MAX_ENCODED_SUBSCRIBERS };
 /// As frames; a few more, so that who reads a picture finds its features.
 pub const FEATURES: Qos = Qos { history: 0, buffer: 4, borrowed: 2, subscribers: MAX_SUBSCRIBERS };
+/// What the base's driver sends and the daemon reads: half a second at 100 Hz, while the daemon is busy with a frame. No history: a twist of
+/// before is none of now.
+pub const WHEEL: Qos = Qos { history: 0, buffer: 64, borrowed: 2, subscribers: MAX_SUBSCRIBERS };

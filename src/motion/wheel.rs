@@ -1,4 +1,14 @@
 //! Wheel odometry: what the base's driver tells of its motion.
+//!
+//! In: a driver's messages ([`WheelMessage`]), from a recording's `odometry.txt`, the simulator or the wire. Each is judged by itself and against
+//! the one before ([`WheelFault`]), and what is believed waits in a bounded queue ([`WheelQueue`]) until the frame comes that it belongs to. Out:
+//! [`WheelReading`]s in the order of time, before the first frame that is not earlier than they.
+
+mod message;
+mod queue;
+
+pub use message::{MAX_SPEED_MPS, MAX_TURN_RADPS, WheelFault, WheelMessage};
+pub use queue::{CAPACITY, GAP_NS, WheelCounts, WheelQueue};
 
 /// Mean twist of the base over an interval, in the base frame (REP-103: x forward, y left, yaw positive to the left) at its start.
 #[derive(Debug, Clone, Copy, PartialEq)]

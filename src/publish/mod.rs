@@ -20,6 +20,7 @@ mod error;
 mod features;
 mod opening;
 mod ports;
+mod wheels;
 
 use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -32,6 +33,7 @@ pub use convert::{Conversion, ScaleEstimate};
 pub use encoded::{CameraView, EncodedPublisher};
 pub use error::PublishError;
 pub use features::FeaturesPublisher;
+pub use wheels::{WheelInbox, WheelNews};
 
 use crate::frame::{Clock, monotonic_ns};
 use crate::image::GreyImage;
@@ -103,6 +105,8 @@ pub struct Publisher {
     pub encoded: EncodedPublisher,
     pub health: HealthPublisher,
     pub commands: CommandServer,
+    /// What the base's driver tells.
+    pub wheels: WheelInbox,
 }
 
 impl Publisher {
@@ -134,6 +138,7 @@ impl Publisher {
         let encoded: Port<[u8], EncodedHeader> =
             Port::open_slices(&node, endpoint, topic::ENCODED, services::ENCODED, limits.frame_bytes)?;
         let commands = CommandServer::open(&node, endpoint)?;
+        let wheels = WheelInbox::open(&node, endpoint)?;
         let health: Port<Health, ()> = Port::open(&node, endpoint, topic::HEALTH, services::HEALTH)?;
         let others = vec![
             updater(&poses.publisher),
@@ -161,6 +166,7 @@ impl Publisher {
                 swept: Instant::now(),
             },
             commands,
+            wheels,
         })
     }
 }

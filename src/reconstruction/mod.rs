@@ -45,6 +45,7 @@ use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::image::pyramid::PyramidPool;
 use crate::map::{KeyframeId, KeyframeView, LandmarkId, Sought};
+use crate::motion::wheel::WheelReading;
 
 /// Share of the landmarks looked for that are seen: below the first a frame is looked for elsewhere too (after a stretch of blur
 /// a few landmarks can hold a pose that has slid away), below the second it is no keyframe. Without the first, errors over 35 sequences
@@ -366,6 +367,11 @@ impl Reconstruction {
     pub fn change_camera(&mut self, camera: &CameraModel, prior: LensPrior) {
         self.reset();
         self.optics = Optics::new(camera, prior, &self.config);
+    }
+
+    /// What the base's wheels have told since the last frame, in order, before that frame is tracked.
+    pub fn add_wheel(&mut self, reading: &WheelReading) {
+        let _ = reading;
     }
 
     /// Events since the last call, in order; to be drained after every frame.

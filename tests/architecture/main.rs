@@ -26,12 +26,14 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
     // Pictures and where they come from.
     ("image", &["frame"]),
     ("calibration", &["atomic_file", "geometry", "image"]),
-    ("camera", &["calibration", "frame", "geometry", "image", "ros", "trajectory"]),
+    ("camera", &["calibration", "frame", "geometry", "image", "motion", "ros", "trajectory"]),
     // From pictures to a map. Features know no map, the map knows no reconstruction, and none of them knows a camera, the
     // ring or the wire.
     ("features", &["frame", "geometry", "image"]),
     ("map", &["atomic_file", "features", "geometry", "image"]),
-    ("reconstruction", &["features", "geometry", "image", "map"]),
+    // What the robot knows besides the picture.
+    ("motion", &["telemetry"]),
+    ("reconstruction", &["features", "geometry", "image", "map", "motion"]),
     // What comes out.
     ("trajectory", &["atomic_file", "geometry", "map", "reconstruction"]),
     (
@@ -39,7 +41,7 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
         &["atomic_file", "camera", "features", "frame", "geometry", "image", "map", "reconstruction", "trajectory"],
     ),
     ("plot", &["atomic_file", "image", "map", "trajectory"]),
-    ("publish", &["frame", "geometry", "image", "map", "messages", "reconstruction"]),
+    ("publish", &["frame", "geometry", "image", "map", "messages", "motion", "reconstruction"]),
     // The web console: a process of its own, a subscriber like any planner. What it says of faults it is given.
     ("console", &["client", "messages", "telemetry"]),
     // A recorder is a process of its own, and a subscriber like any other.
@@ -59,6 +61,7 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
             "image",
             "map",
             "messages",
+            "motion",
             "plot",
             "publish",
             "reconstruction",

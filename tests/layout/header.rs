@@ -9,7 +9,7 @@ use cairn::messages::Field;
 
 use crate::support::{compare, plain, renames, root, types};
 
-const SOURCES: [&str; 8] = [
+const SOURCES: [&str; 9] = [
     "src/messages/mod.rs",
     "src/messages/pose.rs",
     "src/messages/map.rs",
@@ -17,6 +17,7 @@ const SOURCES: [&str; 8] = [
     "src/messages/encoded.rs",
     "src/messages/health.rs",
     "src/messages/command.rs",
+    "src/messages/wheel.rs",
     "src/client/c.rs",
 ];
 

@@ -9,3 +9,4 @@ mod killing;
 mod other_user;
 mod support;
 mod watching;
+mod wheels;

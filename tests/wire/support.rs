@@ -158,6 +158,8 @@ pub enum Role {
     Latest,
     /// `cairn watch` with the arguments in the environment variable `CAIRN_TEST_WATCH`.
     Watch,
+    /// Tells of wheels at 100 Hz.
+    Driver,
 }
 
 impl Role {
@@ -167,6 +169,7 @@ impl Role {
             Self::Subscriber => "subscriber",
             Self::Latest => "latest",
             Self::Watch => "watch",
+            Self::Driver => "driver",
         }
     }
 }
@@ -221,6 +224,7 @@ fn helper() {
         }
         "latest" => crate::delivery::ask_for_the_latest(),
         "watch" => crate::watching::watch(),
+        "driver" => crate::wheels::drive(&mut Client::with_endpoint(endpoint(&root)).expect("client").wheels()),
         other => panic!("no role {other}"),
     }
 }

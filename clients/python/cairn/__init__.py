@@ -16,10 +16,12 @@ from .errors import (
     NoReply,
     OtherOwner,
     Refused,
+    SecondPublisher,
     TooManyHeld,
     TooManySubscribers,
     VersionMismatch,
 )
+from .wheels import WheelPublisher
 from .values import Encoded, Features, Frame, Health, Keyframes, Map, Pose
 
 __version__ = "0.1.0"
@@ -38,10 +40,12 @@ __all__ = [
     "OtherOwner",
     "Pose",
     "Refused",
+    "SecondPublisher",
     "Subscription",
     "TooManyHeld",
     "TooManySubscribers",
     "VersionMismatch",
+    "WheelPublisher",
     "connect",
     "frames",
     "latest_health",

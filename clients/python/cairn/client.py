@@ -16,7 +16,7 @@ from math import cos, sin
 import iceoryx2 as iox2
 
 from . import messages as m
-from . import values
+from . import values, wheels
 from .errors import (
     CairnError,
     IpcError,
@@ -105,6 +105,10 @@ class Client:
     def encoded(self):
         """Every picture as it came from the camera, for recorders; a queue of a fifth of a second, two readers at a time."""
         return Subscription(self, "encoded", iox2.Slice[ctypes.c_uint8], m.EncodedHeader, values.Encoded)
+
+    def wheels(self):
+        """For the driver of the robot's base: tells the daemon of its wheels (see WheelPublisher)."""
+        return wheels.WheelPublisher(self)
 
     def wait_for_daemon(self, timeout):
         """True once a daemon is there; False after `timeout` seconds."""

@@ -21,6 +21,10 @@ class OtherOwner(CairnError):
     """The daemon's files belong to another user: nothing would ever arrive."""
 
 
+class SecondPublisher(CairnError):
+    """Another process tells of the wheels already."""
+
+
 class NoDaemon(CairnError):
     """No daemon took the command."""
 

@@ -36,6 +36,9 @@ ERRORS = (
     "UNCALIBRATED",
     "LOW_RATE",
     "SCALE_ASSUMED",
+    "WHEELS_SILENT",
+    "WHEELS_WRONG",
+    "WHEELS_LATE",
 )
 STAGES = ("capture", "features", "tracking", "mapping", "publishing", "end_to_end")
 
@@ -151,7 +154,11 @@ class Health(_Message):
         ("correction_distance", c.c_float),
         ("correction_rad", c.c_float),
         ("map_mode", c.c_uint8),
-        ("reserved", c.c_uint8 * 63),
+        ("reserved", c.c_uint8 * 31),
+        ("wheel_messages", c.c_uint64),
+        ("wheel_refused", c.c_uint64),
+        ("wheel_missing", c.c_uint64),
+        ("wheel_late", c.c_uint64),
     ]
 
 
@@ -275,4 +282,17 @@ class CommandReply(_Message):
         ("code", c.c_uint32),
         ("message_len", c.c_uint32),
         ("message", c.c_uint8 * TEXT_LEN),
+    ]
+
+
+class WheelOdometry(_Message):
+    _fields_ = [
+        ("sequence", c.c_uint64),
+        ("timestamp_ns", c.c_int64),
+        ("interval_start_ns", c.c_int64),
+        ("linear_x_mps", c.c_double),
+        ("linear_y_mps", c.c_double),
+        ("angular_z_radps", c.c_double),
+        ("variance", c.c_double * 3),
+        ("reserved", c.c_uint8 * 24),
     ]

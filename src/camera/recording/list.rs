@@ -37,6 +37,8 @@ pub struct Sequence {
     pub frames: Vec<ListedFrame>,
     /// Only if the file is there.
     pub calibration: Option<PathBuf>,
+    /// Wheel odometry (TUM layout only), if the file is there.
+    pub odometry: Option<PathBuf>,
 }
 
 /// Finds out the layout of a folder and reads its list.
@@ -49,13 +51,15 @@ pub fn read(folder: &Path) -> Result<Sequence, SourceError> {
     let existing = |path: PathBuf| path.exists().then_some(path);
     if let Some(list) = existing(folder.join("rgb.txt")) {
         let frames = read_list(&list, parse_tum_line)?;
-        return Ok(Sequence { folder: folder.into(), frames, calibration: existing(folder.join("camera.yaml")) });
+        let calibration = existing(folder.join("camera.yaml"));
+        let odometry = existing(folder.join("odometry.txt"));
+        return Ok(Sequence { folder: folder.into(), frames, calibration, odometry });
     }
     for camera in [folder.join("mav0/cam0"), folder.join("cam0"), folder.into()] {
         if let Some(list) = existing(camera.join("data.csv")) {
             let frames = read_list(&list, parse_asl_line)?;
             let calibration = existing(camera.join("sensor.yaml"));
-            return Ok(Sequence { folder: camera.join("data"), frames, calibration });
+            return Ok(Sequence { folder: camera.join("data"), frames, calibration, odometry: None });
         }
     }
     let is_empty = std::fs::read_dir(folder).map_err(|e| failed(e.to_string()))?.next().is_none();
@@ -69,19 +73,9 @@ pub fn read(folder: &Path) -> Result<Sequence, SourceError> {
 fn read_list(path: &Path, parse: fn(&str) -> Result<ListedFrame, String>) -> Result<Vec<ListedFrame>, SourceError> {
     let name = path.display().to_string();
     let failed = |place: &str, reason: String| SourceError::Open { path: place.into(), reason };
-    if !path.is_file() {
-        return Err(failed(&name, "is not a file".into()));
-    }
-    let mut bytes = Vec::new();
-    std::fs::File::open(path)
-        .and_then(|f| f.take(MAX_LIST_BYTES + 1).read_to_end(&mut bytes))
-        .map_err(|e| failed(&name, e.to_string()))?;
-    if bytes.len() as u64 > MAX_LIST_BYTES {
-        return Err(failed(&name, format!("is longer than {MAX_LIST_BYTES} bytes")));
-    }
-    let text = String::from_utf8(bytes).map_err(|_| failed(&name, "is not UTF-8 text".into()))?;
+    let text = contents(path)?;
     let mut frames = Vec::new();
-    for (index, line) in text.strip_prefix('\u{feff}').unwrap_or(&text).lines().enumerate() {
+    for (index, line) in text.lines().enumerate() {
         let line = line.trim();
         if line.is_empty() || line.starts_with('#') {
             continue;
@@ -92,6 +86,26 @@ fn read_list(path: &Path, parse: fn(&str) -> Result<ListedFrame, String>) -> Res
         return Err(failed(&name, "lists no frames".into()));
     }
     Ok(frames)
+}
+
+/// A list's text, without a byte order mark; an error names the file.
+pub(super) fn contents(path: &Path) -> Result<String, SourceError> {
+    let failed = |reason: String| SourceError::Open { path: path.display().to_string(), reason };
+    if !path.is_file() {
+        return Err(failed("is not a file".into()));
+    }
+    let mut bytes = Vec::new();
+    std::fs::File::open(path)
+        .and_then(|f| f.take(MAX_LIST_BYTES + 1).read_to_end(&mut bytes))
+        .map_err(|e| failed(e.to_string()))?;
+    if bytes.len() as u64 > MAX_LIST_BYTES {
+        return Err(failed(format!("is longer than {MAX_LIST_BYTES} bytes")));
+    }
+    let text = String::from_utf8(bytes).map_err(|_| failed("is not UTF-8 text".into()))?;
+    Ok(match text.strip_prefix('\u{feff}') {
+        Some(rest) => rest.to_owned(),
+        None => text,
+    })
 }
 
 /// `timestamp filename`, seconds.
@@ -116,7 +130,7 @@ pub(super) fn parse_asl_line(line: &str) -> Result<ListedFrame, String> {
 }
 
 /// Quoted, and not endless.
-fn shortened(text: &str) -> String {
+pub(super) fn shortened(text: &str) -> String {
     if text.chars().count() <= 80 {
         format!("{text:?}")
     } else {

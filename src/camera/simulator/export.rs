@@ -2,7 +2,8 @@
 //!
 //! Output, in one folder: `rgb/SECONDS.png` (8-bit grey), `rgb.txt` (timestamp file), `groundtruth.txt` (timestamp tx ty
 //! tz qx qy qz qw = world_from_camera, m, z up; one line a frame, same timestamps), `camera.yaml` (fx fy cx cy and
-//! distortion in OpenCV's order, lens_model of a wide-angle lens). Timestamps come back to the nanosecond. `rgb.txt` is written last: a folder without it
+//! distortion in OpenCV's order, lens_model of a wide-angle lens), and where a base drives the camera and tells of it `odometry.txt` (as
+//! `cairn replay` reads it; comments say the true mount and where the wheels slipped). Timestamps come back to the nanosecond. `rgb.txt` is written last: a folder without it
 //! was interrupted. Cost: rendering plus about 10 ms a frame for the PNG.
 
 use std::fs;
@@ -10,6 +11,7 @@ use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use super::Simulator;
+use super::trajectory::{CAMERA_HEIGHT_M, CAMERA_PITCH_RAD};
 use crate::geometry::LensModel;
 use crate::image::GreyImage;
 use crate::trajectory::{TrajectoryError, TumPose, format_timestamp, write_tum};
@@ -62,11 +64,47 @@ impl Simulator {
             truth.push(TumPose { timestamp_ns, world_from_camera: self.trajectory.pose_at(timestamp_ns) });
         }
         write_tum(&dir.join("groundtruth.txt"), &truth)?;
+        if let Some(text) = self.odometry(seconds) {
+            let path = dir.join("odometry.txt");
+            fs::write(&path, text).map_err(failed(&path))?;
+        }
         for (name, text) in [("camera.yaml", self.camera_yaml()), ("rgb.txt", list)] {
             let path = dir.join(name);
             fs::write(&path, text).map_err(failed(&path))?;
         }
         Ok(Recorded { frames })
+    }
+
+    /// What the base's driver tells in so many seconds, and what it does not know, as comments.
+    fn odometry(&self, seconds: f64) -> Option<String> {
+        let mut odometer = self.odometer()?;
+        let (config, start_ns) = (&self.config.wheels, self.trajectory.start_ns());
+        let ([x, y], [left, right]) = (config.camera_m, config.radius_error);
+        let mut text = format!(
+            "# wheels of {}: {} m apart, radius error {left} {right}, stamps {} ms late\n\
+             # true camera on the base: x {x} y {y} z {CAMERA_HEIGHT_M} m, yaw {} pitch {} degrees (left, up)\n",
+            self.description.name,
+            config.track_m,
+            config.delay_ms,
+            config.camera_yaw_deg,
+            CAMERA_PITCH_RAD.to_degrees(),
+        );
+        for slip in odometer.slips(seconds) {
+            let [from, to] = [slip.start_s, slip.end_s].map(|s| format_timestamp(start_ns + (s * 1e9) as i64));
+            let [left, right] = slip.share;
+            text.push_str(&format!(
+                "# slip from {from} to {to}: left {left:.3} right {right:.3} of the turning in vain\n"
+            ));
+        }
+        text.push_str("# timestamp linear_x_mps linear_y_mps angular_z_radps\n");
+        while odometer.next_stamp_ns() <= start_ns + (seconds * 1e9) as i64 {
+            if let Some(m) = odometer.next_message() {
+                let stamp = format_timestamp(m.timestamp_ns);
+                let [x, y, yaw] = [m.linear_x_mps, m.linear_y_mps, m.angular_z_radps];
+                text.push_str(&format!("{stamp} {x:.6} {y:.6} {yaw:.6}\n"));
+            }
+        }
+        Some(text)
     }
 
     fn camera_yaml(&self) -> String {

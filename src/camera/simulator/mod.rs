@@ -16,7 +16,7 @@
 //!
 //! # Rooms
 //! `random` numbers; `paint`, `styles`, `furnishings`: textures; `scene`, `room`: geometry and light;
-//! `desk`: the place of `desk_sweep`; [`trajectory`], `jerks`: the movement; `rays`, `cull`, `render`, `tile`, `texture`, `gloss`: the
+//! `desk`: the place of `desk_sweep`; [`trajectory`], `jerks`: the movement; [`wheels`]: what a driven base tells of it; `rays`, `cull`, `render`, `tile`, `texture`, `gloss`: the
 //! picture; `effects`, `actors`, `occluder`, `people`: what spoils it; `export`: a recording on disk.
 //!
 //! # Cost
@@ -56,6 +56,7 @@ mod styles;
 mod texture;
 mod tile;
 pub mod trajectory;
+pub mod wheels;
 
 #[cfg(test)]
 mod tests;
@@ -66,11 +67,13 @@ pub use super::simulator_config::{Scenario, SimulatorConfig, SimulatorConfigErro
 pub use export::{ExportError, Recorded};
 pub use scene::Chessboard;
 pub use trajectory::Trajectory;
+pub use wheels::Odometer;
 
 use super::{FrameSource, Grab, Pacing, SourceDescription, SourceError};
 use crate::frame::{Clock, PixelFormat, RawFrame, monotonic_ns};
 use crate::geometry::CameraModel;
 use crate::image::GreyImage;
+use crate::motion::wheel::{WheelFault, WheelMessage};
 use actors::Actors;
 use cull::View;
 use effects::{Exposure, Sensor};
@@ -99,6 +102,8 @@ pub struct Simulator {
     description: SourceDescription,
     scene: Scene,
     trajectory: Trajectory,
+    /// `None`: nothing is told of wheels.
+    odometer: Option<Odometer>,
     renderer: Renderer,
     sensor: Sensor,
     exposure: Exposure,
@@ -144,8 +149,10 @@ impl Simulator {
             texture_bytes = scene.texture_bytes(),
             "simulated room painted"
         );
+        let trajectory = Trajectory::new(config, start_ns);
         Ok(Self {
-            trajectory: Trajectory::new(config, start_ns),
+            odometer: Odometer::new(config, &trajectory),
+            trajectory,
             renderer: Renderer::new(rays::Rays::new(&camera), gloss),
             sensor: Sensor::new(config, &camera),
             exposure: Exposure::new(config),
@@ -163,6 +170,11 @@ impl Simulator {
     /// The ground truth. Clones stay valid when the simulator has been handed over to a capture thread.
     pub fn trajectory(&self) -> &Trajectory {
         &self.trajectory
+    }
+
+    /// The base's driver, at its first message; `None`: nothing is told of wheels.
+    pub fn odometer(&self) -> Option<Odometer> {
+        Odometer::new(&self.config, &self.trajectory)
     }
 
     /// The simulated lens.
@@ -258,5 +270,14 @@ impl FrameSource for Simulator {
         }
         slot.arrival_ns = monotonic_ns();
         Ok(Grab::Frame)
+    }
+
+    fn wheels(&mut self, until_ns: i64, to: &mut dyn FnMut(&WheelMessage, Option<WheelFault>)) {
+        let Some(odometer) = &mut self.odometer else { return };
+        while odometer.next_stamp_ns() <= until_ns {
+            if let Some(message) = odometer.next_message() {
+                to(&message, None);
+            }
+        }
     }
 }

@@ -30,6 +30,10 @@ const SWEEP_M: f64 = 1.4;
 /// Where a hand holds the camera, m; it looks along +x, at the desk.
 const HAND: Vector3<f64> = Vector3::new(1.15, 0.0, 1.2);
 
+/// Height of the camera on a driven base, m, and its pitch there (positive up), rad.
+pub(super) const CAMERA_HEIGHT_M: f64 = 0.5;
+pub(super) const CAMERA_PITCH_RAD: f64 = 0.04;
+
 /// Position and attitude: yaw about z (0 = looking along +x, positive to the left), pitch (positive up), roll
 /// (positive clockwise as the camera sees it), rad.
 #[derive(Debug, Clone, Copy)]
@@ -59,6 +63,8 @@ pub struct Trajectory {
     tour: Option<Arc<Spline>>,
     legs: Option<Arc<Legs>>,
     jerks: Option<Jerks>,
+    /// Place of the camera on a driven base, forward and to the left, m, and its yaw on it, rad.
+    on_base: [f64; 3],
     /// Distance at which the chessboard fills about half of the picture, m, and the sheet's length, m.
     board: [f64; 2],
     /// How far past its middle the camera looks, sheets.
@@ -89,6 +95,9 @@ impl Trajectory {
                 _ => None,
             },
             jerks: Jerks::new(&config.jerks, config.seed),
+            on_base: match config.wheels.camera_m {
+                [forward, left] => [forward, left, config.wheels.camera_yaw_deg.to_radians()],
+            },
             board: [config.lens.active_focal_widths() * sheet / 0.55, sheet],
             // Wide pictures reach farther beyond the board.
             board_aim: if config.lens.wide_angle.enabled { 0.6 } else { 0.3 },
@@ -119,6 +128,18 @@ impl Trajectory {
             stance.roll += shift.angles.z;
         }
         stance.pose()
+    }
+
+    /// True place of the base that drives the camera, x and y of the middle between its wheels, m, and yaw, rad; `None` where none does.
+    pub fn base_at_seconds(&self, seconds: f64) -> Option<[f64; 3]> {
+        let held = self.jerks.is_some();
+        self.base(ramp(seconds) * self.speed).filter(|_| !held).map(|(place, _)| place)
+    }
+
+    /// The same at a time of the movement, and the speed as a share of the usual.
+    fn base(&self, t: f64) -> Option<([f64; 3], f64)> {
+        let tour = || self.tour.as_ref().map(|spline| (spline.at(t), smooth(t / (self.speed * START_S))));
+        self.legs.as_ref().map(|legs| legs.at(t)).or_else(tour)
     }
 
     /// Sine of period `period_s` at `t` with random phase `k`.
@@ -159,19 +180,20 @@ impl Trajectory {
 
     fn robot(&self, t: f64, drive: f64, [x, y, yaw]: [f64; 3]) -> Stance {
         let [pitch, roll] = self.vibration(t, drive);
-        Stance { position: Vector3::new(x, y, 0.5), yaw, pitch: 0.04 + pitch, roll }
+        let (mut position, [forward, left, turned]) = (Vector3::new(x, y, CAMERA_HEIGHT_M), self.on_base);
+        if self.on_base != [0.0; 3] {
+            let (sin, cos) = yaw.sin_cos();
+            position += Vector3::new(forward * cos - left * sin, forward * sin + left * cos, 0.0);
+        }
+        Stance { position, yaw: yaw + turned, pitch: CAMERA_PITCH_RAD + pitch, roll }
     }
 
     /// `t`: time of the movement, s; runs slower than the clock at the start and `speed` times as fast later.
     fn stance(&self, t: f64) -> Stance {
         let phase = self.phases[20];
         match self.scenario {
-            Scenario::RoomTour => {
-                let drive = smooth(t / (self.speed * START_S));
-                self.robot(t, drive, self.tour.as_ref().map_or([0.0; 3], |s| s.at(t)))
-            }
-            Scenario::Square | Scenario::Corridor => {
-                let (place, drive) = self.legs.as_ref().map_or(([0.0; 3], 0.0), |l| l.at(t));
+            Scenario::RoomTour | Scenario::Square | Scenario::Corridor => {
+                let (place, drive) = self.base(t).unwrap_or(([0.0; 3], 0.0));
                 self.robot(t, drive, place)
             }
             Scenario::HandHeld => self.held(t, 1.0),

@@ -153,6 +153,8 @@ pub fn judge_health(report: &mut Report, health: &Health) {
         | error::LOW_RATE
         | error::DROPPED_FRAMES
         | error::SCALE_ASSUMED
+        | error::WHEELS_SILENT
+        | error::WHEELS_LATE
         | error::MAPPING_LATE;
     for (faults, fails) in [(health.errors & !passing, true), (health.errors & passing, false)] {
         for fault in error::names(faults) {

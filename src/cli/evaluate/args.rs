@@ -23,6 +23,9 @@ pub struct EvaluateArgs {
     /// Picture to write [default: beside the estimate, ending in .png]
     #[arg(long, value_name = "OUT.png", conflicts_with = "suite")]
     pub plot: Option<PathBuf>,
+    /// The error of the estimate's own metres as well (SE(3) alignment, no scale taken from the truth), and the scale itself
+    #[arg(long, conflicts_with_all = ["suite", "simulator"])]
+    pub metric: bool,
     #[command(flatten)]
     pub result: ResultArgs,
     /// Replay these sequences' folders, one after the other, and tabulate them

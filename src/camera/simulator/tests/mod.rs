@@ -5,6 +5,7 @@ mod movement;
 mod picture;
 mod source;
 mod truth;
+mod wheels;
 
 use super::{Scenario, Simulator, SimulatorConfig};
 use crate::camera::Pacing;
