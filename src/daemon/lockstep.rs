@@ -17,6 +17,7 @@ use super::supervisor::{End, EndCause};
 use super::{DaemonError, Parts, TURN};
 use crate::features::{Feedback, FrameFeatures};
 use crate::frame::{RawFrame, monotonic_ns};
+use crate::motion::wheel_scale::RADIUS_SIGMA;
 use crate::reconstruction::InlineWorker;
 
 /// Replays until the source ends, `stop` is set, or `go_on` (called once a frame) says no.
@@ -33,7 +34,8 @@ pub fn run(parts: Parts, stop: &AtomicBool, go_on: &mut dyn FnMut(&Status) -> bo
         outlet,
         RecorderLink::Inline(recorder),
         status.clone(),
-    );
+    )
+    .with_base(&config.mount, RADIUS_SIGMA);
     let mut slot = RawFrame::default();
     let mut features = FrameFeatures::default();
     let mut feedback = Feedback::default();

@@ -51,6 +51,7 @@ pub use waiting::await_camera;
 use crate::config::Config;
 use crate::features::{Feedback, FrameFeatures};
 use crate::frame::{RawFrame, monotonic_ns};
+use crate::motion::wheel_scale::RADIUS_SIGMA;
 use crate::ring::{Consumer, Producer, Wait, frame_ring};
 use capture::CaptureStep;
 use feature::FeatureStep;
@@ -126,7 +127,8 @@ pub(super) fn start(parts: Parts) -> Result<Threads, DaemonError> {
         outlet,
         link,
         status.clone(),
-    );
+    )
+    .with_base(&config.mount, RADIUS_SIGMA);
 
     // As many parcels as may wait, and the one that reconstruction works on.
     let parcels = config.daemon.queue_frames + 1;

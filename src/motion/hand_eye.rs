@@ -7,7 +7,7 @@
 //!
 //! ```text
 //! turn:  R log(R_A)    = [0, 0, theta(k, t)]
-//! step:  e^l R t_A     = (Rz(theta) - I) p + d(k, t)
+//! step:  e^l R t_A     = (Rz(phi) - I) p + d(k, t)      phi: the camera's turn about the base's up, which it knows better than the wheels
 //! drift: l is linear between knots along the way; l_j+1 - l_j ~ N(0, q way_j)      q: a random walk, by the way in mean depths
 //! ```
 //!
@@ -52,7 +52,7 @@ const SLIP_SHARE: f64 = 0.06;
 /// Median of chi squared with three degrees of freedom.
 const CHI2_3D_MEDIAN: f64 = 2.366;
 /// The noise level is taken from the residuals within these bounds (variances, as a factor on what is expected).
-const NOISE: (f64, f64) = (0.1, 1e3);
+const NOISE: (f64, f64) = (0.1, 16.0);
 /// Passes with the loss, each at wheels and weights renewed.
 const PASSES: usize = 3;
 /// Below this a segment tells no direction, rad of turn; of the step, as a share of its standard deviation.
@@ -206,6 +206,8 @@ pub struct Solution {
     /// Share of the time in motion in which the wheels were believed, and that time, s.
     pub believed_share: f64,
     pub believed_s: f64,
+    /// Variance of the steps' residuals, as a factor on what is expected of both.
+    pub noise: f64,
 }
 
 /// A segment's part of the problem, weights fixed.
@@ -244,8 +246,9 @@ impl Term<'_> {
     fn residual(&self, state: &State) -> [Vector3<f64>; 2] {
         let robot = &state.robot;
         let base = self.wheels.at(robot.yaw_factor, robot.time_offset_s);
-        let turn = robot.base_from_camera * self.segment.turn - Vector3::new(0.0, 0.0, base.z);
-        let step = self.step(state) - swing(base.z, &robot.lever_m) - Vector3::new(base.x, base.y, 0.0);
+        let turned = robot.base_from_camera * self.segment.turn;
+        let turn = turned - Vector3::new(0.0, 0.0, base.z);
+        let step = self.step(state) - swing(turned.z, &robot.lever_m) - Vector3::new(base.x, base.y, 0.0);
         [turn.component_mul(&self.weight[0]), step.component_mul(&self.weight[1])]
     }
 
@@ -262,14 +265,13 @@ impl Term<'_> {
     /// Their derivatives by all unknowns.
     fn jacobian(&self, state: &State) -> [SMatrix<f64, 3, UNKNOWNS>; 2] {
         let robot = &state.robot;
-        let base = self.wheels.at(robot.yaw_factor, robot.time_offset_s);
         let (turned, step) = (robot.base_from_camera * self.segment.turn, self.step(state));
-        let (s, c) = base.z.sin_cos();
+        let (s, c) = turned.z.sin_cos();
         let p = robot.lever_m;
         let by_yaw = Vector3::new(-s * p.x - c * p.y, c * p.x - s * p.y, 0.0);
         let [mut t, mut d] = [SMatrix::<f64, 3, UNKNOWNS>::zeros(), SMatrix::<f64, 3, UNKNOWNS>::zeros()];
         t.fixed_view_mut::<3, 3>(0, KNOTS).copy_from(&-turned.cross_matrix());
-        d.fixed_view_mut::<3, 3>(0, KNOTS).copy_from(&-step.cross_matrix());
+        d.fixed_view_mut::<3, 3>(0, KNOTS).copy_from(&(by_yaw * turned.cross_matrix().row(2) - step.cross_matrix()));
         let (knot, share) = self.knot;
         d.set_column(knot, &(step * (1.0 - share)));
         d.set_column(knot + 1, &(step * share));
@@ -277,7 +279,7 @@ impl Term<'_> {
         d.set_column(LEVER + 1, &-Vector3::new(-s, c - 1.0, 0.0));
         for (column, by) in [(FACTOR, self.wheels.by_factor), (OFFSET, self.wheels.by_offset)] {
             t.set_column(column, &Vector3::new(0.0, 0.0, -by.z));
-            d.set_column(column, &(-by_yaw * by.z - Vector3::new(by.x, by.y, 0.0)));
+            d.set_column(column, &-Vector3::new(by.x, by.y, 0.0));
         }
         for i in 0..3 {
             t.row_mut(i).scale_mut(self.weight[0][i]);
@@ -347,8 +349,9 @@ impl LeastSquares for Problem<'_> {
     }
 }
 
-/// Where the search begins: the mount by the directions of straight driving and of the axes of turns, the scale by the median of the ways' ratios.
-fn start(segments: &[Segment], prior: &Robot) -> Option<State> {
+/// Where the search may begin: the mount by the directions of straight driving and of the axes of turns, the scale by the quartiles of the ways'
+/// ratios (a burst of slip at the beginning may well be half of all).
+fn starts(segments: &[Segment], prior: &Robot) -> Option<[State; 3]> {
     let mut robot = *prior;
     let told = || segments.iter().filter_map(|s| Some((s, s.wheels.as_ref()?.increment.motion)));
     if !prior.knows_rotation() {
@@ -372,8 +375,10 @@ fn start(segments: &[Segment], prior: &Robot) -> Option<State> {
         let ratio = (robot.step_of(&base).norm() / s.step.norm()).ln();
         (s.step.norm() > TELLING * s.sigma && ratio.is_finite()).then_some(ratio)
     };
-    let log_scale = median(&mut told().filter_map(ratio).collect::<Vec<f64>>())?;
-    Some(State { log_scale: [log_scale; KNOTS], robot })
+    let mut ratios: Vec<f64> = told().filter_map(ratio).collect();
+    ratios.sort_unstable_by(f64::total_cmp);
+    let state = |quarter: usize| Some(State { log_scale: [*ratios.get(quarter * ratios.len() / 4)?; KNOTS], robot });
+    Some([state(2)?, state(1)?, state(3)?])
 }
 
 /// The problem at a state: residuals weighed by what is expected of them there, times the noise levels (variances) of turns and steps.
@@ -421,9 +426,14 @@ pub fn solve(segments: &mut [Segment], history: &WheelHistory, prior: &Robot, kn
     if known.knows_rotation() {
         begin = Robot { sigma: [0.1; ROBOT], ..*known };
     }
-    let mut state = start(segments, &begin)?;
     let options = LmOptions { max_iterations: 15, relative_cost: 1e-8, ..LmOptions::default() };
     let mut level = [1.0; 2];
+    let tried = starts(segments, &begin)?.map(|start| {
+        let now = problem(segments, prior, &start, level, Loss::Cauchy(CAUCHY), |_| true);
+        let (state, summary) = minimise(&now, start, &options);
+        (summary.final_cost, state)
+    });
+    let mut state = tried.into_iter().min_by(|a, b| a.0.total_cmp(&b.0))?.1;
     for _ in 0..PASSES {
         let now = problem(segments, prior, &state, level, Loss::Cauchy(CAUCHY), |_| true);
         state = minimise(&now, state, &options).0;
@@ -436,22 +446,23 @@ pub fn solve(segments: &mut [Segment], history: &WheelHistory, prior: &Robot, kn
     let segments = &*segments;
     let now = problem(segments, prior, &state, level, Loss::Huber(CAUCHY), |s| !s.slips);
     state = minimise(&now, state, &options).0;
-    finish(&now, &state, segments)
+    finish(&now, &state, segments, level[1])
 }
 
 /// Whether a segment's residual is none that noise makes.
 fn contradicts(term: &Term<'_>, state: &State) -> bool {
     let far = term.residual(state).iter().any(|r| r.norm() > CONTRADICTS);
     let base = term.wheels.at(state.robot.yaw_factor, state.robot.time_offset_s);
-    let wheels = swing(base.z, &state.robot.lever_m) + Vector3::new(base.x, base.y, 0.0);
+    let turned_z = (state.robot.base_from_camera * term.segment.turn).z;
+    let wheels = swing(turned_z, &state.robot.lever_m) + Vector3::new(base.x, base.y, 0.0);
     let longer = wheels.norm().max(term.step(state).norm());
     let apart = (wheels - term.step(state)).norm() > SLIP_SHARE * longer;
-    let turned = (base.z - (state.robot.base_from_camera * term.segment.turn).z).abs() > SLIP_SHARE * base.z.abs();
+    let turned = (base.z - turned_z).abs() > SLIP_SHARE * base.z.abs();
     far && (apart || turned)
 }
 
 /// Reads covariance and trust off the solution.
-fn finish(problem: &Problem<'_>, state: &State, segments: &[Segment]) -> Option<Solution> {
+fn finish(problem: &Problem<'_>, state: &State, segments: &[Segment], noise: f64) -> Option<Solution> {
     let mut information = problem.linearise(state).hessian;
     information.fill_upper_triangle_with_lower_triangle();
     let covariance = information.cholesky()?.inverse();
@@ -468,6 +479,7 @@ fn finish(problem: &Problem<'_>, state: &State, segments: &[Segment]) -> Option<
         robot,
         believed_share: believed / all,
         believed_s: believed,
+        noise,
     })
 }
 

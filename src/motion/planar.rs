@@ -206,8 +206,7 @@ impl Sum {
         let f = Matrix3::new(1.0, 0.0, -moved.y, 0.0, 1.0, moved.x, 0.0, 0.0, 1.0);
         let (sine, cosine) = self.motion.yaw.sin_cos();
         let g = Matrix3::new(cosine, -sine, -0.5 * moved.y, sine, cosine, 0.5 * moved.x, 0.0, 0.0, 1.0);
-        self.covariance =
-            f * self.covariance * f.transpose() + g * Matrix3::from_diagonal(&variance) * g.transpose();
+        self.covariance = f * self.covariance * f.transpose() + g * Matrix3::from_diagonal(&variance) * g.transpose();
         self.motion = self.motion.then(&step);
         self.way_m += velocity.norm() * dt;
     }

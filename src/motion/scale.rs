@@ -32,6 +32,14 @@ impl ScaleSources {
     }
 }
 
+impl std::fmt::Display for ScaleSources {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let names = [(ScaleSource::Wheels, "WHEELS"), (ScaleSource::Height, "HEIGHT"), (ScaleSource::Tag, "TAG")];
+        let names: Vec<&str> = names.into_iter().filter(|n| self.contains(n.0)).map(|n| n.1).collect();
+        f.write_str(&names.join("+"))
+    }
+}
+
 /// What a map's lengths are.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum MapScale {

@@ -39,9 +39,10 @@ pub struct Drive {
 
 const SPEED_MPS: f64 = 0.5;
 const DEPTH_M: f64 = 2.5;
-const STEP_MS: i64 = 1;
+/// Of the path, ms.
+const STEP_MS: usize = 5;
 
-/// Base poses each millisecond.
+/// Base poses, forward speed and yaw rate, every so often.
 fn path(course: &Course, random: &mut Random) -> Vec<(Se3<World, Body>, f64, f64)> {
     let phases: [f64; 4] = std::array::from_fn(|_| random.uniform(0.0, 6.28));
     let (mut yaw, mut at, mut out) = (0.0_f64, Vector3::zeros(), Vec::new());
@@ -99,10 +100,10 @@ fn readings(
     let mut history = WheelHistory::default();
     let factors: Vec<f64> = slips.iter().map(|_| 1.0 / (1.0 - random.uniform(0.3, 0.5))).collect();
     let offset_ns = (truth.time_offset_s * 1e9) as i64;
-    for (i, block) in path.chunks_exact(20).enumerate() {
+    for (i, block) in path.chunks_exact(20 / STEP_MS).enumerate() {
         let t = i as f64 * 0.02;
         let slip: f64 = slips.iter().zip(&factors).filter(|((a, b), _)| (*a..*b).contains(&t)).map(|s| s.1).product();
-        let mean = |f: fn(&(Se3<World, Body>, f64, f64)) -> f64| block.iter().map(f).sum::<f64>() / 20.0;
+        let mean = |f: fn(&(Se3<World, Body>, f64, f64)) -> f64| block.iter().map(f).sum::<f64>() / block.len() as f64;
         let (v, w) = (mean(|p| p.1), mean(|p| p.2));
         let noise = |random: &mut Random| course.noise * random.normal();
         let x = v * slip * (1.0 + course.radius) * (1.0 + 0.04 * noise(random)) + 0.01 * noise(random);
@@ -131,8 +132,8 @@ fn segments(
     let (mut out, mut depths, mut noise_before) = (Vec::new(), 0.0, Vector3::zeros());
     for k in 0.. {
         let (from, to) = (100 + 700 * k, 100 + 700 * (k + 1));
-        let Some((end, ..)) = path.get(to) else { break };
-        let motion = (path[from].0 * camera).inverse() * (*end * camera);
+        let Some((end, ..)) = path.get(to / STEP_MS) else { break };
+        let motion = (path[from / STEP_MS].0 * camera).inverse() * (*end * camera);
         let step_depths = motion.translation.norm() / DEPTH_M;
         log_scale += course.drift * step_depths.sqrt() * random.normal();
         depths += step_depths;

@@ -19,6 +19,8 @@ use super::wheel::WheelReading;
 pub const SEGMENT_NS: i64 = 600_000_000;
 /// And at the most, where frames are missing or the robot hardly moves, ns.
 pub const LONGEST_SEGMENT_NS: i64 = 3_000_000_000;
+/// Standard deviation of an error common to both wheels' radii, as a share, unless it is said: tyres, wear and a tape measure.
+pub const RADIUS_SIGMA: f64 = 0.01;
 /// Segments that are kept.
 const SEGMENTS: usize = 240;
 /// Motion in which wheels and camera agree before a scale is told, s, and its share of all motion. A wheel that spins does so for a second or
@@ -27,6 +29,8 @@ const BELIEVED_S: f64 = 6.0;
 const BELIEVED_SHARE: f64 = 0.6;
 /// Standard deviation up to which it is told.
 const TOLD_SIGMA: f64 = 0.03;
+/// Where camera and wheels agree so much worse than they should (variances), it is no noise that they disagree by.
+const TOLD_NOISE: f64 = 12.0;
 /// What is known of the robot is, for the next map, so many times as uncertain: it may have been lifted meanwhile.
 const NEXT_MAP: f64 = 2.0;
 
@@ -118,6 +122,11 @@ impl WheelScale {
         true
     }
 
+    /// Oldest first.
+    pub fn segments(&self) -> &[Segment] {
+        &self.segments
+    }
+
     /// What is known of the robot.
     pub fn robot(&self) -> Robot {
         self.solution.map_or(self.prior, |s| s.robot)
@@ -126,8 +135,8 @@ impl WheelScale {
     /// ln(metres per map unit) and its standard deviation, an error common to both wheels in it; `None` until they are believed.
     pub fn measurement(&self) -> Option<ScaleMeasurement> {
         let s = self.solution?;
-        let believed = s.believed_s >= BELIEVED_S && s.believed_share >= BELIEVED_SHARE && s.sigma <= TOLD_SIGMA;
-        believed.then(|| ScaleMeasurement {
+        let agree = s.believed_s >= BELIEVED_S && s.believed_share >= BELIEVED_SHARE && s.noise <= TOLD_NOISE;
+        (agree && s.sigma <= TOLD_SIGMA).then(|| ScaleMeasurement {
             source: ScaleSource::Wheels,
             log_metres_per_unit: s.log_scale,
             sigma: s.sigma.hypot(self.radius_sigma),

@@ -12,6 +12,7 @@ mod covariance;
 mod initialise;
 mod keyframe;
 mod measurement;
+mod metric;
 mod odometry;
 mod optics;
 mod relocalise;
@@ -33,6 +34,7 @@ use keyframe::distance_prior::{self, mostly_assumed};
 use keyframe::epipolar::{EpipolarMatcher, Lens};
 use keyframe::pictures::{WHOLE_PICTURES, reduce_pictures};
 use keyframe::{KeyframeInputs, NewKeyframe};
+use metric::segments::Wheels;
 use optics::Optics;
 use relocalise::Relocaliser;
 use relocalise::other_maps::{OtherMaps, WORTH_KEEPING, retire};
@@ -45,6 +47,8 @@ use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::image::pyramid::PyramidPool;
 use crate::map::{KeyframeId, KeyframeView, LandmarkId, Sought};
+use crate::motion::hand_eye::Robot;
+use crate::motion::wheel_scale::RADIUS_SIGMA;
 
 /// Share of the landmarks looked for that are seen: below the first a frame is looked for elsewhere too (after a stretch of blur
 /// a few landmarks can hold a pose that has slid away), below the second it is no keyframe. Without the first, errors over 35 sequences
@@ -78,6 +82,7 @@ pub struct Reconstruction {
     pictures: PyramidPool,
     mapper: Mapper,
     corrections: Corrections,
+    wheels: Wheels,
     pending: Pending,
     /// Timestamp of the newest frame, ns.
     frame_ns: i64,
@@ -119,6 +124,7 @@ impl Reconstruction {
             pictures: PyramidPool::new(WHOLE_PICTURES, 1),
             mapper: Mapper::new(worker, lockstep),
             corrections: Corrections::default(),
+            wheels: Wheels::new(Robot::unknown(), RADIUS_SIGMA),
             pending: Pending::default(),
             frame_ns: i64::MIN,
             events: Vec::new(),
@@ -281,6 +287,7 @@ impl Reconstruction {
             feedback.forget.sort_unstable();
         }
         self.merge_adjustment(Merge::WhenDue);
+        self.follow_scale(features);
         self.post_adjustment();
     }
 
@@ -339,6 +346,7 @@ impl Reconstruction {
         retire(&self.active.map, &mut self.events);
         self.optics.intrinsics.end_map(&self.optics.camera);
         self.active = self.active.successor();
+        self.wheels.begin_map();
         self.corrections.end_map();
         self.initialiser.clear();
         self.orientation.clear();

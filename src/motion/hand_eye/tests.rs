@@ -1,4 +1,3 @@
-use super::super::planar::Planar;
 use super::super::synthetic::{Drive, drive};
 use super::*;
 use crate::geometry::random::Random;
@@ -64,7 +63,7 @@ fn what_the_motion_does_not_tell_stays_unknown_and_says_so() {
     let sigma = found.robot.sigma;
     // Straight on: yaw and pitch are told, roll and the lever are not.
     assert!(sigma[1] < 0.02 && sigma[2] < 0.02, "{sigma:?}");
-    assert!(sigma[0] > 0.1 && sigma[3] > 0.5 && sigma[4] > 0.1, "{sigma:?}");
+    assert!(sigma[0] > 0.05 && sigma[3] > 0.5 && sigma[4] > 0.5, "{sigma:?}");
 }
 
 #[test]
@@ -85,6 +84,7 @@ fn a_camera_that_looks_backwards_or_up_is_found() {
 #[test]
 fn the_lever_moves_the_camera_of_a_base_that_turns_on_the_spot() {
     let robot = Robot { lever_m: Vector2::new(0.3, 0.0), ..Robot::unknown() };
-    let step = robot.step_of(&Planar { translation: Vector2::zeros(), yaw: std::f64::consts::FRAC_PI_2 });
+    let on_the_spot = Planar { translation: Vector2::zeros(), yaw: std::f64::consts::FRAC_PI_2 };
+    let step = robot.step_of(&on_the_spot);
     assert!((step - Vector3::new(-0.3, 0.3, 0.0)).norm() < 1e-12, "{step}");
 }

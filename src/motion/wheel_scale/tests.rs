@@ -47,6 +47,10 @@ fn ten_seconds_at_half_a_metre_a_second_tell_the_scale_of_true_wheels_within_a_p
         let scale = after(&drive, Robot::unknown());
         if let Some(word) = scale.measurement() {
             off.push((word.log_metres_per_unit - drive.log_scale).abs());
+            if off[off.len() - 1] > 0.012 {
+                println!("seed {seed}: {word:?} {:?} {:?}", scale.solution, drive.slips);
+                println!("{:?}", scale.segments.iter().map(|s| u8::from(s.slips)).collect::<Vec<_>>());
+            }
         }
     }
     off.sort_unstable_by(f64::total_cmp);
