@@ -76,6 +76,7 @@ fn publishing_a_pose_allocates_nothing() {
         map: MapId(0),
         reset_counter: 0,
         keyframe: false,
+        scale: Default::default(),
     };
     let mut allocations = |times: usize| {
         let mut allocations = 0;

@@ -19,6 +19,7 @@ use super::{DaemonError, Parts, TURN};
 use crate::features::{Feedback, FrameFeatures};
 use crate::frame::{RawFrame, monotonic_ns};
 use crate::motion::wheel::WheelQueue;
+use crate::motion::wheel_scale::RADIUS_SIGMA;
 use crate::reconstruction::InlineWorker;
 
 /// Replays until the source ends, `stop` is set, or `go_on` (called once a frame) says no.
@@ -38,7 +39,8 @@ pub fn run(parts: Parts, stop: &AtomicBool, go_on: &mut dyn FnMut(&Status) -> bo
         RecorderLink::Inline(recorder),
         status.clone(),
     )
-    .with_wheels(wheels);
+    .with_wheels(wheels)
+    .with_base(&config.mount, RADIUS_SIGMA);
     let mut slot = RawFrame::default();
     let mut features = FrameFeatures::default();
     let mut feedback = Feedback::default();

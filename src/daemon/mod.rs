@@ -53,6 +53,7 @@ use crate::config::Config;
 use crate::features::{Feedback, FrameFeatures};
 use crate::frame::{RawFrame, monotonic_ns};
 use crate::motion::wheel::WheelQueue;
+use crate::motion::wheel_scale::RADIUS_SIGMA;
 use crate::ring::{Consumer, Producer, Wait, frame_ring};
 use capture::CaptureStep;
 use feature::FeatureStep;
@@ -131,7 +132,8 @@ pub(super) fn start(parts: Parts) -> Result<Threads, DaemonError> {
         link,
         status.clone(),
     )
-    .with_wheels(wheels.clone());
+    .with_wheels(wheels.clone())
+    .with_base(&config.mount, RADIUS_SIGMA);
 
     // As many parcels as may wait, and the one that reconstruction works on.
     let parcels = config.daemon.queue_frames + 1;

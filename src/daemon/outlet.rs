@@ -7,6 +7,7 @@ use crate::geometry::Se3;
 use crate::geometry::frames::{Body, World};
 use crate::map::{LandmarkId, MapId, MapSnapshot};
 use crate::messages::Pose;
+use crate::motion::hand_eye::Robot;
 use crate::publish::convert::{self, Map};
 use crate::publish::{
     Conversion, EncodedPublisher, FeaturesPublisher, FramePublisher, FrameStamp, MapContext, MapPublisher,
@@ -16,6 +17,10 @@ use crate::reconstruction::PoseEstimate;
 
 /// A pose that is older than this is not where the robot is now.
 const NOW_NS: i64 = 1_000_000_000;
+
+/// A mount is taken from the motion once it is known to this: rotation, rad; translation, m.
+const FOUND_RAD: f64 = 0.03;
+const FOUND_M: f64 = 0.05;
 
 /// Where a planner has put a map.
 #[derive(Debug, Clone, Copy)]
@@ -101,6 +106,7 @@ impl Outlet {
     /// One frame's pose, or its lack of one. `frames_dropped`: frames of this run that were never looked at.
     pub fn pose(&mut self, estimate: &PoseEstimate, frames_dropped: u64) -> Result<(), PublishError> {
         self.turn_to(estimate.map);
+        self.conversion.scale = estimate.scale.into();
         self.last = None;
         self.last = Some(self.poses.publish(estimate, &self.conversion, frames_dropped)?);
         Ok(())
@@ -122,6 +128,18 @@ impl Outlet {
         self.placement = Some(Placement { map, map_from_world });
         self.turn_to(map);
         Ok(())
+    }
+
+    /// Where the configuration does not say how the camera sits on the base, its motion has: from the next pose on that is the mount, as far as it
+    /// is known well. A height above the base does not show in it.
+    pub fn found_mount(&mut self, robot: &Robot) {
+        let mount = &mut self.conversion.body_from_camera;
+        if robot.sigma[..3].iter().all(|s| *s < FOUND_RAD) {
+            mount.rotation = robot.base_from_camera;
+        }
+        if robot.sigma[3..5].iter().all(|s| *s < FOUND_M) {
+            (mount.translation.x, mount.translation.y) = (robot.lever_m.x, robot.lever_m.y);
+        }
     }
 
     /// Takes the next pose's memory in advance, so that publishing it allocates nothing.
@@ -164,6 +182,7 @@ impl Outlet {
     /// The map and its keyframes.
     pub fn map(&mut self, map: &MapSnapshot, context: &MapContext) -> Result<(), PublishError> {
         self.turn_to(map.map);
+        self.conversion.scale = map.scale.into();
         self.map.publish(map, &self.conversion, context)
     }
 }

@@ -13,11 +13,14 @@ use super::outlet::Outlet;
 use super::recorder::{FinalMap, Record, RecorderLink, SaveKind};
 use super::status::{Status, state_name};
 use super::wheels::WheelListener;
+use crate::config::MountConfig;
 use crate::features::{Feedback, FrameFeatures};
 use crate::frame::monotonic_ns;
 use crate::geometry::frames::Body;
-use crate::geometry::{CameraModel, Se3};
+use crate::geometry::{CameraModel, Se3, ros_from_optical};
 use crate::map::MapSnapshot;
+use crate::motion::hand_eye::Robot;
+use crate::motion::scale::MapScale;
 use crate::motion::wheel::WheelQueue;
 use crate::publish::convert::Map;
 use crate::publish::{MapContext, PublishError};
@@ -107,6 +110,9 @@ pub struct ReconstructStep {
     last_state: Option<TrackingState>,
     last_resets: u32,
     last_blind_turns: u64,
+    base: Option<(Robot, f64)>,
+    last_scale: MapScale,
+    last_slipping: bool,
     last_maps_joined: u64,
     /// Times that a planner has put the map elsewhere: to its readers each is a reset.
     placements: u32,
@@ -147,6 +153,9 @@ impl ReconstructStep {
             last_state: None,
             last_resets: 0,
             last_blind_turns: 0,
+            base: None,
+            last_scale: MapScale::Unknown,
+            last_slipping: false,
             last_maps_joined: 0,
             placements: 0,
             last_frame_ns: 0,
@@ -170,6 +179,12 @@ impl ReconstructStep {
         }
     }
 
+    /// What is known of the camera's place on the base, and of the wheels, before they move. To be said before the first frame.
+    pub fn with_base(mut self, mount: &MountConfig, radius_sigma: f64) -> Self {
+        self.base = Some((base(mount), radius_sigma));
+        self
+    }
+
     /// One frame, from features to map. `ready_ns`: CLOCK_MONOTONIC when its features were ready. The error is the
     /// calibration's: no frame of this source can ever be placed.
     pub fn step(&mut self, features: &FrameFeatures, ready_ns: i64, feedback: &mut Feedback) -> Result<(), String> {
@@ -181,7 +196,9 @@ impl ReconstructStep {
         let Some(reconstruction) = self.reconstruction.as_mut() else { return Ok(()) };
         let begin = Instant::now();
         if let Some(wheels) = &self.wheels {
-            wheels.take(features.timestamp_ns, |reading| reconstruction.add_wheel(reading));
+            wheels.take(features.timestamp_ns, |reading| {
+                reconstruction.add_wheel(reading);
+            });
         }
         let mut estimate = reconstruction.track(features);
         estimate.reset_counter = estimate.reset_counter.wrapping_add(self.placements);
@@ -255,7 +272,11 @@ impl ReconstructStep {
             reconstruction.change_camera(&camera, prior);
             self.drain_events();
         } else if let Some(worker) = self.worker.take() {
-            self.reconstruction = Some(Reconstruction::with_lens(&self.config, &camera, prior, worker, self.lockstep));
+            let mut reconstruction = Reconstruction::with_lens(&self.config, &camera, prior, worker, self.lockstep);
+            if let Some((base, radius_sigma)) = self.base {
+                reconstruction.set_base(base, radius_sigma);
+            }
+            self.reconstruction = Some(reconstruction);
         }
     }
 
@@ -305,6 +326,7 @@ impl ReconstructStep {
             info!(sequence, timestamp_ns, map, maps_joined, "map joined");
             self.last_maps_joined = maps_joined;
         }
+        self.log_scale(e);
         let blind_turns = self.reconstruction.as_ref().map_or(0, |r| r.counters().blind_turns);
         if blind_turns != self.last_blind_turns {
             warn!(sequence, timestamp_ns, map, blind_turns, "scale assumed after a turn on the spot");
@@ -333,6 +355,39 @@ impl ReconstructStep {
         } else {
             debug!(sequence, landmarks = e.landmarks, sought = e.landmarks_sought, quality = e.quality, "frame");
         }
+    }
+
+    /// The map has become metric, or another one has begun that is not; the wheels slip.
+    fn log_scale(&mut self, e: &PoseEstimate) {
+        let Some(reconstruction) = &self.reconstruction else { return };
+        let (sequence, timestamp_ns, scale) = (e.sequence, e.timestamp_ns, reconstruction.scale());
+        let slipping = reconstruction.wheels_slip();
+        let (robot, slips) = reconstruction.base().unzip();
+        if let (MapScale::Metric { sigma, sources }, false) = (scale, self.last_scale.is_metric()) {
+            let sources = format!("{sources}");
+            info!(sequence, timestamp_ns, sigma, sources, "map is metric");
+            if let Some(robot) = robot {
+                let (roll, pitch, yaw) = (robot.base_from_camera * ros_from_optical().inverse()).euler_angles();
+                if let Some(outlet) = self.outlet.as_mut() {
+                    outlet.found_mount(&robot);
+                }
+                info!(
+                    roll_deg = roll.to_degrees(),
+                    pitch_deg = pitch.to_degrees(),
+                    yaw_deg = yaw.to_degrees(),
+                    lever_x_m = robot.lever_m.x,
+                    lever_y_m = robot.lever_m.y,
+                    yaw_factor = robot.yaw_factor,
+                    time_offset_ms = 1e3 * robot.time_offset_s,
+                    sigma = format!("{:.4?}", robot.sigma),
+                    "camera on the base, by its motion"
+                );
+            }
+        }
+        if slipping && !self.last_slipping {
+            warn!(sequence, timestamp_ns, slips, "wheels slip");
+        }
+        (self.last_scale, self.last_slipping) = (scale, slipping);
     }
 
     /// What is believed of the lens, for health and log; and for the next start, if it is found and less than `share` as uncertain as
@@ -436,6 +491,25 @@ impl ReconstructStep {
         self.status.set_map(&map.snapshot);
         (map, self.recorder)
     }
+}
+
+/// What a mount tells of the base: all that is said of it is taken for known. A translation alone is that of a camera that looks forward.
+fn base(mount: &MountConfig) -> Robot {
+    let said = &mount.body_from_camera;
+    let lever = said.translation_m != [0.0; 3];
+    let rotation = lever || said.rpy_deg.is_some() || said.quaternion_xyzw.is_some();
+    let given = mount.body_from_camera();
+    let mounted = Robot::mounted(given.rotation, given.translation.xy());
+    let mut robot = Robot::unknown();
+    if rotation {
+        robot.base_from_camera = mounted.base_from_camera;
+        robot.sigma[..3].copy_from_slice(&mounted.sigma[..3]);
+    }
+    if lever {
+        robot.lever_m = mounted.lever_m;
+        robot.sigma[3..5].copy_from_slice(&mounted.sigma[3..5]);
+    }
+    robot
 }
 
 /// What a map message says of the map as it is now. It may have been dropped after the last frame was placed, so the counter is the map's and not

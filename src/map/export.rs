@@ -2,7 +2,7 @@
 //!
 //! Input: a [`MapSnapshot`]. Output: binary little-endian PLY, one vertex a landmark and then one a keyframe (its camera's
 //! centre), 28 bytes each, whole or not at all. Properties: `x y z` (world axes: right, down, forward of the first
-//! keyframe's camera; map units), `red green blue` (landmarks pale to dark blue by how often they were seen, keyframes
+//! keyframe's camera; metres or map units, as a comment says), `red green blue` (landmarks pale to dark blue by how often they were seen, keyframes
 //! orange), `sigma` (one sigma along the line of sight, map units; NaN = unknown and for keyframes), `observations`
 //! (keyframes that see the landmark; 0 for keyframes), `id`, `kind` (0 landmark, 1 keyframe).
 //! Cost: 50 ns a vertex. What has no finite position is left out.
@@ -16,6 +16,7 @@ use nalgebra::Vector3;
 
 use super::MapSnapshot;
 use crate::atomic_file::{WriteError, write_atomically};
+use crate::motion::scale::MapScale;
 
 const KEYFRAME_COLOUR: [u8; 3] = [255, 110, 20];
 
@@ -30,6 +31,13 @@ pub fn write_ply(path: &Path, map: &MapSnapshot) -> Result<(), WriteError> {
     write_atomically(path, |out| write_vertices(out, map))
 }
 
+fn unit(scale: MapScale) -> String {
+    match scale {
+        MapScale::Unknown => "map units (no metric scale)".into(),
+        MapScale::Metric { sigma, .. } => format!("metres (scale known to {:.2} %)", 100.0 * sigma),
+    }
+}
+
 fn write_vertices(out: &mut impl Write, map: &MapSnapshot) -> io::Result<()> {
     let finite = |p: &Vector3<f64>| p.iter().all(|v| (*v as f32).is_finite());
     let landmarks = || map.landmarks.iter().filter(|l| finite(&l.position_world));
@@ -39,7 +47,7 @@ fn write_vertices(out: &mut impl Write, map: &MapSnapshot) -> io::Result<()> {
         out,
         "ply\nformat binary_little_endian 1.0\n\
          comment cairn map {} revision {}: {} landmarks, then {} keyframes\n\
-         comment map units (no metric scale); axes of the first keyframe's camera: x right, y down, z forward\n\
+         comment {}; axes of the first keyframe's camera: x right, y down, z forward\n\
          element vertex {count}\n\
          property float x\nproperty float y\nproperty float z\n\
          property uchar red\nproperty uchar green\nproperty uchar blue\n\
@@ -49,6 +57,7 @@ fn write_vertices(out: &mut impl Write, map: &MapSnapshot) -> io::Result<()> {
         map.revision,
         landmarks().count(),
         keyframes().count(),
+        unit(map.scale),
     )?;
     let mut vertex = |p: &Vector3<f64>, colour: [u8; 3], sigma: f32, observations: u32, id: u32, kind: u8| {
         for value in [p.x as f32, p.y as f32, p.z as f32] {
@@ -88,6 +97,7 @@ mod tests {
     fn every_vertex_is_where_the_header_says_and_nothing_more() {
         let map = MapSnapshot {
             map: MapId(3),
+            scale: Default::default(),
             revision: 9,
             landmarks: vec![landmark(7, 1.25, 0.5, 1), landmark(8, f64::NAN, 0.5, 2), landmark(9, 4.0, f32::NAN, 40)],
             keyframes: vec![keyframe(1, 2.0), keyframe(2, f64::INFINITY)],

@@ -391,6 +391,11 @@ impl Map {
         self.revision += 1;
     }
 
+    /// Keyframes that were made in one map were made in the other: it has another number now.
+    pub fn renumber(&mut self, map: MapId, now: MapId) {
+        self.keyframes.iter_mut().filter(|(_, k)| k.map == map).for_each(|(_, k)| k.map = now);
+    }
+
     /// Takes over another map's keyframes and landmarks, which lie in the same frame and unit and have ids of their own
     /// ([`successor`](Self::successor)).
     pub fn absorb(&mut self, other: Self) {

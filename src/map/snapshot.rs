@@ -5,6 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::{KeyframeId, LandmarkId, MapId};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
+use crate::motion::scale::MapScale;
 
 /// A landmark as the outside sees it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -39,6 +40,8 @@ pub struct MapSnapshot {
     pub map: MapId,
     /// Grows with every change of the map.
     pub revision: u64,
+    /// What lengths are.
+    pub scale: MapScale,
     /// Ascending id.
     pub landmarks: Vec<LandmarkView>,
     /// Ascending id.

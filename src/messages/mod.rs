@@ -111,7 +111,7 @@ pub const SCALE_ESTIMATED: u8 = 1;
 /// `scale`: lengths are metres, the mount's translation is applied, `scale_sigma` says how well.
 pub const SCALE_METRIC: u8 = 2;
 
-/// Bits of `scale_source`: what a scale comes from. None is sent yet; 0 while `scale` is [`SCALE_UNKNOWN`].
+/// Bits of `scale_source`: what a scale comes from; 0 while `scale` is [`SCALE_UNKNOWN`].
 pub mod scale_source {
     /// Wheel odometry.
     pub const WHEELS: u8 = 1 << 0;

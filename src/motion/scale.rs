@@ -17,3 +17,210 @@ pub struct ScaleMeasurement {
     /// Its standard deviation (0.01: 1 %).
     pub sigma: f64,
 }
+
+/// Sources; none by default.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct ScaleSources(u8);
+
+impl ScaleSources {
+    pub fn with(self, source: ScaleSource) -> Self {
+        Self(self.0 | 1 << source as u8)
+    }
+
+    pub fn contains(self, source: ScaleSource) -> bool {
+        self.0 & 1 << source as u8 != 0
+    }
+}
+
+impl std::fmt::Display for ScaleSources {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let names = [(ScaleSource::Wheels, "WHEELS"), (ScaleSource::Height, "HEIGHT"), (ScaleSource::Tag, "TAG")];
+        let names: Vec<&str> = names.into_iter().filter(|n| self.contains(n.0)).map(|n| n.1).collect();
+        f.write_str(&names.join("+"))
+    }
+}
+
+/// What a map's lengths are.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum MapScale {
+    /// Of an arbitrary unit.
+    #[default]
+    Unknown,
+    /// Metres, with this relative standard deviation.
+    Metric { sigma: f64, sources: ScaleSources },
+}
+
+impl MapScale {
+    pub fn is_metric(self) -> bool {
+        matches!(self, Self::Metric { .. })
+    }
+}
+
+/// A map becomes metric once its scale is known to this, and stays so.
+const METRIC_SIGMA: f64 = 0.05;
+/// A metric map is scaled again where the fused word differs by more than this share of its standard deviation, and by more than this at all.
+const REFINE_SHARE: f64 = 0.3;
+const REFINE_LEAST: f64 = 0.001;
+/// No number of words makes a source better than this: a tag's print and a measured height have an error that all their words share. What
+/// tells by wheels has it in its sigma already.
+const COMMON_SIGMA: [f64; 3] = [0.0, 0.005, 0.002];
+/// A word this many standard deviations from what its own source has said so far, several times, replaces that; fewer times it is left out.
+const CONTRADICTS: f64 = 5.0;
+const INSISTS: u32 = 3;
+
+/// What one source has said so far.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Word {
+    log: f64,
+    variance: f64,
+    /// Words in a row that contradict.
+    contradicted: u32,
+}
+
+/// All that is said of one map's scale.
+///
+/// Words of tags and heights come one by one and are independent but for what their source has in common; the wheels' solution is one
+/// word that is renewed. Sources are independent of each other and are brought together by their variances. An error common to both wheels is
+/// in the wheels' sigma, so beside a tag the tag decides, and the wheels hold what it said.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct ScaleFusion {
+    words: [Option<Word>; 3],
+    metric: bool,
+}
+
+impl ScaleFusion {
+    /// Takes a word on the present map as it is now. A second one of the wheels' replaces the one before, others add to it. `false`, and nothing
+    /// taken: it is not finite, or contradicts its own source.
+    pub fn add(&mut self, measurement: &ScaleMeasurement) -> bool {
+        let ScaleMeasurement { source, log_metres_per_unit: log, sigma } = *measurement;
+        if !log.is_finite() || !sigma.is_finite() || sigma <= 0.0 {
+            return false;
+        }
+        let new = Word { log, variance: sigma * sigma, contradicted: 0 };
+        let word = &mut self.words[source as usize];
+        let Some(before) = word.as_mut().filter(|_| source != ScaleSource::Wheels) else {
+            *word = Some(new);
+            return true;
+        };
+        let common = COMMON_SIGMA[source as usize].powi(2);
+        let limit = CONTRADICTS * CONTRADICTS * (before.variance + new.variance + common);
+        if (new.log - before.log).powi(2) > limit {
+            before.contradicted += 1;
+            let insists = before.contradicted >= INSISTS;
+            if insists {
+                *before = new;
+            }
+            return insists;
+        }
+        let gain = before.variance / (before.variance + new.variance);
+        before.log += gain * (new.log - before.log);
+        before.variance *= 1.0 - gain;
+        before.contradicted = 0;
+        true
+    }
+
+    /// What all say together: ln(metres per map unit), and its standard deviation; and who.
+    pub fn fused(&self) -> Option<(f64, f64, ScaleSources)> {
+        const SOURCES: [ScaleSource; 3] = [ScaleSource::Wheels, ScaleSource::Height, ScaleSource::Tag];
+        let (mut information, mut sum, mut sources) = (0.0, 0.0, ScaleSources::default());
+        for source in SOURCES {
+            let Some(word) = self.words[source as usize] else { continue };
+            let weight = 1.0 / (word.variance + COMMON_SIGMA[source as usize].powi(2));
+            information += weight;
+            sum += weight * word.log;
+            sources = sources.with(source);
+        }
+        (information > 0.0).then(|| (sum / information, information.recip().sqrt(), sources))
+    }
+
+    /// By what factor the map's lengths are to grow now, if they are: it becomes metric, or what is known has changed enough. To be followed by
+    /// [`rescale`](Self::rescale).
+    pub fn due(&self) -> Option<f64> {
+        let (log, sigma, _) = self.fused()?;
+        let due = match self.metric {
+            false => sigma <= METRIC_SIGMA,
+            true => log.abs() > (REFINE_SHARE * sigma).max(REFINE_LEAST),
+        };
+        due.then(|| log.exp())
+    }
+
+    /// The map's lengths are `factor` times as long from now on; they are metres.
+    pub fn rescale(&mut self, factor: f64) {
+        self.words.iter_mut().flatten().for_each(|word| word.log -= factor.ln());
+        self.metric = true;
+    }
+
+    /// A metric map, known to this, has become a part of this one: `log_metres_per_unit` by the join.
+    pub fn inherit(&mut self, other: &Self, log_metres_per_unit: f64, join_sigma: f64) {
+        for (mine, others) in self.words.iter_mut().zip(other.words).filter(|(mine, _)| mine.is_none()) {
+            *mine = others.map(|word| Word {
+                log: word.log + log_metres_per_unit,
+                variance: word.variance + join_sigma * join_sigma,
+                contradicted: 0,
+            });
+        }
+    }
+
+    pub fn is_metric(&self) -> bool {
+        self.metric
+    }
+
+    /// As it is published.
+    pub fn scale(&self) -> MapScale {
+        match self.fused().filter(|_| self.metric) {
+            Some((_, sigma, sources)) => MapScale::Metric { sigma, sources },
+            None => MapScale::Unknown,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn word(source: ScaleSource, log: f64, sigma: f64) -> ScaleMeasurement {
+        ScaleMeasurement { source, log_metres_per_unit: log, sigma }
+    }
+
+    #[test]
+    fn a_map_becomes_metric_once_and_is_refined_where_that_matters() {
+        let mut fusion = ScaleFusion::default();
+        assert!(fusion.due().is_none() && fusion.scale() == MapScale::Unknown);
+        assert!(fusion.add(&word(ScaleSource::Wheels, 0.7, 0.08)));
+        assert!(fusion.due().is_none(), "known to 8 % only");
+        fusion.add(&word(ScaleSource::Wheels, 0.72, 0.012));
+        let factor = fusion.due().expect("known well");
+        assert!((factor - 0.72_f64.exp()).abs() < 1e-12);
+        fusion.rescale(factor);
+        assert!(fusion.due().is_none() && fusion.is_metric());
+        fusion.add(&word(ScaleSource::Wheels, 0.002, 0.012));
+        assert!(fusion.due().is_none(), "well within what is known");
+        fusion.add(&word(ScaleSource::Wheels, 0.008, 0.011));
+        assert!((fusion.due().expect("a refinement").ln() - 0.008).abs() < 1e-12);
+        let MapScale::Metric { sigma, sources } = fusion.scale() else { panic!("it is metric") };
+        assert!((sigma - 0.011).abs() < 1e-12 && sources == ScaleSources::default().with(ScaleSource::Wheels));
+    }
+
+    #[test]
+    fn beside_a_tag_the_tag_decides_and_many_words_do_not_make_its_print_exact() {
+        let mut fusion = ScaleFusion::default();
+        fusion.add(&word(ScaleSource::Wheels, 0.02, 0.01));
+        (0..100).for_each(|_| assert!(fusion.add(&word(ScaleSource::Tag, 0.0, 0.004))));
+        let (log, sigma, sources) = fusion.fused().expect("two sources");
+        assert!(log < 0.001, "{log}");
+        assert!((0.0019..0.0021).contains(&sigma), "{sigma}");
+        assert!(sources.contains(ScaleSource::Tag) && sources.contains(ScaleSource::Wheels));
+        assert!(!sources.contains(ScaleSource::Height));
+    }
+
+    #[test]
+    fn one_wrong_word_is_left_out_and_one_that_is_repeated_is_heard() {
+        let mut fusion = ScaleFusion::default();
+        (0..5).for_each(|_| assert!(fusion.add(&word(ScaleSource::Tag, 0.1, 0.01))));
+        assert!(!fusion.add(&word(ScaleSource::Tag, 0.5, 0.01)));
+        assert!(!fusion.add(&word(ScaleSource::Tag, f64::NAN, 0.01)) && !fusion.add(&word(ScaleSource::Tag, 0.1, 0.0)));
+        assert!((fusion.fused().expect("told").0 - 0.1).abs() < 1e-9);
+        assert!(!fusion.add(&word(ScaleSource::Tag, 0.5, 0.01)) && fusion.add(&word(ScaleSource::Tag, 0.5, 0.01)));
+        assert!((fusion.fused().expect("told").0 - 0.5).abs() < 1e-9);
+    }
+}

@@ -61,6 +61,7 @@ fn room() -> (MapSnapshot, Vec<TumPose>) {
     };
     let map = MapSnapshot {
         map: MapId(0),
+        scale: Default::default(),
         revision: 1,
         landmarks: (0..3000).map(landmark).collect(),
         keyframes: trajectory.iter().step_by(25).enumerate().map(keyframe).collect(),

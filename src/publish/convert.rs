@@ -26,6 +26,7 @@ use crate::geometry::frames::{Body, Camera, World};
 use crate::geometry::{Se3, ros_from_optical};
 use crate::map::{KeyframeView, LandmarkView};
 use crate::messages::{self, Keyframe, Landmark, NO_KEYFRAME, Pose};
+use crate::motion::scale::{MapScale, ScaleSource};
 use crate::reconstruction::{LensKnowledge, OrientationEstimate, PoseEstimate, TrackingState};
 
 /// What is known of the length of a map unit.
@@ -36,18 +37,32 @@ pub enum ScaleEstimate {
     Unknown,
     /// Metres, with this relative standard deviation, as estimated; not relied upon.
     Estimated { sigma: f32 },
-    /// Metres, with this relative standard deviation.
-    Metric { sigma: f32 },
+    /// Metres, with this relative standard deviation, and what tells it (bits of [`messages::scale_source`]).
+    Metric { sigma: f32, source: u8 },
 }
 
 impl ScaleEstimate {
-    /// `scale` and `scale_sigma` of the messages.
-    pub fn to_wire(self) -> (u8, f32) {
+    /// `scale`, `scale_sigma` and `scale_source` of the messages.
+    pub fn to_wire(self) -> (u8, f32, u8) {
         match self {
-            Self::Unknown => (messages::SCALE_UNKNOWN, f32::NAN),
-            Self::Estimated { sigma } => (messages::SCALE_ESTIMATED, sigma),
-            Self::Metric { sigma } => (messages::SCALE_METRIC, sigma),
+            Self::Unknown => (messages::SCALE_UNKNOWN, f32::NAN, 0),
+            Self::Estimated { sigma } => (messages::SCALE_ESTIMATED, sigma, 0),
+            Self::Metric { sigma, source } => (messages::SCALE_METRIC, sigma, source),
         }
+    }
+}
+
+impl From<MapScale> for ScaleEstimate {
+    fn from(scale: MapScale) -> Self {
+        let MapScale::Metric { sigma, sources } = scale else { return Self::Unknown };
+        let bits = [
+            (ScaleSource::Wheels, messages::scale_source::WHEELS),
+            (ScaleSource::Height, messages::scale_source::HEIGHT),
+            (ScaleSource::Tag, messages::scale_source::TAG),
+        ];
+        let source =
+            bits.into_iter().filter(|(source, _)| sources.contains(*source)).fold(0, |all, (_, bit)| all | bit);
+        Self::Metric { sigma: sigma as f32, source }
     }
 }
 
@@ -170,7 +185,7 @@ pub fn state(state: TrackingState) -> u8 {
 ///
 /// An estimate that claims to track and has no finite pose is sent as lost: nothing invented may look good.
 pub fn pose(estimate: &PoseEstimate, conversion: &Conversion) -> Pose {
-    let (scale, scale_sigma) = conversion.scale.to_wire();
+    let (scale, scale_sigma, scale_source) = conversion.scale.to_wire();
     let mut pose = Pose {
         sequence: estimate.sequence,
         timestamp_ns: estimate.timestamp_ns,
@@ -182,6 +197,7 @@ pub fn pose(estimate: &PoseEstimate, conversion: &Conversion) -> Pose {
         map_revision: estimate.map_revision,
         state: state(estimate.state),
         scale,
+        scale_source,
         clock: clock(conversion.clock),
         ..Pose::default()
     };

@@ -309,7 +309,7 @@ impl MapPublisher {
         context: &MapContext,
     ) -> Result<(), PublishError> {
         self.sent_ns = Some(monotonic_ns());
-        let (scale, scale_sigma) = conversion.scale.to_wire();
+        let (scale, scale_sigma, scale_source) = conversion.scale.to_wire();
         let landmarks = newest(&snapshot.landmarks, self.limits.landmarks);
         let keyframes = newest(&snapshot.keyframes, self.limits.keyframes);
         let map_from_optical = conversion.map_from_optical();
@@ -327,7 +327,7 @@ impl MapPublisher {
             map_revision: context.map_revision,
             scale_sigma,
             scale,
-            scale_source: 0,
+            scale_source,
             clock: convert::clock(conversion.clock),
             map_mode: 0,
             reserved: [0; 4],
@@ -345,7 +345,7 @@ impl MapPublisher {
             map_revision: context.map_revision,
             scale_sigma,
             scale,
-            scale_source: 0,
+            scale_source,
             clock: convert::clock(conversion.clock),
             map_mode: 0,
             reserved: [0; 4],

@@ -31,6 +31,7 @@ fn estimate(world_from_camera: Se3<World, Camera>) -> PoseEstimate {
         map: MapId(1),
         reset_counter: 2,
         keyframe: true,
+        scale: Default::default(),
     }
 }
 
@@ -89,8 +90,11 @@ fn a_robot_that_drives_level_stays_level_though_its_camera_looks_down() {
 fn a_robot_that_turns_on_the_spot_stays_there_once_the_scale_is_metric() {
     // Camera 0.2 m ahead of the body's centre; the robot turns left by 90 degrees.
     let mount: Se3<Body, Camera> = Se3::new(ros_from_optical(), Vector3::new(0.2, 0.0, 0.0));
-    let metric =
-        Conversion { body_from_camera: mount, scale: ScaleEstimate::Metric { sigma: 0.01 }, ..Conversion::default() };
+    let metric = Conversion {
+        body_from_camera: mount,
+        scale: ScaleEstimate::Metric { sigma: 0.01, source: 1 },
+        ..Conversion::default()
+    };
     let start = convert::pose(&estimate(Se3::identity()), &metric);
     close(start.position, [-0.2, 0.0, 0.0]);
     // The camera went on a quarter circle: 0.2 m back and 0.2 m to the left.
@@ -103,7 +107,7 @@ fn a_robot_that_turns_on_the_spot_stays_there_once_the_scale_is_metric() {
     close(end.position, [-0.2, 0.0, 0.0]);
     close(end.angular_velocity, [0.0, 0.0, 1.0]);
     close(end.linear_velocity, [0.0, 0.0, 0.0]);
-    assert_eq!((end.scale, end.scale_sigma), (crate::messages::SCALE_METRIC, 0.01));
+    assert_eq!((end.scale, end.scale_sigma, end.scale_source), (crate::messages::SCALE_METRIC, 0.01, 1));
     // While lengths are arbitrary the same mount moves nothing: 0.2 of what?
     let arbitrary = Conversion { scale: ScaleEstimate::Estimated { sigma: 0.1 }, ..metric };
     close(convert::pose(&estimate(turned), &arbitrary).position, [-0.2, 0.2, 0.0]);
@@ -120,7 +124,7 @@ fn covariance_equals_the_numeric_jacobian_of_the_body_pose() {
         let mount: Se3<Body, Camera> = Se3::new(rotation(vector(), 3.0), vector());
         let conversion = Conversion {
             body_from_camera: mount,
-            scale: ScaleEstimate::Metric { sigma: 0.0 },
+            scale: ScaleEstimate::Metric { sigma: 0.0, source: 1 },
             ..Conversion::default()
         };
         let root = Matrix6::from_fn(|_, _| random());

@@ -5,6 +5,7 @@ use super::odometry::Odometry;
 use super::scale_uncertainty::ScaleUncertainty;
 use super::track::association::Bindings;
 use crate::map::{KeyframeId, Map, MapId};
+use crate::motion::scale::ScaleFusion;
 
 pub struct ActiveMap {
     pub map: Map,
@@ -13,6 +14,8 @@ pub struct ActiveMap {
     pub bindings: Bindings,
     pub odometry: Odometry,
     pub scale: ScaleUncertainty,
+    /// What is said of the length of its unit in metres.
+    pub fusion: ScaleFusion,
     /// Keyframe that shares most with the last frame.
     pub reference: KeyframeId,
     /// Frames tracked in it.
@@ -38,6 +41,7 @@ impl ActiveMap {
             bindings: Bindings::default(),
             odometry: Odometry::default(),
             scale: ScaleUncertainty::default(),
+            fusion: ScaleFusion::default(),
             reference: KeyframeId(0),
             frames: 0,
             last_keyframe_frame: 0,

@@ -16,6 +16,7 @@ impl Reconstruction {
         let map = &self.active.map;
         out.map = self.active.id;
         out.revision = map.revision;
+        out.scale = self.scale();
         out.landmarks.clear();
         // Where the distance is assumed there is no place to publish.
         out.landmarks.extend(map.landmarks.iter().filter(|(_, l)| l.assumed.is_none()).map(|(id, l)| LandmarkView {
@@ -53,6 +54,7 @@ impl Reconstruction {
             map_revision: self.corrections.revision,
             reset_counter: self.reset_counter(),
             keyframe: false,
+            scale: self.scale(),
         }
     }
 

@@ -12,6 +12,7 @@ mod covariance;
 mod initialise;
 mod keyframe;
 mod measurement;
+mod metric;
 mod odometry;
 mod optics;
 mod relocalise;
@@ -33,6 +34,7 @@ use keyframe::distance_prior::{self, mostly_assumed};
 use keyframe::epipolar::{EpipolarMatcher, Lens};
 use keyframe::pictures::{WHOLE_PICTURES, reduce_pictures};
 use keyframe::{KeyframeInputs, NewKeyframe};
+use metric::segments::Wheels;
 use optics::Optics;
 use relocalise::Relocaliser;
 use relocalise::other_maps::{OtherMap, OtherMaps, WORTH_KEEPING, retire};
@@ -45,7 +47,8 @@ use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::image::pyramid::PyramidPool;
 use crate::map::{KeyframeId, KeyframeView, LandmarkId, Sought};
-use crate::motion::wheel::WheelReading;
+use crate::motion::hand_eye::Robot;
+use crate::motion::wheel_scale::RADIUS_SIGMA;
 
 /// Share of the landmarks looked for that are seen: below the first a frame is looked for elsewhere too (after a stretch of blur
 /// a few landmarks can hold a pose that has slid away), below the second it is no keyframe. Without the first, errors over 35 sequences
@@ -79,6 +82,7 @@ pub struct Reconstruction {
     pictures: PyramidPool,
     mapper: Mapper,
     corrections: Corrections,
+    wheels: Wheels,
     pending: Pending,
     /// Timestamp of the newest frame, ns.
     frame_ns: i64,
@@ -120,6 +124,7 @@ impl Reconstruction {
             pictures: PyramidPool::new(WHOLE_PICTURES, 1),
             mapper: Mapper::new(worker, lockstep),
             corrections: Corrections::default(),
+            wheels: Wheels::new(Robot::unknown(), RADIUS_SIGMA),
             pending: Pending::default(),
             frame_ns: i64::MIN,
             events: Vec::new(),
@@ -282,6 +287,7 @@ impl Reconstruction {
             feedback.forget.sort_unstable();
         }
         self.merge_adjustment(Merge::WhenDue);
+        self.follow_scale(features);
         self.post_adjustment();
     }
 
@@ -353,6 +359,7 @@ impl Reconstruction {
         self.optics.intrinsics.end_map(&self.optics.camera);
         let next = self.active.successor();
         let old = std::mem::replace(&mut self.active, next);
+        self.wheels.begin_map();
         self.corrections.end_map();
         self.initialiser.clear();
         self.orientation.clear();
@@ -367,11 +374,6 @@ impl Reconstruction {
     pub fn change_camera(&mut self, camera: &CameraModel, prior: LensPrior) {
         self.reset();
         self.optics = Optics::new(camera, prior, &self.config);
-    }
-
-    /// What the base's wheels have told since the last frame, in order, before that frame is tracked.
-    pub fn add_wheel(&mut self, reading: &WheelReading) {
-        let _ = reading;
     }
 
     /// Events since the last call, in order; to be drained after every frame.

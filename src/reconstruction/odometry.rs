@@ -16,7 +16,7 @@ pub type Step = (Se3<Camera, Camera>, f64);
 /// The frame that was tracked last.
 #[derive(Debug, Clone, Copy)]
 pub struct LastFrame {
-    timestamp_ns: i64,
+    pub timestamp_ns: i64,
     pub camera_from_world: Se3<Camera, World>,
     /// The motion that led here.
     pub step: Option<Step>,

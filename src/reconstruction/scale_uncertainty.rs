@@ -106,6 +106,11 @@ impl ScaleUncertainty {
         }
     }
 
+    /// The map's lengths are `factor` times as long from now on.
+    pub fn rescale(&mut self, factor: f64) {
+        self.turns.iter_mut().for_each(|turn| turn.centre *= factor);
+    }
+
     /// What to add to the translation's covariance (left perturbation, camera's axes, map units^2) of a pose that rests on scale
     /// that came through `last`.
     pub fn covariance(&self, map: &Map, last: TurnId, pose: &Se3<Camera, World>) -> Matrix3<f64> {

@@ -247,6 +247,12 @@ impl Tracker {
     }
 
     /// Notes how far away is what the frame that was accepted has seen, from its place in the world.
+    /// The map's lengths are `factor` times as long from now on.
+    pub(super) fn rescale(&mut self, factor: f64) {
+        self.search.matches.iter_mut().for_each(|m| m.point *= factor);
+        self.seeds.rescale(factor);
+    }
+
     pub(super) fn note_distance(&mut self, centre: &Vector3<f64>) {
         self.seeds.note_distance(&self.search.matches, centre);
     }

@@ -5,6 +5,7 @@ use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, Keyframe, Odom, World};
 use crate::map::{KeyframeId, MapId};
+use crate::motion::scale::MapScale;
 
 /// State of tracking as published.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -65,6 +66,8 @@ pub struct PoseEstimate {
     pub reset_counter: u32,
     /// This frame will become a keyframe.
     pub keyframe: bool,
+    /// What lengths are.
+    pub scale: MapScale,
 }
 
 /// A frame's place in the map for the trajectory that is written at the end.
@@ -81,8 +84,10 @@ pub enum TrajectoryEvent {
     },
     /// Its map has ended; this is the keyframe's last pose.
     KeyframeRetired { keyframe: KeyframeId, world_from_camera: Se3<World, Camera> },
-    /// `map` was recognised from `into` and is a part of it from here on; `scale`: its unit in the other's.
+    /// `map` was recognised from `into`, or has become it by becoming metric, and is a part of it from here on; `scale`: its unit in the other's.
     MapJoined { map: MapId, into: MapId, scale: f64 },
+    /// From here on the map's lengths are `scale` times as long.
+    MapScaled { map: MapId, scale: f64 },
 }
 
 /// Counters since the start, for health and logs.

@@ -79,35 +79,44 @@ impl TrajectorySpool {
         // A keyframe's frame is its camera's.
         let mut known: BTreeMap<KeyframeId, Option<Se3<World, Keyframe>>> =
             keyframe_poses.iter().map(|(id, pose)| (*id, Some(pose.relabel()))).collect();
-        self.records.for_each(|_, event| match event {
+        self.records.for_each(|number, event| match event {
             TrajectoryEvent::KeyframeRemoved { map, keyframe, parent, mut parent_from_keyframe } => {
-                parent_from_keyframe.translation *= joined.of(map).1;
+                parent_from_keyframe.translation *= joined.of(map, number).1;
                 moved.insert(keyframe, (parent, parent_from_keyframe));
             }
             TrajectoryEvent::KeyframeRetired { keyframe, world_from_camera } => {
                 known.insert(keyframe, Some(world_from_camera.relabel()));
             }
-            TrajectoryEvent::Pose { .. } | TrajectoryEvent::MapJoined { .. } => {}
+            TrajectoryEvent::Pose { .. } | TrajectoryEvent::MapJoined { .. } | TrajectoryEvent::MapScaled { .. } => {}
         })?;
-        let resolve = |map, keyframe, mut keyframe_from_camera: Se3<Keyframe, Camera>| {
-            keyframe_from_camera.translation *= joined.of(map).1;
+        let resolve = |(map, number), keyframe, mut keyframe_from_camera: Se3<Keyframe, Camera>| {
+            keyframe_from_camera.translation *= joined.of(map, number).1;
             world_from_keyframe(keyframe, &mut known, &moved).map(|w| w * keyframe_from_camera)
         };
         self.records.write_largest(path, &joined, resolve)
     }
 }
 
-/// Which map each map has become a part of, and its unit in that one's.
+/// Which map each map has become a part of, its unit in that one's, and at which record; and at which records lengths of which map became so many
+/// times as long.
 #[derive(Debug, Default)]
-struct JoinedMaps(BTreeMap<MapId, (MapId, f64)>);
+struct JoinedMaps {
+    into: BTreeMap<MapId, (MapId, f64, u32)>,
+    /// Ascending record.
+    scaled: BTreeMap<MapId, Vec<(u32, f64)>>,
+}
 
 impl JoinedMaps {
-    fn of(&self, map: MapId) -> (MapId, f64) {
-        let (mut at, mut scale) = (map, 1.0);
+    /// The map that a record's map is a part of at the end, and what a length of the record's time is in its unit of the end.
+    fn of(&self, map: MapId, record: u32) -> (MapId, f64) {
+        let (mut at, mut scale, mut since) = (map, 1.0, record);
         // A map is joined to a younger one, so this ends; the bound only says so.
-        for _ in 0..=self.0.len() {
-            let Some((into, unit)) = self.0.get(&at) else { break };
-            (at, scale) = (*into, scale * unit);
+        for _ in 0..=self.into.len() {
+            let scaled = self.scaled.get(&at).map_or(&[][..], Vec::as_slice);
+            scale *= scaled.iter().filter(|(record, _)| *record > since).map(|s| s.1).product::<f64>();
+            let Some((into, unit, record)) = self.into.get(&at) else { break };
+            // What was scaled before is in the unit at the join.
+            (at, scale, since) = (*into, scale * unit, *record);
         }
         (at, scale)
     }
@@ -250,10 +259,10 @@ impl RecordFile {
 
     fn joined_maps(&mut self) -> Result<JoinedMaps, TrajectoryError> {
         let mut joined = JoinedMaps::default();
-        self.for_each(|_, event| {
-            if let TrajectoryEvent::MapJoined { map, into, scale } = event {
-                joined.0.insert(map, (into, scale));
-            }
+        self.for_each(|number, event| match event {
+            TrajectoryEvent::MapJoined { map, into, scale } => _ = joined.into.insert(map, (into, scale, number)),
+            TrajectoryEvent::MapScaled { map, scale } => joined.scaled.entry(map).or_default().push((number, scale)),
+            _ => {}
         })?;
         Ok(joined)
     }
@@ -263,12 +272,12 @@ impl RecordFile {
         &mut self,
         path: &Path,
         joined: &JoinedMaps,
-        mut resolve: impl FnMut(MapId, KeyframeId, Se3<Keyframe, Camera>) -> Option<Se3<World, Camera>>,
+        mut resolve: impl FnMut((MapId, u32), KeyframeId, Se3<Keyframe, Camera>) -> Option<Se3<World, Camera>>,
     ) -> Result<TrajectorySummary, TrajectoryError> {
         let mut poses_of_map = BTreeMap::<MapId, u64>::new();
-        self.for_each(|_, event| {
+        self.for_each(|number, event| {
             if let TrajectoryEvent::Pose { map, .. } = event {
-                *poses_of_map.entry(joined.of(map).0).or_default() += 1;
+                *poses_of_map.entry(joined.of(map, number).0).or_default() += 1;
             }
         })?;
         let mut summary = TrajectorySummary { events_lost: self.lost, ..Default::default() };
@@ -281,9 +290,9 @@ impl RecordFile {
         let mut order = Vec::<(i64, u32)>::with_capacity(largest.map_or(0, |(_, poses)| *poses as usize));
         self.for_each(|number, event| match event {
             TrajectoryEvent::Pose { timestamp_ns, map, keyframe, keyframe_from_camera }
-                if Some(joined.of(map).0) == summary.map =>
+                if Some(joined.of(map, number).0) == summary.map =>
             {
-                match resolve(map, keyframe, keyframe_from_camera).is_some_and(|pose| pose.is_finite()) {
+                match resolve((map, number), keyframe, keyframe_from_camera).is_some_and(|pose| pose.is_finite()) {
                     true => order.push((timestamp_ns, number)),
                     false => summary.poses_unresolved += 1,
                 }
@@ -301,7 +310,7 @@ impl RecordFile {
             for (timestamp_ns, number) in &order {
                 self.file.read_exact_at(&mut record, u64::from(*number) * RECORD_BYTES as u64)?;
                 if let Some(TrajectoryEvent::Pose { map, keyframe, keyframe_from_camera, .. }) = decode(&record)
-                    && let Some(pose) = resolve(map, keyframe, keyframe_from_camera)
+                    && let Some(pose) = resolve((map, *number), keyframe, keyframe_from_camera)
                 {
                     write_tum_line(out, *timestamp_ns, &pose)?;
                 }
@@ -316,6 +325,7 @@ const KIND_POSE: u32 = 1;
 const KIND_REMOVED: u32 = 2;
 const KIND_RETIRED: u32 = 3;
 const KIND_JOINED: u32 = 4;
+const KIND_SCALED: u32 = 5;
 
 /// `kind u32, map or keyframe u32, keyframe, parent or map u32, map u32, timestamp i64, q xyzw 4 f64, t 3 f64`, little endian.
 fn encode(event: &TrajectoryEvent) -> [u8; RECORD_BYTES] {
@@ -332,6 +342,9 @@ fn encode(event: &TrajectoryEvent) -> [u8; RECORD_BYTES] {
         }
         TrajectoryEvent::MapJoined { map, into, scale } => {
             ([KIND_JOINED, map.0, into.0, 0], 0, none, Vector3::new(*scale, 0.0, 0.0))
+        }
+        TrajectoryEvent::MapScaled { map, scale } => {
+            ([KIND_SCALED, map.0, 0, 0], 0, none, Vector3::new(*scale, 0.0, 0.0))
         }
     };
     let mut record = [0; RECORD_BYTES];
@@ -373,6 +386,7 @@ fn decode(record: &[u8]) -> Option<TrajectoryEvent> {
         KIND_JOINED => {
             Some(TrajectoryEvent::MapJoined { map: MapId(word(1)?), into: MapId(word(2)?), scale: translation.x })
         }
+        KIND_SCALED => Some(TrajectoryEvent::MapScaled { map: MapId(word(1)?), scale: translation.x }),
         _ => None,
     }
 }
@@ -413,6 +427,7 @@ mod tests {
                 keyframe_from_camera: Se3::new(rotation, translation),
             },
             TrajectoryEvent::MapJoined { map: MapId(2), into: MapId(5), scale: 0.3 },
+            TrajectoryEvent::MapScaled { map: MapId(3), scale: 1.01 },
             TrajectoryEvent::KeyframeRemoved {
                 map: MapId(7),
                 keyframe: KeyframeId(3),

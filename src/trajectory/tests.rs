@@ -309,6 +309,7 @@ fn the_live_trajectory_holds_what_was_published_and_nothing_else() {
         map: MapId(map),
         reset_counter: map,
         keyframe: false,
+        scale: Default::default(),
     };
     live.record(&estimate(0, 0, TrackingState::Initializing, None)).unwrap();
     live.record(&estimate(1, 0, TrackingState::Tracking, Some(at(1.0, 0.2)))).unwrap();

@@ -329,6 +329,7 @@ fn estimate(sequence: u64) -> PoseEstimate {
         map: MapId(0),
         reset_counter: 0,
         keyframe: false,
+        scale: Default::default(),
     }
 }
 
@@ -342,6 +343,7 @@ fn snapshot(landmarks: u32) -> MapSnapshot {
     let keyframe = |i: u32| KeyframeView { id: KeyframeId(i), timestamp_ns: 0, world_from_camera: Se3::identity() };
     MapSnapshot {
         map: MapId(0),
+        scale: Default::default(),
         revision: 0,
         landmarks: (0..landmarks).map(landmark).collect(),
         keyframes: (0..landmarks / 50).map(keyframe).collect(),

@@ -275,6 +275,7 @@ pub fn estimate(sequence: u64) -> PoseEstimate {
         map: MapId(0),
         reset_counter: 0,
         keyframe: false,
+        scale: Default::default(),
     }
 }
 
@@ -287,7 +288,13 @@ pub fn snapshot(revision: u64, n: u32) -> MapSnapshot {
         observations: 3,
     };
     let keyframe = KeyframeView { id: KeyframeId(0), timestamp_ns: 0, world_from_camera: Se3::identity() };
-    MapSnapshot { map: MapId(0), revision, landmarks: (0..n).map(landmark).collect(), keyframes: vec![keyframe] }
+    MapSnapshot {
+        map: MapId(0),
+        revision,
+        scale: Default::default(),
+        landmarks: (0..n).map(landmark).collect(),
+        keyframes: vec![keyframe],
+    }
 }
 
 /// The next message, which must come.

@@ -12,7 +12,8 @@
 use nalgebra::Vector3;
 
 use super::other_maps::{
-    ATTEMPT_GAP, LONGEST_GAP, OtherMap, OtherMaps, REMEMBERED, Sighting, at_corner, log_ratio, retire, similarity,
+    ATTEMPT_GAP, LONGEST_GAP, MAX_SCALE_SIGMA, OtherMap, OtherMaps, REMEMBERED, Sighting, at_corner, log_ratio, retire,
+    similarity,
 };
 use crate::features::FrameFeatures;
 use crate::geometry::CameraModel;
@@ -51,6 +52,7 @@ impl Reconstruction {
             return self.estimate_none(features);
         };
         self.mapper.discard();
+        self.wheels.begin_map();
         self.corrections.end_map();
         self.optics.intrinsics.end_map(&self.optics.camera);
         self.counters.resets += 1;
@@ -142,6 +144,8 @@ impl Reconstruction {
         let newest = other.sightings.last().map(|s| s.keyframe);
         let through = newest.and_then(|id| active.map.keyframe(id)?.scale_from);
         active.scale.absorb(&other.scale, &mut other.map, present_from_other, through);
+        // A length of one here is 1 / scale there.
+        active.fusion.inherit(&other.fusion, -present_from_other.scale.ln(), MAX_SCALE_SIGMA);
         let own = |s: &Sighting| active.map.keyframe(s.keyframe).map(|k| k.observations.clone()).unwrap_or_default();
         let seen: Vec<Vec<Observation>> = other.sightings.iter().map(own).collect();
         active.map.absorb(other.map);

@@ -14,6 +14,7 @@ use crate::geometry::frames::{Camera, World};
 use crate::geometry::sim3::Sim3;
 use crate::geometry::{Se3, median};
 use crate::map::{KeyframeId, LandmarkId, Map, MapId, Observation};
+use crate::motion::scale::ScaleFusion;
 use crate::reconstruction::active_map::ActiveMap;
 use crate::reconstruction::keyframe::{SAME_CORNER_PX, triangulate};
 use crate::reconstruction::scale_uncertainty::ScaleUncertainty;
@@ -29,7 +30,7 @@ pub const ATTEMPT_GAP: u64 = 4;
 pub const LONGEST_GAP: u64 = 32;
 /// Depths that are known in both maps, at the least, and standard deviation of the logarithm of the units' ratio from them, at the most.
 const MIN_COMMON: usize = 8;
-const MAX_SCALE_SIGMA: f64 = 0.05;
+pub const MAX_SCALE_SIGMA: f64 = 0.05;
 /// Two keyframes agree on a similarity up to this rotation, rad, and this distance of the camera, in mean depths.
 const AGREE_RAD: f64 = 0.05;
 const AGREE_DEPTHS: f64 = 0.1;
@@ -54,6 +55,7 @@ pub struct OtherMap {
     /// Where it was tracked last.
     pub reference: KeyframeId,
     pub scale: ScaleUncertainty,
+    pub fusion: ScaleFusion,
     /// Frames tracked in it.
     pub frames: u64,
     /// Keyframes of the present map that were recognised in it, the newest last.
@@ -62,8 +64,8 @@ pub struct OtherMap {
 
 impl OtherMap {
     pub fn new(lost: ActiveMap) -> Self {
-        let ActiveMap { map, id, reference, scale, frames, .. } = lost;
-        Self { map, id, reference, scale, frames, sightings: Vec::new() }
+        let ActiveMap { map, id, reference, scale, fusion, frames, .. } = lost;
+        Self { map, id, reference, scale, fusion, frames, sightings: Vec::new() }
     }
 }
 

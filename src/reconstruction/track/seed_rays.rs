@@ -53,6 +53,11 @@ impl SeedRays {
         Self { list: Vec::with_capacity(n), distances: Vec::with_capacity(n), distance: None }
     }
 
+    /// The map's lengths are `factor` times as long from now on.
+    pub fn rescale(&mut self, factor: f64) {
+        self.distance = self.distance.map(|distance| distance * factor);
+    }
+
     /// None for this frame.
     pub fn clear(&mut self) {
         self.list.clear();

@@ -1,0 +1,487 @@
+//! A camera and the wheels of its robot: what both saw of the same motions, brought together.
+//!
+//! Input: segments, each the camera's motion (map units) and the wheels' ([`WheelHistory::integrate`]) over the same time. Output, from one
+//! nonlinear least squares problem over all of them: the length of a map unit in metres and how it drifted along the way, the camera's
+//! place on the base (rotation, and its lever x and y), the factor on the wheels' yaw rate, the time offset; their covariance; and
+//! which segments the wheels slipped in. With `A = (R_A, t_A)` the camera's motion, `(theta, d)` the base's, `(R, p)` `base_from_camera`:
+//!
+//! ```text
+//! turn:  R log(R_A)    = [0, 0, theta(k, t)]
+//! step:  e^l R t_A     = (Rz(phi) - I) p + d(k, t)      phi: the camera's turn about the base's up, which it knows better than the wheels
+//! drift: l is linear between knots along the way; l_j+1 - l_j ~ N(0, q way_j)      q: a random walk, by the way in mean depths
+//! ```
+//!
+//! (Hand-eye calibration with planar motion: Guo, Mirzaei, Roumeliotis 2012 and Heng, Li, Pollefeys 2013 for the mount, Censi et al. 2013 for
+//! factor and trust.) Straight driving tells yaw and pitch of the camera, turning tells roll and pitch, yaw rate factor and lever; what the motions
+//! so far do not tell stays at its prior, and its sigma says so. The lever's height never shows. An error common to both wheels' radii is
+//! the scale itself and cannot be seen here: [`super::wheel_scale`] adds its prior.
+//!
+//! Slip: residuals go through Cauchy's loss, at a noise level that is read off their median; segments that then contradict are left out of
+//! a last pass and of the covariance. That holds as long as the wheels are right in most segments.
+//!
+//! Cost: 200 segments take about 2 ms. Not here: which motions make a segment, when a scale is believed.
+
+use nalgebra::{Matrix3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
+
+use super::planar::{Increment, Planar, WheelHistory};
+use crate::geometry::least_squares::{LeastSquares, LmOptions, Loss, NormalEquations, minimise};
+use crate::geometry::{median, ros_from_optical};
+
+/// Places along the way at which the scale is an unknown of its own.
+pub const KNOTS: usize = 6;
+/// Unknowns of the robot: rotation about forward, left and up, lever x and y, yaw rate factor, time offset.
+pub const ROBOT: usize = 7;
+const UNKNOWNS: usize = KNOTS + ROBOT;
+const LEVER: usize = KNOTS + 3;
+const FACTOR: usize = KNOTS + 5;
+const OFFSET: usize = KNOTS + 6;
+
+/// Standard deviation of the logarithm of a monocular map's scale from one place to another a mean depth further on.
+pub const DRIFT_PER_ROOT_DEPTH: f64 = 0.006;
+/// Standard deviations beside those of the wheels and of the camera's step: floors are no planes and a base rocks on its wheels; rad, and as
+/// shares of the way across it and upwards.
+const ROCKING_RAD: f64 = 0.004;
+const TURN_RAD: f64 = 0.0015;
+const SIDEWAYS_SHARE: f64 = 0.005;
+const UPWARDS_SHARE: f64 = 0.01;
+/// Scale of Cauchy's loss, standard deviations of a residual of three numbers; and beyond which a segment contradicts.
+const CAUCHY: f64 = 3.0;
+const CONTRADICTS: f64 = 4.5;
+/// A segment whose ways differ by less than this is no slip, whatever its residual.
+const SLIP_SHARE: f64 = 0.06;
+/// Median of chi squared with three degrees of freedom.
+const CHI2_3D_MEDIAN: f64 = 2.366;
+/// The noise level is taken from the residuals within these bounds (variances, as a factor on what is expected).
+const NOISE: (f64, f64) = (0.1, 16.0);
+/// Passes with the loss, each at wheels and weights renewed.
+const PASSES: usize = 3;
+/// Below this a segment tells no direction, rad of turn; of the step, as a share of its standard deviation.
+const STRAIGHT_RAD: f64 = 0.08;
+const TELLING: f64 = 10.0;
+/// Steps of the numeric derivatives by factor and offset.
+const FACTOR_STEP: f64 = 1e-3;
+const OFFSET_STEP_S: f64 = 2e-3;
+
+/// What is known of the robot, or taken for known.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Robot {
+    /// Camera's axes (optical) to the base's (REP-103).
+    pub base_from_camera: UnitQuaternion<f64>,
+    /// The camera before and left of the base's origin, m.
+    pub lever_m: Vector2<f64>,
+    /// True yaw rate over the wheels'.
+    pub yaw_factor: f64,
+    /// What is added to the time of a picture for that of the wheels, s.
+    pub time_offset_s: f64,
+    /// Standard deviations: rotation about the base's forward, left and up (rad), lever (m), factor, offset (s).
+    pub sigma: [f64; ROBOT],
+}
+
+impl Robot {
+    /// Nothing is known but that a camera more likely looks forward than anywhere else.
+    pub fn unknown() -> Self {
+        Self {
+            base_from_camera: ros_from_optical(),
+            lever_m: Vector2::zeros(),
+            yaw_factor: 1.0,
+            time_offset_s: 0.0,
+            sigma: [2.0, 2.0, 2.0, 1.0, 1.0, 0.05, 0.05],
+        }
+    }
+
+    /// The mount is given.
+    pub fn mounted(base_from_camera: UnitQuaternion<f64>, lever_m: Vector2<f64>) -> Self {
+        let given = [1e-4, 1e-4, 1e-4, 1e-4, 1e-4];
+        let mut robot = Self { base_from_camera, lever_m, ..Self::unknown() };
+        robot.sigma[..5].copy_from_slice(&given);
+        robot
+    }
+
+    /// The camera's mount was found to a radian's fraction.
+    fn knows_rotation(&self) -> bool {
+        self.sigma[..3].iter().all(|s| *s < 0.2)
+    }
+
+    /// The camera's motion that a base's motion makes, in the base's axes, m.
+    pub fn step_of(&self, base: &Planar) -> Vector3<f64> {
+        swing(base.yaw, &self.lever_m) + base.translation.push(0.0)
+    }
+}
+
+/// `(Rz(yaw) - I) p`
+fn swing(yaw: f64, p: &Vector2<f64>) -> Vector3<f64> {
+    let (s, c) = yaw.sin_cos();
+    Vector3::new((c - 1.0) * p.x - s * p.y, s * p.x + (c - 1.0) * p.y, 0.0)
+}
+
+/// What the wheels say of a segment, near some yaw rate factor and time offset.
+#[derive(Debug, Clone, Copy)]
+struct Wheels {
+    near: (f64, f64),
+    increment: Increment,
+    /// Derivatives of x, y, yaw.
+    by_factor: Vector3<f64>,
+    by_offset: Vector3<f64>,
+}
+
+impl Wheels {
+    fn of(history: &WheelHistory, (from_ns, to_ns): (i64, i64), factor: f64, offset_s: f64) -> Option<Self> {
+        let at = |factor: f64, offset_s: f64| {
+            let offset_ns = (offset_s * 1e9).round() as i64;
+            history.integrate(from_ns.saturating_add(offset_ns), to_ns.saturating_add(offset_ns), factor)
+        };
+        let numbers = |i: &Increment| i.motion.translation.push(i.motion.yaw);
+        let increment = at(factor, offset_s)?;
+        let here = numbers(&increment);
+        let by_factor = (numbers(&at(factor + FACTOR_STEP, offset_s)?) - here) / FACTOR_STEP;
+        // The newest readings may not reach further: the other side will do.
+        let later = at(factor, offset_s + OFFSET_STEP_S).map(|i| (numbers(&i) - here) / OFFSET_STEP_S);
+        let earlier = || at(factor, offset_s - OFFSET_STEP_S).map(|i| (here - numbers(&i)) / OFFSET_STEP_S);
+        let by_offset = later.or_else(earlier)?;
+        Some(Self { near: (factor, offset_s), increment, by_factor, by_offset })
+    }
+
+    fn at(&self, factor: f64, offset_s: f64) -> Vector3<f64> {
+        let Planar { translation, yaw } = self.increment.motion;
+        translation.push(yaw) + self.by_factor * (factor - self.near.0) + self.by_offset * (offset_s - self.near.1)
+    }
+}
+
+/// The same motion, seen by the camera and by the wheels.
+#[derive(Debug, Clone, Copy)]
+pub struct Segment {
+    /// Clock of the pictures.
+    pub from_ns: i64,
+    pub to_ns: i64,
+    /// The camera's motion, start_from_end: axis times angle (rad), and translation (map units), in its axes at the start.
+    pub turn: Vector3<f64>,
+    pub step: Vector3<f64>,
+    /// Standard deviation of each axis of `step`, map units.
+    pub sigma: f64,
+    /// The way of the camera up to here since its map began, in mean depths of the scene.
+    pub at_depths: f64,
+    wheels: Option<Wheels>,
+    /// By the last solution: the wheels contradict.
+    pub slips: bool,
+}
+
+impl Segment {
+    pub fn new(
+        (from_ns, to_ns): (i64, i64),
+        (turn, step): (Vector3<f64>, Vector3<f64>),
+        sigma: f64,
+        at_depths: f64,
+    ) -> Self {
+        Self { from_ns, to_ns, turn, step, sigma, at_depths, wheels: None, slips: false }
+    }
+
+    /// What the wheels say, near what is known of the robot; stays as it was where the readings are gone. `false`: they say nothing.
+    pub fn weigh(&mut self, history: &WheelHistory, robot: &Robot) -> bool {
+        let renewed = Wheels::of(history, (self.from_ns, self.to_ns), robot.yaw_factor, robot.time_offset_s);
+        self.wheels = renewed.or(self.wheels);
+        self.wheels.is_some()
+    }
+
+    /// By the wheels, m; 0 where they say nothing.
+    pub fn way_m(&self) -> f64 {
+        self.wheels.map_or(0.0, |w| w.increment.way_m)
+    }
+}
+
+/// All unknowns.
+#[derive(Debug, Clone, Copy)]
+struct State {
+    log_scale: [f64; KNOTS],
+    robot: Robot,
+}
+
+/// What the segments tell.
+#[derive(Debug, Clone, Copy)]
+pub struct Solution {
+    /// ln(metres per map unit), now.
+    pub log_scale: f64,
+    /// Its standard deviation, an error common to both wheels left out.
+    pub sigma: f64,
+    pub robot: Robot,
+    /// Share of the time in motion in which the wheels were believed, and that time, s.
+    pub believed_share: f64,
+    pub believed_s: f64,
+    /// Variance of the steps' residuals, as a factor on what is expected of both.
+    pub noise: f64,
+}
+
+/// A segment's part of the problem, weights fixed.
+struct Term<'a> {
+    segment: &'a Segment,
+    wheels: Wheels,
+    /// Knot before it and the share of the next.
+    knot: (usize, f64),
+    /// One over the standard deviations: turn, step.
+    weight: [Vector3<f64>; 2],
+}
+
+struct Problem<'a> {
+    terms: Vec<Term<'a>>,
+    prior: &'a Robot,
+    /// One over the standard deviation of the scale's drift between two knots.
+    stiffness: f64,
+    loss: Loss,
+}
+
+/// Knot before a place on the way, and the share of the next; and the way between two knots.
+fn knots(segments: &[Segment]) -> (impl Fn(f64) -> (usize, f64), f64) {
+    let first = segments.first().map_or(0.0, |s| s.at_depths);
+    let last = segments.last().map_or(0.0, |s| s.at_depths);
+    let between = ((last - first) / (KNOTS - 1) as f64).max(1e-6);
+    let place = move |at: f64| {
+        let place = ((at - first) / between).clamp(0.0, (KNOTS - 1) as f64);
+        let knot = (place.floor() as usize).min(KNOTS - 2);
+        (knot, place - knot as f64)
+    };
+    (place, between)
+}
+
+impl Term<'_> {
+    /// Whitened residuals of turn and step.
+    fn residual(&self, state: &State) -> [Vector3<f64>; 2] {
+        let robot = &state.robot;
+        let base = self.wheels.at(robot.yaw_factor, robot.time_offset_s);
+        let turned = robot.base_from_camera * self.segment.turn;
+        let turn = turned - Vector3::new(0.0, 0.0, base.z);
+        let step = self.step(state) - swing(turned.z, &robot.lever_m) - Vector3::new(base.x, base.y, 0.0);
+        [turn.component_mul(&self.weight[0]), step.component_mul(&self.weight[1])]
+    }
+
+    fn log_scale(&self, state: &State) -> f64 {
+        let (knot, share) = self.knot;
+        state.log_scale[knot] * (1.0 - share) + state.log_scale[knot + 1] * share
+    }
+
+    /// `e^l R t_A`
+    fn step(&self, state: &State) -> Vector3<f64> {
+        state.robot.base_from_camera * self.segment.step * self.log_scale(state).exp()
+    }
+
+    /// Their derivatives by all unknowns.
+    fn jacobian(&self, state: &State) -> [SMatrix<f64, 3, UNKNOWNS>; 2] {
+        let robot = &state.robot;
+        let (turned, step) = (robot.base_from_camera * self.segment.turn, self.step(state));
+        let (s, c) = turned.z.sin_cos();
+        let p = robot.lever_m;
+        let by_yaw = Vector3::new(-s * p.x - c * p.y, c * p.x - s * p.y, 0.0);
+        let [mut t, mut d] = [SMatrix::<f64, 3, UNKNOWNS>::zeros(), SMatrix::<f64, 3, UNKNOWNS>::zeros()];
+        t.fixed_view_mut::<3, 3>(0, KNOTS).copy_from(&-turned.cross_matrix());
+        d.fixed_view_mut::<3, 3>(0, KNOTS).copy_from(&(by_yaw * turned.cross_matrix().row(2) - step.cross_matrix()));
+        let (knot, share) = self.knot;
+        d.set_column(knot, &(step * (1.0 - share)));
+        d.set_column(knot + 1, &(step * share));
+        d.set_column(LEVER, &-Vector3::new(c - 1.0, s, 0.0));
+        d.set_column(LEVER + 1, &-Vector3::new(-s, c - 1.0, 0.0));
+        for (column, by) in [(FACTOR, self.wheels.by_factor), (OFFSET, self.wheels.by_offset)] {
+            t.set_column(column, &Vector3::new(0.0, 0.0, -by.z));
+            d.set_column(column, &-Vector3::new(by.x, by.y, 0.0));
+        }
+        for i in 0..3 {
+            t.row_mut(i).scale_mut(self.weight[0][i]);
+            d.row_mut(i).scale_mut(self.weight[1][i]);
+        }
+        [t, d]
+    }
+}
+
+impl Problem<'_> {
+    /// Whitened residuals of the priors, and the columns and weights that they stand for.
+    fn priors(&self, state: &State) -> [(f64, usize, f64); ROBOT] {
+        let (prior, now) = (self.prior, &state.robot);
+        let turn = (now.base_from_camera * prior.base_from_camera.inverse()).scaled_axis();
+        let lever = now.lever_m - prior.lever_m;
+        let factor = now.yaw_factor - prior.yaw_factor;
+        let off = [turn.x, turn.y, turn.z, lever.x, lever.y, factor, now.time_offset_s - prior.time_offset_s];
+        std::array::from_fn(|i| (off[i] / prior.sigma[i], KNOTS + i, 1.0 / prior.sigma[i]))
+    }
+}
+
+impl LeastSquares for Problem<'_> {
+    type State = State;
+    type Normal = NormalEquations<UNKNOWNS>;
+
+    fn linearise(&self, state: &State) -> Self::Normal {
+        let mut normal = NormalEquations::default();
+        for term in &self.terms {
+            for (residual, jacobian) in term.residual(state).iter().zip(term.jacobian(state)) {
+                let (_, weight) = self.loss.evaluate(residual.norm_squared());
+                for i in 0..3 {
+                    normal.add(&jacobian.row(i).transpose(), residual[i], weight);
+                }
+            }
+        }
+        for (residual, column, weight) in self.priors(state) {
+            let mut row = SVector::<f64, UNKNOWNS>::zeros();
+            row[column] = weight;
+            normal.add(&row, residual, 1.0);
+        }
+        for j in 1..KNOTS {
+            let mut row = SVector::<f64, UNKNOWNS>::zeros();
+            (row[j - 1], row[j]) = (-self.stiffness, self.stiffness);
+            normal.add(&row, (state.log_scale[j] - state.log_scale[j - 1]) * self.stiffness, 1.0);
+        }
+        normal
+    }
+
+    fn cost(&self, state: &State) -> f64 {
+        let of_term = |term: &Term<'_>| term.residual(state).map(|r| self.loss.evaluate(r.norm_squared()).0);
+        let terms: f64 = self.terms.iter().map(|term| of_term(term).iter().sum::<f64>()).sum();
+        let priors: f64 = self.priors(state).iter().map(|p| p.0 * p.0).sum();
+        let drift = state.log_scale.windows(2).map(|l| ((l[1] - l[0]) * self.stiffness).powi(2));
+        terms + priors + drift.sum::<f64>()
+    }
+
+    fn step(&self, state: &State, delta: &SVector<f64, UNKNOWNS>) -> State {
+        let mut next = *state;
+        next.log_scale.iter_mut().zip(delta.iter()).for_each(|(l, d)| *l += d);
+        let robot = &mut next.robot;
+        let turn = delta.fixed_rows::<3>(KNOTS).into_owned();
+        robot.base_from_camera = UnitQuaternion::from_scaled_axis(turn) * robot.base_from_camera;
+        robot.lever_m += delta.fixed_rows::<2>(LEVER);
+        robot.yaw_factor += delta[FACTOR];
+        robot.time_offset_s += delta[OFFSET];
+        next
+    }
+}
+
+/// Where the search may begin: the mount by the directions of straight driving and of the axes of turns, the scale by the quartiles of the ways'
+/// ratios (a burst of slip at the beginning may well be half of all).
+fn starts(segments: &[Segment], prior: &Robot) -> Option<[State; 3]> {
+    let mut robot = *prior;
+    let told = || segments.iter().filter_map(|s| Some((s, s.wheels.as_ref()?.increment.motion)));
+    if !prior.knows_rotation() {
+        // Wahba's problem. A little of the prior says what no motion tells.
+        let mut sum = 0.1 * prior.base_from_camera.to_rotation_matrix().into_inner();
+        for (s, base) in told() {
+            if base.yaw.abs() < STRAIGHT_RAD && s.step.norm() > TELLING * s.sigma && base.translation.norm() > 1e-3 {
+                sum += base.translation.push(0.0).normalize() * s.step.normalize().transpose();
+            }
+            if base.yaw.abs() > STRAIGHT_RAD && s.turn.norm() > 0.5 * STRAIGHT_RAD {
+                sum += Vector3::new(0.0, 0.0, base.yaw.signum()) * s.turn.normalize().transpose();
+            }
+        }
+        let svd = sum.svd(true, true);
+        let (u, v) = (svd.u?, svd.v_t?);
+        let proper = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, (u * v).determinant().signum()));
+        let rotation = nalgebra::Rotation3::from_matrix_unchecked(u * proper * v);
+        robot.base_from_camera = UnitQuaternion::from_rotation_matrix(&rotation);
+    }
+    let ratio = |(s, base): (&Segment, Planar)| {
+        let ratio = (robot.step_of(&base).norm() / s.step.norm()).ln();
+        (s.step.norm() > TELLING * s.sigma && ratio.is_finite()).then_some(ratio)
+    };
+    let mut ratios: Vec<f64> = told().filter_map(ratio).collect();
+    ratios.sort_unstable_by(f64::total_cmp);
+    let state = |quarter: usize| Some(State { log_scale: [*ratios.get(quarter * ratios.len() / 4)?; KNOTS], robot });
+    Some([state(2)?, state(1)?, state(3)?])
+}
+
+/// The problem at a state: residuals weighed by what is expected of them there, times the noise levels (variances) of turns and steps.
+fn problem<'a>(
+    segments: &'a [Segment],
+    prior: &'a Robot,
+    state: &State,
+    noise: [f64; 2],
+    loss: Loss,
+    among: impl Fn(&Segment) -> bool,
+) -> Problem<'a> {
+    let (place, between) = knots(segments);
+    let term = |segment: &'a Segment| {
+        let wheels = segment.wheels.filter(|_| among(segment))?;
+        let knot = place(segment.at_depths);
+        let log_scale = state.log_scale[knot.0] * (1.0 - knot.1) + state.log_scale[knot.0 + 1] * knot.1;
+        let (p, way) = (wheels.increment.covariance, wheels.increment.way_m);
+        let seen = (log_scale.exp() * segment.sigma).powi(2);
+        let turn = Vector3::new(ROCKING_RAD.powi(2), ROCKING_RAD.powi(2), p[(2, 2)] + TURN_RAD.powi(2));
+        let step = Vector3::new(
+            p[(0, 0)] + seen,
+            p[(1, 1)] + seen + (SIDEWAYS_SHARE * way).powi(2),
+            seen + (UPWARDS_SHARE * way).powi(2) + 1e-6,
+        );
+        let weight = [turn * noise[0], step * noise[1]].map(|v| v.map(|v| 1.0 / v.sqrt()));
+        Some(Term { segment, wheels, knot, weight })
+    };
+    let terms = segments.iter().filter_map(term).collect();
+    Problem { terms, prior, stiffness: 1.0 / (DRIFT_PER_ROOT_DEPTH * between.sqrt()), loss }
+}
+
+/// Noise levels by the median of the residuals at a state.
+fn noise(problem: &Problem<'_>, state: &State, before: [f64; 2]) -> [f64; 2] {
+    std::array::from_fn(|i| {
+        let mut chi2: Vec<f64> = problem.terms.iter().map(|t| t.residual(state)[i].norm_squared()).collect();
+        let level = median(&mut chi2).unwrap_or(CHI2_3D_MEDIAN) / CHI2_3D_MEDIAN;
+        (before[i] * level).clamp(NOISE.0, NOISE.1)
+    })
+}
+
+/// What the segments tell; marks those in which the wheels slip. `None`: they do not tell enough.
+pub fn solve(segments: &mut [Segment], history: &WheelHistory, prior: &Robot, known: &Robot) -> Option<Solution> {
+    segments.iter_mut().for_each(|s| _ = s.weigh(history, known));
+    let mut begin = *prior;
+    if known.knows_rotation() {
+        begin = Robot { sigma: [0.1; ROBOT], ..*known };
+    }
+    let options = LmOptions { max_iterations: 15, relative_cost: 1e-8, ..LmOptions::default() };
+    let mut level = [1.0; 2];
+    let tried = starts(segments, &begin)?.map(|start| {
+        let now = problem(segments, prior, &start, level, Loss::Cauchy(CAUCHY), |_| true);
+        let (state, summary) = minimise(&now, start, &options);
+        (summary.final_cost, state)
+    });
+    let mut state = tried.into_iter().min_by(|a, b| a.0.total_cmp(&b.0))?.1;
+    for _ in 0..PASSES {
+        let now = problem(segments, prior, &state, level, Loss::Cauchy(CAUCHY), |_| true);
+        state = minimise(&now, state, &options).0;
+        level = noise(&now, &state, level);
+        segments.iter_mut().for_each(|s| _ = s.weigh(history, &state.robot));
+    }
+    let now = problem(segments, prior, &state, level, Loss::Squared, |_| true);
+    let slips: Vec<i64> = now.terms.iter().filter(|t| contradicts(t, &state)).map(|t| t.segment.from_ns).collect();
+    segments.iter_mut().for_each(|s| s.slips = slips.binary_search(&s.from_ns).is_ok());
+    let segments = &*segments;
+    let now = problem(segments, prior, &state, level, Loss::Huber(CAUCHY), |s| !s.slips);
+    state = minimise(&now, state, &options).0;
+    finish(&now, &state, segments, level[1])
+}
+
+/// Whether a segment's residual is none that noise makes.
+fn contradicts(term: &Term<'_>, state: &State) -> bool {
+    let far = term.residual(state).iter().any(|r| r.norm() > CONTRADICTS);
+    let base = term.wheels.at(state.robot.yaw_factor, state.robot.time_offset_s);
+    let turned_z = (state.robot.base_from_camera * term.segment.turn).z;
+    let wheels = swing(turned_z, &state.robot.lever_m) + Vector3::new(base.x, base.y, 0.0);
+    let longer = wheels.norm().max(term.step(state).norm());
+    let apart = (wheels - term.step(state)).norm() > SLIP_SHARE * longer;
+    let turned = (base.z - turned_z).abs() > SLIP_SHARE * base.z.abs();
+    far && (apart || turned)
+}
+
+/// Reads covariance and trust off the solution.
+fn finish(problem: &Problem<'_>, state: &State, segments: &[Segment], noise: f64) -> Option<Solution> {
+    let mut information = problem.linearise(state).hessian;
+    information.fill_upper_triangle_with_lower_triangle();
+    let covariance = information.cholesky()?.inverse();
+    let mut robot = state.robot;
+    robot.sigma = std::array::from_fn(|i| covariance[(KNOTS + i, KNOTS + i)].max(0.0).sqrt());
+    let span = |s: &Segment| (s.to_ns - s.from_ns) as f64 * 1e-9;
+    let moving = || segments.iter().filter(|s| s.wheels.is_some() && s.step.norm() > TELLING * s.sigma);
+    let (all, believed) = (moving().map(span).sum::<f64>(), moving().filter(|s| !s.slips).map(span).sum::<f64>());
+    let (log_scale, sigma) = (state.log_scale[KNOTS - 1], covariance[(KNOTS - 1, KNOTS - 1)].sqrt());
+    let finite = log_scale.is_finite() && sigma.is_finite() && robot.sigma.iter().all(|s| s.is_finite());
+    (finite && all > 0.0).then_some(Solution {
+        log_scale,
+        sigma,
+        robot,
+        believed_share: believed / all,
+        believed_s: believed,
+        noise,
+    })
+}
+
+#[cfg(test)]
+mod tests;

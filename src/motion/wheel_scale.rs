@@ -1,0 +1,155 @@
+//! The scale of the present map by wheel odometry: a bounded window of segments, and when they are believed.
+//!
+//! Input: readings as they come, and segments of the present map (the camera's motion over [`SEGMENT_NS`] or more, map units). Output: what
+//! they tell of the scale ([`ScaleMeasurement`]) and of the robot ([`Robot`]), and whether the wheels slipped in the newest segment.
+//!
+//! A scale is told once the camera and the wheels have agreed for [`BELIEVED_S`] of motion, longer than a wheel spins or skids in one go,
+//! and in [`BELIEVED_SHARE`] of the motion. Its sigma is the solution's beside that of an error common to both wheels, which one camera
+//! and the wheels cannot see. The window is the newest [`SEGMENTS`] segments (140 s of driving and more): older ones are forgotten, for the scale of
+//! a monocular map drifts; within the window that drift is a part of the model ([`super::hand_eye`]). What is known of the robot outlasts a map.
+//!
+//! Cost: a solution every few segments, 2 ms. Not here: what the map does with it.
+
+use super::hand_eye::{ROBOT, Robot, Segment, Solution, solve};
+use super::planar::{Increment, WheelHistory};
+use super::scale::{ScaleMeasurement, ScaleSource};
+use super::wheel::WheelReading;
+
+/// A segment takes so long at the least, ns: long enough for steps above a camera's noise, short enough to tell when a wheel slips.
+pub const SEGMENT_NS: i64 = 600_000_000;
+/// And at the most, where frames are missing or the robot hardly moves, ns.
+pub const LONGEST_SEGMENT_NS: i64 = 3_000_000_000;
+/// Standard deviation of an error common to both wheels' radii, as a share, unless it is said: tyres, wear and a tape measure.
+pub const RADIUS_SIGMA: f64 = 0.01;
+/// Segments that are kept.
+const SEGMENTS: usize = 240;
+/// Motion in which wheels and camera agree before a scale is told, s, and its share of all motion. A wheel that spins does so for a second or
+/// four.
+const BELIEVED_S: f64 = 6.0;
+const BELIEVED_SHARE: f64 = 0.6;
+/// Standard deviation up to which it is told.
+const TOLD_SIGMA: f64 = 0.03;
+/// Where camera and wheels agree so much worse than they should (variances), it is no noise that they disagree by.
+const TOLD_NOISE: f64 = 12.0;
+/// What is known of the robot is, for the next map, so many times as uncertain: it may have been lifted meanwhile.
+const NEXT_MAP: f64 = 2.0;
+
+/// Wheels beside a camera.
+#[derive(Debug, Clone)]
+pub struct WheelScale {
+    history: WheelHistory,
+    /// Of the configuration, or of maps before.
+    prior: Robot,
+    given: Robot,
+    /// An error common to both wheels' radii, as a share.
+    radius_sigma: f64,
+    segments: Vec<Segment>,
+    solution: Option<Solution>,
+    /// Readings that made no sense, and segments in which the wheels slipped.
+    pub refused: u64,
+    pub slips: u64,
+    /// In the newest segment they did.
+    pub slipping: bool,
+}
+
+impl WheelScale {
+    /// `given`: what is known of the robot; `radius_sigma`: standard deviation of an error common to both wheels' radii, as a share.
+    pub fn new(given: Robot, radius_sigma: f64) -> Self {
+        Self {
+            history: WheelHistory::default(),
+            prior: given,
+            given,
+            radius_sigma,
+            segments: Vec::new(),
+            solution: None,
+            refused: 0,
+            slips: 0,
+            slipping: false,
+        }
+    }
+
+    /// Takes a reading; `false` if it makes no sense.
+    pub fn add_reading(&mut self, reading: &WheelReading) -> bool {
+        let taken = self.history.add(reading);
+        self.refused += u64::from(!taken);
+        taken
+    }
+
+    /// No readings have come yet.
+    pub fn is_silent(&self) -> bool {
+        self.history.is_empty()
+    }
+
+    /// Another map begins. What is known of the robot stays.
+    pub fn begin_map(&mut self) {
+        if let Some(solution) = self.solution.take() {
+            let wider = |i: usize| (NEXT_MAP * solution.robot.sigma[i]).min(self.given.sigma[i]);
+            self.prior = Robot { sigma: std::array::from_fn::<f64, ROBOT, _>(wider), ..solution.robot };
+        }
+        self.segments.clear();
+        self.slipping = false;
+    }
+
+    /// The map's lengths are `factor` times as long from now on.
+    pub fn rescale(&mut self, factor: f64) {
+        for segment in &mut self.segments {
+            segment.step *= factor;
+            segment.sigma *= factor;
+        }
+        if let Some(solution) = &mut self.solution {
+            solution.log_scale -= factor.ln();
+        }
+    }
+
+    /// Renews the segments' motions as the map has them now: `camera` gives turn and step (as in [`Segment`]) of the one that begins at a time.
+    pub fn renew(&mut self, mut camera: impl FnMut(&mut Segment)) {
+        self.segments.iter_mut().for_each(&mut camera);
+    }
+
+    /// Takes a segment of the present map and solves anew. `false`, and not taken: the wheels say nothing of that time.
+    pub fn push(&mut self, mut segment: Segment) -> bool {
+        let known = self.robot();
+        if !segment.weigh(&self.history, &known) {
+            return false;
+        }
+        if self.segments.len() == SEGMENTS {
+            self.segments.remove(0);
+        }
+        self.segments.push(segment);
+        self.solution = solve(&mut self.segments, &self.history, &self.prior, &known).or(self.solution);
+        self.slipping = self.solution.is_some() && self.segments.last().is_some_and(|s| s.slips);
+        self.slips += u64::from(self.slipping);
+        true
+    }
+
+    /// Oldest first.
+    pub fn segments(&self) -> &[Segment] {
+        &self.segments
+    }
+
+    /// What is known of the robot.
+    pub fn robot(&self) -> Robot {
+        self.solution.map_or(self.prior, |s| s.robot)
+    }
+
+    /// ln(metres per map unit) and its standard deviation, an error common to both wheels in it; `None` until they are believed.
+    pub fn measurement(&self) -> Option<ScaleMeasurement> {
+        let s = self.solution?;
+        let agree = s.believed_s >= BELIEVED_S && s.believed_share >= BELIEVED_SHARE && s.noise <= TOLD_NOISE;
+        (agree && s.sigma <= TOLD_SIGMA).then(|| ScaleMeasurement {
+            source: ScaleSource::Wheels,
+            log_metres_per_unit: s.log_scale,
+            sigma: s.sigma.hypot(self.radius_sigma),
+        })
+    }
+
+    /// The base's motion between two times of pictures, ns, corrected by what is known of the wheels.
+    pub fn between(&self, from_ns: i64, to_ns: i64) -> Option<Increment> {
+        let robot = self.robot();
+        let offset_ns = (robot.time_offset_s * 1e9).round() as i64;
+        self.history.integrate(from_ns.saturating_add(offset_ns), to_ns.saturating_add(offset_ns), robot.yaw_factor)
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,156 @@
+//! Metres: what wheels, tags and heights say of the present map's scale, and what becomes of the map then.
+//!
+//! A map begins in an arbitrary unit. Once its scale is known to a few per cent ([`ScaleFusion`](crate::motion::scale::ScaleFusion)) its lengths become
+//! metres, all at once, between two frames: keyframes, landmarks, the last frame and its motion, the smooth pose, turns with doubtful
+//! scale. That is another map to whoever reads poses: it has another number, the reset counter rises by one, and what a trajectory holds of it is written in
+//! the new unit. Later, where the scale is known better, the map is scaled again: then only map coordinates move, with their revision, the smooth
+//! pose goes on from where it is with increments of the new length.
+//!
+//! An adjustment under way began from lengths that are no more; it is forgotten, as in a join, and another is posted.
+//!
+//! Cost: nothing without readings and words; else 2 ms every half second, after the pose was published.
+
+pub mod segments;
+
+use nalgebra::{UnitQuaternion, Vector3};
+
+use super::Reconstruction;
+use super::keyframe::distance_prior;
+use super::odometry::Odometry;
+use super::types::{TrackingState, TrajectoryEvent};
+use crate::features::FrameFeatures;
+use crate::geometry::Se3;
+use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
+use crate::geometry::sim3::Sim3;
+use crate::map::{KeyframeId, MapId};
+use crate::motion::hand_eye::Robot;
+use crate::motion::planar::Increment;
+use crate::motion::scale::{MapScale, ScaleMeasurement};
+use crate::motion::wheel::WheelReading;
+use segments::{FrameEnd, Wheels};
+
+impl Reconstruction {
+    /// What is known of the base before it has moved, and the standard deviation of an error common to both wheels' radii, as a share.
+    /// To be said before the first reading.
+    pub fn set_base(&mut self, given: Robot, radius_sigma: f64) {
+        self.wheels = Wheels::new(given, radius_sigma);
+    }
+
+    /// Takes a reading of the wheels, in the clock of the frames. Readings of the time of a frame should come before it; late ones serve the
+    /// segment that ends after them. `false`: it makes no sense (not finite, absurdly fast, not after the one before).
+    pub fn add_wheel(&mut self, reading: &WheelReading) -> bool {
+        self.wheels.scale.add_reading(reading)
+    }
+
+    /// Takes a word on the present map's scale, in its unit of now. `false`: it makes no sense or contradicts what its source has said.
+    /// The map is scaled, if it is to be, after the next frame.
+    pub fn add_scale(&mut self, word: &ScaleMeasurement) -> bool {
+        self.active.fusion.add(word)
+    }
+
+    /// What the present map's lengths are.
+    pub fn scale(&self) -> MapScale {
+        self.active.fusion.scale()
+    }
+
+    /// What is known of camera and base, and how often the wheels slipped, in segments of half a second and more; `None` without readings.
+    pub fn base(&self) -> Option<(Robot, u64)> {
+        let scale = &self.wheels.scale;
+        (!scale.is_silent()).then(|| (scale.robot(), scale.slips))
+    }
+
+    /// The wheels slip, by the last segment.
+    pub fn wheels_slip(&self) -> bool {
+        self.wheels.scale.slipping
+    }
+
+    /// After a frame was tracked and mapped: what wheels say beside it, and a change of the map's unit that is due.
+    pub(super) fn follow_scale(&mut self, features: &FrameFeatures) {
+        if !self.wheels.scale.is_silent() {
+            self.follow_wheels(features);
+        }
+        if let Some(factor) = self.active.fusion.due() {
+            self.rescale(factor);
+        }
+    }
+
+    fn follow_wheels(&mut self, features: &FrameFeatures) {
+        let end = self.frame_end(features.timestamp_ns);
+        let Some(end) = end else {
+            self.wheels.interrupt();
+            return;
+        };
+        if self.wheels.follow(end, &self.active.map)
+            && let Some(word) = self.wheels.scale.measurement()
+        {
+            self.active.fusion.add(&word);
+        }
+    }
+
+    /// The frame of this time, if it was tracked and its place has a scale of its own.
+    fn frame_end(&self, timestamp_ns: i64) -> Option<FrameEnd> {
+        let active = &self.active;
+        let pose = active.odometry.last.filter(|last| last.timestamp_ns == timestamp_ns)?.camera_from_world;
+        let keyframe = active.map.keyframe(active.reference)?;
+        let blind = self.pending.turned.is_some() || distance_prior::is_held(&active.map, active.reference);
+        let depth = distance_prior::distance_to_assume(self.tracker.matches(), &pose.inverse().translation)?;
+        (self.state == TrackingState::Tracking && !blind).then(|| FrameEnd {
+            timestamp_ns,
+            keyframe: active.reference,
+            keyframe_from_camera: (keyframe.camera_from_world * pose.inverse()).relabel::<KeyframeFrame, Camera>(),
+            depth,
+        })
+    }
+
+    /// The present map's lengths become `factor` times as long; they are metres from now on.
+    fn rescale(&mut self, factor: f64) {
+        let first = !self.active.fusion.is_metric();
+        self.mapper.discard();
+        let active = &mut self.active;
+        let before = active.odometry.last.map(|last| last.camera_from_world);
+        active.map.transform(&Sim3::new(factor, UnitQuaternion::identity(), Vector3::zeros()));
+        active.odometry.rescale(factor);
+        active.scale.rescale(factor);
+        active.fusion.rescale(factor);
+        active.unadjusted = active.map.keyframes.iter().last().map(|(id, _)| KeyframeId(id));
+        self.wheels.rescale(factor);
+        self.tracker.rescale(factor);
+        let after = active.odometry.last.map(|last| last.camera_from_world);
+        if first {
+            active.odometry.odom_from_camera.translation *= factor;
+            let (map, into) = (active.id, MapId(active.id.0 + 1));
+            active.map.renumber(map, into);
+            active.id = into;
+            self.events.push(TrajectoryEvent::MapJoined { map, into, scale: factor });
+            self.counters.resets += 1;
+        } else {
+            self.events.push(TrajectoryEvent::MapScaled { map: active.id, scale: factor });
+            if let Some((old, new)) = before.zip(after) {
+                self.corrections.moved(&old, &new);
+            }
+        }
+    }
+
+    /// How far the camera has gone from a keyframe to the frame of a time by the wheels, map units, where the map is metric and the wheels are
+    /// believed.
+    pub(super) fn way_by_wheels(&self, from: KeyframeId, to_ns: i64) -> Option<f64> {
+        let from_ns = self.active.map.keyframe(from)?.timestamp_ns;
+        let (log, ..) = self.active.fusion.fused()?;
+        let base: Increment = self.wheels.scale.between(from_ns, to_ns)?;
+        let step = self.wheels.scale.robot().step_of(&base.motion).norm();
+        let sigma = (base.covariance[(0, 0)] + base.covariance[(1, 1)]).max(0.0).sqrt();
+        (step > 5.0 * sigma).then(|| step / log.exp())
+    }
+}
+
+impl Odometry {
+    /// Lengths are `factor` times as long from now on; the smooth pose stays where it is.
+    fn rescale(&mut self, factor: f64) {
+        let Some(last) = &mut self.last else { return };
+        let pose: &mut Se3<Camera, World> = &mut last.camera_from_world;
+        pose.translation *= factor;
+        if let Some((motion, _)) = &mut last.step {
+            motion.translation *= factor;
+        }
+    }
+}
