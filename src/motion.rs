@@ -2,4 +2,5 @@
 //! scale of the map in metres.
 
 pub mod scale;
+pub mod tag;
 pub mod wheel;
