@@ -94,7 +94,7 @@
 //! |---|---|---|
 //! | `client` | wire types and subscriptions, iceoryx2 only | |
 //! | `c` | the same as a C library, for `--crate-type cdylib` | |
-//! | `robot` | the daemon: camera, services, calibration, and the commands run, doctor, watch, command, calibrate, record, replay | `cairn` |
+//! | `robot` | the daemon: camera, services, calibration, and the commands run, doctor, watch, command, calibrate, record, replay, tag | `cairn` |
 //! | `tools` (default) | the whole: also simulator, plot, workbench, evaluation, console, and the commands demo, console, simulate, evaluate, twoview, compare | `cairn-tools` |
 //!
 //! Each contains those above it but `c`. What a room of its own brings along that a robot may do without (a console, a bridge to share, a

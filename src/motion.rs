@@ -6,5 +6,6 @@ pub mod planar;
 pub mod scale;
 #[cfg(test)]
 mod synthetic;
+pub mod tag;
 pub mod wheel;
 pub mod wheel_scale;

@@ -22,6 +22,7 @@ pub mod run;
 mod session;
 #[cfg(feature = "tools")]
 pub mod simulate;
+pub mod tag;
 #[cfg(feature = "tools")]
 pub mod twoview;
 pub mod watch;
@@ -66,6 +67,7 @@ enum Command {
     Compare(compare::CompareArgs),
     #[cfg(feature = "tools")]
     Console(console::ConsoleArgs),
+    Tag(tag::TagArgs),
     #[command(name = "command")]
     Send(command::CommandArgs),
 }
@@ -91,6 +93,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode, CliError> {
         Command::Compare(args) => compare::run(args),
         #[cfg(feature = "tools")]
         Command::Console(args) => console::run(args),
+        Command::Tag(args) => tag::run(args),
         Command::Send(args) => command::run(args),
     }
 }
@@ -102,7 +105,7 @@ mod tests {
     use clap::{CommandFactory, Parser};
 
     /// The commands that the robot's build has; so it is said in `src/lib.rs`.
-    const ROBOT_COMMANDS: [&str; 7] = ["calibrate", "command", "doctor", "record", "replay", "run", "watch"];
+    const ROBOT_COMMANDS: [&str; 8] = ["calibrate", "command", "doctor", "record", "replay", "run", "tag", "watch"];
 
     #[test]
     fn each_build_has_the_commands_that_its_package_promises() {

@@ -16,6 +16,7 @@ pub mod spread;
 pub mod stage;
 pub mod susan;
 pub mod susan_large;
+pub mod tags;
 pub mod thumbnail;
 
 pub use config::{DetectorKind, FeaturesConfig};

@@ -22,6 +22,7 @@ pub mod lens_model;
 pub mod null_space;
 pub mod one_camera;
 pub mod p3p;
+pub mod planar_pose;
 pub mod plane_calibration;
 pub mod pnp;
 pub mod point_set;
