@@ -15,6 +15,8 @@ pub mod endpoint_args;
 mod error;
 #[cfg(feature = "tools")]
 pub mod evaluate;
+pub mod map;
+mod map_file;
 pub mod record;
 mod reload;
 pub mod replay;
@@ -66,6 +68,7 @@ enum Command {
     Compare(compare::CompareArgs),
     #[cfg(feature = "tools")]
     Console(console::ConsoleArgs),
+    Map(map::MapArgs),
     #[command(name = "command")]
     Send(command::CommandArgs),
 }
@@ -91,6 +94,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode, CliError> {
         Command::Compare(args) => compare::run(args),
         #[cfg(feature = "tools")]
         Command::Console(args) => console::run(args),
+        Command::Map(args) => map::run(args),
         Command::Send(args) => command::run(args),
     }
 }
@@ -102,7 +106,7 @@ mod tests {
     use clap::{CommandFactory, Parser};
 
     /// The commands that the robot's build has; so it is said in `src/lib.rs`.
-    const ROBOT_COMMANDS: [&str; 7] = ["calibrate", "command", "doctor", "record", "replay", "run", "watch"];
+    const ROBOT_COMMANDS: [&str; 8] = ["calibrate", "command", "doctor", "map", "record", "replay", "run", "watch"];
 
     #[test]
     fn each_build_has_the_commands_that_its_package_promises() {

@@ -3,6 +3,7 @@
 //! One owner (reconstruction's thread) reads and writes it; mapping jobs work on copies of parts of it. World = the
 //! optical axes of the map's first keyframe; lengths are map units.
 
+pub mod colmap;
 pub mod export;
 pub mod picture;
 mod reduction;
