@@ -76,8 +76,12 @@ struct Info {
     /// Seconds since 1970 (UTC).
     created_s: i64,
     written_s: i64,
+    /// Timestamp of the newest frame that it knows of, s; null: it has seen none.
+    newest_frame_s: Option<String>,
     size_bytes: u64,
     bytes_per_keyframe: u64,
+    /// Of these: keyframes, their pictures, landmarks.
+    record_bytes: [u64; 3],
     camera: CameraInfo,
     readout_ms: f64,
     /// Metres of a map unit; null: not known.
@@ -208,8 +212,10 @@ impl Info {
             cairn: contents.cairn.clone(),
             created_s: contents.created_ns.div_euclid(1_000_000_000),
             written_s: contents.written_ns.div_euclid(1_000_000_000),
+            newest_frame_s: Some(contents.saved.frame_ns).filter(|ns| *ns != i64::MIN).map(format_timestamp),
             size_bytes: contents.bytes,
             bytes_per_keyframe: contents.bytes / keyframes.max(1) as u64,
+            record_bytes: contents.record_bytes,
             camera: CameraInfo {
                 width: optics.camera.width,
                 height: optics.camera.height,
@@ -231,7 +237,9 @@ impl Info {
         let mb = self.size_bytes as f64 / 1e6;
         let mut text = format!("{file}: map {id}, format {format}, written by cairn {cairn}\n");
         text += &format!("  made {}, written {} (UTC)\n", date(self.created_s), date(self.written_s));
-        text += &format!("  {mb:.1} MB, {:.1} kB a keyframe\n", self.bytes_per_keyframe as f64 / 1e3);
+        let [keyframes, pictures, landmarks] = self.record_bytes.map(|bytes| bytes as f64 / 1e6);
+        text += &format!("  {mb:.1} MB, {:.1} kB a keyframe", self.bytes_per_keyframe as f64 / 1e3);
+        text += &format!(" (pictures {pictures:.1} MB, keyframes {keyframes:.1}, landmarks {landmarks:.1})\n");
         let CameraInfo { width, height, knowledge, lens_model, intrinsics_px: [fx, fy, cx, cy], .. } = &self.camera;
         text += &format!("  camera {width} x {height} px, {knowledge}, {lens_model}: fx {fx:.2} fy {fy:.2} cx {cx:.2} cy {cy:.2} px\n");
         let [fx, fy, cx, cy] = self.camera.given_px;

@@ -6,10 +6,11 @@
 //! What follows from the rest is not kept: who observes a landmark, covisibility, coarser levels of pictures, thumbnails.
 //! [`Map::restored`] makes it anew, and refuses what does not fit together.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::Vector3;
 
+use super::store::PAGE;
 use super::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, MapId, TurnId, change_covisibility};
 use crate::geometry::CameraModel;
 
@@ -65,12 +66,16 @@ pub struct SavedMap {
 
 /// All maps of a file; the largest first.
 pub struct SavedMaps {
+    /// Timestamp of the newest frame when they were written.
+    pub frame_ns: i64,
     pub optics: SavedOptics,
     pub maps: Vec<SavedMap>,
 }
 
 /// What has changed since the last ones were taken.
 pub struct MapChanges {
+    /// Timestamp of the newest frame; `i64::MIN` before the first.
+    pub frame_ns: i64,
     pub optics: SavedOptics,
     /// All maps there are, the one that is tracked in first, with all of their keyframes, ascending.
     pub maps: Vec<(MapHead, Vec<u32>)>,
@@ -84,6 +89,34 @@ pub struct MapChanges {
     pub landmarks: BTreeMap<u32, Vec<(u32, Landmark)>>,
     /// This is all there is: what was written and is not in here is gone.
     pub is_everything: bool,
+}
+
+impl MapChanges {
+    /// What has changed in maps, the one that is tracked in first, since this was called last; all there is with `is_everything`.
+    pub fn take(optics: SavedOptics, frame_ns: i64, mut maps: Vec<(MapHead, &mut Map)>, is_everything: bool) -> Self {
+        let (mut next_keyframe, mut next_landmark) = (0, 0);
+        let (mut keyframes, mut pages) = (Vec::new(), BTreeSet::new());
+        let page = |id: u32| id / PAGE as u32;
+        for (_, map) in &mut maps {
+            next_keyframe = next_keyframe.max(map.keyframes.next_id());
+            next_landmark = next_landmark.max(map.landmarks.next_id());
+            let (changed, moved) = map.take_changed();
+            if is_everything {
+                keyframes.extend(map.keyframes.iter().map(|(id, k)| (id, k.clone())));
+                pages.extend(map.landmarks.iter().map(|(id, _)| page(id)));
+            } else {
+                keyframes.extend(changed.iter().filter_map(|id| Some((*id, map.keyframes.get(*id)?.clone()))));
+                pages.extend(moved.into_iter().map(page));
+            }
+        }
+        // A page may hold landmarks of several maps.
+        let landmark = |id| Some((id, maps.iter().find_map(|(_, map)| map.landmarks.get(id))?.clone()));
+        let ids = |page: u32| page * PAGE as u32..(page + 1) * PAGE as u32;
+        let landmarks = pages.into_iter().map(|page| (page, ids(page).filter_map(landmark).collect())).collect();
+        let heads = maps.into_iter().filter(|(_, map)| !map.keyframes.is_empty());
+        let maps = heads.map(|(head, map)| (head, map.keyframes.iter().map(|(id, _)| id).collect())).collect();
+        Self { frame_ns, optics, maps, next_keyframe, next_landmark, keyframes, landmarks, is_everything }
+    }
 }
 
 impl Map {

@@ -7,8 +7,6 @@
 //! Cost: [`take_changes`](Reconstruction::take_changes) copies what has changed, 20 kB a keyframe (pictures are shared), so after an
 //! adjustment of a whole map of 240 keyframes 5 MB. It is called after a published pose.
 
-use std::collections::BTreeMap;
-
 use super::Reconstruction;
 use super::active_map::ActiveMap;
 use super::keyframe::SAME_CORNER_PX;
@@ -19,8 +17,7 @@ use super::types::TrackingState;
 use crate::features::FrameFeatures;
 use crate::geometry::CameraModel;
 use crate::map::saved::{MapChanges, MapHead, SavedMap, SavedMaps};
-use crate::map::store::PAGE;
-use crate::map::{Landmark, Map, MapId};
+use crate::map::MapId;
 
 /// Maps and camera of the changes that were taken last.
 #[derive(Debug, Clone, PartialEq)]
@@ -41,56 +38,14 @@ impl Reconstruction {
         };
         let is_everything = everything || !self.taken.as_ref().is_some_and(is_known);
         self.taken = Some(taken);
-        let mut changes = MapChanges {
-            optics,
-            maps: self.heads(),
-            next_keyframe: 0,
-            next_landmark: 0,
-            keyframes: Vec::new(),
-            landmarks: BTreeMap::new(),
-            is_everything,
-        };
-        let mut pages = Vec::new();
-        for map in std::iter::once(&mut self.active.map).chain(self.others.maps_mut()) {
-            changes.next_keyframe = changes.next_keyframe.max(map.keyframes.next_id());
-            changes.next_landmark = changes.next_landmark.max(map.landmarks.next_id());
-            let (keyframes, landmarks) = map.take_changed();
-            if is_everything {
-                changes.keyframes.extend(map.keyframes.iter().map(|(id, k)| (id, k.clone())));
-                pages.extend(map.landmarks.iter().map(|(id, _)| id / PAGE as u32));
-            } else {
-                let there = |id: &u32| Some((*id, map.keyframes.get(*id)?.clone()));
-                changes.keyframes.extend(keyframes.iter().filter_map(there));
-                pages.extend(landmarks.iter().map(|id| id / PAGE as u32));
-            }
-        }
-        pages.dedup();
-        for page in pages {
-            changes.landmarks.entry(page).or_insert_with(|| self.landmarks_of(page));
-        }
-        changes
-    }
-
-    /// The landmarks of a page, which may be of several maps, ascending.
-    fn landmarks_of(&self, page: u32) -> Vec<(u32, Landmark)> {
-        let ids = page * PAGE as u32..(page + 1) * PAGE as u32;
-        let maps = || std::iter::once(&self.active.map).chain(self.others.maps());
-        ids.filter_map(|id| Some((id, maps().find_map(|map| map.landmarks.get(id))?.clone()))).collect()
-    }
-
-    fn heads(&self) -> Vec<(MapHead, Vec<u32>)> {
-        let ids = |map: &Map| map.keyframes.iter().map(|(id, _)| id).collect();
-        let ActiveMap { map, id, reference, frames, scale, .. } = &self.active;
-        let active = MapHead { id: *id, reference: *reference, frames: *frames, turns: scale.saved() };
-        let mut heads = Vec::new();
-        if !map.keyframes.is_empty() {
-            heads.push((active, ids(map)));
-        }
-        heads.extend(self.others.kept.iter().map(|other| {
-            let turns = other.scale.saved();
-            (MapHead { id: other.id, reference: other.reference, frames: other.frames, turns }, ids(&other.map))
-        }));
-        heads
+        let ActiveMap { map, id, reference, frames, scale, .. } = &mut self.active;
+        let head = MapHead { id: *id, reference: *reference, frames: *frames, turns: scale.saved() };
+        let others = self.others.kept.iter_mut().map(|other| {
+            let OtherMap { map, id, reference, scale, frames, .. } = other;
+            (MapHead { id: *id, reference: *reference, frames: *frames, turns: scale.saved() }, map)
+        });
+        let maps = std::iter::once((head, map)).chain(others).collect();
+        MapChanges::take(optics, self.frame_ns, maps, is_everything)
     }
 
     /// Goes on in the maps of another run; to be called before the first frame. Of several maps the first is the one that frames are looked for in
@@ -122,11 +77,6 @@ impl Reconstruction {
         }
         let ids = std::iter::once(self.active.id).chain(self.others.kept.iter().map(|other| other.id)).collect();
         self.taken = Some(Taken { maps: ids, camera: self.optics.camera.clone() });
-    }
-
-    /// The next changes are everything there is: what was written last is not in the file.
-    pub fn forget_taken(&mut self) {
-        self.taken = None;
     }
 
     /// Without keyframes nothing else says what new tracks stand for: what they were found at.

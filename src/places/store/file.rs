@@ -27,6 +27,8 @@ pub struct Contents {
     /// `None`: not known, lengths are map units.
     pub metres_per_unit: Option<f64>,
     pub bytes: u64,
+    /// Of the records: keyframes, their pictures, landmarks. The rest is the database's own, and room.
+    pub record_bytes: [u64; 3],
     pub saved: SavedMaps,
 }
 
@@ -149,9 +151,9 @@ impl MapFile {
         let removed = gone.iter().flat_map(|id| [(Kind::Keyframe, *id), (Kind::Picture, *id)]);
         let removed: Vec<_> = removed.chain(emptied.iter().map(|page| (Kind::Landmarks, *page))).collect();
 
-        let MapChanges { optics, maps, next_keyframe, next_landmark, .. } = changes;
-        let (next_keyframe, next_landmark) = (*next_keyframe, *next_landmark);
-        let header = HeaderOf { optics, maps, next_keyframe, next_landmark, written_ns: now_ns() };
+        let MapChanges { frame_ns, optics, maps, next_keyframe, next_landmark, .. } = changes;
+        let (frame_ns, next_keyframe, next_landmark) = (*frame_ns, *next_keyframe, *next_landmark);
+        let header = HeaderOf { frame_ns, optics, maps, next_keyframe, next_landmark, written_ns: now_ns() };
         let outcome = records.write(self.tally, &new, &removed, |tally| HeaderRecord::encode(&header, tally));
         match outcome {
             Ok(tally) => self.tally = tally,
@@ -187,7 +189,11 @@ fn look(file: &File) -> Result<(Contents, Tally, BTreeSet<u32>), Fault> {
     let bytes = file.metadata().map_err(Fault::Read)?.len();
     let mut records = Records::open(file.try_clone().map_err(Fault::Read)?, Access::Look).map_err(as_look)?;
     let (mut raw, mut pages) = (Raw::default(), BTreeSet::new());
+    let mut record_bytes = [0; 3];
     let tally = records.read_all(|kind, number, bytes| {
+        if let Some(sum) = usize::from(kind).checked_sub(1).and_then(|i| record_bytes.get_mut(i)) {
+            *sum += bytes.len() as u64;
+        }
         let sense = match kind {
             k if k == Kind::Header as u8 => HeaderRecord::decode(bytes).map(|header| raw.header = Some(header)),
             k if k == Kind::Keyframe as u8 => Some(drop(raw.keyframes.insert(number, bytes.to_vec()))),
@@ -215,6 +221,7 @@ fn look(file: &File) -> Result<(Contents, Tally, BTreeSet<u32>), Fault> {
         cairn: header.cairn,
         metres_per_unit: header.metres_per_unit,
         bytes,
+        record_bytes,
         saved: raw.maps().map_err(Fault::Broken)?,
     };
     Ok((contents, tally, pages))

@@ -28,6 +28,8 @@ pub struct HeaderRecord {
     pub written_ns: i64,
     /// Metres of a map unit; `None`: not known.
     pub metres_per_unit: Option<f64>,
+    /// Timestamp of the newest frame.
+    frame_ns: i64,
     optics: OpticsRecord,
     maps: Vec<MapRecord>,
     next_keyframe: u32,
@@ -118,6 +120,7 @@ struct LandmarkRecord {
 
 /// What a header is made of.
 pub struct HeaderOf<'a> {
+    pub frame_ns: i64,
     pub optics: &'a SavedOptics,
     pub maps: &'a [(MapHead, Vec<u32>)],
     pub next_keyframe: u32,
@@ -138,6 +141,7 @@ impl HeaderRecord {
             cairn: env!("CARGO_PKG_VERSION").into(),
             written_ns: of.written_ns,
             metres_per_unit: None,
+            frame_ns: of.frame_ns,
             optics: OpticsRecord::of(of.optics),
             maps: of.maps.iter().map(map).collect(),
             next_keyframe: of.next_keyframe,
@@ -396,7 +400,7 @@ impl Raw {
             maps.push(SavedMap { head: record.head(), map });
         }
         maps.sort_by_key(|m| std::cmp::Reverse(m.map.keyframes.len()));
-        Ok(SavedMaps { optics, maps })
+        Ok(SavedMaps { frame_ns: header.frame_ns, optics, maps })
     }
 
     fn keyframes_of(&mut self, record: &MapRecord, camera: &CameraModel) -> Result<Vec<(u32, Keyframe)>, String> {

@@ -70,7 +70,7 @@ fn png(image: &GreyImage) -> Option<Vec<u8>> {
     let mut encoder = Encoder::new(&mut out, width, height);
     encoder.set_color(ColorType::Grayscale);
     encoder.set_depth(BitDepth::Eight);
-    encoder.set_compression(Compression::Balanced);
+    encoder.set_compression(Compression::Fast);
     let mut writer = encoder.write_header().ok()?;
     writer.write_image_data(&image.data).ok()?;
     writer.finish().ok()?;

@@ -136,8 +136,12 @@ impl Records {
 
     /// Closes it for good: what is on the disk needs no repair when it is opened next.
     pub fn close(mut self) -> Result<(), Fault> {
-        let Some(database) = self.database.take() else { return Ok(()) };
-        guarded(move || Ok(database.close()?))
+        let Some(mut database) = self.database.take() else { return Ok(()) };
+        guarded(move || {
+            // Space that older versions of records had; a file that cannot be made smaller is as good.
+            let _ = database.compact();
+            Ok(database.close()?)
+        })
     }
 }
 

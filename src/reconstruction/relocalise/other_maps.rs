@@ -87,10 +87,6 @@ impl OtherMaps {
         self.kept.iter().map(|other| &other.map)
     }
 
-    pub fn maps_mut(&mut self) -> impl Iterator<Item = &mut Map> {
-        self.kept.iter_mut().map(|other| &mut other.map)
-    }
-
     /// Keeps a map; returns those that have to go for it.
     pub fn keep(&mut self, other: OtherMap, max_keyframes: usize) -> Vec<Map> {
         self.kept.push(other);
