@@ -95,6 +95,7 @@ pub fn run(args: &DemoArgs) -> Result<ExitCode, CliError> {
         outputs: outputs.clone(),
         spool_folder: None,
         keep_lens: None,
+        map_file: None,
         status: status.clone(),
     };
     let cpu_before_ns = process_cpu_ns();

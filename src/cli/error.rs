@@ -8,6 +8,8 @@ pub mod exit_code {
     pub const FAILURE: u8 = 1;
     /// The two pictures give no model or no pose: an outcome with a name, on stdout and in `twoview.json`.
     pub const NO_MODEL: u8 = 3;
+    /// A map file that is broken, cut off, of another program or of another version of the format; it is left as it is.
+    pub const BROKEN_MAP: u8 = 4;
     /// The command line is wrong (EX_USAGE).
     pub const USAGE: u8 = 64;
     /// Input data is malformed (EX_DATAERR).

@@ -15,6 +15,8 @@ pub mod endpoint_args;
 mod error;
 #[cfg(feature = "tools")]
 pub mod evaluate;
+pub mod map;
+mod map_file;
 pub mod record;
 mod reload;
 pub mod replay;
@@ -68,6 +70,7 @@ enum Command {
     #[cfg(feature = "tools")]
     Console(console::ConsoleArgs),
     Tag(tag::TagArgs),
+    Map(map::MapArgs),
     #[command(name = "command")]
     Send(command::CommandArgs),
 }
@@ -94,6 +97,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode, CliError> {
         #[cfg(feature = "tools")]
         Command::Console(args) => console::run(args),
         Command::Tag(args) => tag::run(args),
+        Command::Map(args) => map::run(args),
         Command::Send(args) => command::run(args),
     }
 }
@@ -105,7 +109,8 @@ mod tests {
     use clap::{CommandFactory, Parser};
 
     /// The commands that the robot's build has; so it is said in `src/lib.rs`.
-    const ROBOT_COMMANDS: [&str; 8] = ["calibrate", "command", "doctor", "record", "replay", "run", "tag", "watch"];
+    const ROBOT_COMMANDS: [&str; 9] =
+        ["calibrate", "command", "doctor", "map", "record", "replay", "run", "tag", "watch"];
 
     #[test]
     fn each_build_has_the_commands_that_its_package_promises() {

@@ -9,7 +9,7 @@ use serde::Serialize;
 use tracing::{info, warn};
 
 use super::session::{self, Resources, ResultArgs, SessionArgs, StageLatencies, StatusLine};
-use super::{CliError, camera_calibration, exit_code};
+use super::{CliError, camera_calibration, exit_code, map_file};
 use crate::calibration::{Unsaid, load_camera_with};
 use crate::camera::recording::OwnCalibration;
 use crate::camera::{Bag, FrameSource, Pacing, Recording, SourceDescription, SourceError, bag};
@@ -44,6 +44,12 @@ pub struct ReplayArgs {
     /// Write landmarks and keyframes (PLY)
     #[arg(long, value_name = "OUT.ply")]
     pub map: Option<PathBuf>,
+    /// Go on in the map of this file and keep it there while it grows; a file that does not exist is made
+    #[arg(long, value_name = "FILE")]
+    pub map_file: Option<PathBuf>,
+    /// Only locate in the map of `--map-file`: neither map nor file changes
+    #[arg(long, requires = "map_file")]
+    pub localise: bool,
     /// Write a picture of map and trajectory from above (PNG)
     #[arg(long, value_name = "OUT.png")]
     pub overview: Option<PathBuf>,
@@ -154,6 +160,7 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode, CliError> {
     let description = recording.description().clone();
     let calibration = calibration(args, &config, &description)?;
 
+    let map_file = args.map_file.as_deref().map(|path| map_file::plan(path, args.localise)).transpose()?;
     let status = Arc::new(Status::default());
     let mut parts = Parts {
         config,
@@ -163,6 +170,7 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode, CliError> {
         outputs,
         spool_folder: None,
         keep_lens: None,
+        map_file,
         status: status.clone(),
     };
     let (began, cpu_before_ns) = (Instant::now(), process_cpu_ns());

@@ -45,6 +45,7 @@ pub fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
         outputs,
         spool_folder: Some(spool_folder()),
         keep_lens,
+        map_file: None,
         status: Arc::new(Status::default()),
         config,
     };

@@ -10,6 +10,7 @@ use tracing::info;
 
 use super::capture::{CaptureStep, Captured};
 use super::feature::FeatureStep;
+use super::map_file::KeeperLink;
 use super::reconstruct::{ReconstructStep, Request};
 use super::recorder::{Recorder, RecorderLink, Written};
 use super::status::Status;
@@ -24,12 +25,16 @@ use crate::reconstruction::InlineWorker;
 
 /// Replays until the source ends, `stop` is set, or `go_on` (called once a frame) says no.
 pub fn run(parts: Parts, stop: &AtomicBool, go_on: &mut dyn FnMut(&Status) -> bool) -> Result<End, DaemonError> {
-    let Parts { config, supply, calibration, outlet, outputs, spool_folder, keep_lens, status } = parts;
+    let Parts { config, supply, calibration, outlet, outputs, spool_folder, keep_lens, map_file, status } = parts;
     let recorder = Recorder::new(&outputs, spool_folder.as_deref(), status.clone())?.keeping(keep_lens);
     let wheels = Arc::new(WheelQueue::new(status.wheels.clone()));
     let capture = CaptureStep::new(supply, status.clone()).map_err(DaemonError::Thread)?;
     let mut capture = capture.with_wheels(WheelIntake::new(wheels.clone()));
     let mut feature = FeatureStep::new(&config.features, status.clone());
+    let desk = map_file.map(|plan| {
+        let (desk, keeper) = plan.split();
+        desk.linked(keeper.map(KeeperLink::Inline))
+    });
     let mut reconstruct = ReconstructStep::new(
         &config.reconstruction,
         calibration,
@@ -40,7 +45,8 @@ pub fn run(parts: Parts, stop: &AtomicBool, go_on: &mut dyn FnMut(&Status) -> bo
         status.clone(),
     )
     .with_wheels(wheels)
-    .with_base(&config.mount, RADIUS_SIGMA);
+    .with_base(&config.mount, RADIUS_SIGMA)
+    .with_map_file(desk);
     let mut slot = RawFrame::default();
     let mut features = FrameFeatures::default();
     let mut feedback = Feedback::default();
@@ -67,10 +73,13 @@ pub fn run(parts: Parts, stop: &AtomicBool, go_on: &mut dyn FnMut(&Status) -> bo
 }
 
 fn wind_up(step: ReconstructStep, outputs: &super::Outputs, cause: EndCause, status: &Arc<Status>) -> End {
-    let (map, link) = step.finish();
+    let (map, link, keeper) = step.finish();
     let mut written = Written::default();
     if let (RecorderLink::Inline(mut recorder), false) = (link, matches!(cause, EndCause::Calibration(_))) {
         written = recorder.write(outputs, &map);
+    }
+    if let Some(keeper) = keeper {
+        written.note_map(keeper.close());
     }
     info!(cause = ?cause, frames = status.captured.get(), tracked = status.tracked.get(), "ended");
     End { cause, map, written }

@@ -22,6 +22,7 @@ mod capture;
 mod feature;
 mod health;
 pub mod lockstep;
+mod map_file;
 mod outlet;
 mod reconstruct;
 mod recorder;
@@ -42,6 +43,7 @@ use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
 pub use advice::advice;
 pub use background::{TURN, within};
 pub use capture::{Captured, Opener, Supply};
+pub use map_file::MapPlan;
 pub use outlet::Outlet;
 pub use reconstruct::{Calibration, Request};
 pub use recorder::{FinalMap, KeepLens, Outputs, SaveKind, Written};
@@ -57,6 +59,7 @@ use crate::motion::wheel_scale::RADIUS_SIGMA;
 use crate::ring::{Consumer, Producer, Wait, frame_ring};
 use capture::CaptureStep;
 use feature::FeatureStep;
+use map_file::KeeperLink;
 use reconstruct::ReconstructStep;
 use recorder::{Order, Recorder, RecorderLink, serve};
 use wheels::WheelIntake;
@@ -64,6 +67,8 @@ use worker::ThreadWorker;
 
 /// Records on their way to the recorder: some 30 seconds of frames while a disk hangs.
 const RECORD_QUEUE: usize = 2048;
+/// Changes of the map on their way to the disk: while some wait none are taken.
+const MAP_QUEUE: usize = 1;
 /// Requests from the supervisor on their way to reconstruction.
 const REQUEST_QUEUE: usize = 4;
 
@@ -78,6 +83,8 @@ pub struct Parts {
     pub spool_folder: Option<PathBuf>,
     /// Keeps what is learnt about an uncalibrated lens; `None`: nobody does.
     pub keep_lens: Option<KeepLens>,
+    /// The map on disk; `None`: there is none, and the map ends with the run.
+    pub map_file: Option<MapPlan>,
     pub status: Arc<Status>,
 }
 
@@ -109,12 +116,14 @@ pub(super) struct Threads {
     pub reconstruction: JoinHandle<Result<FinalMap, String>>,
     pub mapping: JoinHandle<()>,
     pub recorder: JoinHandle<Recorder>,
+    /// Where the map lies, or why what came last is not there.
+    pub map_file: Option<JoinHandle<Result<Option<PathBuf>, String>>>,
     pub requests: Sender<Request>,
 }
 
 /// Starts all threads. They end when the source ends, or when [`Status::request_stop`] is called.
 pub(super) fn start(parts: Parts) -> Result<Threads, DaemonError> {
-    let Parts { config, supply, calibration, mut outlet, outputs, spool_folder, keep_lens, status } = parts;
+    let Parts { config, supply, calibration, mut outlet, outputs, spool_folder, keep_lens, map_file, status } = parts;
     let encoded = outlet.as_mut().and_then(Outlet::take_encoded);
     let recorder = Recorder::new(&outputs, spool_folder.as_deref(), status.clone())?.keeping(keep_lens);
     let (orders, order_queue) = bounded::<Order>(RECORD_QUEUE);
@@ -123,6 +132,14 @@ pub(super) fn start(parts: Parts) -> Result<Threads, DaemonError> {
     let (worker, mapping) = ThreadWorker::spawn().map_err(DaemonError::Thread)?;
     let link = RecorderLink::Queue(orders, status.clone());
     let wheels = Arc::new(WheelQueue::new(status.wheels.clone()));
+    let (desk, keeper) = map_file.map(MapPlan::split).unzip();
+    let (map_link, map_file) = match keeper.flatten() {
+        Some(keeper) => {
+            let (changes, queue) = bounded(MAP_QUEUE);
+            (Some(KeeperLink::Queue(changes)), Some(spawn("cairn-map-file", move || map_file::serve(keeper, &queue))?))
+        }
+        None => (None, None),
+    };
     let step = ReconstructStep::new(
         &config.reconstruction,
         calibration,
@@ -133,7 +150,8 @@ pub(super) fn start(parts: Parts) -> Result<Threads, DaemonError> {
         status.clone(),
     )
     .with_wheels(wheels.clone())
-    .with_base(&config.mount, RADIUS_SIGMA);
+    .with_base(&config.mount, RADIUS_SIGMA)
+    .with_map_file(desk.map(|desk| desk.linked(map_link)));
 
     // As many parcels as may wait, and the one that reconstruction works on.
     let parcels = config.daemon.queue_frames + 1;
@@ -156,7 +174,7 @@ pub(super) fn start(parts: Parts) -> Result<Threads, DaemonError> {
     let capture_step = capture_step.sharing(encoded).with_wheels(WheelIntake::new(wheels));
     let to_reset = requests.clone();
     let capture = spawn("cairn-capture", move || capture_frames(capture_step, producer, &to_reset, &status))?;
-    Ok(Threads { capture, features, reconstruction, mapping, recorder, requests })
+    Ok(Threads { capture, features, reconstruction, mapping, recorder, map_file, requests })
 }
 
 /// A named thread whose panic is logged with the fields of any other record.
@@ -272,7 +290,7 @@ fn reconstruct(
             Err(RecvTimeoutError::Disconnected) => break,
         }
     }
-    let (map, link) = step.finish();
+    let (map, link, _) = step.finish();
     drop(link);
     status.reconstruction.rest();
     outcome.map(|()| map)

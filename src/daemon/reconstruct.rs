@@ -9,6 +9,7 @@ use std::time::Instant;
 use crossbeam::channel::Sender;
 use tracing::{debug, error, info, warn};
 
+use super::map_file::{Keeper, MapDesk};
 use super::outlet::Outlet;
 use super::recorder::{FinalMap, Record, RecorderLink, SaveKind};
 use super::status::{Status, state_name};
@@ -99,6 +100,7 @@ pub struct ReconstructStep {
     size: (u32, u32),
     outlet: Option<Outlet>,
     recorder: RecorderLink,
+    map_file: Option<MapDesk>,
     status: Arc<Status>,
     /// What the base's wheels tell; `None`: nobody asks them.
     wheels: Option<Arc<WheelQueue>>,
@@ -144,6 +146,7 @@ impl ReconstructStep {
             size: (0, 0),
             outlet,
             recorder,
+            map_file: None,
             status,
             wheels: None,
             driver: None,
@@ -185,6 +188,11 @@ impl ReconstructStep {
         self
     }
 
+    /// With a map on disk.
+    pub fn with_map_file(self, map_file: Option<MapDesk>) -> Self {
+        Self { map_file, ..self }
+    }
+
     /// One frame, from features to map. `ready_ns`: CLOCK_MONOTONIC when its features were ready. The error is the
     /// calibration's: no frame of this source can ever be placed.
     pub fn step(&mut self, features: &FrameFeatures, ready_ns: i64, feedback: &mut Feedback) -> Result<(), String> {
@@ -216,6 +224,9 @@ impl ReconstructStep {
         self.note_lens(KEEP_AGAIN);
         self.drain_events();
         self.recorder.record(Record::Published(estimate));
+        if let (Some(desk), Some(reconstruction)) = (self.map_file.as_mut(), self.reconstruction.as_mut()) {
+            desk.turn(reconstruction, features.timestamp_ns);
+        }
         self.publish_map();
         if let Some(outlet) = self.outlet.as_mut() {
             outlet.prepare();
@@ -234,7 +245,7 @@ impl ReconstructStep {
             return Ok(true);
         }
         match self.calibration.fit(width, height) {
-            Ok(camera) => self.begin(camera),
+            Ok(camera) => self.begin(camera)?,
             Err(reason) if self.size == (0, 0) => return Err(reason),
             Err(reason) => {
                 if !self.status.calibration_refused() {
@@ -251,7 +262,7 @@ impl ReconstructStep {
     }
 
     /// The first frame, or the first of another size, completes the camera model.
-    fn begin(&mut self, camera: CameraModel) {
+    fn begin(&mut self, camera: CameraModel) -> Result<(), String> {
         info!(
             width = camera.width,
             height = camera.height,
@@ -269,15 +280,22 @@ impl ReconstructStep {
         }
         self.kept_sigma = f64::INFINITY;
         if let Some(reconstruction) = self.reconstruction.as_mut() {
+            if let Some(desk) = self.map_file.as_mut() {
+                desk.let_go("the camera sends another size of picture");
+            }
             reconstruction.change_camera(&camera, prior);
             self.drain_events();
         } else if let Some(worker) = self.worker.take() {
-            let mut reconstruction = Reconstruction::with_lens(&self.config, &camera, prior, worker, self.lockstep);
+            let mut begun = Reconstruction::with_lens(&self.config, &camera, prior, worker, self.lockstep);
             if let Some((base, radius_sigma)) = self.base {
-                reconstruction.set_base(base, radius_sigma);
+                begun.set_base(base, radius_sigma);
             }
-            self.reconstruction = Some(reconstruction);
+            if let Some(desk) = self.map_file.as_mut() {
+                desk.begin(&mut begun, &camera, prior)?;
+            }
+            self.reconstruction = Some(begun);
         }
+        Ok(())
     }
 
     fn publish_pose(&mut self, features: &FrameFeatures, estimate: &PoseEstimate) {
@@ -442,6 +460,9 @@ impl ReconstructStep {
         match request {
             Request::Reset { why } => {
                 info!(why, "reset asked for");
+                if let Some(desk) = self.map_file.as_mut() {
+                    desk.let_go(why);
+                }
                 if let Some(reconstruction) = self.reconstruction.as_mut() {
                     reconstruction.reset();
                 }
@@ -477,7 +498,8 @@ impl ReconstructStep {
     }
 
     /// Ends: merges the adjustment under way, hands out the last records, and gives back what files are written from.
-    pub fn finish(mut self) -> (FinalMap, RecorderLink) {
+    /// And who keeps the map on disk, if that is to be closed here.
+    pub fn finish(mut self) -> (FinalMap, RecorderLink, Option<Keeper>) {
         if let Some(reconstruction) = self.reconstruction.as_mut() {
             reconstruction.finish();
         }
@@ -489,7 +511,8 @@ impl ReconstructStep {
             self.status.set_counters(&reconstruction.counters());
         }
         self.status.set_map(&map.snapshot);
-        (map, self.recorder)
+        let keeper = self.map_file.and_then(|desk| desk.finish(self.reconstruction.as_mut()));
+        (map, self.recorder, keeper)
     }
 }
 

@@ -200,6 +200,14 @@ pub struct Written {
 }
 
 impl Written {
+    /// What became of the map on disk.
+    pub fn note_map(&mut self, outcome: Result<Option<PathBuf>, String>) {
+        match outcome {
+            Ok(path) => self.files.extend(path),
+            Err(reason) => self.failures.push(reason),
+        }
+    }
+
     fn note<E: std::fmt::Display>(&mut self, path: &Path, outcome: Result<(), E>) {
         match outcome {
             Ok(()) => self.files.push(path.into()),

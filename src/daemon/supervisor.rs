@@ -109,7 +109,7 @@ pub fn supervise(
 
 /// Joins what ends, writes the files, and says how it went.
 fn wind_up(threads: Threads, status: &Arc<Status>, outputs: &Outputs, stopped: bool, deadline: Instant) -> End {
-    let Threads { capture, features, reconstruction, mapping, recorder, requests } = threads;
+    let Threads { capture, features, reconstruction, mapping, recorder, map_file, requests } = threads;
     drop(requests);
     let mut cause = if stopped { EndCause::Stopped } else { EndCause::SourceEnded };
     match join(capture, "capture", deadline) {
@@ -142,6 +142,12 @@ fn wind_up(threads: Threads, status: &Arc<Status>, outputs: &Outputs, stopped: b
         match join(recorder, "recorder", deadline) {
             Ok(mut recorder) => written = Recorder::write(&mut recorder, outputs, &map),
             Err(broken) => cause = broken,
+        }
+        if let Some(keeper) = map_file {
+            match join(keeper, "map file", deadline) {
+                Ok(outcome) => written.note_map(outcome),
+                Err(broken) => cause = broken,
+            }
         }
     }
     for failure in &written.failures {

@@ -50,6 +50,7 @@ fn parts(seconds: f64, pacing: Pacing, folder: &Path, edit: Edit) -> Parts {
         },
         spool_folder: None,
         keep_lens: None,
+        map_file: None,
         status: Arc::new(Status::default()),
     }
 }

@@ -97,6 +97,15 @@ impl Pyramid {
         Self { levels: std::iter::once(GreyImage::default()).chain(coarser).collect(), wanted: self.wanted }
     }
 
+    /// The pyramid of `levels` levels, or as many as there can be, whose level 1 is `half` and whose level 0 is empty.
+    pub fn from_half(half: GreyImage, levels: usize) -> Self {
+        let mut coarser = Self::new(levels.saturating_sub(1));
+        *coarser.base_mut() = half;
+        coarser.rebuild();
+        let levels = std::iter::once(GreyImage::default()).chain(coarser.levels).collect();
+        Self { levels, wanted: coarser.wanted + 1 }
+    }
+
     /// Size of level 0, pixels; (0, 0) before the first build.
     pub fn size(&self) -> (usize, usize) {
         self.levels.first().map_or((0, 0), |base| (base.width, base.height))
@@ -315,6 +324,8 @@ mod tests {
         }
         let coarser = copy.without_base();
         assert!(coarser.levels[0].data.is_empty() && coarser.levels[1..] == copy.levels[1..]);
+        let again = Pyramid::from_half(coarser.levels[1].clone(), coarser.levels.len());
+        assert_eq!(again.levels, coarser.levels, "coarser levels follow from level 1");
     }
 
     #[test]

@@ -3,9 +3,11 @@
 //! One owner (reconstruction's thread) reads and writes it; mapping jobs work on copies of parts of it. World = the
 //! optical axes of the map's first keyframe; lengths are map units.
 
+pub mod colmap;
 pub mod export;
 pub mod picture;
 mod reduction;
+pub mod saved;
 mod snapshot;
 pub mod store;
 
@@ -349,9 +351,9 @@ impl Map {
         }
     }
 
-    /// Counts that a landmark was looked for in a frame.
+    /// Counts that a landmark was looked for in a frame. By itself no reason to write it to a file anew.
     pub fn count_sighting(&mut self, landmark: LandmarkId, sought: Sought) {
-        let Some(l) = self.landmarks.get_mut(landmark.0) else { return };
+        let Some(l) = self.landmarks.get_mut_unnoticed(landmark.0) else { return };
         l.sought += 1;
         match sought {
             Sought::Found => (l.found, l.disagreed) = (l.found + 1, 0),

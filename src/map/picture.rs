@@ -12,6 +12,7 @@ use std::sync::Arc;
 
 use nalgebra::Vector2;
 
+use super::LandmarkId;
 use crate::image::pyramid::double;
 use crate::image::{Crop, GreyImage, Pyramid};
 
@@ -35,12 +36,72 @@ pub struct KeyframePicture {
     /// Its level 0 is empty once reduced.
     pyramid: Arc<Pyramid>,
     /// What is left of level 0, ascending landmark.
-    patches: Vec<Patch>,
+    patches: Arc<Vec<Patch>>,
+    /// Grows with what a copy elsewhere must be told; patches of landmarks that are no longer observed go untold.
+    revision: u32,
+}
+
+/// What a file keeps of a picture: everything else follows from it.
+pub struct Kept<'a> {
+    /// Level 0, or of a reduced picture level 1.
+    pub finest: &'a GreyImage,
+    pub is_whole: bool,
+    /// Levels of the pyramid, the one that was given up among them.
+    pub levels: usize,
+}
+
+/// A patch as a file keeps it.
+#[derive(Debug, Clone)]
+pub struct KeptPatch {
+    pub landmark: LandmarkId,
+    /// Column and row of its first pixel in level 0.
+    pub left: u16,
+    pub top: u16,
+    pub pixels: Box<[u8; PATCH_PX * PATCH_PX]>,
 }
 
 impl KeyframePicture {
     pub fn new(pyramid: Arc<Pyramid>) -> Self {
-        Self { pyramid, patches: Vec::new() }
+        Self { pyramid, ..Self::default() }
+    }
+
+    /// What a file is to keep of it; `None` where there is no picture.
+    pub fn kept(&self) -> Option<Kept<'_>> {
+        let is_whole = self.whole().is_some();
+        let finest = self.pyramid.levels.get(usize::from(!is_whole))?;
+        Some(Kept { finest, is_whole, levels: self.pyramid.levels.len() })
+    }
+
+    /// The patches of a reduced picture, ascending landmark.
+    pub fn patches(&self) -> impl Iterator<Item = (LandmarkId, [u16; 2], &[u8; PATCH_PX * PATCH_PX])> {
+        self.patches.iter().map(|p| (LandmarkId(p.landmark), [p.left, p.top], &*p.pixels))
+    }
+
+    /// A picture from what a file kept of it; `patches` in any order.
+    pub fn restored(finest: GreyImage, is_whole: bool, levels: usize, patches: Vec<KeptPatch>) -> Self {
+        let pyramid = match is_whole {
+            true => {
+                let mut pyramid = Pyramid::new(levels);
+                *pyramid.base_mut() = finest;
+                pyramid.rebuild();
+                pyramid
+            }
+            false => Pyramid::from_half(finest, levels),
+        };
+        let own = |p: KeptPatch| Patch { landmark: p.landmark.0, left: p.left, top: p.top, pixels: p.pixels };
+        let mut patches: Vec<Patch> = patches.into_iter().map(own).collect();
+        patches.sort_by_key(|p| p.landmark);
+        Self { pyramid: Arc::new(pyramid), patches: Arc::new(patches), revision: 0 }
+    }
+
+    /// See [`KeyframePicture`]: as long as this stays, a copy elsewhere needs no more than the landmarks that are observed.
+    pub fn revision(&self) -> u32 {
+        self.revision
+    }
+
+    /// All levels there are, the finest one first; of a reduced picture that is empty.
+    pub fn pyramid(&self) -> &Pyramid {
+        &self.pyramid
     }
 
     /// The whole picture, unless it was reduced.
@@ -91,22 +152,30 @@ impl KeyframePicture {
             kept.filter_map(|(landmark, pixel)| Patch::cut(&whole.levels[0], landmark, pixel)).collect();
         patches.sort_by_key(|p| p.landmark);
         let coarser = whole.without_base();
-        (self.patches, self.pyramid) = (patches, Arc::new(coarser));
+        (self.patches, self.pyramid) = (Arc::new(patches), Arc::new(coarser));
+        self.revision += 1;
     }
 
     /// One landmark turned out to be another.
     pub(super) fn rename(&mut self, landmark: u32, to: u32) {
         if let (Ok(from), Err(_)) = (self.place(landmark), self.place(to)) {
-            self.patches[from].landmark = to;
-            self.patches.sort_by_key(|p| p.landmark);
+            let patches = Arc::make_mut(&mut self.patches);
+            patches[from].landmark = to;
+            patches.sort_by_key(|p| p.landmark);
+            self.revision += 1;
         }
     }
 
     /// The landmark is not observed any more.
     pub(super) fn forget(&mut self, landmark: u32) {
         if let Ok(i) = self.place(landmark) {
-            self.patches.remove(i);
+            Arc::make_mut(&mut self.patches).remove(i);
         }
+    }
+
+    /// Forgets the patches of all landmarks but these (ascending).
+    pub(super) fn keep_only(&mut self, landmarks: &[u32]) {
+        Arc::make_mut(&mut self.patches).retain(|p| landmarks.binary_search(&p.landmark).is_ok());
     }
 
     fn place(&self, landmark: u32) -> Result<usize, usize> {

@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::{KeyframeId, LandmarkId, MapId};
+use super::{KeyframeId, LandmarkId, Map, MapId};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 use crate::motion::scale::MapScale;
@@ -46,6 +46,28 @@ pub struct MapSnapshot {
     pub landmarks: Vec<LandmarkView>,
     /// Ascending id.
     pub keyframes: Vec<KeyframeView>,
+}
+
+impl MapSnapshot {
+    /// Becomes what this map shows.
+    pub fn fill(&mut self, id: MapId, map: &Map) {
+        self.map = id;
+        self.revision = map.revision;
+        self.landmarks.clear();
+        // Where the distance is assumed there is no place to publish.
+        self.landmarks.extend(map.landmarks.iter().filter(|(_, l)| l.assumed.is_none()).map(|(id, l)| LandmarkView {
+            id: LandmarkId(id),
+            position_world: l.position,
+            sigma: largest_sigma(&l.covariance) as f32,
+            observations: l.observers.len() as u32,
+        }));
+        self.keyframes.clear();
+        self.keyframes.extend(map.keyframes.iter().map(|(id, k)| KeyframeView {
+            id: KeyframeId(id),
+            timestamp_ns: k.timestamp_ns,
+            world_from_camera: k.camera_from_world.inverse(),
+        }));
+    }
 }
 
 #[cfg(test)]

@@ -1,9 +1,12 @@
 //! Paged storage by ascending ids that are never reused.
 //!
 //! Lookup is O(1), iteration is in ascending id (deterministic), and a page whose entries are all removed is freed, so that
-//! memory follows what is alive and not what ever was: 8 bytes remain of each 64 removed ids.
+//! memory follows what is alive and not what ever was: 16 bytes remain of each 64 removed ids.
+//!
+//! It also knows which entries have changed since that was asked last, for who keeps a copy elsewhere (a file): one bit an entry.
 
-const PAGE: usize = 64;
+/// Entries of a page: as many as a word has bits.
+pub const PAGE: usize = 64;
 
 struct Page<T> {
     live: usize,
@@ -13,13 +16,15 @@ struct Page<T> {
 /// Map from a dense, growing `u32` id to `T`.
 pub struct Store<T> {
     pages: Vec<Option<Box<Page<T>>>>,
+    /// A bit for each entry of a page that was put, changed or removed; may be shorter than `pages`.
+    changed: Vec<u64>,
     next: u32,
     live: usize,
 }
 
 impl<T> Default for Store<T> {
     fn default() -> Self {
-        Self { pages: Vec::new(), next: 0, live: 0 }
+        Self { pages: Vec::new(), changed: Vec::new(), next: 0, live: 0 }
     }
 }
 
@@ -64,7 +69,37 @@ impl<T> Store<T> {
         id
     }
 
+    /// Stores `value` under an id of a copy that was kept elsewhere; the next id is above it.
+    pub(super) fn restore(&mut self, id: u32, value: T) {
+        self.next = self.next.max(id.saturating_add(1));
+        self.put(id, value);
+    }
+
+    /// The next id is at least this one.
+    pub(super) fn skip_to(&mut self, next: u32) {
+        self.next = self.next.max(next);
+    }
+
+    /// Ids of the entries that were put, changed or removed since the last call, ascending.
+    pub fn take_changed(&mut self) -> Vec<u32> {
+        let mut ids = Vec::new();
+        for (page, word) in self.changed.iter_mut().enumerate() {
+            let word = std::mem::take(word);
+            ids.extend((0..PAGE).filter(|slot| word >> slot & 1 == 1).map(|slot| (page * PAGE + slot) as u32));
+        }
+        ids
+    }
+
+    fn mark(&mut self, id: u32) {
+        let page = id as usize / PAGE;
+        if page >= self.changed.len() {
+            self.changed.resize(page + 1, 0);
+        }
+        self.changed[page] |= 1 << (id as usize % PAGE);
+    }
+
     fn put(&mut self, id: u32, value: T) {
+        self.mark(id);
         let (page, slot) = (id as usize / PAGE, id as usize % PAGE);
         if page >= self.pages.len() {
             self.pages.resize_with(page + 1, || None);
@@ -81,13 +116,22 @@ impl<T> Store<T> {
         self.pages.get(id as usize / PAGE)?.as_ref()?.slots[id as usize % PAGE].as_ref()
     }
 
-    /// The entry, if it is alive.
+    /// The entry, if it is alive; it counts as changed.
     pub(super) fn get_mut(&mut self, id: u32) -> Option<&mut T> {
+        self.get(id)?;
+        self.mark(id);
+        self.get_mut_unnoticed(id)
+    }
+
+    /// The entry, if it is alive, for a change that is worth no copy by itself.
+    pub(super) fn get_mut_unnoticed(&mut self, id: u32) -> Option<&mut T> {
         self.pages.get_mut(id as usize / PAGE)?.as_mut()?.slots[id as usize % PAGE].as_mut()
     }
 
     /// Takes the entry out.
     pub fn remove(&mut self, id: u32) -> Option<T> {
+        self.get(id)?;
+        self.mark(id);
         let page = self.pages.get_mut(id as usize / PAGE)?;
         let inner = page.as_mut()?;
         let value = inner.slots[id as usize % PAGE].take()?;
@@ -108,8 +152,10 @@ impl<T> Store<T> {
         )
     }
 
-    /// Entries alive, ascending id.
+    /// Entries alive, ascending id; all of them count as changed.
     pub(super) fn iter_mut(&mut self) -> impl Iterator<Item = (u32, &mut T)> {
+        self.changed.clear();
+        self.changed.resize(self.pages.len(), u64::MAX);
         self.pages.iter_mut().enumerate().filter_map(|(p, page)| page.as_mut().map(|page| (p, page))).flat_map(
             |(p, page)| {
                 page.slots
@@ -122,6 +168,8 @@ impl<T> Store<T> {
 
     /// Removes everything; ids go on from where they were.
     pub fn clear(&mut self) {
+        self.changed.clear();
+        self.changed.resize(self.pages.len(), u64::MAX);
         for page in &mut self.pages {
             *page = None;
         }
@@ -145,6 +193,27 @@ mod tests {
         assert_eq!(store.get(200), Some(&7));
         assert_eq!(store.get(100_000), None);
         assert_eq!(store.len(), 200);
+    }
+
+    #[test]
+    fn what_has_changed_is_told_once_and_looking_is_no_change() {
+        let mut store = Store::default();
+        for i in 0..130 {
+            store.insert(i);
+        }
+        assert_eq!(store.take_changed(), (0..130).collect::<Vec<_>>());
+        assert!(store.get(3).is_some() && store.get_mut(400).is_none() && store.remove(400).is_none());
+        assert_eq!(store.take_changed(), []);
+        for id in [70, 129] {
+            *store.get_mut(id).unwrap() += 1;
+        }
+        *store.get_mut_unnoticed(5).unwrap() += 1;
+        store.remove(64);
+        store.restore(200, 7);
+        assert_eq!(store.take_changed(), [64, 70, 129, 200]);
+        assert_eq!(store.next_id(), 201);
+        assert_eq!(store.iter_mut().count(), 130);
+        assert!(store.take_changed().len() >= 130);
     }
 
     #[test]

@@ -25,6 +25,8 @@ pub struct ActiveMap {
     pub unadjusted: Option<KeyframeId>,
     /// Keyframes at which the whole map is adjusted next.
     pub next_whole: usize,
+    /// Id of the map that begins next.
+    pub next_id: MapId,
 }
 
 impl Default for ActiveMap {
@@ -34,7 +36,7 @@ impl Default for ActiveMap {
 }
 
 impl ActiveMap {
-    fn new(map: Map, id: MapId) -> Self {
+    pub fn new(map: Map, id: MapId) -> Self {
         Self {
             map,
             id,
@@ -47,12 +49,13 @@ impl ActiveMap {
             last_keyframe_frame: 0,
             unadjusted: None,
             next_whole: WHOLE_FIRST,
+            next_id: MapId(id.0 + 1),
         }
     }
 
     /// An empty one whose ids go on after this one's.
     pub fn successor(&self) -> Self {
-        Self::new(self.map.successor(), MapId(self.id.0 + 1))
+        Self::new(self.map.successor(), self.next_id)
     }
 
     /// Empty again, as before a start that did not hold.

@@ -8,29 +8,13 @@ use super::track::Tracked;
 use super::track::search::Match;
 use super::types::{OrientationEstimate, PoseEstimate, TrackingState};
 use crate::features::FrameFeatures;
-use crate::map::{KeyframeId, KeyframeView, LandmarkId, LandmarkView, MapSnapshot, largest_sigma};
+use crate::map::MapSnapshot;
 
 impl Reconstruction {
     /// Fills `out` with the current map.
     pub fn snapshot(&self, out: &mut MapSnapshot) {
-        let map = &self.active.map;
-        out.map = self.active.id;
-        out.revision = map.revision;
+        out.fill(self.active.id, &self.active.map);
         out.scale = self.scale();
-        out.landmarks.clear();
-        // Where the distance is assumed there is no place to publish.
-        out.landmarks.extend(map.landmarks.iter().filter(|(_, l)| l.assumed.is_none()).map(|(id, l)| LandmarkView {
-            id: LandmarkId(id),
-            position_world: l.position,
-            sigma: largest_sigma(&l.covariance) as f32,
-            observations: l.observers.len() as u32,
-        }));
-        out.keyframes.clear();
-        out.keyframes.extend(map.keyframes.iter().map(|(id, k)| KeyframeView {
-            id: KeyframeId(id),
-            timestamp_ns: k.timestamp_ns,
-            world_from_camera: k.camera_from_world.inverse(),
-        }));
     }
 
     /// No pose: initialising or lost. Everything that is not known is NaN or `None`.

@@ -15,6 +15,7 @@ mod measurement;
 mod metric;
 mod odometry;
 mod optics;
+mod persistence;
 mod relocalise;
 mod scale_uncertainty;
 mod track;
@@ -36,6 +37,7 @@ use keyframe::pictures::{WHOLE_PICTURES, reduce_pictures};
 use keyframe::{KeyframeInputs, NewKeyframe};
 use metric::segments::Wheels;
 use optics::Optics;
+use persistence::Taken;
 use relocalise::Relocaliser;
 use relocalise::other_maps::{OtherMap, OtherMaps, WORTH_KEEPING, retire};
 use track::frame::Frame;
@@ -84,6 +86,10 @@ pub struct Reconstruction {
     corrections: Corrections,
     wheels: Wheels,
     pending: Pending,
+    /// The map stays as it is: no keyframe, no adjustment, no other map.
+    localise_only: bool,
+    /// Maps and camera as they were when changes were last taken.
+    taken: Option<Taken>,
     /// Timestamp of the newest frame, ns.
     frame_ns: i64,
     events: Vec<TrajectoryEvent>,
@@ -126,6 +132,8 @@ impl Reconstruction {
             corrections: Corrections::default(),
             wheels: Wheels::new(Robot::unknown(), RADIUS_SIGMA),
             pending: Pending::default(),
+            localise_only: false,
+            taken: None,
             frame_ns: i64::MIN,
             events: Vec::new(),
             counters: Counters::default(),
@@ -195,9 +203,13 @@ impl Reconstruction {
     }
 
     fn accept(&mut self, features: &FrameFeatures, tracked: &Tracked) -> PoseEstimate {
-        self.count_landmarks(tracked);
+        if !self.localise_only {
+            self.count_landmarks(tracked);
+        }
         self.tracker.keep_inliers();
-        self.follow_assumed(&tracked.camera_from_world);
+        if !self.localise_only {
+            self.follow_assumed(&tracked.camera_from_world);
+        }
         let pose = tracked.camera_from_world;
         let active = &mut self.active;
         let resumed = active.odometry.lost_frames > 0;
@@ -212,7 +224,7 @@ impl Reconstruction {
         self.tracker.note_distance(&pose.inverse().translation);
         let step = active.odometry.accept(features.timestamp_ns, pose);
         // A covered picture gives poor templates, and its pose rests on little.
-        let clear = !resumed && tracked.share() >= KEYFRAME_SHARE;
+        let clear = !resumed && !self.localise_only && tracked.share() >= KEYFRAME_SHARE;
         let keyframe = clear && self.decide_keyframe(&pose);
         self.record_pose(features.timestamp_ns, &pose);
         self.pending.keyframe = keyframe.then_some(pose);
@@ -242,6 +254,9 @@ impl Reconstruction {
         let active = &mut self.active;
         active.odometry.lost_frames += 1;
         self.state = TrackingState::Lost;
+        if self.localise_only {
+            return self.estimate_none(features);
+        }
         if active.map.keyframes.len() < WORTH_KEEPING {
             // What was seen while it was lost begins the next map.
             let seen = std::mem::take(&mut self.initialiser);
@@ -278,6 +293,9 @@ impl Reconstruction {
     pub fn map(&mut self, features: &FrameFeatures, feedback: &mut Feedback) {
         feedback.sequence = features.sequence;
         feedback.forget.clear();
+        if self.localise_only {
+            return self.bind_found(features);
+        }
         let placed = self.place_after_turn(features);
         if let Some(pose) = &placed {
             self.record_instead(features.timestamp_ns, pose);

@@ -4,9 +4,13 @@ use super::adjust::intrinsics::{Intrinsics, LensPrior};
 use super::config::ReconstructionConfig;
 use super::measurement::rolling_shutter::Shutter;
 use crate::geometry::CameraModel;
+use crate::map::saved::SavedOptics;
 
 #[derive(Debug)]
 pub struct Optics {
+    /// As it was given.
+    pub calibration: CameraModel,
+    /// As it is believed now.
     pub camera: CameraModel,
     pub intrinsics: Intrinsics,
     pub shutter: Shutter,
@@ -15,9 +19,32 @@ pub struct Optics {
 impl Optics {
     pub fn new(camera: &CameraModel, prior: LensPrior, config: &ReconstructionConfig) -> Self {
         Self {
+            calibration: camera.clone(),
             camera: camera.clone(),
             intrinsics: Intrinsics::new(camera, prior),
             shutter: Shutter::new(config.readout_ms * 1e-3, camera.height, config.estimate_readout),
         }
+    }
+
+    /// For another run.
+    pub fn saved(&self) -> SavedOptics {
+        let lens = &self.intrinsics;
+        let (readout_s, readout_information) = self.shutter.saved();
+        SavedOptics {
+            calibration: self.calibration.clone(),
+            is_guessed: lens.guessed,
+            camera: self.camera.clone(),
+            readout_s,
+            readout_information,
+            ..lens.saved(&self.camera)
+        }
+    }
+
+    /// Goes on from what another run knew of the same camera.
+    pub fn resume(&mut self, saved: &SavedOptics) {
+        self.calibration = saved.calibration.clone();
+        self.camera = saved.camera.clone();
+        self.intrinsics.resume(saved);
+        self.shutter.resume(saved.readout_s, saved.readout_information);
     }
 }

@@ -21,6 +21,7 @@ use nalgebra::{Matrix3, Vector3};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::sim3::Sim3;
+use crate::map::saved::SavedTurn;
 use crate::map::{KeyframeId, Map, TurnId};
 
 /// Standard deviation of the length of a step that assumed distances tell, as a share of it. Behind ten simulated turns of 90 and 180
@@ -54,6 +55,20 @@ impl Default for ScaleUncertainty {
 }
 
 impl ScaleUncertainty {
+    /// For another run.
+    pub fn saved(&self) -> Vec<SavedTurn> {
+        let saved = |&Turn { keyframe, centre, variance, before }: &Turn| SavedTurn { keyframe, centre, variance, before };
+        self.turns.iter().map(saved).collect()
+    }
+
+    /// What another run knew.
+    pub fn restored(saved: &[SavedTurn]) -> Self {
+        let turn = |&SavedTurn { keyframe, centre, variance, before }: &SavedTurn| Turn { keyframe, centre, variance, before };
+        let mut own = Self::default();
+        own.turns.extend(saved.iter().take(MAX_TURNS).map(turn));
+        own
+    }
+
     /// A turn at `keyframe`, whose own scale came through `before`: what its next keyframes are to be marked with.
     pub fn add(&mut self, map: &Map, keyframe: KeyframeId, before: Option<TurnId>) -> Option<TurnId> {
         let centre = map.keyframe(keyframe)?.centre();

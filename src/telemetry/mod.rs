@@ -121,16 +121,35 @@ pub fn set_level(config: &LogConfig) -> Result<(), String> {
     handle.reload(filter).map_err(|e| e.to_string())
 }
 
+thread_local! {
+    /// What runs on this thread may panic, and whoever called it deals with that.
+    static CONTAINED: std::cell::Cell<bool> = const { std::cell::Cell::new(false) };
+}
+
+/// What `work` gives, or what its panic said, of which nobody else hears. For code of others that is given bytes of unknown origin.
+pub fn contained<T>(work: impl FnOnce() -> T) -> Result<T, String> {
+    let before = CONTAINED.replace(true);
+    let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(work));
+    CONTAINED.set(before);
+    outcome.map_err(|payload| panic_message(&*payload).to_owned())
+}
+
+fn panic_message(payload: &(dyn std::any::Any + Send)) -> &str {
+    let text = payload.downcast_ref::<&str>().copied();
+    text.or_else(|| payload.downcast_ref::<String>().map(String::as_str)).unwrap_or("")
+}
+
 /// Makes a panic a record like any other, with thread and place as fields.
 pub fn log_panics() {
     let before = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |info| {
+        if CONTAINED.get() {
+            return;
+        }
         if !tracing::enabled!(tracing::Level::ERROR) {
             return before(info);
         }
-        let payload = info.payload();
-        let text = payload.downcast_ref::<&str>().copied();
-        let message = text.or_else(|| payload.downcast_ref::<String>().map(String::as_str)).unwrap_or("");
+        let message = panic_message(info.payload());
         let place = info.location().map(ToString::to_string).unwrap_or_default();
         let thread = std::thread::current().name().unwrap_or("").to_owned();
         let backtrace = std::backtrace::Backtrace::capture();

@@ -26,6 +26,7 @@ use super::bundle::{IntrinsicsVector, WITHOUT_DISTORTION};
 use super::job::{FoundIntrinsics, MappingJob};
 use crate::geometry::{CameraModel, LensModel};
 use crate::map::Map;
+use crate::map::saved::SavedOptics;
 use crate::reconstruction::measurement::rolling_shutter::Shutter;
 
 /// Standard deviation of a measured focal length, and of a nominal one, as a share of it.
@@ -182,6 +183,39 @@ impl Intrinsics {
             found_before: vec![(camera.fx.ln(), focal * focal)],
             unsettled: 0.0,
         }
+    }
+
+    /// All of it, for another run; what is not of the lens is left as it comes.
+    pub fn saved(&self, camera: &CameraModel) -> SavedOptics {
+        SavedOptics {
+            calibration: self.expected.clone(),
+            is_guessed: self.guessed,
+            camera: camera.clone(),
+            expected: self.expected.clone(),
+            sigma: self.sigma.into(),
+            refined_sigma: self.refined_sigma.into(),
+            begun_with_px: self.begun_with,
+            restarts: self.restarts,
+            found_before: self.found_before.clone(),
+            unsettled: self.unsettled,
+            readout_s: 0.0,
+            readout_information: 0.0,
+        }
+    }
+
+    /// Goes on from what another run knew.
+    pub fn resume(&mut self, saved: &SavedOptics) {
+        *self = Self {
+            guessed: saved.is_guessed,
+            expected: saved.expected.clone(),
+            sigma: saved.sigma.into(),
+            refined_sigma: saved.refined_sigma.into(),
+            begun_with: saved.begun_with_px,
+            restarts: saved.restarts,
+            hold_distortion: false,
+            found_before: saved.found_before.clone(),
+            unsettled: saved.unsettled,
+        };
     }
 
     /// How far the lens may be from what it is supposed to be.

@@ -43,6 +43,18 @@ impl Shutter {
         Self { readout_s, information, height_px: f64::from(height_px.max(1)), estimate }
     }
 
+    /// Readout time (s) and one over its variance (1/s^2), for another run.
+    pub fn saved(&self) -> (f64, f64) {
+        (self.readout_s, self.information)
+    }
+
+    /// Goes on from what another run knew; a readout time that is to be held stays as it is.
+    pub fn resume(&mut self, readout_s: f64, information: f64) {
+        if self.estimate && readout_s.is_finite() && information > 0.0 {
+            (self.readout_s, self.information) = (readout_s.clamp(-MAX_READOUT_S, MAX_READOUT_S), information);
+        }
+    }
+
     /// Nothing to correct and nothing to learn.
     pub fn is_off(&self) -> bool {
         !self.estimate && self.readout_s == 0.0

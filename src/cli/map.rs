@@ -1,0 +1,322 @@
+//! `cairn map`: what is in a map file, and the same for other programs.
+//!
+//! Both commands read a file, verify all of it and leave it as it is.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use serde::Serialize;
+
+use super::{CliError, exit_code, map_file, session};
+use crate::geometry::CameraModel;
+use crate::map::MapSnapshot;
+use crate::map::colmap::write_colmap;
+use crate::map::export::write_ply;
+use crate::map::saved::SavedMap;
+use crate::places::store::{Contents, read};
+use crate::trajectory::{TumPose, format_timestamp, write_tum};
+
+/// Shows a map file, or writes its map for other programs
+#[derive(Debug, clap::Args)]
+pub struct MapArgs {
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Action {
+    Info(InfoArgs),
+    Export(ExportArgs),
+}
+
+/// Verifies a map file and prints what is in it
+#[derive(Debug, clap::Args)]
+struct InfoArgs {
+    /// Map file
+    file: PathBuf,
+    /// Print the result as one JSON object
+    #[arg(long)]
+    json: bool,
+    /// Draw the largest map from above (PNG)
+    #[arg(long, value_name = "OUT.png")]
+    overview: Option<PathBuf>,
+}
+
+/// Writes the largest map of a file for other programs
+#[derive(Debug, clap::Args)]
+#[command(group(clap::ArgGroup::new("format").required(true).multiple(true).args(["ply", "tum", "colmap"])))]
+struct ExportArgs {
+    /// Map file
+    file: PathBuf,
+    /// Landmarks and keyframes (PLY)
+    #[arg(long, value_name = "OUT.ply")]
+    ply: Option<PathBuf>,
+    /// Poses of the keyframes (TUM format)
+    #[arg(long, value_name = "OUT")]
+    tum: Option<PathBuf>,
+    /// Folder for COLMAP's text model
+    #[arg(long, value_name = "DIR")]
+    colmap: Option<PathBuf>,
+}
+
+pub fn run(args: &MapArgs) -> Result<ExitCode, CliError> {
+    match &args.action {
+        Action::Info(args) => info(args),
+        Action::Export(args) => export(args),
+    }
+}
+
+/// What `info` says of a file.
+#[derive(Debug, Serialize)]
+struct Info {
+    file: String,
+    format: u32,
+    id: String,
+    cairn: String,
+    /// Seconds since 1970 (UTC).
+    created_s: i64,
+    written_s: i64,
+    /// Timestamp of the newest frame that it knows of, s; null: it has seen none.
+    newest_frame_s: Option<String>,
+    size_bytes: u64,
+    bytes_per_keyframe: u64,
+    /// Of these: keyframes, their pictures, landmarks.
+    record_bytes: [u64; 3],
+    camera: CameraInfo,
+    readout_ms: f64,
+    /// Metres of a map unit; null: not known.
+    metres_per_unit: Option<f64>,
+    maps: Vec<MapInfo>,
+}
+
+#[derive(Debug, Serialize)]
+struct CameraInfo {
+    width: u32,
+    height: u32,
+    /// `calibrated` or `estimated`.
+    knowledge: &'static str,
+    lens_model: &'static str,
+    /// As it was refined from the motion: fx fy cx cy, px.
+    intrinsics_px: [f64; 4],
+    distortion: Vec<f64>,
+    /// As it was given.
+    given_px: [f64; 4],
+    given_distortion: Vec<f64>,
+}
+
+#[derive(Debug, Serialize)]
+struct MapInfo {
+    id: u32,
+    keyframes: usize,
+    landmarks: usize,
+    observations: usize,
+    /// Frames that were tracked in it.
+    frames: u64,
+    /// Timestamps of the oldest and the newest keyframe, s.
+    from_s: Option<String>,
+    to_s: Option<String>,
+    /// Corners of the box around all landmarks of known distance and keyframes, map units, world axes (right, down, forward of the first
+    /// keyframe); null: there are none.
+    low: Option<[f64; 3]>,
+    high: Option<[f64; 3]>,
+}
+
+fn info(args: &InfoArgs) -> Result<ExitCode, CliError> {
+    if args.overview.is_some() {
+        super::builds::needs_tools("`--overview`")?;
+    }
+    session::check_outputs([&args.overview])?;
+    let contents = read(&args.file).map_err(|e| map_file::error(&e))?;
+    let info = Info::of(&args.file, &contents);
+    if let Some(path) = &args.overview {
+        draw(path, largest(&args.file, &contents)?)?;
+    }
+    session::print(&if args.json { session::json(&info)? } else { info.text() })?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn export(args: &ExportArgs) -> Result<ExitCode, CliError> {
+    session::check_outputs([&args.ply, &args.tum])?;
+    let contents = read(&args.file).map_err(|e| map_file::error(&e))?;
+    let saved = largest(&args.file, &contents)?;
+    let failed = |error: &dyn std::fmt::Display| CliError::new(exit_code::CANNOT_CREATE, error.to_string());
+    if let Some(path) = &args.ply {
+        write_ply(path, &snapshot(saved)).map_err(|e| failed(&e))?;
+    }
+    if let Some(path) = &args.tum {
+        write_tum(path, &poses(saved)).map_err(|e| failed(&e))?;
+    }
+    if let Some(folder) = &args.colmap {
+        write_colmap(folder, &saved.map, &contents.saved.optics.camera).map_err(|e| failed(&e))?;
+    }
+    let (keyframes, landmarks) = (saved.map.keyframes.len(), saved.map.landmarks.len());
+    let mut text = format!("map {}: {keyframes} keyframes, {landmarks} landmarks\n", saved.head.id.0);
+    let others = contents.saved.maps.len() - 1;
+    if others > 0 {
+        text += &format!("{others} smaller maps of the file are not in it: they are not joined to this one\n");
+    }
+    for path in [&args.ply, &args.tum, &args.colmap].into_iter().flatten() {
+        text += &format!("wrote {}\n", path.display());
+    }
+    session::print(&text)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn largest<'a>(file: &Path, contents: &'a Contents) -> Result<&'a SavedMap, CliError> {
+    let none = || CliError::new(exit_code::DATA, format!("{}: there is no map in it yet", file.display()));
+    contents.saved.maps.first().ok_or_else(none)
+}
+
+fn snapshot(saved: &SavedMap) -> MapSnapshot {
+    let mut snapshot = MapSnapshot::default();
+    snapshot.fill(saved.head.id, &saved.map);
+    snapshot
+}
+
+/// Of the keyframes, by time.
+fn poses(saved: &SavedMap) -> Vec<TumPose> {
+    let keyframes = saved.map.keyframes.iter().map(|(_, k)| k);
+    let pose = |k: &crate::map::Keyframe| TumPose {
+        timestamp_ns: k.timestamp_ns,
+        world_from_camera: k.camera_from_world.inverse(),
+    };
+    let mut poses: Vec<TumPose> = keyframes.map(pose).collect();
+    poses.sort_by_key(|p| p.timestamp_ns);
+    poses
+}
+
+#[cfg(feature = "tools")]
+fn draw(path: &Path, saved: &SavedMap) -> Result<(), CliError> {
+    use crate::plot::{LengthUnit, write_overview};
+    let snapshot = snapshot(saved);
+    let title = format!("map {} with {} landmarks", snapshot.map.0, snapshot.landmarks.len());
+    write_overview(path, &snapshot, &[], LengthUnit::MapUnits, &title)
+        .map_err(|e| CliError::new(exit_code::CANNOT_CREATE, e.to_string()))
+}
+
+/// Refused before the work.
+#[cfg(not(feature = "tools"))]
+fn draw(_: &Path, _: &SavedMap) -> Result<(), CliError> {
+    super::builds::needs_tools("`--overview`")
+}
+
+impl Info {
+    fn of(file: &Path, contents: &Contents) -> Self {
+        let optics = &contents.saved.optics;
+        let keyframes: usize = contents.saved.maps.iter().map(|m| m.map.keyframes.len()).sum();
+        let intrinsics = |c: &CameraModel| [c.fx, c.fy, c.cx, c.cy];
+        Self {
+            file: file.display().to_string(),
+            format: contents.format,
+            id: contents.id.iter().map(|byte| format!("{byte:02x}")).collect(),
+            cairn: contents.cairn.clone(),
+            created_s: contents.created_ns.div_euclid(1_000_000_000),
+            written_s: contents.written_ns.div_euclid(1_000_000_000),
+            newest_frame_s: Some(contents.saved.frame_ns).filter(|ns| *ns != i64::MIN).map(format_timestamp),
+            size_bytes: contents.bytes,
+            bytes_per_keyframe: contents.bytes / keyframes.max(1) as u64,
+            record_bytes: contents.record_bytes,
+            camera: CameraInfo {
+                width: optics.camera.width,
+                height: optics.camera.height,
+                knowledge: if optics.is_guessed { "estimated" } else { "calibrated" },
+                lens_model: optics.camera.lens.name(),
+                intrinsics_px: intrinsics(&optics.camera),
+                distortion: optics.camera.lens.coefficients().to_vec(),
+                given_px: intrinsics(&optics.calibration),
+                given_distortion: optics.calibration.lens.coefficients().to_vec(),
+            },
+            readout_ms: 1e3 * optics.readout_s,
+            metres_per_unit: contents.metres_per_unit,
+            maps: contents.saved.maps.iter().map(MapInfo::of).collect(),
+        }
+    }
+
+    fn text(&self) -> String {
+        let Self { file, format, id, cairn, .. } = self;
+        let mb = self.size_bytes as f64 / 1e6;
+        let mut text = format!("{file}: map {id}, format {format}, written by cairn {cairn}\n");
+        text += &format!("  made {}, written {} (UTC)\n", date(self.created_s), date(self.written_s));
+        let [keyframes, pictures, landmarks] = self.record_bytes.map(|bytes| bytes as f64 / 1e6);
+        text += &format!("  {mb:.1} MB, {:.1} kB a keyframe", self.bytes_per_keyframe as f64 / 1e3);
+        text += &format!(" (pictures {pictures:.1} MB, keyframes {keyframes:.1}, landmarks {landmarks:.1})\n");
+        let CameraInfo { width, height, knowledge, lens_model, intrinsics_px: [fx, fy, cx, cy], .. } = &self.camera;
+        text += &format!("  camera {width} x {height} px, {knowledge}, {lens_model}: fx {fx:.2} fy {fy:.2} cx {cx:.2} cy {cy:.2} px\n");
+        let [fx, fy, cx, cy] = self.camera.given_px;
+        text += &format!("  as it was given: fx {fx:.2} fy {fy:.2} cx {cx:.2} cy {cy:.2} px; readout {:.1} ms\n", self.readout_ms);
+        match self.metres_per_unit {
+            Some(metres) => text += &format!("  a map unit is {metres:.4} m\n"),
+            None => text += "  lengths are map units, no metres\n",
+        }
+        if self.maps.is_empty() {
+            text += "  no map yet\n";
+        }
+        for map in &self.maps {
+            text += &map.text();
+        }
+        text
+    }
+}
+
+impl MapInfo {
+    fn of(saved: &SavedMap) -> Self {
+        let map = &saved.map;
+        let landmarks = map.landmarks.iter().filter(|(_, l)| l.assumed.is_none()).map(|(_, l)| l.position);
+        let points: Vec<_> = landmarks.chain(map.keyframes.iter().map(|(_, k)| k.centre())).collect();
+        let corner = |pick: fn(f64, f64) -> f64| {
+            points.iter().copied().reduce(|a, b| a.zip_map(&b, pick)).map(<[f64; 3]>::from)
+        };
+        let times = || map.keyframes.iter().map(|(_, k)| k.timestamp_ns);
+        Self {
+            id: saved.head.id.0,
+            keyframes: map.keyframes.len(),
+            landmarks: map.landmarks.len(),
+            observations: map.keyframes.iter().map(|(_, k)| k.observations.len()).sum(),
+            frames: saved.head.frames,
+            from_s: times().min().map(format_timestamp),
+            to_s: times().max().map(format_timestamp),
+            low: corner(f64::min),
+            high: corner(f64::max),
+        }
+    }
+
+    fn text(&self) -> String {
+        let Self { id, keyframes, landmarks, observations, frames, .. } = self;
+        let mut text = format!("  map {id}: {keyframes} keyframes, {landmarks} landmarks, {observations} observations; {frames} frames tracked in it\n");
+        if let (Some(from), Some(to)) = (&self.from_s, &self.to_s) {
+            text += &format!("    keyframes from {from} to {to} s\n");
+        }
+        if let (Some(low), Some(high)) = (self.low, self.high) {
+            let point = |p: [f64; 3]| format!("({:.2} {:.2} {:.2})", p[0], p[1], p[2]);
+            text += &format!("    from {} to {} map units (right, down, forward)\n", point(low), point(high));
+        }
+        text
+    }
+}
+
+/// Year, month, day and time of seconds since 1970, UTC (days from the civil calendar, Howard Hinnant).
+fn date(seconds: i64) -> String {
+    let (days, time) = (seconds.div_euclid(86_400), seconds.rem_euclid(86_400));
+    let z = days + 719_468;
+    let era = z.div_euclid(146_097);
+    let day_of_era = z.rem_euclid(146_097);
+    let year_of_era = (day_of_era - day_of_era / 1_460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
+    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let shifted = (5 * day_of_year + 2) / 153;
+    let day = day_of_year - (153 * shifted + 2) / 5 + 1;
+    let month = if shifted < 10 { shifted + 3 } else { shifted - 9 };
+    let year = year_of_era + era * 400 + i64::from(month <= 2);
+    format!("{year:04}-{month:02}-{day:02} {:02}:{:02}", time / 3600, time / 60 % 60)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dates_are_those_of_the_calendar() {
+        assert_eq!(date(0), "1970-01-01 00:00");
+        assert_eq!(date(951_782_400), "2000-02-29 00:00");
+        assert_eq!(date(1_767_225_599), "2025-12-31 23:59");
+    }
+}

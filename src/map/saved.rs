@@ -1,0 +1,172 @@
+//! What a map is beyond this run: all that another one needs to go on in it, as plain values.
+//!
+//! In: [`MapChanges`], what reconstruction tells of its maps since it was asked last, made after a published pose. Out: [`SavedMaps`],
+//! what a file gave back. Whoever keeps the file stands between the two; nothing here reads or writes one.
+//!
+//! What follows from the rest is not kept: who observes a landmark, covisibility, coarser levels of pictures, thumbnails.
+//! [`Map::restored`] makes it anew, and refuses what does not fit together.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use nalgebra::Vector3;
+
+use super::store::PAGE;
+use super::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, MapId, TurnId, change_covisibility};
+use crate::geometry::CameraModel;
+
+/// A turn on the spot that the scale of what follows came through.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SavedTurn {
+    pub keyframe: KeyframeId,
+    pub centre: Vector3<f64>,
+    /// Of the scale behind it, as a share of it squared.
+    pub variance: f64,
+    pub before: Option<TurnId>,
+}
+
+/// What is known of the lens and the shutter.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SavedOptics {
+    /// As it was calibrated (or guessed): what reconstruction began with.
+    pub calibration: CameraModel,
+    /// Nobody has calibrated it.
+    pub is_guessed: bool,
+    /// As it is believed now: every observation of the maps is undistorted by it.
+    pub camera: CameraModel,
+    /// Around which, and how uncertainly (log focal length, principal point in px, distortion), before and with what the map says.
+    pub expected: CameraModel,
+    pub sigma: [f64; 7],
+    pub refined_sigma: [f64; 7],
+    pub begun_with_px: f64,
+    pub restarts: u32,
+    /// Log focal length and its variance, whenever that had shrunk.
+    pub found_before: Vec<(f64, f64)>,
+    pub unsettled: f64,
+    /// Rolling shutter, s, and one over its variance, 1/s^2.
+    pub readout_s: f64,
+    pub readout_information: f64,
+}
+
+/// One map without its keyframes and landmarks.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MapHead {
+    pub id: MapId,
+    /// Where it was tracked last.
+    pub reference: KeyframeId,
+    /// Frames tracked in it.
+    pub frames: u64,
+    pub turns: Vec<SavedTurn>,
+}
+
+/// One map as a file gave it back.
+pub struct SavedMap {
+    pub head: MapHead,
+    pub map: Map,
+}
+
+/// All maps of a file; the largest first.
+pub struct SavedMaps {
+    /// Timestamp of the newest frame when they were written.
+    pub frame_ns: i64,
+    pub optics: SavedOptics,
+    pub maps: Vec<SavedMap>,
+}
+
+/// What has changed since the last ones were taken.
+pub struct MapChanges {
+    /// Timestamp of the newest frame; `i64::MIN` before the first.
+    pub frame_ns: i64,
+    pub optics: SavedOptics,
+    /// All maps there are, the one that is tracked in first, with all of their keyframes, ascending.
+    pub maps: Vec<(MapHead, Vec<u32>)>,
+    /// The next ids.
+    pub next_keyframe: u32,
+    pub next_landmark: u32,
+    /// Keyframes that were added or changed.
+    pub keyframes: Vec<(u32, Keyframe)>,
+    /// Pages of landmarks ([`PAGE`](super::store::PAGE) ids each, by number) of which some were added, changed or removed: all that
+    /// is left of them.
+    pub landmarks: BTreeMap<u32, Vec<(u32, Landmark)>>,
+    /// This is all there is: what was written and is not in here is gone.
+    pub is_everything: bool,
+}
+
+impl MapChanges {
+    /// What has changed in maps, the one that is tracked in first, since this was called last; all there is with `is_everything`.
+    pub fn take(optics: SavedOptics, frame_ns: i64, mut maps: Vec<(MapHead, &mut Map)>, is_everything: bool) -> Self {
+        let (mut next_keyframe, mut next_landmark) = (0, 0);
+        let (mut keyframes, mut pages) = (Vec::new(), BTreeSet::new());
+        let page = |id: u32| id / PAGE as u32;
+        for (_, map) in &mut maps {
+            next_keyframe = next_keyframe.max(map.keyframes.next_id());
+            next_landmark = next_landmark.max(map.landmarks.next_id());
+            let (changed, moved) = map.take_changed();
+            if is_everything {
+                keyframes.extend(map.keyframes.iter().map(|(id, k)| (id, k.clone())));
+                pages.extend(map.landmarks.iter().map(|(id, _)| page(id)));
+            } else {
+                keyframes.extend(changed.iter().filter_map(|id| Some((*id, map.keyframes.get(*id)?.clone()))));
+                pages.extend(moved.into_iter().map(page));
+            }
+        }
+        // A page may hold landmarks of several maps.
+        let landmark = |id| Some((id, maps.iter().find_map(|(_, map)| map.landmarks.get(id))?.clone()));
+        let ids = |page: u32| page * PAGE as u32..(page + 1) * PAGE as u32;
+        let landmarks = pages.into_iter().map(|page| (page, ids(page).filter_map(landmark).collect())).collect();
+        let heads = maps.into_iter().filter(|(_, map)| !map.keyframes.is_empty());
+        let maps = heads.map(|(head, map)| (head, map.keyframes.iter().map(|(id, _)| id).collect())).collect();
+        Self { frame_ns, optics, maps, next_keyframe, next_landmark, keyframes, landmarks, is_everything }
+    }
+}
+
+impl Map {
+    /// A map from its keyframes and landmarks, whose links are made anew. The error says what does not fit together.
+    pub fn restored(keyframes: Vec<(u32, Keyframe)>, landmarks: Vec<(u32, Landmark)>) -> Result<Self, String> {
+        let mut map = Self::default();
+        for (id, mut landmark) in landmarks {
+            landmark.observers.clear();
+            if map.landmark(LandmarkId(id)).is_some() {
+                return Err(format!("landmark {id} is there twice"));
+            }
+            map.landmarks.restore(id, landmark);
+        }
+        for (id, mut keyframe) in keyframes {
+            if map.keyframe(KeyframeId(id)).is_some() {
+                return Err(format!("keyframe {id} is there twice"));
+            }
+            keyframe.covisible.clear();
+            let observed: Vec<u32> = keyframe.observations.iter().map(|o| o.landmark.0).collect();
+            if !observed.is_sorted_by(|a, b| a < b) {
+                return Err(format!("keyframe {id}: its landmarks are in no order"));
+            }
+            keyframe.picture.keep_only(&observed);
+            map.keyframes.restore(id, keyframe);
+            for landmark in observed {
+                let Some(entry) = map.landmarks.get_mut(landmark) else {
+                    return Err(format!("keyframe {id} observes landmark {landmark}, which is not there"));
+                };
+                for &other in &entry.observers {
+                    change_covisibility(&mut map.keyframes, KeyframeId(id), other, 1);
+                }
+                entry.observers.push(KeyframeId(id));
+            }
+        }
+        let sorted = |(_, l): (u32, &Landmark)| l.observers.is_sorted();
+        if !map.landmarks.iter().all(sorted) {
+            return Err("keyframes are in no order".into());
+        }
+        map.take_changed();
+        Ok(map)
+    }
+
+    /// Ids go on from here at the least: others of the same run have those below.
+    pub fn skip_ids_to(&mut self, next_keyframe: u32, next_landmark: u32) {
+        self.keyframes.skip_to(next_keyframe);
+        self.landmarks.skip_to(next_landmark);
+    }
+
+    /// Keyframes and landmarks that were added, changed or removed since the last call, ascending.
+    pub fn take_changed(&mut self) -> (Vec<u32>, Vec<u32>) {
+        (self.keyframes.take_changed(), self.landmarks.take_changed())
+    }
+}

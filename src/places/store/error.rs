@@ -1,0 +1,48 @@
+//! Why a map cannot be read from a file, or written to it.
+
+use std::io;
+
+/// Names the file.
+#[derive(Debug, thiserror::Error)]
+#[error("{path}: {fault}")]
+pub struct StoreError {
+    pub path: String,
+    pub fault: Fault,
+}
+
+/// What is wrong.
+#[derive(Debug, thiserror::Error)]
+pub enum Fault {
+    #[error("cannot be read: {0}")]
+    Read(io::Error),
+    #[error("cannot be written: {0}")]
+    Write(io::Error),
+    /// Of another program; untouched.
+    #[error("is no map of Cairn's; it is left as it is")]
+    Foreign,
+    /// Of another version of this program; untouched.
+    #[error("has version {0} of the map format, and this program reads version {FORMAT} only; it is left as it is", FORMAT = super::front::FORMAT)]
+    Version(u32),
+    /// Untouched.
+    #[error("is broken: {0}; it is left as it is")]
+    Broken(String),
+    #[error("another process works with it")]
+    Busy,
+    #[error("exists already")]
+    Exists,
+    /// It went wrong once, and nothing more is tried.
+    #[error("is not written any more: {0}")]
+    GivenUp(String),
+}
+
+impl Fault {
+    /// With the file's name.
+    pub fn of(self, path: &std::path::Path) -> StoreError {
+        StoreError { path: path.display().to_string(), fault: self }
+    }
+
+    /// The file is there and whoever made it is at fault, not the system.
+    pub fn is_in_the_data(&self) -> bool {
+        matches!(self, Self::Foreign | Self::Version(_) | Self::Broken(_))
+    }
+}

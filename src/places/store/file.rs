@@ -1,0 +1,241 @@
+//! A map file: made, read, written to.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs::{File, OpenOptions, TryLockError};
+use std::os::unix::fs::FileExt;
+use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use super::backend::Access;
+use super::error::{Fault, StoreError};
+use super::front::{FORMAT, Front};
+use super::layout::{HeaderOf, HeaderRecord, Raw, encode_keyframe, encode_landmarks};
+use super::picture;
+use super::records::{Kind, Records, Tally};
+use crate::map::saved::{MapChanges, SavedMaps};
+
+/// Everything that a file holds.
+pub struct Contents {
+    pub format: u32,
+    /// Random, given when the file was made.
+    pub id: [u8; 16],
+    /// ns since 1970.
+    pub created_ns: i64,
+    pub written_ns: i64,
+    /// Version of the program that wrote it last.
+    pub cairn: String,
+    /// `None`: not known, lengths are map units.
+    pub metres_per_unit: Option<f64>,
+    pub bytes: u64,
+    /// Of the records: keyframes, their pictures, landmarks. The rest is the database's own, and room.
+    pub record_bytes: [u64; 3],
+    pub saved: SavedMaps,
+}
+
+/// Reads a file in full and verifies it; its bytes stay as they are.
+pub fn read(path: &Path) -> Result<Contents, StoreError> {
+    let open = || {
+        let file = File::open(path).map_err(Fault::Read)?;
+        lock(file.try_lock_shared())?;
+        look(&file).map(|(contents, _, _)| contents)
+    };
+    open().map_err(|fault| fault.of(path))
+}
+
+/// A map file that this process writes to; another one that opens it is told so.
+pub struct MapFile {
+    path: PathBuf,
+    /// `None` once it is given up.
+    records: Option<Records>,
+    tally: Tally,
+    /// Keyframes in the file, and which revision of their pictures.
+    keyframes: BTreeMap<u32, u32>,
+    /// Pages of landmarks in the file.
+    pages: BTreeSet<u32>,
+}
+
+impl MapFile {
+    /// Makes a file with these maps in it; it is whole from the first moment on that it has its name.
+    pub fn create(path: &Path, first: &MapChanges) -> Result<Self, StoreError> {
+        Self::make(path, first).map_err(|fault| fault.of(path))
+    }
+
+    fn make(path: &Path, first: &MapChanges) -> Result<Self, Fault> {
+        let folder = match path.parent() {
+            Some(parent) if !parent.as_os_str().is_empty() => parent,
+            _ => Path::new("."),
+        };
+        let mut id = [0; 16];
+        File::open("/dev/urandom").and_then(|mut r| std::io::Read::read_exact(&mut r, &mut id)).map_err(Fault::Read)?;
+        let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+        let temporary = folder.join(format!(".{name}.{}", std::process::id()));
+        let options = OpenOptions::new().read(true).write(true).create(true).truncate(true).clone();
+        let file = options.open(&temporary).map_err(Fault::Write)?;
+        let front = Front { id, created_ns: now_ns() };
+        let filled = || {
+            lock(file.try_lock())?;
+            file.write_all_at(&front.page(), 0).map_err(Fault::Write)?;
+            let handle = file.try_clone().map_err(Fault::Write)?;
+            let mut own = Self {
+                path: path.into(),
+                records: Some(Records::open(handle, Access::Write)?),
+                tally: Tally::default(),
+                keyframes: BTreeMap::new(),
+                pages: BTreeSet::new(),
+            };
+            own.put(first)?;
+            file.sync_all().map_err(Fault::Write)?;
+            use rustix::fs::{CWD, RenameFlags, renameat_with};
+            renameat_with(CWD, &temporary, CWD, path, RenameFlags::NOREPLACE).map_err(|e| match e {
+                rustix::io::Errno::EXIST => Fault::Exists,
+                other => Fault::Write(other.into()),
+            })?;
+            File::open(folder).and_then(|f| f.sync_all()).map_err(Fault::Write)?;
+            Ok(own)
+        };
+        filled().inspect_err(|_: &Fault| {
+            // Nobody knows it by this name but us.
+            let _ = std::fs::remove_file(&temporary);
+        })
+    }
+
+    /// Opens a file to go on in its maps. It is read in full and verified before anything is written.
+    pub fn open(path: &Path) -> Result<(Self, Contents), StoreError> {
+        let open = || {
+            let file = OpenOptions::new().read(true).write(true).open(path).map_err(Fault::Read)?;
+            lock(file.try_lock())?;
+            let (contents, tally, pages) = look(&file)?;
+            let keyframes = contents.saved.maps.iter().flat_map(|m| m.map.keyframes.iter());
+            let keyframes = keyframes.map(|(id, k)| (id, k.picture.revision())).collect();
+            let records = Some(Records::open(file, Access::Write)?);
+            Ok((Self { path: path.into(), records, tally, keyframes, pages }, contents))
+        };
+        open().map_err(|fault: Fault| fault.of(path))
+    }
+
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Writes what has changed; it is on the disk when this returns. Bytes that were handed over to be written.
+    ///
+    /// After an error nothing of the changes is in the file, and it takes no more.
+    pub fn write(&mut self, changes: &MapChanges) -> Result<u64, StoreError> {
+        let path = self.path.clone();
+        self.put(changes).map_err(|fault| fault.of(&path))
+    }
+
+    fn put(&mut self, changes: &MapChanges) -> Result<u64, Fault> {
+        let records = self.records.as_mut().ok_or_else(|| Fault::GivenUp("an earlier write failed".into()))?;
+        let camera = &changes.optics.camera;
+        let mut new = Vec::new();
+        let mut revisions = Vec::new();
+        for (id, keyframe) in &changes.keyframes {
+            new.push((Kind::Keyframe, *id, encode_keyframe(keyframe, camera)));
+            let revision = keyframe.picture.revision();
+            if self.keyframes.get(id) != Some(&revision)
+                && let Some(bytes) = picture::encode(&keyframe.picture)
+            {
+                new.push((Kind::Picture, *id, bytes));
+            }
+            revisions.push((*id, revision));
+        }
+        let (filled, emptied): (Vec<_>, Vec<_>) = changes.landmarks.iter().partition(|(_, page)| !page.is_empty());
+        new.extend(filled.iter().map(|(page, landmarks)| (Kind::Landmarks, **page, encode_landmarks(landmarks))));
+
+        let kept: BTreeSet<u32> = changes.maps.iter().flat_map(|(_, keyframes)| keyframes).copied().collect();
+        let gone: Vec<u32> = self.keyframes.keys().filter(|id| !kept.contains(id)).copied().collect();
+        let emptied = emptied.into_iter().map(|(page, _)| *page);
+        let left = |page: &&u32| changes.is_everything && !changes.landmarks.contains_key(page);
+        let emptied: Vec<u32> = emptied.chain(self.pages.iter().filter(left).copied()).collect();
+        let removed = gone.iter().flat_map(|id| [(Kind::Keyframe, *id), (Kind::Picture, *id)]);
+        let removed: Vec<_> = removed.chain(emptied.iter().map(|page| (Kind::Landmarks, *page))).collect();
+
+        let MapChanges { frame_ns, optics, maps, next_keyframe, next_landmark, .. } = changes;
+        let (frame_ns, next_keyframe, next_landmark) = (*frame_ns, *next_keyframe, *next_landmark);
+        let header = HeaderOf { frame_ns, optics, maps, next_keyframe, next_landmark, written_ns: now_ns() };
+        let outcome = records.write(self.tally, &new, &removed, |tally| HeaderRecord::encode(&header, tally));
+        match outcome {
+            Ok(tally) => self.tally = tally,
+            Err(fault) => {
+                self.records = None;
+                return Err(fault);
+            }
+        }
+        self.keyframes.extend(revisions);
+        self.keyframes.retain(|id, _| kept.contains(id));
+        self.pages.extend(filled.iter().map(|(page, _)| **page));
+        self.pages.retain(|page| !emptied.contains(page));
+        Ok(new.iter().map(|(_, _, bytes)| bytes.len() as u64).sum())
+    }
+
+    /// Closes it; the next one to open it has nothing to repair.
+    pub fn close(mut self) -> Result<(), StoreError> {
+        let path = self.path.clone();
+        self.records.take().map_or(Ok(()), Records::close).map_err(|fault| fault.of(&path))
+    }
+}
+
+fn lock(outcome: Result<(), TryLockError>) -> Result<(), Fault> {
+    outcome.map_err(|e| match e {
+        TryLockError::WouldBlock => Fault::Busy,
+        TryLockError::Error(error) => Fault::Read(error),
+    })
+}
+
+/// Reads all there is without a change to the file. Also: what the records add up to, and the pages of landmarks.
+fn look(file: &File) -> Result<(Contents, Tally, BTreeSet<u32>), Fault> {
+    let front = Front::read(file)?;
+    let bytes = file.metadata().map_err(Fault::Read)?.len();
+    let mut records = Records::open(file.try_clone().map_err(Fault::Read)?, Access::Look).map_err(as_look)?;
+    let (mut raw, mut pages) = (Raw::default(), BTreeSet::new());
+    let mut record_bytes = [0; 3];
+    let tally = records.read_all(|kind, number, bytes| {
+        if let Some(sum) = usize::from(kind).checked_sub(1).and_then(|i| record_bytes.get_mut(i)) {
+            *sum += bytes.len() as u64;
+        }
+        let sense = match kind {
+            k if k == Kind::Header as u8 => HeaderRecord::decode(bytes).map(|header| raw.header = Some(header)),
+            k if k == Kind::Keyframe as u8 => Some(drop(raw.keyframes.insert(number, bytes.to_vec()))),
+            k if k == Kind::Picture as u8 => picture::decode(bytes).map(|p| drop(raw.pictures.insert(number, p))),
+            k if k == Kind::Landmarks as u8 => {
+                pages.insert(number);
+                raw.add_landmarks(bytes)
+            }
+            _ => None,
+        };
+        sense.ok_or_else(|| Fault::Broken(format!("record {number} of kind {kind} makes no sense")))
+    });
+    let tally = tally.map_err(as_look)?;
+    drop(records);
+    let header = raw.header.clone().ok_or_else(|| Fault::Broken("it has no header".into()))?;
+    if header.tally() != tally {
+        let (told, there) = (header.records, tally.records);
+        return Err(Fault::Broken(format!("{told} records were written, {there} are there or others than those")));
+    }
+    let contents = Contents {
+        format: FORMAT,
+        id: front.id,
+        created_ns: front.created_ns,
+        written_ns: header.written_ns,
+        cairn: header.cairn,
+        metres_per_unit: header.metres_per_unit,
+        bytes,
+        record_bytes,
+        saved: raw.maps().map_err(Fault::Broken)?,
+    };
+    Ok((contents, tally, pages))
+}
+
+/// Nothing is written where a file is only looked at.
+fn as_look(fault: Fault) -> Fault {
+    match fault {
+        Fault::Write(error) => Fault::Broken(error.to_string()),
+        other => other,
+    }
+}
+
+fn now_ns() -> i64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    i64::try_from(since.as_nanos()).unwrap_or(i64::MAX)
+}

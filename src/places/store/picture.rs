@@ -1,0 +1,90 @@
+//! A keyframe's picture as a record: nothing is lost.
+//!
+//! The finest level there is, and the patches of a reduced picture one below the other, each as a grey PNG (filtered by row, deflated): a
+//! picture of 320 x 240 takes some 40 kB of 77, patches 0.4 kB of 0.6. Coarser levels follow from the finest one and are not kept.
+//! Cost: 2 ms to write, 1 ms to read.
+
+use ::png::{BitDepth, ColorType, Compression, Decoder, Encoder, Limits};
+use serde::{Deserialize, Serialize};
+
+use crate::image::GreyImage;
+use crate::map::LandmarkId;
+use crate::map::picture::{KeptPatch, KeyframePicture, PATCH_PX};
+
+/// Larger pictures are no camera's, px a side.
+const MOST_SIDE: u32 = 16_384;
+/// Memory that the decoder may take, bytes.
+const LIMIT_BYTES: usize = 8 << 20;
+
+#[derive(Serialize, Deserialize)]
+struct PictureRecord {
+    is_whole: bool,
+    levels: u8,
+    finest: Vec<u8>,
+    /// Landmark, left, top.
+    places: Vec<(u32, u16, u16)>,
+    patches: Vec<u8>,
+}
+
+/// The record of a picture; `None` where there is none.
+pub fn encode(picture: &KeyframePicture) -> Option<Vec<u8>> {
+    let kept = picture.kept()?;
+    let mut places = Vec::new();
+    let mut pixels = Vec::new();
+    for (landmark, [left, top], patch) in picture.patches() {
+        places.push((landmark.0, left, top));
+        pixels.extend(patch);
+    }
+    let patches = GreyImage { width: PATCH_PX, height: PATCH_PX * places.len(), data: pixels };
+    let record = PictureRecord {
+        is_whole: kept.is_whole,
+        levels: u8::try_from(kept.levels).ok()?,
+        finest: png(kept.finest)?,
+        patches: if places.is_empty() { Vec::new() } else { png(&patches)? },
+        places,
+    };
+    postcard::to_stdvec(&record).ok()
+}
+
+/// The picture of a record; `None` if it is not one.
+pub fn decode(record: &[u8]) -> Option<KeyframePicture> {
+    let record: PictureRecord = postcard::from_bytes(record).ok()?;
+    let finest = grey(&record.finest)?;
+    let mut patches = Vec::with_capacity(record.places.len());
+    if !record.places.is_empty() {
+        let all = grey(&record.patches)?;
+        if (all.width, all.height) != (PATCH_PX, PATCH_PX * record.places.len()) {
+            return None;
+        }
+        for (&(landmark, left, top), pixels) in record.places.iter().zip(all.data.chunks_exact(PATCH_PX * PATCH_PX)) {
+            let pixels = Box::new(pixels.try_into().ok()?);
+            patches.push(KeptPatch { landmark: LandmarkId(landmark), left, top, pixels });
+        }
+    }
+    Some(KeyframePicture::restored(finest, record.is_whole, usize::from(record.levels), patches))
+}
+
+fn png(image: &GreyImage) -> Option<Vec<u8>> {
+    let mut out = Vec::new();
+    let (width, height) = (u32::try_from(image.width).ok()?, u32::try_from(image.height).ok()?);
+    let mut encoder = Encoder::new(&mut out, width, height);
+    encoder.set_color(ColorType::Grayscale);
+    encoder.set_depth(BitDepth::Eight);
+    encoder.set_compression(Compression::Fast);
+    let mut writer = encoder.write_header().ok()?;
+    writer.write_image_data(&image.data).ok()?;
+    writer.finish().ok()?;
+    Some(out)
+}
+
+fn grey(png: &[u8]) -> Option<GreyImage> {
+    let decoder = Decoder::new_with_limits(std::io::Cursor::new(png), Limits { bytes: LIMIT_BYTES });
+    let mut reader = decoder.read_info().ok()?;
+    let (width, height) = (reader.info().width, reader.info().height);
+    if reader.output_color_type() != (ColorType::Grayscale, BitDepth::Eight) || width.max(height) > MOST_SIDE {
+        return None;
+    }
+    let mut image = GreyImage::new(width as usize, height as usize);
+    reader.next_frame(&mut image.data).ok()?;
+    Some(image)
+}

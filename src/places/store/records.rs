@@ -1,0 +1,256 @@
+//! Records by kind and number in a database of one table, each with a checksum of its own; the one place where the library's panics end.
+//!
+//! A record is its bytes behind their CRC-32 (of kind, number and bytes), in pieces of [`PIECE`] bytes: the library gives a value that is
+//! larger than its pages of 4 kB a power of two of them, which would waste a quarter of the file. [`Tally`] counts the records and adds up their
+//! checksums, and the header record says what that has to be: so a record that is missing, old or of somewhere else is noticed although it is
+//! sound by itself.
+//!
+//! One write is one transaction: after a crash all of it is there or nothing.
+
+use std::fs::File;
+
+use redb::{Builder, Database, ReadableDatabase, ReadableTable, TableDefinition};
+
+use super::backend::{Access, Backend};
+use super::error::Fault;
+use crate::telemetry::contained;
+
+/// Kind, number, piece.
+type Key = (u8, u32, u16);
+const TABLE: TableDefinition<Key, &[u8]> = TableDefinition::new("records");
+/// Bytes of a piece: with the library's own it fills a page.
+const PIECE: usize = 4000;
+/// Memory that the library may keep pages in, bytes.
+const CACHE_BYTES: usize = 4 << 20;
+/// A record with more pieces is none of ours (16 MB).
+const MOST_PIECES: u16 = 4096;
+
+/// What a record is about.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[repr(u8)]
+pub enum Kind {
+    Header = 0,
+    Keyframe = 1,
+    Picture = 2,
+    /// A page of them.
+    Landmarks = 3,
+}
+
+/// Number of records and sum of their checksums, the header's left out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Tally {
+    pub records: u64,
+    pub sum: u64,
+}
+
+impl Tally {
+    fn add(&mut self, checksum: u32) {
+        (self.records, self.sum) = (self.records.wrapping_add(1), self.sum.wrapping_add(u64::from(checksum)));
+    }
+
+    fn take(&mut self, checksum: u32) {
+        (self.records, self.sum) = (self.records.wrapping_sub(1), self.sum.wrapping_sub(u64::from(checksum)));
+    }
+}
+
+/// See the module.
+pub struct Records {
+    /// `None` once it has failed: what the library holds then is not to be trusted.
+    database: Option<Database>,
+}
+
+impl Records {
+    /// Opens what is behind the file's front page. `Look`: nothing is written, and all of the library's own checksums are verified.
+    pub fn open(file: File, access: Access) -> Result<Self, Fault> {
+        let database = guarded(move || {
+            let backend = Backend::new(file, access)?;
+            let mut builder = Builder::new();
+            builder.set_cache_size(CACHE_BYTES).set_check_integrity_on_open(access == Access::Look);
+            Ok(builder.create_with_backend(backend)?)
+        })?;
+        Ok(Self { database: Some(database) })
+    }
+
+    /// All records, ascending, given to `each`: kind, number, bytes. What they add up to.
+    pub fn read_all(&mut self, mut each: impl FnMut(u8, u32, &[u8]) -> Result<(), Fault>) -> Result<Tally, Fault> {
+        let database = self.database.as_ref().ok_or_else(closed)?;
+        let mut refused = None;
+        let mut tally = Tally::default();
+        let walked = guarded(|| {
+            let reading = database.begin_read()?;
+            let table = match reading.open_table(TABLE) {
+                Err(redb::TableError::TableDoesNotExist(_)) => return Ok(()),
+                other => other?,
+            };
+            let mut gathered = Gathered::default();
+            for entry in table.iter()? {
+                let (key, value) = entry?;
+                let (kind, number, piece) = key.value();
+                if piece == 0 {
+                    refused = gathered.finish(&mut tally, &mut each).err();
+                    gathered = Gathered { key: Some((kind, number)), pieces: 0, bytes: Vec::new() };
+                }
+                refused = refused.take().or_else(|| gathered.add(kind, number, piece, value.value()).err());
+                if refused.is_some() {
+                    return Ok(());
+                }
+            }
+            refused = gathered.finish(&mut tally, &mut each).err();
+            Ok(())
+        });
+        walked?;
+        refused.map_or(Ok(tally), Err)
+    }
+
+    /// One write: puts `records`, removes `gone`, and puts the header that `header` makes of the new tally. All of it is on the disk when this
+    /// returns, or none.
+    pub fn write(
+        &mut self,
+        tally: Tally,
+        records: &[(Kind, u32, Vec<u8>)],
+        gone: &[(Kind, u32)],
+        header: impl FnOnce(Tally) -> Vec<u8>,
+    ) -> Result<Tally, Fault> {
+        let database = self.database.take().ok_or_else(closed)?;
+        let outcome = guarded(move || {
+            let mut tally = tally;
+            let writing = database.begin_write()?;
+            {
+                let mut table = writing.open_table(TABLE)?;
+                for &(kind, number) in gone {
+                    remove(&mut table, kind, number, 0, &mut tally)?;
+                }
+                for (kind, number, bytes) in records {
+                    put(&mut table, *kind, *number, bytes, &mut tally)?;
+                }
+                let mut aside = Tally::default();
+                put(&mut table, Kind::Header, 0, &header(tally), &mut aside)?;
+            }
+            writing.commit()?;
+            Ok((database, tally))
+        });
+        let (database, tally) = outcome?;
+        self.database = Some(database);
+        Ok(tally)
+    }
+
+    /// Closes it for good: what is on the disk needs no repair when it is opened next.
+    pub fn close(mut self) -> Result<(), Fault> {
+        let Some(mut database) = self.database.take() else { return Ok(()) };
+        guarded(move || {
+            // Space that older versions of records had; a file that cannot be made smaller is as good.
+            let _ = database.compact();
+            Ok(database.close()?)
+        })
+    }
+}
+
+impl Drop for Records {
+    fn drop(&mut self) {
+        // Closing is work of the library's, too.
+        if let Some(database) = self.database.take() {
+            let _ = contained(move || drop(database));
+        }
+    }
+}
+
+/// The pieces of a record so far.
+#[derive(Default)]
+struct Gathered {
+    key: Option<(u8, u32)>,
+    pieces: u16,
+    bytes: Vec<u8>,
+}
+
+impl Gathered {
+    fn add(&mut self, kind: u8, number: u32, piece: u16, bytes: &[u8]) -> Result<(), Fault> {
+        if self.key != Some((kind, number)) || piece != self.pieces || piece >= MOST_PIECES {
+            return Err(broken(kind, number, "has lost a part"));
+        }
+        self.pieces += 1;
+        self.bytes.extend(bytes);
+        Ok(())
+    }
+
+    fn finish(
+        &self,
+        tally: &mut Tally,
+        each: &mut impl FnMut(u8, u32, &[u8]) -> Result<(), Fault>,
+    ) -> Result<(), Fault> {
+        let Some((kind, number)) = self.key else { return Ok(()) };
+        let (told, bytes) = self.bytes.split_at_checked(4).ok_or_else(|| broken(kind, number, "is cut off"))?;
+        let checksum = checksum(kind, number, bytes);
+        if told != checksum.to_le_bytes() {
+            return Err(broken(kind, number, "has a wrong checksum"));
+        }
+        if kind != Kind::Header as u8 {
+            tally.add(checksum);
+        }
+        each(kind, number, bytes)
+    }
+}
+
+fn broken(kind: u8, number: u32, how: &str) -> Fault {
+    let what = match kind {
+        0 => "the header".into(),
+        1 => format!("keyframe {number}"),
+        2 => format!("the picture of keyframe {number}"),
+        3 => format!("page {number} of the landmarks"),
+        _ => format!("record {number} of kind {kind}"),
+    };
+    Fault::Broken(format!("{what} {how}"))
+}
+
+fn closed() -> Fault {
+    Fault::GivenUp("an earlier write failed".into())
+}
+
+fn checksum(kind: u8, number: u32, bytes: &[u8]) -> u32 {
+    let mut hasher = crc32fast::Hasher::new();
+    hasher.update(&[kind]);
+    hasher.update(&number.to_le_bytes());
+    hasher.update(bytes);
+    hasher.finalize()
+}
+
+type Table<'a> = redb::Table<'a, Key, &'static [u8]>;
+
+fn put(table: &mut Table<'_>, kind: Kind, number: u32, bytes: &[u8], tally: &mut Tally) -> Result<(), redb::Error> {
+    let checksum = checksum(kind as u8, number, bytes);
+    let framed = [&checksum.to_le_bytes()[..], bytes].concat();
+    let mut pieces = 0;
+    for piece in framed.chunks(PIECE) {
+        let old = table.insert((kind as u8, number, pieces), piece)?;
+        if let (0, Some(old)) = (pieces, old) {
+            tally.take(first_word(old.value()));
+        }
+        pieces += 1;
+    }
+    tally.add(checksum);
+    remove(table, kind, number, pieces, tally)
+}
+
+/// Removes the pieces of a record from this one on.
+fn remove(table: &mut Table<'_>, kind: Kind, number: u32, from: u16, tally: &mut Tally) -> Result<(), redb::Error> {
+    for piece in from..MOST_PIECES {
+        let Some(old) = table.remove((kind as u8, number, piece))? else { break };
+        if piece == 0 {
+            tally.take(first_word(old.value()));
+        }
+    }
+    Ok(())
+}
+
+fn first_word(bytes: &[u8]) -> u32 {
+    bytes.first_chunk().map_or(0, |word| u32::from_le_bytes(*word))
+}
+
+/// The library's answer; its panics, which a broken file can bring about, are errors like any other.
+fn guarded<T>(work: impl FnOnce() -> Result<T, redb::Error>) -> Result<T, Fault> {
+    match contained(work) {
+        Ok(Ok(done)) => Ok(done),
+        Ok(Err(redb::Error::Io(error))) => Err(Fault::Write(error)),
+        Ok(Err(error)) => Err(Fault::Broken(error.to_string())),
+        Err(panic) => Err(Fault::Broken(format!("the database cannot make sense of it ({panic})"))),
+    }
+}

@@ -1,0 +1,252 @@
+//! Maps on disk, through the binary: written while it runs, whole after `kill -9`, the same bytes twice, and good to be located in.
+//! `CAIRN_BINARY` names another build of the program.
+
+use std::ffi::OsString;
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+use serde_json::Value;
+
+fn cairn() -> Command {
+    let binary = std::env::var_os("CAIRN_BINARY").unwrap_or_else(|| OsString::from(env!("CARGO_BIN_EXE_cairn")));
+    let mut command = Command::new(binary);
+    command.env("CAIRN_PREFIX", format!("test-maps-{}", std::process::id()));
+    command.stdin(Stdio::null()).stderr(Stdio::null()).stdout(Stdio::null());
+    command
+}
+
+fn recording(name: &str) -> Option<PathBuf> {
+    let data = std::env::var_os("CAIRN_DATA")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
+    let folder = data.join(name);
+    if folder.is_dir() {
+        return Some(folder);
+    }
+    println!("skipped: {} is not there; CAIRN_DATA names the folder of recordings", folder.display());
+    None
+}
+
+/// A hand-held camera at a desk, 8 s at 30 Hz, as a recording.
+fn simulated(folder: &Path) -> PathBuf {
+    let recording = folder.join("recording");
+    let size = ["--width", "320", "--height", "240", "--seconds", "8"];
+    let status = cairn().args(["simulate", "--output"]).arg(&recording).args(size).status().unwrap();
+    assert!(status.success());
+    recording
+}
+
+/// A lock-step replay; both trajectories lie beside `map` under `name`.
+fn replay(recording: &Path, map: &Path, name: &str, more: &[&str]) -> [Vec<u8>; 2] {
+    let files = ["end", "live"].map(|which| map.with_file_name(format!("{name}-{which}.txt")));
+    let mut command = cairn();
+    command.arg("replay").arg(recording).arg("--lockstep").args(more).arg("--map-file").arg(map);
+    command.arg("--trajectory").arg(&files[0]).arg("--live-trajectory").arg(&files[1]);
+    assert!(command.status().unwrap().success(), "{name}");
+    files.map(|file| std::fs::read(file).unwrap())
+}
+
+fn info(map: &Path) -> Value {
+    let output = cairn().args(["map", "info", "--json"]).arg(map).stdout(Stdio::piped()).output().unwrap();
+    assert_eq!(output.status.code(), Some(0), "{}", map.display());
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+/// Positions by timestamp text.
+fn positions(tum: &[u8]) -> Vec<(String, [f64; 3])> {
+    let line = |line: &str| {
+        let mut words = line.split(' ');
+        let time = words.next()?.to_owned();
+        let mut number = || words.next()?.parse().ok();
+        Some((time, [number()?, number()?, number()?]))
+    };
+    String::from_utf8_lossy(tum).lines().filter_map(line).collect()
+}
+
+/// Root mean square distance of the same times' positions, as they stand, and of the first from their mean.
+fn apart(a: &[u8], b: &[u8]) -> (f64, f64) {
+    let (a, b) = (positions(a), positions(b));
+    let pairs: Vec<_> = a.iter().filter_map(|(t, p)| Some((p, &b.iter().find(|(other, _)| other == t)?.1))).collect();
+    assert!(pairs.len() > 50, "{}", pairs.len());
+    let n = pairs.len() as f64;
+    let square = |a: &[f64; 3], b: &[f64; 3]| (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f64>();
+    let mean: [f64; 3] = std::array::from_fn(|i| pairs.iter().map(|(p, _)| p[i]).sum::<f64>() / n);
+    let rms = |f: &dyn Fn(&(&[f64; 3], &[f64; 3])) -> f64| (pairs.iter().map(f).sum::<f64>() / n).sqrt();
+    (rms(&|(p, q)| square(p, q)), rms(&|(p, _)| square(p, &mean)))
+}
+
+#[test]
+fn a_map_is_made_gone_on_with_and_located_in_and_every_run_is_the_same_twice() {
+    let dir = tempfile::tempdir().unwrap();
+    let recording = simulated(dir.path());
+    let map = dir.path().join("a.map");
+    let made = replay(&recording, &map, "made", &[]);
+    // With a file the run is what it is without one.
+    let without = dir.path().join("without.txt");
+    let mut command = cairn();
+    command.arg("replay").arg(&recording).arg("--lockstep").arg("--trajectory").arg(&without);
+    assert!(command.status().unwrap().success());
+    assert!(std::fs::read(&without).unwrap() == made[0]);
+    let told = info(&map);
+    assert_eq!(told["maps"][0]["id"], 0);
+    assert!(told["maps"][0]["keyframes"].as_u64() >= Some(4) && told["camera"]["width"] == 320, "{told}");
+
+    let bytes = std::fs::read(&map).unwrap();
+    let located = replay(&recording, &map, "located", &["--localise"]);
+    assert!(std::fs::read(&map).unwrap() == bytes, "only to be located in");
+    assert!(located == replay(&recording, &map, "again", &["--localise"]));
+    for trajectory in &located {
+        // In the frame and the unit of the map: as they stand, without alignment.
+        let (error, size) = apart(&made[0], trajectory);
+        assert!(error < 0.05 * size, "{error} of {size} map units");
+    }
+
+    let copy = dir.path().join("b.map");
+    std::fs::copy(&map, &copy).unwrap();
+    let went_on = replay(&recording, &map, "on", &[]);
+    assert!(went_on == replay(&recording, &copy, "on-again", &[]));
+    let (error, size) = apart(&made[0], &went_on[0]);
+    assert!(error < 0.05 * size, "{error} of {size} map units");
+    let (first, second) = (told["maps"][0]["frames"].as_u64(), info(&map)["maps"][0]["frames"].as_u64());
+    assert!(second > first, "{second:?} {first:?}");
+    exports(&map, dir.path());
+}
+
+fn exports(map: &Path, folder: &Path) {
+    let files = ["m.ply", "m.tum", "model"].map(|name| folder.join(name));
+    let mut command = cairn();
+    command.args(["map", "export"]).arg(map).arg("--ply").arg(&files[0]).arg("--tum").arg(&files[1]);
+    assert!(command.arg("--colmap").arg(&files[2]).status().unwrap().success());
+    assert!(std::fs::read(&files[0]).unwrap().starts_with(b"ply\n"));
+    let keyframes = info(map)["maps"][0]["keyframes"].as_u64().unwrap() as usize;
+    assert_eq!(positions(&std::fs::read(&files[1]).unwrap()).len(), keyframes);
+    let images = std::fs::read_to_string(files[2].join("images.txt")).unwrap();
+    assert_eq!(images.lines().count(), 2 * keyframes);
+    let cameras = std::fs::read_to_string(files[2].join("cameras.txt")).unwrap();
+    assert!(cameras.starts_with("1 FULL_OPENCV 320 240 "), "{cameras}");
+    // Every observation names a point, and that point names the observation.
+    let points = std::fs::read_to_string(files[2].join("points3D.txt")).unwrap();
+    let first = points.lines().next().unwrap();
+    let words: Vec<&str> = first.split(' ').collect();
+    let (point, image, place) = (words[0], words[8], words[9].parse::<usize>().unwrap());
+    let at = images.lines().position(|line| line.split(' ').next() == Some(image) && line.ends_with(".png")).unwrap();
+    let seen: Vec<&str> = images.lines().nth(at + 1).unwrap().split_whitespace().collect();
+    assert_eq!(seen[3 * place + 2], point);
+}
+
+#[test]
+fn what_is_wrong_with_a_map_file_is_said_and_the_file_left_as_it_is() {
+    let dir = tempfile::tempdir().unwrap();
+    let recording = simulated(dir.path());
+    let map = dir.path().join("a.map");
+    let fails = |arguments: &[&str], code: i32, words: &[&str]| {
+        let mut command = cairn();
+        command.args(arguments).current_dir(dir.path()).stderr(Stdio::piped());
+        let output = command.output().unwrap();
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {message}");
+        assert!(words.iter().all(|word| message.contains(word)), "{arguments:?}: {message}");
+        assert!(!message.contains("panic"), "{message}");
+    };
+    fails(&["replay", "recording", "--localise"], 64, &["--map-file"]);
+    fails(&["replay", "recording", "--lockstep", "--map-file", "a.map", "--localise"], 66, &["a.map", "no such file"]);
+    fails(&["replay", "recording", "--lockstep", "--map-file", "none/a.map"], 73, &["none"]);
+    fails(&["map", "info", "a.map"], 66, &["a.map"]);
+    fails(&["map", "export", "a.map"], 64, &["--ply"]);
+    replay(&recording, &map, "made", &[]);
+    let bytes = std::fs::read(&map).unwrap();
+    // The same pictures, another calibration: both are named.
+    let yaml = std::fs::read_to_string(recording.join("camera.yaml")).unwrap();
+    let other = yaml.lines().map(|line| if line.trim_start().starts_with("fx") { "fx: 123.5" } else { line });
+    std::fs::write(dir.path().join("other.yaml"), other.collect::<Vec<_>>().join("\n")).unwrap();
+    let words = ["a.map", "another camera", "fx 123.5"];
+    let replayed = ["replay", "recording", "--lockstep", "--map-file", "a.map", "--camera", "other.yaml"];
+    fails(&replayed, 78, &words);
+    assert!(std::fs::read(&map).unwrap() == bytes);
+    let cut = &bytes[..bytes.len() / 2];
+    for (name, content) in [("cut.map", cut), ("foreign.map", b"[daemon]\nsource = 1\n")] {
+        std::fs::write(dir.path().join(name), content).unwrap();
+        fails(&["map", "info", name], 4, &[name]);
+        fails(&["map", "export", name, "--ply", "x.ply"], 4, &[name]);
+        fails(&["replay", "recording", "--lockstep", "--map-file", name], 4, &[name]);
+        fails(&["replay", "recording", "--lockstep", "--map-file", name, "--localise"], 4, &[name]);
+        assert!(std::fs::read(dir.path().join(name)).unwrap() == content, "{name}");
+    }
+}
+
+#[test]
+fn kill_9_at_any_moment_leaves_a_whole_map_that_lacks_seconds() {
+    const KILLS: u64 = 20;
+    /// Frames of the recording's time: 5 s.
+    const MOST_LOST: f64 = 5.0;
+    let dir = tempfile::tempdir().unwrap();
+    let recording = simulated(dir.path());
+    let frames = std::fs::read_to_string(recording.join("rgb.txt")).unwrap();
+    let times: Vec<f64> =
+        frames.lines().filter_map(|line| line.split(' ').next()?.parse().ok()).filter(|t: &f64| t.is_finite()).collect();
+    let (mut state, mut killed_at_work, mut most_lost) = (0x9E37_79B9_7F4A_7C15u64, 0, 0.0f64);
+    for kill in 0..KILLS {
+        let map = dir.path().join(format!("{}.map", kill / 4));
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        // After so many frames, and then some.
+        let frame = (state >> 33) % (times.len() as u64 - 10) + 2;
+        let mut child = cairn()
+            .arg("replay")
+            .arg(&recording)
+            .args(["--lockstep", "--log", "cairn::daemon=debug", "--map-file"])
+            .arg(&map)
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let (mut seen, mut ended) = (0, true);
+        for line in BufReader::new(child.stderr.take().unwrap()).lines().map_while(Result::ok) {
+            seen += u64::from(line.contains("sequence"));
+            if seen == frame {
+                std::thread::sleep(Duration::from_micros(state % 20_000));
+                child.kill().unwrap();
+                ended = false;
+                break;
+            }
+        }
+        child.wait().unwrap();
+        killed_at_work += u32::from(!ended);
+        if !map.exists() {
+            assert!(seen < 3, "kill {kill}: no file after {seen} frames");
+            continue;
+        }
+        let told = info(&map);
+        let newest: f64 = told["newest_frame_s"].as_str().unwrap().parse().unwrap();
+        let lost = times[(seen as usize).min(times.len()) - 1] - newest;
+        assert!(lost <= MOST_LOST, "kill {kill}: {lost} s are lost");
+        most_lost = most_lost.max(lost);
+    }
+    assert!(killed_at_work >= 15, "only {killed_at_work} of {KILLS} were killed at work");
+    println!("{killed_at_work} of {KILLS} killed at work, at the most {most_lost:.2} s lost");
+}
+
+/// Frames located, and the error of the live trajectory when located against the mapping run's own (ATE RMSE, m).
+fn located_as_well(name: &str) {
+    let Some(recording) = recording(name) else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let map = dir.path().join("a.map");
+    let made = replay(&recording, &map, "made", &[]);
+    let located = replay(&recording, &map, "located", &["--localise"]);
+    let error = |which: &str| {
+        let file = dir.path().join(which);
+        let output = cairn().arg("evaluate").arg(file).arg(&recording).arg("--json").stdout(Stdio::piped()).output();
+        let figures: Value = serde_json::from_slice(&output.unwrap().stdout).unwrap();
+        (figures["ate_m"]["rmse"].as_f64().unwrap(), figures["coverage_percent"].as_f64().unwrap())
+    };
+    let ((mapping, _), (locating, coverage)) = (error("made-live.txt"), error("located-live.txt"));
+    println!("{name}: {coverage} % located, live error {locating} m of {mapping} m when it was mapped");
+    assert!(coverage >= 95.0 && locating <= 1.2 * mapping, "{name}: {coverage} %, {locating} m of {mapping} m");
+    let (apart, size) = apart(&made[0], &located[1]);
+    assert!(apart < 0.05 * size, "{name}: {apart} of {size} map units");
+}
+
+#[test]
+fn a_recording_is_located_in_its_own_map_as_finely_as_it_was_mapped() {
+    located_as_well("new_tsukuba");
+    located_as_well("tum_fr1_xyz");
+}
