@@ -1,1 +1,3 @@
 //! Places: knowing one again after a long way, correcting the drift, and keeping maps on disk from one day to the next.
+
+pub mod index;
