@@ -3,6 +3,7 @@
 //! One owner (reconstruction's thread) reads and writes it; mapping jobs work on copies of parts of it. World = the
 //! optical axes of the map's first keyframe; lengths are map units.
 
+mod correction;
 pub mod export;
 pub mod picture;
 mod reduction;
@@ -17,6 +18,7 @@ use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::sim3::Sim3;
 use crate::geometry::{CameraModel, Se3};
+pub use correction::Correction;
 use picture::KeyframePicture;
 pub use snapshot::{KeyframeView, LandmarkView, MapSnapshot, largest_sigma};
 use store::Store;

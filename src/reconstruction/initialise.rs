@@ -8,7 +8,7 @@ pub mod turn;
 use nalgebra::{Matrix3, Vector3};
 
 use super::Reconstruction;
-use super::adjust::job::MappingJob;
+use super::adjust::job::Adjustment;
 use super::keyframe::point::refine_point;
 use super::measurement::PosePair;
 use super::odometry::Odometry;
@@ -211,7 +211,7 @@ impl Reconstruction {
     /// Adjusts the whole (new, small) map at once: how surely the newest camera's direction from the first is known (rad), and the
     /// readout time found with it (s, and its variance); `None` if too few landmarks hold.
     fn adjust_whole(&mut self) -> Option<(f64, (f64, f64))> {
-        let result = MappingJob::whole(&self.active.map, &self.optics.camera, &self.optics.shutter, START_STEPS)?.run();
+        let result = Adjustment::whole(&self.active.map, &self.optics.camera, &self.optics.shutter, START_STEPS)?.run();
         let supported = result.supported_landmarks();
         let (sigma, readout) = (result.direction_sigma(), result.readout());
         result.merge(&mut self.active.map);

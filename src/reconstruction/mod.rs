@@ -11,6 +11,7 @@ mod corrections;
 mod covariance;
 mod initialise;
 mod keyframe;
+mod loops;
 mod measurement;
 mod odometry;
 mod optics;
@@ -33,6 +34,7 @@ use keyframe::distance_prior::{self, mostly_assumed};
 use keyframe::epipolar::{EpipolarMatcher, Lens};
 use keyframe::pictures::{WHOLE_PICTURES, reduce_pictures};
 use keyframe::{KeyframeInputs, NewKeyframe};
+use loops::Loops;
 use optics::Optics;
 use relocalise::Relocaliser;
 use relocalise::other_maps::{OtherMaps, WORTH_KEEPING, retire};
@@ -68,6 +70,7 @@ pub struct Reconstruction {
     state: TrackingState,
     active: ActiveMap,
     others: OtherMaps,
+    loops: Loops,
     initialiser: Initialiser,
     /// While there is no map.
     orientation: OrientationTracker,
@@ -111,6 +114,7 @@ impl Reconstruction {
             state: TrackingState::Initializing,
             active: ActiveMap::default(),
             others: OtherMaps::default(),
+            loops: Loops::default(),
             initialiser: Initialiser::default(),
             orientation: OrientationTracker::default(),
             tracker: Tracker::default(),
@@ -324,6 +328,7 @@ impl Reconstruction {
         reduce_pictures(map, id);
         active.unadjusted = Some(id);
         self.recognise(features, id);
+        self.look_for_loop(features, id);
     }
 
     /// Drops all maps and starts over at the next frame.
@@ -336,6 +341,7 @@ impl Reconstruction {
     /// Drops the present map.
     fn end_map(&mut self) {
         self.mapper.discard();
+        self.loops.forget_found();
         retire(&self.active.map, &mut self.events);
         self.optics.intrinsics.end_map(&self.optics.camera);
         self.active = self.active.successor();

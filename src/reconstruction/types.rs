@@ -83,6 +83,8 @@ pub enum TrajectoryEvent {
     KeyframeRetired { keyframe: KeyframeId, world_from_camera: Se3<World, Camera> },
     /// `map` was recognised from `into` and is a part of it from here on; `scale`: its unit in the other's.
     MapJoined { map: MapId, into: MapId, scale: f64 },
+    /// A closed loop has changed the unit of lengths around `keyframe`: what was recorded relative to it before is to be multiplied by `scale`.
+    KeyframeScaled { keyframe: KeyframeId, scale: f64 },
 }
 
 /// Counters since the start, for health and logs.
@@ -101,6 +103,8 @@ pub struct Counters {
     pub relocalisations: u64,
     /// Maps that were recognised and joined to the present one.
     pub maps_joined: u64,
+    /// Loops that were closed: places of the same map that were recognised after drift, and corrected.
+    pub loops_closed: u64,
     /// Turns on the spot that left all behind whose distance was known: the scale of what follows is an assumption.
     pub blind_turns: u64,
 }

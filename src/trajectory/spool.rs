@@ -79,21 +79,57 @@ impl TrajectorySpool {
         // A keyframe's frame is its camera's.
         let mut known: BTreeMap<KeyframeId, Option<Se3<World, Keyframe>>> =
             keyframe_poses.iter().map(|(id, pose)| (*id, Some(pose.relabel()))).collect();
-        self.records.for_each(|_, event| match event {
+        let mut units = Units::default();
+        self.records.for_each(|number, event| match event {
             TrajectoryEvent::KeyframeRemoved { map, keyframe, parent, mut parent_from_keyframe } => {
                 parent_from_keyframe.translation *= joined.of(map).1;
+                units.removed.insert(keyframe, (number, parent));
                 moved.insert(keyframe, (parent, parent_from_keyframe));
             }
+            TrajectoryEvent::KeyframeScaled { keyframe, scale } => units.note(keyframe, number, scale),
             TrajectoryEvent::KeyframeRetired { keyframe, world_from_camera } => {
                 known.insert(keyframe, Some(world_from_camera.relabel()));
             }
             TrajectoryEvent::Pose { .. } | TrajectoryEvent::MapJoined { .. } => {}
         })?;
-        let resolve = |map, keyframe, mut keyframe_from_camera: Se3<Keyframe, Camera>| {
-            keyframe_from_camera.translation *= joined.of(map).1;
+        for (keyframe, (_, parent_from_keyframe)) in &mut moved {
+            let Some(&(number, parent)) = units.removed.get(keyframe) else { continue };
+            parent_from_keyframe.translation *= units.since(parent, number);
+        }
+        let resolve = |number, map, keyframe, mut keyframe_from_camera: Se3<Keyframe, Camera>| {
+            keyframe_from_camera.translation *= joined.of(map).1 * units.since(keyframe, number);
             world_from_keyframe(keyframe, &mut known, &moved).map(|w| w * keyframe_from_camera)
         };
         self.records.write_largest(path, &joined, resolve)
+    }
+}
+
+/// How closed loops have changed the unit of lengths around keyframes.
+#[derive(Debug, Default)]
+struct Units {
+    /// By record, ascending: the unit of what was recorded before it in what holds after all of them.
+    changes: BTreeMap<KeyframeId, Vec<(u32, f64)>>,
+    /// Record at which a keyframe was removed, and who has its poses since.
+    removed: BTreeMap<KeyframeId, (u32, KeyframeId)>,
+}
+
+impl Units {
+    fn note(&mut self, keyframe: KeyframeId, number: u32, scale: f64) {
+        let changes = self.changes.entry(keyframe).or_default();
+        changes.iter_mut().for_each(|change| change.1 *= scale);
+        changes.push((number, scale));
+    }
+
+    /// By what lengths around a keyframe, or around whoever has its poses, that were recorded as `number` are to be multiplied.
+    fn since(&self, keyframe: KeyframeId, number: u32) -> f64 {
+        let (mut at, mut number, mut unit) = (keyframe, number, 1.0);
+        for _ in 0..=self.removed.len() {
+            let changes = self.changes.get(&at).map_or(&[][..], Vec::as_slice);
+            unit *= changes.get(changes.partition_point(|c| c.0 < number)).map_or(1.0, |c| c.1);
+            let Some((removed, parent)) = self.removed.get(&at) else { break };
+            (at, number) = (*parent, *removed);
+        }
+        unit
     }
 }
 
@@ -171,7 +207,7 @@ impl LiveTrajectory {
 
     /// Writes the poses of the map that most of them were published in (poses of different maps are unrelated).
     pub fn write_tum(&mut self, path: &Path) -> Result<TrajectorySummary, TrajectoryError> {
-        self.records.write_largest(path, &JoinedMaps::default(), |_, _, pose| Some(pose.relabel()))
+        self.records.write_largest(path, &JoinedMaps::default(), |_, _, _, pose| Some(pose.relabel()))
     }
 }
 
@@ -263,7 +299,7 @@ impl RecordFile {
         &mut self,
         path: &Path,
         joined: &JoinedMaps,
-        mut resolve: impl FnMut(MapId, KeyframeId, Se3<Keyframe, Camera>) -> Option<Se3<World, Camera>>,
+        mut resolve: impl FnMut(u32, MapId, KeyframeId, Se3<Keyframe, Camera>) -> Option<Se3<World, Camera>>,
     ) -> Result<TrajectorySummary, TrajectoryError> {
         let mut poses_of_map = BTreeMap::<MapId, u64>::new();
         self.for_each(|_, event| {
@@ -283,7 +319,7 @@ impl RecordFile {
             TrajectoryEvent::Pose { timestamp_ns, map, keyframe, keyframe_from_camera }
                 if Some(joined.of(map).0) == summary.map =>
             {
-                match resolve(map, keyframe, keyframe_from_camera).is_some_and(|pose| pose.is_finite()) {
+                match resolve(number, map, keyframe, keyframe_from_camera).is_some_and(|pose| pose.is_finite()) {
                     true => order.push((timestamp_ns, number)),
                     false => summary.poses_unresolved += 1,
                 }
@@ -301,7 +337,7 @@ impl RecordFile {
             for (timestamp_ns, number) in &order {
                 self.file.read_exact_at(&mut record, u64::from(*number) * RECORD_BYTES as u64)?;
                 if let Some(TrajectoryEvent::Pose { map, keyframe, keyframe_from_camera, .. }) = decode(&record)
-                    && let Some(pose) = resolve(map, keyframe, keyframe_from_camera)
+                    && let Some(pose) = resolve(*number, map, keyframe, keyframe_from_camera)
                 {
                     write_tum_line(out, *timestamp_ns, &pose)?;
                 }
@@ -316,6 +352,7 @@ const KIND_POSE: u32 = 1;
 const KIND_REMOVED: u32 = 2;
 const KIND_RETIRED: u32 = 3;
 const KIND_JOINED: u32 = 4;
+const KIND_SCALED: u32 = 5;
 
 /// `kind u32, map or keyframe u32, keyframe, parent or map u32, map u32, timestamp i64, q xyzw 4 f64, t 3 f64`, little endian.
 fn encode(event: &TrajectoryEvent) -> [u8; RECORD_BYTES] {
@@ -332,6 +369,9 @@ fn encode(event: &TrajectoryEvent) -> [u8; RECORD_BYTES] {
         }
         TrajectoryEvent::MapJoined { map, into, scale } => {
             ([KIND_JOINED, map.0, into.0, 0], 0, none, Vector3::new(*scale, 0.0, 0.0))
+        }
+        TrajectoryEvent::KeyframeScaled { keyframe, scale } => {
+            ([KIND_SCALED, keyframe.0, 0, 0], 0, none, Vector3::new(*scale, 0.0, 0.0))
         }
     };
     let mut record = [0; RECORD_BYTES];
@@ -373,6 +413,7 @@ fn decode(record: &[u8]) -> Option<TrajectoryEvent> {
         KIND_JOINED => {
             Some(TrajectoryEvent::MapJoined { map: MapId(word(1)?), into: MapId(word(2)?), scale: translation.x })
         }
+        KIND_SCALED => Some(TrajectoryEvent::KeyframeScaled { keyframe: KeyframeId(word(1)?), scale: translation.x }),
         _ => None,
     }
 }
@@ -413,6 +454,7 @@ mod tests {
                 keyframe_from_camera: Se3::new(rotation, translation),
             },
             TrajectoryEvent::MapJoined { map: MapId(2), into: MapId(5), scale: 0.3 },
+            TrajectoryEvent::KeyframeScaled { keyframe: KeyframeId(6), scale: 1.25 },
             TrajectoryEvent::KeyframeRemoved {
                 map: MapId(7),
                 keyframe: KeyframeId(3),
