@@ -17,7 +17,7 @@ mod point_grid;
 use nalgebra::Vector2;
 
 pub use attributes::{AttributeMatching, match_attributes};
-pub use descriptors::{DescriptorMatcher, DescriptorMatching};
+pub use descriptors::{DescriptorMatcher, DescriptorMatching, all_within};
 pub use flow::{FlowMatching, match_flow};
 pub use places::{Comparable, Place, PlaceMatching, SAME_CORNER_PX, match_places};
 pub use point_grid::PointGrid;

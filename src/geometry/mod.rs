@@ -1,4 +1,4 @@
-//! Geometry: pure functions on nalgebra types. No threads, IO, clock, logging, configuration or unseeded randomness.
+//! Geometry: pure functions on nalgebra types (faer solves what is sparse). No threads, IO, clock, logging, configuration or unseeded randomness.
 //!
 //! # Frames
 //! Camera axes: x right, y down, z forward. Robot and world axes on the wire are REP-103: x forward, y left, z up.
@@ -27,6 +27,7 @@ pub mod plane_calibration;
 pub mod pnp;
 pub mod point_set;
 pub mod polynomial;
+pub mod pose_graph;
 pub mod random;
 pub mod ransac;
 pub mod rotation;

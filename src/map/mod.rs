@@ -4,6 +4,7 @@
 //! optical axes of the map's first keyframe; lengths are map units.
 
 pub mod colmap;
+mod correction;
 pub mod export;
 pub mod picture;
 mod reduction;
@@ -19,6 +20,7 @@ use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::sim3::Sim3;
 use crate::geometry::{CameraModel, Se3};
+pub use correction::Correction;
 use picture::KeyframePicture;
 pub use snapshot::{KeyframeView, LandmarkView, MapSnapshot, largest_sigma};
 use store::Store;

@@ -10,7 +10,7 @@ pub mod mapper;
 
 use super::Reconstruction;
 use crate::map::KeyframeId;
-use job::MappingJob;
+use job::{Adjustment, AdjustmentResult, MappingJob, MappingResult};
 use mapper::Merge;
 
 /// Keyframes up to which the whole map is adjusted, and where the lens is a guess, which takes several times as many steps.
@@ -22,9 +22,13 @@ const GUESSED_WHOLE_LIMIT: usize = 120;
 const AMPLE_NS: i64 = 110_000_000;
 
 impl Reconstruction {
-    /// Posts a job around the newest keyframe that no adjustment has seen, unless one is under way.
+    /// Posts a job unless one is under way: a loop that waits to be closed, else around the newest keyframe that no adjustment has seen.
     pub(super) fn post_adjustment(&mut self) {
         if self.mapper.is_busy() {
+            return;
+        }
+        if let Some(job) = self.loop_closure() {
+            self.mapper.post(MappingJob::CloseLoop(Box::new(job)), self.counters.frames);
             return;
         }
         let (optics, active) = (&self.optics, &mut self.active);
@@ -35,10 +39,10 @@ impl Reconstruction {
             active.next_whole = optics.intrinsics.next_whole(keyframes);
             optics.intrinsics.whole_job(&active.map, &optics.camera, &optics.shutter, self.config.refine_intrinsics)
         } else {
-            MappingJob::local(&active.map, newest, &optics.camera, &optics.shutter, &self.config)
+            Adjustment::local(&active.map, newest, &optics.camera, &optics.shutter, &self.config)
         };
         if let Some(job) = job {
-            self.mapper.post(job, self.counters.frames);
+            self.mapper.post(MappingJob::Adjust(Box::new(job)), self.counters.frames);
         }
     }
 
@@ -54,6 +58,13 @@ impl Reconstruction {
         let taken = self.mapper.take(when, self.counters.frames, self.config.merge_after_frames);
         let Some((result, late)) = taken else { return };
         self.counters.adjustments_late += u64::from(late);
+        match result {
+            MappingResult::Adjusted(result) => self.take_over(&result, when),
+            MappingResult::ClosedLoop(closed) => self.take_over_loop(closed),
+        }
+    }
+
+    fn take_over(&mut self, result: &AdjustmentResult, when: Merge) {
         self.counters.adjustments += 1;
         let (optics, active) = (&mut self.optics, &mut self.active);
         let found = result.intrinsics();

@@ -45,6 +45,8 @@ pub struct ReconstructionConfig {
     pub start_landmarks: usize,
     /// Frames that may be lost in a row before a new map may begin beside this one: no more than the map was tracked for. 1..=1000.
     pub lost_frames: u64,
+    /// Close loops: recognise places of the map after a long way and correct the drift since.
+    pub loops: bool,
 }
 
 impl Default for ReconstructionConfig {
@@ -70,6 +72,7 @@ impl Default for ReconstructionConfig {
             start_flow_px: 4.0,
             start_landmarks: 50,
             lost_frames: 15,
+            loops: true,
         }
     }
 }

@@ -32,6 +32,12 @@ impl Corrections {
         *self = Self { revision: self.revision.wrapping_add(1), distance: 0.0, angle_rad: 0.0, awaited: true };
     }
 
+    /// A loop was closed, which moved the newest camera so; the next adjustment is the first of both its ends together.
+    pub(super) fn close_loop(&mut self, old: &Se3<Camera, World>, new: &Se3<Camera, World>) {
+        self.moved(old, new);
+        self.awaited = true;
+    }
+
     /// An adjustment was merged that moved the newest camera so.
     pub(super) fn adjusted(&mut self, old: &Se3<Camera, World>, new: &Se3<Camera, World>) {
         if std::mem::take(&mut self.awaited) {

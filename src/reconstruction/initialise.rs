@@ -8,7 +8,7 @@ pub mod turn;
 use nalgebra::{Matrix3, Vector3};
 
 use super::Reconstruction;
-use super::adjust::job::MappingJob;
+use super::adjust::job::Adjustment;
 use super::keyframe::point::refine_point;
 use super::measurement::PosePair;
 use super::odometry::Odometry;
@@ -213,7 +213,7 @@ impl Reconstruction {
     /// readout time found with it (s, and its variance); `None` if too few landmarks hold.
     fn adjust_whole(&mut self) -> Option<(f64, (f64, f64))> {
         let Optics { camera, shutter, intrinsics, .. } = &self.optics;
-        let result = MappingJob::whole(&self.active.map, camera, shutter, START_STEPS)?.run();
+        let result = Adjustment::whole(&self.active.map, camera, shutter, START_STEPS)?.run();
         let supported = result.supported_landmarks();
         let (mut sigma, readout) = (result.direction_sigma(), result.readout());
         result.merge(&mut self.active.map);

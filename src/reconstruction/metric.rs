@@ -106,6 +106,7 @@ impl Reconstruction {
     fn rescale(&mut self, factor: f64) {
         let first = !self.active.fusion.is_metric();
         self.mapper.discard();
+        self.loops.forget_found();
         let active = &mut self.active;
         let before = active.odometry.last.map(|last| last.camera_from_world);
         active.map.transform(&Sim3::new(factor, UnitQuaternion::identity(), Vector3::zeros()));
@@ -124,7 +125,8 @@ impl Reconstruction {
             self.events.push(TrajectoryEvent::MapJoined { map, into, scale: factor });
             self.counters.resets += 1;
         } else {
-            self.events.push(TrajectoryEvent::MapScaled { map: active.id, scale: factor });
+            let keyframes = active.map.keyframes.iter().map(|(id, _)| KeyframeId(id));
+            self.events.extend(keyframes.map(|keyframe| TrajectoryEvent::KeyframeScaled { keyframe, scale: factor }));
             if let Some((old, new)) = before.zip(after) {
                 self.corrections.moved(&old, &new);
             }

@@ -11,6 +11,7 @@ mod corrections;
 mod covariance;
 mod initialise;
 mod keyframe;
+mod loops;
 mod measurement;
 mod metric;
 mod odometry;
@@ -35,6 +36,7 @@ use keyframe::distance_prior::{self, mostly_assumed};
 use keyframe::epipolar::{EpipolarMatcher, Lens};
 use keyframe::pictures::{WHOLE_PICTURES, reduce_pictures};
 use keyframe::{KeyframeInputs, NewKeyframe};
+use loops::Loops;
 use metric::segments::Wheels;
 use optics::Optics;
 use persistence::Taken;
@@ -74,6 +76,7 @@ pub struct Reconstruction {
     state: TrackingState,
     active: ActiveMap,
     others: OtherMaps,
+    loops: Loops,
     initialiser: Initialiser,
     /// While there is no map.
     orientation: OrientationTracker,
@@ -122,6 +125,7 @@ impl Reconstruction {
             state: TrackingState::Initializing,
             active: ActiveMap::default(),
             others: OtherMaps::default(),
+            loops: Loops::default(),
             initialiser: Initialiser::default(),
             orientation: OrientationTracker::default(),
             tracker: Tracker::default(),
@@ -349,6 +353,7 @@ impl Reconstruction {
         reduce_pictures(map, id);
         active.unadjusted = Some(id);
         self.recognise(features, id);
+        self.look_for_loop(features, id);
     }
 
     /// Drops all maps and starts over at the next frame.
@@ -378,6 +383,7 @@ impl Reconstruction {
         let next = self.active.successor();
         let old = std::mem::replace(&mut self.active, next);
         self.wheels.begin_map();
+        self.loops.forget_found();
         self.corrections.end_map();
         self.initialiser.clear();
         self.orientation.clear();

@@ -5,6 +5,8 @@ use nalgebra::UnitQuaternion;
 use crate::geometry::Se3;
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, Odom, World};
+use crate::geometry::sim3::Sim3;
+use crate::map::Correction;
 
 /// Frames farther apart than this tell too little of the motion within one of them to correct a rolling shutter by it, s. (At 5 Hz
 /// it still pays: hand-held and walking, errors without the correction are larger than with it.)
@@ -73,6 +75,17 @@ impl Odometry {
     pub fn correct(&mut self, old_from_new: &Se3<World, World>) {
         if let Some(last) = &mut self.last {
             last.camera_from_world = last.camera_from_world * *old_from_new;
+        }
+    }
+
+    /// A closed loop has moved the last frame's surroundings, and changed the unit of lengths there; the smooth pose goes on from
+    /// where it is, in that unit.
+    pub fn correct_scaled(&mut self, new_from_old: &Sim3<World, World>) {
+        if let Some(last) = &mut self.last {
+            last.camera_from_world = Correction::placed(&last.camera_from_world, new_from_old);
+            if let Some((motion, _)) = &mut last.step {
+                motion.translation *= new_from_old.scale;
+            }
         }
     }
 

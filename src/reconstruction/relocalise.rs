@@ -73,6 +73,26 @@ impl Relocaliser {
         solved.iter().take(DESCRIPTOR_GUESSES).find_map(|(_, guess)| tracker.relocalise(frame, guess, true))
     }
 
+    /// Places a frame by some keyframes alone.
+    pub fn place_among(&mut self, frame: &Frame<'_>, keyframes: &[KeyframeId]) -> Option<Tracked> {
+        let Frame { features, map, camera, .. } = *frame;
+        self.ranked.clear();
+        self.chosen.clear();
+        self.chosen.extend_from_slice(keyframes);
+        if self.current.build(&features.pyramid) {
+            self.rank_chosen(map, camera);
+        }
+        let Self { tracker, ranked, .. } = self;
+        let similar = ranked.iter().take(GUESSES).find_map(|(_, guess)| tracker.relocalise(frame, guess, false));
+        if similar.is_some() {
+            return similar;
+        }
+        self.solved.clear();
+        self.solve_chosen(map, camera, &features.pyramid, features.sequence);
+        let Self { tracker, solved, .. } = self;
+        solved.iter().take(DESCRIPTOR_GUESSES).find_map(|(_, guess)| tracker.relocalise(frame, guess, true))
+    }
+
     /// Compares thumbnails: the first step in every frame that has lost its place.
     fn look(&mut self, map: &Map, camera: &CameraModel, pyramid: &Pyramid, last_reference: KeyframeId) {
         self.ranked.clear();
@@ -88,6 +108,10 @@ impl Relocaliser {
         in_turn(map, &mut self.next, round, &mut self.chosen);
         self.chosen.sort_unstable();
         self.chosen.dedup();
+        self.rank_chosen(map, camera);
+    }
+
+    fn rank_chosen(&mut self, map: &Map, camera: &CameraModel) {
         for &id in &self.chosen {
             let Some(keyframe) = map.keyframe(id) else { continue };
             let Some(motion) = self.aligner.align(&keyframe.thumbnail, &self.current) else { continue };
@@ -112,6 +136,10 @@ impl Relocaliser {
     ) {
         self.solved.clear();
         self.choose_described(map, last_reference);
+        self.solve_chosen(map, camera, pyramid, seed);
+    }
+
+    fn solve_chosen(&mut self, map: &Map, camera: &CameraModel, pyramid: &Pyramid, seed: u64) {
         if self.descriptors.describe_frame(pyramid) {
             for &id in &self.chosen {
                 let Some(solved) = self.descriptors.pose_from(map, camera, id, seed) else { continue };

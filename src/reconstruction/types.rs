@@ -86,8 +86,8 @@ pub enum TrajectoryEvent {
     KeyframeRetired { keyframe: KeyframeId, world_from_camera: Se3<World, Camera> },
     /// `map` was recognised from `into`, or has become it by becoming metric, and is a part of it from here on; `scale`: its unit in the other's.
     MapJoined { map: MapId, into: MapId, scale: f64 },
-    /// From here on the map's lengths are `scale` times as long.
-    MapScaled { map: MapId, scale: f64 },
+    /// A closed loop, or what is known of metres, has changed the unit of lengths around `keyframe`: what was recorded relative to it before is to be multiplied by `scale`.
+    KeyframeScaled { keyframe: KeyframeId, scale: f64 },
 }
 
 /// Counters since the start, for health and logs.
@@ -106,6 +106,8 @@ pub struct Counters {
     pub relocalisations: u64,
     /// Maps that were recognised and joined to the present one.
     pub maps_joined: u64,
+    /// Loops that were closed: places of the same map that were recognised after drift, and corrected.
+    pub loops_closed: u64,
     /// Turns on the spot that left all behind whose distance was known: the scale of what follows is an assumption.
     pub blind_turns: u64,
 }

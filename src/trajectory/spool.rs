@@ -79,44 +79,71 @@ impl TrajectorySpool {
         // A keyframe's frame is its camera's.
         let mut known: BTreeMap<KeyframeId, Option<Se3<World, Keyframe>>> =
             keyframe_poses.iter().map(|(id, pose)| (*id, Some(pose.relabel()))).collect();
+        let mut units = Units::default();
         self.records.for_each(|number, event| match event {
             TrajectoryEvent::KeyframeRemoved { map, keyframe, parent, mut parent_from_keyframe } => {
-                parent_from_keyframe.translation *= joined.of(map, number).1;
+                parent_from_keyframe.translation *= joined.of(map).1;
+                units.removed.insert(keyframe, (number, parent));
                 moved.insert(keyframe, (parent, parent_from_keyframe));
             }
+            TrajectoryEvent::KeyframeScaled { keyframe, scale } => units.note(keyframe, number, scale),
             TrajectoryEvent::KeyframeRetired { keyframe, world_from_camera } => {
                 known.insert(keyframe, Some(world_from_camera.relabel()));
             }
-            TrajectoryEvent::Pose { .. } | TrajectoryEvent::MapJoined { .. } | TrajectoryEvent::MapScaled { .. } => {}
+            TrajectoryEvent::Pose { .. } | TrajectoryEvent::MapJoined { .. } => {}
         })?;
-        let resolve = |(map, number), keyframe, mut keyframe_from_camera: Se3<Keyframe, Camera>| {
-            keyframe_from_camera.translation *= joined.of(map, number).1;
+        for (keyframe, (_, parent_from_keyframe)) in &mut moved {
+            let Some(&(number, parent)) = units.removed.get(keyframe) else { continue };
+            parent_from_keyframe.translation *= units.since(parent, number);
+        }
+        let resolve = |number, map, keyframe, mut keyframe_from_camera: Se3<Keyframe, Camera>| {
+            keyframe_from_camera.translation *= joined.of(map).1 * units.since(keyframe, number);
             world_from_keyframe(keyframe, &mut known, &moved).map(|w| w * keyframe_from_camera)
         };
         self.records.write_largest(path, &joined, resolve)
     }
 }
 
-/// Which map each map has become a part of, its unit in that one's, and at which record; and at which records lengths of which map became so many
-/// times as long.
+/// How closed loops have changed the unit of lengths around keyframes.
 #[derive(Debug, Default)]
-struct JoinedMaps {
-    into: BTreeMap<MapId, (MapId, f64, u32)>,
-    /// Ascending record.
-    scaled: BTreeMap<MapId, Vec<(u32, f64)>>,
+struct Units {
+    /// By record, ascending: the unit of what was recorded before it in what holds after all of them.
+    changes: BTreeMap<KeyframeId, Vec<(u32, f64)>>,
+    /// Record at which a keyframe was removed, and who has its poses since.
+    removed: BTreeMap<KeyframeId, (u32, KeyframeId)>,
 }
 
+impl Units {
+    fn note(&mut self, keyframe: KeyframeId, number: u32, scale: f64) {
+        let changes = self.changes.entry(keyframe).or_default();
+        changes.iter_mut().for_each(|change| change.1 *= scale);
+        changes.push((number, scale));
+    }
+
+    /// By what lengths around a keyframe, or around whoever has its poses, that were recorded as `number` are to be multiplied.
+    fn since(&self, keyframe: KeyframeId, number: u32) -> f64 {
+        let (mut at, mut number, mut unit) = (keyframe, number, 1.0);
+        for _ in 0..=self.removed.len() {
+            let changes = self.changes.get(&at).map_or(&[][..], Vec::as_slice);
+            unit *= changes.get(changes.partition_point(|c| c.0 < number)).map_or(1.0, |c| c.1);
+            let Some((removed, parent)) = self.removed.get(&at) else { break };
+            (at, number) = (*parent, *removed);
+        }
+        unit
+    }
+}
+
+/// Which map each map has become a part of, and its unit in that one's.
+#[derive(Debug, Default)]
+struct JoinedMaps(BTreeMap<MapId, (MapId, f64)>);
+
 impl JoinedMaps {
-    /// The map that a record's map is a part of at the end, and what a length of the record's time is in its unit of the end.
-    fn of(&self, map: MapId, record: u32) -> (MapId, f64) {
-        let (mut at, mut scale, mut since) = (map, 1.0, record);
+    fn of(&self, map: MapId) -> (MapId, f64) {
+        let (mut at, mut scale) = (map, 1.0);
         // A map is joined to a younger one, so this ends; the bound only says so.
-        for _ in 0..=self.into.len() {
-            let scaled = self.scaled.get(&at).map_or(&[][..], Vec::as_slice);
-            scale *= scaled.iter().filter(|(record, _)| *record > since).map(|s| s.1).product::<f64>();
-            let Some((into, unit, record)) = self.into.get(&at) else { break };
-            // What was scaled before is in the unit at the join.
-            (at, scale, since) = (*into, scale * unit, *record);
+        for _ in 0..=self.0.len() {
+            let Some((into, unit)) = self.0.get(&at) else { break };
+            (at, scale) = (*into, scale * unit);
         }
         (at, scale)
     }
@@ -180,7 +207,7 @@ impl LiveTrajectory {
 
     /// Writes the poses of the map that most of them were published in (poses of different maps are unrelated).
     pub fn write_tum(&mut self, path: &Path) -> Result<TrajectorySummary, TrajectoryError> {
-        self.records.write_largest(path, &JoinedMaps::default(), |_, _, pose| Some(pose.relabel()))
+        self.records.write_largest(path, &JoinedMaps::default(), |_, _, _, pose| Some(pose.relabel()))
     }
 }
 
@@ -259,10 +286,10 @@ impl RecordFile {
 
     fn joined_maps(&mut self) -> Result<JoinedMaps, TrajectoryError> {
         let mut joined = JoinedMaps::default();
-        self.for_each(|number, event| match event {
-            TrajectoryEvent::MapJoined { map, into, scale } => _ = joined.into.insert(map, (into, scale, number)),
-            TrajectoryEvent::MapScaled { map, scale } => joined.scaled.entry(map).or_default().push((number, scale)),
-            _ => {}
+        self.for_each(|_, event| {
+            if let TrajectoryEvent::MapJoined { map, into, scale } = event {
+                joined.0.insert(map, (into, scale));
+            }
         })?;
         Ok(joined)
     }
@@ -272,12 +299,12 @@ impl RecordFile {
         &mut self,
         path: &Path,
         joined: &JoinedMaps,
-        mut resolve: impl FnMut((MapId, u32), KeyframeId, Se3<Keyframe, Camera>) -> Option<Se3<World, Camera>>,
+        mut resolve: impl FnMut(u32, MapId, KeyframeId, Se3<Keyframe, Camera>) -> Option<Se3<World, Camera>>,
     ) -> Result<TrajectorySummary, TrajectoryError> {
         let mut poses_of_map = BTreeMap::<MapId, u64>::new();
-        self.for_each(|number, event| {
+        self.for_each(|_, event| {
             if let TrajectoryEvent::Pose { map, .. } = event {
-                *poses_of_map.entry(joined.of(map, number).0).or_default() += 1;
+                *poses_of_map.entry(joined.of(map).0).or_default() += 1;
             }
         })?;
         let mut summary = TrajectorySummary { events_lost: self.lost, ..Default::default() };
@@ -290,9 +317,9 @@ impl RecordFile {
         let mut order = Vec::<(i64, u32)>::with_capacity(largest.map_or(0, |(_, poses)| *poses as usize));
         self.for_each(|number, event| match event {
             TrajectoryEvent::Pose { timestamp_ns, map, keyframe, keyframe_from_camera }
-                if Some(joined.of(map, number).0) == summary.map =>
+                if Some(joined.of(map).0) == summary.map =>
             {
-                match resolve((map, number), keyframe, keyframe_from_camera).is_some_and(|pose| pose.is_finite()) {
+                match resolve(number, map, keyframe, keyframe_from_camera).is_some_and(|pose| pose.is_finite()) {
                     true => order.push((timestamp_ns, number)),
                     false => summary.poses_unresolved += 1,
                 }
@@ -310,7 +337,7 @@ impl RecordFile {
             for (timestamp_ns, number) in &order {
                 self.file.read_exact_at(&mut record, u64::from(*number) * RECORD_BYTES as u64)?;
                 if let Some(TrajectoryEvent::Pose { map, keyframe, keyframe_from_camera, .. }) = decode(&record)
-                    && let Some(pose) = resolve((map, *number), keyframe, keyframe_from_camera)
+                    && let Some(pose) = resolve(*number, map, keyframe, keyframe_from_camera)
                 {
                     write_tum_line(out, *timestamp_ns, &pose)?;
                 }
@@ -343,8 +370,8 @@ fn encode(event: &TrajectoryEvent) -> [u8; RECORD_BYTES] {
         TrajectoryEvent::MapJoined { map, into, scale } => {
             ([KIND_JOINED, map.0, into.0, 0], 0, none, Vector3::new(*scale, 0.0, 0.0))
         }
-        TrajectoryEvent::MapScaled { map, scale } => {
-            ([KIND_SCALED, map.0, 0, 0], 0, none, Vector3::new(*scale, 0.0, 0.0))
+        TrajectoryEvent::KeyframeScaled { keyframe, scale } => {
+            ([KIND_SCALED, keyframe.0, 0, 0], 0, none, Vector3::new(*scale, 0.0, 0.0))
         }
     };
     let mut record = [0; RECORD_BYTES];
@@ -386,7 +413,7 @@ fn decode(record: &[u8]) -> Option<TrajectoryEvent> {
         KIND_JOINED => {
             Some(TrajectoryEvent::MapJoined { map: MapId(word(1)?), into: MapId(word(2)?), scale: translation.x })
         }
-        KIND_SCALED => Some(TrajectoryEvent::MapScaled { map: MapId(word(1)?), scale: translation.x }),
+        KIND_SCALED => Some(TrajectoryEvent::KeyframeScaled { keyframe: KeyframeId(word(1)?), scale: translation.x }),
         _ => None,
     }
 }
@@ -427,7 +454,7 @@ mod tests {
                 keyframe_from_camera: Se3::new(rotation, translation),
             },
             TrajectoryEvent::MapJoined { map: MapId(2), into: MapId(5), scale: 0.3 },
-            TrajectoryEvent::MapScaled { map: MapId(3), scale: 1.01 },
+            TrajectoryEvent::KeyframeScaled { keyframe: KeyframeId(6), scale: 1.25 },
             TrajectoryEvent::KeyframeRemoved {
                 map: MapId(7),
                 keyframe: KeyframeId(3),

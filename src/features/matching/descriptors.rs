@@ -70,6 +70,21 @@ impl DescriptorMatcher {
 }
 
 simd_kernel! {
+    /// Indices of those of `all` that differ from `one` by at most `max_bits`, ascending. Clears `out`.
+    pub fn all_within(one: &Descriptor, all: &[Descriptor], max_bits: u32, out: &mut Vec<u32>) = all_within_body
+}
+
+#[inline(always)]
+fn all_within_body(one: &Descriptor, all: &[Descriptor], max_bits: u32, out: &mut Vec<u32>) {
+    out.clear();
+    for (i, other) in all.iter().enumerate() {
+        if one.distance(other) <= max_bits {
+            out.push(i as u32);
+        }
+    }
+}
+
+simd_kernel! {
     /// The nearest two of each descriptor, in both directions.
     fn nearest_of_all(
         first: &[Descriptor], second: &[Descriptor], rows: &mut [Nearest<u16>], columns: &mut [Nearest<u16>],

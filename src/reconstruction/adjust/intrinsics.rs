@@ -23,7 +23,7 @@
 //! to p2 cannot bend those so far: a fisheye needs a calibration); finding a focal length without translation.
 
 use super::bundle::{IntrinsicsVector, WITHOUT_DISTORTION};
-use super::job::{FoundIntrinsics, MappingJob};
+use super::job::{Adjustment, FoundIntrinsics};
 use crate::geometry::{CameraModel, LensModel};
 use crate::map::Map;
 use crate::map::saved::SavedOptics;
@@ -270,9 +270,9 @@ impl Intrinsics {
     }
 
     /// Adjustment of the whole map, and with `refine` of the intrinsics.
-    pub fn whole_job(&self, map: &Map, camera: &CameraModel, shutter: &Shutter, refine: bool) -> Option<MappingJob> {
+    pub fn whole_job(&self, map: &Map, camera: &CameraModel, shutter: &Shutter, refine: bool) -> Option<Adjustment> {
         let steps = if self.guessed { GUESSED_STEPS } else { STEPS };
-        let mut job = MappingJob::whole(map, camera, shutter, steps)?;
+        let mut job = Adjustment::whole(map, camera, shutter, steps)?;
         if refine || self.guessed {
             // Of a pinhole lens; a wide-angle one's distortion stays.
             let off = |i: usize| match (self.expected.lens, camera.lens) {
@@ -305,8 +305,8 @@ impl Intrinsics {
         camera: &CameraModel,
         shutter: &Shutter,
         steps: usize,
-    ) -> Option<MappingJob> {
-        let mut job = MappingJob::whole(map, camera, shutter, steps)?;
+    ) -> Option<Adjustment> {
+        let mut job = Adjustment::whole(map, camera, shutter, steps)?;
         let mut information = self.sigma.map(|s| 1.0 / (s * s));
         if !is_pinhole(camera) {
             information.as_mut_slice()[WITHOUT_DISTORTION..].fill(f64::INFINITY);

@@ -1,3 +1,5 @@
+//! What the mapping worker does: bundle adjustments, and now and then a pose graph ([`LoopClosure`]).
+//!
 //! Local bundle adjustment as a job: built from a part of the map, run anywhere, merged later.
 //!
 //! The newest keyframe and its strongest covisible ones move, other observers of their landmarks hold them in place
@@ -12,13 +14,39 @@ use super::bundle::{
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::map::{KeyframeId, LandmarkId, Map, Observation};
+use crate::places::loops::{ClosedLoop, LoopClosure};
 use crate::reconstruction::config::ReconstructionConfig;
 use crate::reconstruction::keyframe::distance_prior;
 use crate::reconstruction::measurement::rolling_shutter::Shutter;
 
 /// A piece of mapping work on a copy of a part of the map: a pure function of its input, so that it can run anywhere.
 #[derive(Debug)]
-pub struct MappingJob {
+pub enum MappingJob {
+    Adjust(Box<Adjustment>),
+    CloseLoop(Box<LoopClosure>),
+}
+
+impl MappingJob {
+    /// Bounded in iterations, not in time.
+    pub fn run(self) -> MappingResult {
+        match self {
+            Self::Adjust(job) => MappingResult::Adjusted(Box::new(job.run())),
+            Self::CloseLoop(job) => MappingResult::ClosedLoop(job.run()),
+        }
+    }
+}
+
+/// What a [`MappingJob`] gives back.
+#[derive(Debug)]
+pub enum MappingResult {
+    Adjusted(Box<AdjustmentResult>),
+    /// `None`: it could not be closed.
+    ClosedLoop(Option<ClosedLoop>),
+}
+
+/// A bundle adjustment of a part of the map.
+#[derive(Debug)]
+pub struct Adjustment {
     problem: BundleProblem,
     options: BundleOptions,
     keyframes: Vec<KeyframeId>,
@@ -30,10 +58,10 @@ pub struct MappingJob {
     next_landmark: u32,
 }
 
-/// What a [`MappingJob`] gives back.
+/// What an [`Adjustment`] gives back.
 #[derive(Debug)]
-pub struct MappingResult {
-    job: MappingJob,
+pub struct AdjustmentResult {
+    job: Adjustment,
 }
 
 /// What an adjustment found of the intrinsics.
@@ -51,7 +79,7 @@ pub struct FoundIntrinsics {
 const WHOLE_GAIN: f64 = 1e-5;
 /// Keyframes at which the whole map is adjusted first; then whenever it has grown by a third, up to the limit.
 pub const WHOLE_FIRST: usize = 5;
-impl MappingJob {
+impl Adjustment {
     /// The local problem around `newest`; `None` if it has nothing to move.
     pub fn local(
         map: &Map,
@@ -180,9 +208,9 @@ impl MappingJob {
     }
 
     /// Bounded in iterations, not in time.
-    pub fn run(mut self) -> MappingResult {
+    pub fn run(mut self) -> AdjustmentResult {
         self.problem.adjust(&self.options);
-        MappingResult { job: self }
+        AdjustmentResult { job: self }
     }
 }
 
@@ -212,7 +240,7 @@ fn intrinsics_jacobian(o: &Observation, camera: &CameraModel) -> IntrinsicsJacob
     ])
 }
 
-impl MappingResult {
+impl AdjustmentResult {
     /// The readout time that the adjustment ended with (s), and its variance (s^2; NaN where it is not told), the prior in it.
     pub fn readout(&self) -> (f64, f64) {
         let problem = &self.job.problem;

@@ -24,10 +24,10 @@ use crate::map::{KeyframeId, LandmarkId, Map, Observation};
 use crate::reconstruction::Reconstruction;
 use crate::reconstruction::keyframe::observe_match;
 use crate::reconstruction::optics::Optics;
-use crate::reconstruction::track::Tracker;
 use crate::reconstruction::track::association::Bindings;
 use crate::reconstruction::track::frame::Frame;
 use crate::reconstruction::track::search::Match;
+use crate::reconstruction::track::{Tracked, Tracker};
 use crate::reconstruction::types::{PoseEstimate, TrajectoryEvent};
 
 /// Landmarks of both maps at one corner whose depths have a larger logarithm of their ratio are two points.
@@ -53,6 +53,7 @@ impl Reconstruction {
         };
         self.mapper.discard();
         self.wheels.begin_map();
+        self.loops.forget_found();
         self.corrections.end_map();
         self.optics.intrinsics.end_map(&self.optics.camera);
         self.counters.resets += 1;
@@ -93,11 +94,11 @@ impl Reconstruction {
         let tell = |before| similarity(&self.active.map, &other.map, [before, &sighting], readout_s, min_parallax);
         let told = other.sightings.iter().rev().find_map(tell);
         match told {
-            Some(present_from_other) => {
+            Some(told) => {
                 let mut other = self.others.kept.remove(index);
                 other.sightings.push(sighting);
                 self.others.warm = 0;
-                self.join(other, &present_from_other);
+                self.join(other, &told.present_from_other);
             }
             None => {
                 let sightings = &mut self.others.kept[index].sightings;
@@ -114,8 +115,6 @@ impl Reconstruction {
         let OtherMaps { kept, relocaliser, .. } = &mut self.others;
         let other = kept.get(index)?;
         let bindings = Bindings::default();
-        // Of its motion only the turn is known in the other map's unit.
-        let turn = |motion: CameraMotion| CameraMotion { shift: Vector3::zeros(), ..motion };
         let frame = Frame {
             features,
             map: &other.map,
@@ -123,20 +122,18 @@ impl Reconstruction {
             camera: &self.optics.camera,
             config: &self.config,
             before: None,
-            motion: self.active.map.keyframe(id)?.motion.map(turn),
+            motion: self.active.map.keyframe(id)?.motion.map(turned_only),
             shutter: &self.optics.shutter,
             is_calibrated: self.optics.intrinsics.is_calibrated(),
         };
         let placed = relocaliser.place(&frame, other.reference)?;
-        // An assumed distance tells nothing.
-        let is_measured = |m: &&Match| other.map.landmark(m.landmark).is_some_and(|l| l.assumed.is_none());
-        let found: Vec<Match> = relocaliser.tracker.inliers().filter(is_measured).copied().collect();
-        (!found.is_empty()).then_some(Sighting { keyframe: id, there: placed.camera_from_world, found })
+        found_in(&frame, &relocaliser.tracker, id, &placed)
     }
 
     /// Makes the other map a part of this one.
     fn join(&mut self, mut other: OtherMap, present_from_other: &Sim3<World, World>) {
         self.mapper.discard();
+        self.loops.forget_found();
         let active = &mut self.active;
         // The lens may be known better by now.
         other.map.undistort_anew(&self.optics.camera);
@@ -165,8 +162,30 @@ impl Reconstruction {
     }
 }
 
+/// Of a motion only the turn is known in another map's unit.
+pub(in crate::reconstruction) fn turned_only(motion: CameraMotion) -> CameraMotion {
+    CameraMotion { shift: Vector3::zeros(), ..motion }
+}
+
+/// What was found of a keyframe that a tracker has placed elsewhere, but for assumed distances, which tell nothing.
+pub(in crate::reconstruction) fn found_in(
+    frame: &Frame<'_>,
+    tracker: &Tracker,
+    keyframe: KeyframeId,
+    placed: &Tracked,
+) -> Option<Sighting> {
+    let is_measured = |m: &&Match| frame.map.landmark(m.landmark).is_some_and(|l| l.assumed.is_none());
+    let found: Vec<Match> = tracker.inliers().filter(is_measured).copied().collect();
+    (!found.is_empty()).then_some(Sighting { keyframe, there: placed.camera_from_world, found })
+}
+
 /// Enters what a keyframe was found to see of another map, which is a part of this one by now; `seen`: what it saw before.
-fn add_found(map: &mut Map, sighting: &Sighting, seen: &[Observation], camera: &CameraModel) {
+pub(in crate::reconstruction) fn add_found(
+    map: &mut Map,
+    sighting: &Sighting,
+    seen: &[Observation],
+    camera: &CameraModel,
+) {
     for m in &sighting.found {
         let Some(own) = at_corner(seen, m) else {
             if let Some(o) = observe_match(camera, m) {

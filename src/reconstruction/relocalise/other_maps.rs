@@ -48,6 +48,22 @@ pub struct Sighting {
     pub found: Vec<Match>,
 }
 
+/// How another map (or another part of the same) lies to the present one, as two sightings tell.
+#[derive(Debug, Clone, Copy)]
+pub struct Similarity {
+    pub present_from_other: Sim3<World, World>,
+    /// Standard deviation of the logarithm of its scale.
+    pub log_scale_sigma: f64,
+}
+
+impl Similarity {
+    /// A motion that is measured in the other's unit, in the present one's at its end.
+    pub fn scaled<To, From>(&self, motion: &Se3<To, From>) -> Sim3<To, From> {
+        let scale = self.present_from_other.scale;
+        Sim3::new(scale, motion.rotation, motion.translation * scale)
+    }
+}
+
 /// A map kept aside.
 pub struct OtherMap {
     pub map: Map,
@@ -110,11 +126,11 @@ pub fn similarity(
     [first, second]: [&Sighting; 2],
     readout_s: f64,
     min_parallax: f64,
-) -> Option<Sim3<World, World>> {
+) -> Option<Similarity> {
     let mut ratios = depth_ratios(map, first, other);
     ratios.extend(depth_ratios(map, second, other));
     ratios.extend(triangulated_ratios(map, [first, second], readout_s, min_parallax));
-    let scale = agreed_ratio(&mut ratios)?;
+    let (scale, log_scale_sigma) = agreed_ratio(&mut ratios)?;
     let told_by = |s: &Sighting| {
         let here = map.keyframe(s.keyframe)?.camera_from_world;
         let turn = here.rotation.inverse();
@@ -133,7 +149,7 @@ pub fn similarity(
         return None;
     }
     let agrees = a.rotation.angle_to(&b.rotation) < AGREE_RAD && apart < AGREE_DEPTHS * depth;
-    (agrees && b.is_valid()).then_some(b)
+    (agrees && b.is_valid()).then_some(Similarity { present_from_other: b, log_scale_sigma })
 }
 
 /// What was observed nearest to where a landmark of another map was found, if that is the same corner.
@@ -172,14 +188,14 @@ pub fn log_ratio(here: f64, there: f64) -> Option<f64> {
     (here > 0.0 && there > 0.0).then(|| (here / there).ln())
 }
 
-/// The median of such ratios; `None` if too few tell it, or too differently.
-fn agreed_ratio(logarithms: &mut [f64]) -> Option<f64> {
+/// The median of such ratios and the standard deviation of its logarithm; `None` if too few tell it, or too differently.
+fn agreed_ratio(logarithms: &mut [f64]) -> Option<(f64, f64)> {
     let n = logarithms.len();
     let middle = median(logarithms).filter(|_| n >= MIN_COMMON)?;
     let mut off: Vec<f64> = logarithms.iter().map(|r| (r - middle).abs()).collect();
     // Of a normal distribution: its standard deviation from the median deviation, and the median's from that.
     let sigma = 1.4826 * median(&mut off)? * (std::f64::consts::FRAC_PI_2 / n as f64).sqrt();
-    (sigma <= MAX_SCALE_SIGMA).then(|| middle.exp())
+    (sigma <= MAX_SCALE_SIGMA).then(|| (middle.exp(), sigma))
 }
 
 /// A map has ended: the last poses of its keyframes.
@@ -295,7 +311,7 @@ mod tests {
     }
 
     fn told(scene: &Scene) -> Option<Sim3<World, World>> {
-        similarity(&scene.present, &scene.other, scene.sightings.each_ref(), 0.0, 0.01)
+        Some(similarity(&scene.present, &scene.other, scene.sightings.each_ref(), 0.0, 0.01)?.present_from_other)
     }
 
     fn is_right(scene: &Scene, told: &Sim3<World, World>) -> bool {

@@ -1,0 +1,139 @@
+//! Closing a loop: what a keyframe that saw an old place again means for all that lie between.
+//!
+//! Input: a copy of the keyframes' poses, which of them share landmarks, and where a recognised keyframe lies to an old one. Output: how the
+//! surroundings of each keyframe move ([`Correction`]). The nodes of the graph are the keyframes, its edges the essential ones (Mur-Artal et al. 2015,
+//! section VII): the way, the strongest links of each keyframe to older ones, all links that are strong anyway, and loops that were closed before. A link
+//! says that the two lie as they do now and have one scale, but where the scale came through a turn that told none.
+//! The oldest keyframe of the map that the newest one was made in stays where it is.
+//!
+//! It is a piece of work on a copy, so that it can run anywhere and be merged later; cost as [`pose_graph`](crate::geometry::pose_graph).
+//! Not here: who recognises, and what is fused afterwards (`reconstruction`).
+
+use crate::geometry::frames::{Camera, World};
+use crate::geometry::least_squares::{LmOptions, LmSummary};
+use crate::geometry::pose_graph::{Edge, EdgeSigma, solve};
+use crate::geometry::sim3::Sim3;
+use crate::geometry::{Se3, median};
+use crate::map::{Correction, Keyframe, KeyframeId, Map};
+
+/// Links to older keyframes that every keyframe has, if it shares anything with so many.
+const LINKS: usize = 3;
+/// Shared landmarks that make a link of any two keyframes, and such links of one keyframe at the most.
+const STRONG: u32 = 60;
+const MOST_LINKS: usize = 10;
+/// How surely neighbours lie to each other: rotation, rad; way, as a share of the scene's depth; logarithm of the scale. Only their ratios count.
+const SIGMA_RAD: f64 = 0.005;
+const SIGMA_DEPTHS: f64 = 0.01;
+const SIGMA_LOG_SCALE: f64 = 0.01;
+/// Where a turn on the spot told no scale, its logarithm is as unsure as this.
+const SIGMA_UNTOLD_SCALE: f64 = 0.5;
+/// Levenberg-Marquardt steps at the most.
+const STEPS: usize = 30;
+
+/// A keyframe that was recognised: where it lies to an old one. Later corrections of the map move both, so of loops that were closed the pair is kept.
+#[derive(Debug, Clone, Copy)]
+pub struct LoopEdge {
+    pub old: KeyframeId,
+    pub recognised: KeyframeId,
+    /// The scale is the old surroundings' unit in the recognised keyframe's.
+    pub recognised_from_old: Sim3<Camera, Camera>,
+    /// Standard deviation of the logarithm of that scale.
+    pub log_scale_sigma: f64,
+}
+
+/// Work to be done. See the module.
+#[derive(Debug)]
+pub struct LoopClosure {
+    /// Ascending id; the nodes.
+    keyframes: Vec<KeyframeId>,
+    poses: Vec<Se3<Camera, World>>,
+    fixed: Vec<bool>,
+    edges: Vec<Edge>,
+}
+
+/// What came of it.
+#[derive(Debug)]
+pub struct ClosedLoop {
+    pub correction: Correction,
+    pub summary: LmSummary,
+}
+
+impl LoopClosure {
+    /// `closed`: earlier loops, which hold as the map is now. `None` where an end of the loop is not in the map.
+    pub fn new(map: &Map, newest: KeyframeId, told: &[LoopEdge], closed: &[(KeyframeId, KeyframeId)]) -> Option<Self> {
+        let keyframes: Vec<KeyframeId> = map.keyframes.iter().map(|(id, _)| KeyframeId(id)).collect();
+        let place = |id: KeyframeId| keyframes.binary_search(&id).ok();
+        let own = map.keyframe(newest)?.map;
+        let oldest = map.keyframes.iter().position(|(_, k)| k.map == own)?;
+        let mut edges = Vec::new();
+        let mut link = |a: KeyframeId, b: KeyframeId| edges.extend(held(map, &place, a, b));
+        let mut around = Vec::new();
+        for (i, &id) in keyframes.iter().enumerate() {
+            older_links(map, id, &mut around);
+            around.iter().for_each(|&other| link(other, id));
+            // The way, wherever nothing is shared.
+            if let Some(&before) = i.checked_sub(1).and_then(|i| keyframes.get(i)).filter(|k| !around.contains(k)) {
+                link(before, id);
+            }
+        }
+        for &(old, recognised) in closed {
+            link(old, recognised);
+        }
+        let first = edges.len();
+        for told in told {
+            let (from, to) = (place(told.old)?, place(told.recognised)?);
+            let mut sigma = sigma(map.keyframe(told.recognised)?, map, false);
+            sigma.log_scale = sigma.log_scale.max(told.log_scale_sigma);
+            edges.push(Edge { from, to, to_from_from: told.recognised_from_old, sigma });
+        }
+        (edges.len() > first).then_some(())?;
+        let poses = map.keyframes.iter().map(|(_, k)| k.camera_from_world).collect();
+        let fixed = (0..keyframes.len()).map(|i| i == oldest).collect();
+        Some(Self { keyframes, poses, fixed, edges })
+    }
+
+    /// Bounded in iterations, not in time. `None` if nothing better was found, or nothing that can be.
+    pub fn run(&self) -> Option<ClosedLoop> {
+        let options = LmOptions { max_iterations: STEPS, relative_cost: 1e-6, ..LmOptions::default() };
+        let start = self.poses.iter().map(Sim3::from_se3).collect();
+        let (solved, summary) = solve(start, &self.fixed, &self.edges, &options).ok()?;
+        if !(summary.final_cost < summary.initial_cost) || !solved.iter().all(Sim3::is_valid) {
+            return None;
+        }
+        let moved = |(pose, new): (&Se3<Camera, World>, &Sim3<Camera, World>)| new.inverse() * Sim3::from_se3(pose);
+        let moved: Vec<_> = self.poses.iter().zip(&solved).map(moved).collect();
+        let younger = moved.last().copied();
+        let keyframes = self.keyframes.iter().copied().zip(moved).collect();
+        Some(ClosedLoop { correction: Correction { keyframes, younger }, summary })
+    }
+}
+
+/// Older keyframes that a keyframe is linked with, strongest first.
+fn older_links(map: &Map, id: KeyframeId, out: &mut Vec<KeyframeId>) {
+    out.clear();
+    let Some(keyframe) = map.keyframe(id) else { return };
+    let mut older: Vec<_> = keyframe.covisible.iter().filter(|c| c.0 < id).copied().collect();
+    older.sort_unstable_by(|a, b| b.1.cmp(&a.1).then(b.0.cmp(&a.0)));
+    let strong = older.iter().take_while(|c| c.1 >= STRONG).count();
+    out.extend(older.iter().take(strong.clamp(LINKS, MOST_LINKS)).map(|c| c.0));
+}
+
+/// Two keyframes lie as they do now.
+fn held(map: &Map, place: impl Fn(KeyframeId) -> Option<usize>, from: KeyframeId, to: KeyframeId) -> Option<Edge> {
+    let (a, b) = (map.keyframe(from)?, map.keyframe(to)?);
+    let to_from_from = Sim3::from_se3(&(b.camera_from_world * a.camera_from_world.inverse()).relabel());
+    let sigma = sigma(b, map, a.scale_from != b.scale_from);
+    Some(Edge { from: place(from)?, to: place(to)?, to_from_from, sigma })
+}
+
+fn sigma(keyframe: &Keyframe, map: &Map, untold: bool) -> EdgeSigma {
+    let depth = |id| Some(keyframe.camera_from_world.transform(&map.landmark(id)?.position).z);
+    let mut depths: Vec<f64> =
+        keyframe.observations.iter().filter_map(|o| depth(o.landmark)).filter(|z| *z > 0.0).collect();
+    let depth = median(&mut depths).unwrap_or(1.0);
+    let log_scale = if untold { SIGMA_UNTOLD_SCALE } else { SIGMA_LOG_SCALE };
+    EdgeSigma { rotation_rad: SIGMA_RAD, translation: SIGMA_DEPTHS * depth, log_scale }
+}
+
+#[cfg(test)]
+mod tests;
