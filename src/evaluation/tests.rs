@@ -110,7 +110,8 @@ fn without_a_scale_the_error_is_that_of_the_estimates_own_metres() {
     let spread = truth.iter().map(|p| (p.world_from_camera.translation - mean).norm_squared()).sum::<f64>() / 200.0;
     assert!((metric.ate_m.rmse - 0.02 * spread.sqrt()).abs() < 1e-9, "{}", metric.ate_m.rmse);
     let percent = metric.relative.unwrap().translation_percent.mean;
-    assert!((1.9..2.1).contains(&percent), "{percent} %");
+    // Of the straight way between the ends of a metre of a winding path, which is a little shorter.
+    assert!((1.7..2.0).contains(&percent), "{percent} %");
 }
 
 #[test]
