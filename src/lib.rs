@@ -53,6 +53,8 @@
 //!   keyframes; near the frame before, half the landmarks are asked for that a place anywhere in the map needs.
 //! - A map that was lost is kept while the next one grows, recognised from its keyframes as a lost frame is, and joined to it: the old one is
 //!   carried over into the present one, so that no published pose jumps and neither map number nor reset counter goes back.
+//! - What the base's wheels tell (`odometry.txt` beside the pictures, the simulator's base, a driver on `PREFIX/wheel`) waits in one bounded queue
+//!   ([`motion::wheel`]); the reconstruction step takes from it, before it tracks a frame, all that ended at that frame's timestamp or earlier.
 //!
 //! # Invariants
 //! 1. [`messages`] and [`client`] build alone (`default-features = false, features = ["client"]`).

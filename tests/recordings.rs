@@ -348,3 +348,63 @@ fn the_layout_for_foxglove_shows_topics_that_are_recorded() {
         assert!(recorded.contains(topic), "{topic} is not among {recorded:?}");
     }
 }
+
+/// The summary of a lock-step replay, and its trajectory.
+fn replayed(folder: &Path) -> (serde_json::Value, Vec<u8>, String) {
+    let trajectory = folder.with_extension("txt");
+    let mut command = cairn("wheels");
+    command.arg("replay").arg(folder).args(["--lockstep", "--json", "--trajectory"]).arg(&trajectory);
+    let output = command.output().unwrap();
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    let summary = serde_json::from_slice(&output.stdout).unwrap_or_else(|e| panic!("{e}: {told}"));
+    (summary, fs::read(trajectory).unwrap_or_default(), told)
+}
+
+#[test]
+fn odometry_beside_the_pictures_is_read_judged_and_named_by_its_line() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("drive");
+    let simulated = cairn("wheels")
+        .args([
+            "simulate",
+            "--scenario",
+            "square",
+            "--seconds",
+            "2",
+            "--size",
+            "320x240",
+            "--wheel-loss",
+            "5",
+            "--output",
+        ])
+        .arg(&out)
+        .output()
+        .unwrap();
+    assert!(simulated.status.success(), "{}", String::from_utf8_lossy(&simulated.stderr));
+    let file = out.join("odometry.txt");
+    let told = fs::read_to_string(&file).unwrap();
+    let lines: Vec<&str> = told.lines().filter(|line| !line.starts_with('#')).collect();
+    assert!((45..62).contains(&lines.len()), "{} lines of 1.2 s at 50 Hz, some lost", lines.len());
+    let (summary, trajectory, _) = replayed(&out);
+    let until_last_frame =
+        lines.iter().filter(|line| parse_timestamp(&line[..line.find(' ').unwrap()]).unwrap() <= 1_001_166_666_667);
+    assert_eq!(summary["wheels"]["readings"], until_last_frame.count());
+    let (_, again, _) = replayed(&out);
+    assert_eq!(trajectory, again, "the same files, the same bytes");
+
+    // What cannot be is left out and named; the rest is used.
+    let spoilt = told.replacen(lines[20], &format!("{} nan 0 0", lines[20].split(' ').next().unwrap()), 1);
+    fs::write(&file, spoilt).unwrap();
+    let (summary, _, log) = replayed(&out);
+    assert_eq!(summary["wheels"]["absurd"], 1);
+    assert!(log.contains("wheel reading not believed") && log.contains("linear_x_mps is NaN"), "{log}");
+
+    fs::write(&file, "1000.0 1 2\n").unwrap();
+    let output = cairn("wheels").arg("replay").arg(&out).args(["--lockstep", "--json"]).output().unwrap();
+    let log = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success() && log.contains("odometry.txt:1: has 3 values"), "{log}");
+
+    fs::remove_file(&file).unwrap();
+    let (summary, _, _) = replayed(&out);
+    assert!(summary.get("wheels").is_none(), "without it nothing is said of it");
+}

@@ -16,7 +16,7 @@
 //! decoder.
 //!
 //! Cost: one read of a file (0.1 ms for 130 kB in the page cache). Nothing is read ahead and nothing is allocated per
-//! frame once the slot has grown, but for the path. Wheel odometry beside the list (see [`odometry`]) is read whole when opening.
+//! frame once the slot has grown, but for the path. Wheel odometry beside the list (`odometry.txt`, see `odometry`) is read whole when opening.
 //! Not here: ground truth, IMU, stereo, decoding.
 
 pub mod list;

@@ -97,7 +97,6 @@ macro_rules! config {
 }
 
 mod wheels;
-
 pub use wheels::WheelsConfig;
 
 config! {

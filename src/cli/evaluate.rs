@@ -140,10 +140,10 @@ fn report(figures: &Evaluation, metric: Option<&MetricFigures>, plot: Option<&st
     }
     if let Some(MetricFigures { scale, ate_m: ate, relative }) = metric {
         let (mean, median, max) = (ate.mean, ate.median, ate.max);
-        line("metric ATE RMSE", format!(" {:.4} m  (mean {mean:.4}, median {median:.4}, max {max:.4})", ate.rmse));
+        line("metric ATE", format!("{:.4} m  (mean {mean:.4}, median {median:.4}, max {max:.4})", ate.rmse));
         if let Some(relative) = relative {
             let percent = relative.translation_percent.rmse;
-            line("metric relative", format!(" {percent:.3} % a metre  ({} segments of 1 m)", relative.segments));
+            line("metric RPE", format!("{percent:.3} % a metre  ({} segments of 1 m)", relative.segments));
         }
         let off = 100.0 * (scale - 1.0);
         line("metric scale", format!("a metre of the estimate is {scale:.6} m ({off:+.3} %)"));

@@ -20,7 +20,7 @@ use super::{
 };
 use crate::messages::{
     Command, CommandReply, Feature, FeaturesHeader, FrameHeader, Health, Keyframe, KeyframesHeader, Landmark,
-    MapHeader, Pose, WheelOdometry,
+    MapHeader, Pose,
 };
 
 /// Grows when a function or a message of this header changes or goes; compare it with `cairn_abi_version()`.
@@ -219,6 +219,8 @@ macro_rules! handle {
         }
     }};
 }
+
+mod wheels;
 
 /// The newest pose, without waiting; the same one again while no newer has come (look at `cairn_pose_is_usable`). A client that
 /// has had none yet waits up to 0.4 s for the last pose of a daemon that is there.
@@ -495,57 +497,4 @@ pub unsafe extern "C" fn cairn_send_command(
     let answer = handle.client.command(*command, Duration::from_nanos(timeout_ns)).map(Some);
     // SAFETY: the caller's promise.
     unsafe { hand_over(answer, reply, |reply| reply) }
-}
-
-/// What became of a message of the driver.
-fn sent(outcome: Result<bool, ClientError>) -> i32 {
-    match outcome {
-        Ok(true) => MESSAGE,
-        Ok(false) => NOTHING,
-        Err(error) => failed(&error.to_string()),
-    }
-}
-
-/// For the driver of the robot's base: its mean twist since the last call, up to now (REP-103: forward, to the left, turn to the left). To be
-/// called 20 to 100 times a second. `CAIRN_MESSAGE` if a daemon is there, `CAIRN_NOTHING` if not, `CAIRN_ERROR` where waiting does not
-/// help: another driver tells of the wheels already. Never waits.
-///
-/// # Safety
-/// `client` comes from `cairn_connect`.
-#[unsafe(no_mangle)] // SAFETY: as above
-pub unsafe extern "C" fn cairn_wheel_send(
-    client: *mut Handle,
-    linear_x_mps: f64,
-    linear_y_mps: f64,
-    angular_z_radps: f64,
-) -> i32 {
-    let handle = handle!(client);
-    let wheels = handle.wheels.get_or_insert_with(|| handle.client.wheels());
-    sent(wheels.send(linear_x_mps, linear_y_mps, angular_z_radps))
-}
-
-/// The same with stamps and variances of the driver's own; `sequence` is filled in here. Fill in every field: what the driver does not know is
-/// `CAIRN_UNKNOWN_NS` or NaN.
-///
-/// # Safety
-/// `client` comes from `cairn_connect`; `message` may be read.
-#[unsafe(no_mangle)] // SAFETY: as above
-pub unsafe extern "C" fn cairn_wheel_publish(client: *mut Handle, message: *const WheelOdometry) -> i32 {
-    let handle = handle!(client);
-    // SAFETY: null is looked at, and otherwise the caller promises that it may be read.
-    let Some(message) = (unsafe { message.as_ref() }) else { return failed("there is no message: null") };
-    let wheels = handle.wheels.get_or_insert_with(|| handle.client.wheels());
-    sent(wheels.publish(message))
-}
-
-/// The driver tells no more; another one may.
-///
-/// # Safety
-/// `client` is null or comes from `cairn_connect`.
-#[unsafe(no_mangle)] // SAFETY: as above
-pub unsafe extern "C" fn cairn_wheel_stop(client: *mut Handle) {
-    // SAFETY: the caller's promise; null is looked at.
-    if let Some(handle) = unsafe { client.as_mut() } {
-        handle.wheels = None;
-    }
 }

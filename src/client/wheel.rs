@@ -51,11 +51,11 @@ impl Client {
     /// For the driver of the robot's base: tells the daemon of its wheels.
     ///
     /// ```no_run
-    /// # fn wheels() -> (f64, f64) { (0.0, 0.0) }
+    /// # fn read_encoders() -> (f64, f64) { (0.0, 0.0) }
     /// # fn main() -> Result<(), cairn::client::ClientError> {
     /// let mut wheels = cairn::client::Client::from_environment()?.wheels();
     /// loop {
-    ///     let (speed_mps, turn_radps) = wheels(); // means since the last time, 20 to 100 times a second
+    ///     let (speed_mps, turn_radps) = read_encoders(); // means since the last time, 20 to 100 times a second
     ///     wheels.send(speed_mps, 0.0, turn_radps)?;
     /// }
     /// # }

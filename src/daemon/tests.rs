@@ -197,6 +197,22 @@ fn lockstep_skips_what_is_spoiled_and_counts_it() {
 }
 
 #[test]
+fn lockstep_takes_the_wheels_of_its_source_in_order_and_drops_none() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut parts = parts(1.0, Pacing::LockStep, folder.path(), untouched());
+    let mut simulation = SimulatorConfig::ideal(Scenario::Square);
+    (simulation.width, simulation.height, simulation.duration_s, simulation.texel_mm) = (320, 240, 1.0, 8.0);
+    simulation.wheels.enabled = true;
+    parts.supply = Supply::Once(Box::new(Simulator::new(&simulation, Pacing::LockStep).expect("simulator")));
+    let status = parts.status.clone();
+    lockstep::run(parts, &AtomicBool::new(false), &mut |_| true).expect("starts");
+    // 50 Hz up to the last frame at 0.967 s.
+    let w = &status.wheels;
+    let counts = [&w.received, &w.late, &w.dropped, &w.gaps, &w.missing].map(|counter| counter.get());
+    assert_eq!((counts, w.refused()), ([49, 0, 0, 0, 0], 0));
+}
+
+#[test]
 fn a_lockstep_run_can_be_stopped() {
     let folder = tempfile::tempdir().expect("folder");
     let parts = parts(2.0, Pacing::LockStep, folder.path(), untouched());

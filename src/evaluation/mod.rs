@@ -4,7 +4,7 @@
 //! - Coverage: of every frame of `rgb.txt` that has ground truth within 20 ms, the share with a pose ([`association`]).
 //! - One Sim(3) over all matched poses of the file ([`alignment`]), then ATE, rotation error and relative error a metre
 //!   ([`metrics`]). They agree with `evo_ape -as`, `evo_ape -as -r angle_deg` and `evo_rpe -as -d 1 -u m` (sources: each module).
-//! - For an estimate that claims to be in metres the same errors after an SE(3) (`evo_ape -a`), and the scale itself ([`MetricFigures`]).
+//! - For an estimate that claims to be in metres the same errors after an SE(3) (`evo_ape -a`, `evo_rpe -a`), and the scale itself ([`MetricFigures`]).
 //! - Units: the ground truth's, taken as metres; degrees.
 //!
 //! [`suite`] replays many sequences and tabulates them.

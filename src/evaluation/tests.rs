@@ -110,7 +110,8 @@ fn without_a_scale_the_error_is_that_of_the_estimates_own_metres() {
     let spread = truth.iter().map(|p| (p.world_from_camera.translation - mean).norm_squared()).sum::<f64>() / 200.0;
     assert!((metric.ate_m.rmse - 0.02 * spread.sqrt()).abs() < 1e-9, "{}", metric.ate_m.rmse);
     let percent = metric.relative.unwrap().translation_percent.mean;
-    assert!((1.9..2.1).contains(&percent), "{percent} %");
+    // Of the straight way between the ends of a metre of a winding path, which is a little shorter.
+    assert!((1.7..2.0).contains(&percent), "{percent} %");
 }
 
 #[test]
@@ -332,6 +333,7 @@ fn frames_as_poses(frames: &[i64]) -> Vec<TumPose> {
 /// The independent judge's figures for [`bad_estimate`]: evo 1.38.1, `--t_max_diff 0.02`;
 /// `evo_ape tum groundtruth.txt bad.txt -as`, the same with `-r angle_deg`, and
 /// `evo_rpe tum groundtruth.txt bad.txt -as -d 1 -u m --all_pairs --pairs_from_reference` (and `-r angle_deg`).
+/// Without a scale the first and the last of these with `-a` in the place of `-as`.
 #[test]
 fn the_figures_are_those_of_evo_on_a_noisy_trajectory() {
     let Some(folder) = data() else { return };
@@ -339,7 +341,7 @@ fn the_figures_are_those_of_evo_on_a_noisy_trajectory() {
     let dir = tempfile::tempdir().unwrap();
     let path = std::env::var_os("CAIRN_WRITE_BAD_ESTIMATE").map_or_else(|| dir.path().join("bad.txt"), PathBuf::from);
     write_tum(&path, &bad_estimate(&reference)).unwrap();
-    let figures = evaluate(&read_tum(&path).unwrap(), &reference).unwrap().figures;
+    let Outcome { figures, metric, .. } = evaluate(&read_tum(&path).unwrap(), &reference).unwrap();
     assert_eq!((figures.expected, figures.covered, figures.matched_poses), (796, 740, 740));
     let evo = [
         (
@@ -357,10 +359,19 @@ fn the_figures_are_those_of_evo_on_a_noisy_trajectory() {
         (relative.translation_percent, [0.9492839897395333, 0.8952896742019, 0.8810315990161391, 2.0909894412423875]),
         (relative.rotation_deg_per_m, [1.0480107653672988, 0.9845654418958223, 1.0257978406758517, 1.783117316507788]),
     ];
-    for (ours, theirs) in evo.into_iter().chain(evo_relative) {
+    let metric = metric.unwrap();
+    let evo_metric = [
+        (metric.ate_m, [0.11369231016591005, 0.10130039407619933, 0.09528862775956365, 0.23828232316979212]),
+        (
+            metric.relative.unwrap().translation_percent,
+            [12.001280970582323, 9.565528518659937, 7.561748415513717, 23.749554264193753],
+        ),
+    ];
+    for (ours, theirs) in evo.into_iter().chain(evo_relative).chain(evo_metric) {
         for (a, b) in [ours.rmse, ours.mean, ours.median, ours.max].into_iter().zip(theirs) {
             assert!((a - b).abs() < 1e-9, "{a} {b}");
         }
     }
     assert!((figures.alignment.unwrap().scale - 2.702978761465621).abs() < 1e-9);
+    assert!((metric.scale - 2.702978761465621).abs() < 1e-9);
 }

@@ -7,8 +7,8 @@
 mod message;
 mod queue;
 
-pub use message::{MAX_SPEED_MPS, MAX_TURN_RADPS, WheelFault, WheelMessage};
-pub use queue::{CAPACITY, GAP_NS, WheelCounts, WheelQueue};
+pub use message::{GAP_NS, MAX_SPEED_MPS, MAX_TURN_RADPS, WheelFault, WheelMessage};
+pub use queue::{CAPACITY, WheelCounts, WheelQueue};
 
 /// Mean twist of the base over an interval, in the base frame (REP-103: x forward, y left, yaw positive to the left) at its start.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -9,7 +9,7 @@ use cairn::messages::Field;
 
 use crate::support::{compare, plain, renames, root, types};
 
-const SOURCES: [&str; 9] = [
+const SOURCES: [&str; 10] = [
     "src/messages/mod.rs",
     "src/messages/pose.rs",
     "src/messages/map.rs",
@@ -19,6 +19,7 @@ const SOURCES: [&str; 9] = [
     "src/messages/command.rs",
     "src/messages/wheel.rs",
     "src/client/c.rs",
+    "src/client/c/wheels.rs",
 ];
 
 /// What cbindgen does not see: names on the wire, and the layout, which every compilation checks.
@@ -98,5 +99,6 @@ fn compiles(compiler: &str, arguments: &[&str], source: &Path) {
 fn compilers_of_c_and_cpp_agree_with_the_layout() {
     let folder = root().join("clients/c");
     compiles("cc", &["-std=c11"], &folder.join("planner.c"));
+    compiles("cc", &["-std=c11"], &folder.join("wheels.c"));
     compiles("c++", &["-std=c++17"], &folder.join("planner.cpp"));
 }

@@ -376,6 +376,7 @@ def test_other_threads_run_while_one_waits(daemon):
     [
         ("planner.py", ["3", "1", "--seconds", "3"], "speed"),
         ("plot.py", ["--seconds", "3", "--save", "plot.png"], "landmarks"),
+        ("wheels.py", ["--seconds", "1"], "messages to a daemon"),
     ],
 )
 def test_the_examples_run(daemon, script, arguments, said, tmp_path):
@@ -388,6 +389,29 @@ def test_the_examples_run(daemon, script, arguments, said, tmp_path):
     assert said in done.stdout, done.stdout
     if script == "plot.py":
         assert (tmp_path / "plot.png").stat().st_size > 10_000
+
+
+def test_a_driver_tells_of_the_wheels_and_is_the_only_one(daemon):
+    wheels = cairn.connect().wheels()
+    health = cairn.connect().health()
+    before = health.wait(5.0).wheel_messages
+    end = time.monotonic() + 2.0
+    while time.monotonic() < end:
+        wheels.send(0.2, 0.0, 0.1)
+        time.sleep(0.02)
+    after = health.latest()
+    assert after.wheel_messages >= before + 50
+    assert "WHEELS_WRONG" not in after.errors
+    with pytest.raises(cairn.SecondPublisher, match="only one driver"):
+        cairn.connect().wheels().send(0.2, 0.0, 0.1)
+    refused = after.wheel_refused
+    wheels.publish(time.monotonic_ns(), (math.nan, 0.0, 0.0))
+    wheels.publish(time.time_ns(), (0.2, 0.0, 0.0))
+    end = time.monotonic() + 5.0
+    while health.latest().wheel_refused < refused + 2:
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    wheels.close()
 
 
 def test_a_restarted_daemon_is_found_again(daemon):

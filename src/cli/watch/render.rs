@@ -182,6 +182,10 @@ impl Render for Health {
             .field("correction_distance", self.correction_distance)
             .field("correction_rad", self.correction_rad)
             .field("map_mode", map_mode::names(self.map_mode).collect::<Vec<_>>())
+            .field("wheel_messages", self.wheel_messages)
+            .field("wheel_refused", self.wheel_refused)
+            .field("wheel_missing", self.wheel_missing)
+            .field("wheel_late", self.wheel_late)
             .end()
     }
 

@@ -115,3 +115,30 @@ fn rates_and_percentiles_are_those_of_the_last_second() {
     assert_eq!((tracking.steps, tracking.rate_hz), (30, 0.0));
     assert!(tracking.p50_ms.is_nan());
 }
+
+#[test]
+fn a_driver_that_dies_lies_or_is_late_is_told_each_by_its_fault() {
+    let (status, mut watch) = watch();
+    let (wheels, wire) = (status.wheels.clone(), error::WHEELS_SILENT | error::WHEELS_WRONG | error::WHEELS_LATE);
+    let mut at = |ms: i64, heard: bool| {
+        status.set_last_arrival_ns(ms * MS);
+        if heard {
+            status.set_wheels_heard_ns(ms * MS);
+        }
+        let health = watch.tick(ms * MS);
+        (health.errors & wire, [health.wheel_messages, health.wheel_refused, health.wheel_missing, health.wheel_late])
+    };
+    assert_eq!(at(1000, false), (0, [0; 4]), "without a driver there is nothing to say");
+    wheels.received.add(50);
+    wheels.late.add(20);
+    assert_eq!(at(2000, true), (0, [50, 0, 0, 20]), "late now and then is no fault");
+    wheels.received.add(50);
+    wheels.late.add(30);
+    wheels.refuse(&crate::motion::wheel::WheelFault::SecondPublisher);
+    assert_eq!(at(3000, true), (error::WHEELS_LATE | error::WHEELS_WRONG, [100, 1, 0, 50]));
+    wheels.missing.add(1);
+    assert_eq!(at(4000, true).0, error::WHEELS_LATE);
+    assert_eq!(at(4999, false).0, error::WHEELS_LATE);
+    assert_eq!(at(5001, false).0, error::WHEELS_SILENT);
+    assert_eq!(at(6001, true).0, 0);
+}

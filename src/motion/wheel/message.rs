@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+/// More time than this between two readings is missing data, and not standing, ns; so no reading is the mean over more.
+pub const GAP_NS: i64 = 500_000_000;
 /// Faster than this no robot drives that Cairn is for, m/s: a driver that sends mm/s passes it at 5 cm/s. A car's wheels stay below.
 pub const MAX_SPEED_MPS: f64 = 50.0;
 /// Nor does one turn faster, rad/s (three turns a second): a driver that sends degrees/s passes it in any quick turn.
@@ -141,7 +143,7 @@ impl WheelMessage {
             }
         }
         let length_ns = self.timestamp_ns.saturating_sub(self.from_ns?);
-        (length_ns <= 0 || length_ns > super::GAP_NS).then_some(WheelFault::Interval { length_ns })
+        (length_ns <= 0 || length_ns > GAP_NS).then_some(WheelFault::Interval { length_ns })
     }
 }
 

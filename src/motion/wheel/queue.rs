@@ -14,11 +14,9 @@
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use super::{WheelFault, WheelMessage, WheelReading};
+use super::{GAP_NS, WheelFault, WheelMessage, WheelReading};
 use crate::telemetry::Counter;
 
-/// More time than this between two readings is missing data, and not standing, ns.
-pub const GAP_NS: i64 = 500_000_000;
 /// Readings that wait at most: 40 s at 100 Hz, while no frame comes.
 pub const CAPACITY: usize = 4096;
 
