@@ -20,7 +20,6 @@ use crate::geometry::{CameraModel, Se3, ros_from_optical};
 use crate::map::MapSnapshot;
 use crate::motion::hand_eye::Robot;
 use crate::motion::scale::MapScale;
-use crate::motion::wheel::WheelReading;
 use crate::publish::convert::Map;
 use crate::publish::{MapContext, PublishError};
 use crate::reconstruction::{
@@ -161,11 +160,6 @@ impl ReconstructStep {
     pub fn with_base(mut self, mount: &MountConfig, radius_sigma: f64) -> Self {
         self.base = Some((base(mount), radius_sigma));
         self
-    }
-
-    /// Takes a reading of the wheels; `false` if it makes no sense, or comes before the first frame.
-    pub fn wheel(&mut self, reading: &WheelReading) -> bool {
-        self.reconstruction.as_mut().is_some_and(|reconstruction| reconstruction.add_wheel(reading))
     }
 
     /// One frame, from features to map. `ready_ns`: CLOCK_MONOTONIC when its features were ready. The error is the
