@@ -51,6 +51,10 @@
 //!   the axis of a wide-angle lens; errors on it are weighed by the lens's own pixels there ([`geometry::CameraModel::pixel_scale`]).
 //! - A frame that prediction cannot place, or only weakly, is looked for at once by thumbnails and descriptors (P3P) in a bounded number of
 //!   keyframes; near the frame before, half the landmarks are asked for that a place anywhere in the map needs.
+//! - A map's unit is arbitrary until something beside the picture tells it ([`motion`]). Wheels do so by one least squares problem over a bounded window of
+//!   motions that camera and wheels both saw: scale and its drift, mount, yaw rate factor and time offset; motions in which they
+//!   contradict are slip. Known to a few per cent, the map becomes metric at once (`reconstruction::metric`): another number, one reset. From then on
+//!   the wheels' way holds the distances of keyframes in adjustments, and the step behind a turn on the spot is as long as they say.
 //! - A map that was lost is kept while the next one grows, recognised from its keyframes as a lost frame is, and joined to it: the old one is
 //!   carried over into the present one, so that no published pose jumps and neither map number nor reset counter goes back.
 //! - What the base's wheels tell (`odometry.txt` beside the pictures, the simulator's base, a driver on `PREFIX/wheel`) waits in one bounded queue

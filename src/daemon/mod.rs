@@ -18,6 +18,7 @@
 mod advice;
 mod announce;
 mod background;
+mod base;
 mod capture;
 mod feature;
 mod health;

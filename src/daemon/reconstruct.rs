@@ -10,6 +10,7 @@ use crossbeam::channel::Sender;
 use tracing::{debug, error, info, warn};
 
 use super::map_file::{Keeper, MapDesk};
+use super::base;
 use super::outlet::Outlet;
 use super::recorder::{FinalMap, Record, RecorderLink, SaveKind};
 use super::status::{Status, state_name};
@@ -18,7 +19,7 @@ use crate::config::MountConfig;
 use crate::features::{Feedback, FrameFeatures};
 use crate::frame::monotonic_ns;
 use crate::geometry::frames::Body;
-use crate::geometry::{CameraModel, Se3, ros_from_optical};
+use crate::geometry::{CameraModel, Se3};
 use crate::map::MapSnapshot;
 use crate::motion::hand_eye::Robot;
 use crate::motion::scale::MapScale;
@@ -184,7 +185,7 @@ impl ReconstructStep {
 
     /// What is known of the camera's place on the base, and of the wheels, before they move. To be said before the first frame.
     pub fn with_base(mut self, mount: &MountConfig, radius_sigma: f64) -> Self {
-        self.base = Some((base(mount), radius_sigma));
+        self.base = Some((base::given(mount), radius_sigma));
         self
     }
 
@@ -385,21 +386,10 @@ impl ReconstructStep {
             let sources = format!("{sources}");
             info!(sequence, timestamp_ns, sigma, sources, "map is metric");
             if let Some(robot) = robot {
-                let (roll, pitch, yaw) = (robot.base_from_camera * ros_from_optical().inverse()).euler_angles();
+                base::tell(&robot);
                 if let Some(outlet) = self.outlet.as_mut() {
                     outlet.found_mount(&robot);
                 }
-                info!(
-                    roll_deg = roll.to_degrees(),
-                    pitch_deg = pitch.to_degrees(),
-                    yaw_deg = yaw.to_degrees(),
-                    lever_x_m = robot.lever_m.x,
-                    lever_y_m = robot.lever_m.y,
-                    yaw_factor = robot.yaw_factor,
-                    time_offset_ms = 1e3 * robot.time_offset_s,
-                    sigma = format!("{:.4?}", robot.sigma),
-                    "camera on the base, by its motion"
-                );
             }
         }
         if slipping && !self.last_slipping {
@@ -514,25 +504,6 @@ impl ReconstructStep {
         let keeper = self.map_file.and_then(|desk| desk.finish(self.reconstruction.as_mut()));
         (map, self.recorder, keeper)
     }
-}
-
-/// What a mount tells of the base: all that is said of it is taken for known. A translation alone is that of a camera that looks forward.
-fn base(mount: &MountConfig) -> Robot {
-    let said = &mount.body_from_camera;
-    let lever = said.translation_m != [0.0; 3];
-    let rotation = lever || said.rpy_deg.is_some() || said.quaternion_xyzw.is_some();
-    let given = mount.body_from_camera();
-    let mounted = Robot::mounted(given.rotation, given.translation.xy());
-    let mut robot = Robot::unknown();
-    if rotation {
-        robot.base_from_camera = mounted.base_from_camera;
-        robot.sigma[..3].copy_from_slice(&mounted.sigma[..3]);
-    }
-    if lever {
-        robot.lever_m = mounted.lever_m;
-        robot.sigma[3..5].copy_from_slice(&mounted.sigma[3..5]);
-    }
-    robot
 }
 
 /// What a map message says of the map as it is now. It may have been dropped after the last frame was placed, so the counter is the map's and not

@@ -155,6 +155,11 @@ impl Pose {
         Scale::from_wire(self.scale)
     }
 
+    /// Lengths are metres: their relative standard deviation (0.01: 1 %); `None` where they are of an arbitrary unit.
+    pub fn metric(&self) -> Option<f32> {
+        (self.scale() == Scale::Metric).then_some(self.scale_sigma)
+    }
+
     /// `clock` as a type.
     pub fn clock(&self) -> Clock {
         Clock::from_wire(self.clock)
@@ -226,7 +231,9 @@ mod tests {
         let pose = Pose::default();
         assert!(!pose.is_tracking());
         assert!(pose.position.iter().chain(&pose.orientation).chain(&pose.covariance).all(|v| v.is_nan()));
-        assert_eq!(pose.anchor(), None);
+        assert_eq!((pose.anchor(), pose.metric()), (None, None));
+        let metric = Pose { scale: crate::messages::SCALE_METRIC, scale_sigma: 0.012, ..pose };
+        assert_eq!(metric.metric(), Some(0.012));
     }
 
     #[test]

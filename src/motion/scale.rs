@@ -89,6 +89,16 @@ pub struct ScaleFusion {
 }
 
 impl ScaleFusion {
+    /// Nothing has been said.
+    pub const fn silent() -> Self {
+        Self { words: [None; 3], metric: false }
+    }
+
+    /// What one source has said: ln(metres per map unit).
+    pub fn word(&self, source: ScaleSource) -> Option<f64> {
+        self.words[source as usize].map(|word| word.log)
+    }
+
     /// Takes a word on the present map as it is now. A second one of the wheels' replaces the one before, others add to it. `false`, and nothing
     /// taken: it is not finite, or contradicts its own source.
     pub fn add(&mut self, measurement: &ScaleMeasurement) -> bool {

@@ -41,7 +41,10 @@ impl Reconstruction {
         } else {
             Adjustment::local(&active.map, newest, &optics.camera, &optics.shutter, &self.config)
         };
-        if let Some(job) = job {
+        if let Some(mut job) = job {
+            if active.fusion.is_metric() {
+                job.hold_lengths(&active.map, |from_ns, to_ns| self.wheels.held(&active.fusion, from_ns, to_ns));
+            }
             self.mapper.post(MappingJob::Adjust(Box::new(job)), self.counters.frames);
         }
     }

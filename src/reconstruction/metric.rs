@@ -24,7 +24,6 @@ use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::geometry::sim3::Sim3;
 use crate::map::{KeyframeId, MapId};
 use crate::motion::hand_eye::Robot;
-use crate::motion::planar::Increment;
 use crate::motion::scale::{MapScale, ScaleMeasurement};
 use crate::motion::wheel::WheelReading;
 use segments::{FrameEnd, Wheels};
@@ -131,17 +130,6 @@ impl Reconstruction {
                 self.corrections.moved(&old, &new);
             }
         }
-    }
-
-    /// How far the camera has gone from a keyframe to the frame of a time by the wheels, map units, where the map is metric and the wheels are
-    /// believed.
-    pub(super) fn way_by_wheels(&self, from: KeyframeId, to_ns: i64) -> Option<f64> {
-        let from_ns = self.active.map.keyframe(from)?.timestamp_ns;
-        let (log, ..) = self.active.fusion.fused()?;
-        let base: Increment = self.wheels.scale.between(from_ns, to_ns)?;
-        let step = self.wheels.scale.robot().step_of(&base.motion).norm();
-        let sigma = (base.covariance[(0, 0)] + base.covariance[(1, 1)]).max(0.0).sqrt();
-        (step > 5.0 * sigma).then(|| step / log.exp())
     }
 }
 

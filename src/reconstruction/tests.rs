@@ -10,6 +10,7 @@ use super::*;
 use crate::features::thumbnail::Thumbnail;
 use crate::image::{GreyImage, Pyramid};
 use crate::map::{Keyframe, Landmark, LandmarkId, Map};
+use crate::motion::scale::{MapScale, ScaleMeasurement, ScaleSource};
 
 const FOCAL_PX: f64 = 300.0;
 const FRAME_NS: i64 = 33_000_000;
@@ -176,4 +177,52 @@ fn a_frame_that_was_found_again_is_recorded_counted_and_no_keyframe() {
         matches!(recorded.as_slice(), [(FRAME_NS, at)] if (at - Vector3::x() * (4.0 / FOCAL_PX)).norm() < 0.005),
         "{recorded:?}"
     );
+}
+
+fn word(log_metres_per_unit: f64) -> ScaleMeasurement {
+    ScaleMeasurement { source: ScaleSource::Wheels, log_metres_per_unit, sigma: 0.012 }
+}
+
+#[test]
+fn a_map_becomes_metric_at_once_and_later_refinements_leave_the_smooth_pose() {
+    let mut r = before_the_wall(Se3::identity());
+    let mut feedback = Feedback::default();
+    let mut step = |r: &mut Reconstruction, i: i64| {
+        let features = frame(i * FRAME_NS, 4 * i as usize);
+        let estimate = r.track(&features);
+        r.map(&features, &mut feedback);
+        estimate
+    };
+    let pixel = 4.0 / FOCAL_PX;
+    let x = |pose: Option<Vector3<f64>>| pose.expect("a pose").x;
+    let before = step(&mut r, 1);
+    assert!(before.scale == MapScale::Unknown && r.base().is_none());
+    assert!(r.add_scale(&word(3.0_f64.ln())));
+    let last = step(&mut r, 2);
+    assert_eq!((last.reset_counter, last.map), (before.reset_counter, before.map), "it is scaled after this frame");
+    // Three metres to a unit: the next pose is in metres, in another map, by one reset.
+    let metric = step(&mut r, 3);
+    assert!(metric.scale.is_metric() && metric.state == TrackingState::Tracking && metric.landmarks > 60);
+    assert_eq!((metric.reset_counter, metric.map.0), (before.reset_counter + 1, before.map.0 + 1));
+    let world = |e: &PoseEstimate| x(e.world_from_camera.map(|p| p.translation));
+    let odom = |e: &PoseEstimate| x(e.odom_from_camera.map(|p| p.translation));
+    assert!((world(&metric) - 9.0 * pixel).abs() < 0.01 && (odom(&metric) - 9.0 * pixel).abs() < 0.01, "{metric:?}");
+    assert!((metric.linear_velocity.x - 3.0 * pixel / 0.033).abs() < 0.3, "{}", metric.linear_velocity);
+    // Ten per cent more: map coordinates move, with their revision; the smooth pose goes on.
+    r.add_scale(&word(1.1_f64.ln()));
+    let (wait, refined) = (step(&mut r, 4), step(&mut r, 5));
+    assert_eq!((refined.reset_counter, refined.map), (metric.reset_counter, metric.map));
+    assert_eq!(refined.map_revision, wait.map_revision + 1);
+    assert!((world(&refined) - 3.3 * 5.0 * pixel).abs() < 0.015);
+    assert!((odom(&refined) - odom(&wait) - 3.3 * pixel).abs() < 0.01, "one step of the new length");
+    let events = events(&mut r);
+    let joined =
+        events.iter().any(|e| matches!(e, TrajectoryEvent::MapJoined { scale, .. } if (scale - 3.0).abs() < 1e-9));
+    let scaled =
+        events.iter().any(|e| matches!(e, TrajectoryEvent::MapScaled { scale, .. } if (scale - 1.1).abs() < 1e-9));
+    assert!(joined && scaled, "a trajectory is written in the unit of its end");
+    assert!(r.active.map.check_consistency().is_ok());
+    // The next map is unscaled again.
+    r.reset();
+    assert_eq!(r.scale(), MapScale::Unknown);
 }

@@ -224,6 +224,32 @@ fn joined_maps_are_one_in_the_unit_of_the_last() {
 }
 
 #[test]
+fn what_was_recorded_before_a_map_was_scaled_is_written_in_the_unit_of_the_end() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("t.txt");
+    let mut spool = TrajectorySpool::create(dir.path()).unwrap();
+    let scaled = |map, scale| TrajectoryEvent::MapScaled { map: MapId(map), scale };
+    for event in [
+        pose_event(S, 0, 1, 0.5),
+        // It becomes metric: another map, four times as long; then that one is refined.
+        TrajectoryEvent::MapJoined { map: MapId(0), into: MapId(1), scale: 4.0 },
+        pose_event(2 * S, 1, 1, 0.5),
+        removed(7, 1, 0.25),
+        scaled(1, 2.0),
+        pose_event(3 * S, 1, 1, 0.5),
+        scaled(1, 3.0),
+        pose_event(4 * S, 1, 1, 0.5),
+        scaled(9, 100.0),
+    ] {
+        spool.record(&event).unwrap();
+    }
+    let summary = spool.write_tum(&path, &[keyframe(1, 100.0)]).unwrap();
+    let x: Vec<f64> = lines(&path).iter().map(|l| l.1).collect();
+    assert_eq!(x, [112.0, 103.0, 101.5, 100.5], "0.5 times 4 * 2 * 3, 2 * 3, 3 and 1");
+    assert_eq!((summary.map, summary.other_maps), (Some(MapId(1)), 0));
+}
+
+#[test]
 fn keyframes_of_an_ended_map_keep_their_last_pose() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("t.txt");

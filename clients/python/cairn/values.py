@@ -59,6 +59,11 @@ class Value:
         return m.word(m.SCALES, self.raw.scale)
 
     @property
+    def metric(self):
+        """Lengths are metres: their relative standard deviation (0.01: 1 %); None where they are of an arbitrary unit."""
+        return self.raw.scale_sigma if self.scale == "METRIC" else None
+
+    @property
     def scale_source(self):
         """What the scale comes from, as words; empty = nothing."""
         return m.bits(m.SCALE_SOURCES, self.raw.scale_source)

@@ -138,6 +138,9 @@ def test_an_orientation_without_a_position_is_a_heading_and_nothing_to_drive_by(
         assert pose.state == word and pose.heading is None and not pose.usable(10.0), word
     raw.scale_source = 0b1000_0101
     assert pose.scale_source == ["WHEELS", "TAG", "UNKNOWN"]
+    assert pose.metric is None
+    raw.scale, raw.scale_sigma = 2, 0.25
+    assert pose.metric == 0.25
 
 
 def test_without_a_daemon_nothing_is_made_and_nothing_raised(tmp_path, monkeypatch):

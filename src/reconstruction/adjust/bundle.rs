@@ -11,12 +11,14 @@
 use crate::geometry::least_squares::{LmOptions, minimise};
 
 mod globals;
+mod lengths;
 mod normal_equations;
 mod options;
 mod problem;
 mod uncertainty;
 
 pub use globals::{GLOBALS, Globals, INTRINSICS, IntrinsicsJacobian, IntrinsicsVector, READOUT, WITHOUT_DISTORTION};
+pub use lengths::KnownLength;
 use normal_equations::Adjustment;
 pub use options::BundleOptions;
 use options::{INITIAL_DAMPING, PASSES};

@@ -9,7 +9,8 @@
 use nalgebra::{SVector, Vector2, Vector3};
 
 use super::bundle::{
-    BundleObservation, BundleOptions, BundleProblem, Globals, INTRINSICS, IntrinsicsJacobian, IntrinsicsVector, READOUT,
+    BundleObservation, BundleOptions, BundleProblem, Globals, INTRINSICS, IntrinsicsJacobian, IntrinsicsVector,
+    KnownLength, READOUT,
 };
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
@@ -77,6 +78,8 @@ pub struct FoundIntrinsics {
 
 /// Share of the cost by which a step has to lower it when the whole map is adjusted: errors that span the map hardly show in one residual.
 const WHOLE_GAIN: f64 = 1e-5;
+/// Keyframes further apart, ns, are held by no length: over a long way the distance of its ends is not what wheels know best.
+const LONGEST_STEP_NS: i64 = 5_000_000_000;
 /// Keyframes at which the whole map is adjusted first; then whenever it has grown by a third, up to the limit.
 pub const WHOLE_FIRST: usize = 5;
 impl Adjustment {
@@ -203,6 +206,24 @@ impl Adjustment {
                 let keyframe = self.keyframes[self.problem.observations[k].camera as usize];
                 let o = map.keyframe(keyframe).and_then(|k| k.observation(id));
                 jacobians.push(o.map_or_else(IntrinsicsJacobian::zeros, |o| intrinsics_jacobian(o, camera)));
+            }
+        }
+    }
+
+    /// Holds distances between keyframes that follow one another, at the places that `length` knows (times of both, ns): map units and standard
+    /// deviation. Those of them that stay where they are or lie further apart than [`LONGEST_STEP_NS`] are left alone.
+    pub fn hold_lengths(&mut self, map: &Map, mut length: impl FnMut(i64, i64) -> Option<(f64, f64)>) {
+        for i in 1..self.keyframes.len() {
+            if self.problem.fixed[i - 1] && self.problem.fixed[i] {
+                continue;
+            }
+            let times = [i - 1, i].map(|i| map.keyframe(self.keyframes[i]).map(|k| k.timestamp_ns));
+            let [Some(from_ns), Some(to_ns)] = times else { continue };
+            if !(1..=LONGEST_STEP_NS).contains(&to_ns.saturating_sub(from_ns)) {
+                continue;
+            }
+            if let Some((length, sigma)) = length(from_ns, to_ns) {
+                self.problem.lengths.push(KnownLength { cameras: [i as u32 - 1, i as u32], length, sigma });
             }
         }
     }

@@ -3,8 +3,8 @@
 //! When most of what is in view lies at assumed distances, the frames that follow the turn move against a scene whose shape is not
 //! known, as at the start of a map, and a pose optimised frame by frame runs into the nearest shape that is flat. So they are placed
 //! as at the start: two-view geometry ([`two_view`](crate::geometry::two_view)) between a keyframe of the turn and the newest frame, as soon as that
-//! finds enough parallax. The length of the step is what the landmarks of known distance make of it, if a few are left in view, else what
-//! the assumed distances do; everything else is measured.
+//! finds enough parallax. The length of the step is what the landmarks of known distance make of it, if a few are left in view, else the
+//! wheels' way where the map is metric by them, else what the assumed distances make of it; everything else is measured.
 //!
 //! Input: the newest frame's matches. Output: its pose; the landmarks are put where the two views see them, and the keyframes in
 //! between are solved anew. Cost: a few milliseconds, once after each turn (and at each attempt before).
@@ -17,9 +17,11 @@ use crate::geometry::frames::{Camera, World};
 use crate::geometry::two_view::{TwoViewOptions, reconstruct_two_views};
 use crate::geometry::{CameraModel, Se3, median};
 use crate::map::{KeyframeId, LandmarkId, Map};
+use crate::motion::scale::ScaleFusion;
 use crate::reconstruction::Reconstruction;
 use crate::reconstruction::measurement::PosePair;
 use crate::reconstruction::measurement::inverse_distance::Ray;
+use crate::reconstruction::metric::segments::Wheels;
 use crate::reconstruction::track::pose::{PoseOptions, optimise_pose};
 use crate::reconstruction::track::search::Match;
 
@@ -52,12 +54,13 @@ impl Reconstruction {
         features: &FrameFeatures,
     ) -> Option<Se3<Camera, World>> {
         self.pending.turned.filter(|parallax_deg| *parallax_deg > self.config.min_parallax_deg)?;
+        let way = Way { wheels: &self.wheels, fusion: &self.active.fusion, to_ns: features.timestamp_ns };
         let placed = place(
             &mut self.active.map,
             self.tracker.matches(),
             &self.optics.camera,
             self.optics.shutter.readout_s,
-            features.sequence,
+            (features.sequence, &way),
         )?;
         let pose = placed.camera_from_world;
         if let Some(before) = self.active.odometry.last.map(|last| last.camera_from_world) {
@@ -96,6 +99,21 @@ impl Reconstruction {
     }
 }
 
+/// The way that the wheels know.
+struct Way<'a> {
+    wheels: &'a Wheels,
+    fusion: &'a ScaleFusion,
+    /// Time of the newest frame, ns.
+    to_ns: i64,
+}
+
+impl Way<'_> {
+    /// From the frame of a time to the newest, map units.
+    fn since(&self, from_ns: i64) -> Option<f64> {
+        self.wheels.length(self.fusion, from_ns, self.to_ns).map(|(length, _)| length)
+    }
+}
+
 /// Where two views have put a frame.
 struct Placed {
     camera_from_world: Se3<Camera, World>,
@@ -106,7 +124,13 @@ struct Placed {
 }
 
 /// The newest frame's place from its `matches`; `None` if there is no such keyframe, or not enough parallax yet.
-fn place(map: &mut Map, matches: &[Match], camera: &CameraModel, readout_s: f64, seed: u64) -> Option<Placed> {
+fn place(
+    map: &mut Map,
+    matches: &[Match],
+    camera: &CameraModel,
+    readout_s: f64,
+    (seed, way): (u64, &Way<'_>),
+) -> Option<Placed> {
     // The oldest keyframe that sees nearly as many of them as any: it was placed before the camera began to move.
     let mut votes: Vec<(KeyframeId, usize)> = Vec::new();
     for m in matches {
@@ -146,8 +170,13 @@ fn place(map: &mut Map, matches: &[Match], camera: &CameraModel, readout_s: f64,
         of_kind.filter_map(|((_, distance, _), point)| Some(distance / (*point)?.norm())).collect()
     };
     let measured = lengths(false);
-    let is_assumed = measured.len() < MIN_MEASURED;
-    let length = median(&mut if is_assumed { lengths(true) } else { measured }).unwrap_or(0.0);
+    let blind = measured.len() < MIN_MEASURED;
+    let driven = if blind { way.since(keyframe.timestamp_ns) } else { None };
+    let is_assumed = blind && driven.is_none();
+    let length = match driven {
+        Some(driven) => driven / solution.second_from_first.translation.norm(),
+        None => median(&mut if blind { lengths(true) } else { measured }).unwrap_or(0.0),
+    };
     if !(length > 0.0 && length.is_finite()) {
         return None;
     }
@@ -195,9 +224,13 @@ mod tests {
     use super::*;
     use crate::features::thumbnail::Thumbnail;
     use crate::map::{AssumedDistance, Keyframe, Landmark, MapId};
+    use crate::motion::hand_eye::Robot;
+    use crate::motion::scale::{ScaleMeasurement, ScaleSource};
+    use crate::motion::wheel::WheelReading;
     use crate::reconstruction::track::search::observe;
 
     const TRUE_OVER_ASSUMED: f64 = 2.0;
+    const NOTHING_SAID: ScaleFusion = ScaleFusion::silent();
 
     fn camera() -> CameraModel {
         CameraModel::new(640, 480, 520.0, 520.0, 320.0, 240.0, [0.0; 5]).expect("a camera")
@@ -269,13 +302,49 @@ mod tests {
         Se3::new(UnitQuaternion::from_scaled_axis(Vector3::new(0.01, 0.06, -0.02)), -by)
     }
 
+    fn silent(wheels: &Wheels) -> Way<'_> {
+        Way { wheels, fusion: &NOTHING_SAID, to_ns: 0 }
+    }
+
+    #[test]
+    fn wheels_tell_how_long_the_step_was() {
+        let truth = moved(Vector3::new(0.0, 0.0, 0.3));
+        let (mut map, matches) = scene(&truth);
+        // Both keyframes are of time 0; the robot drives 0.3 m ahead in the second after it, in a map that is metric by its wheels.
+        let mut robot = Robot::unknown();
+        robot.sigma = [1e-3; 7];
+        let mut wheels = Wheels::new(robot, 0.01);
+        for i in 0..50 {
+            let (from_ns, timestamp_ns) = (i * 20_000_000, (i + 1) * 20_000_000);
+            let reading = WheelReading {
+                from_ns,
+                timestamp_ns,
+                linear_x_mps: 0.3,
+                linear_y_mps: 0.0,
+                angular_z_radps: 0.0,
+                variance: [f64::NAN; 3],
+            };
+            assert!(wheels.scale.add_reading(&reading));
+        }
+        let mut fusion = ScaleFusion::default();
+        fusion.add(&ScaleMeasurement { source: ScaleSource::Wheels, log_metres_per_unit: 0.0, sigma: 0.01 });
+        let way = Way { wheels: &wheels, fusion: &fusion, to_ns: 1_000_000_000 };
+        let placed = place(&mut map, &matches, &camera(), 0.0, (1, &way)).expect("a place");
+        let step = placed.camera_from_world.inverse().translation.norm();
+        assert!(!placed.is_assumed && (step - 0.3).abs() < 0.003, "the step is {step} long");
+        // Of a map whose scale the wheels have not told they tell no length.
+        let placed = place(&mut map, &matches, &camera(), 0.0, (1, &silent(&wheels))).expect("a place");
+        assert!(placed.is_assumed);
+    }
+
     #[test]
     fn two_views_find_the_motion_however_wrong_the_distances_are() {
+        let wheels = Wheels::new(Robot::unknown(), 0.01);
         for by in [Vector3::new(0.0, 0.0, 0.3), Vector3::new(0.2, 0.0, 0.0), Vector3::new(0.1, -0.05, 0.2)] {
             let truth = moved(by);
             let (mut map, matches) = scene(&truth);
             assert!(matches.len() > 80, "{} matches: the scene is too poor", matches.len());
-            let placed = place(&mut map, &matches, &camera(), 0.0, 1).expect("a place");
+            let placed = place(&mut map, &matches, &camera(), 0.0, (1, &silent(&wheels))).expect("a place");
             assert!(placed.is_assumed, "nothing here has a known distance");
             let found = placed.camera_from_world;
             let turn = (found.rotation * truth.rotation.inverse()).angle().to_degrees();
@@ -290,9 +359,10 @@ mod tests {
 
     #[test]
     fn a_turn_alone_is_no_motion() {
+        let wheels = Wheels::new(Robot::unknown(), 0.01);
         let (mut map, matches) = scene(&moved(Vector3::zeros()));
         let before: Vec<_> = map.landmarks.iter().map(|(_, l)| l.position).collect();
-        assert!(place(&mut map, &matches, &camera(), 0.0, 1).is_none());
+        assert!(place(&mut map, &matches, &camera(), 0.0, (1, &silent(&wheels))).is_none());
         assert!(map.landmarks.iter().map(|(_, l)| l.position).eq(before), "a landmark was moved");
     }
 

@@ -7,6 +7,7 @@ use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::map::{KeyframeId, Map};
 use crate::motion::hand_eye::{Robot, Segment};
+use crate::motion::scale::{ScaleFusion, ScaleSource};
 use crate::motion::wheel_scale::{LONGEST_SEGMENT_NS, SEGMENT_NS, WheelScale};
 
 /// Standard deviation of a frame's place beside a keyframe, as a share of the mean depth: 0.8 px of a focal length of 500 px, 150 landmarks, and
@@ -14,6 +15,9 @@ use crate::motion::wheel_scale::{LONGEST_SEGMENT_NS, SEGMENT_NS, WheelScale};
 const PLACE_SHARE: f64 = 0.001;
 /// A step below so many of its standard deviations waits to become longer.
 const STEP_SIGMAS: f64 = 20.0;
+
+/// Wheels that moved by fewer of their standard deviations tell no length.
+const MOVED_SIGMAS: f64 = 5.0;
 
 /// A frame beside a keyframe.
 #[derive(Debug, Clone, Copy)]
@@ -109,6 +113,27 @@ impl Wheels {
             self.ends.drain(..self.ends.len().saturating_sub(kept));
         }
         taken
+    }
+
+    /// How far the camera has gone from one time to another (ns), and its standard deviation, map units; `None` where the wheels have not told the
+    /// map's scale, say nothing of that time, slipped in a part of it, or hardly moved.
+    pub fn length(&self, fusion: &ScaleFusion, from_ns: i64, to_ns: i64) -> Option<(f64, f64)> {
+        let metres_per_unit = fusion.word(ScaleSource::Wheels)?.exp();
+        let slipped = |s: &Segment| s.slips && s.from_ns < to_ns && from_ns < s.to_ns;
+        if self.scale.segments().iter().rev().take_while(|s| s.to_ns > from_ns).any(slipped) {
+            return None;
+        }
+        let base = self.scale.between(from_ns, to_ns)?;
+        let length = self.scale.robot().step_of(&base.motion).norm();
+        let sigma = (base.covariance[(0, 0)] + base.covariance[(1, 1)]).max(0.0).sqrt();
+        (length > MOVED_SIGMAS * sigma).then(|| (length / metres_per_unit, sigma / metres_per_unit))
+    }
+
+    /// The same in metres, an error common to both wheels taken out as far as other sources tell it: what a metric map is held to.
+    pub fn held(&self, fusion: &ScaleFusion, from_ns: i64, to_ns: i64) -> Option<(f64, f64)> {
+        let (log, ..) = fusion.fused()?;
+        let (length, sigma) = self.length(fusion, from_ns, to_ns)?;
+        Some((length * log.exp(), sigma * log.exp()))
     }
 
     /// Gives all segments the motions that the map has now.

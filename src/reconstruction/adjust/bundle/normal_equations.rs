@@ -58,6 +58,8 @@ pub(super) struct PointBlock<const W: usize> {
 pub(super) struct System<const W: usize> {
     cameras: Vec<CameraBlock<W>>,
     pub(super) points: Vec<PointBlock<W>>,
+    /// Blocks between two free cameras, the later one's rows, where a length between them is known.
+    pairs: Vec<(usize, usize, Matrix6<f64>)>,
     /// Index of a free camera and its block with a point, grouped by point.
     cross: Vec<(usize, Matrix6x3)>,
     global: SMatrix<f64, W, W>,
@@ -136,6 +138,24 @@ impl<'p, const W: usize> Adjustment<'p, W> {
         self.slot.get(camera).copied().filter(|slot| *slot != FIXED)
     }
 
+    fn add_lengths(&self, state: &BundleState, system: &mut System<W>) {
+        for known in &self.problem.lengths {
+            let Some(term) = known.term(state) else { continue };
+            let slots = known.cameras.map(|camera| self.slot[camera as usize]);
+            for (i, &slot) in slots.iter().enumerate() {
+                if let Some(block) = system.cameras.get_mut(slot) {
+                    block.own += term.own[i];
+                    block.gradient += term.gradient[i];
+                }
+            }
+            match slots {
+                [FIXED, _] | [_, FIXED] => {}
+                [a, b] if a > b => system.pairs.push((a, b, term.cross)),
+                [a, b] => system.pairs.push((b, a, term.cross.transpose())),
+            }
+        }
+    }
+
     /// `rotation`: of the camera. `None` for a point behind it.
     #[inline]
     fn observation(
@@ -174,6 +194,7 @@ impl<const W: usize> LeastSquares for Adjustment<'_, W> {
         let mut system = System {
             cameras: vec![none; self.free],
             points: Vec::with_capacity(state.points.len()),
+            pairs: Vec::new(),
             cross: Vec::with_capacity(self.problem.observations.len()),
             global: SMatrix::from_diagonal(&prior.map(|p| p.1).into()),
             global_gradient: prior.map(|p| p.0).into(),
@@ -203,6 +224,7 @@ impl<const W: usize> LeastSquares for Adjustment<'_, W> {
             block.cross_end = system.cross.len();
             system.points.push(block);
         }
+        self.add_lengths(state, &mut system);
         system
     }
 
@@ -211,6 +233,7 @@ impl<const W: usize> LeastSquares for Adjustment<'_, W> {
         let loss = Loss::Huber(self.limit);
         let behind = BEHIND_CAMERA * self.limit * self.limit;
         let mut cost = self.problem.globals.prior_cost(&state.globals);
+        cost += self.problem.lengths.iter().map(|length| length.cost(state)).sum::<f64>();
         for (i, point) in state.points.iter().enumerate() {
             for k in self.problem.inliers(i) {
                 let residual = self.problem.residual(state, point, k);
@@ -257,6 +280,10 @@ impl<const W: usize> System<W> {
             s.fixed_view_mut::<6, 6>(6 * i, 6 * i).copy_from(&damped(&camera.own, damping));
             s.fixed_view_mut::<W, 6>(at, 6 * i).copy_from(&camera.global);
             g.fixed_rows_mut::<6>(6 * i).copy_from(&-camera.gradient);
+        }
+        for (later, earlier, block) in &self.pairs {
+            let mut between = s.fixed_view_mut::<6, 6>(6 * later, 6 * earlier);
+            between += block;
         }
         s.fixed_view_mut::<W, W>(at, at).copy_from(&self.global);
         g.fixed_rows_mut::<W>(at).copy_from(&-self.global_gradient);

@@ -3,6 +3,7 @@
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
 use super::globals::{GlobalMatrix, GlobalVector, Globals, READOUT};
+use super::lengths::KnownLength;
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 use crate::reconstruction::measurement::{NEAREST, scaled};
@@ -42,6 +43,8 @@ pub struct BundleProblem {
     pub first: Vec<u32>,
     pub observations: Vec<BundleObservation>,
     pub globals: Globals,
+    /// What the wheels know of distances between cameras.
+    pub lengths: Vec<KnownLength>,
     /// Set by the adjustment: false = judged an outlier.
     pub inlier: Vec<bool>,
     /// Set by the adjustment: covariance of each point with the cameras held fixed, map units squared.
