@@ -33,7 +33,8 @@ pub fn run(parts: Parts, stop: &AtomicBool, go_on: &mut dyn FnMut(&Status) -> bo
         outlet,
         RecorderLink::Inline(recorder),
         status.clone(),
-    );
+    )
+    .looking_for(&config.tag);
     let mut slot = RawFrame::default();
     let mut features = FrameFeatures::default();
     let mut feedback = Feedback::default();

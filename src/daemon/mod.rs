@@ -126,7 +126,8 @@ pub(super) fn start(parts: Parts) -> Result<Threads, DaemonError> {
         outlet,
         link,
         status.clone(),
-    );
+    )
+    .looking_for(&config.tag);
 
     // As many parcels as may wait, and the one that reconstruction works on.
     let parcels = config.daemon.queue_frames + 1;

@@ -45,6 +45,8 @@ use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::image::pyramid::PyramidPool;
 use crate::map::{KeyframeId, KeyframeView, LandmarkId, Sought};
+use crate::motion::scale::ScaleMeasurement;
+use crate::motion::tag::{self, TagConfig, Tags};
 
 /// Share of the landmarks looked for that are seen: below the first a frame is looked for elsewhere too (after a stretch of blur
 /// a few landmarks can hold a pose that has slid away), below the second it is no keyframe. Without the first, errors over 35 sequences
@@ -74,6 +76,8 @@ pub struct Reconstruction {
     tracker: Tracker,
     relocaliser: Relocaliser,
     epipolar: EpipolarMatcher,
+    /// Where tags of a known size are looked for.
+    tags: Option<Tags>,
     /// Of the newest keyframes and their neighbours: when one is reduced the next takes its place, which keeps the heap in one piece.
     pictures: PyramidPool,
     mapper: Mapper,
@@ -116,6 +120,7 @@ impl Reconstruction {
             tracker: Tracker::default(),
             relocaliser: Relocaliser::default(),
             epipolar: EpipolarMatcher::default(),
+            tags: None,
             pictures: PyramidPool::new(WHOLE_PICTURES, 1),
             mapper: Mapper::new(worker, lockstep),
             corrections: Corrections::default(),
@@ -124,6 +129,11 @@ impl Reconstruction {
             events: Vec::new(),
             counters: Counters::default(),
         }
+    }
+
+    /// Looks for tags of a known size in keyframes from now on, if the configuration names a size.
+    pub fn look_for_tags(&mut self, config: &TagConfig) {
+        self.tags = Tags::new(config);
     }
 
     /// The pose of a frame. Allocates nothing once warm while there is a map and the frame is found in it, unless the one before is so
@@ -324,6 +334,10 @@ impl Reconstruction {
         reduce_pictures(map, id);
         active.unadjusted = Some(id);
         self.recognise(features, id);
+        if let (Some(tags), Some(picture)) = (&mut self.tags, features.pyramid.levels.first()) {
+            let optics = tag::Optics { camera: &self.optics.camera, readout_s: self.optics.shutter.readout_s };
+            tags.see((&self.active.map, self.active.id), id, picture, &optics);
+        }
     }
 
     /// Drops all maps and starts over at the next frame.
@@ -352,6 +366,9 @@ impl Reconstruction {
     pub fn change_camera(&mut self, camera: &CameraModel, prior: LensPrior) {
         self.reset();
         self.optics = Optics::new(camera, prior, &self.config);
+        if let Some(tags) = &mut self.tags {
+            tags.forget();
+        }
     }
 
     /// Events since the last call, in order; to be drained after every frame.
@@ -380,6 +397,11 @@ impl Reconstruction {
     pub fn scale_is_assumed(&self) -> bool {
         self.state == TrackingState::Tracking
             && self.active.map.keyframe(self.active.reference).is_some_and(|k| k.scale_from.is_some())
+    }
+
+    /// What tags of a known size say of the present map's scale; the newest measurement contains those before.
+    pub fn scale_by_tags(&self) -> Option<ScaleMeasurement> {
+        self.tags.as_ref()?.measurement(self.active.id)
     }
 
     /// Landmarks that the last frame's pose rests on, and where they were found in its picture, px; none unless it was tracked.

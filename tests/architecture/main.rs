@@ -31,7 +31,9 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
     // ring or the wire.
     ("features", &["frame", "geometry", "image"]),
     ("map", &["atomic_file", "features", "geometry", "image"]),
-    ("reconstruction", &["features", "geometry", "image", "map"]),
+    // What the robot knows besides the picture says how long a map unit is.
+    ("motion", &["features", "geometry", "image", "map"]),
+    ("reconstruction", &["features", "geometry", "image", "map", "motion"]),
     // What comes out.
     ("trajectory", &["atomic_file", "geometry", "map", "reconstruction"]),
     (
@@ -47,7 +49,7 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
     // The method on two pictures: what `features` and `geometry` can do, on files, outside the daemon. Nobody but `cli` knows it.
     ("workbench", &["atomic_file", "calibration", "camera", "features", "frame", "geometry", "image", "trajectory"]),
     // What holds it together.
-    ("config", &["camera", "features", "geometry", "publish", "reconstruction", "telemetry"]),
+    ("config", &["camera", "features", "geometry", "motion", "publish", "reconstruction", "telemetry"]),
     (
         "daemon",
         &[
@@ -59,6 +61,7 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
             "image",
             "map",
             "messages",
+            "motion",
             "plot",
             "publish",
             "reconstruction",
@@ -83,6 +86,7 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
             "geometry",
             "image",
             "messages",
+            "motion",
             "plot",
             "publish",
             "reconstruction",
