@@ -32,7 +32,8 @@ pub fn planar_poses<To, From>(plane: &[Vector2<f64>], seen: &[Vector2<f64>]) -> 
     let a = across.try_inverse()? * jacobian;
     // Its larger singular value is 1 / depth.
     let (squares, determinant) = (a.norm_squared(), a.determinant());
-    let inverse_depth = (0.5 * (squares + (squares * squares - 4.0 * determinant * determinant).max(0.0).sqrt())).sqrt();
+    let inverse_depth =
+        (0.5 * (squares + (squares * squares - 4.0 * determinant * determinant).max(0.0).sqrt())).sqrt();
     let upper = a / inverse_depth;
     let rest = Matrix2::identity() - upper.tr_mul(&upper);
     let lower = Vector2::new(rest.m11.max(0.0).sqrt(), rest.m22.max(0.0).sqrt().copysign(rest.m12));
@@ -132,8 +133,7 @@ mod tests {
             first += usize::from(off(0) < off(1));
             // Both normals make the same angle with the line of sight.
             let sight = truth.translation.normalize();
-            let to_sight =
-                |i: usize| (found[i].camera_from_plane.rotation * Vector3::z()).angle(&sight);
+            let to_sight = |i: usize| (found[i].camera_from_plane.rotation * Vector3::z()).angle(&sight);
             assert!((to_sight(0) - to_sight(1)).abs() < 0.03, "seed {seed}");
         }
         assert!(first > 120, "the better fitting one is the true one in {first} of 200");

@@ -144,7 +144,10 @@ impl Tags {
             // Two of one number: nobody knows which is which.
             let twice = found.iter().enumerate().any(|(j, other)| j != i && other.id == tag.id);
             let wanted = self.config.ids.is_empty() || self.config.ids.contains(&tag.id);
-            if !twice && wanted && let Some(corners) = straight_corners(tag, optics.camera) {
+            if !twice
+                && wanted
+                && let Some(corners) = straight_corners(tag, optics.camera)
+            {
                 self.note(map, tag.id, Sighting { keyframe, corners });
                 seen = true;
             }
@@ -199,6 +202,7 @@ impl Tags {
         };
         // Most recently seen last.
         let mut known = self.known.remove(i);
+        known.sightings.retain(|s| s.keyframe != sighting.keyframe);
         if known.sightings.len() == MOST_SIGHTINGS {
             drop_one(map, &mut known.sightings);
         }
@@ -252,10 +256,7 @@ fn drop_one(map: &Map, sightings: &mut Vec<Sighting>) {
 }
 
 /// What several tags of one size say together.
-pub fn combine<'a>(
-    placed: impl Iterator<Item = &'a PlacedTag>,
-    config: &TagConfig,
-) -> Option<ScaleMeasurement> {
+pub fn combine<'a>(placed: impl Iterator<Item = &'a PlacedTag>, config: &TagConfig) -> Option<ScaleMeasurement> {
     let mut placed: Vec<&PlacedTag> = placed.collect();
     placed.sort_by(|a, b| a.log_edge.total_cmp(&b.log_edge));
     let variance = |tag: &PlacedTag| tag.corner_variance + tag.view_variance;

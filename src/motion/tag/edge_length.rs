@@ -18,11 +18,11 @@
 
 use nalgebra::{Matrix3, SVector, UnitQuaternion, Vector2, Vector3};
 
+use crate::geometry::Se3;
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::least_squares::{LeastSquares, LmOptions, Loss, NormalEquations, minimise};
 use crate::geometry::planar_pose::planar_poses;
-use crate::geometry::Se3;
 
 /// Corners of a tag with edges of length 1, as [`crate::features::tags::Tag`] orders them: x right, y down, z into the tag, origin in its middle.
 pub const CORNERS: [[f64; 2]; 4] = [[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]];
@@ -44,8 +44,7 @@ const UNSEEN_SHARE: f64 = 1.2;
 const MOST_PX: f64 = 3.0;
 /// Whitened residuals beyond this count less.
 const HUBER: f64 = 3.0;
-const STEPS: LmOptions =
-    LmOptions { max_iterations: 25, relative_cost: 1e-7, step_norm: 1e-9, initial_damping: 1e-4 };
+const STEPS: LmOptions = LmOptions { max_iterations: 25, relative_cost: 1e-7, step_norm: 1e-9, initial_damping: 1e-4 };
 
 /// A keyframe's sight of a tag.
 #[derive(Debug, Clone, Copy)]

@@ -124,7 +124,8 @@ mod tests {
         let document = roxmltree::Document::parse(svg).expect("well-formed");
         let root = document.root_element();
         let mm = |text: &str| text.trim_end_matches("mm").parse::<f64>().expect("mm");
-        let (width, height) = (mm(root.attribute("width").expect("width")), mm(root.attribute("height").expect("height")));
+        let (width, height) =
+            (mm(root.attribute("width").expect("width")), mm(root.attribute("height").expect("height")));
         let scale = 4.0;
         let mut image = GreyImage::new((width * scale) as usize, (height * scale) as usize);
         let mut fill = |x: f64, y: f64, w: f64, h: f64, value: u8| {
@@ -179,7 +180,10 @@ mod tests {
 
     #[test]
     fn what_cannot_be_printed_is_named_with_its_range_and_unit() {
-        assert_eq!(Sheet::new(587, 0.15).map_err(|e| e.to_string()), Err("tag 587: the family 36h11 has the tags 0 to 586".into()));
+        assert_eq!(
+            Sheet::new(587, 0.15).map_err(|e| e.to_string()),
+            Err("tag 587: the family 36h11 has the tags 0 to 586".into())
+        );
         for size in [15.0, 0.0, -1.0, f64::NAN, f64::INFINITY] {
             let said = Sheet::new(0, size).expect_err("refused").to_string();
             assert!(said.contains(" m: must lie in 0.01..=2 m"), "{said}");
