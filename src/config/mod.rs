@@ -21,6 +21,7 @@ use crate::camera::simulator_config::SimulatorConfig;
 use crate::camera::v4l2::V4l2Config;
 use crate::features::FeaturesConfig;
 use crate::geometry::plane_calibration::LensKind;
+use crate::motion::tag::TagConfig;
 use crate::publish::Limits;
 use crate::reconstruction::ReconstructionConfig;
 use crate::telemetry::LogConfig;
@@ -40,6 +41,7 @@ pub struct Config {
     pub calibration: CalibrationConfig,
     pub features: FeaturesConfig,
     pub reconstruction: ReconstructionConfig,
+    pub tag: TagConfig,
     pub mount: MountConfig,
     pub publish: PublishConfig,
     pub output: OutputConfig,
@@ -56,6 +58,7 @@ impl Default for Config {
             calibration: CalibrationConfig::default(),
             features: FeaturesConfig::default(),
             reconstruction: ReconstructionConfig::default(),
+            tag: TagConfig::default(),
             mount: MountConfig::default(),
             publish: PublishConfig::default(),
             output: OutputConfig::default(),
@@ -212,6 +215,7 @@ impl Config {
         let in_room = |room: &str, key: &str, reason: String| Invalid::new(format!("{room}.{key}"), reason);
         self.features.validate().map_err(|(key, _, reason)| in_room("features", key, reason))?;
         self.reconstruction.validate().map_err(|(key, _, reason)| in_room("reconstruction", key, reason))?;
+        self.tag.validate().map_err(|(key, reason)| in_room("tag", key, reason))?;
         self.camera.validate().map_err(|(key, reason)| in_room("camera", key, reason))?;
         self.simulator.validate().map_err(|e| in_room("simulator", e.key, e.reason))?;
         self.publish.validate()?;

@@ -46,7 +46,8 @@ pub fn run(parts: Parts, stop: &AtomicBool, go_on: &mut dyn FnMut(&Status) -> bo
     )
     .with_wheels(wheels)
     .with_base(&config.mount, RADIUS_SIGMA)
-    .with_map_file(desk);
+    .with_map_file(desk)
+    .looking_for(&config.tag);
     let mut slot = RawFrame::default();
     let mut features = FrameFeatures::default();
     let mut feedback = Feedback::default();

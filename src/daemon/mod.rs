@@ -152,7 +152,8 @@ pub(super) fn start(parts: Parts) -> Result<Threads, DaemonError> {
     )
     .with_wheels(wheels.clone())
     .with_base(&config.mount, RADIUS_SIGMA)
-    .with_map_file(desk.map(|desk| desk.linked(map_link)));
+    .with_map_file(desk.map(|desk| desk.linked(map_link)))
+    .looking_for(&config.tag);
 
     // As many parcels as may wait, and the one that reconstruction works on.
     let parcels = config.daemon.queue_frames + 1;

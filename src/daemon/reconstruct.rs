@@ -22,7 +22,8 @@ use crate::geometry::frames::Body;
 use crate::geometry::{CameraModel, Se3};
 use crate::map::MapSnapshot;
 use crate::motion::hand_eye::Robot;
-use crate::motion::scale::MapScale;
+use crate::motion::scale::{MapScale, ScaleMeasurement};
+use crate::motion::tag::TagConfig;
 use crate::motion::wheel::WheelQueue;
 use crate::publish::convert::Map;
 use crate::publish::{MapContext, PublishError};
@@ -93,6 +94,7 @@ pub enum Request {
 pub struct ReconstructStep {
     config: ReconstructionConfig,
     calibration: Calibration,
+    tag: TagConfig,
     lockstep: bool,
     /// Given to reconstruction with the first frame, whose size completes the camera model.
     worker: Option<Box<dyn MappingWorker>>,
@@ -117,6 +119,7 @@ pub struct ReconstructStep {
     last_scale: MapScale,
     last_slipping: bool,
     last_maps_joined: u64,
+    last_tag_scale: Option<ScaleMeasurement>,
     /// Times that a planner has put the map elsewhere: to its readers each is a reset.
     placements: u32,
     last_frame_ns: i64,
@@ -141,6 +144,7 @@ impl ReconstructStep {
         Self {
             config: config.clone(),
             calibration,
+            tag: TagConfig::default(),
             lockstep,
             worker: Some(worker),
             reconstruction: None,
@@ -161,6 +165,7 @@ impl ReconstructStep {
             last_scale: MapScale::Unknown,
             last_slipping: false,
             last_maps_joined: 0,
+            last_tag_scale: None,
             placements: 0,
             last_frame_ns: 0,
             lens: None,
@@ -192,6 +197,11 @@ impl ReconstructStep {
     /// With a map on disk.
     pub fn with_map_file(self, map_file: Option<MapDesk>) -> Self {
         Self { map_file, ..self }
+    }
+
+    /// Tags of a known size are looked for, if the configuration names a size.
+    pub fn looking_for(self, tag: &TagConfig) -> Self {
+        Self { tag: tag.clone(), ..self }
     }
 
     /// One frame, from features to map. `ready_ns`: CLOCK_MONOTONIC when its features were ready. The error is the
@@ -291,6 +301,7 @@ impl ReconstructStep {
             if let Some((base, radius_sigma)) = self.base {
                 begun.set_base(base, radius_sigma);
             }
+            begun.look_for_tags(&self.tag);
             if let Some(desk) = self.map_file.as_mut() {
                 desk.begin(&mut begun, &camera, prior)?;
             }
@@ -334,7 +345,28 @@ impl ReconstructStep {
         status.set_scale_is_assumed(self.reconstruction.as_ref().is_some_and(Reconstruction::scale_is_assumed));
     }
 
+    /// The scale that tags tell, when it is told first, has become surer by a fifth or has moved by two sigmas.
+    fn log_tag_scale(&mut self, e: &PoseEstimate) {
+        let told = self.reconstruction.as_ref().and_then(Reconstruction::scale_by_tags);
+        let news = match (told, self.last_tag_scale) {
+            (Some(now), Some(last)) => {
+                let moved = (now.log_metres_per_unit - last.log_metres_per_unit).abs();
+                now.sigma < 0.8 * last.sigma || moved > 2.0 * last.sigma
+            }
+            (now, _) => now.is_some(),
+        };
+        if let Some(now) = told.filter(|_| news) {
+            let (sequence, timestamp_ns, map) = (e.sequence, e.timestamp_ns, e.map.0);
+            let metres_per_unit = now.log_metres_per_unit.exp();
+            info!(sequence, timestamp_ns, map, metres_per_unit, sigma = now.sigma, "scale by tags");
+        }
+        if news || told.is_none() {
+            self.last_tag_scale = told;
+        }
+    }
+
     fn log_changes(&mut self, e: &PoseEstimate) {
+        self.log_tag_scale(e);
         let (sequence, timestamp_ns, map) = (e.sequence, e.timestamp_ns, e.map.0);
         if e.reset_counter != self.last_resets {
             info!(sequence, timestamp_ns, map, reset_counter = e.reset_counter, "reset");

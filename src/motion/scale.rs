@@ -61,9 +61,9 @@ const METRIC_SIGMA: f64 = 0.05;
 /// A metric map is scaled again where the fused word differs by more than this share of its standard deviation, and by more than this at all.
 const REFINE_SHARE: f64 = 0.3;
 const REFINE_LEAST: f64 = 0.001;
-/// No number of words makes a source better than this: a tag's print and a measured height have an error that all their words share. What
-/// tells by wheels has it in its sigma already.
-const COMMON_SIGMA: [f64; 3] = [0.0, 0.005, 0.002];
+/// No number of words makes a source better than this: a measured height has an error that all its words share. What tells by wheels or
+/// tags has it in its sigma already.
+const COMMON_SIGMA: [f64; 3] = [0.0, 0.005, 0.0];
 /// A word this many standard deviations from what its own source has said so far, several times, replaces that; fewer times it is left out.
 const CONTRADICTS: f64 = 5.0;
 const INSISTS: u32 = 3;
@@ -79,8 +79,8 @@ struct Word {
 
 /// All that is said of one map's scale.
 ///
-/// Words of tags and heights come one by one and are independent but for what their source has in common; the wheels' solution is one
-/// word that is renewed. Sources are independent of each other and are brought together by their variances. An error common to both wheels is
+/// Words of heights come one by one and are independent but for what they have in common; what wheels and tags say is one word each that is
+/// renewed. Sources are independent of each other and are brought together by their variances. An error common to both wheels is
 /// in the wheels' sigma, so beside a tag the tag decides, and the wheels hold what it said.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ScaleFusion {
@@ -99,7 +99,7 @@ impl ScaleFusion {
         self.words[source as usize].map(|word| word.log)
     }
 
-    /// Takes a word on the present map as it is now. A second one of the wheels' replaces the one before, others add to it. `false`, and nothing
+    /// Takes a word on the present map as it is now. A second one of the wheels' or of tags replaces the one before, those of heights add to it. `false`, and nothing
     /// taken: it is not finite, or contradicts its own source.
     pub fn add(&mut self, measurement: &ScaleMeasurement) -> bool {
         let ScaleMeasurement { source, log_metres_per_unit: log, sigma } = *measurement;
@@ -108,7 +108,7 @@ impl ScaleFusion {
         }
         let new = Word { log, variance: sigma * sigma, contradicted: 0 };
         let word = &mut self.words[source as usize];
-        let Some(before) = word.as_mut().filter(|_| source != ScaleSource::Wheels) else {
+        let Some(before) = word.as_mut().filter(|_| source == ScaleSource::Height) else {
             *word = Some(new);
             return true;
         };
@@ -212,10 +212,11 @@ mod tests {
     }
 
     #[test]
-    fn beside_a_tag_the_tag_decides_and_many_words_do_not_make_its_print_exact() {
+    fn beside_a_tag_the_tag_decides_and_its_last_word_is_what_counts() {
         let mut fusion = ScaleFusion::default();
         fusion.add(&word(ScaleSource::Wheels, 0.02, 0.01));
-        (0..100).for_each(|_| assert!(fusion.add(&word(ScaleSource::Tag, 0.0, 0.004))));
+        fusion.add(&word(ScaleSource::Tag, 0.3, 0.02));
+        fusion.add(&word(ScaleSource::Tag, 0.0, 0.002));
         let (log, sigma, sources) = fusion.fused().expect("two sources");
         assert!(log < 0.001, "{log}");
         assert!((0.0019..0.0021).contains(&sigma), "{sigma}");
@@ -224,13 +225,21 @@ mod tests {
     }
 
     #[test]
+    fn many_words_do_not_make_a_measured_height_exact() {
+        let mut fusion = ScaleFusion::default();
+        (0..100).for_each(|_| assert!(fusion.add(&word(ScaleSource::Height, 0.0, 0.01))));
+        let (_, sigma, _) = fusion.fused().expect("told");
+        assert!((0.0050..0.0052).contains(&sigma), "{sigma}");
+    }
+
+    #[test]
     fn one_wrong_word_is_left_out_and_one_that_is_repeated_is_heard() {
         let mut fusion = ScaleFusion::default();
-        (0..5).for_each(|_| assert!(fusion.add(&word(ScaleSource::Tag, 0.1, 0.01))));
-        assert!(!fusion.add(&word(ScaleSource::Tag, 0.5, 0.01)));
-        assert!(!fusion.add(&word(ScaleSource::Tag, f64::NAN, 0.01)) && !fusion.add(&word(ScaleSource::Tag, 0.1, 0.0)));
+        (0..5).for_each(|_| assert!(fusion.add(&word(ScaleSource::Height, 0.1, 0.01))));
+        assert!(!fusion.add(&word(ScaleSource::Height, 0.5, 0.01)));
+        assert!(!fusion.add(&word(ScaleSource::Height, f64::NAN, 0.01)) && !fusion.add(&word(ScaleSource::Height, 0.1, 0.0)));
         assert!((fusion.fused().expect("told").0 - 0.1).abs() < 1e-9);
-        assert!(!fusion.add(&word(ScaleSource::Tag, 0.5, 0.01)) && fusion.add(&word(ScaleSource::Tag, 0.5, 0.01)));
+        assert!(!fusion.add(&word(ScaleSource::Height, 0.5, 0.01)) && fusion.add(&word(ScaleSource::Height, 0.5, 0.01)));
         assert!((fusion.fused().expect("told").0 - 0.5).abs() < 1e-9);
     }
 }

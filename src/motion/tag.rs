@@ -24,7 +24,7 @@ use super::scale::{ScaleMeasurement, ScaleSource};
 use crate::features::tags::{FAMILY_SIZE, Tag, TagDetector};
 use crate::geometry::CameraModel;
 use crate::image::GreyImage;
-use crate::map::{KeyframeId, Map};
+use crate::map::{KeyframeId, Map, MapId};
 use edge_length::{PlacedTag, View, edge_length};
 
 /// Sides of a black square that are believed, m: a stamp, and a wall.
@@ -111,6 +111,8 @@ pub struct Tags {
     detector: TagDetector,
     found: Vec<Tag>,
     known: Vec<Known>,
+    /// Of this map.
+    measured: MapId,
     measurement: Option<ScaleMeasurement>,
 }
 
@@ -122,12 +124,19 @@ impl Tags {
             detector: TagDetector::default(),
             found: Vec::new(),
             known: Vec::new(),
+            measured: MapId::default(),
             measurement: None,
         })
     }
 
     /// Looks at a new keyframe's picture; true if that shows a tag, by which the measurement may have changed.
-    pub fn see(&mut self, map: &Map, keyframe: KeyframeId, image: &GreyImage, optics: &Optics<'_>) -> bool {
+    pub fn see(
+        &mut self,
+        (map, map_id): (&Map, MapId),
+        keyframe: KeyframeId,
+        image: &GreyImage,
+        optics: &Optics<'_>,
+    ) -> bool {
         self.detector.detect(image, &mut self.found);
         let found = std::mem::take(&mut self.found);
         let mut seen = false;
@@ -146,24 +155,37 @@ impl Tags {
         self.found = found;
         if seen {
             self.measure(map, optics);
+            self.measured = map_id;
         }
         seen
     }
 
-    /// The scale of the map, as of the last keyframe that showed a tag. Replaces what was told before.
-    pub fn measurement(&self) -> Option<ScaleMeasurement> {
-        self.measurement
+    /// The scale of this map, as of the last keyframe that showed a tag. Replaces what was told before.
+    pub fn measurement(&self, map: MapId) -> Option<ScaleMeasurement> {
+        self.measurement.filter(|_| self.measured == map)
     }
 
-    /// Tags whose place in the map is known, as of the same keyframe: number and place.
-    pub fn placed(&self) -> impl Iterator<Item = (u16, &PlacedTag)> {
-        self.known.iter().filter_map(|known| Some((known.id, known.placed.as_ref()?)))
+    /// Tags whose place in this map is known, as of the same keyframe: number and place.
+    pub fn placed(&self, map: MapId) -> impl Iterator<Item = (u16, &PlacedTag)> {
+        let known = self.known.iter().filter(move |_| self.measured == map);
+        known.filter_map(|known| Some((known.id, known.placed.as_ref()?)))
     }
 
-    /// The map is another one: what was measured in it says nothing of the next.
-    pub fn end_map(&mut self) {
+    /// Lengths of the map were multiplied by `scale`: what was told before is told in the new unit.
+    pub fn rescale(&mut self, scale: f64) {
+        for placed in self.known.iter_mut().filter_map(|known| known.placed.as_mut()) {
+            placed.log_edge += scale.ln();
+            placed.world_from_tag.translation *= scale;
+        }
+        if let Some(measurement) = &mut self.measurement {
+            measurement.log_metres_per_unit -= scale.ln();
+        }
+    }
+
+    /// The camera is another one: pixels of the one before say nothing.
+    pub fn forget(&mut self) {
+        self.known.clear();
         self.measurement = None;
-        self.known.iter_mut().for_each(|known| known.placed = None);
     }
 
     fn note(&mut self, map: &Map, id: u16, sighting: Sighting) {
@@ -180,6 +202,7 @@ impl Tags {
         };
         // Most recently seen last.
         let mut known = self.known.remove(i);
+        known.sightings.retain(|s| s.keyframe != sighting.keyframe);
         if known.sightings.len() == MOST_SIGHTINGS {
             drop_one(map, &mut known.sightings);
         }

@@ -53,6 +53,8 @@ use crate::image::pyramid::PyramidPool;
 use crate::map::{KeyframeId, KeyframeView, LandmarkId, Sought};
 use crate::motion::hand_eye::Robot;
 use crate::motion::wheel_scale::RADIUS_SIGMA;
+use crate::motion::scale::ScaleMeasurement;
+use crate::motion::tag::{self, TagConfig, Tags};
 
 /// Share of the landmarks looked for that are seen: below the first a frame is looked for elsewhere too (after a stretch of blur
 /// a few landmarks can hold a pose that has slid away), below the second it is no keyframe. Without the first, errors over 35 sequences
@@ -83,6 +85,8 @@ pub struct Reconstruction {
     tracker: Tracker,
     relocaliser: Relocaliser,
     epipolar: EpipolarMatcher,
+    /// Where tags of a known size are looked for.
+    tags: Option<Tags>,
     /// Of the newest keyframes and their neighbours: when one is reduced the next takes its place, which keeps the heap in one piece.
     pictures: PyramidPool,
     mapper: Mapper,
@@ -131,6 +135,7 @@ impl Reconstruction {
             tracker: Tracker::default(),
             relocaliser: Relocaliser::default(),
             epipolar: EpipolarMatcher::default(),
+            tags: None,
             pictures: PyramidPool::new(WHOLE_PICTURES, 1),
             mapper: Mapper::new(worker, lockstep),
             corrections: Corrections::default(),
@@ -142,6 +147,11 @@ impl Reconstruction {
             events: Vec::new(),
             counters: Counters::default(),
         }
+    }
+
+    /// Looks for tags of a known size in keyframes from now on, if the configuration names a size.
+    pub fn look_for_tags(&mut self, config: &TagConfig) {
+        self.tags = Tags::new(config);
     }
 
     /// The pose of a frame. Allocates nothing once warm while there is a map and the frame is found in it, unless the one before is so
@@ -354,6 +364,14 @@ impl Reconstruction {
         active.unadjusted = Some(id);
         self.recognise(features, id);
         self.look_for_loop(features, id);
+        if let (Some(tags), Some(picture)) = (&mut self.tags, features.pyramid.levels.first()) {
+            let optics = tag::Optics { camera: &self.optics.camera, readout_s: self.optics.shutter.readout_s };
+            if tags.see((&self.active.map, self.active.id), id, picture, &optics)
+                && let Some(word) = tags.measurement(self.active.id)
+            {
+                self.active.fusion.add(&word);
+            }
+        }
     }
 
     /// Drops all maps and starts over at the next frame.
@@ -398,6 +416,9 @@ impl Reconstruction {
     pub fn change_camera(&mut self, camera: &CameraModel, prior: LensPrior) {
         self.reset();
         self.optics = Optics::new(camera, prior, &self.config);
+        if let Some(tags) = &mut self.tags {
+            tags.forget();
+        }
     }
 
     /// Events since the last call, in order; to be drained after every frame.
@@ -426,6 +447,11 @@ impl Reconstruction {
     pub fn scale_is_assumed(&self) -> bool {
         self.state == TrackingState::Tracking
             && self.active.map.keyframe(self.active.reference).is_some_and(|k| k.scale_from.is_some())
+    }
+
+    /// What tags of a known size say of the present map's scale; the newest measurement contains those before.
+    pub fn scale_by_tags(&self) -> Option<ScaleMeasurement> {
+        self.tags.as_ref()?.measurement(self.active.id)
     }
 
     /// Landmarks that the last frame's pose rests on, and where they were found in its picture, px; none unless it was tracked.

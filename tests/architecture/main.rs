@@ -26,13 +26,13 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
     // Pictures and where they come from.
     ("image", &["frame"]),
     ("calibration", &["atomic_file", "geometry", "image"]),
-    ("camera", &["calibration", "frame", "geometry", "image", "motion", "ros", "trajectory"]),
+    ("camera", &["calibration", "features", "frame", "geometry", "image", "motion", "ros", "trajectory"]),
     // From pictures to a map. Features know no map, the map knows no reconstruction, and none of them knows a camera, the
     // ring or the wire.
     ("features", &["frame", "geometry", "image"]),
     ("map", &["atomic_file", "features", "geometry", "image"]),
-    // What the robot knows besides the picture.
-    ("motion", &["telemetry"]),
+    // What the robot knows besides the picture says how long a map unit is.
+    ("motion", &["features", "geometry", "image", "map", "telemetry"]),
     ("reconstruction", &["features", "geometry", "image", "map", "motion"]),
     // What comes out.
     ("trajectory", &["atomic_file", "geometry", "map", "reconstruction"]),
@@ -49,7 +49,7 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
     // The method on two pictures: what `features` and `geometry` can do, on files, outside the daemon. Nobody but `cli` knows it.
     ("workbench", &["atomic_file", "calibration", "camera", "features", "frame", "geometry", "image", "trajectory"]),
     // What holds it together.
-    ("config", &["camera", "features", "geometry", "publish", "reconstruction", "telemetry"]),
+    ("config", &["camera", "features", "geometry", "motion", "publish", "reconstruction", "telemetry"]),
     (
         "daemon",
         &[
@@ -86,6 +86,7 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
             "geometry",
             "image",
             "messages",
+            "motion",
             "plot",
             "publish",
             "reconstruction",

@@ -17,13 +17,14 @@
 //! | this | 0 | | 880 | 2.8 ms |
 //! | `apriltag` 0.4, binding to the C library 3.2 | 7 | 40 s | 881 | 21.5 ms; at half resolution 880 and 9.3 ms |
 //! | `kornia-apriltag` 0.2 | 148 | 478 s | 870 | 5.7 ms |
+//! | `aprilgrid` 0.8, for calibration boards with small squares at the tags' corners | 176 | 568 s | 0 | 10.8 ms |
 //! | OpenCV's `aruco`, four ways of refining corners | | | 868 to 870 | 21 to 57 ms |
 //!
 //! Corners triangulated under the true poses reproject with a median of 0.25 px here, 0.26 px with the binding, 0.26 px with `kornia-apriltag`
-//! and 0.27 to 0.47 px with OpenCV. (`aprilgrid` 0.8, 176 crates, looks for the small squares at the tags' corners of a
-//! calibration board, which a tag on a wall has not.)
+//! and 0.27 to 0.47 px with OpenCV.
+//!
 //! The binding would do by its detections. It links whatever `libapriltag` a machine has, by declarations made for version 3.2; it calls `exit` and
-//! `assert`, which end a daemon; its detector cannot move between threads; and two misread cells cost it 19 MB of tables.
+//! `assert`, which end a daemon; its detector cannot move between threads; and two misread cells cost it 37 MB of tables.
 
 mod binary;
 mod codes;

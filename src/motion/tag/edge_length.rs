@@ -38,6 +38,8 @@ const USUAL_WEIGHT: f64 = 6.0;
 /// Smaller ones are not believed, px: the picture's pixels, and a lens that is not exactly known.
 const LEAST_CORNER_PX: f64 = 0.03;
 const LEAST_VIEW_PX: f64 = 0.05;
+/// A keyframe's error along the line of sight changes the size of a tag and not its place, so the means show two thirds of it.
+const UNSEEN_SHARE: f64 = 1.2;
 /// With larger residuals it is not the same tag in the same place, px.
 const MOST_PX: f64 = 3.0;
 /// Whitened residuals beyond this count less.
@@ -256,7 +258,7 @@ impl Noise {
         let (usual, n) = (Self::usual(focal_px), views.len() as f64);
         let corner = (USUAL_WEIGHT * usual.corner.powi(2) + within) / (USUAL_WEIGHT + 6.0 * n - 4.0);
         let mean = (USUAL_WEIGHT * usual.view.powi(2) + means) / (USUAL_WEIGHT + 2.0 * n - 3.0);
-        let view = (mean - corner / 4.0).max((LEAST_VIEW_PX / focal_px).powi(2)).sqrt();
+        let view = (mean - corner / 4.0).max((LEAST_VIEW_PX / focal_px).powi(2)).sqrt() * UNSEEN_SHARE;
         Some(Self { corner: corner.sqrt().max(LEAST_CORNER_PX / focal_px), view })
     }
 }

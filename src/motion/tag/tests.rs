@@ -1,6 +1,11 @@
+use nalgebra::{UnitQuaternion, Vector3};
+
 use super::*;
+use crate::features::tags::{CELLS, is_white};
 use crate::geometry::Se3;
+use crate::geometry::frames::{Camera, World};
 use crate::geometry::random::Random;
+use crate::map::Keyframe;
 
 fn placed(edge: f64, corner_sigma: f64, view_sigma: f64) -> PlacedTag {
     PlacedTag {
@@ -78,4 +83,100 @@ fn wrong_values_of_the_configuration_are_named() {
     }
     assert_eq!(key(0.15, 0.0003, &[587]), Err("ids"));
     assert!(Tags::new(&TagConfig::default()).is_none());
+}
+
+/// What a camera with a lens sees of tag `id` on the plane z = 0 (x right, y down, side `size_m`, its middle in the origin).
+fn picture(camera: &CameraModel, camera_from_metres: &Se3<Camera, World>, id: u16, size_m: f64) -> GreyImage {
+    let metres_from_camera = camera_from_metres.inverse();
+    let value = |pixel: Vector2<f64>| {
+        let ray = metres_from_camera.rotation * camera.undistort(&pixel).expect("inside").push(1.0);
+        let eye = metres_from_camera.translation;
+        let cell = ((eye - ray * (eye.z / ray.z)).xy() / size_m + Vector2::repeat(0.5)) * CELLS as f64;
+        let inside = |low: f64, high: f64| cell.min() >= low && cell.max() < high;
+        match () {
+            () if inside(0.0, 8.0) => [25.0, 210.0][usize::from(is_white(id, cell.x as usize, cell.y as usize))],
+            () if inside(-1.0, 9.0) => 210.0,
+            () => 120.0,
+        }
+    };
+    let mut image = GreyImage::new(camera.width as usize, camera.height as usize);
+    for (i, v) in image.data.iter_mut().enumerate() {
+        let at = Vector2::new((i % camera.width as usize) as f64, (i / camera.width as usize) as f64);
+        let around = [[-0.3, -0.1], [0.1, -0.3], [0.3, 0.1], [-0.1, 0.3]];
+        *v = (around.map(|by| value(at + Vector2::from(by))).iter().sum::<f64>() / 4.0).round() as u8;
+    }
+    image
+}
+
+/// A map whose unit is 2.5 m, with five keyframes that look at tag 9 of 0.15 m, and their pictures through a lens that bends.
+fn map_before_a_tag() -> (CameraModel, Map, Vec<(KeyframeId, GreyImage)>) {
+    let camera =
+        CameraModel::new(240, 180, 220.0, 221.0, 118.0, 91.0, [-0.25, 0.08, 0.001, -0.001, 0.0]).expect("valid");
+    let mut map = Map::default();
+    let mut pictures = Vec::new();
+    for i in 0..5 {
+        let angle = 0.12 * (f64::from(i) - 2.0);
+        let eye = Vector3::new(angle.sin() + 0.05, -0.1, -angle.cos()) * 0.75;
+        let aim = Vector3::new(0.1, 0.03 * f64::from(i), 0.0);
+        let look = UnitQuaternion::face_towards(&(aim - eye), &Vector3::y()).inverse();
+        let camera_from_metres: Se3<Camera, World> = Se3::new(look, -(look * eye));
+        let id = map.add_keyframe(Keyframe {
+            sequence: i as u64,
+            timestamp_ns: 0,
+            map: MapId(3),
+            camera_from_world: Se3::new(look, camera_from_metres.translation / 2.5),
+            motion: None,
+            picture: Default::default(),
+            thumbnail: Default::default(),
+            scale_from: None,
+            observations: Vec::new(),
+            covisible: Vec::new(),
+            corners: Vec::new(),
+        });
+        pictures.push((id, picture(&camera, &camera_from_metres, 9, 0.15)));
+    }
+    (camera, map, pictures)
+}
+
+#[test]
+fn keyframes_that_see_a_tag_through_a_lens_tell_the_maps_scale() {
+    let (camera, map, pictures) = map_before_a_tag();
+    let optics = Optics { camera: &camera, readout_s: 0.0 };
+    let mut tags = Tags::new(&config(0.0003)).expect("on");
+    for (i, (keyframe, picture)) in pictures.iter().enumerate() {
+        assert!(tags.see((&map, MapId(3)), *keyframe, picture, &optics), "the tag is in every picture");
+        assert_eq!(tags.measurement(MapId(3)).is_some(), i >= 2, "three views");
+    }
+    let found = tags.measurement(MapId(3)).expect("told");
+    let error = found.log_metres_per_unit - 2.5f64.ln();
+    assert!(error.abs() < 0.005 && error.abs() < 2.0 * found.sigma && found.sigma < 0.01, "off by {error}: {found:?}");
+    let [(9, placed)] = tags.placed(MapId(3)).collect::<Vec<_>>()[..] else { panic!("tag 9") };
+    assert!(placed.world_from_tag.translation.norm() < 0.005 && placed.views == 5, "{placed:?}");
+    assert!(placed.world_from_tag.rotation.angle() < 0.03, "{placed:?}");
+
+    assert_eq!(tags.measurement(MapId(4)), None, "another map");
+    tags.rescale(2.5);
+    let metric = tags.measurement(MapId(3)).expect("told").log_metres_per_unit;
+    assert!((metric - error).abs() < 1e-12, "the map is in metres now: {metric}");
+    tags.forget();
+    assert_eq!(tags.measurement(MapId(3)), None);
+}
+
+#[test]
+fn tags_that_are_not_named_and_keyframes_that_are_gone_say_nothing() {
+    let (camera, mut map, pictures) = map_before_a_tag();
+    let optics = Optics { camera: &camera, readout_s: 0.0 };
+    let mut others = Tags::new(&TagConfig { ids: vec![8], ..config(0.0003) }).expect("on");
+    let mut tags = Tags::new(&config(0.0003)).expect("on");
+    for (keyframe, picture) in &pictures {
+        assert!(!others.see((&map, MapId(3)), *keyframe, picture, &optics));
+        tags.see((&map, MapId(3)), *keyframe, picture, &optics);
+    }
+    assert_eq!(others.measurement(MapId(3)), None);
+    let (last, picture) = &pictures[4];
+    for (keyframe, _) in &pictures[..3] {
+        map.remove_keyframe(*keyframe);
+    }
+    tags.see((&map, MapId(3)), *last, picture, &optics);
+    assert_eq!(tags.measurement(MapId(3)), None, "two views are left");
 }
