@@ -46,7 +46,7 @@ use crate::features::{Feedback, FrameFeatures};
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::image::pyramid::PyramidPool;
-use crate::map::{KeyframeId, KeyframeView, LandmarkId, Sought};
+use crate::map::{KeyframeId, KeyframeView, LandmarkId, MapId, Sought};
 
 /// Share of the landmarks looked for that are seen: below the first a frame is looked for elsewhere too (after a stretch of blur
 /// a few landmarks can hold a pose that has slid away), below the second it is no keyframe. Without the first, errors over 35 sequences
@@ -417,6 +417,11 @@ impl Reconstruction {
     /// How often map coordinates were corrected beyond ordinary adjustment, and how far the last time.
     pub fn corrections(&self) -> Corrections {
         self.corrections
+    }
+
+    /// The map that frames are placed in.
+    pub fn map_id(&self) -> MapId {
+        self.active.id
     }
 
     /// Maps that are kept, the current one among them.

@@ -32,6 +32,8 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
     ("features", &["frame", "geometry", "image"]),
     ("map", &["atomic_file", "features", "geometry", "image"]),
     ("reconstruction", &["features", "geometry", "image", "map"]),
+    // Maps on disk. Their library's panics are kept from the log.
+    ("places", &["features", "geometry", "image", "map", "telemetry"]),
     // What comes out.
     ("trajectory", &["atomic_file", "geometry", "map", "reconstruction"]),
     (
@@ -59,6 +61,7 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
             "image",
             "map",
             "messages",
+            "places",
             "plot",
             "publish",
             "reconstruction",
@@ -82,7 +85,9 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
             "frame",
             "geometry",
             "image",
+            "map",
             "messages",
+            "places",
             "plot",
             "publish",
             "reconstruction",
