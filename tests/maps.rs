@@ -183,8 +183,11 @@ fn kill_9_at_any_moment_leaves_a_whole_map_that_lacks_seconds() {
     let dir = tempfile::tempdir().unwrap();
     let recording = simulated(dir.path());
     let frames = std::fs::read_to_string(recording.join("rgb.txt")).unwrap();
-    let times: Vec<f64> =
-        frames.lines().filter_map(|line| line.split(' ').next()?.parse().ok()).filter(|t: &f64| t.is_finite()).collect();
+    let times: Vec<f64> = frames
+        .lines()
+        .filter_map(|line| line.split(' ').next()?.parse().ok())
+        .filter(|t: &f64| t.is_finite())
+        .collect();
     let (mut state, mut killed_at_work, mut most_lost) = (0x9E37_79B9_7F4A_7C15u64, 0, 0.0f64);
     for kill in 0..KILLS {
         let map = dir.path().join(format!("{}.map", kill / 4));

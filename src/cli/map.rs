@@ -241,9 +241,14 @@ impl Info {
         text += &format!("  {mb:.1} MB, {:.1} kB a keyframe", self.bytes_per_keyframe as f64 / 1e3);
         text += &format!(" (pictures {pictures:.1} MB, keyframes {keyframes:.1}, landmarks {landmarks:.1})\n");
         let CameraInfo { width, height, knowledge, lens_model, intrinsics_px: [fx, fy, cx, cy], .. } = &self.camera;
-        text += &format!("  camera {width} x {height} px, {knowledge}, {lens_model}: fx {fx:.2} fy {fy:.2} cx {cx:.2} cy {cy:.2} px\n");
+        text += &format!(
+            "  camera {width} x {height} px, {knowledge}, {lens_model}: fx {fx:.2} fy {fy:.2} cx {cx:.2} cy {cy:.2} px\n"
+        );
         let [fx, fy, cx, cy] = self.camera.given_px;
-        text += &format!("  as it was given: fx {fx:.2} fy {fy:.2} cx {cx:.2} cy {cy:.2} px; readout {:.1} ms\n", self.readout_ms);
+        text += &format!(
+            "  as it was given: fx {fx:.2} fy {fy:.2} cx {cx:.2} cy {cy:.2} px; readout {:.1} ms\n",
+            self.readout_ms
+        );
         match self.metres_per_unit {
             Some(metres) => text += &format!("  a map unit is {metres:.4} m\n"),
             None => text += "  lengths are map units, no metres\n",
@@ -263,9 +268,8 @@ impl MapInfo {
         let map = &saved.map;
         let landmarks = map.landmarks.iter().filter(|(_, l)| l.assumed.is_none()).map(|(_, l)| l.position);
         let points: Vec<_> = landmarks.chain(map.keyframes.iter().map(|(_, k)| k.centre())).collect();
-        let corner = |pick: fn(f64, f64) -> f64| {
-            points.iter().copied().reduce(|a, b| a.zip_map(&b, pick)).map(<[f64; 3]>::from)
-        };
+        let corner =
+            |pick: fn(f64, f64) -> f64| points.iter().copied().reduce(|a, b| a.zip_map(&b, pick)).map(<[f64; 3]>::from);
         let times = || map.keyframes.iter().map(|(_, k)| k.timestamp_ns);
         Self {
             id: saved.head.id.0,
@@ -282,7 +286,9 @@ impl MapInfo {
 
     fn text(&self) -> String {
         let Self { id, keyframes, landmarks, observations, frames, .. } = self;
-        let mut text = format!("  map {id}: {keyframes} keyframes, {landmarks} landmarks, {observations} observations; {frames} frames tracked in it\n");
+        let mut text = format!(
+            "  map {id}: {keyframes} keyframes, {landmarks} landmarks, {observations} observations; {frames} frames tracked in it\n"
+        );
         if let (Some(from), Some(to)) = (&self.from_s, &self.to_s) {
             text += &format!("    keyframes from {from} to {to} s\n");
         }

@@ -8,7 +8,8 @@ use crate::places::store::{Fault, MapFile, StoreError, read};
 
 /// Opens or, where it is missing, plans the file. Nothing in it changes before the first frame.
 pub fn plan(path: &Path, localise_only: bool) -> Result<MapPlan, CliError> {
-    let exists = path.try_exists().map_err(|e| CliError::new(exit_code::NO_INPUT, format!("{}: {e}", path.display())))?;
+    let exists =
+        path.try_exists().map_err(|e| CliError::new(exit_code::NO_INPUT, format!("{}: {e}", path.display())))?;
     if localise_only {
         if !exists {
             let message = format!("{}: there is no such file, and `--localise` needs a map", path.display());

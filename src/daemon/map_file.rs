@@ -301,7 +301,10 @@ mod tests {
         assert_eq!(desk.mode(MapId(4)), map_mode::LOCALISATION_ONLY);
         desk.note(&joined(2, 5));
         desk.note(&joined(3, 4));
-        assert_eq!([5, 4, 3].map(|id| desk.mode(MapId(id)) & map_mode::STORED), [0, map_mode::STORED, map_mode::STORED]);
+        assert_eq!(
+            [5, 4, 3].map(|id| desk.mode(MapId(id)) & map_mode::STORED),
+            [0, map_mode::STORED, map_mode::STORED]
+        );
         desk.let_go("reset");
         assert_eq!(desk.mode(MapId(3)) & map_mode::STORED, 0);
     }

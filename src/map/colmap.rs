@@ -47,7 +47,8 @@ fn write_camera(out: &mut impl Write, camera: &CameraModel) -> io::Result<()> {
 /// Two lines: pose and name, then the observations.
 fn write_image(out: &mut impl Write, id: u32, keyframe: &Keyframe, points: &BTreeSet<u32>) -> io::Result<()> {
     let (q, t) = (keyframe.camera_from_world.rotation, keyframe.camera_from_world.translation);
-    let (seconds, ns) = (keyframe.timestamp_ns.div_euclid(1_000_000_000), keyframe.timestamp_ns.rem_euclid(1_000_000_000));
+    let (seconds, ns) =
+        (keyframe.timestamp_ns.div_euclid(1_000_000_000), keyframe.timestamp_ns.rem_euclid(1_000_000_000));
     write!(out, "{} {} {} {} {} {} {} {} 1 ", id + 1, q.w, q.i, q.j, q.k, t.x, t.y, t.z)?;
     writeln!(out, "{seconds}.{ns:09}.png")?;
     for o in keyframe.observations.iter().filter(|o| points.contains(&o.landmark.0)) {
@@ -72,7 +73,8 @@ fn write_point(
         let Some(o) = keyframe.observation(LandmarkId(id)) else { continue };
         let seen = camera.project(&keyframe.camera_from_world.transform(&landmark.position));
         errors.extend(seen.map(|p| (p - o.pixel.cast()).norm()));
-        let place = keyframe.observations.iter().filter(|o| points.contains(&o.landmark.0)).take_while(|o| o.landmark.0 != id);
+        let place =
+            keyframe.observations.iter().filter(|o| points.contains(&o.landmark.0)).take_while(|o| o.landmark.0 != id);
         track += &format!(" {} {}", k + 1, place.count());
     }
     let error = errors.iter().sum::<f64>() / errors.len().max(1) as f64;

@@ -16,8 +16,8 @@ use super::track::association::Target;
 use super::types::TrackingState;
 use crate::features::FrameFeatures;
 use crate::geometry::CameraModel;
-use crate::map::saved::{MapChanges, MapHead, SavedMap, SavedMaps};
 use crate::map::MapId;
+use crate::map::saved::{MapChanges, MapHead, SavedMap, SavedMaps};
 
 /// Maps and camera of the changes that were taken last.
 #[derive(Debug, Clone, PartialEq)]
@@ -33,9 +33,8 @@ impl Reconstruction {
         let ids = std::iter::once(self.active.id).chain(self.others.kept.iter().map(|other| other.id)).collect();
         let taken = Taken { maps: ids, camera: optics.camera.clone() };
         // Of a map that has gone the changes are not known, and with another camera what follows from it is another.
-        let is_known = |before: &Taken| {
-            before.camera == taken.camera && before.maps.iter().all(|id| taken.maps.contains(id))
-        };
+        let is_known =
+            |before: &Taken| before.camera == taken.camera && before.maps.iter().all(|id| taken.maps.contains(id));
         let is_everything = everything || !self.taken.as_ref().is_some_and(is_known);
         self.taken = Some(taken);
         let ActiveMap { map, id, reference, frames, scale, .. } = &mut self.active;

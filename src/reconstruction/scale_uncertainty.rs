@@ -57,13 +57,15 @@ impl Default for ScaleUncertainty {
 impl ScaleUncertainty {
     /// For another run.
     pub fn saved(&self) -> Vec<SavedTurn> {
-        let saved = |&Turn { keyframe, centre, variance, before }: &Turn| SavedTurn { keyframe, centre, variance, before };
+        let saved =
+            |&Turn { keyframe, centre, variance, before }: &Turn| SavedTurn { keyframe, centre, variance, before };
         self.turns.iter().map(saved).collect()
     }
 
     /// What another run knew.
     pub fn restored(saved: &[SavedTurn]) -> Self {
-        let turn = |&SavedTurn { keyframe, centre, variance, before }: &SavedTurn| Turn { keyframe, centre, variance, before };
+        let turn =
+            |&SavedTurn { keyframe, centre, variance, before }: &SavedTurn| Turn { keyframe, centre, variance, before };
         let mut own = Self::default();
         own.turns.extend(saved.iter().take(MAX_TURNS).map(turn));
         own

@@ -313,10 +313,9 @@ fn decode_keyframe(bytes: &[u8], picture: KeyframePicture, camera: &CameraModel)
         timestamp_ns: record.timestamp_ns,
         map: MapId(record.map),
         camera_from_world: Se3::new(rotation, Vector3::new(tx, ty, tz)),
-        motion: record.motion.map(|[a, b, c, d, e, f]| CameraMotion {
-            turn: Vector3::new(a, b, c),
-            shift: Vector3::new(d, e, f),
-        }),
+        motion: record
+            .motion
+            .map(|[a, b, c, d, e, f]| CameraMotion { turn: Vector3::new(a, b, c), shift: Vector3::new(d, e, f) }),
         thumbnail: thumbnail_of(picture.pyramid()),
         picture,
         scale_from: record.scale_from.map(TurnId),

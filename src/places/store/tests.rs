@@ -143,7 +143,8 @@ fn told(map: &Map) -> String {
         let Keyframe { sequence, timestamp_ns, map, camera_from_world, motion, picture, thumbnail, .. } = k;
         let patches: Vec<_> = picture.patches().collect();
         let levels = &picture.pyramid().levels;
-        writeln!(text, "{id} {sequence} {timestamp_ns} {map:?} {camera_from_world:?} {motion:?} {thumbnail:?}").unwrap();
+        writeln!(text, "{id} {sequence} {timestamp_ns} {map:?} {camera_from_world:?} {motion:?} {thumbnail:?}")
+            .unwrap();
         writeln!(text, "{:?} {:?} {:?} {:?}", k.scale_from, k.observations, k.covisible, k.corners).unwrap();
         writeln!(text, "{patches:?} {:08x}", levels.iter().fold(0, |sum, l| sum ^ crc32fast::hash(&l.data))).unwrap();
         writeln!(text, "{:?}", levels.iter().map(|l| (l.width, l.height)).collect::<Vec<_>>()).unwrap();
