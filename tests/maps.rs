@@ -31,7 +31,7 @@ fn recording(name: &str) -> Option<PathBuf> {
 /// A hand-held camera at a desk, 8 s at 30 Hz, as a recording.
 fn simulated(folder: &Path) -> PathBuf {
     let recording = folder.join("recording");
-    let size = ["--width", "320", "--height", "240", "--seconds", "8"];
+    let size = ["--scenario", "hand_held", "--size", "320x240", "--seconds", "8"];
     let status = cairn().args(["simulate", "--output"]).arg(&recording).args(size).status().unwrap();
     assert!(status.success());
     recording
@@ -204,8 +204,10 @@ fn kill_9_at_any_moment_leaves_a_whole_map_that_lacks_seconds() {
             .unwrap();
         let (mut seen, mut ended) = (0, true);
         for line in BufReader::new(child.stderr.take().unwrap()).lines().map_while(Result::ok) {
-            seen += u64::from(line.contains("sequence"));
-            if seen == frame {
+            let number = line.split_once("sequence=").and_then(|(_, rest)| rest.split(' ').next()?.parse::<u64>().ok());
+            // Sequence numbers begin at 0.
+            seen = seen.max(number.map_or(0, |n| n + 1));
+            if seen >= frame {
                 std::thread::sleep(Duration::from_micros(state % 20_000));
                 child.kill().unwrap();
                 ended = false;

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use super::reload::Reloader;
 use super::session::{self, SessionArgs};
-use super::{CliError, camera_calibration, exit_code};
+use super::{CliError, camera_calibration, exit_code, map_file};
 use crate::atomic_file::remove_stale;
 use crate::calibration::{Unsaid, load_camera_with};
 use crate::camera::FrameSource;
@@ -32,6 +32,8 @@ pub fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
     clear_state_folder();
     session::check_outputs([&outputs.trajectory, &outputs.live_trajectory, &outputs.map, &outputs.overview])?;
     let prepared = prepare(&config)?;
+    let named = Some(&config.map.file).filter(|file| !file.as_os_str().is_empty());
+    let map_file = named.map(|file| map_file::plan(file, config.map.localise)).transpose()?;
     let (outlet, mut desk) =
         session::open_wire(&config, Clock::Monotonic, Some(prepared.size)).map_err(|e| session::wire_error(&e))?;
     let Some(Source { supply, calibration, keep_lens }) = prepared.source(&config, &mut desk, &stop, &mut reloader)?
@@ -45,7 +47,7 @@ pub fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
         outputs,
         spool_folder: Some(spool_folder()),
         keep_lens,
-        map_file: None,
+        map_file,
         status: Arc::new(Status::default()),
         config,
     };

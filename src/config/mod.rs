@@ -42,6 +42,7 @@ pub struct Config {
     pub features: FeaturesConfig,
     pub reconstruction: ReconstructionConfig,
     pub tag: TagConfig,
+    pub map: MapConfig,
     pub mount: MountConfig,
     pub publish: PublishConfig,
     pub output: OutputConfig,
@@ -59,6 +60,7 @@ impl Default for Config {
             features: FeaturesConfig::default(),
             reconstruction: ReconstructionConfig::default(),
             tag: TagConfig::default(),
+            map: MapConfig::default(),
             mount: MountConfig::default(),
             publish: PublishConfig::default(),
             output: OutputConfig::default(),
@@ -174,6 +176,16 @@ impl PublishConfig {
     }
 }
 
+/// `[map]`: the map that outlasts the run.
+#[derive(Debug, Clone, Default, PartialEq, Eq, serde::Deserialize, serde::Serialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MapConfig {
+    /// Map file, made if it is missing; empty: the map ends with the run. Relative to where the daemon is started.
+    pub file: PathBuf,
+    /// Only locate in it: neither map nor file changes.
+    pub localise: bool,
+}
+
 /// `[output]`: files written when the daemon ends. An empty path writes nothing.
 #[derive(Debug, Clone, Default, PartialEq, Eq, serde::Deserialize, serde::Serialize)]
 #[serde(deny_unknown_fields, default)]
@@ -219,6 +231,9 @@ impl Config {
         self.camera.validate().map_err(|(key, reason)| in_room("camera", key, reason))?;
         self.simulator.validate().map_err(|e| in_room("simulator", e.key, e.reason))?;
         self.publish.validate()?;
+        if self.map.localise && self.map.file.as_os_str().is_empty() {
+            return Err(Invalid::new("map.localise", "needs a map to be located in: map.file names none"));
+        }
         self.refuse_what_is_not_built()?;
         self.log.filter().map_err(|reason| Invalid::new("log.level", reason))?;
         self.mount.validate()

@@ -409,6 +409,7 @@ impl HealthWatch {
             maps_joined: s.maps_joined.get(),
             maps: s.maps(),
             map_revision,
+            map_mode: s.map_mode(),
             correction_distance,
             correction_rad,
             frame_age_ns: age(s.last_arrival_ns()),

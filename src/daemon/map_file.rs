@@ -6,6 +6,7 @@
 //!
 //! A write that fails loses nothing that is in the file: it is opened anew after a while, verified, and given all there is.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,9 +16,11 @@ use crossbeam::channel::{Receiver, Sender};
 use tracing::{debug, error, info, warn};
 
 use crate::geometry::CameraModel;
+use crate::map::MapId;
 use crate::map::saved::{MapChanges, SavedMaps, SavedOptics};
+use crate::messages::map_mode;
 use crate::places::store::{MapFile, StoreError};
-use crate::reconstruction::{LensPrior, Reconstruction};
+use crate::reconstruction::{LensPrior, Reconstruction, TrajectoryEvent};
 
 /// Between two writes, ns of the frames' time: what a power cut loses at the most, with the time that a write takes.
 const WRITE_EVERY_NS: i64 = 2_000_000_000;
@@ -59,6 +62,8 @@ pub enum KeeperLink {
 pub struct MapDesk {
     path: PathBuf,
     saved: Option<SavedMaps>,
+    /// Maps that came from the file, or have become a part of one.
+    stored: BTreeSet<MapId>,
     localise_only: bool,
     /// `None`: nothing is written (any more).
     link: Option<KeeperLink>,
@@ -79,7 +84,8 @@ impl MapPlan {
             wants_everything: wants_everything.clone(),
         });
         let (path, saved, localise_only) = (self.path, self.saved, self.localise_only);
-        (MapDesk { path, saved, localise_only, link: None, wants_everything, last_ns: None }, keeper)
+        let stored = saved.iter().flat_map(|saved| saved.maps.iter().map(|m| m.head.id)).collect();
+        (MapDesk { path, saved, stored, localise_only, link: None, wants_everything, last_ns: None }, keeper)
     }
 }
 
@@ -164,6 +170,21 @@ impl MapDesk {
         Ok(())
     }
 
+    /// What happened to maps.
+    pub fn note(&mut self, event: &TrajectoryEvent) {
+        if let TrajectoryEvent::MapJoined { map, into, .. } = event
+            && self.stored.contains(map)
+        {
+            self.stored.insert(*into);
+        }
+    }
+
+    /// Bits of the wire's `map_mode` while frames are placed in this map.
+    pub fn mode(&self, map: MapId) -> u8 {
+        let bit = |is_set: bool, bit: u8| if is_set { bit } else { 0 };
+        bit(self.localise_only, map_mode::LOCALISATION_ONLY) | bit(self.stored.contains(&map), map_mode::STORED)
+    }
+
     /// After a frame: hands over what has changed, if it is time and the keeper has nothing to do.
     pub fn turn(&mut self, reconstruction: &mut Reconstruction, timestamp_ns: i64) {
         let every = if self.wants_everything.load(Ordering::Acquire) { RETRY_AFTER_NS } else { WRITE_EVERY_NS };
@@ -211,6 +232,7 @@ impl MapDesk {
     /// The maps that the file is about are dropped: it keeps what it has.
     pub fn let_go(&mut self, why: &'static str) {
         self.saved = None;
+        self.stored.clear();
         if self.link.take().is_some() {
             warn!(path = %self.path.display(), why, "map file keeps what it has, and nothing more is written to it");
         }
@@ -268,6 +290,23 @@ mod tests {
         assert!(told.contains("not calibrated"), "{told}");
         let guessed = begun(&camera(280.0), LensPrior::UNKNOWN).take_changes(true).optics;
         assert_eq!(check_camera(&guessed, &camera(290.0), LensPrior::UNKNOWN), Ok(()), "both are guesses");
+    }
+
+    #[test]
+    fn a_map_that_a_stored_one_was_joined_to_counts_as_stored() {
+        let plan = MapPlan { path: "a.map".into(), file: None, saved: None, localise_only: true };
+        let mut desk = plan.split().0;
+        desk.stored.insert(MapId(3));
+        let joined = |map, into| TrajectoryEvent::MapJoined { map: MapId(map), into: MapId(into), scale: 1.0 };
+        assert_eq!(desk.mode(MapId(4)), map_mode::LOCALISATION_ONLY);
+        desk.note(&joined(2, 5));
+        desk.note(&joined(3, 4));
+        assert_eq!(
+            [5, 4, 3].map(|id| desk.mode(MapId(id)) & map_mode::STORED),
+            [0, map_mode::STORED, map_mode::STORED]
+        );
+        desk.let_go("reset");
+        assert_eq!(desk.mode(MapId(3)) & map_mode::STORED, 0);
     }
 
     #[test]

@@ -237,6 +237,7 @@ impl ReconstructStep {
         self.recorder.record(Record::Published(estimate));
         if let (Some(desk), Some(reconstruction)) = (self.map_file.as_mut(), self.reconstruction.as_mut()) {
             desk.turn(reconstruction, features.timestamp_ns);
+            self.status.set_map_mode(desk.mode(reconstruction.map_id()));
         }
         self.publish_map();
         if let Some(outlet) = self.outlet.as_mut() {
@@ -459,6 +460,9 @@ impl ReconstructStep {
             reconstruction.take_trajectory_events(&mut self.events);
         }
         for event in self.events.drain(..) {
+            if let Some(desk) = self.map_file.as_mut() {
+                desk.note(&event);
+            }
             self.recorder.record(Record::Event(event));
         }
     }
@@ -471,7 +475,9 @@ impl ReconstructStep {
         }
         reconstruction.snapshot(&mut self.snapshot);
         self.status.set_map(&self.snapshot);
-        match outlet.map(&self.snapshot, &context(reconstruction, self.placements, self.last_frame_ns)) {
+        match outlet
+            .map(&self.snapshot, &context(reconstruction, self.placements, self.last_frame_ns, self.status.map_mode()))
+        {
             Ok(()) => self.status.maps_published.add(1),
             Err(error) => self.publish_failed(&error),
         }
@@ -540,11 +546,12 @@ impl ReconstructStep {
 
 /// What a map message says of the map as it is now. It may have been dropped after the last frame was placed, so the counter is the map's and not
 /// that of the frame's pose.
-fn context(reconstruction: &Reconstruction, placements: u32, timestamp_ns: i64) -> MapContext {
+fn context(reconstruction: &Reconstruction, placements: u32, timestamp_ns: i64, map_mode: u8) -> MapContext {
     MapContext {
         timestamp_ns,
         reset_counter: reconstruction.reset_counter().wrapping_add(placements),
         map_revision: reconstruction.corrections().revision,
+        map_mode,
     }
 }
 
@@ -561,7 +568,7 @@ mod tests {
         let mut snapshot = MapSnapshot::default();
         for resets in 0..3 {
             r.snapshot(&mut snapshot);
-            let context = context(&r, 4, 7);
+            let context = context(&r, 4, 7, 0);
             assert_eq!((snapshot.map.0, context.reset_counter, context.timestamp_ns), (resets, 4 + resets, 7));
             r.reset();
         }

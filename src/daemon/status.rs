@@ -80,6 +80,7 @@ pub struct Status {
     map_keyframes: AtomicU32,
     map_id: AtomicU32,
     map_revision: AtomicU32,
+    map_mode: AtomicU8,
     /// Kept, the current one among them.
     maps: AtomicU32,
     /// Bits of: how far the last correction moved (map units) and turned (rad) the pose.
@@ -149,6 +150,7 @@ impl Default for Status {
             map_keyframes: AtomicU32::new(0),
             map_id: AtomicU32::new(0),
             map_revision: AtomicU32::new(0),
+            map_mode: AtomicU8::new(0),
             maps: AtomicU32::new(0),
             correction: [const { AtomicU32::new(f32::NAN.to_bits()) }; 2],
             reset_counter: AtomicU32::new(0),
@@ -328,6 +330,15 @@ impl Status {
     pub fn corrections(&self) -> (u32, [f32; 2]) {
         let far = std::array::from_fn(|i| f32::from_bits(self.correction[i].load(Ordering::Relaxed)));
         (self.map_revision.load(Ordering::Relaxed), far)
+    }
+
+    /// Bits of the wire's `map_mode`.
+    pub fn set_map_mode(&self, mode: u8) {
+        self.map_mode.store(mode, Ordering::Relaxed);
+    }
+
+    pub fn map_mode(&self) -> u8 {
+        self.map_mode.load(Ordering::Relaxed)
     }
 
     /// Maps that are kept, the current one among them; 0 before the first frame.

@@ -78,7 +78,7 @@ pub mod error {
     }
 }
 
-/// Bits of `map_mode`: how the current map is used. None is sent yet.
+/// Bits of `map_mode`: how the current map is used.
 pub mod map_mode {
     /// The map does not grow: the robot is only located in it.
     pub const LOCALISATION_ONLY: u8 = 1 << 0;

@@ -288,6 +288,8 @@ pub struct MapContext {
     /// As in the poses.
     pub reset_counter: u32,
     pub map_revision: u32,
+    /// Bits of [`map_mode`](crate::messages::map_mode).
+    pub map_mode: u8,
 }
 
 impl MapPublisher {
@@ -329,7 +331,7 @@ impl MapPublisher {
             scale,
             scale_source,
             clock: convert::clock(conversion.clock),
-            map_mode: 0,
+            map_mode: context.map_mode,
             reserved: [0; 4],
         };
         self.keyframes.send_filled(path, header)?;
@@ -347,7 +349,7 @@ impl MapPublisher {
             scale,
             scale_source,
             clock: convert::clock(conversion.clock),
-            map_mode: 0,
+            map_mode: context.map_mode,
             reserved: [0; 4],
         };
         self.map.send_filled(map, header)

@@ -50,7 +50,7 @@ use crate::features::{Feedback, FrameFeatures};
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::image::pyramid::PyramidPool;
-use crate::map::{KeyframeId, KeyframeView, LandmarkId, Sought};
+use crate::map::{KeyframeId, KeyframeView, LandmarkId, MapId, Sought};
 use crate::motion::hand_eye::Robot;
 use crate::motion::wheel_scale::RADIUS_SIGMA;
 use crate::motion::scale::ScaleMeasurement;
@@ -471,6 +471,11 @@ impl Reconstruction {
     /// How often map coordinates were corrected beyond ordinary adjustment, and how far the last time.
     pub fn corrections(&self) -> Corrections {
         self.corrections
+    }
+
+    /// The map that frames are placed in.
+    pub fn map_id(&self) -> MapId {
+        self.active.id
     }
 
     /// Maps that are kept, the current one among them.

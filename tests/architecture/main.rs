@@ -33,7 +33,9 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
     ("map", &["atomic_file", "features", "geometry", "image"]),
     // What the robot knows besides the picture says how long a map unit is.
     ("motion", &["features", "geometry", "image", "map", "telemetry"]),
-    ("reconstruction", &["features", "geometry", "image", "map", "motion"]),
+    // Places and maps on disk, whose library's panics are kept from the log.
+    ("places", &["features", "geometry", "image", "map", "telemetry"]),
+    ("reconstruction", &["features", "geometry", "image", "map", "motion", "places"]),
     // What comes out.
     ("trajectory", &["atomic_file", "geometry", "map", "reconstruction"]),
     (
@@ -62,6 +64,7 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
             "map",
             "messages",
             "motion",
+            "places",
             "plot",
             "publish",
             "reconstruction",
@@ -85,8 +88,10 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
             "frame",
             "geometry",
             "image",
+            "map",
             "messages",
             "motion",
+            "places",
             "plot",
             "publish",
             "reconstruction",

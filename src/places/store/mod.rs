@@ -16,8 +16,8 @@
 //! database's own checksums, those of all records, their number, and whether they make maps. A file that is foreign, newer, cut off or broken is
 //! refused with what is wrong, and stays as it is to the byte; the library's panics are errors like any other.
 //!
-//! **Size**: of a 640 x 480 picture some 65 kB a keyframe, 45 of them the half-resolution level without loss, and 130 bytes a landmark.
-//! Time of a write: 10 ms and some 5 ms a new keyframe, on whichever thread calls.
+//! **Size**: of 640 x 480 pictures some 90 kB a keyframe with all that belongs to it (tum_fr1_desk: 193 keyframes, 17.8 MB), 70 of them
+//! pictures without loss, 8 observations and 4 landmarks. Time: 1 ms a frame on average while mapping, on whichever thread calls.
 //!
 //! Deliberately not here: threads and clocks that decide (the daemon's), parts of a map (a file is loaded in full), other programs' formats
 //! (the room `map` has those).
