@@ -102,6 +102,7 @@ pub struct ReconstructStep {
     last_resets: u32,
     last_blind_turns: u64,
     last_maps_joined: u64,
+    last_loops_closed: u64,
     /// Times that a planner has put the map elsewhere: to its readers each is a reset.
     placements: u32,
     last_frame_ns: i64,
@@ -140,6 +141,7 @@ impl ReconstructStep {
             last_resets: 0,
             last_blind_turns: 0,
             last_maps_joined: 0,
+            last_loops_closed: 0,
             placements: 0,
             last_frame_ns: 0,
             lens: None,
@@ -267,6 +269,17 @@ impl ReconstructStep {
         status.set_scale_is_assumed(self.reconstruction.as_ref().is_some_and(Reconstruction::scale_is_assumed));
     }
 
+    fn log_loops(&mut self, e: &PoseEstimate) {
+        let Some(reconstruction) = &self.reconstruction else { return };
+        let loops_closed = reconstruction.counters().loops_closed;
+        if loops_closed != self.last_loops_closed {
+            let (sequence, timestamp_ns, map) = (e.sequence, e.timestamp_ns, e.map.0);
+            let (distance, angle_rad) = (reconstruction.corrections().distance, reconstruction.corrections().angle_rad);
+            info!(sequence, timestamp_ns, map, loops_closed, distance, angle_rad, "loop closed");
+            self.last_loops_closed = loops_closed;
+        }
+    }
+
     fn log_changes(&mut self, e: &PoseEstimate) {
         let (sequence, timestamp_ns, map) = (e.sequence, e.timestamp_ns, e.map.0);
         if e.reset_counter != self.last_resets {
@@ -278,6 +291,7 @@ impl ReconstructStep {
             info!(sequence, timestamp_ns, map, maps_joined, "map joined");
             self.last_maps_joined = maps_joined;
         }
+        self.log_loops(e);
         let blind_turns = self.reconstruction.as_ref().map_or(0, |r| r.counters().blind_turns);
         if blind_turns != self.last_blind_turns {
             warn!(sequence, timestamp_ns, map, blind_turns, "scale assumed after a turn on the spot");

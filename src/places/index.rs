@@ -50,7 +50,10 @@ pub struct Candidate {
 #[derive(Debug)]
 enum Node {
     /// Which bit decides, and where it leads clear and set.
-    Inner { bit: u16, children: [u32; 2] },
+    Inner {
+        bit: u16,
+        children: [u32; 2],
+    },
     Leaf(Leaf),
 }
 

@@ -119,12 +119,7 @@ fn older_links(map: &Map, id: KeyframeId, out: &mut Vec<KeyframeId>) {
 }
 
 /// Two keyframes lie as they do now.
-fn held(
-    map: &Map,
-    place: impl Fn(KeyframeId) -> Option<usize>,
-    from: KeyframeId,
-    to: KeyframeId,
-) -> Option<Edge> {
+fn held(map: &Map, place: impl Fn(KeyframeId) -> Option<usize>, from: KeyframeId, to: KeyframeId) -> Option<Edge> {
     let (a, b) = (map.keyframe(from)?, map.keyframe(to)?);
     let to_from_from = Sim3::from_se3(&(b.camera_from_world * a.camera_from_world.inverse()).relabel());
     let sigma = sigma(b, map, a.scale_from != b.scale_from);

@@ -22,8 +22,8 @@ use super::relocalise::other_maps::{
 use super::track::association::Bindings;
 use super::track::frame::Frame;
 use super::types::TrajectoryEvent;
-use crate::features::descriptor::Descriptor;
 use crate::features::FrameFeatures;
+use crate::features::descriptor::Descriptor;
 use crate::geometry::median;
 use crate::map::{KeyframeId, Map, Observation};
 use crate::places::describe::PlaceDescriber;
@@ -92,7 +92,8 @@ impl Loops {
 
     /// Takes out of the index what is in no map any more.
     fn follow(&mut self, map: &Map, others: &OtherMaps) {
-        let is_alive = |id: &KeyframeId| map.keyframe(*id).is_some() || others.maps().any(|m| m.keyframe(*id).is_some());
+        let is_alive =
+            |id: &KeyframeId| map.keyframe(*id).is_some() || others.maps().any(|m| m.keyframe(*id).is_some());
         let gone: Vec<KeyframeId> = self.index.keyframes().filter(|id| !is_alive(id)).collect();
         gone.iter().for_each(|id| self.index.remove(*id));
         self.closed.retain(|(a, b)| is_alive(a) && is_alive(b));
@@ -289,7 +290,9 @@ fn drift(map: &Map, sighting: &Sighting) -> Option<(f64, f64)> {
 
 /// The way since the old place can have drifted so.
 fn is_plausible(map: &Map, sighting: &Sighting, told: &Similarity) -> bool {
-    let (Some((distance, depth)), Some(edge)) = (drift(map, sighting), loop_edge(map, sighting, told)) else { return false };
+    let (Some((distance, depth)), Some(edge)) = (drift(map, sighting), loop_edge(map, sighting, told)) else {
+        return false;
+    };
     let (Some(old), Some(new)) = (map.keyframe(edge.old), map.keyframe(sighting.keyframe)) else { return false };
     let between = map.keyframes.iter().filter(|(id, _)| (edge.old.0..=sighting.keyframe.0).contains(id));
     let (mut way, mut before) = (0.0, old.centre());

@@ -224,6 +224,29 @@ fn joined_maps_are_one_in_the_unit_of_the_last() {
 }
 
 #[test]
+fn what_was_recorded_before_a_loop_was_closed_is_in_the_unit_after_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("t.txt");
+    let mut spool = TrajectorySpool::create(dir.path()).unwrap();
+    let scaled = |keyframe, scale| TrajectoryEvent::KeyframeScaled { keyframe: KeyframeId(keyframe), scale };
+    for event in [
+        pose_event(S, 0, 1, 0.5),
+        pose_event(2 * S, 0, 2, 0.5),
+        scaled(1, 2.0),
+        pose_event(3 * S, 0, 1, 0.5),
+        removed(1, 2, 1.0),
+        scaled(2, 10.0),
+        pose_event(4 * S, 0, 2, 0.5),
+        scaled(2, 3.0),
+    ] {
+        spool.record(&event).unwrap();
+    }
+    spool.write_tum(&path, &[keyframe(2, 100.0)]).unwrap();
+    let x: Vec<f64> = lines(&path).iter().map(|l| l.1).collect();
+    assert_eq!(x, [160.0, 115.0, 145.0, 101.5], "30 (1 + 2 * 0.5); 30 * 0.5; 30 (1 + 0.5); 3 * 0.5");
+}
+
+#[test]
 fn keyframes_of_an_ended_map_keep_their_last_pose() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("t.txt");

@@ -23,10 +23,10 @@ use crate::map::{KeyframeId, LandmarkId, Map, Observation};
 use crate::reconstruction::Reconstruction;
 use crate::reconstruction::keyframe::observe_match;
 use crate::reconstruction::optics::Optics;
-use crate::reconstruction::track::{Tracked, Tracker};
 use crate::reconstruction::track::association::Bindings;
 use crate::reconstruction::track::frame::Frame;
 use crate::reconstruction::track::search::Match;
+use crate::reconstruction::track::{Tracked, Tracker};
 use crate::reconstruction::types::{PoseEstimate, TrajectoryEvent};
 
 /// Landmarks of both maps at one corner whose depths have a larger logarithm of their ratio are two points.
@@ -176,7 +176,12 @@ pub(in crate::reconstruction) fn found_in(
 }
 
 /// Enters what a keyframe was found to see of another map, which is a part of this one by now; `seen`: what it saw before.
-pub(in crate::reconstruction) fn add_found(map: &mut Map, sighting: &Sighting, seen: &[Observation], camera: &CameraModel) {
+pub(in crate::reconstruction) fn add_found(
+    map: &mut Map,
+    sighting: &Sighting,
+    seen: &[Observation],
+    camera: &CameraModel,
+) {
     for m in &sighting.found {
         let Some(own) = at_corner(seen, m) else {
             if let Some(o) = observe_match(camera, m) {
