@@ -32,13 +32,22 @@ fn run(config: &SimulatorConfig, frames: u64, edit: impl FnMut(u64, &mut GreyIma
 fn run_in_order(
     config: &SimulatorConfig,
     order: impl IntoIterator<Item = u64>,
+    edit: impl FnMut(u64, &mut GreyImage),
+) -> Run {
+    run_configured(config, &ReconstructionConfig::default(), order, edit)
+}
+
+fn run_configured(
+    config: &SimulatorConfig,
+    reconstruction: &ReconstructionConfig,
+    order: impl IntoIterator<Item = u64>,
     mut edit: impl FnMut(u64, &mut GreyImage),
 ) -> Run {
     let mut simulator = Simulator::new(config, Pacing::LockStep).unwrap();
     let camera = simulator.camera_model().clone();
     let mut stage = FeatureStage::new(&FeaturesConfig::default());
     let worker = Box::new(InlineWorker::default());
-    let mut reconstruction = Reconstruction::new(&ReconstructionConfig::default(), &camera, worker, true);
+    let mut reconstruction = Reconstruction::new(reconstruction, &camera, worker, true);
     let (mut features, mut feedback, mut picture) =
         (FrameFeatures::default(), Feedback::default(), GreyImage::new(0, 0));
     let (mut estimates, mut events, mut truth) = (Vec::new(), Vec::new(), Vec::new());
@@ -273,4 +282,24 @@ fn readout_time_of_a_rolling_shutter_is_learnt() {
         let learnt_ms = run.readout_s * 1e3;
         assert!((learnt_ms - readout_ms).abs() < 4.0, "learnt {learnt_ms} ms instead of {readout_ms} ms");
     }
+}
+
+#[test]
+fn a_loop_takes_the_drift_back_and_leaves_the_smooth_pose_alone() {
+    // A lap and a bit around the table, quickly.
+    let config = SimulatorConfig { rate_hz: 15.0, speed: 2.0, seed: 2, ..SimulatorConfig::default() };
+    let run_with =
+        |loops: bool| run_configured(&config, &ReconstructionConfig { loops, ..Default::default() }, 0..270, |_, _| {});
+    let (closed, open) = (run_with(true), run_with(false));
+    let ((coverage, error), (_, without)) = (judge(&closed), judge(&open));
+    assert!(closed.counters.loops_closed >= 1 && open.counters.loops_closed == 0, "{:?}", closed.counters);
+    assert!(coverage > 0.95 && error < without / 4.0, "{error} of the path, {without} without the loop");
+    let revisions: Vec<u32> = closed.estimates.iter().map(|e| e.map_revision).collect();
+    assert!(revisions.is_sorted() && revisions.last() > Some(&1), "the loop, and the adjustment after it");
+    // Odom goes on in steps like those before, in the new unit.
+    let odom: Vec<_> = closed.estimates.iter().filter_map(|e| e.odom_from_camera).collect();
+    let longest = odom.windows(2).map(|w| (w[1].translation - w[0].translation).norm()).fold(0.0, f64::max);
+    let before = open.estimates.iter().filter_map(|e| e.odom_from_camera).collect::<Vec<_>>();
+    let usual = before.windows(2).map(|w| (w[1].translation - w[0].translation).norm()).fold(0.0, f64::max);
+    assert!(longest < 3.0 * usual, "a step of {longest}, {usual} without");
 }

@@ -407,6 +407,7 @@ impl HealthWatch {
             resets: s.resets.get(),
             relocalisations: s.relocalisations.get(),
             maps_joined: s.maps_joined.get(),
+            loops_closed: s.loops_closed.get(),
             maps: s.maps(),
             map_revision,
             map_mode: s.map_mode(),

@@ -9,8 +9,8 @@ use std::time::Instant;
 use crossbeam::channel::Sender;
 use tracing::{debug, error, info, warn};
 
-use super::map_file::{Keeper, MapDesk};
 use super::base;
+use super::map_file::{Keeper, MapDesk};
 use super::outlet::Outlet;
 use super::recorder::{FinalMap, Record, RecorderLink, SaveKind};
 use super::status::{Status, state_name};
@@ -120,6 +120,7 @@ pub struct ReconstructStep {
     last_slipping: bool,
     last_maps_joined: u64,
     last_tag_scale: Option<ScaleMeasurement>,
+    last_loops_closed: u64,
     /// Times that a planner has put the map elsewhere: to its readers each is a reset.
     placements: u32,
     last_frame_ns: i64,
@@ -166,6 +167,7 @@ impl ReconstructStep {
             last_slipping: false,
             last_maps_joined: 0,
             last_tag_scale: None,
+            last_loops_closed: 0,
             placements: 0,
             last_frame_ns: 0,
             lens: None,
@@ -366,6 +368,17 @@ impl ReconstructStep {
         }
     }
 
+    fn log_loops(&mut self, e: &PoseEstimate) {
+        let Some(reconstruction) = &self.reconstruction else { return };
+        let loops_closed = reconstruction.counters().loops_closed;
+        if loops_closed != self.last_loops_closed {
+            let (sequence, timestamp_ns, map) = (e.sequence, e.timestamp_ns, e.map.0);
+            let (distance, angle_rad) = (reconstruction.corrections().distance, reconstruction.corrections().angle_rad);
+            info!(sequence, timestamp_ns, map, loops_closed, distance, angle_rad, "loop closed");
+            self.last_loops_closed = loops_closed;
+        }
+    }
+
     fn log_changes(&mut self, e: &PoseEstimate) {
         self.log_tag_scale(e);
         let (sequence, timestamp_ns, map) = (e.sequence, e.timestamp_ns, e.map.0);
@@ -379,6 +392,7 @@ impl ReconstructStep {
             self.last_maps_joined = maps_joined;
         }
         self.log_scale(e);
+        self.log_loops(e);
         let blind_turns = self.reconstruction.as_ref().map_or(0, |r| r.counters().blind_turns);
         if blind_turns != self.last_blind_turns {
             warn!(sequence, timestamp_ns, map, blind_turns, "scale assumed after a turn on the spot");

@@ -45,6 +45,7 @@ pub struct Status {
     pub resets: Counter,
     pub relocalisations: Counter,
     pub maps_joined: Counter,
+    pub loops_closed: Counter,
     /// Turns on the spot behind which the scale is an assumption.
     pub blind_turns: Counter,
     pub adjustments: Counter,
@@ -129,6 +130,7 @@ impl Default for Status {
             resets: Counter::default(),
             relocalisations: Counter::default(),
             maps_joined: Counter::default(),
+            loops_closed: Counter::default(),
             blind_turns: Counter::default(),
             adjustments: Counter::default(),
             adjustments_late: Counter::default(),
@@ -376,6 +378,7 @@ impl Status {
         self.resets.set(c.resets);
         self.relocalisations.set(c.relocalisations);
         self.maps_joined.set(c.maps_joined);
+        self.loops_closed.set(c.loops_closed);
         self.blind_turns.set(c.blind_turns);
         self.adjustments.set(c.adjustments);
         self.adjustments_late.set(c.adjustments_late);

@@ -42,6 +42,36 @@ fn landmark() -> Landmark {
 }
 
 #[test]
+fn a_corrected_map_looks_the_same_from_each_camera_in_its_new_unit() {
+    let mut map = Map::default();
+    let shift = |x: f64| Se3::new(nalgebra::UnitQuaternion::from_scaled_axis(Vector3::y() * x), Vector3::x() * x);
+    let views =
+        [0.0, 0.1, 0.7, 0.8].map(|x| map.add_keyframe(Keyframe { camera_from_world: shift(x), ..keyframe(&[]) }));
+    let made = |made_at: usize, z: f64| Landmark {
+        position: Vector3::new(0.1, 0.2, z),
+        covariance: Matrix3::identity(),
+        created_by: views[made_at],
+        ..landmark()
+    };
+    let old = map.add_landmark(made(0, 2.0), &[(views[0], observation(0)), (views[2], observation(0))]);
+    // Made at a keyframe that does not see it any more: it moves with the last that does.
+    let new = map.add_landmark(made(0, 3.0), &[(views[1], observation(0)), (views[2], observation(0))]);
+    let from = |map: &Map, k: usize, l: LandmarkId| {
+        map.keyframe(views[k]).unwrap().camera_from_world.transform(&map.landmark(l).unwrap().position)
+    };
+    let before = [from(&map, 0, old), from(&map, 2, new), from(&map, 3, new)];
+    let turn = nalgebra::UnitQuaternion::from_scaled_axis(Vector3::new(0.3, -0.2, 0.5));
+    let moved = Sim3::new(2.0, turn, Vector3::new(5.0, -1.0, 0.5));
+    let keyframes = vec![(views[0], Sim3::identity()), (views[2], moved)];
+    map.correct(&Correction { keyframes, younger: Some(moved) });
+    assert!((from(&map, 0, old) - before[0]).norm() < 1e-12, "the first stays");
+    assert!((from(&map, 2, new) - before[1] * 2.0).norm() < 1e-12);
+    assert!((from(&map, 3, new) - before[2] * 2.0).norm() < 1e-12, "younger ones move as the last");
+    assert_eq!(map.landmark(new).unwrap().covariance[(1, 1)].round(), 4.0);
+    map.check_consistency().unwrap();
+}
+
+#[test]
 fn a_map_that_is_carried_over_looks_the_same_from_its_cameras() {
     let mut random = Random::new(11);
     let pose = |random: &mut Random| {

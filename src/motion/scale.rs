@@ -237,9 +237,14 @@ mod tests {
         let mut fusion = ScaleFusion::default();
         (0..5).for_each(|_| assert!(fusion.add(&word(ScaleSource::Height, 0.1, 0.01))));
         assert!(!fusion.add(&word(ScaleSource::Height, 0.5, 0.01)));
-        assert!(!fusion.add(&word(ScaleSource::Height, f64::NAN, 0.01)) && !fusion.add(&word(ScaleSource::Height, 0.1, 0.0)));
+        assert!(
+            !fusion.add(&word(ScaleSource::Height, f64::NAN, 0.01))
+                && !fusion.add(&word(ScaleSource::Height, 0.1, 0.0))
+        );
         assert!((fusion.fused().expect("told").0 - 0.1).abs() < 1e-9);
-        assert!(!fusion.add(&word(ScaleSource::Height, 0.5, 0.01)) && fusion.add(&word(ScaleSource::Height, 0.5, 0.01)));
+        assert!(
+            !fusion.add(&word(ScaleSource::Height, 0.5, 0.01)) && fusion.add(&word(ScaleSource::Height, 0.5, 0.01))
+        );
         assert!((fusion.fused().expect("told").0 - 0.5).abs() < 1e-9);
     }
 }

@@ -67,7 +67,7 @@ impl Default for ReconstructionConfig {
             fixed_keyframes: 20,
             adjustment_steps: 5,
             merge_after_frames: 3,
-            max_keyframes: 300,
+            max_keyframes: 600,
             redundant_share: 0.9,
             start_flow_px: 4.0,
             start_landmarks: 50,

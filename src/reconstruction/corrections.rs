@@ -78,9 +78,17 @@ mod tests {
         corrections.adjusted(&old, &new);
         assert_eq!(corrections.revision, 2);
         assert!((corrections.distance - 0.5).abs() < 1e-12 && (corrections.angle_rad - 0.1).abs() < 1e-12);
+        corrections.close_loop(&old, &new);
+        corrections.adjusted(&old, &old);
+        corrections.adjusted(&old, &new);
+        assert_eq!(
+            (corrections.revision, corrections.distance),
+            (4, 0.0),
+            "the loop, and the adjustment of both its ends"
+        );
         corrections.join();
         corrections.end_map();
         corrections.adjusted(&old, &new);
-        assert_eq!(corrections.revision, 3);
+        assert_eq!(corrections.revision, 5);
     }
 }

@@ -52,9 +52,9 @@ use crate::geometry::{CameraModel, Se3};
 use crate::image::pyramid::PyramidPool;
 use crate::map::{KeyframeId, KeyframeView, LandmarkId, MapId, Sought};
 use crate::motion::hand_eye::Robot;
-use crate::motion::wheel_scale::RADIUS_SIGMA;
 use crate::motion::scale::ScaleMeasurement;
 use crate::motion::tag::{self, TagConfig, Tags};
+use crate::motion::wheel_scale::RADIUS_SIGMA;
 
 /// Share of the landmarks looked for that are seen: below the first a frame is looked for elsewhere too (after a stretch of blur
 /// a few landmarks can hold a pose that has slid away), below the second it is no keyframe. Without the first, errors over 35 sequences

@@ -158,6 +158,25 @@ mod tests {
     }
 
     #[test]
+    fn a_closed_loop_does_not_move_the_smooth_pose_and_motions_go_on_in_the_new_unit() {
+        let mut odometry = Odometry::begin(0, at(0.0, 0.3));
+        odometry.accept(100, at(1.0, 0.3));
+        let before = odometry.odom_from_camera;
+        let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.2, 0.0));
+        let moved: Sim3<World, World> = Sim3::new(2.0, turn, Vector3::new(0.0, 0.5, 0.0));
+        odometry.correct_scaled(&moved);
+        assert_eq!(odometry.odom_from_camera, before);
+        let ([expected, _], _) = odometry.guesses(200);
+        assert!(
+            (Correction::placed(&at(2.0, 0.3), &moved).inverse().translation - expected.inverse().translation).norm()
+                < 1e-9
+        );
+        odometry.accept(200, expected);
+        let way = (before.inverse() * odometry.odom_from_camera).translation;
+        assert!((way.norm() - 2.0).abs() < 1e-9, "{way}");
+    }
+
+    #[test]
     fn corrections_of_the_map_do_not_move_the_smooth_pose() {
         let mut odometry = Odometry::begin(0, at(0.0, 0.3));
         odometry.accept(1, at(1.0, 0.3));

@@ -219,7 +219,7 @@ fn a_map_becomes_metric_at_once_and_later_refinements_leave_the_smooth_pose() {
     let joined =
         events.iter().any(|e| matches!(e, TrajectoryEvent::MapJoined { scale, .. } if (scale - 3.0).abs() < 1e-9));
     let scaled =
-        events.iter().any(|e| matches!(e, TrajectoryEvent::MapScaled { scale, .. } if (scale - 1.1).abs() < 1e-9));
+        events.iter().any(|e| matches!(e, TrajectoryEvent::KeyframeScaled { scale, .. } if (scale - 1.1).abs() < 1e-9));
     assert!(joined && scaled, "a trajectory is written in the unit of its end");
     assert!(r.active.map.check_consistency().is_ok());
     // The next map is unscaled again.

@@ -228,7 +228,7 @@ fn what_was_recorded_before_a_map_was_scaled_is_written_in_the_unit_of_the_end()
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("t.txt");
     let mut spool = TrajectorySpool::create(dir.path()).unwrap();
-    let scaled = |map, scale| TrajectoryEvent::MapScaled { map: MapId(map), scale };
+    let scaled = |keyframe, scale| TrajectoryEvent::KeyframeScaled { keyframe: KeyframeId(keyframe), scale };
     for event in [
         pose_event(S, 0, 1, 0.5),
         // It becomes metric: another map, four times as long; then that one is refined.
@@ -247,6 +247,29 @@ fn what_was_recorded_before_a_map_was_scaled_is_written_in_the_unit_of_the_end()
     let x: Vec<f64> = lines(&path).iter().map(|l| l.1).collect();
     assert_eq!(x, [112.0, 103.0, 101.5, 100.5], "0.5 times 4 * 2 * 3, 2 * 3, 3 and 1");
     assert_eq!((summary.map, summary.other_maps), (Some(MapId(1)), 0));
+}
+
+#[test]
+fn what_was_recorded_before_a_loop_was_closed_is_in_the_unit_after_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("t.txt");
+    let mut spool = TrajectorySpool::create(dir.path()).unwrap();
+    let scaled = |keyframe, scale| TrajectoryEvent::KeyframeScaled { keyframe: KeyframeId(keyframe), scale };
+    for event in [
+        pose_event(S, 0, 1, 0.5),
+        pose_event(2 * S, 0, 2, 0.5),
+        scaled(1, 2.0),
+        pose_event(3 * S, 0, 1, 0.5),
+        removed(1, 2, 1.0),
+        scaled(2, 10.0),
+        pose_event(4 * S, 0, 2, 0.5),
+        scaled(2, 3.0),
+    ] {
+        spool.record(&event).unwrap();
+    }
+    spool.write_tum(&path, &[keyframe(2, 100.0)]).unwrap();
+    let x: Vec<f64> = lines(&path).iter().map(|l| l.1).collect();
+    assert_eq!(x, [160.0, 115.0, 145.0, 101.5], "30 (1 + 2 * 0.5); 30 * 0.5; 30 (1 + 0.5); 3 * 0.5");
 }
 
 #[test]

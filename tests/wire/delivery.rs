@@ -124,7 +124,7 @@ fn the_map_is_a_slice_and_says_what_was_left_out() {
     let mut publisher = place.publisher();
     let mut map = place.client().map();
     connect(&mut map);
-    let context = MapContext { timestamp_ns: 77, reset_counter: 3, map_revision: 2 };
+    let context = MapContext { timestamp_ns: 77, reset_counter: 3, map_revision: 2, map_mode: 0 };
     publisher.map.publish(&snapshot(1, 130), &Conversion::default(), &context).unwrap();
     let first = next(&mut map);
     let header = *first.header();

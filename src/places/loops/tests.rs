@@ -1,1 +1,147 @@
+use nalgebra::{Matrix2, Matrix3, UnitQuaternion, Vector2, Vector3};
 
+use super::*;
+use crate::map::{Landmark, LandmarkId, MapId, Observation};
+
+const KEYFRAMES: usize = 60;
+/// What the scale loses over the whole way.
+const LOST: f64 = 0.3;
+
+fn keyframe(camera_from_world: Se3<Camera, World>) -> Keyframe {
+    Keyframe {
+        sequence: 0,
+        timestamp_ns: 0,
+        map: MapId(0),
+        camera_from_world,
+        motion: None,
+        picture: Default::default(),
+        thumbnail: Default::default(),
+        scale_from: None,
+        observations: Vec::new(),
+        covisible: Vec::new(),
+        corners: Vec::new(),
+    }
+}
+
+fn observation() -> Observation {
+    Observation {
+        landmark: LandmarkId(0),
+        pixel: Vector2::zeros(),
+        normalised: Vector2::zeros(),
+        displacement: Vector2::zeros(),
+        inv_sigma_px: 1.0,
+        normalised_from_pixel: Matrix2::identity(),
+    }
+}
+
+/// The true way round: a circle of 2 units' radius, looking outward.
+fn truth(i: usize) -> Se3<Camera, World> {
+    let turn = UnitQuaternion::from_scaled_axis(Vector3::y() * (std::f64::consts::TAU * i as f64 / KEYFRAMES as f64));
+    Se3::<World, Camera>::new(turn, turn * Vector3::z() * 2.0).inverse()
+}
+
+/// Unit of lengths at a keyframe of the map against the true one.
+fn unit(i: usize) -> f64 {
+    (-LOST * i as f64 / KEYFRAMES as f64).exp()
+}
+
+/// A map of that way whose unit shrinks as it goes; each keyframe shares 20 landmarks with the next two.
+fn drifted() -> (Map, Vec<KeyframeId>) {
+    let mut map = Map::default();
+    let mut pose = truth(0);
+    let mut ids = Vec::new();
+    for i in 0..KEYFRAMES {
+        if i > 0 {
+            let mut step: Se3<Camera, Camera> = (truth(i) * truth(i - 1).inverse()).relabel();
+            step.translation *= unit(i);
+            pose = step * pose;
+        }
+        ids.push(map.add_keyframe(keyframe(pose)));
+    }
+    for i in 2..KEYFRAMES {
+        for n in 0..20 {
+            let seen = [ids[i - 2], ids[i - 1], ids[i]].map(|k| (k, observation()));
+            let x = Vector3::new(0.1 * f64::from(n) - 1.0, 0.3, 3.0) * unit(i);
+            let position = map.keyframe(ids[i]).expect("made").camera_from_world.inverse().transform(&x);
+            let landmark = Landmark {
+                position,
+                covariance: Matrix3::identity(),
+                observers: Vec::new(),
+                created_by: ids[i],
+                assumed: None,
+                sought: 0,
+                found: 0,
+                disagreed: 0,
+            };
+            map.add_landmark(landmark, &seen);
+        }
+    }
+    (map, ids)
+}
+
+/// The last keyframe was recognised from the first, and this is how they truly lie to each other.
+fn told(ids: &[KeyframeId]) -> LoopEdge {
+    let last = KEYFRAMES - 1;
+    let motion = truth(last) * truth(0).inverse();
+    let scale = unit(last);
+    let recognised_from_old = Sim3::new(scale, motion.rotation, motion.translation * scale);
+    LoopEdge { old: ids[0], recognised: ids[last], recognised_from_old, log_scale_sigma: 0.01 }
+}
+
+/// How far the last keyframe is from where it truly is to the first, and the logarithm of the unit of what it sees.
+fn error(map: &Map, ids: &[KeyframeId]) -> (f64, f64) {
+    let last = map.keyframe(ids[KEYFRAMES - 1]).expect("there");
+    let own = last.observations.last().and_then(|o| map.landmark(o.landmark)).expect("seen");
+    let depth = last.camera_from_world.transform(&own.position).z;
+    ((last.centre() - truth(KEYFRAMES - 1).inverse().translation).norm(), (depth / 3.0).ln())
+}
+
+#[test]
+fn a_loop_gives_back_place_and_scale_and_the_first_keyframe_stays() {
+    let (mut map, ids) = drifted();
+    let (before, log_unit) = error(&map, &ids);
+    assert!(before > 0.3 && log_unit < -0.25, "{before} {log_unit}");
+    let job = LoopClosure::new(&map, ids[KEYFRAMES - 1], &[told(&ids)], &[]).expect("a loop");
+    let closed = job.run().expect("a solution");
+    assert_eq!(closed.correction.keyframes.len(), KEYFRAMES);
+    map.correct(&closed.correction);
+    let (after, log_unit) = error(&map, &ids);
+    assert!(after < before / 20.0, "{before} {after}");
+    assert!(log_unit.abs() < LOST / 20.0, "{log_unit}");
+    let first = map.keyframe(ids[0]).expect("there").camera_from_world;
+    assert!((first.translation - truth(0).translation).norm() < 1e-9);
+    map.check_consistency().expect("links as before");
+    // Closed once, it holds: nothing moves any more.
+    let again = LoopEdge { recognised_from_old: Sim3::from_se3(&relative(&map, &ids)), ..told(&ids) };
+    let job = LoopClosure::new(&map, ids[KEYFRAMES - 1], &[again], &[(ids[0], ids[KEYFRAMES - 1])]).expect("a loop");
+    let moved = job.run().map_or(0.0, |c| {
+        c.correction.keyframes.iter().map(|(_, s)| (s.scale.ln()).abs() + s.translation.norm()).fold(0.0, f64::max)
+    });
+    assert!(moved < 1e-6, "{moved}");
+}
+
+fn relative(map: &Map, ids: &[KeyframeId]) -> Se3<Camera, Camera> {
+    let pose = |id: KeyframeId| map.keyframe(id).expect("there").camera_from_world;
+    (pose(ids[KEYFRAMES - 1]) * pose(ids[0]).inverse()).relabel()
+}
+
+#[test]
+fn a_turn_that_told_no_scale_takes_all_of_its_error() {
+    let (mut map, ids) = drifted();
+    // From the middle on the scale came through a turn.
+    ids[30..].iter().for_each(|id| map.set_scale_origin(*id, Some(crate::map::TurnId(0))));
+    let job = LoopClosure::new(&map, ids[KEYFRAMES - 1], &[told(&ids)], &[]).expect("a loop");
+    let closed = job.run().expect("a solution");
+    let scale = |i: usize| closed.correction.keyframes[i].1.scale.ln();
+    let at_turn = scale(31) - scale(28);
+    assert!(at_turn > 0.8 * (scale(59) - scale(0)), "{at_turn} of {}", scale(59) - scale(0));
+}
+
+#[test]
+fn a_loop_whose_end_is_gone_is_none() {
+    let (mut map, ids) = drifted();
+    map.remove_keyframe(ids[0]);
+    assert!(LoopClosure::new(&map, ids[KEYFRAMES - 1], &[told(&ids)], &[]).is_none());
+    assert!(LoopClosure::new(&map, ids[KEYFRAMES - 1], &[], &[]).is_none());
+    assert!(LoopClosure::new(&map, ids[0], &[told(&ids)], &[]).is_none());
+}
