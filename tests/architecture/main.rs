@@ -30,8 +30,11 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
     // From pictures to a map. Features know no map, the map knows no reconstruction, and none of them knows a camera, the
     // ring or the wire.
     ("features", &["frame", "geometry", "image"]),
-    ("map", &["atomic_file", "features", "geometry", "image"]),
-    ("reconstruction", &["features", "geometry", "image", "map"]),
+    ("map", &["atomic_file", "features", "geometry", "image", "motion"]),
+    ("reconstruction", &["features", "geometry", "image", "map", "motion"]),
+    // What a robot knows besides the picture: numbers in, numbers out.
+    ("motion", &["geometry"]),
+    ("places", &[]),
     // What comes out.
     ("trajectory", &["atomic_file", "geometry", "map", "reconstruction"]),
     (
@@ -39,7 +42,7 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
         &["atomic_file", "camera", "features", "frame", "geometry", "image", "map", "reconstruction", "trajectory"],
     ),
     ("plot", &["atomic_file", "image", "map", "trajectory"]),
-    ("publish", &["frame", "geometry", "image", "map", "messages", "reconstruction"]),
+    ("publish", &["frame", "geometry", "image", "map", "messages", "motion", "reconstruction"]),
     // The web console: a process of its own, a subscriber like any planner. What it says of faults it is given.
     ("console", &["client", "messages", "telemetry"]),
     // A recorder is a process of its own, and a subscriber like any other.
@@ -59,6 +62,7 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
             "image",
             "map",
             "messages",
+            "motion",
             "plot",
             "publish",
             "reconstruction",
@@ -83,6 +87,7 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
             "geometry",
             "image",
             "messages",
+            "motion",
             "plot",
             "publish",
             "reconstruction",
