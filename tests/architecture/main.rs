@@ -87,7 +87,6 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
             "geometry",
             "image",
             "messages",
-            "motion",
             "plot",
             "publish",
             "reconstruction",

@@ -342,7 +342,15 @@ mod tests {
                 map.add_keyframe(keyframe(Se3::identity()));
             });
             let (reference, scale) = (KeyframeId(0), ScaleUncertainty::default());
-            OtherMap { map, id: MapId(id), reference, scale, frames: 100, sightings: Vec::new() }
+            OtherMap {
+                map,
+                id: MapId(id),
+                reference,
+                scale,
+                fusion: ScaleFusion::default(),
+                frames: 100,
+                sightings: Vec::new(),
+            }
         };
         let mut others = OtherMaps::default();
         for (id, keyframes) in [(0, 5), (1, 9), (2, 7), (3, 6)] {
