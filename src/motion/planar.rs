@@ -11,7 +11,7 @@
 //! ```
 //!
 //! Missing data is not standing: an interval with more than [`LONGEST_GAP_NS`] that no reading covers has no motion. A shorter hole within it
-//! is bridged by the reading before, with the variance that this deserves. Readings shorter than [`MERGED_NS`] are merged, so that the store is
+//! is bridged by the reading before, with the variance that this deserves. Readings shorter than `MERGED_NS` are merged, so that the store is
 //! bounded in time whatever the driver's rate. Cost: 30 ns a reading. Not here: slip, scale, what the wheels have in common with a camera.
 
 use std::collections::VecDeque;

@@ -44,7 +44,7 @@ const STEP_MS: usize = 5;
 
 /// Base poses, forward speed and yaw rate, every so often.
 fn path(course: &Course, random: &mut Random) -> Vec<(Se3<World, Body>, f64, f64)> {
-    let phases: [f64; 4] = std::array::from_fn(|_| random.uniform(0.0, 6.28));
+    let phases: [f64; 4] = std::array::from_fn(|_| random.uniform(0.0, std::f64::consts::TAU));
     let (mut yaw, mut at, mut out) = (0.0_f64, Vector3::zeros(), Vec::new());
     let dt = STEP_MS as f64 * 1e-3;
     for i in 0..(course.seconds / dt) as usize {

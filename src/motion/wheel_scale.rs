@@ -3,9 +3,9 @@
 //! Input: readings as they come, and segments of the present map (the camera's motion over [`SEGMENT_NS`] or more, map units). Output: what
 //! they tell of the scale ([`ScaleMeasurement`]) and of the robot ([`Robot`]), and whether the wheels slipped in the newest segment.
 //!
-//! A scale is told once the camera and the wheels have agreed for [`BELIEVED_S`] of motion, longer than a wheel spins or skids in one go,
-//! and in [`BELIEVED_SHARE`] of the motion. Its sigma is the solution's beside that of an error common to both wheels, which one camera
-//! and the wheels cannot see. The window is the newest [`SEGMENTS`] segments (140 s of driving and more): older ones are forgotten, for the scale of
+//! A scale is told once the camera and the wheels have agreed for `BELIEVED_S` of motion, longer than a wheel spins or skids in one go,
+//! and in `BELIEVED_SHARE` of the motion. Its sigma is the solution's beside that of an error common to both wheels, which one camera
+//! and the wheels cannot see. The window is the newest `SEGMENTS` segments (140 s of driving and more): older ones are forgotten, for the scale of
 //! a monocular map drifts; within the window that drift is a part of the model ([`super::hand_eye`]). What is known of the robot outlasts a map.
 //!
 //! Cost: a solution every few segments, 2 ms. Not here: what the map does with it.

@@ -31,10 +31,10 @@ fn jacobian_of_turn_and_step_agrees_with_numeric_differences() {
                 term.residual(&problem.step(&state, &delta))
             };
             let (after, before) = (at(1.0), at(-1.0));
-            for i in 0..2 {
-                let numeric = (after[i] - before[i]) / (2.0 * h);
-                let off = (numeric - jacobian[i].column(column)).norm();
-                assert!(off < 1e-4 * (1.0 + numeric.norm()), "part {i}, unknown {column}: {off} beside {numeric}");
+            for ((after, before), jacobian) in after.iter().zip(&before).zip(&jacobian) {
+                let numeric = (after - before) / (2.0 * h);
+                let off = (numeric - jacobian.column(column)).norm();
+                assert!(off < 1e-4 * (1.0 + numeric.norm()), "unknown {column}: {off} beside {numeric}");
             }
         }
     }

@@ -211,7 +211,7 @@ impl Adjustment {
     }
 
     /// Holds distances between keyframes that follow one another, at the places that `length` knows (times of both, ns): map units and standard
-    /// deviation. Those of them that stay where they are or lie further apart than [`LONGEST_STEP_NS`] are left alone.
+    /// deviation. Those of them that stay where they are or lie further apart than `LONGEST_STEP_NS` are left alone.
     pub fn hold_lengths(&mut self, map: &Map, mut length: impl FnMut(i64, i64) -> Option<(f64, f64)>) {
         for i in 1..self.keyframes.len() {
             if self.problem.fixed[i - 1] && self.problem.fixed[i] {

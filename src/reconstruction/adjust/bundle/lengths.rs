@@ -77,7 +77,7 @@ mod tests {
         let state = BundleState { poses: vec![pose(), pose()], ..BundleState::default() };
         let known = KnownLength { cameras: [0, 1], length: 0.7, sigma: 0.05 };
         let (_, rows) = known.linearised(&state).expect("apart");
-        for camera in 0..2 {
+        for (camera, row) in rows.iter().enumerate() {
             for i in 0..6 {
                 let at = |sign: f64| {
                     let mut moved = state.clone();
@@ -87,11 +87,7 @@ mod tests {
                     known.linearised(&moved).expect("apart").0
                 };
                 let numeric = (at(1.0) - at(-1.0)) / 2e-6;
-                assert!(
-                    (numeric - rows[camera][i]).abs() < 1e-5,
-                    "camera {camera}, {i}: {numeric}, {}",
-                    rows[camera][i]
-                );
+                assert!((numeric - row[i]).abs() < 1e-5, "camera {camera}, {i}: {numeric}, {}", row[i]);
             }
         }
     }
