@@ -136,8 +136,6 @@ config! {
         blackout: BlackoutConfig = BlackoutConfig::default(),
         /// A chessboard on the wall above the desk of the room.
         chessboard: ChessboardConfig = ChessboardConfig::default(),
-        /// AprilTags on the wall above the desk of the room.
-        tags: WallTagsConfig = WallTagsConfig::default(),
         /// Jerks of the hand that holds the camera.
         jerks: JerksConfig = JerksConfig::default(),
         /// Lamps seen in polished surfaces.
@@ -332,15 +330,6 @@ config! {
     }
 }
 
-config! {
-    /// AprilTags (36h11) of exact size, numbers 0 to 2, in the chessboard's place. Only in the room, not in the corridor.
-    WallTagsConfig {
-        enabled: bool = false,
-        /// Side of their black squares, m, 0.05..=0.3.
-        size_m: f64 = 0.15,
-    }
-}
-
 /// A value that cannot be.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("simulator.{key} = {value} {unit}: {reason}")]
@@ -430,11 +419,6 @@ impl SimulatorConfig {
         within("gloss.spread_deg", self.gloss.spread_deg, "degrees", 0.5, 20.0)?;
         within("people.start_s", self.people.start_s, "s", 0.0, 1e7)?;
         within("people.walk_m_s", self.people.walk_m_s, "m/s", 0.2, 2.0)?;
-        within("tags.size_m", self.tags.size_m, "m", 0.05, 0.3)?;
-        if self.tags.enabled && self.chessboard.enabled {
-            let reason = "tags hang where the chessboard would".to_owned();
-            return Err(SimulatorConfigError { key: "tags.enabled", value: "true".to_owned(), unit: "", reason });
-        }
         let board = &self.chessboard;
         within("chessboard.columns", f64::from(board.columns), "inner corners", 3.0, 20.0)?;
         within("chessboard.rows", f64::from(board.rows), "inner corners", 3.0, 20.0)?;
