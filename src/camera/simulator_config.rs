@@ -139,8 +139,6 @@ config! {
         blackout: BlackoutConfig = BlackoutConfig::default(),
         /// A chessboard on the wall above the desk of the room.
         chessboard: ChessboardConfig = ChessboardConfig::default(),
-        /// AprilTags on the wall above the desk of the room.
-        tags: WallTagsConfig = WallTagsConfig::default(),
         /// Jerks of the hand that holds the camera.
         jerks: JerksConfig = JerksConfig::default(),
         /// Lamps seen in polished surfaces.
@@ -337,15 +335,6 @@ config! {
     }
 }
 
-config! {
-    /// AprilTags (36h11) of exact size, numbers 0 to 2, in the chessboard's place. Only in the room, not in the corridor.
-    WallTagsConfig {
-        enabled: bool = false,
-        /// Side of their black squares, m, 0.05..=0.3.
-        size_m: f64 = 0.15,
-    }
-}
-
 /// A value that cannot be.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("simulator.{key} = {value} {unit}: {reason}")]
@@ -436,11 +425,6 @@ impl SimulatorConfig {
         within("people.start_s", self.people.start_s, "s", 0.0, 1e7)?;
         within("people.walk_m_s", self.people.walk_m_s, "m/s", 0.2, 2.0)?;
         self.wheels.validate()?;
-        within("tags.size_m", self.tags.size_m, "m", 0.05, 0.3)?;
-        if self.tags.enabled && self.chessboard.enabled {
-            let reason = "tags hang where the chessboard would".to_owned();
-            return Err(SimulatorConfigError { key: "tags.enabled", value: "true".to_owned(), unit: "", reason });
-        }
         let board = &self.chessboard;
         within("chessboard.columns", f64::from(board.columns), "inner corners", 3.0, 20.0)?;
         within("chessboard.rows", f64::from(board.rows), "inner corners", 3.0, 20.0)?;

@@ -26,7 +26,7 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
     // Pictures and where they come from.
     ("image", &["frame"]),
     ("calibration", &["atomic_file", "geometry", "image"]),
-    ("camera", &["calibration", "features", "frame", "geometry", "image", "motion", "ros", "trajectory"]),
+    ("camera", &["calibration", "frame", "geometry", "image", "motion", "ros", "trajectory"]),
     // From pictures to a map. Features know no map, the map knows no reconstruction, and none of them knows a camera, the
     // ring or the wire.
     ("features", &["frame", "geometry", "image"]),

@@ -126,7 +126,6 @@ impl Simulator {
             texel_m: config.texel_mm * 1e-3,
             rich: !config.low_texture,
             chessboard: &config.chessboard,
-            tags: &config.tags,
             desk: &config.desk,
         };
         let scene = place(config.scenario, &plan);

@@ -18,7 +18,7 @@ use nalgebra::Vector3;
 use super::random::Random;
 use super::scene::{BoxPlan, Builder, Faces, Scene};
 use super::styles::Style;
-use crate::camera::simulator_config::{ChessboardConfig, DeskConfig, WallTagsConfig};
+use crate::camera::simulator_config::{ChessboardConfig, DeskConfig};
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -38,7 +38,6 @@ pub(super) struct Plan<'a> {
     /// False: bare walls, pale furniture, nothing lying about.
     pub(super) rich: bool,
     pub(super) chessboard: &'a ChessboardConfig,
-    pub(super) tags: &'a WallTagsConfig,
     /// Of the long desk.
     pub(super) desk: &'a DeskConfig,
 }
@@ -130,9 +129,6 @@ impl Furnisher {
     }
 }
 
-/// Distance of two tags on the wall, m.
-const TAG_SPACING_M: f64 = 0.45;
-
 /// The furnished room.
 pub(super) fn furnished_room(plan: &Plan) -> Scene {
     let mut f = Furnisher::new(plan, ROOM);
@@ -205,13 +201,6 @@ pub(super) fn furnished_room(plan: &Plan) -> Scene {
         let [x, y, z] = CHESSBOARD_MIDDLE;
         let (right, down) = (-Vector3::y(), -Vector3::z());
         f.builder.chessboard(Vector3::new(x, y, z), right, down, board.columns, board.rows, board.square_m);
-    }
-    if plan.tags.enabled {
-        let [x, y, z] = CHESSBOARD_MIDDLE;
-        for id in 0..3u16 {
-            let middle = Vector3::new(x, y + (1.0 - f64::from(id)) * TAG_SPACING_M, z);
-            f.builder.tag(id, middle, -Vector3::y(), -Vector3::z(), plan.tags.size_m);
-        }
     }
     f.builder.shell([Style::Plaster, Style::Door, Style::Window, Style::Wallpaper], Style::Planks, Style::Ceiling);
     f.builder.finish()

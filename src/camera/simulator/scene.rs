@@ -14,7 +14,6 @@ use super::paint::{Canvas, Noise, Shape};
 use super::random::Random;
 use super::styles::{Painter, Style};
 use super::texture::Texture;
-use crate::features::tags::{CELLS, is_white};
 
 /// A textured rectangle.
 #[derive(Debug, Clone)]
@@ -391,29 +390,6 @@ impl Builder {
         self.painted(origin, right, down, size, density, canvas);
         let first = origin + (right + down) * (2.0 * square_m);
         self.scene.chessboard = Some(Chessboard { columns, rows, square_m, origin: first, right, down });
-    }
-
-    /// Tag `id` whose black square has sides of `size_m`, as a sheet with a white rim of a cell, facing `-away`. Cells' edges lie exactly
-    /// on texel edges.
-    pub(super) fn tag(&mut self, id: u16, middle: Vector3<f64>, right: Vector3<f64>, down: Vector3<f64>, size_m: f64) {
-        /// Texels a cell: a power of two, as for the chessboard.
-        const CELL: usize = 16;
-        const SHEET: usize = CELLS + 2;
-        let cell_m = size_m / CELLS as f64;
-        let size = [SHEET as f64 * cell_m; 2];
-        let density = CELL as f64 / cell_m;
-        let mut canvas = Canvas::new([1.0, 1.0], 1.0, 0.0);
-        (canvas.width, canvas.height) = (SHEET * CELL, SHEET * CELL);
-        (canvas.size, canvas.density) = (size.map(|s| s as f32), density as f32);
-        let white = |u: usize, v: usize| {
-            let rim = u == 0 || v == 0 || u == SHEET - 1 || v == SHEET - 1;
-            rim || is_white(id, u - 1, v - 1)
-        };
-        canvas.texels = (0..canvas.width * canvas.height)
-            .map(|i| if white(i % canvas.width / CELL, i / canvas.width / CELL) { 205 } else { 28 })
-            .collect();
-        let origin = middle - (right + down) * (0.5 * size[0]);
-        self.painted(origin, right, down, size, density, canvas);
     }
 
     pub(super) fn finish(self) -> Scene {

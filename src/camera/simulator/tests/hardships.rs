@@ -161,7 +161,6 @@ fn people_walk_at_their_pace_and_keep_to_their_lanes() {
                 texel_m: 0.1,
                 rich: true,
                 chessboard: &config.chessboard,
-                tags: &config.tags,
                 desk: &config.desk,
             },
         );
@@ -234,14 +233,7 @@ fn beside_an_outline(
 fn long_desk(edit: impl Fn(&mut SimulatorConfig)) -> Scene {
     let mut config = quick(SimulatorConfig::ideal(Scenario::DeskSweep));
     edit(&mut config);
-    let plan = room::Plan {
-        seed: 2,
-        texel_m: 0.01,
-        rich: true,
-        chessboard: &config.chessboard,
-        tags: &config.tags,
-        desk: &config.desk,
-    };
+    let plan = room::Plan { seed: 2, texel_m: 0.01, rich: true, chessboard: &config.chessboard, desk: &config.desk };
     place(config.scenario, &plan)
 }
 
