@@ -135,10 +135,11 @@ impl MapFile {
         }
         let records = self.records.as_mut().ok_or_else(|| Fault::GivenUp("an earlier write failed".into()))?;
         let camera = &changes.optics.camera;
+        let senseless = || Fault::GivenUp("a record cannot be made of the map".into());
         let mut new = Vec::new();
         let mut revisions = Vec::new();
         for (id, keyframe) in &changes.keyframes {
-            new.push((Kind::Keyframe, *id, encode_keyframe(keyframe, camera)));
+            new.push((Kind::Keyframe, *id, encode_keyframe(keyframe, camera).ok_or_else(senseless)?));
             let revision = keyframe.picture.revision();
             if self.keyframes.get(id) != Some(&revision)
                 && let Some(bytes) = picture::encode(&keyframe.picture)
@@ -148,7 +149,9 @@ impl MapFile {
             revisions.push((*id, revision));
         }
         let (filled, emptied): (Vec<_>, Vec<_>) = changes.landmarks.iter().partition(|(_, page)| !page.is_empty());
-        new.extend(filled.iter().map(|(page, landmarks)| (Kind::Landmarks, **page, encode_landmarks(landmarks))));
+        for (page, landmarks) in &filled {
+            new.push((Kind::Landmarks, **page, encode_landmarks(landmarks).ok_or_else(senseless)?));
+        }
 
         let kept: BTreeSet<u32> = changes.maps.iter().flat_map(|(_, keyframes)| keyframes).copied().collect();
         let gone: Vec<u32> = self.keyframes.keys().filter(|id| !kept.contains(id)).copied().collect();
