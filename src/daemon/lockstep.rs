@@ -33,7 +33,7 @@ pub fn run(parts: Parts, stop: &AtomicBool, go_on: &mut dyn FnMut(&Status) -> bo
     let mut feature = FeatureStep::new(&config.features, status.clone());
     let desk = map_file.map(|plan| {
         let (desk, keeper) = plan.split();
-        desk.linked(keeper.map(KeeperLink::Inline))
+        desk.linked(keeper.map(|keeper| KeeperLink::Inline(Box::new(keeper))))
     });
     let mut reconstruct = ReconstructStep::new(
         &config.reconstruction,

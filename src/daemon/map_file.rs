@@ -54,7 +54,7 @@ pub struct Keeper {
 /// The way there.
 pub enum KeeperLink {
     /// Called directly: lock-step.
-    Inline(Keeper),
+    Inline(Box<Keeper>),
     Queue(Sender<Box<MapChanges>>),
 }
 
@@ -216,7 +216,7 @@ impl MapDesk {
                 if let Some(changes) = changes {
                     keeper.keep(&changes);
                 }
-                Some(keeper)
+                Some(*keeper)
             }
             KeeperLink::Queue(orders) => {
                 if let Some(changes) = changes
@@ -315,7 +315,7 @@ mod tests {
         let path = dir.path().join("missing").join("a.map");
         let plan = MapPlan { path: path.clone(), file: None, saved: None, localise_only: false };
         let (desk, keeper) = plan.split();
-        let mut desk = desk.linked(keeper.map(KeeperLink::Inline));
+        let mut desk = desk.linked(keeper.map(|keeper| KeeperLink::Inline(Box::new(keeper))));
         let mut r = begun(&camera(300.0), LensPrior::Calibrated);
         desk.turn(&mut r, 0);
         assert!(desk.wants_everything.load(Ordering::Acquire), "there is no folder");

@@ -45,7 +45,9 @@ pub fn read(path: &Path) -> Result<Contents, StoreError> {
 /// A map file that this process writes to; another one that opens it is told so.
 pub struct MapFile {
     path: PathBuf,
-    /// `None` once it is given up.
+    /// It was verified and is locked; the library gets it with the first write, so that until then its bytes stay as they are.
+    verified: Option<File>,
+    /// `None` before the first write, and once it is given up.
     records: Option<Records>,
     tally: Tally,
     /// Keyframes in the file, and which revision of their pictures.
@@ -69,7 +71,8 @@ impl MapFile {
         File::open("/dev/urandom").and_then(|mut r| std::io::Read::read_exact(&mut r, &mut id)).map_err(Fault::Read)?;
         let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
         let temporary = folder.join(format!(".{name}.{}", std::process::id()));
-        let options = OpenOptions::new().read(true).write(true).create(true).truncate(true).clone();
+        let mut options = OpenOptions::new();
+        options.read(true).write(true).create(true).truncate(true);
         let file = options.open(&temporary).map_err(Fault::Write)?;
         let front = Front { id, created_ns: now_ns() };
         let filled = || {
@@ -78,6 +81,7 @@ impl MapFile {
             let handle = file.try_clone().map_err(Fault::Write)?;
             let mut own = Self {
                 path: path.into(),
+                verified: None,
                 records: Some(Records::open(handle, Access::Write)?),
                 tally: Tally::default(),
                 keyframes: BTreeMap::new(),
@@ -99,7 +103,7 @@ impl MapFile {
         })
     }
 
-    /// Opens a file to go on in its maps. It is read in full and verified before anything is written.
+    /// Opens a file to go on in its maps. It is read in full and verified, and stays as it is until the first write.
     pub fn open(path: &Path) -> Result<(Self, Contents), StoreError> {
         let open = || {
             let file = OpenOptions::new().read(true).write(true).open(path).map_err(Fault::Read)?;
@@ -107,8 +111,8 @@ impl MapFile {
             let (contents, tally, pages) = look(&file)?;
             let keyframes = contents.saved.maps.iter().flat_map(|m| m.map.keyframes.iter());
             let keyframes = keyframes.map(|(id, k)| (id, k.picture.revision())).collect();
-            let records = Some(Records::open(file, Access::Write)?);
-            Ok((Self { path: path.into(), records, tally, keyframes, pages }, contents))
+            let verified = Some(file);
+            Ok((Self { path: path.into(), verified, records: None, tally, keyframes, pages }, contents))
         };
         open().map_err(|fault: Fault| fault.of(path))
     }
@@ -126,12 +130,16 @@ impl MapFile {
     }
 
     fn put(&mut self, changes: &MapChanges) -> Result<u64, Fault> {
+        if let Some(file) = self.verified.take() {
+            self.records = Some(Records::open(file, Access::Write)?);
+        }
         let records = self.records.as_mut().ok_or_else(|| Fault::GivenUp("an earlier write failed".into()))?;
         let camera = &changes.optics.camera;
+        let senseless = || Fault::GivenUp("a record cannot be made of the map".into());
         let mut new = Vec::new();
         let mut revisions = Vec::new();
         for (id, keyframe) in &changes.keyframes {
-            new.push((Kind::Keyframe, *id, encode_keyframe(keyframe, camera)));
+            new.push((Kind::Keyframe, *id, encode_keyframe(keyframe, camera).ok_or_else(senseless)?));
             let revision = keyframe.picture.revision();
             if self.keyframes.get(id) != Some(&revision)
                 && let Some(bytes) = picture::encode(&keyframe.picture)
@@ -141,7 +149,9 @@ impl MapFile {
             revisions.push((*id, revision));
         }
         let (filled, emptied): (Vec<_>, Vec<_>) = changes.landmarks.iter().partition(|(_, page)| !page.is_empty());
-        new.extend(filled.iter().map(|(page, landmarks)| (Kind::Landmarks, **page, encode_landmarks(landmarks))));
+        for (page, landmarks) in &filled {
+            new.push((Kind::Landmarks, **page, encode_landmarks(landmarks).ok_or_else(senseless)?));
+        }
 
         let kept: BTreeSet<u32> = changes.maps.iter().flat_map(|(_, keyframes)| keyframes).copied().collect();
         let gone: Vec<u32> = self.keyframes.keys().filter(|id| !kept.contains(id)).copied().collect();
@@ -195,16 +205,27 @@ fn look(file: &File) -> Result<(Contents, Tally, BTreeSet<u32>), Fault> {
             *sum += bytes.len() as u64;
         }
         let sense = match kind {
-            k if k == Kind::Header as u8 => HeaderRecord::decode(bytes).map(|header| raw.header = Some(header)),
-            k if k == Kind::Keyframe as u8 => Some(drop(raw.keyframes.insert(number, bytes.to_vec()))),
-            k if k == Kind::Picture as u8 => picture::decode(bytes).map(|p| drop(raw.pictures.insert(number, p))),
+            k if k == Kind::Header as u8 => {
+                raw.header = HeaderRecord::decode(bytes);
+                raw.header.is_some()
+            }
+            k if k == Kind::Keyframe as u8 => {
+                raw.keyframes.insert(number, bytes.to_vec());
+                true
+            }
+            k if k == Kind::Picture as u8 => {
+                let picture = picture::decode(bytes);
+                let sense = picture.is_some();
+                raw.pictures.extend(picture.map(|picture| (number, picture)));
+                sense
+            }
             k if k == Kind::Landmarks as u8 => {
                 pages.insert(number);
-                raw.add_landmarks(bytes)
+                raw.add_landmarks(bytes).is_some()
             }
-            _ => None,
+            _ => false,
         };
-        sense.ok_or_else(|| Fault::Broken(format!("record {number} of kind {kind} makes no sense")))
+        sense.then_some(()).ok_or_else(|| Fault::Broken(format!("record {number} of kind {kind} makes no sense")))
     });
     let tally = tally.map_err(as_look)?;
     drop(records);

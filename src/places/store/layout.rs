@@ -129,7 +129,7 @@ pub struct HeaderOf<'a> {
 }
 
 impl HeaderRecord {
-    pub fn encode(of: &HeaderOf<'_>, tally: Tally) -> Vec<u8> {
+    pub fn encode(of: &HeaderOf<'_>, tally: Tally) -> Option<Vec<u8>> {
         let map = |(head, keyframes): &(MapHead, Vec<u32>)| MapRecord {
             id: head.id.0,
             reference: head.reference.0,
@@ -149,7 +149,7 @@ impl HeaderRecord {
             records: tally.records,
             checksums: tally.sum,
         };
-        postcard::to_stdvec(&header).unwrap_or_default()
+        postcard::to_stdvec(&header).ok()
     }
 
     pub fn decode(bytes: &[u8]) -> Option<Self> {
@@ -224,7 +224,7 @@ impl OpticsRecord {
 }
 
 /// A keyframe without its picture. `camera`: the header's.
-pub fn encode_keyframe(keyframe: &Keyframe, camera: &CameraModel) -> Vec<u8> {
+pub fn encode_keyframe(keyframe: &Keyframe, camera: &CameraModel) -> Option<Vec<u8>> {
     let pose = &keyframe.camera_from_world;
     let (q, t) = (pose.rotation.coords, pose.translation);
     let motion = keyframe.motion.map(|m| [m.turn.x, m.turn.y, m.turn.z, m.shift.x, m.shift.y, m.shift.z]);
@@ -259,7 +259,7 @@ pub fn encode_keyframe(keyframe: &Keyframe, camera: &CameraModel) -> Vec<u8> {
         undistorted_corners: (!keyframe.corners.iter().all(corner_follows))
             .then(|| keyframe.corners.iter().map(|c| c.normalised.into()).collect()),
     };
-    postcard::to_stdvec(&record).unwrap_or_default()
+    postcard::to_stdvec(&record).ok()
 }
 
 fn same(a: &[f64], b: &[f64]) -> bool {
@@ -326,7 +326,7 @@ fn decode_keyframe(bytes: &[u8], picture: KeyframePicture, camera: &CameraModel)
 }
 
 /// A page of landmarks.
-pub fn encode_landmarks(page: &[(u32, Landmark)]) -> Vec<u8> {
+pub fn encode_landmarks(page: &[(u32, Landmark)]) -> Option<Vec<u8>> {
     let record = |(id, l): &(u32, Landmark)| LandmarkRecord {
         id: *id,
         position: l.position.into(),
@@ -337,7 +337,7 @@ pub fn encode_landmarks(page: &[(u32, Landmark)]) -> Vec<u8> {
         found: l.found,
         disagreed: l.disagreed,
     };
-    postcard::to_stdvec(&page.iter().map(record).collect::<Vec<_>>()).unwrap_or_default()
+    postcard::to_stdvec(&page.iter().map(record).collect::<Vec<_>>()).ok()
 }
 
 /// Everything in a file, as it was read.

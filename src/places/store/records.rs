@@ -109,7 +109,7 @@ impl Records {
         tally: Tally,
         records: &[(Kind, u32, Vec<u8>)],
         gone: &[(Kind, u32)],
-        header: impl FnOnce(Tally) -> Vec<u8>,
+        header: impl FnOnce(Tally) -> Option<Vec<u8>>,
     ) -> Result<Tally, Fault> {
         let database = self.database.take().ok_or_else(closed)?;
         let outcome = guarded(move || {
@@ -124,7 +124,8 @@ impl Records {
                     put(&mut table, *kind, *number, bytes, &mut tally)?;
                 }
                 let mut aside = Tally::default();
-                put(&mut table, Kind::Header, 0, &header(tally), &mut aside)?;
+                let header = header(tally).ok_or_else(|| redb::Error::Corrupted("no header can be made".into()))?;
+                put(&mut table, Kind::Header, 0, &header, &mut aside)?;
             }
             writing.commit()?;
             Ok((database, tally))
