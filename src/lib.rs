@@ -53,7 +53,7 @@
 //!   keyframes; near the frame before, half the landmarks are asked for that a place anywhere in the map needs.
 //! - A map that was lost is kept while the next one grows, recognised from its keyframes as a lost frame is, and joined to it: the old one is
 //!   carried over into the present one, so that no published pose jumps and neither map number nor reset counter goes back.
-//! - A keyframe that shows a place of the same map from long ago is recognised by an index over binary descriptors ([`places`]), verified as a lost frame
+//! - With `[reconstruction] loops`: a keyframe that shows a place of the same map from long ago is recognised by an index over binary descriptors ([`places`]), verified as a lost frame
 //!   is, and believed when two keyframes tell the same similarity; a pose graph on a copy in the mapping worker then moves the map, not the smooth pose.
 //!
 //! # Invariants
