@@ -16,7 +16,7 @@ use nalgebra::Vector3;
 
 use super::MapSnapshot;
 use crate::atomic_file::{WriteError, write_atomically};
-use crate::motion::scale::MapScale;
+use crate::map::scale::MapScale;
 
 const KEYFRAME_COLOUR: [u8; 3] = [255, 110, 20];
 

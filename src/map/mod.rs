@@ -9,6 +9,7 @@ pub mod export;
 pub mod picture;
 mod reduction;
 pub mod saved;
+pub mod scale;
 mod snapshot;
 pub mod store;
 

@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::{KeyframeId, LandmarkId, Map, MapId};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
-use crate::motion::scale::MapScale;
+use crate::map::scale::MapScale;
 
 /// A landmark as the outside sees it.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,12 +1,6 @@
 //! The length of a map unit in metres, from everything that tells it.
 
-/// What a scale is told by.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum ScaleSource {
-    Wheels,
-    Height,
-    Tag,
-}
+use crate::map::scale::{MapScale, ScaleSource, ScaleSources};
 
 /// One source's word on how long a map unit is.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -16,44 +10,6 @@ pub struct ScaleMeasurement {
     pub log_metres_per_unit: f64,
     /// Its standard deviation (0.01: 1 %).
     pub sigma: f64,
-}
-
-/// Sources; none by default.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct ScaleSources(u8);
-
-impl ScaleSources {
-    pub fn with(self, source: ScaleSource) -> Self {
-        Self(self.0 | 1 << source as u8)
-    }
-
-    pub fn contains(self, source: ScaleSource) -> bool {
-        self.0 & 1 << source as u8 != 0
-    }
-}
-
-impl std::fmt::Display for ScaleSources {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let names = [(ScaleSource::Wheels, "WHEELS"), (ScaleSource::Height, "HEIGHT"), (ScaleSource::Tag, "TAG")];
-        let names: Vec<&str> = names.into_iter().filter(|n| self.contains(n.0)).map(|n| n.1).collect();
-        f.write_str(&names.join("+"))
-    }
-}
-
-/// What a map's lengths are.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub enum MapScale {
-    /// Of an arbitrary unit.
-    #[default]
-    Unknown,
-    /// Metres, with this relative standard deviation.
-    Metric { sigma: f64, sources: ScaleSources },
-}
-
-impl MapScale {
-    pub fn is_metric(self) -> bool {
-        matches!(self, Self::Metric { .. })
-    }
 }
 
 /// A map becomes metric once its scale is known to this, and stays so.

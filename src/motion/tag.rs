@@ -20,10 +20,11 @@ pub mod sheet;
 
 use nalgebra::Vector2;
 
-use super::scale::{ScaleMeasurement, ScaleSource};
+use super::scale::ScaleMeasurement;
 use crate::features::tags::{FAMILY_SIZE, Tag, TagDetector};
 use crate::geometry::CameraModel;
 use crate::image::GreyImage;
+use crate::map::scale::ScaleSource;
 use crate::map::{KeyframeId, Map, MapId};
 use edge_length::{PlacedTag, View, edge_length};
 

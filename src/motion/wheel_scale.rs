@@ -12,8 +12,9 @@
 
 use super::hand_eye::{ROBOT, Robot, Segment, Solution, solve};
 use super::planar::{Increment, WheelHistory};
-use super::scale::{ScaleMeasurement, ScaleSource};
+use super::scale::ScaleMeasurement;
 use super::wheel::WheelReading;
+use crate::map::scale::ScaleSource;
 
 /// A segment takes so long at the least, ns: long enough for steps above a camera's noise, short enough to tell when a wheel slips.
 pub const SEGMENT_NS: i64 = 600_000_000;

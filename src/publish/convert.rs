@@ -24,9 +24,9 @@ use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
 use crate::frame;
 use crate::geometry::frames::{Body, Camera, World};
 use crate::geometry::{Se3, ros_from_optical};
+use crate::map::scale::{MapScale, ScaleSource};
 use crate::map::{KeyframeView, LandmarkView};
 use crate::messages::{self, Keyframe, Landmark, NO_KEYFRAME, Pose};
-use crate::motion::scale::{MapScale, ScaleSource};
 use crate::reconstruction::{LensKnowledge, OrientationEstimate, PoseEstimate, TrackingState};
 
 /// What is known of the length of a map unit.

@@ -45,7 +45,7 @@ pub struct ReconstructionConfig {
     pub start_landmarks: usize,
     /// Frames that may be lost in a row before a new map may begin beside this one: no more than the map was tracked for. 1..=1000.
     pub lost_frames: u64,
-    /// Close loops: recognise places of the map after a long way and correct the drift since.
+    /// Close loops: recognise places of the map after a long way and correct the drift since. Off until it has been tried where rooms look alike.
     pub loops: bool,
 }
 
@@ -67,12 +67,12 @@ impl Default for ReconstructionConfig {
             fixed_keyframes: 20,
             adjustment_steps: 5,
             merge_after_frames: 3,
-            max_keyframes: 600,
+            max_keyframes: 300,
             redundant_share: 0.9,
             start_flow_px: 4.0,
             start_landmarks: 50,
             lost_frames: 15,
-            loops: true,
+            loops: false,
         }
     }
 }

@@ -22,9 +22,10 @@ use crate::features::FrameFeatures;
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::geometry::sim3::Sim3;
+use crate::map::scale::MapScale;
 use crate::map::{KeyframeId, MapId};
 use crate::motion::hand_eye::Robot;
-use crate::motion::scale::{MapScale, ScaleMeasurement};
+use crate::motion::scale::ScaleMeasurement;
 use crate::motion::wheel::WheelReading;
 use segments::{FrameEnd, Wheels};
 

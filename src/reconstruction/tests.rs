@@ -9,8 +9,9 @@ use super::track::search::observe;
 use super::*;
 use crate::features::thumbnail::Thumbnail;
 use crate::image::{GreyImage, Pyramid};
+use crate::map::scale::{MapScale, ScaleSource};
 use crate::map::{Keyframe, Landmark, LandmarkId, Map};
-use crate::motion::scale::{MapScale, ScaleMeasurement, ScaleSource};
+use crate::motion::scale::ScaleMeasurement;
 
 const FOCAL_PX: f64 = 300.0;
 const FRAME_NS: i64 = 33_000_000;

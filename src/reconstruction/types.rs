@@ -4,8 +4,8 @@ use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
 
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, Keyframe, Odom, World};
+use crate::map::scale::MapScale;
 use crate::map::{KeyframeId, MapId};
-use crate::motion::scale::MapScale;
 
 /// State of tracking as published.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

@@ -223,9 +223,10 @@ mod tests {
 
     use super::*;
     use crate::features::thumbnail::Thumbnail;
+    use crate::map::scale::ScaleSource;
     use crate::map::{AssumedDistance, Keyframe, Landmark, MapId};
     use crate::motion::hand_eye::Robot;
-    use crate::motion::scale::{ScaleMeasurement, ScaleSource};
+    use crate::motion::scale::ScaleMeasurement;
     use crate::motion::wheel::WheelReading;
     use crate::reconstruction::track::search::observe;
 

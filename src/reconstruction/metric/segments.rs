@@ -5,9 +5,10 @@
 
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
+use crate::map::scale::ScaleSource;
 use crate::map::{KeyframeId, Map};
 use crate::motion::hand_eye::{Robot, Segment};
-use crate::motion::scale::{ScaleFusion, ScaleSource};
+use crate::motion::scale::ScaleFusion;
 use crate::motion::wheel_scale::{LONGEST_SEGMENT_NS, SEGMENT_NS, WheelScale};
 
 /// Standard deviation of a frame's place beside a keyframe, as a share of the mean depth: 0.8 px of a focal length of 500 px, 150 landmarks, and
