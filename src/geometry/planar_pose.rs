@@ -4,7 +4,7 @@
 //! first; `None` for too few, collinear or non-finite points. A plane that is small against its distance looks nearly the same when its
 //! normal is mirrored about the line of sight: the second pose is nearly that mirror image, and which is the true one another view says.
 //! Collins & Bartoli, Infinitesimal plane-based pose estimation (2014): the homography's first order at the plane's origin, which
-//! should be the middle of the points, fixes both rotations in closed form; translations are linear. Cost: 6 us for four points.
+//! should be the middle of the points, fixes both rotations in closed form; translations are linear. Cost: 8 us for four points.
 
 use nalgebra::{Matrix2, Matrix3, Rotation3, Vector2, Vector3};
 

@@ -11,7 +11,7 @@
 //! Everything that was seen is in every measurement: the newest replaces the one before, and two are not independent.
 //! A keyframe that is culled takes its sightings along; a map that is joined to another is found by its keyframes' numbers.
 //!
-//! Cost: at keyframes only, after the pose was published: 3 ms to look (640 x 480), and 0.1 to 0.3 ms for each tag. Bounded: 16 tags of 24 sightings.
+//! Cost: at keyframes only, after the pose was published: 3 ms to look (640 x 480), and 0.2 to 0.3 ms for each tag. Bounded: 16 tags of 24 sightings.
 //!
 //! Not here: what becomes of the measurement; tags as landmarks of the adjustment; a tag as the origin of the map.
 

@@ -2,7 +2,6 @@
 //!
 //! Grey picture -> mask of the same size with a rim of one pixel. Tiles of 4 x 4 pixels know their darkest and brightest pixel; a pixel is
 //! dark below the middle of the extremes of its tile and the eight around it. Where these are too close nothing is dark: there is no edge.
-//! Cost: 0.5 ms for 640 x 480.
 
 use crate::image::GreyImage;
 
