@@ -13,6 +13,7 @@ use crate::map::MapSnapshot;
 use crate::map::colmap::write_colmap;
 use crate::map::export::write_ply;
 use crate::map::saved::SavedMap;
+use crate::map::scale::MapScale;
 use crate::places::store::{Contents, read};
 use crate::trajectory::{TumPose, format_timestamp, write_tum};
 
@@ -84,8 +85,6 @@ struct Info {
     record_bytes: [u64; 3],
     camera: CameraInfo,
     readout_ms: f64,
-    /// Metres of a map unit; null: not known.
-    metres_per_unit: Option<f64>,
     maps: Vec<MapInfo>,
 }
 
@@ -112,10 +111,14 @@ struct MapInfo {
     observations: usize,
     /// Frames that were tracked in it.
     frames: u64,
+    /// Standard deviation of the scale, as a share, where lengths are metres; null: they are map units.
+    scale_sigma: Option<f64>,
+    /// Who told it; empty: nobody.
+    scale_source: String,
     /// Timestamps of the oldest and the newest keyframe, s.
     from_s: Option<String>,
     to_s: Option<String>,
-    /// Corners of the box around all landmarks of known distance and keyframes, map units, world axes (right, down, forward of the first
+    /// Corners of the box around all landmarks of known distance and keyframes, map units or metres, world axes (right, down, forward of the first
     /// keyframe); null: there are none.
     low: Option<[f64; 3]>,
     high: Option<[f64; 3]>,
@@ -227,7 +230,6 @@ impl Info {
                 given_distortion: optics.calibration.lens.coefficients().to_vec(),
             },
             readout_ms: 1e3 * optics.readout_s,
-            metres_per_unit: contents.metres_per_unit,
             maps: contents.saved.maps.iter().map(MapInfo::of).collect(),
         }
     }
@@ -249,10 +251,6 @@ impl Info {
             "  as it was given: fx {fx:.2} fy {fy:.2} cx {cx:.2} cy {cy:.2} px; readout {:.1} ms\n",
             self.readout_ms
         );
-        match self.metres_per_unit {
-            Some(metres) => text += &format!("  a map unit is {metres:.4} m\n"),
-            None => text += "  lengths are map units, no metres\n",
-        }
         if self.maps.is_empty() {
             text += "  no map yet\n";
         }
@@ -270,6 +268,10 @@ impl MapInfo {
         let points: Vec<_> = landmarks.chain(map.keyframes.iter().map(|(_, k)| k.centre())).collect();
         let corner =
             |pick: fn(f64, f64) -> f64| points.iter().copied().reduce(|a, b| a.zip_map(&b, pick)).map(<[f64; 3]>::from);
+        let (scale_sigma, scale_source) = match saved.head.scale {
+            MapScale::Unknown => (None, String::new()),
+            MapScale::Metric { sigma, sources } => (Some(sigma), sources.to_string()),
+        };
         let times = || map.keyframes.iter().map(|(_, k)| k.timestamp_ns);
         Self {
             id: saved.head.id.0,
@@ -277,6 +279,8 @@ impl MapInfo {
             landmarks: map.landmarks.len(),
             observations: map.keyframes.iter().map(|(_, k)| k.observations.len()).sum(),
             frames: saved.head.frames,
+            scale_sigma,
+            scale_source,
             from_s: times().min().map(format_timestamp),
             to_s: times().max().map(format_timestamp),
             low: corner(f64::min),
@@ -292,9 +296,16 @@ impl MapInfo {
         if let (Some(from), Some(to)) = (&self.from_s, &self.to_s) {
             text += &format!("    keyframes from {from} to {to} s\n");
         }
+        match self.scale_sigma {
+            Some(sigma) => {
+                text += &format!("    lengths are metres, to {:.2} % by {}\n", 1e2 * sigma, self.scale_source)
+            }
+            None => text += "    lengths are map units, no metres\n",
+        }
         if let (Some(low), Some(high)) = (self.low, self.high) {
             let point = |p: [f64; 3]| format!("({:.2} {:.2} {:.2})", p[0], p[1], p[2]);
-            text += &format!("    from {} to {} map units (right, down, forward)\n", point(low), point(high));
+            let unit = if self.scale_sigma.is_some() { "m" } else { "map units" };
+            text += &format!("    from {} to {} {unit} (right, down, forward)\n", point(low), point(high));
         }
         text
     }

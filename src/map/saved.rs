@@ -10,6 +10,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::Vector3;
 
+use super::scale::MapScale;
 use super::store::PAGE;
 use super::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, MapId, TurnId, change_covisibility};
 use crate::geometry::CameraModel;
@@ -55,6 +56,7 @@ pub struct MapHead {
     pub reference: KeyframeId,
     /// Frames tracked in it.
     pub frames: u64,
+    pub scale: MapScale,
     pub turns: Vec<SavedTurn>,
 }
 

@@ -6,6 +6,22 @@ pub enum ScaleSource {
     Wheels,
     Height,
     Tag,
+    /// The map was metric when it was loaded.
+    StoredMap,
+}
+
+impl ScaleSource {
+    pub const ALL: [Self; 4] = [Self::Wheels, Self::Height, Self::Tag, Self::StoredMap];
+
+    /// As logged, and on the wire.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Wheels => "WHEELS",
+            Self::Height => "HEIGHT",
+            Self::Tag => "TAG",
+            Self::StoredMap => "STORED_MAP",
+        }
+    }
 }
 
 /// Sources; none by default.
@@ -13,8 +29,22 @@ pub enum ScaleSource {
 pub struct ScaleSources(u8);
 
 impl ScaleSources {
+    pub const fn none() -> Self {
+        Self(0)
+    }
+
     pub fn with(self, source: ScaleSource) -> Self {
         Self(self.0 | 1 << source as u8)
+    }
+
+    /// One bit each, in the order of [`ScaleSource::ALL`].
+    pub fn bits(self) -> u8 {
+        self.0
+    }
+
+    /// The reverse; bits that are no source's are left out.
+    pub fn from_bits(bits: u8) -> Self {
+        Self(bits & ((1 << ScaleSource::ALL.len()) - 1))
     }
 
     pub fn contains(self, source: ScaleSource) -> bool {
@@ -24,8 +54,8 @@ impl ScaleSources {
 
 impl std::fmt::Display for ScaleSources {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let names = [(ScaleSource::Wheels, "WHEELS"), (ScaleSource::Height, "HEIGHT"), (ScaleSource::Tag, "TAG")];
-        let names: Vec<&str> = names.into_iter().filter(|n| self.contains(n.0)).map(|n| n.1).collect();
+        let names: Vec<&str> =
+            ScaleSource::ALL.into_iter().filter(|source| self.contains(*source)).map(ScaleSource::name).collect();
         f.write_str(&names.join("+"))
     }
 }

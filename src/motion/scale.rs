@@ -19,7 +19,7 @@ const REFINE_SHARE: f64 = 0.3;
 const REFINE_LEAST: f64 = 0.001;
 /// No number of words makes a source better than this: a measured height has an error that all its words share. What tells by wheels or
 /// tags has it in its sigma already.
-const COMMON_SIGMA: [f64; 3] = [0.0, 0.005, 0.0];
+const COMMON_SIGMA: [f64; 4] = [0.0, 0.005, 0.0, 0.0];
 /// A word this many standard deviations from what its own source has said so far, several times, replaces that; fewer times it is left out.
 const CONTRADICTS: f64 = 5.0;
 const INSISTS: u32 = 3;
@@ -40,19 +40,28 @@ struct Word {
 /// in the wheels' sigma, so beside a tag the tag decides, and the wheels hold what it said.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ScaleFusion {
-    words: [Option<Word>; 3],
+    words: [Option<Word>; 4],
+    /// Who told the scale that the map was stored with.
+    stored: ScaleSources,
     metric: bool,
 }
 
 impl ScaleFusion {
     /// Nothing has been said.
     pub const fn silent() -> Self {
-        Self { words: [None; 3], metric: false }
+        Self { words: [None; 4], stored: ScaleSources::none(), metric: false }
     }
 
     /// What one source has said: ln(metres per map unit).
     pub fn word(&self, source: ScaleSource) -> Option<f64> {
         self.words[source as usize].map(|word| word.log)
+    }
+
+    /// Of a map that was metric when it was stored.
+    pub fn restored(sigma: f64, sources: ScaleSources) -> Self {
+        let mut fusion = Self { stored: sources, metric: true, ..Self::silent() };
+        fusion.add(&ScaleMeasurement { source: ScaleSource::StoredMap, log_metres_per_unit: 0.0, sigma });
+        fusion
     }
 
     /// Takes a word on the present map as it is now. A second one of the wheels' or of tags replaces the one before, those of heights add to it. `false`, and nothing
@@ -87,9 +96,10 @@ impl ScaleFusion {
 
     /// What all say together: ln(metres per map unit), and its standard deviation; and who.
     pub fn fused(&self) -> Option<(f64, f64, ScaleSources)> {
-        const SOURCES: [ScaleSource; 3] = [ScaleSource::Wheels, ScaleSource::Height, ScaleSource::Tag];
         let (mut information, mut sum, mut sources) = (0.0, 0.0, ScaleSources::default());
-        for source in SOURCES {
+        // The error common to both wheels is in the word of a stored map that wheels have told, too: it would count twice.
+        let is_heard = |source: &ScaleSource| *source != ScaleSource::Wheels || !self.stored.contains(*source);
+        for source in ScaleSource::ALL.into_iter().filter(is_heard) {
             let Some(word) = self.words[source as usize] else { continue };
             let weight = 1.0 / (word.variance + COMMON_SIGMA[source as usize].powi(2));
             information += weight;
@@ -178,6 +188,22 @@ mod tests {
         assert!((0.0019..0.0021).contains(&sigma), "{sigma}");
         assert!(sources.contains(ScaleSource::Tag) && sources.contains(ScaleSource::Wheels));
         assert!(!sources.contains(ScaleSource::Height));
+    }
+
+    #[test]
+    fn a_stored_scale_is_heard_and_what_told_it_is_not_heard_twice() {
+        let wheels = ScaleSources::default().with(ScaleSource::Wheels);
+        let mut fusion = ScaleFusion::restored(0.01, wheels);
+        assert!(fusion.is_metric() && fusion.due().is_none());
+        fusion.add(&word(ScaleSource::Wheels, 0.05, 0.01));
+        let stored = ScaleSources::default().with(ScaleSource::StoredMap);
+        assert_eq!(fusion.scale(), MapScale::Metric { sigma: 0.01, sources: stored });
+        fusion.add(&word(ScaleSource::Tag, 0.01, 0.002));
+        let (log, sigma, sources) = fusion.fused().expect("told");
+        assert!((0.009..0.01).contains(&log) && sigma < 0.002 && sources.contains(ScaleSource::Tag));
+        let mut by_tag = ScaleFusion::restored(0.01, ScaleSources::default().with(ScaleSource::Tag));
+        by_tag.add(&word(ScaleSource::Wheels, 0.0, 0.01));
+        assert!(by_tag.fused().expect("told").1 < 0.0071, "independent of each other");
     }
 
     #[test]

@@ -42,8 +42,11 @@ const DEPTH_M: f64 = 2.5;
 /// Of the path, ms.
 const STEP_MS: usize = 5;
 
-/// Base poses, forward speed and yaw rate, every so often.
-fn path(course: &Course, random: &mut Random) -> Vec<(Se3<World, Body>, f64, f64)> {
+/// Pose of the base, its forward speed (m/s) and yaw rate (rad/s).
+type Moment = (Se3<World, Body>, f64, f64);
+
+/// One every so often.
+fn path(course: &Course, random: &mut Random) -> Vec<Moment> {
     let phases: [f64; 4] = std::array::from_fn(|_| random.uniform(0.0, std::f64::consts::TAU));
     let (mut yaw, mut at, mut out) = (0.0_f64, Vector3::zeros(), Vec::new());
     let dt = STEP_MS as f64 * 1e-3;
@@ -92,7 +95,7 @@ pub fn drive(seed: u64, change: impl Fn(&mut Course)) -> Drive {
 /// At 50 Hz; what the wheels say at `t + offset` is what the base did at `t`.
 fn readings(
     course: &Course,
-    path: &[(Se3<World, Body>, f64, f64)],
+    path: &[Moment],
     slips: &[(f64, f64)],
     truth: &Robot,
     random: &mut Random,
@@ -103,7 +106,7 @@ fn readings(
     for (i, block) in path.chunks_exact(20 / STEP_MS).enumerate() {
         let t = i as f64 * 0.02;
         let slip: f64 = slips.iter().zip(&factors).filter(|((a, b), _)| (*a..*b).contains(&t)).map(|s| s.1).product();
-        let mean = |f: fn(&(Se3<World, Body>, f64, f64)) -> f64| block.iter().map(f).sum::<f64>() / block.len() as f64;
+        let mean = |f: fn(&Moment) -> f64| block.iter().map(f).sum::<f64>() / block.len() as f64;
         let (v, w) = (mean(|p| p.1), mean(|p| p.2));
         let noise = |random: &mut Random| course.noise * random.normal();
         let x = v * slip * (1.0 + course.radius) * (1.0 + 0.04 * noise(random)) + 0.01 * noise(random);
@@ -121,12 +124,7 @@ fn readings(
 }
 
 /// Of 0.7 s each, in a map whose scale drifts.
-fn segments(
-    course: &Course,
-    path: &[(Se3<World, Body>, f64, f64)],
-    truth: &Robot,
-    random: &mut Random,
-) -> (Vec<Segment>, f64) {
+fn segments(course: &Course, path: &[Moment], truth: &Robot, random: &mut Random) -> (Vec<Segment>, f64) {
     let camera: Se3<Body, Camera> = Se3::new(truth.base_from_camera, truth.lever_m.push(0.3));
     let mut log_scale = random.uniform(-1.0, 1.5);
     let (mut out, mut depths, mut noise_before) = (Vec::new(), 0.0, Vector3::zeros());

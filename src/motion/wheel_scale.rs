@@ -31,7 +31,7 @@ const BELIEVED_SHARE: f64 = 0.6;
 /// Standard deviation up to which it is told.
 const TOLD_SIGMA: f64 = 0.03;
 /// Where camera and wheels agree so much worse than they should (variances), it is no noise that they disagree by.
-const TOLD_NOISE: f64 = 12.0;
+const TOLD_NOISE: f64 = 4.0;
 /// What is known of the robot is, for the next map, so many times as uncertain: it may have been lifted meanwhile.
 const NEXT_MAP: f64 = 2.0;
 

@@ -59,6 +59,7 @@ impl From<MapScale> for ScaleEstimate {
             (ScaleSource::Wheels, messages::scale_source::WHEELS),
             (ScaleSource::Height, messages::scale_source::HEIGHT),
             (ScaleSource::Tag, messages::scale_source::TAG),
+            (ScaleSource::StoredMap, messages::scale_source::STORED_MAP),
         ];
         let source =
             bits.into_iter().filter(|(source, _)| sources.contains(*source)).fold(0, |all, (_, bit)| all | bit);

@@ -10,13 +10,12 @@
 //!
 //! Cost: nothing without readings and words; else 2 ms every half second, after the pose was published.
 
-pub mod segments;
-
 use nalgebra::{UnitQuaternion, Vector3};
 
 use super::Reconstruction;
 use super::keyframe::distance_prior;
 use super::odometry::Odometry;
+use super::segments::{FrameEnd, Wheels};
 use super::types::{TrackingState, TrajectoryEvent};
 use crate::features::FrameFeatures;
 use crate::geometry::Se3;
@@ -27,7 +26,6 @@ use crate::map::{KeyframeId, MapId};
 use crate::motion::hand_eye::Robot;
 use crate::motion::scale::ScaleMeasurement;
 use crate::motion::wheel::WheelReading;
-use segments::{FrameEnd, Wheels};
 
 impl Reconstruction {
     /// What is known of the base before it has moved, and the standard deviation of an error common to both wheels' radii, as a share.

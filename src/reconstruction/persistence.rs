@@ -18,6 +18,8 @@ use crate::features::FrameFeatures;
 use crate::geometry::CameraModel;
 use crate::map::MapId;
 use crate::map::saved::{MapChanges, MapHead, SavedMap, SavedMaps};
+use crate::map::scale::MapScale;
+use crate::motion::scale::ScaleFusion;
 
 /// Maps and camera of the changes that were taken last.
 #[derive(Debug, Clone, PartialEq)]
@@ -37,11 +39,13 @@ impl Reconstruction {
             |before: &Taken| before.camera == taken.camera && before.maps.iter().all(|id| taken.maps.contains(id));
         let is_everything = everything || !self.taken.as_ref().is_some_and(is_known);
         self.taken = Some(taken);
-        let ActiveMap { map, id, reference, frames, scale, .. } = &mut self.active;
-        let head = MapHead { id: *id, reference: *reference, frames: *frames, turns: scale.saved() };
+        let ActiveMap { map, id, reference, frames, scale, fusion, .. } = &mut self.active;
+        let (told, turns) = (fusion.scale(), scale.saved());
+        let head = MapHead { id: *id, reference: *reference, frames: *frames, scale: told, turns };
         let others = self.others.kept.iter_mut().map(|other| {
-            let OtherMap { map, id, reference, scale, frames, .. } = other;
-            (MapHead { id: *id, reference: *reference, frames: *frames, turns: scale.saved() }, map)
+            let OtherMap { map, id, reference, scale, fusion, frames, .. } = other;
+            let (told, turns) = (fusion.scale(), scale.saved());
+            (MapHead { id: *id, reference: *reference, frames: *frames, scale: told, turns }, map)
         });
         let maps = std::iter::once((head, map)).chain(others).collect();
         MapChanges::take(optics, self.frame_ns, maps, is_everything)
@@ -60,6 +64,7 @@ impl Reconstruction {
             reference: head.reference,
             frames: head.frames,
             scale: ScaleUncertainty::restored(&head.turns),
+            fusion: restored(head.scale),
             next_whole,
             next_id: MapId(next_id),
             ..ActiveMap::new(map, head.id)
@@ -68,10 +73,9 @@ impl Reconstruction {
         self.active.odometry.lost_frames = 1;
         self.state = TrackingState::Lost;
         for SavedMap { head, map } in maps {
-            let MapHead { id, reference, frames, turns } = head;
-            let scale = ScaleUncertainty::restored(&turns);
-            let other =
-                OtherMap { map, id, reference, scale, fusion: Default::default(), frames, sightings: Vec::new() };
+            let MapHead { id, reference, frames, scale: told, turns } = head;
+            let (scale, fusion) = (ScaleUncertainty::restored(&turns), restored(told));
+            let other = OtherMap { map, id, reference, scale, fusion, frames, sightings: Vec::new() };
             // All of them were kept before.
             self.others.keep(other, usize::MAX);
         }
@@ -91,5 +95,13 @@ impl Reconstruction {
                 bindings.set(track.id, Target::Landmark(m.landmark));
             }
         }
+    }
+}
+
+/// What is known of the scale of a map that was stored with this.
+fn restored(scale: MapScale) -> ScaleFusion {
+    match scale {
+        MapScale::Unknown => ScaleFusion::default(),
+        MapScale::Metric { sigma, sources } => ScaleFusion::restored(sigma, sources),
     }
 }

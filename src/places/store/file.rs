@@ -24,8 +24,6 @@ pub struct Contents {
     pub written_ns: i64,
     /// Version of the program that wrote it last.
     pub cairn: String,
-    /// `None`: not known, lengths are map units.
-    pub metres_per_unit: Option<f64>,
     pub bytes: u64,
     /// Of the records: keyframes, their pictures, landmarks. The rest is the database's own, and room.
     pub record_bytes: [u64; 3],
@@ -240,7 +238,6 @@ fn look(file: &File) -> Result<(Contents, Tally, BTreeSet<u32>), Fault> {
         created_ns: front.created_ns,
         written_ns: header.written_ns,
         cairn: header.cairn,
-        metres_per_unit: header.metres_per_unit,
         bytes,
         record_bytes,
         saved: raw.maps().map_err(Fault::Broken)?,

@@ -15,6 +15,7 @@ use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::{CameraModel, LensModel, Se3};
 use crate::map::picture::KeyframePicture;
 use crate::map::saved::{MapHead, SavedMap, SavedMaps, SavedOptics, SavedTurn};
+use crate::map::scale::{MapScale, ScaleSources};
 use crate::map::{
     AssumedDistance, FreeCorner, Keyframe, KeyframeId, Landmark, LandmarkId, Map, MapId, Observation, TurnId,
 };
@@ -26,8 +27,6 @@ pub struct HeaderRecord {
     pub cairn: String,
     /// When it was written, ns since 1970.
     pub written_ns: i64,
-    /// Metres of a map unit; `None`: not known.
-    pub metres_per_unit: Option<f64>,
     /// Timestamp of the newest frame.
     frame_ns: i64,
     optics: OpticsRecord,
@@ -69,6 +68,8 @@ struct MapRecord {
     id: u32,
     reference: u32,
     frames: u64,
+    /// Where lengths are metres: standard deviation, as a share, and who told it.
+    metric: Option<(f64, u8)>,
     /// Keyframe, centre, variance, turn before.
     turns: Vec<(u32, [f64; 3], f64, Option<u16>)>,
     /// Ascending.
@@ -134,13 +135,16 @@ impl HeaderRecord {
             id: head.id.0,
             reference: head.reference.0,
             frames: head.frames,
+            metric: match head.scale {
+                MapScale::Unknown => None,
+                MapScale::Metric { sigma, sources } => Some((sigma, sources.bits())),
+            },
             turns: head.turns.iter().map(turn_record).collect(),
             keyframes: keyframes.clone(),
         };
         let header = Self {
             cairn: env!("CARGO_PKG_VERSION").into(),
             written_ns: of.written_ns,
-            metres_per_unit: None,
             frame_ns: of.frame_ns,
             optics: OpticsRecord::of(of.optics),
             maps: of.maps.iter().map(map).collect(),
@@ -427,6 +431,10 @@ impl MapRecord {
             id: MapId(self.id),
             reference: KeyframeId(self.reference),
             frames: self.frames,
+            scale: self.metric.map_or(MapScale::Unknown, |(sigma, sources)| MapScale::Metric {
+                sigma,
+                sources: ScaleSources::from_bits(sources),
+            }),
             turns: self.turns.iter().map(turn).collect(),
         }
     }

@@ -14,6 +14,7 @@ use crate::geometry::{CameraModel, LensModel, Se3};
 use crate::image::{GreyImage, Pyramid};
 use crate::map::picture::KeyframePicture;
 use crate::map::saved::{MapChanges, MapHead, SavedMap, SavedOptics, SavedTurn};
+use crate::map::scale::{MapScale, ScaleSource, ScaleSources};
 use crate::map::{
     AssumedDistance, FreeCorner, Keyframe, KeyframeId, Landmark, LandmarkId, Map, MapId, Observation, TurnId,
 };
@@ -115,7 +116,9 @@ fn grow(map: &mut Map, id: MapId, random: &mut Random) {
 fn head(id: u32) -> MapHead {
     let turn = SavedTurn { keyframe: KeyframeId(2), centre: Vector3::new(0.1, 0.2, 0.3), variance: 0.25, before: None };
     let turns = vec![turn, SavedTurn { before: Some(TurnId(0)), ..turn }];
-    MapHead { id: MapId(id), reference: KeyframeId(1), frames: 345, turns }
+    let sources = ScaleSources::default().with(ScaleSource::Tag);
+    let scale = MapScale::Metric { sigma: 0.004 + f64::from(id), sources };
+    MapHead { id: MapId(id), reference: KeyframeId(1), frames: 345, scale, turns }
 }
 
 /// Two maps of one run that are not joined, with whole and reduced pictures.

@@ -21,7 +21,7 @@ use crate::motion::scale::ScaleFusion;
 use crate::reconstruction::Reconstruction;
 use crate::reconstruction::measurement::PosePair;
 use crate::reconstruction::measurement::inverse_distance::Ray;
-use crate::reconstruction::metric::segments::Wheels;
+use crate::reconstruction::segments::Wheels;
 use crate::reconstruction::track::pose::{PoseOptions, optimise_pose};
 use crate::reconstruction::track::search::Match;
 

@@ -7,7 +7,8 @@
 
 use nalgebra::{Matrix6, Vector3, Vector6};
 
-use super::problem::BundleState;
+use crate::geometry::Se3;
+use crate::geometry::frames::{Camera, World};
 use crate::geometry::least_squares::Loss;
 
 /// Standard deviations at which a length begins to be doubted.
@@ -33,8 +34,8 @@ pub(super) struct LengthTerm {
 
 impl KnownLength {
     /// Residual, standard deviations, and its derivatives by both poses; `None` where the cameras are in one place.
-    fn linearised(&self, state: &BundleState) -> Option<(f64, [Vector6<f64>; 2])> {
-        let [a, b] = self.cameras.map(|camera| state.poses[camera as usize]);
+    fn linearised(&self, poses: &[Se3<Camera, World>]) -> Option<(f64, [Vector6<f64>; 2])> {
+        let [a, b] = self.cameras.map(|camera| poses[camera as usize]);
         let between = a * b.inverse();
         let length = between.translation.norm();
         if !(length > 1e-9) {
@@ -45,12 +46,12 @@ impl KnownLength {
         Some(((length - self.length) / self.sigma, [row(along), row(-(between.rotation.inverse() * along))]))
     }
 
-    pub(super) fn cost(&self, state: &BundleState) -> f64 {
-        self.linearised(state).map_or(0.0, |(e, _)| LOSS.evaluate(e * e).0)
+    pub(super) fn cost(&self, poses: &[Se3<Camera, World>]) -> f64 {
+        self.linearised(poses).map_or(0.0, |(e, _)| LOSS.evaluate(e * e).0)
     }
 
-    pub(super) fn term(&self, state: &BundleState) -> Option<LengthTerm> {
-        let (e, [a, b]) = self.linearised(state)?;
+    pub(super) fn term(&self, poses: &[Se3<Camera, World>]) -> Option<LengthTerm> {
+        let (e, [a, b]) = self.linearised(poses)?;
         let (_, weight) = LOSS.evaluate(e * e);
         Some(LengthTerm {
             own: [a * a.transpose() * weight, b * b.transpose() * weight],
@@ -63,7 +64,6 @@ impl KnownLength {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::Se3;
     use crate::geometry::random::Random;
     use nalgebra::UnitQuaternion;
 
@@ -74,16 +74,16 @@ mod tests {
             let mut v = || Vector3::new(random.normal(), random.normal(), random.normal());
             Se3::new(UnitQuaternion::from_scaled_axis(v()), v())
         };
-        let state = BundleState { poses: vec![pose(), pose()], ..BundleState::default() };
+        let poses = [pose(), pose()];
         let known = KnownLength { cameras: [0, 1], length: 0.7, sigma: 0.05 };
-        let (_, rows) = known.linearised(&state).expect("apart");
+        let (_, rows) = known.linearised(&poses).expect("apart");
         for (camera, row) in rows.iter().enumerate() {
             for i in 0..6 {
                 let at = |sign: f64| {
-                    let mut moved = state.clone();
+                    let mut moved = poses;
                     let mut delta = Vector6::zeros();
                     delta[i] = sign * 1e-6;
-                    moved.poses[camera] = moved.poses[camera].perturb_left(&delta);
+                    moved[camera] = moved[camera].perturb_left(&delta);
                     known.linearised(&moved).expect("apart").0
                 };
                 let numeric = (at(1.0) - at(-1.0)) / 2e-6;

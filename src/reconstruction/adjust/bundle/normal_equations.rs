@@ -140,7 +140,7 @@ impl<'p, const W: usize> Adjustment<'p, W> {
 
     fn add_lengths(&self, state: &BundleState, system: &mut System<W>) {
         for known in &self.problem.lengths {
-            let Some(term) = known.term(state) else { continue };
+            let Some(term) = known.term(&state.poses) else { continue };
             let slots = known.cameras.map(|camera| self.slot[camera as usize]);
             for (i, &slot) in slots.iter().enumerate() {
                 if let Some(block) = system.cameras.get_mut(slot) {
@@ -233,7 +233,7 @@ impl<const W: usize> LeastSquares for Adjustment<'_, W> {
         let loss = Loss::Huber(self.limit);
         let behind = BEHIND_CAMERA * self.limit * self.limit;
         let mut cost = self.problem.globals.prior_cost(&state.globals);
-        cost += self.problem.lengths.iter().map(|length| length.cost(state)).sum::<f64>();
+        cost += self.problem.lengths.iter().map(|length| length.cost(&state.poses)).sum::<f64>();
         for (i, point) in state.points.iter().enumerate() {
             for k in self.problem.inliers(i) {
                 let residual = self.problem.residual(state, point, k);
