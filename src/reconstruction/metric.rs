@@ -67,7 +67,8 @@ impl Reconstruction {
         if !self.wheels.scale.is_silent() {
             self.follow_wheels(features);
         }
-        if let Some(factor) = self.active.fusion.due() {
+        // A map that is only located in stays as it is.
+        if let Some(factor) = self.active.fusion.due().filter(|_| !self.localise_only) {
             self.rescale(factor);
         }
     }
@@ -113,6 +114,9 @@ impl Reconstruction {
         active.fusion.rescale(factor);
         active.unadjusted = active.map.keyframes.iter().last().map(|(id, _)| KeyframeId(id));
         self.wheels.rescale(factor);
+        if let Some(tags) = &mut self.tags {
+            tags.rescale(factor);
+        }
         self.tracker.rescale(factor);
         let after = active.odometry.last.map(|last| last.camera_from_world);
         if first {

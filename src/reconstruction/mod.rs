@@ -37,20 +37,12 @@ use keyframe::distance_prior::{self, mostly_assumed};
 use keyframe::epipolar::{EpipolarMatcher, Lens};
 use keyframe::pictures::{WHOLE_PICTURES, reduce_pictures};
 use keyframe::{KeyframeInputs, NewKeyframe};
-<<<<<<< HEAD
 use loops::Loops;
-use metric::segments::Wheels;
-=======
->>>>>>> metric
 use optics::Optics;
 use persistence::Taken;
 use relocalise::Relocaliser;
-<<<<<<< HEAD
 use relocalise::other_maps::{OtherMap, OtherMaps, WORTH_KEEPING, retire};
-=======
-use relocalise::other_maps::{OtherMaps, WORTH_KEEPING, retire};
 use segments::Wheels;
->>>>>>> metric
 use track::frame::Frame;
 use track::search::Match;
 use track::{Tracked, Tracker};
