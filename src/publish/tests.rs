@@ -21,7 +21,6 @@ fn estimate(world_from_camera: Se3<World, Camera>) -> PoseEstimate {
         odom_from_camera: Some(world_from_camera.relabel::<Odom, Camera>()),
         orientation: None,
         map_revision: 0,
-        map_mode: 0,
         anchor: Some(KeyframeId(3)),
         covariance: Matrix6::identity(),
         angular_velocity: Vector3::zeros(),

@@ -35,7 +35,6 @@ use keyframe::epipolar::{EpipolarMatcher, Lens};
 use keyframe::pictures::{WHOLE_PICTURES, reduce_pictures};
 use keyframe::{KeyframeInputs, NewKeyframe};
 use optics::Optics;
-use persistence::Taken;
 use relocalise::Relocaliser;
 use relocalise::other_maps::{OtherMaps, WORTH_KEEPING, retire};
 use track::frame::Frame;
@@ -46,6 +45,7 @@ use crate::features::{Feedback, FrameFeatures};
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::image::pyramid::PyramidPool;
+use crate::map::saved::Taken;
 use crate::map::{KeyframeId, KeyframeView, LandmarkId, MapId, Sought};
 
 /// Share of the landmarks looked for that are seen: below the first a frame is looked for elsewhere too (after a stretch of blur
