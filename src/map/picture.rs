@@ -12,7 +12,6 @@ use std::sync::Arc;
 
 use nalgebra::Vector2;
 
-use super::LandmarkId;
 use crate::image::pyramid::double;
 use crate::image::{Crop, GreyImage, Pyramid};
 
@@ -53,7 +52,8 @@ pub struct Kept<'a> {
 /// A patch as a file keeps it.
 #[derive(Debug, Clone)]
 pub struct KeptPatch {
-    pub landmark: LandmarkId,
+    /// Its number.
+    pub landmark: u32,
     /// Column and row of its first pixel in level 0.
     pub left: u16,
     pub top: u16,
@@ -73,8 +73,8 @@ impl KeyframePicture {
     }
 
     /// The patches of a reduced picture, ascending landmark.
-    pub fn patches(&self) -> impl Iterator<Item = (LandmarkId, [u16; 2], &[u8; PATCH_PX * PATCH_PX])> {
-        self.patches.iter().map(|p| (LandmarkId(p.landmark), [p.left, p.top], &*p.pixels))
+    pub fn patches(&self) -> impl Iterator<Item = (u32, [u16; 2], &[u8; PATCH_PX * PATCH_PX])> {
+        self.patches.iter().map(|p| (p.landmark, [p.left, p.top], &*p.pixels))
     }
 
     /// A picture from what a file kept of it; `patches` in any order.
@@ -88,7 +88,7 @@ impl KeyframePicture {
             }
             false => Pyramid::from_half(finest, levels),
         };
-        let own = |p: KeptPatch| Patch { landmark: p.landmark.0, left: p.left, top: p.top, pixels: p.pixels };
+        let own = |p: KeptPatch| Patch { landmark: p.landmark, left: p.left, top: p.top, pixels: p.pixels };
         let mut patches: Vec<Patch> = patches.into_iter().map(own).collect();
         patches.sort_by_key(|p| p.landmark);
         Self { pyramid: Arc::new(pyramid), patches: Arc::new(patches), revision: 0 }

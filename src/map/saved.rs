@@ -93,6 +93,13 @@ pub struct MapChanges {
     pub is_everything: bool,
 }
 
+/// Maps and camera of the changes that were taken last.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Taken {
+    pub maps: Vec<MapId>,
+    pub camera: CameraModel,
+}
+
 impl MapChanges {
     /// What has changed in maps, the one that is tracked in first, since this was called last; all there is with `is_everything`.
     pub fn take(optics: SavedOptics, frame_ns: i64, mut maps: Vec<(MapHead, &mut Map)>, is_everything: bool) -> Self {

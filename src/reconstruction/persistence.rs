@@ -15,18 +15,10 @@ use super::scale_uncertainty::ScaleUncertainty;
 use super::track::association::Target;
 use super::types::TrackingState;
 use crate::features::FrameFeatures;
-use crate::geometry::CameraModel;
 use crate::map::MapId;
-use crate::map::saved::{MapChanges, MapHead, SavedMap, SavedMaps};
+use crate::map::saved::{MapChanges, MapHead, SavedMap, SavedMaps, Taken};
 use crate::map::scale::MapScale;
 use crate::motion::scale::ScaleFusion;
-
-/// Maps and camera of the changes that were taken last.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Taken {
-    maps: Vec<MapId>,
-    camera: CameraModel,
-}
 
 impl Reconstruction {
     /// What has changed in all maps since the last call; `everything`, and the first time, all there is.

@@ -124,12 +124,12 @@ fn the_map_is_a_slice_and_says_what_was_left_out() {
     let mut publisher = place.publisher();
     let mut map = place.client().map();
     connect(&mut map);
-    let context = MapContext { timestamp_ns: 77, reset_counter: 3, map_revision: 2, map_mode: 0 };
+    let context = MapContext { timestamp_ns: 77, reset_counter: 3, map_revision: 2, map_mode: 2 };
     publisher.map.publish(&snapshot(1, 130), &Conversion::default(), &context).unwrap();
     let first = next(&mut map);
     let header = *first.header();
     assert_eq!((header.count, header.total, header.timestamp_ns), (100, 130, 77));
-    assert_eq!((header.reset_counter, header.map_revision, header.content_revision), (3, 2, 1));
+    assert_eq!((header.reset_counter, header.map_revision, header.content_revision, header.map_mode), (3, 2, 1, 2));
     assert_eq!((first.len(), first[0].id, first[99].id), (100, 30, 129));
     assert_eq!(first[0].position, [1.0, -30.0, 0.0], "right, down, forward became forward, left, up");
 

@@ -2,6 +2,9 @@
 
 use std::io;
 
+/// Version of everything in a map file: front page, table and records. A reader refuses any other.
+pub const FORMAT: u32 = 1;
+
 /// Names the file.
 #[derive(Debug, thiserror::Error)]
 #[error("{path}: {fault}")]
@@ -21,7 +24,7 @@ pub enum Fault {
     #[error("is no map of Cairn's; it is left as it is")]
     Foreign,
     /// Of another version of this program; untouched.
-    #[error("has version {0} of the map format, and this program reads version {FORMAT} only; it is left as it is", FORMAT = super::front::FORMAT)]
+    #[error("has version {0} of the map format, and this program reads version {FORMAT} only; it is left as it is", FORMAT = FORMAT)]
     Version(u32),
     /// Untouched.
     #[error("is broken: {0}; it is left as it is")]

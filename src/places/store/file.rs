@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use super::backend::Access;
-use super::error::{Fault, StoreError};
-use super::front::{FORMAT, Front};
+use super::error::{FORMAT, Fault, StoreError};
+use super::front::Front;
 use super::layout::{HeaderOf, HeaderRecord, Raw, encode_keyframe, encode_landmarks};
 use super::picture;
 use super::records::{Kind, Records, Tally};

@@ -14,11 +14,9 @@
 use std::fs::File;
 use std::os::unix::fs::FileExt;
 
-use super::error::Fault;
+use super::error::{FORMAT, Fault};
 
 pub const FRONT_BYTES: u64 = 4096;
-/// Of everything in the file: front page, tables and records. A reader refuses any other.
-pub const FORMAT: u32 = 1;
 
 const MAGIC: [u8; 8] = *b"CAIRNMAP";
 const CHECKSUM: usize = FRONT_BYTES as usize - 4;

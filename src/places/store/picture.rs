@@ -8,7 +8,6 @@ use ::png::{BitDepth, ColorType, Compression, Decoder, Encoder, Limits};
 use serde::{Deserialize, Serialize};
 
 use crate::image::GreyImage;
-use crate::map::LandmarkId;
 use crate::map::picture::{KeptPatch, KeyframePicture, PATCH_PX};
 
 /// Larger pictures are no camera's, px a side.
@@ -32,7 +31,7 @@ pub fn encode(picture: &KeyframePicture) -> Option<Vec<u8>> {
     let mut places = Vec::new();
     let mut pixels = Vec::new();
     for (landmark, [left, top], patch) in picture.patches() {
-        places.push((landmark.0, left, top));
+        places.push((landmark, left, top));
         pixels.extend(patch);
     }
     let patches = GreyImage { width: PATCH_PX, height: PATCH_PX * places.len(), data: pixels };
@@ -58,7 +57,7 @@ pub fn decode(record: &[u8]) -> Option<KeyframePicture> {
         }
         for (&(landmark, left, top), pixels) in record.places.iter().zip(all.data.chunks_exact(PATCH_PX * PATCH_PX)) {
             let pixels = Box::new(pixels.try_into().ok()?);
-            patches.push(KeptPatch { landmark: LandmarkId(landmark), left, top, pixels });
+            patches.push(KeptPatch { landmark, left, top, pixels });
         }
     }
     Some(KeyframePicture::restored(finest, record.is_whole, usize::from(record.levels), patches))
