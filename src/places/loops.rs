@@ -66,7 +66,7 @@ impl LoopClosure {
         let own = map.keyframe(newest)?.map;
         let oldest = map.keyframes.iter().position(|(_, k)| k.map == own)?;
         let mut edges = Vec::new();
-        let mut link = |a: KeyframeId, b: KeyframeId| edges.extend(held(map, &place, a, b));
+        let mut link = |a: KeyframeId, b: KeyframeId| edges.extend(held(map, place, a, b));
         let mut around = Vec::new();
         for (i, &id) in keyframes.iter().enumerate() {
             older_links(map, id, &mut around);
