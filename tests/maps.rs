@@ -72,9 +72,9 @@ fn apart(a: &[u8], b: &[u8]) -> (f64, f64) {
     let n = pairs.len() as f64;
     let square = |a: &[f64; 3], b: &[f64; 3]| (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f64>();
     let mean: [f64; 3] = std::array::from_fn(|i| pairs.iter().map(|(p, _)| p[i]).sum::<f64>() / n);
-    let rms = |squares: Vec<f64>| (squares.iter().sum::<f64>() / n).sqrt();
-    let apart = pairs.iter().map(|(p, q)| square(p, q)).collect();
-    (rms(apart), rms(pairs.iter().map(|(p, _)| square(p, &mean)).collect()))
+    let (error, size): (f64, f64) =
+        pairs.iter().fold((0.0, 0.0), |(error, size), (p, q)| (error + square(p, q), size + square(p, &mean)));
+    ((error / n).sqrt(), (size / n).sqrt())
 }
 
 #[test]
