@@ -370,7 +370,7 @@ fn odometry_beside_the_pictures_is_read_judged_and_named_by_its_line() {
             "--scenario",
             "square",
             "--seconds",
-            "2",
+            "1.2",
             "--size",
             "320x240",
             "--wheel-loss",
