@@ -86,7 +86,7 @@ pub struct MapChanges {
     pub next_landmark: u32,
     /// Keyframes that were added or changed.
     pub keyframes: Vec<(u32, Keyframe)>,
-    /// Pages of landmarks ([`PAGE`](super::store::PAGE) ids each, by number) of which some were added, changed or removed: all that
+    /// Pages of landmarks ([`PAGE`] ids each, by number) of which some were added, changed or removed: all that
     /// is left of them.
     pub landmarks: BTreeMap<u32, Vec<(u32, Landmark)>>,
     /// This is all there is: what was written and is not in here is gone.

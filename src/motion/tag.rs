@@ -3,7 +3,7 @@
 //! Keyframe (its picture, and its pose in the map) -> [`Tags::see`] -> ln(metres per map unit) with its standard deviation
 //! ([`Tags::measurement`]), once a tag was seen from three keyframes in directions 3 degrees apart.
 //! 1. `features::tags` finds tags in the keyframe's picture; corners are where their edges meet on the camera's undistorted plane.
-//! 2. [`edge_length`]: each tag's edge in map units from all keyframes of the map that saw it and are still there, at their present poses.
+//! 2. [`mod@edge_length`]: each tag's edge in map units from all keyframes of the map that saw it and are still there, at their present poses.
 //! 3. [`combine`]: tags weighed by their variances. What a keyframe's pose has wrong all tags in it share, so that part does not shrink with
 //!    their number; tags that disagree by more than their sigmas raise the sigma; one that is far off (another size) is left out.
 //!    What the size itself has wrong (`size_sigma_m`) is common to all of one printer and comes on top.
