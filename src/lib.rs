@@ -55,6 +55,9 @@
 //!   motions that camera and wheels both saw: scale and its drift, mount, yaw rate factor and time offset; motions in which they
 //!   contradict are slip. Known to a few per cent, the map becomes metric at once (`reconstruction::metric`): another number, one reset. From then on
 //!   the wheels' way holds the distances of keyframes in adjustments, and the step behind a turn on the spot is as long as they say.
+//! - In a metric map a frame that is not found where the last motion leads is looked for where the wheels say; one that the picture cannot place all the same (dark, covered, blurred) has the
+//!   pose that they carry on, `DEAD_RECKONING`, within limits of time, way and doubt (`reconstruction::blind`). When the picture is back the smooth pose goes on,
+//!   and where nothing of the map is in view the same map does, by a start that is brought in at the dead-reckoned place.
 //! - A map that was lost is kept while the next one grows, recognised from its keyframes as a lost frame is, and joined to it: the old one is
 //!   carried over into the present one, so that no published pose jumps and neither map number nor reset counter goes back.
 //! - What the base's wheels tell (`odometry.txt` beside the pictures, the simulator's base, a driver on `PREFIX/wheel`) waits in one bounded queue
@@ -76,7 +79,7 @@
 //! 9. No heap allocation from the decoded picture to the published pose once warm (`tests/allocations.rs`), but where frames are 0.11 s
 //!    or more apart: there an adjusted map is merged first.
 //! 10. Unscaled lengths are never called metres: the wire says whether the scale is metric.
-//! 11. When tracking is lost the daemon keeps publishing, and says LOST. No pose is predicted into a trajectory.
+//! 11. When tracking is lost the daemon keeps publishing, and says LOST, or DEAD_RECKONING where wheels carry the pose on. No pose is predicted into a trajectory.
 //! 12. Release builds run on any machine of the architecture: x86-64 baseline with run-time dispatch, NEON on aarch64.
 //!
 //! # Where this house differs from its first plan

@@ -4,3 +4,4 @@ pub mod describe;
 pub mod index;
 pub mod loops;
 pub mod store;
+pub mod way;

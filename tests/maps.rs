@@ -48,8 +48,12 @@ fn replay(recording: &Path, map: &Path, name: &str, more: &[&str]) -> [Vec<u8>; 
 }
 
 fn info(map: &Path) -> Value {
-    let output = cairn().args(["map", "info", "--json"]).arg(map).stdout(Stdio::piped()).output().unwrap();
-    assert_eq!(output.status.code(), Some(0), "{}", map.display());
+    info_by(cairn().args(["map", "info", "--json"]).arg(map))
+}
+
+fn info_by(command: &mut Command) -> Value {
+    let output = command.stdout(Stdio::piped()).output().unwrap();
+    assert_eq!(output.status.code(), Some(0), "{command:?}");
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
@@ -112,6 +116,71 @@ fn a_map_is_made_gone_on_with_and_located_in_and_every_run_is_the_same_twice() {
     let (first, second) = (told["maps"][0]["frames"].as_u64(), info(&map)["maps"][0]["frames"].as_u64());
     assert!(second > first, "{second:?} {first:?}");
     exports(&map, dir.path());
+}
+
+/// Two recordings one after the other, `gap_s` apart, as one.
+fn cut_together(folder: &Path, parts: [&Path; 2], gap_s: f64) -> PathBuf {
+    let recording = folder.join("cut");
+    std::fs::create_dir_all(recording.join("rgb")).unwrap();
+    std::fs::copy(parts[0].join("camera.yaml"), recording.join("camera.yaml")).unwrap();
+    let (mut list, mut shift, mut last) = (String::new(), None, 0.0);
+    for (number, part) in parts.into_iter().enumerate() {
+        for line in std::fs::read_to_string(part.join("rgb.txt")).unwrap().lines().filter(|line| !line.starts_with('#'))
+        {
+            let (time, picture) = line.split_once(' ').unwrap();
+            let time: f64 = time.parse().unwrap();
+            let shift = *shift.get_or_insert(if number == 0 { 0.0 } else { last + gap_s - time });
+            let name = format!("rgb/{number}-{}", Path::new(picture).file_name().unwrap().display());
+            std::fs::copy(part.join(picture), recording.join(&name)).unwrap();
+            last = time + shift;
+            list += &format!("{last:.6} {name}\n");
+        }
+        shift = None;
+    }
+    std::fs::write(recording.join("rgb.txt"), list).unwrap();
+    recording
+}
+
+#[test]
+fn maps_that_were_not_joined_have_a_trajectory_each() {
+    let dir = tempfile::tempdir().unwrap();
+    let room = |name: &str, scenario: &str, seconds: &str| {
+        let recording = dir.path().join(name);
+        let size = ["--scenario", scenario, "--size", "320x240", "--seconds", seconds];
+        assert!(cairn().args(["simulate", "--output"]).arg(&recording).args(size).status().unwrap().success());
+        recording
+    };
+    let cut = cut_together(dir.path(), [&room("one", "hand_held", "5"), &room("other", "desk_orbit", "4")], 0.5);
+    let path = dir.path().join("t.txt");
+    let of_an_earlier_run = dir.path().join("t.map77.txt");
+    std::fs::write(&of_an_earlier_run, "0 0 0 0 0 0 0 1\n").unwrap();
+    let replayed = || {
+        let mut command = cairn();
+        command.arg("replay").arg(&cut).args(["--lockstep", "--json", "--trajectory"]).arg(&path);
+        let output = command.stdout(Stdio::piped()).output().unwrap();
+        assert!(output.status.success());
+        let told: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let files: Vec<PathBuf> =
+            told["files"].as_array().unwrap().iter().map(|f| f.as_str().unwrap().into()).collect();
+        let contents: Vec<Vec<u8>> = files.iter().map(|file| std::fs::read(file).unwrap()).collect();
+        (told, files, contents)
+    };
+    let (told, files, contents) = replayed();
+    assert!(files.len() >= 2 && files[0] == path, "{files:?}");
+    assert_eq!(told["other_maps"], files.len() - 1);
+    assert!(!of_an_earlier_run.exists(), "it is not of this run");
+    let poses: Vec<usize> = contents.iter().map(|content| positions(content).len()).collect();
+    assert_eq!((told["in_trajectory"].as_u64(), told["in_other_maps"].as_u64()), {
+        (Some(poses[0] as u64), Some(poses[1..].iter().sum::<usize>() as u64))
+    });
+    assert!(poses[1..].iter().all(|n| *n <= poses[0] && *n > 0), "{poses:?}");
+    // No time is in two of them.
+    let mut times: Vec<String> = contents.iter().flat_map(|content| positions(content)).map(|(time, _)| time).collect();
+    times.sort_unstable();
+    let total = times.len();
+    times.dedup();
+    assert_eq!(times.len(), total);
+    assert!(replayed().2 == contents, "the same twice");
 }
 
 fn exports(map: &Path, folder: &Path) {
@@ -229,6 +298,98 @@ fn kill_9_at_any_moment_leaves_a_whole_map_that_lacks_seconds() {
     }
     assert!(killed_at_work >= 15, "only {killed_at_work} of {KILLS} were killed at work");
     println!("{killed_at_work} of {KILLS} killed at work, at the most {most_lost:.2} s lost");
+}
+
+/// A daemon, killed at the end.
+struct Daemon(std::process::Child);
+
+impl Drop for Daemon {
+    fn drop(&mut self) {
+        // Our own child.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[test]
+fn a_running_daemon_stores_lists_loads_and_begins_maps() {
+    const PATIENCE: Duration = Duration::from_secs(60);
+    let dir = tempfile::tempdir().unwrap();
+    let prefix = format!("test-named-maps-{}", std::process::id());
+    let command = |arguments: &[&str]| {
+        let mut command = cairn();
+        command.env("CAIRN_PREFIX", &prefix).current_dir(dir.path()).args(arguments);
+        command
+    };
+    let answer = |arguments: &[&str]| {
+        let output = command(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).output().unwrap();
+        let text = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap()).concat();
+        (output.status.code(), text)
+    };
+    let until = |what: &str, arguments: &[&str], is: &dyn Fn(Option<i32>, &str) -> bool| {
+        let start = std::time::Instant::now();
+        loop {
+            let (code, text) = answer(arguments);
+            if is(code, &text) {
+                return text;
+            }
+            assert!(start.elapsed() < PATIENCE, "{what}: {code:?} {text}");
+            std::thread::sleep(Duration::from_millis(200));
+        }
+    };
+    assert_eq!(answer(&["map", "list"]).0, Some(69), "no daemon");
+    let _daemon = Daemon(command(&["demo", "--seconds", "300", "--output", "demo"]).spawn().unwrap());
+    until("a daemon", &["map", "list"], &|code, text| code == Some(0) && text.contains("no maps yet"));
+    until("a map", &["map", "save", "attic"], &|code, text| code == Some(0) && text.contains("attic.map"));
+    let file = dir.path().join("demo/maps/attic.map");
+    assert!(info(&file)["maps"][0]["keyframes"].as_u64() > Some(1));
+    for (arguments, code, word) in [
+        (&["map", "save", "attic"][..], 1, "already"),
+        (&["map", "save"], 1, "no file"),
+        (&["map", "load", "cellar"], 1, "cellar.map"),
+        (&["map", "load", "../attic"], 64, "no name"),
+        (&["map", "save", "/tmp/attic"], 64, "no name"),
+        (&["map", "new", ".attic"], 64, "no name"),
+    ] {
+        let (got, text) = answer(arguments);
+        assert!(got == Some(code) && text.contains(word), "{arguments:?}: {got:?} {text}");
+    }
+    // Broken, and foreign: refused, left as it is, and the daemon goes on.
+    std::fs::write(dir.path().join("demo/maps/broken.map"), "no map").unwrap();
+    assert_eq!(answer(&["map", "load", "broken"]).0, Some(1));
+    let resets = || -> (u64, u64) {
+        let text = answer(&["watch", "--health", "--json", "--count", "1", "--timeout", "20"]).1;
+        let health: Value = serde_json::from_str(text.lines().next().unwrap()).unwrap();
+        (health["reset_counter"].as_u64().unwrap(), health["map_id"].as_u64().unwrap())
+    };
+    let before = resets();
+    let (code, text) = answer(&["map", "load", "attic"]);
+    assert!(code == Some(0), "{text}");
+    let listed = || -> Vec<(String, bool)> {
+        let maps: Value = serde_json::from_str(&answer(&["map", "list", "--json"]).1).unwrap();
+        let map = |m: &Value| (m["name"].as_str().unwrap().to_owned(), m["current"].as_bool().unwrap());
+        maps.as_array().unwrap().iter().map(map).collect()
+    };
+    assert_eq!(listed(), [("attic".into(), true), ("broken".into(), false)]);
+    until("another map and a reset", &["map", "list"], &|_, _| resets().0 > before.0 && resets().1 > before.1);
+    // The daemon holds it, so it is asked, and leaves no copy behind.
+    let told = info_by(&mut command(&["map", "info", "--json", "demo/maps/attic.map"]));
+    assert!(told["file"].as_str().unwrap().ends_with("attic.map") && told["maps"][0]["keyframes"].as_u64() > Some(1));
+    assert_eq!(answer(&["map", "export", "--tum", "keyframes.txt"]).0, Some(0));
+    assert!(!positions(&std::fs::read(dir.path().join("keyframes.txt")).unwrap()).is_empty());
+    let left = std::fs::read_dir(dir.path().join("demo/maps")).unwrap().count();
+    assert_eq!(left, 2, "attic and broken");
+    let elsewhere = format!("{prefix}-other");
+    let mut foreign = command(&["map", "info", "demo/maps/attic.map"]);
+    assert_eq!(foreign.env("CAIRN_PREFIX", elsewhere).status().unwrap().code(), Some(69), "not that daemon's");
+
+    assert_eq!(answer(&["map", "localise", "on"]).0, Some(0));
+    assert_eq!(answer(&["map", "new", "cellar"]).0, Some(1), "only located in");
+    assert_eq!(answer(&["map", "localise", "off"]).0, Some(0));
+    assert_eq!(answer(&["map", "new", "cellar"]).0, Some(0));
+    assert_eq!(answer(&["map", "save"]).0, Some(0));
+    assert_eq!(listed(), [("attic".into(), false), ("broken".into(), false), ("cellar".into(), true)]);
+    assert!(info(&file)["maps"][0]["keyframes"].as_u64() > Some(1), "whole, and nobody's now");
 }
 
 /// Frames located, and the error of the live trajectory when located against the mapping run's own (ATE RMSE, m).

@@ -10,7 +10,7 @@ use std::process::{Child, Command, Output, Stdio};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use cairn::ros::standard::{CompressedImage, Header, Time};
+use cairn::ros::standard::{self, CompressedImage, Header, Time};
 use cairn::ros::{Bytes, Message};
 use cairn::trajectory::parse_timestamp;
 
@@ -35,6 +35,11 @@ fn folder(out: &Path) -> Vec<(i64, PathBuf)> {
 
 /// The pictures as CompressedImages in an MCAP file, with chunks so small that there are many.
 fn bag(out: &Path, pictures: &[(i64, PathBuf)]) {
+    bag_with_wheels(out, pictures, &[]);
+}
+
+/// And a base's Odometry: times (ns), and forward, left, yaw (m/s, m/s, rad/s). Its pose is nonsense, as it is not to be used.
+fn bag_with_wheels(out: &Path, pictures: &[(i64, PathBuf)], wheels: &[(i64, [f64; 3])]) {
     let options = mcap::WriteOptions::new().chunk_size(Some(100_000)).compression_threads(0);
     let mut writer = options.create(BufWriter::new(File::create(out).unwrap())).unwrap();
     let schema = mcap::Schema {
@@ -54,6 +59,36 @@ fn bag(out: &Path, pictures: &[(i64, PathBuf)]) {
         let bytes = fs::read(file).unwrap();
         let header = Header { stamp: Time::from_ns(*time_ns), frame_id: "camera" };
         let message = CompressedImage { header, format: "png", data: Bytes(&bytes) };
+        let time = 1_700_000_000_000_000_000 + *time_ns as u64;
+        let (sequence, data) = (number as u32, Cow::Owned(message.to_cdr()));
+        let channel = channel.clone();
+        writer.write(&mcap::Message { channel, sequence, log_time: time, publish_time: time, data }).unwrap();
+    }
+    let schema = mcap::Schema {
+        id: 2,
+        name: standard::Odometry::NAME.into(),
+        encoding: "ros2msg".into(),
+        data: Cow::Owned(standard::Odometry::schema().into_bytes()),
+    };
+    let channel = Arc::new(mcap::Channel {
+        id: 2,
+        topic: "/base/odom".into(),
+        schema: Some(Arc::new(schema)),
+        message_encoding: "cdr".into(),
+        metadata: BTreeMap::new(),
+    });
+    for (number, (time_ns, [x, y, yaw])) in wheels.iter().enumerate() {
+        let vector = |x, y, z| standard::Vector3 { x, y, z };
+        let nowhere = standard::Pose { position: [9.0; 3].into(), orientation: [0.0, 0.0, 0.0, 1.0].into() };
+        let message = standard::Odometry {
+            header: Header { stamp: Time::from_ns(*time_ns), frame_id: "odom" },
+            child_frame_id: "base_link",
+            pose: standard::PoseWithCovariance { pose: nowhere, covariance: [1.0; 36] },
+            twist: standard::TwistWithCovariance {
+                twist: standard::Twist { linear: vector(*x, *y, 0.0), angular: vector(0.0, 0.0, *yaw) },
+                covariance: [0.0; 36],
+            },
+        };
         let time = 1_700_000_000_000_000_000 + *time_ns as u64;
         let (sequence, data) = (number as u32, Cow::Owned(message.to_cdr()));
         let channel = channel.clone();
@@ -173,8 +208,8 @@ fn no_damage_makes_it_panic() {
 
 fn grab_all(file: &Path) -> usize {
     use cairn::camera::recording::OwnCalibration;
-    use cairn::camera::{Bag, FrameSource, Grab, Pacing};
-    let Ok(mut bag) = Bag::open(file, Pacing::LockStep, OwnCalibration::Read, None) else { return 0 };
+    use cairn::camera::{Asked, Bag, FrameSource, Grab, Pacing};
+    let Ok(mut bag) = Bag::open(file, Pacing::LockStep, OwnCalibration::Read, Asked::default()) else { return 0 };
     let mut slot = cairn::frame::RawFrame::default();
     let mut frames = 0;
     for _ in 0..100 {
@@ -407,4 +442,46 @@ fn odometry_beside_the_pictures_is_read_judged_and_named_by_its_line() {
     fs::remove_file(&file).unwrap();
     let (summary, _, _) = replayed(&out);
     assert!(summary.get("wheels").is_none(), "without it nothing is said of it");
+}
+
+#[test]
+fn wheels_in_a_file_are_replayed_to_the_same_bytes_as_beside_a_folder() {
+    let dir = tempfile::tempdir().unwrap();
+    let (out, file) = (dir.path().join("drive"), dir.path().join("drive.mcap"));
+    let arguments = ["simulate", "--scenario", "square", "--seconds", "2", "--size", "320x240", "--output"];
+    assert!(cairn("bag-wheels").args(arguments).arg(&out).output().unwrap().status.success());
+    let list = fs::read_to_string(out.join("rgb.txt")).unwrap();
+    let lines = list.lines().filter(|line| !line.starts_with('#')).map(|line| line.split_once(' ').unwrap());
+    let pictures: Vec<_> = lines.map(|(t, f)| (parse_timestamp(t).unwrap(), out.join(f.trim()))).collect();
+    let told = fs::read_to_string(out.join("odometry.txt")).unwrap();
+    let wheels: Vec<(i64, [f64; 3])> = told
+        .lines()
+        .filter(|line| !line.starts_with('#'))
+        .map(|line| {
+            let fields: Vec<&str> = line.split_whitespace().collect();
+            let number = |i: usize| fields[i].parse::<f64>().unwrap();
+            (parse_timestamp(fields[0]).unwrap(), [number(1), number(2), number(3)])
+        })
+        .collect();
+    bag_with_wheels(&file, &pictures, &wheels);
+    let replayed = |recording: &Path, more: &[&str]| {
+        let trajectory = dir.path().join("t.txt");
+        let mut command = cairn("bag-wheels");
+        command.arg("replay").arg(recording).args(["--lockstep", "--json", "--camera"]).arg(out.join("camera.yaml"));
+        let output = command.arg("--trajectory").arg(&trajectory).args(more).output().unwrap();
+        let log = String::from_utf8_lossy(&output.stderr).into_owned();
+        let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap_or_default();
+        (summary["wheels"].clone(), fs::read(trajectory).unwrap_or_default(), log)
+    };
+    let (readings, want, _) = replayed(&out, &[]);
+    assert!(readings["readings"].as_u64().unwrap() > 80, "{readings}");
+    for more in [&[][..], &["--wheel-topic", "/base/odom"]] {
+        let (of_file, got, log) = replayed(&file, more);
+        assert_eq!(of_file, readings, "{log}");
+        assert!(got == want, "a file differs from the folder");
+    }
+    let (_, _, log) = replayed(&file, &["--wheel-topic", "/cam/image_raw/compressed"]);
+    assert!(log.contains("--wheel-topic /cam") && log.contains("/base/odom (nav_msgs/msg/Odometry"), "{log}");
+    let (_, _, log) = replayed(&out, &["--wheel-topic", "/base/odom"]);
+    assert!(log.contains("only an MCAP file has topics"), "{log}");
 }

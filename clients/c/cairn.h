@@ -154,7 +154,7 @@
 #define CAIRN_COMMAND_SAVE_MAP 3
 
 /**
- * Load a map from `path` and find the robot in it.
+ * Go on in the stored map of this name (`path`), and find the robot in it. What was tracked in is in its file before.
  */
 #define CAIRN_COMMAND_LOAD_MAP 4
 
@@ -162,6 +162,33 @@
  * The body is at `position`, `orientation` of the map now.
  */
 #define CAIRN_COMMAND_SET_POSE 5
+
+/**
+ * Store the map now: in its own file, or, with a name in `path`, a copy of it under that name.
+ */
+#define CAIRN_COMMAND_STORE_MAP 6
+
+/**
+ * Begin a new map, to be kept under the name in `path`. What was tracked in is in its file before.
+ */
+#define CAIRN_COMMAND_NEW_MAP 7
+
+/**
+ * Only be located in the map (`path` is `on`), or let it grow again (`off`).
+ */
+#define CAIRN_COMMAND_LOCALISE 8
+
+/**
+ * Name the stored maps: a line each of the message, `NAME BYTES SECONDS` (since 1970, when it was written), ` current` behind the one
+ * in use. A last line `...`: there are more, behind the last name; ask again with that in `path`.
+ */
+#define CAIRN_COMMAND_LIST_MAPS 9
+
+/**
+ * Write a copy of the map for the sender; the message is its path, then a line with that of the map's own file, if it has one. The
+ * sender removes the copy; the daemon does after some minutes.
+ */
+#define CAIRN_COMMAND_COPY_MAP 10
 
 /**
  * Done.
@@ -430,7 +457,7 @@ typedef struct cairn_keyframes_hold cairn_keyframes_hold;
 typedef struct cairn_map_hold cairn_map_hold;
 
 /**
- * One frame's pose. Unless `state` is CAIRN_STATE_TRACKING, everything that belongs to the pose is NaN or zero; but with
+ * One frame's pose. Unless `state` is CAIRN_STATE_TRACKING or CAIRN_STATE_DEAD_RECKONING, everything that belongs to the pose is NaN or zero; but with
  * CAIRN_STATE_ORIENTATION both orientations, the covariance of the rotation and the angular velocity are there.
  *
  * # Covariance
@@ -769,7 +796,15 @@ typedef struct cairn_health {
   /**
    * Zero.
    */
-  uint8_t reserved[31];
+  uint8_t reserved[15];
+  /**
+   * Time for which the wheels alone told the pose (STATE_DEAD_RECKONING), since the start, ns; 0, as the next, where they never did.
+   */
+  uint64_t blind_ns;
+  /**
+   * And the way, m.
+   */
+  double blind_m;
   /**
    * Messages of the base's driver that were believed; 0, as the three that follow, where nothing tells of wheels.
    */
@@ -1169,7 +1204,7 @@ typedef struct cairn_command {
    */
   uint32_t path_len;
   /**
-   * UTF-8; the daemon opens it as its own user, so it should be absolute.
+   * UTF-8; the daemon opens it as its own user, so it should be absolute. Of stored maps it is a name, never a path.
    */
   uint8_t path[CAIRN_TEXT_LEN];
   /**
@@ -1229,7 +1264,7 @@ typedef struct cairn_wheel_odometry {
    */
   double angular_z_radps;
   /**
-   * Variances of the three, (m/s)^2, (m/s)^2, (rad/s)^2; NaN where the driver does not know.
+   * Variances of the three, (m/s)^2, (m/s)^2, (rad/s)^2; NaN or 0 where the driver does not know.
    */
   double variance[3];
   /**
@@ -1393,7 +1428,7 @@ int32_t cairn_pose_wait(struct cairn_client *client,
 int32_t cairn_pose_is_usable(const struct cairn_pose *pose, uint64_t max_age_ns);
 
 /**
- * 1 if the body's orientation is known, with a position (`CAIRN_STATE_TRACKING`) or before there is one (`CAIRN_STATE_ORIENTATION`); then
+ * 1 if the body's orientation is known, with a position (`CAIRN_STATE_TRACKING`, `CAIRN_STATE_DEAD_RECKONING`) or before there is one (`CAIRN_STATE_ORIENTATION`); then
  * `heading_rad`, unless null, is its angle about the vertical in odom, counter-clockwise from above, rad. Else 0, and nothing is written.
  * It is no leave to drive: ask `cairn_pose_is_usable` for that.
  *
@@ -1650,7 +1685,9 @@ CAIRN_ASSERT(offsetof(cairn_health, centre_sigma_px) == 436 && sizeof(((cairn_he
 CAIRN_ASSERT(offsetof(cairn_health, correction_distance) == 440 && sizeof(((cairn_health *)0)->correction_distance) == 4);
 CAIRN_ASSERT(offsetof(cairn_health, correction_rad) == 444 && sizeof(((cairn_health *)0)->correction_rad) == 4);
 CAIRN_ASSERT(offsetof(cairn_health, map_mode) == 448 && sizeof(((cairn_health *)0)->map_mode) == 1);
-CAIRN_ASSERT(offsetof(cairn_health, reserved) == 449 && sizeof(((cairn_health *)0)->reserved) == 31);
+CAIRN_ASSERT(offsetof(cairn_health, reserved) == 449 && sizeof(((cairn_health *)0)->reserved) == 15);
+CAIRN_ASSERT(offsetof(cairn_health, blind_ns) == 464 && sizeof(((cairn_health *)0)->blind_ns) == 8);
+CAIRN_ASSERT(offsetof(cairn_health, blind_m) == 472 && sizeof(((cairn_health *)0)->blind_m) == 8);
 CAIRN_ASSERT(offsetof(cairn_health, wheel_messages) == 480 && sizeof(((cairn_health *)0)->wheel_messages) == 8);
 CAIRN_ASSERT(offsetof(cairn_health, wheel_refused) == 488 && sizeof(((cairn_health *)0)->wheel_refused) == 8);
 CAIRN_ASSERT(offsetof(cairn_health, wheel_missing) == 496 && sizeof(((cairn_health *)0)->wheel_missing) == 8);

@@ -3,10 +3,12 @@
 #define CAIRN_HPP
 
 #include <chrono>
+#include <cstring>
 #include <memory>
 #include <optional>
 #include <stdexcept>
 #include <string>
+#include <string_view>
 #include <utility>
 
 #include "cairn.h"
@@ -133,6 +135,18 @@ class Client {
         detail::came(cairn_send_command(client_.get(), &command, detail::ns(timeout), &reply));
         return reply;
     }
+    // A command on stored maps: CAIRN_COMMAND_LOAD_MAP, _STORE_MAP, _NEW_MAP, _LIST_MAPS and _COPY_MAP with a map's name (or nothing),
+    // CAIRN_COMMAND_LOCALISE with "on" or "off".
+    cairn_command_reply map_command(std::uint32_t kind, std::string_view name, Duration timeout) {
+        cairn_command what{};
+        what.kind = kind;
+        if (name.size() > sizeof what.path)
+            throw Error("the name of a map is too long");
+        std::memcpy(what.path, name.data(), name.size());
+        what.path_len = static_cast<std::uint32_t>(name.size());
+        return command(what, timeout);
+    }
+
     cairn_command_reply reset(Duration timeout) {
         cairn_command what{};
         what.kind = CAIRN_COMMAND_RESET;

@@ -10,25 +10,28 @@
 //! damage inside is an error when it is reached.
 //!
 //! Skipped with a reason: what a folder's recording skips, and a message that is not what its topic says. Not here: sqlite3 bags, ROS 1,
-//! wheel odometry, other messages than pictures and the first CameraInfo.
+//! other messages than pictures, the first CameraInfo and the twists of one topic (`wheels`).
 
 mod picture;
 mod records;
+mod stream;
 mod survey;
+mod wheels;
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use mcap::records::Record;
-use tracing::warn;
+use tracing::info;
 
 use super::recording::{OwnCalibration, Pacer, Pacing};
 use super::{FrameSource, Grab, SourceDescription, SourceError};
 use crate::frame::{Clock, RawFrame, monotonic_ns};
 use crate::geometry::CameraModel;
 use crate::image::decode::picture_size;
+use crate::motion::wheel::{WheelFault, WheelMessage};
 use picture::Kind;
-use records::{Records, Step};
+use stream::Stream;
+use wheels::Wheels;
 
 /// Pictures that the rate is found from.
 const RATE_PICTURES: usize = 31;
@@ -47,6 +50,14 @@ pub struct Bag {
     held: Option<(Option<i64>, u64)>,
     message: Vec<u8>,
     next: u64,
+    wheels: Option<Wheels>,
+}
+
+/// Topics that are asked for by name; what is not is found where it is plain.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Asked<'a> {
+    pub pictures: Option<&'a str>,
+    pub wheels: Option<&'a str>,
 }
 
 /// The MCAP files of `path`: itself, or those of a rosbag2 folder; `None` if it is neither.
@@ -62,12 +73,12 @@ pub fn files(path: &Path) -> Option<Vec<PathBuf>> {
 }
 
 impl Bag {
-    /// Opens a file or folder. `topic`: where the pictures are, if there are several.
-    pub fn open(path: &Path, pacing: Pacing, own: OwnCalibration, topic: Option<&str>) -> Result<Self, SourceError> {
+    /// Opens a file or folder. `asked`: where the pictures are, and the wheels, if there are several.
+    pub fn open(path: &Path, pacing: Pacing, own: OwnCalibration, asked: Asked<'_>) -> Result<Self, SourceError> {
         let failed = |path: &Path, reason: String| SourceError::Open { path: path.display().to_string(), reason };
         let files = files(path).ok_or_else(|| failed(path, "is neither a file nor a folder with MCAP files".into()))?;
         let topics = survey::survey(&files).map_err(|(file, reason)| failed(&file, reason))?;
-        let (pictures, kind) = survey::choose(&topics, topic).map_err(|reason| failed(path, reason))?;
+        let (pictures, kind) = survey::choose(&topics, asked.pictures).map_err(|reason| failed(path, reason))?;
         let info = survey::camera_info(&topics, &pictures.name).filter(|_| own == OwnCalibration::Read);
         let camera = match info {
             Some(info) => {
@@ -77,6 +88,12 @@ impl Bag {
             None => None,
         };
         let beginning = Beginning::read(&files, &pictures.name, kind).map_err(|reason| failed(path, reason))?;
+        let wheels = Wheels::open(&files, &topics, asked.wheels, beginning.by_log_time)
+            .map_err(|reason| failed(path, reason))?
+            .map(|(wheels, topic)| {
+                info!(topic, "wheel odometry of the recording");
+                wheels
+            });
         let description = SourceDescription {
             name: format!("recording {} {}", path.display(), pictures.name),
             size: beginning.size,
@@ -95,6 +112,7 @@ impl Bag {
             held: None,
             message: Vec::new(),
             next: 0,
+            wheels,
         })
     }
 
@@ -154,61 +172,12 @@ impl FrameSource for Bag {
         slot.arrival_ns = monotonic_ns();
         Ok(Grab::Frame)
     }
-}
 
-/// The messages of one topic, file after file.
-#[derive(Debug)]
-struct Stream {
-    files: Vec<PathBuf>,
-    next_file: usize,
-    topic: String,
-    open: Option<(Records, Vec<u16>)>,
-}
-
-impl Stream {
-    fn new(files: Vec<PathBuf>, topic: &str) -> Self {
-        Self { files, next_file: 0, topic: topic.into(), open: None }
-    }
-
-    /// The next message's bytes into `message`, and its log time; `None` at the end.
-    fn next(&mut self, message: &mut Vec<u8>) -> Result<Option<i64>, SourceError> {
-        loop {
-            if self.open.is_none() {
-                let Some(path) = self.files.get(self.next_file) else { return Ok(None) };
-                let records = Records::open(path).map_err(|reason| failed(path, reason))?;
-                self.next_file += 1;
-                self.open = Some((records, Vec::new()));
-            }
-            let Some((records, channels)) = &mut self.open else { return Ok(None) };
-            let mut found = None;
-            let step = records.step(|record| match record {
-                Record::Channel(channel) if channel.topic == self.topic && !channels.contains(&channel.id) => {
-                    channels.push(channel.id);
-                }
-                Record::Message { header, data } if channels.contains(&header.channel_id) => {
-                    message.clear();
-                    message.extend_from_slice(data);
-                    found = Some(i64::try_from(header.log_time).unwrap_or(i64::MAX));
-                }
-                _ => {}
-            });
-            match step.map_err(|reason| failed(records.path(), reason))? {
-                Step::Record => {}
-                Step::End => self.open = None,
-                Step::CutOff => {
-                    warn!(path = %records.path().display(), "recording is cut off, what is before the cut is replayed");
-                    self.open = None;
-                }
-            }
-            if found.is_some() {
-                return Ok(found);
-            }
+    fn wheels(&mut self, until_ns: i64, to: &mut dyn FnMut(&WheelMessage, Option<WheelFault>)) {
+        if let Some(wheels) = &mut self.wheels {
+            wheels.give(until_ns, to);
         }
     }
-}
-
-fn failed(path: &Path, reason: String) -> SourceError {
-    SourceError::Open { path: path.display().to_string(), reason }
 }
 
 /// The first message of a calibration's topic, of pictures that are rectified or not.

@@ -8,7 +8,7 @@ pub mod simulator_config;
 #[cfg(target_os = "linux")]
 pub mod v4l2;
 
-pub use bag::Bag;
+pub use bag::{Asked, Bag};
 pub use recording::{Pacing, Recording};
 
 use crate::frame::{Clock, RawFrame};

@@ -42,11 +42,15 @@ pub enum Scenario {
     /// Held in a hand 0.4 to 1 m from a long cluttered desk, to and fro along it in 14 s: there low, near and looking ahead, back
     /// higher, farther and looking the other way.
     DeskSweep,
+    /// A robot drives through three different rooms in a row, around the table of each, and back to where it began: 60 m.
+    ThreeRooms,
+    /// The same where the rooms look alike but for three things in each.
+    LookAlike,
 }
 
 impl Scenario {
     /// All of them.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 15] = [
         Self::RoomTour,
         Self::HandHeld,
         Self::DeskOrbit,
@@ -60,6 +64,8 @@ impl Scenario {
         Self::Corridor,
         Self::CalibrationSweep,
         Self::DeskSweep,
+        Self::ThreeRooms,
+        Self::LookAlike,
     ];
 
     /// As written in the configuration.
@@ -78,6 +84,8 @@ impl Scenario {
             Self::Corridor => "corridor",
             Self::CalibrationSweep => "calibration_sweep",
             Self::DeskSweep => "desk_sweep",
+            Self::ThreeRooms => "three_rooms",
+            Self::LookAlike => "look_alike",
         }
     }
 }

@@ -64,7 +64,8 @@ pub fn run(args: &CommandArgs) -> Result<ExitCode, CliError> {
     outcome(&reply)
 }
 
-fn outcome(reply: &CommandReply) -> Result<ExitCode, CliError> {
+/// What a daemon's answer means to a script; its sentence on stdout if it is done.
+pub(super) fn outcome(reply: &CommandReply) -> Result<ExitCode, CliError> {
     let message = if reply.message().is_empty() { "done" } else { reply.message() };
     let code = match reply.code {
         reply_code::OK => {

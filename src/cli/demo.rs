@@ -14,7 +14,7 @@ use super::{CliError, exit_code};
 use crate::atomic_file::write_atomically;
 use crate::camera::simulator::{Simulator, Trajectory};
 use crate::camera::{FrameSource, Pacing};
-use crate::daemon::{self, Calibration, Outputs, Parts, Status, Supply, Tick, state_name};
+use crate::daemon::{self, Calibration, MapFolder, Outputs, Parts, Status, Supply, Tick, state_name};
 use crate::evaluation::{self, Reference};
 use crate::frame::{Clock, process_cpu_ns};
 use crate::trajectory::{TumPose, read_tum, write_tum};
@@ -73,6 +73,7 @@ pub fn run(args: &DemoArgs) -> Result<ExitCode, CliError> {
     let outputs = Outputs {
         trajectory: Some(file("trajectory.txt")),
         live_trajectory: Some(file("live_trajectory.txt")),
+        odometry: None,
         map: Some(file("map.ply")),
         overview: Some(file("overview.png")),
     };
@@ -96,6 +97,8 @@ pub fn run(args: &DemoArgs) -> Result<ExitCode, CliError> {
         spool_folder: None,
         keep_lens: None,
         map_file: None,
+        // So that commands on maps can be tried; nothing of a simulated room gets among a robot's maps.
+        maps: std::path::absolute(file("maps")).ok().map(MapFolder::new),
         status: status.clone(),
     };
     let cpu_before_ns = process_cpu_ns();

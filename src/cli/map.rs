@@ -1,12 +1,15 @@
-//! `cairn map`: what is in a map file, and the same for other programs.
+//! `cairn map`: what is in a map file, and the same for other programs; and the maps of a running daemon (`map_daemon`).
 //!
-//! Both commands read a file, verify all of it and leave it as it is.
+//! A file is read, verified in full and left as it is. One that a daemon holds changes all the time, so that daemon is asked for a copy.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use serde::Serialize;
 
+use super::endpoint_args::EndpointArgs;
+use super::map_daemon::{self, DaemonAction};
+use super::utc::date;
 use super::{CliError, exit_code, map_file, session};
 use crate::geometry::CameraModel;
 use crate::map::MapSnapshot;
@@ -14,12 +17,14 @@ use crate::map::colmap::write_colmap;
 use crate::map::export::write_ply;
 use crate::map::saved::SavedMap;
 use crate::map::scale::MapScale;
-use crate::places::store::{Contents, read};
+use crate::places::store::{Contents, Fault, read};
 use crate::trajectory::{TumPose, format_timestamp, write_tum};
 
-/// Shows a map file, or writes its map for other programs
+/// Shows a map file or writes its map for other programs; has a running daemon store, load, list and begin maps
 #[derive(Debug, clap::Args)]
 pub struct MapArgs {
+    #[command(flatten)]
+    endpoint: EndpointArgs,
     #[command(subcommand)]
     action: Action,
 }
@@ -28,18 +33,20 @@ pub struct MapArgs {
 enum Action {
     Info(InfoArgs),
     Export(ExportArgs),
+    #[command(flatten)]
+    OfDaemon(DaemonAction),
 }
 
 /// Verifies a map file and prints what is in it
 #[derive(Debug, clap::Args)]
 struct InfoArgs {
-    /// Map file
-    file: PathBuf,
+    /// Map file; of one that a running daemon writes to, that one is asked [default: the running daemon's map]
+    file: Option<PathBuf>,
     /// Print the result as one JSON object
     #[arg(long)]
     json: bool,
     /// Draw the largest map from above (PNG)
-    #[arg(long, value_name = "OUT.png")]
+    #[arg(long, visible_alias = "picture", value_name = "OUT.png")]
     overview: Option<PathBuf>,
 }
 
@@ -47,8 +54,8 @@ struct InfoArgs {
 #[derive(Debug, clap::Args)]
 #[command(group(clap::ArgGroup::new("format").required(true).multiple(true).args(["ply", "tum", "colmap"])))]
 struct ExportArgs {
-    /// Map file
-    file: PathBuf,
+    /// Map file; of one that a running daemon writes to, that one is asked [default: the running daemon's map]
+    file: Option<PathBuf>,
     /// Landmarks and keyframes (PLY)
     #[arg(long, value_name = "OUT.ply")]
     ply: Option<PathBuf>,
@@ -62,8 +69,9 @@ struct ExportArgs {
 
 pub fn run(args: &MapArgs) -> Result<ExitCode, CliError> {
     match &args.action {
-        Action::Info(args) => info(args),
-        Action::Export(args) => export(args),
+        Action::Info(info_args) => info(info_args, &args.endpoint),
+        Action::Export(export_args) => export(export_args, &args.endpoint),
+        Action::OfDaemon(action) => map_daemon::run(action, &args.endpoint),
     }
 }
 
@@ -124,24 +132,24 @@ struct MapInfo {
     high: Option<[f64; 3]>,
 }
 
-fn info(args: &InfoArgs) -> Result<ExitCode, CliError> {
+fn info(args: &InfoArgs, endpoint: &EndpointArgs) -> Result<ExitCode, CliError> {
     if args.overview.is_some() {
         super::builds::needs_tools("`--overview`")?;
     }
     session::check_outputs([&args.overview])?;
-    let contents = read(&args.file).map_err(|e| map_file::error(&e))?;
-    let info = Info::of(&args.file, &contents);
+    let (file, contents) = contents(args.file.as_deref(), endpoint)?;
+    let info = Info::of(&file, &contents);
     if let Some(path) = &args.overview {
-        draw(path, largest(&args.file, &contents)?)?;
+        draw(path, largest(&file, &contents)?)?;
     }
     session::print(&if args.json { session::json(&info)? } else { info.text() })?;
     Ok(ExitCode::SUCCESS)
 }
 
-fn export(args: &ExportArgs) -> Result<ExitCode, CliError> {
+fn export(args: &ExportArgs, endpoint: &EndpointArgs) -> Result<ExitCode, CliError> {
     session::check_outputs([&args.ply, &args.tum])?;
-    let contents = read(&args.file).map_err(|e| map_file::error(&e))?;
-    let saved = largest(&args.file, &contents)?;
+    let (file, contents) = contents(args.file.as_deref(), endpoint)?;
+    let saved = largest(&file, &contents)?;
     let failed = |error: &dyn std::fmt::Display| CliError::new(exit_code::CANNOT_CREATE, error.to_string());
     if let Some(path) = &args.ply {
         write_ply(path, &snapshot(saved)).map_err(|e| failed(&e))?;
@@ -163,6 +171,19 @@ fn export(args: &ExportArgs) -> Result<ExitCode, CliError> {
     }
     session::print(&text)?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// What is in a file, from the daemon where that one writes to it, or where no file is named.
+fn contents(file: Option<&Path>, endpoint: &EndpointArgs) -> Result<(PathBuf, Contents), CliError> {
+    let Some(file) = file else { return map_daemon::present(endpoint, None) };
+    match read(file) {
+        Ok(contents) => Ok((file.into(), contents)),
+        Err(error) if matches!(error.fault, Fault::Busy) => {
+            let held = |e: CliError| CliError::new(exit_code::UNAVAILABLE, format!("{error}; {}", e.message));
+            map_daemon::present(endpoint, Some(file)).map_err(held)
+        }
+        Err(error) => Err(map_file::error(&error)),
+    }
 }
 
 fn largest<'a>(file: &Path, contents: &'a Contents) -> Result<&'a SavedMap, CliError> {
@@ -308,32 +329,5 @@ impl MapInfo {
             text += &format!("    from {} to {} {unit} (right, down, forward)\n", point(low), point(high));
         }
         text
-    }
-}
-
-/// Year, month, day and time of seconds since 1970, UTC (days from the civil calendar, Howard Hinnant).
-fn date(seconds: i64) -> String {
-    let (days, time) = (seconds.div_euclid(86_400), seconds.rem_euclid(86_400));
-    let z = days + 719_468;
-    let era = z.div_euclid(146_097);
-    let day_of_era = z.rem_euclid(146_097);
-    let year_of_era = (day_of_era - day_of_era / 1_460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
-    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    let shifted = (5 * day_of_year + 2) / 153;
-    let day = day_of_year - (153 * shifted + 2) / 5 + 1;
-    let month = if shifted < 10 { shifted + 3 } else { shifted - 9 };
-    let year = year_of_era + era * 400 + i64::from(month <= 2);
-    format!("{year:04}-{month:02}-{day:02} {:02}:{:02}", time / 3600, time / 60 % 60)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn dates_are_those_of_the_calendar() {
-        assert_eq!(date(0), "1970-01-01 00:00");
-        assert_eq!(date(951_782_400), "2000-02-29 00:00");
-        assert_eq!(date(1_767_225_599), "2025-12-31 23:59");
     }
 }

@@ -16,6 +16,7 @@ mod error;
 #[cfg(feature = "tools")]
 pub mod evaluate;
 pub mod map;
+mod map_daemon;
 mod map_file;
 pub mod record;
 mod reload;
@@ -27,6 +28,7 @@ pub mod simulate;
 pub mod tag;
 #[cfg(feature = "tools")]
 pub mod twoview;
+mod utc;
 pub mod watch;
 
 use std::process::ExitCode;

@@ -12,7 +12,7 @@ use super::session::{self, Resources, ResultArgs, SessionArgs, StageLatencies, S
 use super::{CliError, camera_calibration, exit_code, map_file};
 use crate::calibration::{Unsaid, load_camera_with};
 use crate::camera::recording::OwnCalibration;
-use crate::camera::{Bag, FrameSource, Pacing, Recording, SourceDescription, SourceError, bag};
+use crate::camera::{Asked, Bag, FrameSource, Pacing, Recording, SourceDescription, SourceError, bag};
 use crate::config::Config;
 use crate::daemon::{self, Calibration, End, Outputs, Parts, Status, Supply, state_name};
 use crate::frame::process_cpu_ns;
@@ -26,6 +26,9 @@ pub struct ReplayArgs {
     /// Topic of the pictures in an MCAP file, where there are several
     #[arg(long)]
     pub topic: Option<String>,
+    /// Topic of the wheel odometry in an MCAP file (Odometry, its twist, or TwistWithCovarianceStamped), where there are several
+    #[arg(long, value_name = "TOPIC")]
+    pub wheel_topic: Option<String>,
     /// Every frame, as fast as they can be processed, with the same result every time
     #[arg(long)]
     pub lockstep: bool,
@@ -35,12 +38,16 @@ pub struct ReplayArgs {
     /// As if there were no calibration: the lens is estimated from the motion. So it is, too, where the recording has none
     #[arg(long, conflicts_with = "camera")]
     pub uncalibrated: bool,
-    /// Write every tracked frame as the map knows it at the end (TUM format)
+    /// Write every tracked frame as the map knows it at the end (TUM format): of the largest map, after joining; each other
+    /// map's stand beside it as OUT with `.map<ID>` before the ending
     #[arg(long, value_name = "OUT")]
     pub trajectory: Option<PathBuf>,
     /// Write every map pose as it was published (TUM format)
     #[arg(long, value_name = "OUT")]
     pub live_trajectory: Option<PathBuf>,
+    /// Write the odom pose of every frame with its state, dead-reckoned ones too (TUM columns and a word)
+    #[arg(long, value_name = "OUT")]
+    pub odometry: Option<PathBuf>,
     /// Write landmarks and keyframes (PLY)
     #[arg(long, value_name = "OUT.ply")]
     pub map: Option<PathBuf>,
@@ -71,6 +78,9 @@ struct Summary {
     coverage_percent: f64,
     /// Frames with a pose in the trajectory, those included that were solved afterwards; null if none was written.
     in_trajectory: Option<u64>,
+    /// Maps that were never joined to that of the trajectory, each in a file beside it, and their poses.
+    other_maps: u64,
+    in_other_maps: u64,
     dropped: u64,
     unreadable: u64,
     bad_timestamps: u64,
@@ -80,6 +90,9 @@ struct Summary {
     relocalisations: u64,
     /// Turns on the spot behind which the scale is an assumption.
     blind_turns: u64,
+    /// Time and way for which the wheels alone told the pose.
+    blind_s: f64,
+    blind_m: f64,
     elapsed_s: f64,
     #[serde(flatten)]
     resources: Resources,
@@ -149,10 +162,12 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode, CliError> {
     let outputs = Outputs {
         trajectory: args.trajectory.clone(),
         live_trajectory: args.live_trajectory.clone(),
+        odometry: args.odometry.clone(),
         map: args.map.clone(),
         overview: args.overview.clone(),
     };
-    session::check_outputs([&outputs.trajectory, &outputs.live_trajectory, &outputs.map, &outputs.overview])?;
+    let all = [&outputs.trajectory, &outputs.live_trajectory, &outputs.odometry, &outputs.map, &outputs.overview];
+    session::check_outputs(all)?;
     let pacing = if args.lockstep { Pacing::LockStep } else { Pacing::RealTime };
     let uncalibrated = args.uncalibrated || config.calibration.ignore;
     let own = if args.camera.is_some() || uncalibrated { OwnCalibration::Ignore } else { OwnCalibration::Read };
@@ -171,6 +186,7 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode, CliError> {
         spool_folder: None,
         keep_lens: None,
         map_file,
+        maps: None,
         status: status.clone(),
     };
     let (began, cpu_before_ns) = (Instant::now(), process_cpu_ns());
@@ -232,10 +248,12 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode, CliError> {
 fn open(args: &ReplayArgs, pacing: Pacing, own: OwnCalibration) -> Result<Box<dyn FrameSource>, SourceError> {
     let is_list = args.dir.join("rgb.txt").exists() || args.dir.join("mav0/cam0/data.csv").exists();
     if !is_list && bag::files(&args.dir).is_some() {
-        return Ok(Box::new(Bag::open(&args.dir, pacing, own, args.topic.as_deref())?));
+        let asked = Asked { pictures: args.topic.as_deref(), wheels: args.wheel_topic.as_deref() };
+        return Ok(Box::new(Bag::open(&args.dir, pacing, own, asked)?));
     }
-    if let Some(topic) = &args.topic {
-        let reason = format!("--topic {topic}: only an MCAP file has topics");
+    let asked = args.topic.iter().map(|t| ("--topic", t)).chain(args.wheel_topic.iter().map(|t| ("--wheel-topic", t)));
+    if let Some((option, topic)) = asked.into_iter().next() {
+        let reason = format!("{option} {topic}: only an MCAP file has topics");
         return Err(SourceError::Open { path: args.dir.display().to_string(), reason });
     }
     Ok(Box::new(Recording::open_with(&args.dir, pacing, own)?))
@@ -289,6 +307,8 @@ fn summarise(status: &Status, end: &End) -> Summary {
         tracked: status.tracked.get(),
         coverage_percent: 100.0 * status.tracked.get() as f64 / frames.max(1) as f64,
         in_trajectory: end.written.trajectory.map(|t| t.poses_written),
+        other_maps: end.written.trajectory.map_or(0, |t| t.other_maps),
+        in_other_maps: end.written.trajectory.map_or(0, |t| t.poses_in_other_maps),
         dropped: status.dropped.get(),
         unreadable: status.unreadable.get() + status.corrupt.get() + status.wrong_size.get(),
         bad_timestamps: status.bad_timestamps.get(),
@@ -297,6 +317,8 @@ fn summarise(status: &Status, end: &End) -> Summary {
         resets: status.resets.get(),
         relocalisations: status.relocalisations.get(),
         blind_turns: status.blind_turns.get(),
+        blind_s: status.blind_ns.get() as f64 * 1e-9,
+        blind_m: status.blind_mm.get() as f64 * 1e-3,
         elapsed_s: 0.0,
         resources: Resources { cpu_ms_per_frame: 0.0, peak_rss_mb: 0.0 },
         intrinsics: IntrinsicsSummary::of(status),
@@ -315,6 +337,10 @@ fn text(s: &Summary) -> String {
         text +=
             &format!("  {poses} frames in the trajectory ({:.1} %)\n", 100.0 * poses as f64 / s.frames.max(1) as f64);
     }
+    if s.other_maps > 0 {
+        let (maps, poses) = (s.other_maps, s.in_other_maps);
+        text += &format!("  {poses} frames in {maps} other maps, which were not joined to it: a file each beside it\n");
+    }
     let faults = [
         (s.dropped, "dropped because processing could not keep up"),
         (s.unreadable, "unreadable or of another size, skipped"),
@@ -329,6 +355,9 @@ fn text(s: &Summary) -> String {
     );
     if s.blind_turns > 0 {
         text += &format!("  {} turns on the spot behind which the scale is an assumption\n", s.blind_turns);
+    }
+    if s.blind_s > 0.0 {
+        text += &format!("  {:.1} s and {:.2} m by the wheels alone\n", s.blind_s, s.blind_m);
     }
     if let Some(w) = &s.wheels {
         let refused = w.absurd + w.out_of_order;

@@ -13,7 +13,7 @@ use crate::atomic_file::remove_stale;
 use crate::calibration::{Unsaid, load_camera_with};
 use crate::camera::FrameSource;
 use crate::camera::v4l2::Finder;
-use crate::config::{Config, SourceKind};
+use crate::config::{Config, MapChoice, SourceKind};
 use crate::daemon::{self, Calibration, Desk, KeepLens, Opener, Outputs, Parts, Status, Supply};
 use crate::frame::Clock;
 
@@ -32,14 +32,21 @@ pub fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
     clear_state_folder();
     session::check_outputs([&outputs.trajectory, &outputs.live_trajectory, &outputs.map, &outputs.overview])?;
     let prepared = prepare(&config)?;
-    let named = Some(&config.map.file).filter(|file| !file.as_os_str().is_empty());
-    let map_file = named.map(|file| map_file::plan(file, config.map.localise)).transpose()?;
+    let maps = map_file::folder(&config.map);
+    let named = match config.map.choice() {
+        MapChoice::Named(file) => Some(map_file::plan(file, config.map.localise)?),
+        MapChoice::Auto | MapChoice::Off => None,
+    };
     let (outlet, mut desk) =
         session::open_wire(&config, Clock::Monotonic, Some(prepared.size)).map_err(|e| session::wire_error(&e))?;
-    let Some(Source { supply, calibration, keep_lens }) = prepared.source(&config, &mut desk, &stop, &mut reloader)?
+    let Some(Source { supply, calibration, keep_lens, camera }) =
+        prepared.source(&config, &mut desk, &stop, &mut reloader)?
     else {
         return Ok(ExitCode::SUCCESS);
     };
+    let own = |camera: String| map_file::own(maps.as_ref(), &camera, &calibration);
+    let is_auto = config.map.choice() == MapChoice::Auto;
+    let map_file = named.or_else(|| camera.filter(|_| is_auto).and_then(own));
     let parts = Parts {
         supply,
         calibration,
@@ -48,6 +55,7 @@ pub fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
         spool_folder: Some(spool_folder()),
         keep_lens,
         map_file,
+        maps,
         status: Arc::new(Status::default()),
         config,
     };
@@ -66,6 +74,8 @@ struct Source {
     /// The camera model that belongs to it.
     calibration: Calibration,
     keep_lens: Option<KeepLens>,
+    /// Who it is, for its map; `None`: it is simulated.
+    camera: Option<String>,
 }
 
 /// What can be said before the services are open; a configuration that cannot work fails here.
@@ -124,9 +134,12 @@ impl Prepared {
         reloader: &mut Reloader,
     ) -> Result<Option<Source>, CliError> {
         let longest_pause = Duration::from_millis(config.daemon.camera_retry_ms);
+        // Where a calibration is named the camera is whichever it belongs to.
+        let mut camera = config.calibration.file.file_stem().map(|stem| stem.to_string_lossy().into_owned());
         let (calibration, keep_lens, mut first, mut finder) = match (self.calibration, self.source) {
             (Some(calibration), Some(source)) => {
-                return Ok(Some(Source { supply: Supply::Once(source), calibration, keep_lens: None }));
+                let supply = Supply::Once(source);
+                return Ok(Some(Source { supply, calibration, keep_lens: None, camera: None }));
             }
             (Some(calibration), None) => (calibration, None, None, Finder::new(config.camera.clone())),
             (None, _) => {
@@ -136,13 +149,14 @@ impl Prepared {
                     .map_err(|e| CliError::new(exit_code::FAILURE, e.to_string()))?;
                 let Some(found) = found else { return Ok(None) };
                 let found = found?;
+                camera = Some(found.camera.identity().to_string());
                 (found.calibration, found.keep_lens, Some(found.camera), found.finder)
             }
         };
         let boxed = |camera| Box::new(camera) as Box<dyn FrameSource>;
         // The camera that was found is open already, lest another program takes it.
         let open: Opener = Box::new(move || first.take().map_or_else(|| finder.open(), Ok).map(boxed));
-        Ok(Some(Source { supply: Supply::Camera { open, longest_pause }, calibration, keep_lens }))
+        Ok(Some(Source { supply: Supply::Camera { open, longest_pause }, calibration, keep_lens, camera }))
     }
 }
 
@@ -153,6 +167,7 @@ fn outputs(config: &Config) -> Outputs {
     Outputs {
         trajectory: named(&o.trajectory),
         live_trajectory: named(&o.live_trajectory),
+        odometry: None,
         map: named(&o.map),
         overview: named(&o.overview),
     }

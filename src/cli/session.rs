@@ -149,8 +149,9 @@ pub fn judge(end: &End) -> Result<(), CliError> {
     }
 }
 
-/// Fails before the work begins when an output's folder does not exist.
+/// Fails before the work begins when an output's folder does not exist, or two outputs are one file.
 pub fn check_outputs<'a>(outputs: impl IntoIterator<Item = &'a Option<PathBuf>>) -> Result<(), CliError> {
+    let mut named: Vec<PathBuf> = Vec::new();
     for path in outputs.into_iter().flatten() {
         let folder = match path.parent() {
             Some(parent) if !parent.as_os_str().is_empty() => parent,
@@ -166,6 +167,15 @@ pub fn check_outputs<'a>(outputs: impl IntoIterator<Item = &'a Option<PathBuf>>)
                 format!("cannot write {}: is a folder", path.display()),
             ));
         }
+        // Devices and pipes (`/dev/null`, `/dev/stdout`) may take several.
+        let is_file = std::fs::metadata(path).map_or(true, |meta| meta.is_file());
+        let folder = folder.canonicalize().unwrap_or_else(|_| folder.to_path_buf());
+        let whole = path.canonicalize().unwrap_or_else(|_| folder.join(path.file_name().unwrap_or_default()));
+        if is_file && named.contains(&whole) {
+            let message = format!("cannot write {}: another output is the same file", path.display());
+            return Err(CliError::new(exit_code::USAGE, message));
+        }
+        named.push(whole);
     }
     Ok(())
 }

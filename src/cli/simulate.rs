@@ -120,6 +120,9 @@ pub struct SimulateArgs {
     /// Time from the first row to the last, ms
     #[arg(long, value_name = "MS")]
     pub readout_ms: Option<f64>,
+    /// Darkness: from this second of the drive on, and for how long, s
+    #[arg(long, value_name = "FROM:SECONDS", value_parser = parse_dark)]
+    pub dark: Option<(f64, f64)>,
     /// By how much the true radius of the left and the right wheel exceeds what the driver supposes, percent
     #[arg(long, value_name = "LEFT,RIGHT", value_parser = parse_pair, allow_hyphen_values = true)]
     pub wheel_radius_error: Option<(f64, f64)>,
@@ -142,6 +145,14 @@ pub struct SimulateArgs {
 fn parse_pair(text: &str) -> Result<(f64, f64), String> {
     let parsed = text.split_once(',').and_then(|(a, b)| Some((a.trim().parse().ok()?, b.trim().parse().ok()?)));
     parsed.ok_or_else(|| format!("`{text}` is not two numbers, as in 0.1,-0.05"))
+}
+
+fn parse_dark(text: &str) -> Result<(f64, f64), String> {
+    let parsed = text.split_once(':').and_then(|(a, b)| Some((a.trim().parse().ok()?, b.trim().parse().ok()?)));
+    let possible = |(from, seconds): &(f64, f64)| (0.0..1e6).contains(from) && *seconds > 0.0 && *seconds < 1e6;
+    parsed
+        .filter(possible)
+        .ok_or_else(|| format!("`{text}` is not FROM:SECONDS, as in 12:3, both in s and the second above 0"))
 }
 
 fn parse_size(text: &str) -> Result<(u32, u32), String> {
@@ -171,6 +182,12 @@ impl SimulateArgs {
         }
         if let Some(ms) = self.readout_ms {
             config.rolling_shutter.readout_ms = ms;
+        }
+        if let Some((from_s, seconds)) = self.dark {
+            let blackout = &mut config.blackout;
+            (blackout.enabled, blackout.start_s, blackout.period_s) = (true, from_s, 0.0);
+            // A cast saturates; at least one frame is dark.
+            blackout.frames = ((seconds * self.rate).round() as u32).max(1);
         }
         let wheels = &mut config.wheels;
         if let Some((left, right)) = self.wheel_radius_error {
@@ -239,6 +256,11 @@ mod tests {
     fn nonsense_is_refused_with_a_reason() {
         assert!(parse("x --output a --size 640").is_err());
         assert!(parse("x --output a --with fog").is_err());
+        for dark in ["12", "12:", "a:3", "12:0", "-1:3", "12:NaN", "12:inf"] {
+            assert!(parse(&format!("x --output a --dark={dark}")).is_err(), "{dark}");
+        }
+        let dark = parse("x --output a --rate 20 --dark 12:3").unwrap().config().blackout;
+        assert!(dark.enabled && (dark.start_s, dark.frames, dark.period_s) == (12.0, 60, 0.0));
         let dir = tempfile::tempdir().unwrap();
         let mut args = parse(&format!("x --output {} --size 100x100", dir.path().display())).unwrap();
         let error = run(&args).unwrap_err();

@@ -256,7 +256,7 @@ pub unsafe extern "C" fn cairn_pose_is_usable(pose: *const Pose, max_age_ns: u64
     unsafe { pose.as_ref() }.is_some_and(|pose| pose.is_usable(Duration::from_nanos(max_age_ns))).into()
 }
 
-/// 1 if the body's orientation is known, with a position (`CAIRN_STATE_TRACKING`) or before there is one (`CAIRN_STATE_ORIENTATION`); then
+/// 1 if the body's orientation is known, with a position (`CAIRN_STATE_TRACKING`, `CAIRN_STATE_DEAD_RECKONING`) or before there is one (`CAIRN_STATE_ORIENTATION`); then
 /// `heading_rad`, unless null, is its angle about the vertical in odom, counter-clockwise from above, rad. Else 0, and nothing is written.
 /// It is no leave to drive: ask `cairn_pose_is_usable` for that.
 ///

@@ -13,6 +13,40 @@ use crate::messages::{Command, CommandReply, TEXT_LEN, Transform, command_kind};
 /// How often the answer is looked for: a command is rare, an event service of its own would cost more than it saves.
 const LOOK_FOR_REPLY: Duration = Duration::from_millis(2);
 
+/// Answers that a list of maps is made of at the most; a daemon keeps a hundred maps.
+const MOST_LISTED: usize = 100;
+
+/// A map that the daemon can load.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct StoredMap {
+    pub name: String,
+    pub bytes: u64,
+    /// When it was written, s since 1970.
+    pub written_s: u64,
+    /// The daemon goes on in it.
+    pub is_current: bool,
+}
+
+/// Part of the stored maps.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct MapList {
+    pub maps: Vec<StoredMap>,
+    pub has_more: bool,
+}
+
+impl MapList {
+    /// An answer to [`command_kind::LIST_MAPS`]; lines that are none are left out.
+    pub fn parse(message: &str) -> Self {
+        let map = |line: &str| {
+            let mut words = line.split(' ');
+            let (name, bytes, written_s) =
+                (words.next()?.to_owned(), words.next()?.parse().ok()?, words.next()?.parse().ok()?);
+            Some(StoredMap { name, bytes, written_s, is_current: words.next() == Some("current") })
+        };
+        Self { maps: message.lines().filter_map(map).collect(), has_more: message.lines().last() == Some("...") }
+    }
+}
+
 impl Client {
     /// Drops the map and starts over.
     pub fn reset(&self, timeout: Duration) -> Result<CommandReply, ClientError> {
@@ -29,10 +63,56 @@ impl Client {
         self.command(with_path(command_kind::SAVE_MAP, path)?, timeout)
     }
 
-    /// Loads a map and has the robot find itself in it. Whether a daemon can is in its reply
-    /// ([`crate::messages::reply_code::UNSUPPORTED`]).
-    pub fn load_map(&self, path: &str, timeout: Duration) -> Result<CommandReply, ClientError> {
-        self.command(with_path(command_kind::LOAD_MAP, path)?, timeout)
+    /// Goes on in the stored map of this name, LOST until a place of it is recognised; the map before is stored first. Maps are named,
+    /// never by path: the daemon keeps them in one folder, `NAME.map` each.
+    pub fn load_map(&self, name: &str, timeout: Duration) -> Result<CommandReply, ClientError> {
+        self.command(with_path(command_kind::LOAD_MAP, name)?, timeout)
+    }
+
+    /// Stores the map now: `None` in its own file, else a copy under a name that no map has yet. Answered once it is on the disk.
+    pub fn store_map(&self, name: Option<&str>, timeout: Duration) -> Result<CommandReply, ClientError> {
+        self.command(with_path(command_kind::STORE_MAP, name.unwrap_or_default())?, timeout)
+    }
+
+    /// Begins a new map, which is kept under this name; the map before is stored first.
+    pub fn new_map(&self, name: &str, timeout: Duration) -> Result<CommandReply, ClientError> {
+        self.command(with_path(command_kind::NEW_MAP, name)?, timeout)
+    }
+
+    /// Whether frames are only located in the map, which stays as it is.
+    pub fn localise_only(&self, on: bool, timeout: Duration) -> Result<CommandReply, ClientError> {
+        self.command(with_path(command_kind::LOCALISE, if on { "on" } else { "off" })?, timeout)
+    }
+
+    /// The stored maps behind the name `after` (empty: from the first on), by name, and whether there are more behind those. The error in the
+    /// inner result is a refusal.
+    pub fn list_maps(&self, after: &str, timeout: Duration) -> Result<Result<MapList, CommandReply>, ClientError> {
+        let reply = self.command(with_path(command_kind::LIST_MAPS, after)?, timeout)?;
+        Ok(if reply.is_ok() { Ok(MapList::parse(reply.message())) } else { Err(reply) })
+    }
+
+    /// All of them, at most `MOST_LISTED` answers.
+    pub fn all_maps(&self, timeout: Duration) -> Result<Result<Vec<StoredMap>, CommandReply>, ClientError> {
+        let mut maps: Vec<StoredMap> = Vec::new();
+        for _ in 0..MOST_LISTED {
+            let after = maps.last().map(|map| map.name.clone()).unwrap_or_default();
+            match self.list_maps(&after, timeout)? {
+                Ok(list) => {
+                    maps.extend(list.maps);
+                    if !list.has_more {
+                        break;
+                    }
+                }
+                Err(reply) => return Ok(Err(reply)),
+            }
+        }
+        Ok(Ok(maps))
+    }
+
+    /// Has a copy of the map written for this process, which removes it when it has read it. The message of an answer that is OK is the
+    /// copy's path, then, in a line of its own, that of the map's own file.
+    pub fn copy_map(&self, timeout: Duration) -> Result<CommandReply, ClientError> {
+        self.command(Command::new(command_kind::COPY_MAP), timeout)
     }
 
     /// Says where the robot is now: from then on poses, map and keyframes are published in a map that is moved so that this
@@ -62,7 +142,7 @@ impl Client {
         }
         let node = self.link.node()?;
         // After a kill the old daemon's remains would look like a daemon.
-        node.try_cleanup_dead_nodes();
+        self.link.clear_after_daemon(&node);
         let service = match node.service_builder(&name).request_response::<Command, CommandReply>().open() {
             Ok(service) => service,
             Err(RequestResponseOpenError::DoesNotExist | RequestResponseOpenError::IsMarkedForDestruction) => {
@@ -108,4 +188,18 @@ impl Client {
 
 fn with_path(kind: u32, path: &str) -> Result<Command, ClientError> {
     Command::with_path(kind, path).ok_or(ClientError::PathTooLong { bytes: path.len(), limit: TEXT_LEN })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_list_of_maps_is_read_line_by_line() {
+        let list = MapList::parse("attic 12 34\nkitchen 56 78 current\nsenseless\n...");
+        let names: Vec<_> = list.maps.iter().map(|m| (m.name.as_str(), m.bytes, m.written_s, m.is_current)).collect();
+        assert_eq!(names, [("attic", 12, 34, false), ("kitchen", 56, 78, true)]);
+        assert!(list.has_more && !MapList::parse("attic 12 34\n").has_more);
+        assert_eq!(MapList::parse(""), MapList::default());
+    }
 }

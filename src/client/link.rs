@@ -3,10 +3,11 @@
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::time::Duration;
 
-use iceoryx2::prelude::{Node, NodeBuilder, NodeName, SignalHandlingMode, ipc_threadsafe};
+use iceoryx2::node::{NodeState, NodeView};
+use iceoryx2::prelude::{CallbackProgression, Node, NodeBuilder, NodeName, SignalHandlingMode, ipc_threadsafe};
 
 use super::ClientError;
-use crate::messages::{Endpoint, Presence, effective_uid};
+use crate::messages::{DAEMON_NODE, Endpoint, Presence, effective_uid};
 
 /// Ports of this flavour may move between threads; it meets every other flavour on the wire.
 pub(super) type Ipc = ipc_threadsafe::Service;
@@ -47,6 +48,20 @@ impl Link {
         in_the_way.map_or(Ok(()), |path| Err(format!("{} is empty, as if its maker had been killed", path.display())))
     }
 
+    /// Clears away after a daemon that was killed. While it lives it clears away after others itself, and two at it lose places: see
+    /// [`Self::node`].
+    pub fn clear_after_daemon(&self, node: &Node<Ipc>) {
+        let mut died = false;
+        let listed = Node::<Ipc>::list(self.endpoint.config(), |state| {
+            let dead = matches!(&state, NodeState::<Ipc>::Dead(view) if view.details().as_ref().is_some_and(|d| d.name().as_str() == DAEMON_NODE));
+            died |= dead;
+            if dead { CallbackProgression::Stop } else { CallbackProgression::Continue }
+        });
+        if listed.is_err() || died {
+            node.try_cleanup_dead_nodes();
+        }
+    }
+
     /// Whether receiving, too, should come after [`Self::clear_unfilled`]: what iceoryx2 leaves unfilled holds root only, and looking costs
     /// more than receiving.
     pub fn receiving_may_hang(&self) -> bool {
@@ -66,6 +81,11 @@ impl Link {
         };
         let mut config = self.endpoint.config().clone();
         config.global.creation_timeout = CONNECTING;
+        // A living daemon clears away after killed planners. iceoryx2 gives a dead port up for good when its removal fails once, as it does
+        // when a second process is at it or was killed over it: planners that clear away whenever they come or go would lose places.
+        config.global.node.cleanup_dead_nodes_on_creation = false;
+        config.global.node.cleanup_dead_nodes_on_destruction = false;
+        config.global.service.cleanup_dead_nodes_on_open = false;
         let name = NodeName::new("cairn-client").map_err(|e| fail(e.to_string()))?;
         let node = NodeBuilder::new()
             .name(&name)

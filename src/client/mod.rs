@@ -46,6 +46,7 @@ use std::time::{Duration, Instant};
 
 use iceoryx2_bb_posix::clock::{ClockType, Time};
 
+pub use commander::{MapList, StoredMap};
 pub use error::ClientError;
 pub use subscription::{Encodeds, FeatureLists, Frames, Healths, Keyframes, Map, Poses, Subscription};
 pub use topics::{Encoded, Features, Frame, KeyframesSnapshot, MapSnapshot, Slice, Topic};

@@ -188,7 +188,7 @@ impl<T: Topic> Subscription<T> {
             if self.link.clear_unfilled().is_err() {
                 return;
             }
-            open.node.try_cleanup_dead_nodes();
+            self.link.clear_after_daemon(&open.node);
             if T::publishers(&open.port) > 0 {
                 return;
             }

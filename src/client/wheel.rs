@@ -92,7 +92,7 @@ impl WheelPublisher {
         let Some(open) = &mut self.open else { return Ok(false) };
         let sent = open.port.send_copy(message).map_err(|e| e.to_string());
         if open.cleaned.elapsed() >= CLEAN_UP_EVERY && self.link.clear_unfilled().is_ok() {
-            open.node.try_cleanup_dead_nodes();
+            self.link.clear_after_daemon(&open.node);
             open.cleaned = Instant::now();
         }
         if open.service.dynamic_config().number_of_subscribers() > 0 {

@@ -22,6 +22,7 @@ use crate::camera::v4l2::V4l2Config;
 use crate::features::FeaturesConfig;
 use crate::geometry::plane_calibration::LensKind;
 use crate::motion::tag::TagConfig;
+use crate::motion::wheel_scale::WheelConfig;
 use crate::publish::Limits;
 use crate::reconstruction::ReconstructionConfig;
 use crate::telemetry::LogConfig;
@@ -42,6 +43,7 @@ pub struct Config {
     pub features: FeaturesConfig,
     pub reconstruction: ReconstructionConfig,
     pub tag: TagConfig,
+    pub wheel: WheelConfig,
     pub map: MapConfig,
     pub mount: MountConfig,
     pub publish: PublishConfig,
@@ -60,6 +62,7 @@ impl Default for Config {
             features: FeaturesConfig::default(),
             reconstruction: ReconstructionConfig::default(),
             tag: TagConfig::default(),
+            wheel: WheelConfig::default(),
             map: MapConfig::default(),
             mount: MountConfig::default(),
             publish: PublishConfig::default(),
@@ -177,13 +180,41 @@ impl PublishConfig {
 }
 
 /// `[map]`: the map that outlasts the run.
-#[derive(Debug, Clone, Default, PartialEq, Eq, serde::Deserialize, serde::Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, serde::Deserialize, serde::Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct MapConfig {
-    /// Map file, made if it is missing; empty: the map ends with the run. Relative to where the daemon is started.
+    /// Map file, made if it is missing, relative to where the daemon is started. `auto`: the camera's own in `directory`; `off` or empty:
+    /// the map ends with the run.
     pub file: PathBuf,
     /// Only locate in it: neither map nor file changes.
     pub localise: bool,
+    /// Where commands find and store maps by name; empty: `maps` in the state directory.
+    pub directory: PathBuf,
+}
+
+impl Default for MapConfig {
+    fn default() -> Self {
+        Self { file: "auto".into(), localise: false, directory: PathBuf::new() }
+    }
+}
+
+/// What `[map] file` asks for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MapChoice<'a> {
+    Off,
+    /// By camera.
+    Auto,
+    Named(&'a std::path::Path),
+}
+
+impl MapConfig {
+    pub fn choice(&self) -> MapChoice<'_> {
+        match self.file.to_str() {
+            Some("" | "off") => MapChoice::Off,
+            Some("auto") => MapChoice::Auto,
+            _ => MapChoice::Named(&self.file),
+        }
+    }
 }
 
 /// `[output]`: files written when the daemon ends. An empty path writes nothing.
@@ -228,10 +259,11 @@ impl Config {
         self.features.validate().map_err(|(key, _, reason)| in_room("features", key, reason))?;
         self.reconstruction.validate().map_err(|(key, _, reason)| in_room("reconstruction", key, reason))?;
         self.tag.validate().map_err(|(key, reason)| in_room("tag", key, reason))?;
+        self.wheel.validate().map_err(|(key, reason)| in_room("wheel", key, reason))?;
         self.camera.validate().map_err(|(key, reason)| in_room("camera", key, reason))?;
         self.simulator.validate().map_err(|e| in_room("simulator", e.key, e.reason))?;
         self.publish.validate()?;
-        if self.map.localise && self.map.file.as_os_str().is_empty() {
+        if self.map.localise && !matches!(self.map.choice(), MapChoice::Named(_)) {
             return Err(Invalid::new("map.localise", "needs a map to be located in: map.file names none"));
         }
         self.refuse_what_is_not_built()?;

@@ -1,10 +1,10 @@
-//! What a page may have the daemon do: the commands of `cairn command`, and each as it is typed there.
+//! What a page may have the daemon do: the commands of `cairn command` and `cairn map`, and each as it is typed there.
 
 use std::time::Duration;
 
 use serde::Deserialize;
 
-use crate::client::Client;
+use crate::client::{Client, StoredMap};
 use crate::messages::{CommandReply, DEFAULT_PREFIX, Transform, reply_code};
 
 /// How long the daemon may take; saving a large map takes seconds.
@@ -28,13 +28,34 @@ pub enum Action {
         y: f64,
         yaw_deg: f64,
     },
+    /// An empty name: the map's own file.
+    StoreMap {
+        name: String,
+    },
+    LoadMap {
+        name: String,
+    },
+    NewMap {
+        name: String,
+    },
+    LocaliseOnly {
+        on: bool,
+    },
+    ListMaps {},
 }
 
 impl Action {
     /// The same on a terminal.
     pub fn terminal(&self, prefix: &str) -> String {
         let prefix = if prefix == DEFAULT_PREFIX { String::new() } else { format!(" --prefix {}", quoted(prefix)) };
+        let of_map = |what: &str| format!("cairn map{prefix} {what}");
         let what = match self {
+            Self::StoreMap { name } if name.is_empty() => return of_map("save"),
+            Self::StoreMap { name } => return of_map(&format!("save {}", quoted(name))),
+            Self::LoadMap { name } => return of_map(&format!("load {}", quoted(name))),
+            Self::NewMap { name } => return of_map(&format!("new {}", quoted(name))),
+            Self::LocaliseOnly { on } => return of_map(if *on { "localise on" } else { "localise off" }),
+            Self::ListMaps {} => return of_map("list"),
             Self::Reset {} => "reset".into(),
             Self::SaveTrajectory { path } => format!("save-trajectory {}", quoted(path)),
             Self::SaveMap { path } => format!("save-map {}", quoted(path)),
@@ -57,8 +78,26 @@ impl Action {
             Self::SetPose { x, y, yaw_deg } => {
                 client.set_pose(&Transform::level(*x, *y, yaw_deg.to_radians()), PATIENCE)
             }
+            Self::StoreMap { name } => client.store_map(Some(name.as_str()).filter(|name| !name.is_empty()), PATIENCE),
+            Self::LoadMap { name } => client.load_map(name, PATIENCE),
+            Self::NewMap { name } => client.new_map(name, PATIENCE),
+            Self::LocaliseOnly { on } => client.localise_only(*on, PATIENCE),
+            Self::ListMaps {} => return list(client),
         };
         outcome(&reply.map_err(|e| e.to_string())?)
+    }
+}
+
+/// A line a map, its name first.
+fn list(client: &Client) -> Result<String, String> {
+    let line = |map: StoredMap| {
+        let current = if map.is_current { ", the current one" } else { "" };
+        format!("{} {:.1} MB{current}", map.name, map.bytes as f64 / 1e6)
+    };
+    match client.all_maps(PATIENCE).map_err(|e| e.to_string())? {
+        Ok(maps) if maps.is_empty() => Ok("no maps yet".into()),
+        Ok(maps) => Ok(maps.into_iter().map(line).collect::<Vec<_>>().join("\n")),
+        Err(refused) => Err(refused.message().into()),
     }
 }
 
@@ -93,6 +132,16 @@ mod tests {
             terminal(r#"{"do":"set_pose","x":-1,"y":0.5,"yaw_deg":90}"#, "cairn"),
             "cairn command set-pose -1 0.5 90"
         );
+        for (json, line) in [
+            (r#"{"do":"store_map","name":""}"#, "cairn map --prefix left save"),
+            (r#"{"do":"store_map","name":"a b"}"#, "cairn map --prefix left save 'a b'"),
+            (r#"{"do":"load_map","name":"attic"}"#, "cairn map --prefix left load attic"),
+            (r#"{"do":"new_map","name":"attic"}"#, "cairn map --prefix left new attic"),
+            (r#"{"do":"localise_only","on":true}"#, "cairn map --prefix left localise on"),
+            (r#"{"do":"list_maps"}"#, "cairn map --prefix left list"),
+        ] {
+            assert_eq!(terminal(json, "left"), line);
+        }
     }
 
     #[test]

@@ -208,7 +208,9 @@ impl CaptureStep {
     /// What the source tells of wheels up to this frame, before the frame goes on its way.
     fn take_wheels(&mut self, until_ns: i64) {
         let (Some(source), Some(wheels)) = (self.source.as_mut(), self.wheels.as_mut()) else { return };
-        source.wheels(until_ns, &mut |message, fault| wheels.take("source", message, fault));
+        source.wheels(until_ns, &mut |message, fault| {
+            wheels.take("source", message, fault);
+        });
     }
 
     /// The frame as it came, if anybody records.

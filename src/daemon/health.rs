@@ -120,20 +120,20 @@ struct WheelTotals {
 impl WheelTotals {
     fn of(s: &Status) -> Self {
         let w = &s.wheels;
-        let missing = w.missing.get() + w.dropped.get();
+        let missing = w.missing.get().wrapping_add(w.dropped.get());
         Self { received: w.received.get(), refused: w.refused(), missing, late: w.late.get() }
     }
 
     /// Faults of the time since `before`, logged where messages were lost or late. (Those that were not believed have records of their own.)
     fn faults_since(&self, before: &Self) -> [(u64, u64); 2] {
         let [received, refused, missing, late] = [
-            self.received - before.received,
-            self.refused - before.refused,
-            self.missing - before.missing,
-            self.late - before.late,
+            self.received.wrapping_sub(before.received),
+            self.refused.wrapping_sub(before.refused),
+            self.missing.wrapping_sub(before.missing),
+            self.late.wrapping_sub(before.late),
         ];
         // One that comes late now and then is how a busy machine is.
-        let faulty = missing > 0 || 2 * late > received;
+        let faulty = missing > 0 || late > received / 2;
         if faulty {
             warn!(missing, late, received, "wheel readings lost or late");
         }
@@ -359,6 +359,7 @@ impl HealthWatch {
         let stale = self.status.last_pose_arrival_ns().is_some_and(|at| now_ns - at > NO_FRAMES_NS);
         match self.status.state() {
             TrackingState::Tracking if blind || stale => TrackingState::Lost,
+            TrackingState::DeadReckoning if blind => TrackingState::Lost,
             TrackingState::Orientation if blind => TrackingState::Initializing,
             state => state,
         }
@@ -386,6 +387,8 @@ impl HealthWatch {
         let wheels = WheelTotals::of(s);
         Health {
             errors,
+            blind_ns: s.blind_ns.get(),
+            blind_m: s.blind_mm.get() as f64 * 1e-3,
             wheel_messages: wheels.received,
             wheel_refused: wheels.refused,
             wheel_missing: wheels.missing,

@@ -11,8 +11,9 @@ use tracing::info;
 use super::capture::{CaptureStep, Captured};
 use super::feature::FeatureStep;
 use super::map_file::KeeperLink;
-use super::reconstruct::{ReconstructStep, Request};
+use super::reconstruct::ReconstructStep;
 use super::recorder::{Recorder, RecorderLink, Written};
+use super::request::Request;
 use super::status::Status;
 use super::supervisor::{End, EndCause};
 use super::wheels::WheelIntake;
@@ -20,12 +21,12 @@ use super::{DaemonError, Parts, TURN};
 use crate::features::{Feedback, FrameFeatures};
 use crate::frame::{RawFrame, monotonic_ns};
 use crate::motion::wheel::WheelQueue;
-use crate::motion::wheel_scale::RADIUS_SIGMA;
 use crate::reconstruction::InlineWorker;
 
 /// Replays until the source ends, `stop` is set, or `go_on` (called once a frame) says no.
 pub fn run(parts: Parts, stop: &AtomicBool, go_on: &mut dyn FnMut(&Status) -> bool) -> Result<End, DaemonError> {
-    let Parts { config, supply, calibration, outlet, outputs, spool_folder, keep_lens, map_file, status } = parts;
+    let Parts { config, supply, calibration, outlet, outputs, spool_folder, keep_lens, map_file, maps: _, status } =
+        parts;
     let recorder = Recorder::new(&outputs, spool_folder.as_deref(), status.clone())?.keeping(keep_lens);
     let wheels = Arc::new(WheelQueue::new(status.wheels.clone()));
     let capture = CaptureStep::new(supply, status.clone()).map_err(DaemonError::Thread)?;
@@ -45,7 +46,7 @@ pub fn run(parts: Parts, stop: &AtomicBool, go_on: &mut dyn FnMut(&Status) -> bo
         status.clone(),
     )
     .with_wheels(wheels)
-    .with_base(&config.mount, RADIUS_SIGMA)
+    .with_base(&config.mount, config.wheel.scale_sigma)
     .with_map_file(desk)
     .looking_for(&config.tag);
     let mut slot = RawFrame::default();

@@ -12,18 +12,22 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use crossbeam::channel::{Receiver, Sender};
-use tracing::{debug, error, info, warn};
+use crossbeam::channel::Sender;
+use tracing::{error, info, warn};
 
+use super::map_keeper::{Keeper, Order};
+use super::request::Request;
 use crate::geometry::CameraModel;
 use crate::map::MapId;
-use crate::map::saved::{MapChanges, SavedMaps, SavedOptics};
+use crate::map::saved::{SavedMaps, SavedOptics};
 use crate::messages::map_mode;
-use crate::places::store::{MapFile, StoreError};
+use crate::places::store::MapFile;
 use crate::reconstruction::{LensPrior, Reconstruction, TrajectoryEvent};
 
 /// Between two writes, ns of the frames' time: what a power cut loses at the most, with the time that a write takes.
 const WRITE_EVERY_NS: i64 = 2_000_000_000;
+/// The same at the most, live, where nothing of the map has changed.
+const AT_LEAST_EVERY_NS: i64 = 60_000_000_000;
 /// The same after a write that failed.
 const RETRY_AFTER_NS: i64 = 30_000_000_000;
 /// A slow disk is waited for so long at the end.
@@ -38,119 +42,96 @@ pub struct MapPlan {
     pub saved: Option<SavedMaps>,
     /// Nothing is written, and the maps stay as they are.
     pub localise_only: bool,
-}
-
-/// Who writes.
-pub struct Keeper {
-    path: PathBuf,
-    file: Option<MapFile>,
-    exists: bool,
-    /// Why the newest changes are not in the file.
-    failed: Option<StoreError>,
-    /// Told to the desk: it has to hand over everything.
-    wants_everything: Arc<AtomicBool>,
+    /// Nobody has named it: where it turns out to be another camera's the run goes on without.
+    pub may_fail: bool,
 }
 
 /// The way there.
 pub enum KeeperLink {
     /// Called directly: lock-step.
     Inline(Box<Keeper>),
-    Queue(Sender<Box<MapChanges>>),
+    Queue(Sender<Order>),
 }
 
 /// Reconstruction's end of it.
 pub struct MapDesk {
-    path: PathBuf,
+    /// `None`: the map has no file.
+    pub(super) path: Option<PathBuf>,
     saved: Option<SavedMaps>,
     /// Maps that came from the file, or have become a part of one.
     stored: BTreeSet<MapId>,
-    localise_only: bool,
-    /// `None`: nothing is written (any more).
-    link: Option<KeeperLink>,
-    wants_everything: Arc<AtomicBool>,
+    pub(super) localise_only: bool,
+    /// Changes are handed over; not once the maps that the file is about were dropped.
+    pub(super) keeps: bool,
+    may_fail: bool,
+    /// `None`: nobody is there who writes.
+    pub(super) link: Option<KeeperLink>,
+    /// For what comes back once a file was read; `None`: no commands.
+    pub(super) requests: Option<Sender<Request>>,
+    pub(super) wants_everything: Arc<AtomicBool>,
     /// Time of the frame after which it was written last.
     last_ns: Option<i64>,
+    /// Time of the frame after which changes were handed over last.
+    last_write_ns: Option<i64>,
 }
 
 impl MapPlan {
     /// The keeper, and the desk without its link to it.
     pub fn split(self) -> (MapDesk, Option<Keeper>) {
-        let wants_everything = Arc::new(AtomicBool::new(false));
-        let keeper = (!self.localise_only).then(|| Keeper {
-            path: self.path.clone(),
-            exists: self.file.is_some(),
-            file: self.file,
-            failed: None,
-            wants_everything: wants_everything.clone(),
-        });
-        let (path, saved, localise_only) = (self.path, self.saved, self.localise_only);
-        let stored = saved.iter().flat_map(|saved| saved.maps.iter().map(|m| m.head.id)).collect();
-        (MapDesk { path, saved, stored, localise_only, link: None, wants_everything, last_ns: None }, keeper)
+        let Self { path, file, saved, localise_only, may_fail } = self;
+        let mut desk =
+            MapDesk { path: Some(path.clone()), localise_only, keeps: !localise_only, ..MapDesk::without_file() };
+        desk.note_stored(saved.as_ref());
+        (desk.saved, desk.may_fail) = (saved, may_fail);
+        let exists = file.is_some();
+        let keeper = (!localise_only).then(|| Keeper::new(path, file, exists, desk.wants_everything.clone()));
+        (desk, keeper)
     }
-}
-
-impl Keeper {
-    /// Writes changes; everything, if the file is to be made or opened anew.
-    pub fn keep(&mut self, changes: &MapChanges) {
-        let outcome = self.ready(changes).and_then(|file| match file {
-            Some(file) => file.write(changes),
-            None => Ok(0),
-        });
-        match outcome {
-            Ok(bytes) => {
-                let keyframes = changes.keyframes.len();
-                debug!(path = %self.path.display(), keyframes, bytes, "map file written");
-                self.failed = None;
-            }
-            Err(reason) => {
-                if self.failed.is_none() {
-                    error!(%reason, "map file not written, tried again later");
-                }
-                (self.file, self.failed) = (None, Some(reason));
-                self.wants_everything.store(true, Ordering::Release);
-            }
-        }
-    }
-
-    /// The file, to write the changes to; `None` if they are in it already, as it was made with them.
-    fn ready(&mut self, changes: &MapChanges) -> Result<Option<&mut MapFile>, StoreError> {
-        if self.file.is_none() {
-            let file = match self.exists {
-                true => MapFile::open(&self.path)?.0,
-                false => MapFile::create(&self.path, changes)?,
-            };
-            let made = !std::mem::replace(&mut self.exists, true);
-            self.file = Some(file);
-            if made {
-                return Ok(None);
-            }
-        }
-        Ok(self.file.as_mut())
-    }
-
-    /// Closes the file: where it lies, or why what came last is not in it.
-    pub fn close(self) -> Result<Option<PathBuf>, String> {
-        if let Some(failed) = self.failed {
-            return Err(failed.to_string());
-        }
-        let Some(file) = self.file else { return Ok(None) };
-        file.close().map_err(|e| e.to_string())?;
-        info!(path = %self.path.display(), "map file closed");
-        Ok(Some(self.path))
-    }
-}
-
-/// The keeper's thread: works off changes until the desk is gone.
-pub fn serve(mut keeper: Keeper, changes: &Receiver<Box<MapChanges>>) -> Result<Option<PathBuf>, String> {
-    for changes in changes {
-        keeper.keep(&changes);
-    }
-    keeper.close()
 }
 
 impl MapDesk {
+    /// For a run whose map has no file, until a command gives it one.
+    pub fn without_file() -> Self {
+        Self {
+            path: None,
+            saved: None,
+            stored: BTreeSet::new(),
+            localise_only: false,
+            keeps: false,
+            may_fail: false,
+            link: None,
+            requests: None,
+            wants_everything: Arc::default(),
+            last_ns: None,
+            last_write_ns: None,
+        }
+    }
+
     pub fn linked(self, link: Option<KeeperLink>) -> Self {
         Self { link, ..self }
+    }
+
+    /// With a way for what comes back from reading files.
+    pub fn answered_by(self, requests: Sender<Request>) -> Self {
+        Self { requests: Some(requests), ..self }
+    }
+
+    pub(super) fn note_stored(&mut self, saved: Option<&SavedMaps>) {
+        self.stored = saved.iter().flat_map(|saved| saved.maps.iter().map(|m| m.head.id)).collect();
+    }
+
+    pub(super) fn forget_stored(&mut self) {
+        self.stored.clear();
+    }
+
+    /// The next changes are everything, and due at once.
+    pub(super) fn hand_over_everything(&mut self) {
+        self.wants_everything.store(true, Ordering::Release);
+        self.last_ns = None;
+    }
+
+    fn shown_path(&self) -> String {
+        self.path.as_ref().map(|path| path.display().to_string()).unwrap_or_default()
     }
 
     /// A reconstruction has begun: it goes on in what the file has. The error: it is of another camera.
@@ -161,11 +142,18 @@ impl MapDesk {
         prior: LensPrior,
     ) -> Result<(), String> {
         let Some(saved) = self.saved.take() else { return Ok(()) };
-        let path = self.path.display();
-        check_camera(&saved.optics, camera, prior).map_err(|reason| format!("{path}: {reason}"))?;
+        let path = self.shown_path();
+        if let Err(reason) = check_camera(&saved.optics, camera, prior) {
+            if !self.may_fail {
+                return Err(format!("{path}: {reason}"));
+            }
+            warn!(reason, "map file of another camera");
+            self.let_go("it is of another camera or calibration");
+            return Ok(());
+        }
         let maps = saved.maps.len();
         let keyframes = saved.maps.first().map_or(0, |m| m.map.keyframes.len());
-        info!(path = %path, maps, keyframes, localise_only = self.localise_only, "map loaded");
+        info!(path, maps, keyframes, localise_only = self.localise_only, "map loaded");
         reconstruction.resume(saved, self.localise_only);
         Ok(())
     }
@@ -187,6 +175,9 @@ impl MapDesk {
 
     /// After a frame: hands over what has changed, if it is time and the keeper has nothing to do.
     pub fn turn(&mut self, reconstruction: &mut Reconstruction, timestamp_ns: i64) {
+        if !self.keeps || self.localise_only {
+            return;
+        }
         let every = if self.wants_everything.load(Ordering::Acquire) { RETRY_AFTER_NS } else { WRITE_EVERY_NS };
         let is_due = |last: i64| timestamp_ns < last || timestamp_ns.saturating_sub(last) >= every;
         if !self.last_ns.is_none_or(is_due) {
@@ -199,8 +190,17 @@ impl MapDesk {
             }
             Some(KeeperLink::Queue(orders)) if orders.is_empty() => {
                 let everything = self.wants_everything.swap(false, Ordering::AcqRel);
+                // A robot that stands has nothing to tell but the time, which is worth no write every two seconds for months.
+                if !everything
+                    && self.last_write_ns.is_some_and(|last| timestamp_ns.saturating_sub(last) < AT_LEAST_EVERY_NS)
+                    && !reconstruction.has_changes()
+                {
+                    self.last_ns = Some(timestamp_ns);
+                    return;
+                }
+                self.last_write_ns = Some(timestamp_ns);
                 // There is room: nobody else sends. If the thread has gone, the end tells.
-                let _ = orders.try_send(Box::new(reconstruction.take_changes(everything)));
+                let _ = orders.try_send(Order::Keep(Box::new(reconstruction.take_changes(everything)), None));
             }
             _ => return,
         }
@@ -210,7 +210,8 @@ impl MapDesk {
     /// The last word: everything, with what is not worth a write by itself. `Inline`: the keeper, to be closed.
     pub fn finish(mut self, reconstruction: Option<&mut Reconstruction>) -> Option<Keeper> {
         let link = self.link.take()?;
-        let changes = reconstruction.map(|r| r.take_changes(true));
+        let is_kept = self.keeps && !self.localise_only;
+        let changes = reconstruction.filter(|_| is_kept).map(|r| r.take_changes(true));
         match link {
             KeeperLink::Inline(mut keeper) => {
                 if let Some(changes) = changes {
@@ -220,9 +221,9 @@ impl MapDesk {
             }
             KeeperLink::Queue(orders) => {
                 if let Some(changes) = changes
-                    && orders.send_timeout(Box::new(changes), LAST_WAIT).is_err()
+                    && orders.send_timeout(Order::Keep(Box::new(changes), None), LAST_WAIT).is_err()
                 {
-                    error!(path = %self.path.display(), "map file: the disk is too slow, the last seconds are not in it");
+                    error!(path = self.shown_path(), "map file: the disk is too slow, the last seconds are not in it");
                 }
                 None
             }
@@ -233,14 +234,22 @@ impl MapDesk {
     pub fn let_go(&mut self, why: &'static str) {
         self.saved = None;
         self.stored.clear();
-        if self.link.take().is_some() {
-            warn!(path = %self.path.display(), why, "map file keeps what it has, and nothing more is written to it");
+        if !std::mem::take(&mut self.keeps) {
+            return;
         }
+        let path = self.shown_path();
+        self.path = None;
+        match &self.link {
+            Some(KeeperLink::Queue(orders)) if orders.try_send(Order::Switch(None)).is_ok() => {}
+            // Its thread ends with what it has.
+            _ => self.link = None,
+        }
+        warn!(path, why, "map file keeps what it has, and nothing more is written to it");
     }
 }
 
 /// Whether a file's maps were made with this camera. Two that nobody calibrated are the same as far as can be said.
-fn check_camera(saved: &SavedOptics, camera: &CameraModel, prior: LensPrior) -> Result<(), String> {
+pub(super) fn check_camera(saved: &SavedOptics, camera: &CameraModel, prior: LensPrior) -> Result<(), String> {
     let is_guessed = prior != LensPrior::Calibrated;
     let own = &saved.calibration;
     let same = match is_guessed {
@@ -294,8 +303,9 @@ mod tests {
 
     #[test]
     fn a_map_that_a_stored_one_was_joined_to_counts_as_stored() {
-        let plan = MapPlan { path: "a.map".into(), file: None, saved: None, localise_only: true };
+        let plan = MapPlan { path: "a.map".into(), file: None, saved: None, localise_only: true, may_fail: false };
         let mut desk = plan.split().0;
+        desk.keeps = true;
         desk.stored.insert(MapId(3));
         let joined = |map, into| TrajectoryEvent::MapJoined { map: MapId(map), into: MapId(into), scale: 1.0 };
         assert_eq!(desk.mode(MapId(4)), map_mode::LOCALISATION_ONLY);
@@ -313,7 +323,7 @@ mod tests {
     fn a_file_is_made_written_in_time_and_after_a_failure_anew() {
         let dir = tempfile::tempdir().expect("folder");
         let path = dir.path().join("missing").join("a.map");
-        let plan = MapPlan { path: path.clone(), file: None, saved: None, localise_only: false };
+        let plan = MapPlan { path: path.clone(), file: None, saved: None, localise_only: false, may_fail: false };
         let (desk, keeper) = plan.split();
         let mut desk = desk.linked(keeper.map(|keeper| KeeperLink::Inline(Box::new(keeper))));
         let mut r = begun(&camera(300.0), LensPrior::Calibrated);

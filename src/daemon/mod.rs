@@ -19,14 +19,20 @@ mod advice;
 mod announce;
 mod background;
 mod base;
+mod blind;
 mod capture;
 mod feature;
 mod health;
 pub mod lockstep;
+mod map_commands;
 mod map_file;
+mod map_folder;
+mod map_keeper;
+mod map_requests;
 mod outlet;
 mod reconstruct;
 mod recorder;
+mod request;
 mod status;
 mod supervisor;
 mod timestamps;
@@ -45,9 +51,11 @@ pub use advice::advice;
 pub use background::{TURN, within};
 pub use capture::{Captured, Opener, Supply};
 pub use map_file::MapPlan;
+pub use map_folder::MapFolder;
 pub use outlet::Outlet;
-pub use reconstruct::{Calibration, Request};
+pub use reconstruct::Calibration;
 pub use recorder::{FinalMap, KeepLens, Outputs, SaveKind, Written};
+pub use request::Request;
 pub use status::{Status, state_name};
 pub use supervisor::{Desk, End, EndCause, Tick, supervise};
 pub use waiting::await_camera;
@@ -56,20 +64,19 @@ use crate::config::Config;
 use crate::features::{Feedback, FrameFeatures};
 use crate::frame::{RawFrame, monotonic_ns};
 use crate::motion::wheel::WheelQueue;
-use crate::motion::wheel_scale::RADIUS_SIGMA;
 use crate::ring::{Consumer, Producer, Wait, frame_ring};
 use capture::CaptureStep;
 use feature::FeatureStep;
-use map_file::KeeperLink;
+use map_file::{KeeperLink, MapDesk};
 use reconstruct::ReconstructStep;
 use recorder::{Order, Recorder, RecorderLink, serve};
 use wheels::WheelIntake;
-use worker::ThreadWorker;
+use worker::{PlaceThread, ThreadWorker};
 
 /// Records on their way to the recorder: some 30 seconds of frames while a disk hangs.
 const RECORD_QUEUE: usize = 2048;
-/// Changes of the map on their way to the disk: while some wait none are taken.
-const MAP_QUEUE: usize = 1;
+/// Changes of the map and orders of commands on their way to the disk: while some wait no further changes are taken.
+const MAP_QUEUE: usize = 4;
 /// Requests from the supervisor on their way to reconstruction.
 const REQUEST_QUEUE: usize = 4;
 
@@ -86,6 +93,8 @@ pub struct Parts {
     pub keep_lens: Option<KeepLens>,
     /// The map on disk; `None`: there is none, and the map ends with the run.
     pub map_file: Option<MapPlan>,
+    /// Where commands load and store maps by name; `None`: there are no such commands.
+    pub maps: Option<MapFolder>,
     pub status: Arc<Status>,
 }
 
@@ -110,37 +119,38 @@ struct Parcel {
     returned: bool,
 }
 
+/// Where the map lies in the end, or why what came last is not there.
+type MapThread = JoinHandle<Result<Option<PathBuf>, String>>;
+
 /// What the threads of a run give back when they end.
 pub(super) struct Threads {
     pub capture: JoinHandle<bool>,
     pub features: JoinHandle<()>,
     pub reconstruction: JoinHandle<Result<FinalMap, String>>,
     pub mapping: JoinHandle<()>,
+    pub places: JoinHandle<()>,
     pub recorder: JoinHandle<Recorder>,
     /// Where the map lies, or why what came last is not there.
-    pub map_file: Option<JoinHandle<Result<Option<PathBuf>, String>>>,
+    pub map_file: Option<MapThread>,
     pub requests: Sender<Request>,
+    pub maps: Option<MapFolder>,
 }
 
 /// Starts all threads. They end when the source ends, or when [`Status::request_stop`] is called.
 pub(super) fn start(parts: Parts) -> Result<Threads, DaemonError> {
-    let Parts { config, supply, calibration, mut outlet, outputs, spool_folder, keep_lens, map_file, status } = parts;
+    let Parts { config, supply, calibration, mut outlet, outputs, spool_folder, keep_lens, map_file, maps, status } =
+        parts;
     let encoded = outlet.as_mut().and_then(Outlet::take_encoded);
     let recorder = Recorder::new(&outputs, spool_folder.as_deref(), status.clone())?.keeping(keep_lens);
     let (orders, order_queue) = bounded::<Order>(RECORD_QUEUE);
     let recorder = spawn("cairn-recorder", move || serve(recorder, &order_queue))?;
 
     let (worker, mapping) = ThreadWorker::spawn().map_err(DaemonError::Thread)?;
+    let (place_worker, places) = PlaceThread::spawn().map_err(DaemonError::Thread)?;
     let link = RecorderLink::Queue(orders, status.clone());
     let wheels = Arc::new(WheelQueue::new(status.wheels.clone()));
-    let (desk, keeper) = map_file.map(MapPlan::split).unzip();
-    let (map_link, map_file) = match keeper.flatten() {
-        Some(keeper) => {
-            let (changes, queue) = bounded(MAP_QUEUE);
-            (Some(KeeperLink::Queue(changes)), Some(spawn("cairn-map-file", move || map_file::serve(keeper, &queue))?))
-        }
-        None => (None, None),
-    };
+    let (requests, request_queue) = bounded(REQUEST_QUEUE);
+    let (desk, map_file) = keep_maps(map_file, maps.is_some(), &requests)?;
     let step = ReconstructStep::new(
         &config.reconstruction,
         calibration,
@@ -150,9 +160,10 @@ pub(super) fn start(parts: Parts) -> Result<Threads, DaemonError> {
         link,
         status.clone(),
     )
+    .recognising_in(Box::new(place_worker))
     .with_wheels(wheels.clone())
-    .with_base(&config.mount, RADIUS_SIGMA)
-    .with_map_file(desk.map(|desk| desk.linked(map_link)))
+    .with_base(&config.mount, config.wheel.scale_sigma)
+    .with_map_file(desk)
     .looking_for(&config.tag);
 
     // As many parcels as may wait, and the one that reconstruction works on.
@@ -163,7 +174,6 @@ pub(super) fn start(parts: Parts) -> Result<Threads, DaemonError> {
         // Cannot fail: the queue has room for all of them.
         let _ = empty.try_send(Box::default());
     }
-    let (requests, request_queue) = bounded(REQUEST_QUEUE);
     let (producer, consumer) = frame_ring(RawFrame::default);
 
     let beat = status.clone();
@@ -176,7 +186,25 @@ pub(super) fn start(parts: Parts) -> Result<Threads, DaemonError> {
     let capture_step = capture_step.sharing(encoded).with_wheels(WheelIntake::new(wheels));
     let to_reset = requests.clone();
     let capture = spawn("cairn-capture", move || capture_frames(capture_step, producer, &to_reset, &status))?;
-    Ok(Threads { capture, features, reconstruction, mapping, recorder, map_file, requests })
+    Ok(Threads { capture, features, reconstruction, mapping, places, recorder, map_file, requests, maps })
+}
+
+/// Reconstruction's end of the map file, and the thread at the other: where there is a file, or commands may ask for one.
+fn keep_maps(
+    plan: Option<MapPlan>,
+    by_command: bool,
+    requests: &Sender<Request>,
+) -> Result<(Option<MapDesk>, Option<MapThread>), DaemonError> {
+    let (desk, keeper) = plan.map(MapPlan::split).unzip();
+    let keeper = keeper.flatten();
+    if keeper.is_none() && !by_command {
+        return Ok((desk, None));
+    }
+    let (orders, queue) = bounded(MAP_QUEUE);
+    let thread = spawn("cairn-map-file", move || map_keeper::serve(keeper, &queue))?;
+    let desk = desk.unwrap_or_else(MapDesk::without_file).linked(Some(KeeperLink::Queue(orders)));
+    let desk = if by_command { desk.answered_by(requests.clone()) } else { desk };
+    Ok((Some(desk), Some(thread)))
 }
 
 /// A named thread whose panic is logged with the fields of any other record.

@@ -6,31 +6,31 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use crossbeam::channel::Sender;
 use tracing::{debug, error, info, warn};
 
 use super::base;
-use super::map_file::{Keeper, MapDesk};
+use super::blind::BlindLog;
+use super::map_file::MapDesk;
+use super::map_keeper::Keeper;
 use super::outlet::Outlet;
-use super::recorder::{FinalMap, Record, RecorderLink, SaveKind};
+use super::recorder::{FinalMap, Record, RecorderLink};
+use super::request::Request;
 use super::status::{Status, state_name};
 use super::wheels::WheelListener;
 use crate::config::MountConfig;
 use crate::features::{Feedback, FrameFeatures};
 use crate::frame::monotonic_ns;
-use crate::geometry::frames::Body;
-use crate::geometry::{CameraModel, Se3};
+use crate::geometry::CameraModel;
 use crate::map::MapSnapshot;
 use crate::map::scale::MapScale;
 use crate::motion::hand_eye::Robot;
 use crate::motion::scale::ScaleMeasurement;
 use crate::motion::tag::TagConfig;
 use crate::motion::wheel::WheelQueue;
-use crate::publish::convert::Map;
 use crate::publish::{MapContext, PublishError};
 use crate::reconstruction::{
-    LensKnowledge, LensPrior, MappingWorker, PoseEstimate, Reconstruction, ReconstructionConfig, TrackingState,
-    TrajectoryEvent, guessed_camera,
+    LensKnowledge, LensPrior, MappingWorker, PlaceWorker, PoseEstimate, Reconstruction, ReconstructionConfig,
+    TrackingState, TrajectoryEvent, guessed_camera,
 };
 use crate::telemetry::RateLimiter;
 
@@ -80,31 +80,22 @@ impl Calibration {
 /// A lens is kept again when its focal length is known this much better than what was kept, as a share of the standard deviation.
 const KEEP_AGAIN: f64 = 0.8;
 
-/// What may be asked of the stage between two frames.
-#[derive(Debug)]
-pub enum Request {
-    /// Drop the map and start over.
-    Reset { why: &'static str },
-    /// Have a file written.
-    Save { kind: SaveKind, path: std::path::PathBuf, reply: Sender<Result<String, String>> },
-    /// Publish such that the robot is here now.
-    SetPose { map_from_body: Se3<Map, Body>, reply: Sender<Result<String, String>> },
-}
-
 /// The reconstruction stage without its thread.
 pub struct ReconstructStep {
     config: ReconstructionConfig,
-    calibration: Calibration,
+    pub(super) calibration: Calibration,
     tag: TagConfig,
     lockstep: bool,
     /// Given to reconstruction with the first frame, whose size completes the camera model.
     worker: Option<Box<dyn MappingWorker>>,
-    reconstruction: Option<Reconstruction>,
+    /// As well; without one places are recognised between frames.
+    place_worker: Option<Box<dyn PlaceWorker>>,
+    pub(super) reconstruction: Option<Reconstruction>,
     /// Of the pictures that the camera model is for; 0, 0 before the first.
-    size: (u32, u32),
+    pub(super) size: (u32, u32),
     outlet: Option<Outlet>,
     recorder: RecorderLink,
-    map_file: Option<MapDesk>,
+    pub(super) map_file: Option<MapDesk>,
     status: Arc<Status>,
     /// What the base's wheels tell; `None`: nobody asks them.
     wheels: Option<Arc<WheelQueue>>,
@@ -119,6 +110,7 @@ pub struct ReconstructStep {
     base: Option<(Robot, f64)>,
     last_scale: MapScale,
     last_slipping: bool,
+    blind: BlindLog,
     last_maps_joined: u64,
     last_tag_scale: Option<ScaleMeasurement>,
     last_loops_closed: u64,
@@ -149,6 +141,7 @@ impl ReconstructStep {
             tag: TagConfig::default(),
             lockstep,
             worker: Some(worker),
+            place_worker: None,
             reconstruction: None,
             size: (0, 0),
             outlet,
@@ -166,6 +159,7 @@ impl ReconstructStep {
             base: None,
             last_scale: MapScale::Unknown,
             last_slipping: false,
+            blind: BlindLog::default(),
             last_maps_joined: 0,
             last_tag_scale: None,
             last_loops_closed: 0,
@@ -174,6 +168,12 @@ impl ReconstructStep {
             lens: None,
             kept_sigma: f64::INFINITY,
         }
+    }
+
+    /// With somebody who knows places again meanwhile.
+    pub fn recognising_in(mut self, worker: Box<dyn PlaceWorker>) -> Self {
+        self.place_worker = Some(worker);
+        self
     }
 
     /// With what the base's wheels tell.
@@ -295,13 +295,16 @@ impl ReconstructStep {
         }
         self.kept_sigma = f64::INFINITY;
         if let Some(reconstruction) = self.reconstruction.as_mut() {
-            if let Some(desk) = self.map_file.as_mut() {
+            if let Some(desk) = self.map_file.as_mut().filter(|desk| !is_localisation_only(desk)) {
                 desk.let_go("the camera sends another size of picture");
             }
             reconstruction.change_camera(&camera, prior);
             self.drain_events();
         } else if let Some(worker) = self.worker.take() {
             let mut begun = Reconstruction::with_lens(&self.config, &camera, prior, worker, self.lockstep);
+            if let Some(worker) = self.place_worker.take() {
+                begun.recognise_in(worker);
+            }
             if let Some((base, radius_sigma)) = self.base {
                 begun.set_base(base, radius_sigma);
             }
@@ -342,7 +345,7 @@ impl ReconstructStep {
     fn account(&mut self, features: &FrameFeatures, estimate: &PoseEstimate) {
         let status = &self.status;
         status.processed.add(1);
-        if estimate.world_from_camera.is_some() {
+        if estimate.state == TrackingState::Tracking {
             status.tracked.add(1);
         }
         status.set_frame(estimate, features.tracks.len());
@@ -394,6 +397,9 @@ impl ReconstructStep {
         }
         self.log_scale(e);
         self.log_loops(e);
+        if let Some(reconstruction) = &self.reconstruction {
+            self.blind.follow(reconstruction, e, state_name(e.state));
+        }
         let blind_turns = self.reconstruction.as_ref().map_or(0, |r| r.counters().blind_turns);
         if blind_turns != self.last_blind_turns {
             warn!(sequence, timestamp_ns, map, blind_turns, "scale assumed after a turn on the spot");
@@ -470,7 +476,7 @@ impl ReconstructStep {
         }
     }
 
-    fn drain_events(&mut self) {
+    pub(super) fn drain_events(&mut self) {
         if let Some(reconstruction) = self.reconstruction.as_mut() {
             reconstruction.take_trajectory_events(&mut self.events);
         }
@@ -503,7 +509,7 @@ impl ReconstructStep {
         match request {
             Request::Reset { why } => {
                 info!(why, "reset asked for");
-                if let Some(desk) = self.map_file.as_mut() {
+                if let Some(desk) = self.map_file.as_mut().filter(|desk| !is_localisation_only(desk)) {
                     desk.let_go(why);
                 }
                 if let Some(reconstruction) = self.reconstruction.as_mut() {
@@ -515,6 +521,9 @@ impl ReconstructStep {
                 let map = Box::new(self.final_map());
                 self.recorder.save(kind, path, map, reply);
             }
+            Request::Map { request, reply } => self.map_request(request, reply),
+            Request::TakeMap { loaded, reply } => self.take_map(*loaded, &reply),
+            Request::BeginMap { path, reply } => self.begin_map(path, &reply),
             Request::SetPose { map_from_body, reply } => {
                 let moved = match self.outlet.as_mut() {
                     Some(outlet) => outlet.set_pose(&map_from_body).map_err(String::from),
@@ -568,6 +577,11 @@ fn context(reconstruction: &Reconstruction, placements: u32, timestamp_ns: i64, 
         map_revision: reconstruction.corrections().revision,
         map_mode,
     }
+}
+
+/// Its maps outlive a reset: nothing is written to them that would have to be kept from the file.
+fn is_localisation_only(desk: &MapDesk) -> bool {
+    desk.mode(crate::map::MapId::default()) & crate::messages::map_mode::LOCALISATION_ONLY != 0
 }
 
 #[cfg(test)]

@@ -18,13 +18,17 @@ use crate::map::export::write_ply;
 use crate::map::{KeyframeId, MapSnapshot};
 use crate::reconstruction::{LensEstimate, PoseEstimate, TrajectoryEvent};
 use crate::telemetry::RateLimiter;
-use crate::trajectory::{LiveTrajectory, TrajectoryError, TrajectorySpool, TrajectorySummary, TumPose, read_tum};
+use crate::trajectory::{
+    LiveTrajectory, OdometryLog, TrajectoryError, TrajectorySpool, TrajectorySummary, TumPose, read_tum,
+};
 
 /// Files to be written at the end; `None` is not wanted.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Outputs {
     pub trajectory: Option<PathBuf>,
     pub live_trajectory: Option<PathBuf>,
+    /// The smooth pose of every frame with its state.
+    pub odometry: Option<PathBuf>,
     pub map: Option<PathBuf>,
     pub overview: Option<PathBuf>,
 }
@@ -68,6 +72,7 @@ pub enum Order {
 pub struct Recorder {
     trajectory: Option<TrajectorySpool>,
     live: Option<LiveTrajectory>,
+    odometry: Option<Box<OdometryLog>>,
     keep_lens: Option<KeepLens>,
     faults: RateLimiter,
     status: Arc<Status>,
@@ -89,7 +94,9 @@ impl Recorder {
             Some(path) => Some(LiveTrajectory::create(&folder(path))?),
             None => None,
         };
-        Ok(Self { trajectory, live, keep_lens: None, faults: RateLimiter::default(), status })
+        let odometry =
+            outputs.odometry.as_ref().map(|path| OdometryLog::create(&folder(path)).map(Box::new)).transpose()?;
+        Ok(Self { trajectory, live, odometry, keep_lens: None, faults: RateLimiter::default(), status })
     }
 
     /// With somebody who keeps what is learnt about the lens.
@@ -102,7 +109,10 @@ impl Recorder {
     pub fn record(&mut self, record: &Record) {
         let outcome = match record {
             Record::Event(event) => self.trajectory.as_mut().map_or(Ok(()), |spool| spool.record(event)),
-            Record::Published(estimate) => self.live.as_mut().map_or(Ok(()), |spool| spool.record(estimate)),
+            Record::Published(estimate) => {
+                let live = self.live.as_mut().map_or(Ok(()), |spool| spool.record(estimate));
+                live.and(self.odometry.as_mut().map_or(Ok(()), |log| log.record(estimate)))
+            }
             Record::Lens(lens) => {
                 match self.keep_lens.as_mut().map(|keep| keep(lens)) {
                     Some(Ok(path)) => info!(path, fx_px = lens.camera.fx, focal_sigma = lens.focal_sigma, "lens kept"),
@@ -124,12 +134,18 @@ impl Recorder {
     pub fn write(&mut self, outputs: &Outputs, map: &FinalMap) -> Written {
         let mut written = Written::default();
         if let (Some(path), Some(spool)) = (&outputs.trajectory, self.trajectory.as_mut()) {
-            let outcome = spool.write_tum(path, &map.keyframe_poses);
-            written.trajectory = outcome.as_ref().ok().copied();
-            written.note(path, outcome.map(|summary| log_summary("trajectory", &summary)));
+            let outcome = spool.write_all_maps(path, &map.keyframe_poses);
+            let (summary, others) = outcome.as_ref().ok().cloned().unzip();
+            written.trajectory = summary;
+            written.note(path, outcome.map(|(summary, _)| log_summary("trajectory", &summary)));
+            written.files.extend(others.into_iter().flatten());
         }
         if let (Some(path), Some(spool)) = (&outputs.live_trajectory, self.live.as_mut()) {
             written.note(path, spool.write_tum(path).map(|summary| log_summary("live trajectory", &summary)));
+        }
+        if let (Some(path), Some(log)) = (&outputs.odometry, self.odometry.as_mut()) {
+            let outcome = log.write(path);
+            written.note(path, outcome.map(|s| info!(what = "odometry", frames_lost = s.frames_lost, "written")));
         }
         if let Some(path) = &outputs.map {
             written.note(path, write_ply(path, &map.snapshot));

@@ -48,6 +48,9 @@ pub struct Status {
     pub loops_closed: Counter,
     /// Turns on the spot behind which the scale is an assumption.
     pub blind_turns: Counter,
+    /// Time (ns) and way (mm) for which the wheels alone told the pose.
+    pub blind_ns: Counter,
+    pub blind_mm: Counter,
     pub adjustments: Counter,
     pub adjustments_late: Counter,
     /// What has become of the messages of the base's driver.
@@ -132,6 +135,8 @@ impl Default for Status {
             maps_joined: Counter::default(),
             loops_closed: Counter::default(),
             blind_turns: Counter::default(),
+            blind_ns: Counter::default(),
+            blind_mm: Counter::default(),
             adjustments: Counter::default(),
             adjustments_late: Counter::default(),
             wheels: Arc::default(),
@@ -224,6 +229,7 @@ impl Status {
             1 => TrackingState::Tracking,
             2 => TrackingState::Lost,
             3 => TrackingState::Orientation,
+            4 => TrackingState::DeadReckoning,
             _ => TrackingState::Initializing,
         }
     }
@@ -245,6 +251,7 @@ impl Status {
             TrackingState::Tracking => 1,
             TrackingState::Lost => 2,
             TrackingState::Orientation => 3,
+            TrackingState::DeadReckoning => 4,
         };
         self.state.store(state, Ordering::Relaxed);
         self.map_id.store(estimate.map.0, Ordering::Relaxed);
@@ -252,6 +259,7 @@ impl Status {
         self.landmarks_tracked.store(estimate.landmarks, Ordering::Relaxed);
         self.points_followed.store(u32::try_from(points_followed).unwrap_or(u32::MAX), Ordering::Relaxed);
         if estimate.state == TrackingState::Tracking {
+            // What the wheels alone tell is no pose that the picture has confirmed.
             self.last_pose_arrival_ns.store(estimate.arrival_ns, Ordering::Relaxed);
         }
     }
@@ -380,6 +388,8 @@ impl Status {
         self.maps_joined.set(c.maps_joined);
         self.loops_closed.set(c.loops_closed);
         self.blind_turns.set(c.blind_turns);
+        self.blind_ns.set(c.blind_ns);
+        self.blind_mm.set(c.blind_mm);
         self.adjustments.set(c.adjustments);
         self.adjustments_late.set(c.adjustments_late);
     }
@@ -392,5 +402,6 @@ pub fn state_name(state: TrackingState) -> &'static str {
         TrackingState::Tracking => "TRACKING",
         TrackingState::Lost => "LOST",
         TrackingState::Orientation => "ORIENTATION",
+        TrackingState::DeadReckoning => "DEAD_RECKONING",
     }
 }

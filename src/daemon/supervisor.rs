@@ -13,11 +13,13 @@ use tracing::{error, info, warn};
 
 use super::announce::{Announcer, notify};
 use super::health::HealthWatch;
+use super::map_folder::MapFolder;
 use super::recorder::{FinalMap, Outputs, Recorder, SaveKind, Written};
+use super::request::{CopyTo, MapRequest, Request};
 use super::status::Status;
-use super::{DaemonError, Parts, Request, TURN, Threads, start};
+use super::{DaemonError, Parts, TURN, Threads, start};
 use crate::frame::{Clock, monotonic_ns};
-use crate::messages::{CommandReply, Health, command_kind, reply_code};
+use crate::messages::{Command, CommandReply, Health, command_kind, reply_code};
 use crate::publish::{self, CommandServer, HealthPublisher, convert};
 use crate::telemetry::{RateLimiter, report_suppressed};
 
@@ -79,7 +81,8 @@ pub fn supervise(
 
     let mut watch = HealthWatch::new(status.clone(), clock, stall_after, monotonic_ns());
     let requests = threads.requests.clone();
-    let mut bench = Bench { desk, saves: Vec::new(), requests, faults: RateLimiter::default() };
+    let maps = threads.maps.clone();
+    let mut bench = Bench { desk, saves: Vec::new(), requests, maps, faults: RateLimiter::default() };
     let mut announcer = Announcer::default();
     let mut stopped_at = None;
     loop {
@@ -109,7 +112,7 @@ pub fn supervise(
 
 /// Joins what ends, writes the files, and says how it went.
 fn wind_up(threads: Threads, status: &Arc<Status>, outputs: &Outputs, stopped: bool, deadline: Instant) -> End {
-    let Threads { capture, features, reconstruction, mapping, recorder, map_file, requests } = threads;
+    let Threads { capture, features, reconstruction, mapping, places, recorder, map_file, requests, maps: _ } = threads;
     drop(requests);
     let mut cause = if stopped { EndCause::Stopped } else { EndCause::SourceEnded };
     match join(capture, "capture", deadline) {
@@ -138,6 +141,9 @@ fn wind_up(threads: Threads, status: &Arc<Status>, outputs: &Outputs, stopped: b
         let deadline = Instant::now() + WRITE_OUT;
         if join(mapping, "mapping", deadline).is_err() {
             warn!("mapping thread ended badly");
+        }
+        if join(places, "places", deadline).is_err() {
+            warn!("places thread ended badly");
         }
         match join(recorder, "recorder", deadline) {
             Ok(mut recorder) => written = Recorder::write(&mut recorder, outputs, &map),
@@ -186,6 +192,8 @@ struct Bench {
     desk: Option<Desk>,
     saves: Vec<Save>,
     requests: Sender<Request>,
+    /// Where maps are kept by name; `None`: no commands on them.
+    maps: Option<MapFolder>,
     faults: RateLimiter,
 }
 
@@ -243,6 +251,12 @@ impl Bench {
             command_kind::SAVE_TRAJECTORY => SaveKind::Trajectory,
             command_kind::SAVE_MAP => SaveKind::Map,
             command_kind::SET_POSE => return self.set_pose(request),
+            command_kind::LOAD_MAP
+            | command_kind::STORE_MAP
+            | command_kind::NEW_MAP
+            | command_kind::LOCALISE
+            | command_kind::LIST_MAPS
+            | command_kind::COPY_MAP => return self.map_command(request),
             _ => {
                 request.refuse();
                 return;
@@ -255,6 +269,22 @@ impl Bench {
         let (sender, outcome) = bounded(1);
         match self.requests.try_send(Request::Save { kind, path, reply: sender }) {
             Ok(()) => self.saves.push(Save { request, outcome, began: Instant::now(), writes: true }),
+            Err(_) => reply(request, (reply_code::BUSY, "other requests are under way")),
+        }
+    }
+
+    fn map_command(&mut self, request: publish::Request) {
+        let Some(folder) = &self.maps else {
+            return reply(request, (reply_code::UNSUPPORTED, "this run keeps no maps"));
+        };
+        let asked = match map_request(request.command(), folder) {
+            Ok(asked) => asked,
+            Err(reason) => return reply(request, (reply_code::INVALID, &reason)),
+        };
+        let writes = matches!(asked, MapRequest::Store | MapRequest::Copy(_));
+        let (sender, outcome) = bounded(1);
+        match self.requests.try_send(Request::Map { request: asked, reply: sender }) {
+            Ok(()) => self.saves.push(Save { request, outcome, began: Instant::now(), writes }),
             Err(_) => reply(request, (reply_code::BUSY, "other requests are under way")),
         }
     }
@@ -294,6 +324,24 @@ impl Bench {
             }
         }
     }
+}
+
+/// What a command on maps asks for; the error says what is wrong with its name.
+fn map_request(command: &Command, folder: &MapFolder) -> Result<MapRequest, String> {
+    let text = command.path().ok_or("the name is not UTF-8")?;
+    Ok(match command.kind {
+        command_kind::LOAD_MAP => MapRequest::Load(folder.file(text)?),
+        command_kind::STORE_MAP if text.is_empty() => MapRequest::Store,
+        command_kind::STORE_MAP => MapRequest::Copy(CopyTo::Named(folder.file(text)?, folder.clone())),
+        command_kind::NEW_MAP => MapRequest::New(folder.file(text)?, folder.clone()),
+        command_kind::COPY_MAP => MapRequest::Copy(CopyTo::Sender(folder.clone())),
+        command_kind::LIST_MAPS => MapRequest::List(folder.clone(), text.into()),
+        _ => match text {
+            "on" => MapRequest::Localise(true),
+            "off" => MapRequest::Localise(false),
+            other => return Err(format!("{other:?}: on or off")),
+        },
+    })
 }
 
 /// Answers a command; a sender that has gone needs no answer.

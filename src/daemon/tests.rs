@@ -45,12 +45,14 @@ fn parts(seconds: f64, pacing: Pacing, folder: &Path, edit: Edit) -> Parts {
         outputs: Outputs {
             trajectory: file("trajectory.txt"),
             live_trajectory: file("live.txt"),
+            odometry: file("odometry.txt"),
             map: file("map.ply"),
             overview: file("overview.png"),
         },
         spool_folder: None,
         keep_lens: None,
         map_file: None,
+        maps: None,
         status: Arc::new(Status::default()),
     }
 }
@@ -76,7 +78,7 @@ fn a_run_ends_with_its_source_and_every_frame_is_accounted_for() {
     assert_eq!(status.captured.get(), 90);
     assert_eq!(status.processed.get() + status.dropped.get(), 90);
     assert_eq!(end.written.failures, Vec::<String>::new());
-    assert_eq!(end.written.files.len(), 4);
+    assert_eq!(end.written.files.len(), 5);
     assert_eq!(status.records_lost.get(), 0);
 }
 
@@ -94,7 +96,7 @@ fn a_stop_ends_an_endless_run_cleanly_and_writes_its_files() {
     .expect("starts");
     assert_eq!(end.cause, EndCause::Stopped);
     assert!(status.processed.get() >= 20);
-    assert_eq!(end.written.files.len(), 4, "{:?}", end.written.failures);
+    assert_eq!(end.written.files.len(), 5, "{:?}", end.written.failures);
 }
 
 #[test]
@@ -122,7 +124,7 @@ fn a_stage_that_hangs_is_left_behind_when_the_run_is_stopped() {
     let begun = Duration::from_millis(500);
     let end = supervise(parts, None, Clock::Recording, &stop, &mut |tick| tick.elapsed < begun).expect("starts");
     assert_eq!(end.cause, EndCause::Broken("the capture stage hangs".into()));
-    assert_eq!(end.written.files.len(), 4, "what is known is written all the same: {:?}", end.written.failures);
+    assert_eq!(end.written.files.len(), 5, "what is known is written all the same: {:?}", end.written.failures);
 }
 
 #[test]
@@ -138,7 +140,7 @@ fn a_source_that_breaks_ends_the_run_and_what_was_tracked_is_written() {
     });
     let end = run(parts(3.0, Pacing::LockStep, folder.path(), edit));
     assert_eq!(end.cause, EndCause::SourceFailed);
-    assert_eq!(end.written.files.len(), 4);
+    assert_eq!(end.written.files.len(), 5);
 }
 
 #[test]

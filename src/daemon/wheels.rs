@@ -25,15 +25,15 @@ impl WheelIntake {
         Self { queue, refused: RateLimiter::default() }
     }
 
-    /// Takes a message in. `known`: what is wrong with it as its source sees it; `origin`: who tells, for the log.
-    pub fn take(&mut self, origin: &str, message: &WheelMessage, known: Option<WheelFault>) {
+    /// Takes a message in and says whether it is believed. `known`: what is wrong with it as its source sees it; `origin`: who tells, for the log.
+    pub fn take(&mut self, origin: &str, message: &WheelMessage, known: Option<WheelFault>) -> bool {
         let fault = match known {
             Some(fault) => {
                 self.queue.counts().refuse(&fault);
                 fault
             }
             None => match self.queue.push(message) {
-                Ok(()) => return,
+                Ok(()) => return true,
                 Err(fault) => fault,
             },
         };
@@ -41,6 +41,7 @@ impl WheelIntake {
             let (number, fault, reason) = (message.number, fault.name(), fault.to_string());
             warn!(messages, origin, number, fault, reason, "wheel reading not believed");
         }
+        false
     }
 }
 
@@ -76,7 +77,10 @@ impl WheelListener {
         if news.messages == 0 {
             return;
         }
-        self.status.set_wheels_heard_ns(now_ns);
+        // Of one that is never believed the robot knows as little as of one that is silent.
+        if news.believed > 0 {
+            self.status.set_wheels_heard_ns(now_ns);
+        }
         self.status.wheels.missing.add(news.missing);
         if let Some(pid) = news.driver {
             info!(pid, "wheel driver heard");

@@ -1,4 +1,4 @@
-//! A thread that runs mapping jobs, so that no adjustment ever delays a pose.
+//! Threads that run mapping jobs and look for old places, so that neither an adjustment nor a loop ever delays a pose.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::thread;
@@ -6,7 +6,7 @@ use std::thread;
 use crossbeam::channel::{Receiver, Sender, bounded};
 use tracing::error;
 
-use crate::reconstruction::{MappingJob, MappingResult, MappingWorker};
+use crate::reconstruction::{MappingJob, MappingResult, MappingWorker, PlaceWorker, Recognised, Recognition};
 
 /// Reconstruction's end of the mapping thread.
 pub struct ThreadWorker(Desk<MappingJob, MappingResult>);
@@ -14,7 +14,7 @@ pub struct ThreadWorker(Desk<MappingJob, MappingResult>);
 impl ThreadWorker {
     /// Starts the thread; it ends when this value is dropped.
     pub fn spawn() -> std::io::Result<(Self, thread::JoinHandle<()>)> {
-        let (desk, handle) = Desk::spawn(MappingJob::run)?;
+        let (desk, handle) = Desk::spawn("cairn-mapping", MappingJob::run)?;
         Ok((Self(desk), handle))
     }
 }
@@ -25,6 +25,31 @@ impl MappingWorker for ThreadWorker {
     }
 
     fn take(&mut self, wait: bool) -> Option<MappingResult> {
+        self.0.take(wait)
+    }
+
+    fn discard(&mut self) {
+        self.0.discard();
+    }
+}
+
+/// Reconstruction's end of the thread that knows places again.
+pub struct PlaceThread(Desk<Recognition, Recognised>);
+
+impl PlaceThread {
+    /// Starts the thread; it ends when this value is dropped.
+    pub fn spawn() -> std::io::Result<(Self, thread::JoinHandle<()>)> {
+        let (desk, handle) = Desk::spawn("cairn-places", Recognition::run)?;
+        Ok((Self(desk), handle))
+    }
+}
+
+impl PlaceWorker for PlaceThread {
+    fn post(&mut self, work: Recognition) {
+        self.0.post(work);
+    }
+
+    fn take(&mut self, wait: bool) -> Option<Recognised> {
         self.0.take(wait)
     }
 
@@ -46,18 +71,21 @@ struct Desk<Job, Outcome> {
 }
 
 impl<Job: Send + 'static, Outcome: Send + 'static> Desk<Job, Outcome> {
-    fn spawn(mut run: impl FnMut(Job) -> Outcome + Send + 'static) -> std::io::Result<(Self, thread::JoinHandle<()>)> {
+    fn spawn(
+        name: &'static str,
+        mut run: impl FnMut(Job) -> Outcome + Send + 'static,
+    ) -> std::io::Result<(Self, thread::JoinHandle<()>)> {
         let (jobs, job_queue) = bounded::<(u64, Job)>(1);
         let waiting = job_queue.clone();
         // Room for one that nobody wants any more, so that the thread never waits to get rid of it.
         let (result_queue, results) = bounded(2);
-        let handle = thread::Builder::new().name("cairn-mapping".into()).spawn(move || {
+        let handle = thread::Builder::new().name(name.into()).spawn(move || {
             for (number, job) in job_queue {
                 // A job that panics must not leave reconstruction waiting: the queue is closed, and it goes on without.
                 match catch_unwind(AssertUnwindSafe(|| run(job))) {
                     Ok(result) => drop(result_queue.send((number, result))),
                     Err(_) => {
-                        error!("mapping job panicked, the map is not adjusted any more");
+                        error!(thread = name, "mapping job panicked, its kind is not done any more");
                         return;
                     }
                 }
@@ -104,7 +132,7 @@ mod tests {
     #[test]
     fn a_job_that_is_given_up_while_it_runs_keeps_nobody_waiting_and_its_result_is_never_given() {
         let (go, gate) = bounded::<()>(8);
-        let (mut desk, thread) = Desk::spawn(move |job: u32| {
+        let (mut desk, thread) = Desk::spawn("test", move |job: u32| {
             let _ = gate.recv();
             10 * job
         })

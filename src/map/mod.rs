@@ -6,6 +6,7 @@
 pub mod colmap;
 mod correction;
 pub mod export;
+mod part;
 pub mod picture;
 mod reduction;
 pub mod saved;
@@ -345,11 +346,14 @@ impl Map {
 
     /// Carries along what was added since these were the next ids, as an adjustment has moved its surroundings.
     pub fn carry_newer(&mut self, next_keyframe: u32, next_landmark: u32, old_from_new: &Se3<World, World>) {
-        for (_, k) in self.keyframes.iter_mut().filter(|(id, _)| *id >= next_keyframe) {
+        // By id: whatever is handed out to be changed is written to the map's file anew.
+        for id in next_keyframe..self.keyframes.next_id() {
+            let Some(k) = self.keyframes.get_mut(id) else { continue };
             k.camera_from_world = k.camera_from_world * *old_from_new;
         }
         let new_from_old = old_from_new.inverse();
-        for (_, l) in self.landmarks.iter_mut().filter(|(id, _)| *id >= next_landmark) {
+        for id in next_landmark..self.landmarks.next_id() {
+            let Some(l) = self.landmarks.get_mut(id) else { continue };
             l.position = new_from_old.transform(&l.position);
         }
     }
@@ -485,7 +489,8 @@ fn scaled<To, From>(pose: &Se3<To, From>, scale: f64) -> Se3<To, From> {
 
 fn change_covisibility(keyframes: &mut Store<Keyframe>, a: KeyframeId, b: KeyframeId, by: i32) {
     for (one, other) in [(a, b), (b, a)] {
-        let Some(keyframe) = keyframes.get_mut(one.0) else { continue };
+        // Follows from the observations: no file keeps it.
+        let Some(keyframe) = keyframes.get_mut_unnoticed(one.0) else { continue };
         match keyframe.covisible.binary_search_by_key(&other, |c| c.0) {
             Ok(i) => {
                 let n = keyframe.covisible[i].1 as i32 + by;

@@ -109,6 +109,11 @@ impl KeyframePicture {
         self.pyramid.levels.first().filter(|base| !base.data.is_empty()).map(|_| &*self.pyramid)
     }
 
+    /// The whole picture to be held elsewhere, unless it was reduced.
+    pub fn shared(&self) -> Option<Arc<Pyramid>> {
+        self.whole().map(|_| self.pyramid.clone())
+    }
+
     pub fn levels(&self) -> usize {
         self.pyramid.levels.len()
     }
@@ -164,6 +169,11 @@ impl KeyframePicture {
             patches.sort_by_key(|p| p.landmark);
             self.revision += 1;
         }
+    }
+
+    /// All landmarks have larger ids now, by so much.
+    pub(super) fn move_landmarks(&mut self, by: u32) {
+        Arc::make_mut(&mut self.patches).iter_mut().for_each(|p| p.landmark = p.landmark.saturating_add(by));
     }
 
     /// The landmark is not observed any more.

@@ -74,6 +74,14 @@ pub struct SavedMaps {
     pub maps: Vec<SavedMap>,
 }
 
+/// Ids that a run has given so far, or by how much others are to be moved: the next of each kind.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Ids {
+    pub maps: u32,
+    pub keyframes: u32,
+    pub landmarks: u32,
+}
+
 /// What has changed since the last ones were taken.
 pub struct MapChanges {
     /// Timestamp of the newest frame; `i64::MIN` before the first.
@@ -128,6 +136,61 @@ impl MapChanges {
     }
 }
 
+impl SavedMaps {
+    /// The same maps with ids that are larger by so much, for a run that has given the smaller ones to maps of its own.
+    pub fn moved_by(self, by: Ids) -> Result<Self, String> {
+        let maps = self.maps.into_iter().map(|saved| saved.moved_by(by)).collect::<Option<Result<Vec<_>, String>>>();
+        let maps = maps.ok_or("its ids are used up")??;
+        Ok(Self { maps, ..self })
+    }
+
+    /// The smallest ids there are; `None`: there is no map.
+    pub fn first_ids(&self) -> Option<Ids> {
+        let keyframes = self.maps.iter().filter_map(|m| m.map.keyframes.iter().next()).map(|(id, _)| id).min();
+        let landmarks = self.maps.iter().filter_map(|m| m.map.landmarks.iter().next()).map(|(id, _)| id).min();
+        let maps = self.maps.iter().map(|m| m.head.id.0).min()?;
+        Some(Ids { maps, keyframes: keyframes.unwrap_or(u32::MAX), landmarks: landmarks.unwrap_or(u32::MAX) })
+    }
+}
+
+impl SavedMap {
+    /// `None`: there are no such ids.
+    fn moved_by(self, by: Ids) -> Option<Result<Self, String>> {
+        let Self { mut head, mut map } = self;
+        let keyframe = |id: KeyframeId| id.0.checked_add(by.keyframes).map(KeyframeId);
+        let landmark = |id: LandmarkId| id.0.checked_add(by.landmarks).map(LandmarkId);
+        let next_keyframe = map.keyframes.next_id().checked_add(by.keyframes)?;
+        let next_landmark = map.landmarks.next_id().checked_add(by.landmarks)?;
+        head.id = MapId(head.id.0.checked_add(by.maps)?);
+        head.reference = keyframe(head.reference)?;
+        for turn in &mut head.turns {
+            turn.keyframe = keyframe(turn.keyframe)?;
+        }
+        let ids: Vec<u32> = map.keyframes.iter().map(|(id, _)| id).collect();
+        let mut keyframes = Vec::with_capacity(ids.len());
+        for id in ids {
+            let mut k = map.keyframes.remove(id)?;
+            k.map = MapId(k.map.0.checked_add(by.maps)?);
+            for o in &mut k.observations {
+                o.landmark = landmark(o.landmark)?;
+            }
+            k.picture.move_landmarks(by.landmarks);
+            keyframes.push((keyframe(KeyframeId(id))?.0, k));
+        }
+        let ids: Vec<u32> = map.landmarks.iter().map(|(id, _)| id).collect();
+        let mut landmarks = Vec::with_capacity(ids.len());
+        for id in ids {
+            let mut l = map.landmarks.remove(id)?;
+            l.created_by = keyframe(l.created_by)?;
+            landmarks.push((landmark(LandmarkId(id))?.0, l));
+        }
+        Some(Map::restored(keyframes, landmarks).map(|mut map| {
+            map.skip_ids_to(next_keyframe, next_landmark);
+            Self { head, map }
+        }))
+    }
+}
+
 impl Map {
     /// A map from its keyframes and landmarks, whose links are made anew. The error says what does not fit together.
     pub fn restored(keyframes: Vec<(u32, Keyframe)>, landmarks: Vec<(u32, Landmark)>) -> Result<Self, String> {
@@ -172,6 +235,11 @@ impl Map {
     pub fn skip_ids_to(&mut self, next_keyframe: u32, next_landmark: u32) {
         self.keyframes.skip_to(next_keyframe);
         self.landmarks.skip_to(next_landmark);
+    }
+
+    /// Whether [`take_changed`](Self::take_changed) would tell of any.
+    pub fn has_changed(&self) -> bool {
+        self.keyframes.has_changed() || self.landmarks.has_changed()
     }
 
     /// Keyframes and landmarks that were added, changed or removed since the last call, ascending.

@@ -37,6 +37,11 @@ impl ScaleSources {
         Self(self.0 | 1 << source as u8)
     }
 
+    /// Those of both.
+    pub fn and(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+
     /// One bit each, in the order of [`ScaleSource::ALL`].
     pub fn bits(self) -> u8 {
         self.0

@@ -90,12 +90,26 @@ impl<T> Store<T> {
         ids
     }
 
+    /// Whether there are any.
+    pub fn has_changed(&self) -> bool {
+        self.changed.iter().any(|word| *word != 0)
+    }
+
     fn mark(&mut self, id: u32) {
         let page = id as usize / PAGE;
         if page >= self.changed.len() {
             self.changed.resize(page + 1, 0);
         }
         self.changed[page] |= 1 << (id as usize % PAGE);
+    }
+
+    /// Those alive; what was removed before stays marked.
+    fn mark_all(&mut self) {
+        self.changed.resize(self.changed.len().max(self.pages.len()), 0);
+        for (word, page) in self.changed.iter_mut().zip(&self.pages) {
+            let slots = page.iter().flat_map(|page| page.slots.iter().enumerate());
+            *word = slots.filter(|(_, v)| v.is_some()).fold(*word, |word, (s, _)| word | 1 << s);
+        }
     }
 
     fn put(&mut self, id: u32, value: T) {
@@ -154,8 +168,7 @@ impl<T> Store<T> {
 
     /// Entries alive, ascending id; all of them count as changed.
     pub(super) fn iter_mut(&mut self) -> impl Iterator<Item = (u32, &mut T)> {
-        self.changed.clear();
-        self.changed.resize(self.pages.len(), u64::MAX);
+        self.mark_all();
         self.pages.iter_mut().enumerate().filter_map(|(p, page)| page.as_mut().map(|page| (p, page))).flat_map(
             |(p, page)| {
                 page.slots
@@ -168,8 +181,7 @@ impl<T> Store<T> {
 
     /// Removes everything; ids go on from where they were.
     pub fn clear(&mut self) {
-        self.changed.clear();
-        self.changed.resize(self.pages.len(), u64::MAX);
+        self.mark_all();
         for page in &mut self.pages {
             *page = None;
         }
@@ -213,7 +225,11 @@ mod tests {
         assert_eq!(store.take_changed(), [64, 70, 129, 200]);
         assert_eq!(store.next_id(), 201);
         assert_eq!(store.iter_mut().count(), 130);
-        assert!(store.take_changed().len() >= 130);
+        let alive: Vec<u32> = store.iter().map(|(id, _)| id).collect();
+        assert_eq!(store.take_changed(), alive);
+        store.remove(3);
+        store.clear();
+        assert_eq!(store.take_changed(), alive, "what was alive when it was told last");
     }
 
     #[test]

@@ -145,6 +145,34 @@ fn random_edits_keep_every_link_mutual_and_counted() {
     }
 }
 
+#[test]
+fn an_adjustment_of_a_part_changes_nothing_elsewhere() {
+    let mut map = Map::default();
+    let views: Vec<_> = (0..100).map(|_| map.add_keyframe(keyframe(&[]))).collect();
+    let pairs = |n: usize| [(views[n], observation(0)), (views[n + 1], observation(0))];
+    let ids: Vec<_> = (0..99).flat_map(|n| [n; 3]).map(|n| map.add_landmark(landmark(), &pairs(n))).collect();
+    // A page that is empty for good.
+    ids[64..128].iter().for_each(|id| map.remove_landmark(*id));
+    map.take_changed();
+    let (next_keyframe, next_landmark) = (map.keyframes.next_id(), map.landmarks.next_id());
+    let young = map.add_keyframe(keyframe(&[]));
+    let seen = [(views[99], observation(0)), (young, observation(0))];
+    let new = map.add_landmark(landmark(), &seen);
+    let moved = Se3::new(nalgebra::UnitQuaternion::identity(), Vector3::x());
+    map.place_keyframe(views[98], moved.relabel());
+    map.measure_landmark(ids[296], Vector3::x(), Matrix3::identity());
+    map.carry_newer(next_keyframe, next_landmark, &moved);
+    map.remove_observation(views[97], ids[293]);
+    assert_eq!(
+        (map.keyframe(young).unwrap().centre(), map.landmark(new).unwrap().position),
+        (-Vector3::x(), -Vector3::x())
+    );
+    let (keyframes, landmarks) = map.take_changed();
+    assert_eq!(keyframes, [97, 98, 99, young.0]);
+    assert_eq!(landmarks, [ids[293].0, ids[296].0, new.0]);
+    map.check_consistency().unwrap();
+}
+
 /// A picture in which no two patches are the same.
 fn picture() -> KeyframePicture {
     let mut image = crate::image::GreyImage::new(160, 120);

@@ -13,10 +13,22 @@ pub mod command_kind {
     pub const SAVE_TRAJECTORY: u32 = 2;
     /// Write the sparse map to `path` (PLY).
     pub const SAVE_MAP: u32 = 3;
-    /// Load a map from `path` and find the robot in it.
+    /// Go on in the stored map of this name (`path`), and find the robot in it. What was tracked in is in its file before.
     pub const LOAD_MAP: u32 = 4;
     /// The body is at `position`, `orientation` of the map now.
     pub const SET_POSE: u32 = 5;
+    /// Store the map now: in its own file, or, with a name in `path`, a copy of it under that name.
+    pub const STORE_MAP: u32 = 6;
+    /// Begin a new map, to be kept under the name in `path`. What was tracked in is in its file before.
+    pub const NEW_MAP: u32 = 7;
+    /// Only be located in the map (`path` is `on`), or let it grow again (`off`).
+    pub const LOCALISE: u32 = 8;
+    /// Name the stored maps: a line each of the message, `NAME BYTES SECONDS` (since 1970, when it was written), ` current` behind the one
+    /// in use. A last line `...`: there are more, behind the last name; ask again with that in `path`.
+    pub const LIST_MAPS: u32 = 9;
+    /// Write a copy of the map for the sender; the message is its path, then a line with that of the map's own file, if it has one. The
+    /// sender removes the copy; the daemon does after some minutes.
+    pub const COPY_MAP: u32 = 10;
 }
 
 /// Values of [`CommandReply::code`].
@@ -42,7 +54,7 @@ pub struct Command {
     pub kind: u32,
     /// Bytes of `path` that are used.
     pub path_len: u32,
-    /// UTF-8; the daemon opens it as its own user, so it should be absolute.
+    /// UTF-8; the daemon opens it as its own user, so it should be absolute. Of stored maps it is a name, never a path.
     pub path: [u8; TEXT_LEN],
     /// For [`command_kind::SET_POSE`]: the body in the map, map units.
     pub position: [f64; 3],

@@ -232,7 +232,11 @@ pub struct Health {
     /// Bits of [`map_mode`]: how the current map is used.
     pub map_mode: u8,
     /// Zero.
-    pub reserved: [u8; 31],
+    pub reserved: [u8; 15],
+    /// Time for which the wheels alone told the pose (STATE_DEAD_RECKONING), since the start, ns; 0, as the next, where they never did.
+    pub blind_ns: u64,
+    /// And the way, m.
+    pub blind_m: f64,
     /// Messages of the base's driver that were believed; 0, as the three that follow, where nothing tells of wheels.
     pub wheel_messages: u64,
     /// Messages of a driver that were not: no number, an absurd speed, another clock, time that goes back, a second publisher.
@@ -251,6 +255,7 @@ layout!(Health, "cairn.Health.v3", 512, {
     reset_counter @ 364, map_id @ 368, map_revision @ 372, pid @ 376, state @ 380, clock @ 381, intrinsics @ 382,
     lens_model @ 383, version @ 384, focal_px @ 416, centre_px @ 424, focal_sigma @ 432, centre_sigma_px @ 436,
     correction_distance @ 440, correction_rad @ 444, map_mode @ 448, reserved @ 449,
+    blind_ns @ 464, blind_m @ 472,
     wheel_messages @ 480, wheel_refused @ 488, wheel_missing @ 496, wheel_late @ 504,
 });
 
@@ -298,7 +303,9 @@ impl Default for Health {
             correction_distance: f32::NAN,
             correction_rad: f32::NAN,
             map_mode: 0,
-            reserved: [0; 31],
+            reserved: [0; 15],
+            blind_ns: 0,
+            blind_m: 0.0,
             wheel_messages: 0,
             wheel_refused: 0,
             wheel_missing: 0,

@@ -83,6 +83,9 @@ trait BitFlags: Copy + Default + PartialEq + core::ops::BitAnd<Output = Self> + 
 impl BitFlags for u8 {}
 impl BitFlags for u64 {}
 
+/// Name of a daemon's iceoryx2 node.
+pub(crate) const DAEMON_NODE: &str = "cairn";
+
 /// Stands where a time or duration in ns is not known.
 pub const UNKNOWN_NS: i64 = i64::MIN;
 /// Stands where there is no keyframe.
@@ -366,7 +369,8 @@ mod tests {
         for state in [STATE_ORIENTATION, STATE_DEAD_RECKONING, 77] {
             let pose = Pose { state, ..Pose::default() };
             assert!(!pose.is_tracking(), "{}", pose.state().name());
-            assert_eq!(pose.has_orientation(), state == STATE_ORIENTATION);
+            assert_eq!(pose.has_orientation(), state != 77);
+            assert_eq!(pose.odom_from_body().is_some(), state == STATE_DEAD_RECKONING);
         }
         assert_eq!(scale_source::names(0b1000_0101).collect::<Vec<_>>(), ["WHEELS", "TAG", "UNKNOWN"]);
         assert_eq!(map_mode::names(map_mode::STORED).collect::<Vec<_>>(), ["STORED"]);

@@ -4,7 +4,7 @@ use iceoryx2::prelude::ZeroCopySend;
 
 use super::{CLOCK_MONOTONIC, Clock, NO_KEYFRAME, SCALE_UNKNOWN, STATE_INITIALIZING, Scale, State, UNKNOWN_NS};
 
-/// One frame's pose. Unless `state` is [`super::STATE_TRACKING`], everything that belongs to the pose is NaN or zero; but with
+/// One frame's pose. Unless `state` is [`super::STATE_TRACKING`] or [`super::STATE_DEAD_RECKONING`], everything that belongs to the pose is NaN or zero; but with
 /// [`super::STATE_ORIENTATION`] both orientations, the covariance of the rotation and the angular velocity are there.
 ///
 /// # Covariance
@@ -140,14 +140,19 @@ impl Pose {
         State::from_wire(self.state)
     }
 
-    /// There is a pose in this message.
+    /// There is a pose in this message that rests on what this frame shows.
     pub fn is_tracking(&self) -> bool {
         self.state() == State::Tracking
     }
 
+    /// The picture is lost and the wheels alone carry the pose on: not usable to drive by as a tracked one is, see the covariance.
+    pub fn is_dead_reckoned(&self) -> bool {
+        self.state() == State::DeadReckoning
+    }
+
     /// The orientations and their covariance are known: of a pose, or alone before there is a map.
     pub fn has_orientation(&self) -> bool {
-        matches!(self.state(), State::Tracking | State::Orientation)
+        matches!(self.state(), State::Tracking | State::Orientation | State::DeadReckoning)
     }
 
     /// `scale` as a type.

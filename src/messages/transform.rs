@@ -81,14 +81,18 @@ impl core::ops::Mul for Transform {
 }
 
 impl Pose {
-    /// Place of the body in the map, `map_from_body`; `None` unless tracking.
-    pub fn map_from_body(&self) -> Option<Transform> {
-        self.is_tracking().then_some(Transform { position: self.position, orientation: self.orientation })
+    fn has_position(&self) -> bool {
+        self.is_tracking() || self.is_dead_reckoned()
     }
 
-    /// Place of the body in odom, `odom_from_body`; `None` unless tracking.
+    /// Place of the body in the map, `map_from_body`; `None` unless tracking or dead reckoning.
+    pub fn map_from_body(&self) -> Option<Transform> {
+        self.has_position().then_some(Transform { position: self.position, orientation: self.orientation })
+    }
+
+    /// Place of the body in odom, `odom_from_body`; `None` unless tracking or dead reckoning.
     pub fn odom_from_body(&self) -> Option<Transform> {
-        self.is_tracking().then_some(Transform { position: self.odom_position, orientation: self.odom_orientation })
+        self.has_position().then_some(Transform { position: self.odom_position, orientation: self.odom_orientation })
     }
 
     /// Heading: the body's angle about the vertical in odom, counter-clockwise from above, rad in (-pi, pi]; `None` where no orientation is

@@ -21,7 +21,7 @@ pub struct WheelOdometry {
     pub linear_y_mps: f64,
     /// Turn to the left, rad/s.
     pub angular_z_radps: f64,
-    /// Variances of the three, (m/s)^2, (m/s)^2, (rad/s)^2; NaN where the driver does not know.
+    /// Variances of the three, (m/s)^2, (m/s)^2, (rad/s)^2; NaN or 0 where the driver does not know.
     pub variance: [f64; 3],
     /// Zero.
     pub reserved: [u8; 24],

@@ -9,7 +9,11 @@
 //! turn:  R log(R_A)    = [0, 0, theta(k, t)]
 //! step:  e^l R t_A     = (Rz(phi) - I) p + d(k, t)      phi: the camera's turn about the base's up, which it knows better than the wheels
 //! drift: l is linear between knots along the way; l_j+1 - l_j ~ N(0, q way_j)      q: a random walk, by the way in mean depths
+//! units: in a part of the map that has another unit than the newest, r_u is added to l
 //! ```
+//!
+//! Behind a turn on the spot whose next step had an assumed length a map goes on in another unit ([`Unit`]): no drift makes such a jump. Each
+//! unit's ratio is an unknown of its own, and what is known of the robot is known in all of them.
 //!
 //! (Hand-eye calibration with planar motion: Guo, Mirzaei, Roumeliotis 2012 and Heng, Li, Pollefeys 2013 for the mount, Censi et al. 2013 for
 //! factor and trust.) Straight driving tells yaw and pitch of the camera, turning tells roll and pitch, yaw rate factor and lever; what the motions
@@ -31,13 +35,18 @@ use crate::geometry::{median, ros_from_optical};
 pub const KNOTS: usize = 6;
 /// Unknowns of the robot: rotation about forward, left and up, lever x and y, yaw rate factor, time offset.
 pub const ROBOT: usize = 7;
-const UNKNOWNS: usize = KNOTS + ROBOT;
+/// Units beside the newest one whose ratio to it is found; segments of older ones are left out.
+const OTHERS: usize = 3;
+const UNKNOWNS: usize = KNOTS + ROBOT + OTHERS;
+const RATIO: usize = KNOTS + ROBOT;
 const LEVER: usize = KNOTS + 3;
 const FACTOR: usize = KNOTS + 5;
 const OFFSET: usize = KNOTS + 6;
 
 /// Standard deviation of the logarithm of a monocular map's scale from one place to another a mean depth further on.
 pub const DRIFT_PER_ROOT_DEPTH: f64 = 0.006;
+/// Standard deviation of the logarithm of two units' ratio: next to nothing is known of it.
+const RATIO_SIGMA: f64 = 2.0;
 /// Standard deviations beside those of the wheels and of the camera's step: floors are no planes and a base rocks on its wheels; rad, and as
 /// shares of the way across it and upwards.
 const ROCKING_RAD: f64 = 0.004;
@@ -147,6 +156,10 @@ impl Wheels {
     }
 }
 
+/// Names a part of a map that has one unit of length; its scale drifts, and no more.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Unit(pub u32);
+
 /// The same motion, seen by the camera and by the wheels.
 #[derive(Debug, Clone, Copy)]
 pub struct Segment {
@@ -160,6 +173,8 @@ pub struct Segment {
     pub sigma: f64,
     /// The way of the camera up to here since its map began, in mean depths of the scene.
     pub at_depths: f64,
+    /// Part of the map whose lengths have one unit: behind a turn on the spot whose next step had an assumed length begins another.
+    pub unit: Unit,
     wheels: Option<Wheels>,
     /// By the last solution: the wheels contradict.
     pub slips: bool,
@@ -171,8 +186,9 @@ impl Segment {
         (turn, step): (Vector3<f64>, Vector3<f64>),
         sigma: f64,
         at_depths: f64,
+        unit: Unit,
     ) -> Self {
-        Self { from_ns, to_ns, turn, step, sigma, at_depths, wheels: None, slips: false }
+        Self { from_ns, to_ns, turn, step, sigma, at_depths, unit, wheels: None, slips: false }
     }
 
     /// What the wheels say, near what is known of the robot; stays as it was where the readings are gone. `false`: they say nothing.
@@ -192,7 +208,18 @@ impl Segment {
 #[derive(Debug, Clone, Copy)]
 struct State {
     log_scale: [f64; KNOTS],
+    /// ln(metres per unit there) - ln(metres per the newest unit).
+    log_ratio: [f64; OTHERS],
     robot: Robot,
+}
+
+/// A unit before the newest.
+#[derive(Debug, Clone, Copy)]
+pub struct OtherUnit {
+    pub unit: Unit,
+    /// ln of how many of the newest unit it is long, and its standard deviation.
+    pub log_ratio: f64,
+    pub sigma: f64,
 }
 
 /// What the segments tell.
@@ -202,8 +229,9 @@ pub struct Solution {
     pub log_scale: f64,
     /// Its standard deviation, an error common to both wheels left out.
     pub sigma: f64,
+    pub other_units: [Option<OtherUnit>; OTHERS],
     pub robot: Robot,
-    /// Share of the time in motion in which the wheels were believed, and that time, s.
+    /// Of the newest unit: share of the time in motion in which the wheels were believed, and that time, s.
     pub believed_share: f64,
     pub believed_s: f64,
     /// Variance of the steps' residuals, as a factor on what is expected of both.
@@ -216,6 +244,8 @@ struct Term<'a> {
     wheels: Wheels,
     /// Knot before it and the share of the next.
     knot: (usize, f64),
+    /// Of another unit than the newest.
+    other: Option<usize>,
     /// One over the standard deviations: turn, step.
     weight: [Vector3<f64>; 2],
 }
@@ -241,6 +271,25 @@ fn knots(segments: &[Segment]) -> (impl Fn(f64) -> (usize, f64), f64) {
     (place, between)
 }
 
+/// ln(metres per unit) at a place of the way, in a unit.
+fn log_scale(state: &State, (knot, share): (usize, f64), other: Option<usize>) -> f64 {
+    let ratio = other.map_or(0.0, |other| state.log_ratio[other]);
+    state.log_scale[knot] * (1.0 - share) + state.log_scale[knot + 1] * share + ratio
+}
+
+/// The newest unit, and those before it that the solution knows.
+fn units(segments: &[Segment]) -> (Unit, [Option<Unit>; OTHERS]) {
+    let (newest, mut others) = (segments.last().map_or_else(Unit::default, |s| s.unit), [None; OTHERS]);
+    for unit in segments.iter().rev().map(|s| s.unit).filter(|unit| *unit != newest) {
+        if others.contains(&Some(unit)) {
+            continue;
+        }
+        let Some(free) = others.iter_mut().find(|other| other.is_none()) else { break };
+        *free = Some(unit);
+    }
+    (newest, others)
+}
+
 impl Term<'_> {
     /// Whitened residuals of turn and step.
     fn residual(&self, state: &State) -> [Vector3<f64>; 2] {
@@ -253,8 +302,7 @@ impl Term<'_> {
     }
 
     fn log_scale(&self, state: &State) -> f64 {
-        let (knot, share) = self.knot;
-        state.log_scale[knot] * (1.0 - share) + state.log_scale[knot + 1] * share
+        log_scale(state, self.knot, self.other)
     }
 
     /// `e^l R t_A`
@@ -275,6 +323,9 @@ impl Term<'_> {
         let (knot, share) = self.knot;
         d.set_column(knot, &(step * (1.0 - share)));
         d.set_column(knot + 1, &(step * share));
+        if let Some(other) = self.other {
+            d.set_column(RATIO + other, &step);
+        }
         d.set_column(LEVER, &-Vector3::new(c - 1.0, s, 0.0));
         d.set_column(LEVER + 1, &-Vector3::new(-s, c - 1.0, 0.0));
         for (column, by) in [(FACTOR, self.wheels.by_factor), (OFFSET, self.wheels.by_offset)] {
@@ -291,13 +342,19 @@ impl Term<'_> {
 
 impl Problem<'_> {
     /// Whitened residuals of the priors, and the columns and weights that they stand for.
-    fn priors(&self, state: &State) -> [(f64, usize, f64); ROBOT] {
+    fn priors(&self, state: &State) -> [(f64, usize, f64); ROBOT + OTHERS] {
         let (prior, now) = (self.prior, &state.robot);
         let turn = (now.base_from_camera * prior.base_from_camera.inverse()).scaled_axis();
         let lever = now.lever_m - prior.lever_m;
         let factor = now.yaw_factor - prior.yaw_factor;
         let off = [turn.x, turn.y, turn.z, lever.x, lever.y, factor, now.time_offset_s - prior.time_offset_s];
-        std::array::from_fn(|i| (off[i] / prior.sigma[i], KNOTS + i, 1.0 / prior.sigma[i]))
+        std::array::from_fn(|i| {
+            let (off, sigma) = match i.checked_sub(ROBOT) {
+                Some(other) => (state.log_ratio[other], RATIO_SIGMA),
+                None => (off[i], prior.sigma[i]),
+            };
+            (off / sigma, KNOTS + i, 1.0 / sigma)
+        })
     }
 }
 
@@ -339,6 +396,7 @@ impl LeastSquares for Problem<'_> {
     fn step(&self, state: &State, delta: &SVector<f64, UNKNOWNS>) -> State {
         let mut next = *state;
         next.log_scale.iter_mut().zip(delta.iter()).for_each(|(l, d)| *l += d);
+        next.log_ratio.iter_mut().zip(delta.iter().skip(RATIO)).for_each(|(r, d)| *r += d);
         let robot = &mut next.robot;
         let turn = delta.fixed_rows::<3>(KNOTS).into_owned();
         robot.base_from_camera = UnitQuaternion::from_scaled_axis(turn) * robot.base_from_camera;
@@ -375,9 +433,19 @@ fn starts(segments: &[Segment], prior: &Robot) -> Option<[State; 3]> {
         let ratio = (robot.step_of(&base).norm() / s.step.norm()).ln();
         (s.step.norm() > TELLING * s.sigma && ratio.is_finite()).then_some(ratio)
     };
-    let mut ratios: Vec<f64> = told().filter_map(ratio).collect();
-    ratios.sort_unstable_by(f64::total_cmp);
-    let state = |quarter: usize| Some(State { log_scale: [*ratios.get(quarter * ratios.len() / 4)?; KNOTS], robot });
+    let (newest, others) = units(segments);
+    let quartile = |unit: Unit, quarter: usize| {
+        let mut ratios: Vec<f64> = told().filter(|(s, _)| s.unit == unit).filter_map(ratio).collect();
+        ratios.sort_unstable_by(f64::total_cmp);
+        ratios.get(quarter * ratios.len() / 4).copied()
+    };
+    let state = |quarter: usize| {
+        // A unit that has only begun tells nothing yet: it is taken for the one before.
+        let known = std::iter::once(newest).chain(others.into_iter().flatten());
+        let log_scale = known.into_iter().find_map(|unit| quartile(unit, quarter))?;
+        let log_ratio = others.map(|other| quartile(other?, quarter)).map(|log| log.map_or(0.0, |log| log - log_scale));
+        Some(State { log_scale: [log_scale; KNOTS], log_ratio, robot })
+    };
     Some([state(2)?, state(1)?, state(3)?])
 }
 
@@ -391,10 +459,15 @@ fn problem<'a>(
     among: impl Fn(&Segment) -> bool,
 ) -> Problem<'a> {
     let (place, between) = knots(segments);
+    let (newest, others) = units(segments);
     let term = |segment: &'a Segment| {
         let wheels = segment.wheels.filter(|_| among(segment))?;
         let knot = place(segment.at_depths);
-        let log_scale = state.log_scale[knot.0] * (1.0 - knot.1) + state.log_scale[knot.0 + 1] * knot.1;
+        let other = match segment.unit == newest {
+            true => None,
+            false => Some(others.iter().position(|other| *other == Some(segment.unit))?),
+        };
+        let log_scale = log_scale(state, knot, other);
         let (p, way) = (wheels.increment.covariance, wheels.increment.way_m);
         let seen = (log_scale.exp() * segment.sigma).powi(2);
         let turn = Vector3::new(ROCKING_RAD.powi(2), ROCKING_RAD.powi(2), p[(2, 2)] + TURN_RAD.powi(2));
@@ -404,7 +477,7 @@ fn problem<'a>(
             seen + (UPWARDS_SHARE * way).powi(2) + 1e-6,
         );
         let weight = [turn * noise[0], step * noise[1]].map(|v| v.map(|v| 1.0 / v.sqrt()));
-        Some(Term { segment, wheels, knot, weight })
+        Some(Term { segment, wheels, knot, other, weight })
     };
     let terms = segments.iter().filter_map(term).collect();
     Problem { terms, prior, stiffness: 1.0 / (DRIFT_PER_ROOT_DEPTH * between.sqrt()), loss }
@@ -469,13 +542,19 @@ fn finish(problem: &Problem<'_>, state: &State, segments: &[Segment], noise: f64
     let mut robot = state.robot;
     robot.sigma = std::array::from_fn(|i| covariance[(KNOTS + i, KNOTS + i)].max(0.0).sqrt());
     let span = |s: &Segment| (s.to_ns - s.from_ns) as f64 * 1e-9;
-    let moving = || segments.iter().filter(|s| s.wheels.is_some() && s.step.norm() > TELLING * s.sigma);
+    let (newest, others) = units(segments);
+    let telling = |s: &&Segment| s.unit == newest && s.wheels.is_some() && s.step.norm() > TELLING * s.sigma;
+    let moving = || segments.iter().filter(telling);
     let (all, believed) = (moving().map(span).sum::<f64>(), moving().filter(|s| !s.slips).map(span).sum::<f64>());
     let (log_scale, sigma) = (state.log_scale[KNOTS - 1], covariance[(KNOTS - 1, KNOTS - 1)].sqrt());
     let finite = log_scale.is_finite() && sigma.is_finite() && robot.sigma.iter().all(|s| s.is_finite());
     (finite && all > 0.0).then_some(Solution {
         log_scale,
         sigma,
+        other_units: std::array::from_fn(|i| {
+            let sigma = covariance[(RATIO + i, RATIO + i)].sqrt();
+            Some(OtherUnit { unit: others[i]?, log_ratio: state.log_ratio[i], sigma })
+        }),
         robot,
         believed_share: believed / all,
         believed_s: believed,

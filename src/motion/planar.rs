@@ -101,6 +101,8 @@ impl WheelHistory {
             return false;
         }
         let mut reading = *reading;
+        // Drivers of ROS say 0 where they do not know; nothing is known exactly.
+        reading.variance = reading.variance.map(|told| if told > 0.0 && told.is_finite() { told } else { f64::NAN });
         if let Some(last) = self.readings.back_mut() {
             if reading.timestamp_ns <= last.timestamp_ns {
                 return false;
@@ -110,6 +112,10 @@ impl WheelHistory {
                 merge(last, &reading);
                 return true;
             }
+        }
+        if self.readings.capacity() < READINGS {
+            // All at the first reading (1 MB), so that none later costs a pose its time.
+            self.readings.reserve_exact(READINGS - self.readings.len());
         }
         if self.readings.len() == READINGS {
             self.readings.pop_front();
@@ -129,6 +135,17 @@ impl WheelHistory {
 
     /// The motion from one time to another, ns, its yaw rates taken times `yaw_factor`; `None` where data is missing.
     pub fn integrate(&self, from_ns: i64, to_ns: i64, yaw_factor: f64) -> Option<Increment> {
+        self.integrate_open(from_ns, to_ns, yaw_factor, OPEN_END_NS)
+    }
+
+    /// The same up to a time that the newest readings may not reach yet: the last one is supposed to hold for so long, ns, with the variance that this
+    /// deserves; `None` where data is missing or the newest reading is older.
+    pub fn integrate_until(&self, from_ns: i64, to_ns: i64, yaw_factor: f64, longest_ns: i64) -> Option<Increment> {
+        let fresh = self.newest_ns().is_some_and(|newest| to_ns.saturating_sub(newest) <= longest_ns);
+        if fresh { self.integrate_open(from_ns, to_ns, yaw_factor, longest_ns) } else { None }
+    }
+
+    fn integrate_open(&self, from_ns: i64, to_ns: i64, yaw_factor: f64, open_ns: i64) -> Option<Increment> {
         let mut sum = Sum { yaw_factor, ..Sum::default() };
         let first = self.readings.partition_point(|r| r.timestamp_ns <= from_ns);
         let mut at = from_ns;
@@ -153,7 +170,7 @@ impl WheelHistory {
             before = Some(reading);
         }
         if at < to_ns {
-            if to_ns - at > OPEN_END_NS {
+            if to_ns - at > open_ns {
                 return None;
             }
             sum.add(before?, to_ns - at, BRIDGE_SHARE);
@@ -195,9 +212,9 @@ impl Sum {
         let floors = [SPEED_FLOOR_MPS, SPEED_FLOOR_MPS, YAW_RATE_FLOOR_RADPS];
         let variance = Vector3::from_fn(|i, _| {
             let told = reading.variance[i];
-            let own = match told.is_finite() && told >= 0.0 {
-                true => told * dt * dt,
-                false => ((SPEED_SHARE * speeds[i]).powi(2) + floors[i] * floors[i]) * dt * dt.max(CORRELATED_S),
+            let own = match told.is_nan() {
+                false => told * dt * dt,
+                true => ((SPEED_SHARE * speeds[i]).powi(2) + floors[i] * floors[i]) * dt * dt.max(CORRELATED_S),
             };
             own + (doubt * speeds[i] * dt).powi(2)
         });
@@ -277,6 +294,18 @@ mod tests {
     }
 
     #[test]
+    fn the_newest_reading_may_hold_for_a_while_and_no_longer() {
+        let history = steady(1.0, 0.0, 50, 1000);
+        let until = |to: i64| history.integrate_until(900 * MS, to * MS, 1.0, 200 * MS);
+        let ahead = until(1150).expect("held");
+        assert!((ahead.motion.translation.x - 0.25).abs() < 1e-12);
+        assert!(ahead.covariance[(0, 0)] > 10.0 * until(1000).expect("covered").covariance[(0, 0)], "and says so");
+        assert!(until(1250).is_none(), "silent");
+        let late = history.integrate_until(5000 * MS, 5100 * MS, 1.0, 200 * MS);
+        assert!(late.is_none(), "an interval that is short and long after the last reading");
+    }
+
+    #[test]
     fn what_makes_no_sense_is_not_taken() {
         let mut history = steady(1.0, 0.0, 50, 1000);
         for bad in [
@@ -300,6 +329,20 @@ mod tests {
         let (a, b) = (fast.integrate(0, 2000 * MS, 1.0), slow.integrate(0, 2000 * MS, 1.0));
         let (a, b) = (a.expect("covered").motion, b.expect("covered").motion);
         assert!((a.translation - b.translation).norm() < 1e-9 && (a.yaw - b.yaw).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_variance_of_zero_is_one_that_is_not_known() {
+        let drive = |variance: f64| {
+            let mut history = WheelHistory::default();
+            for i in 0..20 {
+                let told = WheelReading { variance: [variance; 3], ..reading(i * 50, (i + 1) * 50, 0.5, 0.1) };
+                assert!(history.add(&told));
+            }
+            history.integrate(0, 1000 * MS, 1.0).expect("covered").covariance
+        };
+        assert_eq!(drive(0.0), drive(f64::NAN));
+        assert!(drive(0.0)[(0, 0)] > 1e-6 && drive(1e-12)[(0, 0)] < 1e-9, "what is told is believed");
     }
 
     #[test]

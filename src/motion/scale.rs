@@ -20,6 +20,8 @@ const REFINE_LEAST: f64 = 0.001;
 /// No number of words makes a source better than this: a measured height has an error that all its words share. What tells by wheels or
 /// tags has it in its sigma already.
 const COMMON_SIGMA: [f64; 4] = [0.0, 0.005, 0.0, 0.0];
+/// The word of a source that told a stored scale, too, takes its place once its standard deviation is below this share of it.
+const SURER_SHARE: f64 = 0.7;
 /// A word this many standard deviations from what its own source has said so far, several times, replaces that; fewer times it is left out.
 const CONTRADICTS: f64 = 5.0;
 const INSISTS: u32 = 3;
@@ -41,7 +43,7 @@ struct Word {
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ScaleFusion {
     words: [Option<Word>; 4],
-    /// Who told the scale that the map was stored with.
+    /// Who told the scale that the map was stored with, in all runs before.
     stored: ScaleSources,
     metric: bool,
 }
@@ -97,16 +99,33 @@ impl ScaleFusion {
     /// What all say together: ln(metres per map unit), and its standard deviation; and who.
     pub fn fused(&self) -> Option<(f64, f64, ScaleSources)> {
         let (mut information, mut sum, mut sources) = (0.0, 0.0, ScaleSources::default());
-        // The error common to both wheels is in the word of a stored map that wheels have told, too: it would count twice.
-        let is_heard = |source: &ScaleSource| *source != ScaleSource::Wheels || !self.stored.contains(*source);
+        let surest = ScaleSource::ALL.into_iter().filter(|source| self.is_of_stored(*source)).min_by(|a, b| {
+            let variance = |source: &ScaleSource| match (self.variance(*source), source) {
+                (Some(variance), ScaleSource::StoredMap) => SURER_SHARE * SURER_SHARE * variance,
+                (variance, _) => variance.unwrap_or(f64::INFINITY),
+            };
+            variance(a).total_cmp(&variance(b))
+        });
+        let is_heard = |source: &ScaleSource| !self.is_of_stored(*source) || Some(*source) == surest;
         for source in ScaleSource::ALL.into_iter().filter(is_heard) {
-            let Some(word) = self.words[source as usize] else { continue };
-            let weight = 1.0 / (word.variance + COMMON_SIGMA[source as usize].powi(2));
+            let (Some(word), Some(variance)) = (self.words[source as usize], self.variance(source)) else { continue };
+            let weight = 1.0 / variance;
             information += weight;
             sum += weight * word.log;
             sources = sources.with(source);
         }
+        let sources = sources.and(self.stored);
         (information > 0.0).then(|| (sum / information, information.recip().sqrt(), sources))
+    }
+
+    /// The stored word, or of a source that told it, too: what is wrong with a wheel's radius or a tag's printed size is in both, so they are not
+    /// independent, and of all of these one is heard. Otherwise each run would make the same error smaller.
+    fn is_of_stored(&self, source: ScaleSource) -> bool {
+        source == ScaleSource::StoredMap || self.stored.contains(source)
+    }
+
+    fn variance(&self, source: ScaleSource) -> Option<f64> {
+        self.words[source as usize].map(|word| word.variance + COMMON_SIGMA[source as usize].powi(2))
     }
 
     /// By what factor the map's lengths are to grow now, if they are: it becomes metric, or what is known has changed enough. To be followed by
@@ -128,6 +147,7 @@ impl ScaleFusion {
 
     /// A metric map, known to this, has become a part of this one: `log_metres_per_unit` by the join.
     pub fn inherit(&mut self, other: &Self, log_metres_per_unit: f64, join_sigma: f64) {
+        self.stored = self.stored.and(other.stored);
         for (mine, others) in self.words.iter_mut().zip(other.words).filter(|(mine, _)| mine.is_none()) {
             *mine = others.map(|word| Word {
                 log: word.log + log_metres_per_unit,
@@ -196,14 +216,46 @@ mod tests {
         let mut fusion = ScaleFusion::restored(0.01, wheels);
         assert!(fusion.is_metric() && fusion.due().is_none());
         fusion.add(&word(ScaleSource::Wheels, 0.05, 0.01));
-        let stored = ScaleSources::default().with(ScaleSource::StoredMap);
-        assert_eq!(fusion.scale(), MapScale::Metric { sigma: 0.01, sources: stored });
+        assert_eq!(fusion.scale(), MapScale::Metric { sigma: 0.01, sources: wheels.with(ScaleSource::StoredMap) });
         fusion.add(&word(ScaleSource::Tag, 0.01, 0.002));
         let (log, sigma, sources) = fusion.fused().expect("told");
         assert!((0.009..0.01).contains(&log) && sigma < 0.002 && sources.contains(ScaleSource::Tag));
         let mut by_tag = ScaleFusion::restored(0.01, ScaleSources::default().with(ScaleSource::Tag));
         by_tag.add(&word(ScaleSource::Wheels, 0.0, 0.01));
         assert!(by_tag.fused().expect("told").1 < 0.0071, "independent of each other");
+    }
+
+    #[test]
+    fn saving_and_loading_makes_no_scale_surer() {
+        for source in [ScaleSource::Wheels, ScaleSource::Tag, ScaleSource::Height] {
+            let mut fusion = ScaleFusion::default();
+            fusion.add(&word(source, 0.0, 0.01));
+            fusion.rescale(1.0);
+            let MapScale::Metric { sigma: first, .. } = fusion.scale() else { panic!("it is metric") };
+            for round in 0..3 {
+                let MapScale::Metric { sigma, sources } = fusion.scale() else { panic!("it is metric") };
+                fusion = ScaleFusion::restored(sigma, sources);
+                fusion.add(&word(source, 0.004, 0.0095));
+                let MapScale::Metric { sigma, sources } = fusion.scale() else { panic!("it is metric") };
+                assert!((sigma - first).abs() < 1e-12, "{source:?}, round {round}: {sigma}");
+                assert!(sources.contains(source) && sources.contains(ScaleSource::StoredMap));
+            }
+            // A much better word of the same source is not lost either.
+            fusion.add(&word(source, 0.004, 0.002));
+            let (log, sigma, _) = fusion.fused().expect("told");
+            assert!((log - 0.004).abs() < 1e-12 && sigma < 0.0055, "{source:?}: {log} {sigma}");
+        }
+    }
+
+    #[test]
+    fn a_map_that_takes_over_a_stored_one_knows_who_told_that() {
+        let wheels = ScaleSources::default().with(ScaleSource::Wheels);
+        let mut fusion = ScaleFusion::default();
+        fusion.inherit(&ScaleFusion::restored(0.01, wheels), 0.0, 0.0);
+        fusion.rescale(1.0);
+        fusion.add(&word(ScaleSource::Wheels, 0.0, 0.01));
+        let sources = wheels.with(ScaleSource::StoredMap);
+        assert_eq!(fusion.scale(), MapScale::Metric { sigma: 0.01, sources });
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
 
-use super::hand_eye::{Robot, Segment};
+use super::hand_eye::{Robot, Segment, Unit};
 use super::planar::WheelHistory;
 use super::wheel::WheelReading;
 use crate::geometry::frames::{Body, Camera, World};
@@ -141,7 +141,7 @@ fn segments(course: &Course, path: &[Moment], truth: &Robot, random: &mut Random
         let step = (motion.translation + noise - noise_before) / log_scale.exp();
         noise_before = noise;
         let times = (from as i64 * 1_000_000, to as i64 * 1_000_000);
-        out.push(Segment::new(times, (turn, step), 0.0015 * DEPTH_M / log_scale.exp(), depths));
+        out.push(Segment::new(times, (turn, step), 0.0015 * DEPTH_M / log_scale.exp(), depths, Unit::default()));
     }
     (out, log_scale)
 }

@@ -19,14 +19,15 @@ pub mod edge_length;
 pub mod sheet;
 
 use nalgebra::Vector2;
+use tracing::warn;
 
 use super::scale::ScaleMeasurement;
-use crate::features::tags::{FAMILY_SIZE, Tag, TagDetector};
+use crate::features::tags::{FAMILY_SIZE, KNOWN_INSET_PX, Tag, TagDetector, UNKNOWN_INSET_PX};
 use crate::geometry::CameraModel;
 use crate::image::GreyImage;
 use crate::map::scale::ScaleSource;
 use crate::map::{KeyframeId, Map, MapId};
-use edge_length::{PlacedTag, View, edge_length};
+use edge_length::{LEAST_VIEWS, NoLength, PlacedTag, View, edge_length};
 
 /// Sides of a black square that are believed, m: a stamp, and a wall.
 pub const LEAST_SIZE_M: f64 = 0.01;
@@ -96,6 +97,8 @@ struct Sighting {
     keyframe: KeyframeId,
     /// Pixels, on edges that are straight without the lens's distortion.
     corners: [Vector2<f64>; 4],
+    /// Standard deviation of the tag's size in the picture, which all sightings through one camera share, as a share.
+    size_sigma: f64,
 }
 
 /// A tag and the keyframes that saw it.
@@ -104,6 +107,50 @@ struct Known {
     id: u16,
     sightings: Vec<Sighting>,
     placed: Option<PlacedTag>,
+}
+
+impl Known {
+    /// From its sightings. One that does not fit the others is dropped for good; where that would be more than a third of them, the tag was moved, and only
+    /// the newest are kept.
+    fn place(&mut self, map: &Map, optics: &Optics<'_>) {
+        self.placed = None;
+        // Others are of keyframes that are gone, or of another map.
+        let mut used: Vec<usize> = Vec::new();
+        let mut views: Vec<View> = Vec::new();
+        for (i, sighting) in self.sightings.iter().enumerate() {
+            if let Some(view) = view(map, sighting, optics) {
+                used.push(i);
+                views.push(view);
+            }
+        }
+        let (all, mut wrong) = (views.len(), Vec::new());
+        let found = loop {
+            match edge_length(&views, optics.camera.focal_px()) {
+                Err(NoLength::Moved { worst }) if views.len() > LEAST_VIEWS && 3 * (wrong.len() + 1) <= all => {
+                    wrong.push(used.remove(worst));
+                    views.remove(worst);
+                }
+                found => break found,
+            }
+        };
+        match found {
+            Ok(mut placed) => {
+                let sum: f64 = used.iter().map(|i| self.sightings[*i].size_sigma).sum();
+                placed.view_variance += (sum / used.len() as f64).powi(2);
+                self.placed = Some(placed);
+                wrong.sort_unstable();
+                for i in wrong.into_iter().rev() {
+                    self.sightings.remove(i);
+                }
+            }
+            Err(NoLength::Moved { .. }) if all > LEAST_VIEWS => {
+                warn!(tag = self.id, sightings = all, "tag has moved");
+                self.sightings.drain(..self.sightings.len() - LEAST_VIEWS);
+            }
+            // Three that do not fit: the oldest is of before it was moved, or the newest is wrong and goes as soon as there are more.
+            Err(_) => {}
+        }
+    }
 }
 
 /// What is known of the tags around.
@@ -149,7 +196,7 @@ impl Tags {
                 && wanted
                 && let Some(corners) = straight_corners(tag, optics.camera)
             {
-                self.note(map, tag.id, Sighting { keyframe, corners });
+                self.note(map, tag.id, Sighting { keyframe, corners, size_sigma: size_sigma(tag) });
                 seen = true;
             }
         }
@@ -213,11 +260,17 @@ impl Tags {
 
     fn measure(&mut self, map: &Map, optics: &Optics<'_>) {
         for known in &mut self.known {
-            let views: Vec<View> = known.sightings.iter().filter_map(|s| view(map, s, optics)).collect();
-            known.placed = edge_length(&views, optics.camera.focal_px()).ok();
+            known.place(map, optics);
         }
         self.measurement = combine(self.known.iter().filter_map(|known| known.placed.as_ref()), &self.config);
     }
+}
+
+/// What the camera's tone curve may have left wrong of a tag's size, as a share: both ends of each side.
+fn size_sigma(tag: &Tag) -> f64 {
+    let around: f64 = (0..4).map(|i| (tag.corners[(i + 1) % 4] - tag.corners[i]).norm()).sum();
+    let inset_px = if tag.inset_px.is_some() { KNOWN_INSET_PX } else { UNKNOWN_INSET_PX };
+    2.0 * inset_px / (around / 4.0).max(1.0)
 }
 
 /// Corners of a tag, px, where its edges meet on the undistorted plane.
@@ -256,15 +309,20 @@ fn drop_one(map: &Map, sightings: &mut Vec<Sighting>) {
     }
 }
 
-/// What several tags of one size say together.
+/// What several tags of one size say together; `None` if most of them are not of one size, or it is not sure enough.
 pub fn combine<'a>(placed: impl Iterator<Item = &'a PlacedTag>, config: &TagConfig) -> Option<ScaleMeasurement> {
     let mut placed: Vec<&PlacedTag> = placed.collect();
     placed.sort_by(|a, b| a.log_edge.total_cmp(&b.log_edge));
     let variance = |tag: &PlacedTag| tag.corner_variance + tag.view_variance;
     let median = placed.get(placed.len() / 2)?.log_edge;
-    if placed.len() > 2 {
+    let all = placed.len();
+    if all > 1 {
         let limit = |tag: &PlacedTag| OUTLIER_SIGMAS * (variance(tag) + ALLOWED_DIFFERENCE * ALLOWED_DIFFERENCE).sqrt();
         placed.retain(|tag| (tag.log_edge - median).abs() <= limit(tag));
+    }
+    // As many of one size as of another: nothing says which of them is the one that was given.
+    if 2 * placed.len() <= all {
+        return None;
     }
     let weights: f64 = placed.iter().map(|tag| variance(tag).recip()).sum();
     let share = |tag: &PlacedTag| variance(tag).recip() / weights;

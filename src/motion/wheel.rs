@@ -23,6 +23,6 @@ pub struct WheelReading {
     pub linear_y_mps: f64,
     /// rad/s.
     pub angular_z_radps: f64,
-    /// Variances of the three, (m/s)^2, (m/s)^2, (rad/s)^2; NaN where the driver does not know.
+    /// Variances of the three, (m/s)^2, (m/s)^2, (rad/s)^2; NaN or 0 where the driver does not know.
     pub variance: [f64; 3],
 }

@@ -27,6 +27,8 @@ const SIGMA_DEPTHS: f64 = 0.01;
 const SIGMA_LOG_SCALE: f64 = 0.01;
 /// Where a turn on the spot told no scale, its logarithm is as unsure as this.
 const SIGMA_UNTOLD_SCALE: f64 = 0.5;
+/// Where the map's lengths are known from elsewhere no loop changes them.
+const SIGMA_HELD_SCALE: f64 = 1e-4;
 /// Levenberg-Marquardt steps at the most.
 const STEPS: usize = 30;
 
@@ -59,14 +61,25 @@ pub struct ClosedLoop {
 }
 
 impl LoopClosure {
-    /// `closed`: earlier loops, which hold as the map is now. `None` where an end of the loop is not in the map.
-    pub fn new(map: &Map, newest: KeyframeId, told: &[LoopEdge], closed: &[(KeyframeId, KeyframeId)]) -> Option<Self> {
+    /// `closed`: earlier loops, which hold as the map is now. `is_metric`: the map's lengths are known from elsewhere, so that a loop corrects
+    /// six degrees of freedom. `None` where an end of the loop is not in the map.
+    pub fn new(
+        map: &Map,
+        newest: KeyframeId,
+        told: &[LoopEdge],
+        closed: &[(KeyframeId, KeyframeId)],
+        is_metric: bool,
+    ) -> Option<Self> {
         let keyframes: Vec<KeyframeId> = map.keyframes.iter().map(|(id, _)| KeyframeId(id)).collect();
         let place = |id: KeyframeId| keyframes.binary_search(&id).ok();
         let own = map.keyframe(newest)?.map;
         let oldest = map.keyframes.iter().position(|(_, k)| k.map == own)?;
         let mut edges = Vec::new();
-        let mut link = |a: KeyframeId, b: KeyframeId| edges.extend(held(map, place, a, b));
+        let depths: Vec<f64> = map.keyframes.iter().map(|(_, k)| depth(k, map)).collect();
+        let mut link = |a: KeyframeId, b: KeyframeId| {
+            let ends = place(a).zip(place(b));
+            edges.extend(ends.and_then(|(from, to)| held(map, (a, from), (b, to), &depths)));
+        };
         let mut around = Vec::new();
         for (i, &id) in keyframes.iter().enumerate() {
             older_links(map, id, &mut around);
@@ -82,11 +95,14 @@ impl LoopClosure {
         let first = edges.len();
         for told in told {
             let (from, to) = (place(told.old)?, place(told.recognised)?);
-            let mut sigma = sigma(map.keyframe(told.recognised)?, map, false);
+            let mut sigma = sigma(depths[to], false);
             sigma.log_scale = sigma.log_scale.max(told.log_scale_sigma);
             edges.push(Edge { from, to, to_from_from: told.recognised_from_old, sigma });
         }
         (edges.len() > first).then_some(())?;
+        if is_metric {
+            edges.iter_mut().for_each(hold_scale);
+        }
         let poses = map.keyframes.iter().map(|(_, k)| k.camera_from_world).collect();
         let fixed = (0..keyframes.len()).map(|i| i == oldest).collect();
         Some(Self { keyframes, poses, fixed, edges })
@@ -118,21 +134,32 @@ fn older_links(map: &Map, id: KeyframeId, out: &mut Vec<KeyframeId>) {
     out.extend(older.iter().take(strong.clamp(LINKS, MOST_LINKS)).map(|c| c.0));
 }
 
-/// Two keyframes lie as they do now.
-fn held(map: &Map, place: impl Fn(KeyframeId) -> Option<usize>, from: KeyframeId, to: KeyframeId) -> Option<Edge> {
-    let (a, b) = (map.keyframe(from)?, map.keyframe(to)?);
+/// Two keyframes (the numbers of their nodes with them) lie as they do now.
+fn held(map: &Map, from: (KeyframeId, usize), to: (KeyframeId, usize), depths: &[f64]) -> Option<Edge> {
+    let ((a, from), (b, to)) = (from, to);
+    let (a, b) = (map.keyframe(a)?, map.keyframe(b)?);
     let to_from_from = Sim3::from_se3(&(b.camera_from_world * a.camera_from_world.inverse()).relabel());
-    let sigma = sigma(b, map, a.scale_from != b.scale_from);
-    Some(Edge { from: place(from)?, to: place(to)?, to_from_from, sigma })
+    Some(Edge { from, to, to_from_from, sigma: sigma(depths[to], a.scale_from != b.scale_from) })
 }
 
-fn sigma(keyframe: &Keyframe, map: &Map, untold: bool) -> EdgeSigma {
+/// Median depth of what a keyframe sees, map units.
+fn depth(keyframe: &Keyframe, map: &Map) -> f64 {
     let depth = |id| Some(keyframe.camera_from_world.transform(&map.landmark(id)?.position).z);
     let mut depths: Vec<f64> =
         keyframe.observations.iter().filter_map(|o| depth(o.landmark)).filter(|z| *z > 0.0).collect();
-    let depth = median(&mut depths).unwrap_or(1.0);
+    median(&mut depths).unwrap_or(1.0)
+}
+
+fn sigma(depth: f64, untold: bool) -> EdgeSigma {
     let log_scale = if untold { SIGMA_UNTOLD_SCALE } else { SIGMA_LOG_SCALE };
     EdgeSigma { rotation_rad: SIGMA_RAD, translation: SIGMA_DEPTHS * depth, log_scale }
+}
+
+/// Both ends have the unit that they have.
+fn hold_scale(edge: &mut Edge) {
+    let Sim3 { scale, rotation, translation, .. } = edge.to_from_from;
+    edge.to_from_from = Sim3::new(1.0, rotation, translation / scale);
+    edge.sigma.log_scale = SIGMA_HELD_SCALE;
 }
 
 #[cfg(test)]

@@ -179,12 +179,13 @@ pub fn state(state: TrackingState) -> u8 {
         TrackingState::Tracking => messages::STATE_TRACKING,
         TrackingState::Lost => messages::STATE_LOST,
         TrackingState::Orientation => messages::STATE_ORIENTATION,
+        TrackingState::DeadReckoning => messages::STATE_DEAD_RECKONING,
     }
 }
 
 /// The message of one frame, without what only the sender knows (run, drops, times of sending).
 ///
-/// An estimate that claims to track and has no finite pose is sent as lost: nothing invented may look good.
+/// An estimate that claims to track, or to reckon, and has no finite pose is sent as lost: nothing invented may look good.
 pub fn pose(estimate: &PoseEstimate, conversion: &Conversion) -> Pose {
     let (scale, scale_sigma, scale_source) = conversion.scale.to_wire();
     let mut pose = Pose {
@@ -203,7 +204,7 @@ pub fn pose(estimate: &PoseEstimate, conversion: &Conversion) -> Pose {
         ..Pose::default()
     };
     match (estimate.state, &estimate.orientation) {
-        (TrackingState::Tracking, _) => {}
+        (TrackingState::Tracking | TrackingState::DeadReckoning, _) => {}
         (TrackingState::Orientation, Some(orientation)) => {
             turned(&mut pose, orientation, conversion);
             return pose;

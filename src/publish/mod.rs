@@ -40,8 +40,8 @@ use crate::image::GreyImage;
 use crate::map::MapSnapshot;
 use crate::messages::services::{self, topic};
 use crate::messages::{
-    EncodedHeader, Endpoint, Feature, FeaturesHeader, FrameHeader, Health, Keyframe, KeyframesHeader, Landmark,
-    MapHeader, Pose, Presence,
+    DAEMON_NODE, EncodedHeader, Endpoint, Feature, FeaturesHeader, FrameHeader, Health, Keyframe, KeyframesHeader,
+    Landmark, MapHeader, Pose, Presence,
 };
 use crate::reconstruction::PoseEstimate;
 use opening::Ipc;
@@ -178,7 +178,7 @@ fn node(endpoint: &Endpoint) -> Result<Node<Ipc>, PublishError> {
     let mut config = endpoint.config().clone();
     config.global.creation_timeout = CONNECTING;
     let create = || {
-        let name = NodeName::new("cairn").map_err(|e| e.to_string())?;
+        let name = NodeName::new(DAEMON_NODE).map_err(|e| e.to_string())?;
         NodeBuilder::new()
             .name(&name)
             .config(&config)

@@ -1,6 +1,7 @@
 //! `PREFIX/wheel`, the one service that the daemon reads: what the driver of the robot's base tells.
 //!
-//! One driver at a time: the first one that speaks, until it has gone or been silent for as long as makes a gap. Whatever another one says
+//! One driver at a time: the first one that speaks, until it has gone or been silent for as long as makes a gap. (All that has come is looked at
+//! before that is decided: who reads late must not take it for the driver's silence.) Whatever another one says
 //! meanwhile is handed on as [`WheelFault::SecondPublisher`]. (Two places, so that a second one is seen at all; our clients refuse to be it.)
 
 use iceoryx2::identifiers::UniquePublisherId;
@@ -15,7 +16,11 @@ use crate::messages::{Endpoint, UNKNOWN_NS, WheelOdometry};
 use crate::motion::wheel::{GAP_NS, WheelFault, WheelMessage};
 
 /// A stamp further ahead of now than this is not CLOCK_MONOTONIC, ns: there is no message from the future.
-const AHEAD_NS: i64 = 100_000_000;
+const AHEAD_NS: i64 = 5_000_000;
+/// A larger jump of a driver's numbers is a driver that has started anew, and no loss.
+const MOST_MISSING: u64 = 10_000;
+/// Messages that are looked at together: all that there can be, so that a driver that sends without end holds nobody here.
+const MOST_MESSAGES: usize = services::MAX_WHEEL_PUBLISHERS * services::WHEEL.buffer;
 /// Nor is one as far behind, ns: no queue of a driver's holds as much.
 const BEHIND_NS: i64 = 5_000_000_000;
 
@@ -23,7 +28,8 @@ const BEHIND_NS: i64 = 5_000_000_000;
 #[derive(Debug, Clone, Copy)]
 struct Driver {
     id: UniquePublisherId,
-    next_sequence: u64,
+    /// After the last message that came.
+    next_sequence: Option<u64>,
     /// CLOCK_MONOTONIC when it was heard last.
     heard_ns: i64,
 }
@@ -34,6 +40,8 @@ pub struct WheelInbox {
     subscriber: Subscriber<Ipc, WheelOdometry, ()>,
     service: PortFactory<Ipc, WheelOdometry, ()>,
     driver: Option<Driver>,
+    /// Read and not yet judged; empty in between.
+    batch: Vec<(WheelOdometry, UniquePublisherId, u32)>,
 }
 
 /// What a look into the inbox came to, besides messages.
@@ -41,7 +49,9 @@ pub struct WheelInbox {
 pub struct WheelNews {
     /// Messages there were, believed or not.
     pub messages: u64,
-    /// Messages that never arrived, by the driver's numbers.
+    /// Those of them that were believed.
+    pub believed: u64,
+    /// Messages that never arrived, by the numbers of those that were believed.
     pub missing: u64,
     /// Process id of a driver that was heard for the first time (0: not known).
     pub driver: Option<u32>,
@@ -70,39 +80,54 @@ impl WheelInbox {
             doing: "subscribing",
             reason: e.to_string(),
         })?;
-        Ok(Self { subscriber, service, driver: None })
+        Ok(Self { subscriber, service, driver: None, batch: Vec::with_capacity(MOST_MESSAGES) })
     }
 
-    /// Hands on everything that has come, oldest first, with what is wrong with it as far as it shows here. Never waits. `now_ns`:
-    /// CLOCK_MONOTONIC.
+    /// Hands on everything that has come, oldest first, with what is wrong with it as far as it shows here; `to` says whether it believes a message.
+    /// Never waits. `now_ns`: CLOCK_MONOTONIC.
     pub fn read(
         &mut self,
         now_ns: i64,
-        to: &mut dyn FnMut(&WheelMessage, Option<WheelFault>),
+        to: &mut dyn FnMut(&WheelMessage, Option<WheelFault>) -> bool,
     ) -> Result<WheelNews, PublishError> {
-        let mut news = WheelNews::default();
-        // A driver that sends without end holds nobody here.
-        for _ in 0..services::MAX_WHEEL_PUBLISHERS * services::WHEEL.buffer {
+        while self.batch.len() < MOST_MESSAGES {
             let Some(sample) = self.subscriber.receive().map_err(|e| self.failed(e.to_string()))? else { break };
             let (message, id, node) = (*sample.payload(), sample.header().publisher_id(), sample.header().node_id());
             drop(sample);
-            news.messages += 1;
+            let is_new = self.driver.is_none_or(|driver| driver.id != id);
             let pid = || node.pid::<Ipc>().ok().and_then(|pid| u32::try_from(pid.value()).ok()).unwrap_or(0);
+            self.batch.push((message, id, if is_new { pid() } else { 0 }));
+        }
+        if let Some(driver) = self.driver.as_mut().filter(|driver| self.batch.iter().any(|(_, id, _)| *id == driver.id))
+        {
+            driver.heard_ns = now_ns;
+        }
+        let mut news = WheelNews { messages: self.batch.len() as u64, ..WheelNews::default() };
+        for i in 0..self.batch.len() {
+            let (message, id, pid) = self.batch[i];
             if self.driver.is_some_and(|d| d.id != id && now_ns - d.heard_ns < GAP_NS && self.is_there(d.id)) {
-                news.second = Some(pid());
+                news.second = Some(pid);
                 to(&internal(&message), Some(WheelFault::SecondPublisher));
                 continue;
             }
-            let known = self.driver.filter(|driver| driver.id == id);
-            if known.is_none() {
-                news.driver = Some(pid());
-            }
-            news.missing += known.map_or(0, |driver| message.sequence.saturating_sub(driver.next_sequence));
-            self.driver = Some(Driver { id, next_sequence: message.sequence.saturating_add(1), heard_ns: now_ns });
+            let driver = match self.driver.filter(|driver| driver.id == id) {
+                Some(driver) => driver,
+                None => {
+                    news.driver = Some(pid);
+                    Driver { id, next_sequence: None, heard_ns: now_ns }
+                }
+            };
             let ahead_ns = message.timestamp_ns.saturating_sub(now_ns);
             let of_now = (-BEHIND_NS..=AHEAD_NS).contains(&ahead_ns);
-            to(&internal(&message), (!of_now).then_some(WheelFault::WrongClock { ahead_ns }));
+            if to(&internal(&message), (!of_now).then_some(WheelFault::WrongClock { ahead_ns })) {
+                news.believed += 1;
+                news.missing += missing(driver.next_sequence, message.sequence);
+            }
+            // What came and is not believed is not missing either.
+            let next_sequence = Some(message.sequence.wrapping_add(1));
+            self.driver = Some(Driver { id, next_sequence, heard_ns: now_ns });
         }
+        self.batch.clear();
         Ok(news)
     }
 
@@ -120,6 +145,11 @@ impl WheelInbox {
     }
 }
 
+/// Messages between the one that was expected and this one.
+fn missing(expected: Option<u64>, sequence: u64) -> u64 {
+    expected.map(|expected| sequence.wrapping_sub(expected)).filter(|jump| *jump <= MOST_MISSING).unwrap_or(0)
+}
+
 fn internal(m: &WheelOdometry) -> WheelMessage {
     WheelMessage {
         number: m.sequence,
@@ -129,5 +159,17 @@ fn internal(m: &WheelOdometry) -> WheelMessage {
         linear_y_mps: m.linear_y_mps,
         angular_z_radps: m.angular_z_radps,
         variance: m.variance,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_that_no_driver_counts_to_lose_nothing() {
+        let lost = |expected, sequence| missing(Some(expected), sequence);
+        assert_eq!((missing(None, 7), lost(5, 5), lost(5, 8), lost(u64::MAX, 1)), (0, 0, 3, 2));
+        assert_eq!((lost(5, u64::MAX), lost(1, 0), lost(0, 10_000), lost(0, 10_001)), (0, 0, 10_000, 0));
     }
 }

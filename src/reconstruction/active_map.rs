@@ -55,7 +55,8 @@ impl ActiveMap {
 
     /// An empty one whose ids go on after this one's.
     pub fn successor(&self) -> Self {
-        Self::new(self.map.successor(), self.next_id)
+        // A map that has become metric has taken the number after its own.
+        Self::new(self.map.successor(), MapId(self.next_id.0.max(self.id.0 + 1)))
     }
 
     /// Empty again, as before a start that did not hold.

@@ -53,6 +53,7 @@ impl Reconstruction {
     pub(super) fn merge_after_gap(&mut self, gap_ns: i64) {
         if gap_ns >= AMPLE_NS {
             self.merge_adjustment(Merge::BeforeTracking);
+            self.hear_recognition(Merge::BeforeTracking);
         }
     }
 
@@ -97,6 +98,7 @@ impl Reconstruction {
 
     /// Waits for the job under way, if any, and merges it. Nothing is adjusted beyond it.
     pub fn finish(&mut self) {
+        self.hear_recognition(Merge::AtTheEnd);
         self.merge_adjustment(Merge::AtTheEnd);
     }
 }

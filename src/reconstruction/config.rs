@@ -45,7 +45,7 @@ pub struct ReconstructionConfig {
     pub start_landmarks: usize,
     /// Frames that may be lost in a row before a new map may begin beside this one: no more than the map was tracked for. 1..=1000.
     pub lost_frames: u64,
-    /// Close loops: recognise places of the map after a long way and correct the drift since. Off until it has been tried where rooms look alike.
+    /// Close loops: recognise places of the map after a long way and correct the drift since.
     pub loops: bool,
 }
 
@@ -72,7 +72,7 @@ impl Default for ReconstructionConfig {
             start_flow_px: 4.0,
             start_landmarks: 50,
             lost_frames: 15,
-            loops: false,
+            loops: true,
         }
     }
 }

@@ -22,7 +22,7 @@ use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::geometry::sim3::Sim3;
 use crate::map::scale::MapScale;
-use crate::map::{KeyframeId, MapId};
+use crate::map::{Correction, KeyframeId, MapId, TurnId};
 use crate::motion::hand_eye::Robot;
 use crate::motion::scale::ScaleMeasurement;
 use crate::motion::wheel::WheelReading;
@@ -68,7 +68,11 @@ impl Reconstruction {
             self.follow_wheels(features);
         }
         // A map that is only located in stays as it is.
-        if let Some(factor) = self.active.fusion.due().filter(|_| !self.localise_only) {
+        let due = self.active.fusion.due().or_else(|| {
+            let confirmed = self.active.fusion.is_metric() && self.wheels.tells_doubted();
+            confirmed.then_some(1.0)
+        });
+        if let Some(factor) = due.filter(|_| !self.localise_only) {
             self.rescale(factor);
         }
     }
@@ -101,19 +105,46 @@ impl Reconstruction {
         })
     }
 
+    /// Parts of the map with units of their own, behind turns on the spot, take one unit, as far as wheels tell how long theirs are.
+    fn unify_units(&mut self) {
+        let active = &mut self.active;
+        let newest = active.map.keyframe(active.reference).and_then(|k| k.scale_from);
+        let parts = active.scale.parts_in_one_unit(&active.map, newest, |part| self.wheels.log_ratio(part));
+        if parts.len() < 2 {
+            return;
+        }
+        let of = |part: Option<TurnId>| parts.iter().find(|(id, _)| *id == part).map_or_else(Sim3::identity, |p| p.1);
+        let keyframes = active.map.keyframes.iter().map(|(id, k)| (KeyframeId(id), k.scale_from));
+        let marked: Vec<(KeyframeId, Option<TurnId>)> = keyframes.collect();
+        let motions = marked.iter().map(|(id, part)| (*id, of(*part))).collect();
+        let correction = Correction { keyframes: motions, younger: None };
+        for (keyframe, motion) in &correction.keyframes {
+            self.events.push(TrajectoryEvent::KeyframeScaled { keyframe: *keyframe, scale: motion.scale });
+        }
+        active.map.correct(&correction);
+        active.odometry.correct_scaled(&correction.of(active.reference));
+        for (id, _) in marked.iter().filter(|(_, part)| self.wheels.tells(*part)) {
+            active.map.set_scale_origin(*id, None);
+        }
+        self.wheels.unify_units(|keyframe| correction.of(keyframe).scale);
+        active.scale.follow(&active.map);
+    }
+
     /// The present map's lengths become `factor` times as long; they are metres from now on.
     fn rescale(&mut self, factor: f64) {
         let first = !self.active.fusion.is_metric();
         self.mapper.discard();
         self.loops.forget_found();
+        let before = self.active.odometry.last.map(|last| last.camera_from_world);
+        self.unify_units();
         let active = &mut self.active;
-        let before = active.odometry.last.map(|last| last.camera_from_world);
         active.map.transform(&Sim3::new(factor, UnitQuaternion::identity(), Vector3::zeros()));
         active.odometry.rescale(factor);
         active.scale.rescale(factor);
         active.fusion.rescale(factor);
         active.unadjusted = active.map.keyframes.iter().last().map(|(id, _)| KeyframeId(id));
         self.wheels.rescale(factor);
+        self.blind.rescale(factor);
         if let Some(tags) = &mut self.tags {
             tags.rescale(factor);
         }
@@ -121,9 +152,10 @@ impl Reconstruction {
         let after = active.odometry.last.map(|last| last.camera_from_world);
         if first {
             active.odometry.odom_from_camera.translation *= factor;
-            let (map, into) = (active.id, MapId(active.id.0 + 1));
+            let (map, into) = (active.id, active.next_id);
+            // The number is taken: the map that begins next must have another.
+            (active.id, active.next_id) = (into, MapId(into.0 + 1));
             active.map.renumber(map, into);
-            active.id = into;
             self.events.push(TrajectoryEvent::MapJoined { map, into, scale: factor });
             self.counters.resets += 1;
         } else {

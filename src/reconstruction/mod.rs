@@ -6,9 +6,11 @@
 
 mod active_map;
 mod adjust;
+mod blind;
 pub mod config;
 mod corrections;
 mod covariance;
+mod dead_reckoning;
 mod initialise;
 mod keyframe;
 mod loops;
@@ -27,10 +29,13 @@ pub use adjust::intrinsics::{FOUND_SIGMA, LensEstimate, LensKnowledge, LensPrior
 pub use adjust::job::{InlineWorker, MappingJob, MappingResult, MappingWorker};
 pub use config::ReconstructionConfig;
 pub use corrections::Corrections;
+pub use dead_reckoning::Reckoned;
+pub use loops::recognition::{PlaceWorker, Recognised, Recognition};
 pub use types::*;
 
 use active_map::ActiveMap;
 use adjust::mapper::{Mapper, Merge};
+use dead_reckoning::{Ahead, DeadReckoning};
 use initialise::initialiser::Initialiser;
 use initialise::orientation::OrientationTracker;
 use keyframe::distance_prior::{self, mostly_assumed};
@@ -38,6 +43,7 @@ use keyframe::epipolar::{EpipolarMatcher, Lens};
 use keyframe::pictures::{WHOLE_PICTURES, reduce_pictures};
 use keyframe::{KeyframeInputs, NewKeyframe};
 use loops::Loops;
+use odometry::Odometry;
 use optics::Optics;
 use relocalise::Relocaliser;
 use relocalise::other_maps::{OtherMap, OtherMaps, WORTH_KEEPING, retire};
@@ -55,7 +61,7 @@ use crate::map::{KeyframeId, KeyframeView, LandmarkId, MapId, Sought};
 use crate::motion::hand_eye::Robot;
 use crate::motion::scale::ScaleMeasurement;
 use crate::motion::tag::{self, TagConfig, Tags};
-use crate::motion::wheel_scale::RADIUS_SIGMA;
+use crate::motion::wheel_scale::WheelConfig;
 
 /// Share of the landmarks looked for that are seen: below the first a frame is looked for elsewhere too (after a stretch of blur
 /// a few landmarks can hold a pose that has slid away), below the second it is no keyframe. Without the first, errors over 35 sequences
@@ -93,6 +99,7 @@ pub struct Reconstruction {
     mapper: Mapper,
     corrections: Corrections,
     wheels: Wheels,
+    blind: DeadReckoning,
     pending: Pending,
     /// The map stays as it is: no keyframe, no adjustment, no other map.
     localise_only: bool,
@@ -140,7 +147,8 @@ impl Reconstruction {
             pictures: PyramidPool::new(WHOLE_PICTURES, 1),
             mapper: Mapper::new(worker, lockstep),
             corrections: Corrections::default(),
-            wheels: Wheels::new(Robot::unknown(), RADIUS_SIGMA),
+            wheels: Wheels::new(Robot::unknown(), WheelConfig::default().scale_sigma),
+            blind: DeadReckoning::default(),
             pending: Pending::default(),
             localise_only: false,
             taken: None,
@@ -163,18 +171,20 @@ impl Reconstruction {
         let before_ns = std::mem::replace(&mut self.frame_ns, features.timestamp_ns);
         self.merge_after_gap(features.timestamp_ns.saturating_sub(before_ns));
         self.active.bindings.retain_living(&features.tracks);
-        if self.state == TrackingState::Initializing {
+        if self.state == TrackingState::Initializing && !self.localise_only {
             return self.try_start(features);
         }
-        match self.place(features) {
-            Some(tracked) => self.accept(features, &tracked),
-            None => self.lose(features),
+        let ahead = self.look_ahead(features.timestamp_ns);
+        match self.place(features, ahead.as_ref()) {
+            Some(tracked) => self.accept(features, &tracked, ahead.as_ref()),
+            None => self.lose(features, ahead.as_ref()),
         }
     }
 
-    /// Where a frame is in the map: near the last one, or anywhere.
-    fn place(&mut self, features: &FrameFeatures) -> Option<Tracked> {
-        let ActiveMap { map, bindings, odometry, reference, .. } = &self.active;
+    /// Where a frame is in the map: near the last one, where the wheels have gone from there, or anywhere.
+    fn place(&mut self, features: &FrameFeatures, ahead: Option<&Ahead>) -> Option<Tracked> {
+        let reference = self.expected_reference(ahead);
+        let ActiveMap { map, bindings, odometry, .. } = &self.active;
         let frame = Frame {
             features,
             map,
@@ -182,18 +192,23 @@ impl Reconstruction {
             camera: &self.optics.camera,
             config: &self.config,
             before: odometry.before(features.timestamp_ns),
-            motion: odometry.motion(),
+            motion: odometry.motion().or_else(|| ahead.and_then(|ahead| ahead.motion)),
             shutter: &self.optics.shutter,
             is_calibrated: self.optics.intrinsics.is_calibrated(),
         };
-        let (guesses, n) = odometry.guesses(features.timestamp_ns);
-        let mut tracked = self.tracker.track(&frame, *reference, &guesses[..n]);
+        let (guesses, n) = odometry.guesses(features.timestamp_ns, ahead.map(|ahead| &ahead.now_from_last));
+        let mut tracked = self.tracker.track(&frame, reference, &guesses[..n]);
         if odometry.lost_frames > 0 {
             // Only an old pose speaks for it, so the landmarks must: another place, or this one in a mirror, has a few that fit.
-            tracked = tracked.filter(|t| t.speaks_for_itself(self.config.min_landmarks));
+            let expected = |t: &Tracked| {
+                let agrees =
+                    ahead.zip(odometry.last).map(|(a, last)| a.agrees(&last.camera_from_world, &t.camera_from_world));
+                t.share() >= WEAK_SHARE && agrees == Some(true)
+            };
+            tracked = tracked.filter(|t| t.speaks_for_itself(self.config.min_landmarks) || expected(t));
         }
         if tracked.as_ref().is_none_or(|t| t.share() < WEAK_SHARE) {
-            let elsewhere = self.relocaliser.place(&frame, *reference);
+            let elsewhere = self.relocaliser.place(&frame, reference);
             let better = |other: &Tracked| tracked.is_none_or(|weak| 5 * other.landmarks > 6 * weak.landmarks);
             if let Some(other) = elsewhere.filter(better) {
                 std::mem::swap(&mut self.tracker, &mut self.relocaliser.tracker);
@@ -217,7 +232,8 @@ impl Reconstruction {
         }
     }
 
-    fn accept(&mut self, features: &FrameFeatures, tracked: &Tracked) -> PoseEstimate {
+    fn accept(&mut self, features: &FrameFeatures, tracked: &Tracked, ahead: Option<&Ahead>) -> PoseEstimate {
+        let odom_by_wheels = self.odom_after_reckoning(ahead);
         if !self.localise_only {
             self.count_landmarks(tracked);
         }
@@ -238,12 +254,17 @@ impl Reconstruction {
         active.reference = self.tracker.best_reference(&active.map).unwrap_or(active.reference);
         self.tracker.note_distance(&pose.inverse().translation);
         let step = active.odometry.accept(features.timestamp_ns, pose);
+        if let Some(odom) = odom_by_wheels {
+            active.odometry.odom_from_camera = odom;
+        }
         // A covered picture gives poor templates, and its pose rests on little.
         let clear = !resumed && !self.localise_only && tracked.share() >= KEYFRAME_SHARE;
         let keyframe = clear && self.decide_keyframe(&pose);
         self.record_pose(features.timestamp_ns, &pose);
         self.pending.keyframe = keyframe.then_some(pose);
-        self.estimate_tracked(features, tracked, step.as_ref(), keyframe)
+        let estimate = self.estimate_tracked(features, tracked, step.as_ref(), keyframe);
+        self.note_seen(&estimate.covariance);
+        estimate
     }
 
     /// Whether the frame just tracked becomes a keyframe; notes as well whether it comes out of a turn on the spot.
@@ -265,10 +286,14 @@ impl Reconstruction {
         keyframe::wants_keyframe(&inputs, &self.config)
     }
 
-    fn lose(&mut self, features: &FrameFeatures) -> PoseEstimate {
-        let active = &mut self.active;
-        active.odometry.lost_frames += 1;
+    fn lose(&mut self, features: &FrameFeatures, ahead: Option<&Ahead>) -> PoseEstimate {
+        self.active.odometry.lost_frames += 1;
+        if let Some(ahead) = ahead {
+            return self.reckon(features, ahead);
+        }
+        self.blind.reckoned = None;
         self.state = TrackingState::Lost;
+        let active = &mut self.active;
         if self.localise_only {
             return self.estimate_none(features);
         }
@@ -320,6 +345,7 @@ impl Reconstruction {
             feedback.forget.sort_unstable();
         }
         self.merge_adjustment(Merge::WhenDue);
+        self.hear_recognition(Merge::WhenDue);
         self.follow_scale(features);
         self.post_adjustment();
     }
@@ -375,11 +401,26 @@ impl Reconstruction {
         }
     }
 
-    /// Drops all maps and starts over at the next frame.
+    /// Drops all maps and starts over at the next frame. Maps that are only located in stay: the next frame is looked for in them as after a loss.
     pub fn reset(&mut self) {
+        if self.localise_only {
+            return self.forget_place();
+        }
         let others = std::mem::take(&mut self.others);
         others.maps().for_each(|map| retire(map, &mut self.events));
         self.end_map();
+    }
+
+    /// Poses from here on have nothing to do with those before; the maps are what they were.
+    fn forget_place(&mut self) {
+        self.active.bindings.clear();
+        // As in a map that was loaded: nothing speaks for a frame but its landmarks.
+        self.active.odometry = Odometry { lost_frames: 1, ..Odometry::default() };
+        self.wheels.begin_map();
+        self.tracker = Tracker::default();
+        self.pending = Pending::default();
+        self.state = TrackingState::Lost;
+        self.counters.resets += 1;
     }
 
     /// Drops the present map.
@@ -402,6 +443,7 @@ impl Reconstruction {
         let next = self.active.successor();
         let old = std::mem::replace(&mut self.active, next);
         self.wheels.begin_map();
+        self.blind.reckoned = None;
         self.loops.forget_found();
         self.corrections.end_map();
         self.initialiser.clear();
@@ -447,7 +489,12 @@ impl Reconstruction {
     /// The last frame's pose lies behind a turn on the spot, and its distance from there is that of an assumption.
     pub fn scale_is_assumed(&self) -> bool {
         self.state == TrackingState::Tracking
-            && self.active.map.keyframe(self.active.reference).is_some_and(|k| k.scale_from.is_some())
+            && self
+                .active
+                .map
+                .keyframe(self.active.reference)
+                .and_then(|k| k.scale_from)
+                .is_some_and(|turn| self.active.scale.is_assumed(turn))
     }
 
     /// What tags of a known size say of the present map's scale; the newest measurement contains those before.
@@ -462,7 +509,8 @@ impl Reconstruction {
     }
 
     pub fn counters(&self) -> Counters {
-        self.counters
+        let DeadReckoning { total_ns, total_m, continued, .. } = self.blind;
+        Counters { blind_ns: total_ns, blind_mm: (1e3 * total_m) as u64, blind_starts: continued, ..self.counters }
     }
 
     pub fn state(&self) -> TrackingState {

@@ -16,7 +16,7 @@ use super::track::association::Target;
 use super::types::TrackingState;
 use crate::features::FrameFeatures;
 use crate::map::MapId;
-use crate::map::saved::{MapChanges, MapHead, SavedMap, SavedMaps, Taken};
+use crate::map::saved::{Ids, MapChanges, MapHead, SavedMap, SavedMaps, Taken};
 use crate::map::scale::MapScale;
 use crate::motion::scale::ScaleFusion;
 
@@ -43,11 +43,21 @@ impl Reconstruction {
         MapChanges::take(optics, self.frame_ns, maps, is_everything)
     }
 
+    /// Whether keyframes or landmarks have been added, changed or removed since changes were taken last.
+    pub fn has_changes(&self) -> bool {
+        let maps = std::iter::once(&self.active.map).chain(self.others.maps());
+        self.taken.is_none() || maps.into_iter().any(crate::map::Map::has_changed)
+    }
+
     /// Goes on in the maps of another run; to be called before the first frame. Of several maps the first is the one that frames are looked for in
     /// first. `localise_only`: the maps stay as they are.
     pub fn resume(&mut self, saved: SavedMaps, localise_only: bool) {
         self.optics.resume(&saved.optics);
-        let next_id = saved.maps.iter().map(|m| m.head.id.0 + 1).max().unwrap_or_default();
+        // Keyframes of maps that were joined to others have their own map's number still.
+        let made_in = |m: &SavedMap| m.map.keyframes.iter().map(|(_, k)| k.map.0).max();
+        let newest_id = saved.maps.iter().flat_map(|m| std::iter::once(m.head.id.0).chain(made_in(m))).max();
+        // A file with the very last number is refused when it is read.
+        let next_id = newest_id.and_then(|id| id.checked_add(1)).unwrap_or_default();
         let mut maps = saved.maps.into_iter();
         let Some(SavedMap { head, map }) = maps.next() else { return };
         self.localise_only = localise_only;
@@ -73,6 +83,44 @@ impl Reconstruction {
         }
         let ids = std::iter::once(self.active.id).chain(self.others.kept.iter().map(|other| other.id)).collect();
         self.taken = Some(Taken { maps: ids, camera: self.optics.camera.clone() });
+    }
+
+    /// Leaves all maps of this run, as a reset does, and goes on in those of another one. None of their ids may be one that this run
+    /// has given ([`given_ids`](Self::given_ids)).
+    pub fn exchange(&mut self, saved: SavedMaps, localise_only: bool) {
+        self.localise_only = localise_only;
+        self.reset();
+        self.resume(saved, localise_only);
+        // Whoever keeps them knows them by other ids.
+        self.taken = None;
+    }
+
+    /// The next ids.
+    pub fn given_ids(&self) -> Ids {
+        let maps = std::iter::once(&self.active.map).chain(self.others.maps());
+        let next = maps.map(|map| (map.keyframes.next_id(), map.landmarks.next_id()));
+        let (keyframes, landmarks) = next.fold((0, 0), |a, b| (a.0.max(b.0), a.1.max(b.1)));
+        Ids { maps: self.active.next_id.0.max(self.active.id.0.saturating_add(1)), keyframes, landmarks }
+    }
+
+    /// From now on the map stays as it is, or grows again. The error: there is none to be located in.
+    pub fn set_localise_only(&mut self, on: bool) -> Result<(), &'static str> {
+        if on && (self.state == TrackingState::Initializing || self.active.map.keyframes.is_empty()) {
+            return Err("there is no map yet to be located in");
+        }
+        if on != self.localise_only {
+            self.mapper.discard();
+            self.pending = Default::default();
+            self.initialiser.clear();
+            self.localise_only = on;
+        }
+        Ok(())
+    }
+
+    /// Keyframes in all maps.
+    pub fn total_keyframes(&self) -> usize {
+        let maps = std::iter::once(&self.active.map).chain(self.others.maps());
+        maps.map(|map| map.keyframes.len()).sum()
     }
 
     /// Without keyframes nothing else says what new tracks stand for: what they were found at.

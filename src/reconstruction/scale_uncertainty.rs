@@ -16,7 +16,7 @@
 //! Cost: nothing until there is a turn, then a few ns a frame. Deliberately not here: that an adjustment, which ties both sides together
 //! when the robot sees both, makes the factor itself better known.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
@@ -27,6 +27,8 @@ use crate::map::{KeyframeId, Map, TurnId};
 /// Standard deviation of the length of a step that assumed distances tell, as a share of it. Behind ten simulated turns of 90 and 180
 /// degrees the logarithm of what became of the scale had an RMS of 0.42, one of them left out at which tracking itself went astray.
 const SCALE_SIGMA: f64 = 0.5;
+/// The same where wheels tell the step, which may be the moment at which they slip.
+const WHEELS_SIGMA: f64 = 0.2;
 /// So many turns are kept apart; the doubt of more goes to the ones before them.
 const MAX_TURNS: usize = 128;
 
@@ -71,14 +73,20 @@ impl ScaleUncertainty {
         own
     }
 
-    /// A turn at `keyframe`, whose own scale came through `before`: what its next keyframes are to be marked with.
-    pub fn add(&mut self, map: &Map, keyframe: KeyframeId, before: Option<TurnId>) -> Option<TurnId> {
+    /// The length of the step behind a turn was assumed, and not that of wheels.
+    pub fn is_assumed(&self, id: TurnId) -> bool {
+        self.turns.get(usize::from(id.0)).is_some_and(|turn| turn.variance > WHEELS_SIGMA * WHEELS_SIGMA)
+    }
+
+    /// A turn at `keyframe`, whose own scale came through `before`: what its next keyframes are to be marked with. `assumed`: so was the length of the
+    /// step; else wheels told it.
+    pub fn add(&mut self, map: &Map, keyframe: KeyframeId, before: Option<TurnId>, assumed: bool) -> Option<TurnId> {
         let centre = map.keyframe(keyframe)?.centre();
         let is_the_same = |id: &TurnId| self.turns.get(usize::from(id.0)).is_some_and(|t| t.keyframe == keyframe);
         if before.as_ref().is_some_and(is_the_same) {
             return before;
         }
-        let variance = SCALE_SIGMA * SCALE_SIGMA;
+        let variance = if assumed { SCALE_SIGMA } else { WHEELS_SIGMA }.powi(2);
         if self.turns.len() < MAX_TURNS {
             self.turns.push(Turn { keyframe, centre, variance, before });
             return u16::try_from(self.turns.len() - 1).ok().map(TurnId);
@@ -123,6 +131,34 @@ impl ScaleUncertainty {
         }
     }
 
+    /// How the parts of the map move when each shrinks or grows about the turn that ends it, by `log_ratio`: ln of how many of the newest unit its
+    /// own is long, where that is known. The map's origin stays. Parts and their motions, the one behind `newest` first.
+    pub fn parts_in_one_unit(
+        &self,
+        map: &Map,
+        newest: Option<TurnId>,
+        log_ratio: impl Fn(Option<TurnId>) -> Option<f64>,
+    ) -> Vec<(Option<TurnId>, Sim3<World, World>)> {
+        let mut parts = vec![(newest, Sim3::identity())];
+        let (mut part, mut motion) = (newest, Sim3::identity());
+        // Each turn is older than the next, so this ends; the bound only says so.
+        for _ in 0..MAX_TURNS {
+            let Some(turn) = part.and_then(|id| self.turns.get(usize::from(id.0))) else { break };
+            part = turn.before;
+            if let Some(log_ratio) = log_ratio(part) {
+                let centre = map.keyframe(turn.keyframe).map_or(turn.centre, |k| k.centre());
+                let scale = log_ratio.exp();
+                motion = Sim3::new(scale, UnitQuaternion::identity(), motion.transform(&centre) - scale * centre);
+            }
+            parts.push((part, motion));
+        }
+        // The oldest part keeps its place.
+        for (_, moved) in &mut parts {
+            moved.translation -= motion.translation;
+        }
+        parts
+    }
+
     /// The map's lengths are `factor` times as long from now on.
     pub fn rescale(&mut self, factor: f64) {
         self.turns.iter_mut().for_each(|turn| turn.centre *= factor);
@@ -149,7 +185,6 @@ impl ScaleUncertainty {
 mod tests {
     use super::*;
     use crate::map::{Keyframe, MapId};
-    use nalgebra::UnitQuaternion;
 
     fn keyframe(scale_from: Option<TurnId>) -> Keyframe {
         Keyframe {
@@ -168,13 +203,40 @@ mod tests {
     }
 
     #[test]
+    fn parts_before_turns_take_the_newest_unit_and_stay_joined_at_the_turns() {
+        let mut map = Map::default();
+        let mut doubt = ScaleUncertainty::default();
+        let at = |z: f64, scale_from| Keyframe {
+            camera_from_world: Se3::new(UnitQuaternion::identity(), Vector3::new(0.0, 0.0, -z)),
+            ..keyframe(scale_from)
+        };
+        let first_turn = map.add_keyframe(at(4.0, None));
+        let first = doubt.add(&map, first_turn, None, true);
+        let second_turn = map.add_keyframe(at(6.0, first));
+        let second = doubt.add(&map, second_turn, first, false);
+        // Before the first turn a unit is half as long as behind the second, between both three times.
+        let logs = [(None, 0.5_f64.ln()), (first, 3.0_f64.ln())];
+        let told = |part| logs.iter().find(|(p, _)| *p == part).map(|(_, log)| *log);
+        let parts = doubt.parts_in_one_unit(&map, second, told);
+        let moved = |part, z: f64| {
+            let motion = parts.iter().find(|(p, _)| *p == part).expect("a part").1;
+            motion.transform(&Vector3::new(0.0, 0.0, z)).z
+        };
+        assert!(moved(None, 0.0).abs() < 1e-12 && (moved(None, 4.0) - 2.0).abs() < 1e-12, "4 of that unit are 2");
+        assert!((moved(first, 4.0) - 2.0).abs() < 1e-12 && (moved(first, 6.0) - 8.0).abs() < 1e-12, "and 2 are 6");
+        assert!((moved(second, 6.0) - 8.0).abs() < 1e-12 && (moved(second, 7.0) - 9.0).abs() < 1e-12);
+        let untold = doubt.parts_in_one_unit(&map, second, |_| None);
+        assert!(untold.iter().all(|(_, motion)| motion.scale == 1.0));
+    }
+
+    #[test]
     fn a_joined_maps_scale_came_through_its_own_turns_and_the_one_that_told_the_ratio() {
         let (mut present, mut other) = (Map::default(), Map::default());
         let (mut doubt, mut others) = (ScaleUncertainty::default(), ScaleUncertainty::default());
         let here = present.add_keyframe(keyframe(None));
-        let through = doubt.add(&present, here, None);
+        let through = doubt.add(&present, here, None, true);
         let start = other.add_keyframe(keyframe(None));
-        let turn = others.add(&other, start, None);
+        let turn = others.add(&other, start, None, true);
         let behind = other.add_keyframe(keyframe(turn));
         let present_from_other = Sim3::new(2.0, UnitQuaternion::identity(), Vector3::new(0.0, 0.0, 5.0));
         doubt.absorb(&others, &mut other, &present_from_other, through);

@@ -6,8 +6,8 @@
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::map::scale::ScaleSource;
-use crate::map::{KeyframeId, Map};
-use crate::motion::hand_eye::{Robot, Segment};
+use crate::map::{KeyframeId, Map, TurnId};
+use crate::motion::hand_eye::{Robot, Segment, Unit};
 use crate::motion::scale::ScaleFusion;
 use crate::motion::wheel_scale::{LONGEST_SEGMENT_NS, SEGMENT_NS, WheelScale};
 
@@ -35,13 +35,23 @@ impl FrameEnd {
         let keyframe = map.keyframe(self.keyframe)?.camera_from_world.inverse();
         Some(keyframe.relabel::<World, KeyframeFrame>() * self.keyframe_from_camera)
     }
+
+    /// Part of the map whose lengths have one unit.
+    fn unit(&self, map: &Map) -> Option<Unit> {
+        let turn = map.keyframe(self.keyframe)?.scale_from;
+        Some(unit_behind(turn))
+    }
+}
+
+fn unit_behind(turn: Option<TurnId>) -> Unit {
+    Unit(turn.map_or(0, |turn| 1 + u32::from(turn.0)))
 }
 
 /// Wheels beside the present map.
 #[derive(Debug)]
 pub struct Wheels {
     pub scale: WheelScale,
-    /// Ends of the segments that `scale` has, the oldest first, and of others that it had.
+    /// Ends of the segments that `scale` has, in the same order.
     ends: Vec<(FrameEnd, FrameEnd)>,
     begin: Option<FrameEnd>,
     last: Option<Se3<World, Camera>>,
@@ -80,6 +90,34 @@ impl Wheels {
         }
     }
 
+    /// What the wheels say of the unit behind a turn: ln of how many of the newest unit it is long.
+    pub fn log_ratio(&self, part: Option<TurnId>) -> Option<f64> {
+        self.scale.log_ratio(unit_behind(part))
+    }
+
+    /// They tell how long that unit is, and surely.
+    pub fn tells(&self, part: Option<TurnId>) -> bool {
+        self.scale.tells(unit_behind(part))
+    }
+
+    /// They tell the scale of the newest unit, and it is one behind a turn.
+    pub fn tells_doubted(&self) -> bool {
+        let newest = self.scale.segments().last().map_or_else(Unit::default, |s| s.unit);
+        newest != Unit::default() && self.scale.measurement().is_some()
+    }
+
+    /// Lengths beside a keyframe are so many times as long from now on, and units that are told are one.
+    pub fn unify_units(&mut self, factor: impl Fn(KeyframeId) -> f64) {
+        let ends = self.ends.iter_mut().flat_map(|(a, b)| [a, b]).chain(&mut self.begin);
+        for end in ends {
+            let factor = factor(end.keyframe);
+            end.keyframe_from_camera.translation *= factor;
+            end.depth *= factor;
+        }
+        self.scale.unify_units();
+        self.last = None;
+    }
+
     /// Takes a tracked frame. `true`: a segment has ended and the scale was asked anew.
     pub fn follow(&mut self, end: FrameEnd, map: &Map) -> bool {
         let Some(here) = end.world_from_camera(map) else {
@@ -107,13 +145,11 @@ impl Wheels {
         }
         self.begin = Some(end);
         self.renew(map);
-        let taken = self.scale.push(segment);
-        if taken {
-            self.ends.push((begin, end));
-            let kept = self.scale.segments().len();
-            self.ends.drain(..self.ends.len().saturating_sub(kept));
-        }
-        taken
+        self.scale.push(segment);
+        self.ends.push((begin, end));
+        let kept = self.scale.segments();
+        self.ends.retain(|(begin, _)| kept.binary_search_by_key(&begin.timestamp_ns, |s| s.from_ns).is_ok());
+        true
     }
 
     /// How far the camera has gone from one time to another (ns), and its standard deviation, map units; `None` where the wheels have not told the
@@ -130,8 +166,13 @@ impl Wheels {
         (length > MOVED_SIGMAS * sigma).then(|| (length / metres_per_unit, sigma / metres_per_unit))
     }
 
-    /// The same in metres, an error common to both wheels taken out as far as other sources tell it: what a metric map is held to.
+    /// The same in metres, an error common to both wheels taken out as far as other sources tell it: what a metric map is held to. Only of a
+    /// time that a segment beyond it has judged: held at once, the map bends to wheels that slip, and then they agree.
     pub fn held(&self, fusion: &ScaleFusion, from_ns: i64, to_ns: i64) -> Option<(f64, f64)> {
+        let judged_ns = self.scale.segments().last()?.to_ns;
+        if to_ns > judged_ns {
+            return None;
+        }
         let (log, ..) = fusion.fused()?;
         let (length, sigma) = self.length(fusion, from_ns, to_ns)?;
         Some((length * log.exp(), sigma * log.exp()))
@@ -143,7 +184,7 @@ impl Wheels {
         self.scale.renew(|segment_before| {
             let Some((begin, end)) = ends.next() else { return };
             if let Some(now) = segment((begin, end), map, segment_before.at_depths) {
-                (segment_before.turn, segment_before.step) = (now.turn, now.step);
+                (segment_before.turn, segment_before.step, segment_before.unit) = (now.turn, now.step, now.unit);
             }
         });
     }
@@ -153,6 +194,10 @@ fn segment((begin, end): (&FrameEnd, &FrameEnd), map: &Map, at_depths: f64) -> O
     let motion = begin.world_from_camera(map)?.inverse() * end.world_from_camera(map)?;
     let sigma = PLACE_SHARE * std::f64::consts::SQRT_2 * 0.5 * (begin.depth + end.depth);
     let times = (begin.timestamp_ns, end.timestamp_ns);
-    let told = motion.is_finite() && sigma > 0.0 && sigma.is_finite();
-    told.then(|| Segment::new(times, (motion.rotation.scaled_axis(), motion.translation), sigma, at_depths))
+    let [unit, other] = [begin, end].map(|end| end.unit(map));
+    let told = unit == other && motion.is_finite() && sigma > 0.0 && sigma.is_finite();
+    if !told {
+        return None;
+    }
+    Some(Segment::new(times, (motion.rotation.scaled_axis(), motion.translation), sigma, at_depths, unit?))
 }

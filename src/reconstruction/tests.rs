@@ -4,11 +4,11 @@ use std::sync::Arc;
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector2, Vector3};
 
-use super::odometry::Odometry;
 use super::track::search::observe;
 use super::*;
 use crate::features::thumbnail::Thumbnail;
 use crate::image::{GreyImage, Pyramid};
+use crate::map::saved::{MapHead, SavedMap, SavedMaps};
 use crate::map::scale::{MapScale, ScaleSource};
 use crate::map::{Keyframe, Landmark, LandmarkId, Map};
 use crate::motion::scale::ScaleMeasurement;
@@ -137,7 +137,7 @@ fn a_frame_found_elsewhere_leaves_the_matches_of_its_own_search() {
     // The prediction looks 70 degrees aside, where nothing of the map is; the thumbnail knows the view.
     let mut reconstruction = before_the_wall(looking_aside(1.2));
     let features = frame(FRAME_NS, 4);
-    let tracked = reconstruction.place(&features).expect("the view of the only keyframe");
+    let tracked = reconstruction.place(&features, None).expect("the view of the only keyframe");
     let moved = tracked.camera_from_world.inverse().translation - Vector3::new(4.0 / FOCAL_PX, 0.0, 0.0);
     assert!(
         moved.norm() < 0.005 && tracked.camera_from_world.rotation.angle() < 0.005,
@@ -157,7 +157,7 @@ fn a_frame_found_elsewhere_leaves_the_matches_of_its_own_search() {
 #[test]
 fn a_frame_found_where_it_was_expected_is_not_looked_for_elsewhere() {
     let mut reconstruction = before_the_wall(Se3::identity());
-    let tracked = reconstruction.place(&frame(FRAME_NS, 4)).expect("near the frame before");
+    let tracked = reconstruction.place(&frame(FRAME_NS, 4), None).expect("near the frame before");
     assert!(tracked.landmarks > 60, "{} landmarks", tracked.landmarks);
     assert_eq!(reconstruction.tracker.inliers().count(), tracked.landmarks);
     assert!(reconstruction.relocaliser.tracker.matches().is_empty());
@@ -223,7 +223,50 @@ fn a_map_becomes_metric_at_once_and_later_refinements_leave_the_smooth_pose() {
         events.iter().any(|e| matches!(e, TrajectoryEvent::KeyframeScaled { scale, .. } if (scale - 1.1).abs() < 1e-9));
     assert!(joined && scaled, "a trajectory is written in the unit of its end");
     assert!(r.active.map.check_consistency().is_ok());
-    // The next map is unscaled again.
+    // The next map is unscaled again, and has a number of its own.
     r.reset();
     assert_eq!(r.scale(), MapScale::Unknown);
+    let numbers = [before.map, metric.map, r.map_id(), r.active.next_id];
+    assert!(numbers.is_sorted_by(|a, b| a < b), "{numbers:?}");
+}
+
+#[test]
+fn a_map_that_begins_beside_a_loaded_one_has_a_number_that_no_keyframe_has() {
+    let mut map = Map::default();
+    // Made in a map of a greater number, which was joined to the one that is tracked in.
+    map.add_keyframe(Keyframe { map: MapId(8), ..keyframe(Se3::identity(), wall(0)) });
+    let mut fresh = before_the_wall(Se3::identity());
+    let optics = fresh.take_changes(true).optics;
+    let scale = MapScale::Unknown;
+    let head = MapHead { id: MapId(3), reference: KeyframeId(0), frames: 9, scale, turns: Vec::new() };
+    fresh.resume(SavedMaps { frame_ns: 0, optics, maps: vec![SavedMap { head, map }] }, false);
+    assert_eq!((fresh.map_id(), fresh.active.next_id), (MapId(3), MapId(9)));
+}
+
+#[test]
+fn maps_that_are_only_located_in_outlive_a_reset() {
+    let mut mapped = before_the_wall(Se3::identity());
+    let optics = mapped.take_changes(true).optics;
+    let map = std::mem::take(&mut mapped.active.map);
+    let scale = MapScale::Unknown;
+    let head = MapHead { id: MapId(3), reference: KeyframeId(0), frames: 9, scale, turns: Vec::new() };
+    let mut r =
+        Reconstruction::new(&ReconstructionConfig::default(), &camera(), Box::new(InlineWorker::default()), true);
+    r.resume(SavedMaps { frame_ns: 0, optics, maps: vec![SavedMap { head, map }] }, true);
+    // The second frame's time is before the first one's.
+    let mut resets = Vec::new();
+    for time_ns in [9 * FRAME_NS, FRAME_NS] {
+        let found = r.track(&frame(time_ns, 4));
+        assert_eq!((found.state, found.map), (TrackingState::Tracking, MapId(3)));
+        resets.push(found.reset_counter);
+        r.reset();
+        assert_eq!((r.state(), r.map_id(), r.active.map.keyframes.len()), (TrackingState::Lost, MapId(3), 1));
+    }
+    assert_eq!(resets[1], resets[0] + 1);
+    // Nothing of the map in it: no other map begins.
+    let features = FrameFeatures { pyramid: Arc::new(Pyramid::new(4)), ..frame(2 * FRAME_NS, 0) };
+    for _ in 0..3 {
+        assert_eq!((r.track(&features).state, r.maps()), (TrackingState::Lost, 1));
+    }
+    assert!(!events(&mut r).iter().any(|e| matches!(e, TrajectoryEvent::KeyframeRetired { .. })));
 }

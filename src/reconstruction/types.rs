@@ -19,6 +19,8 @@ pub enum TrackingState {
     Tracking,
     /// There was a map and this frame could not be placed in it; no pose.
     Lost,
+    /// The picture does not place this frame; its pose is the last one carried on by the wheels.
+    DeadReckoning,
 }
 
 /// How the camera has turned since the first frame.
@@ -39,9 +41,9 @@ pub struct PoseEstimate {
     pub timestamp_ns: i64,
     pub arrival_ns: i64,
     pub state: TrackingState,
-    /// Map pose; `None` unless tracking.
+    /// Map pose; `None` unless tracking or dead reckoning.
     pub world_from_camera: Option<Se3<World, Camera>>,
-    /// Smooth pose, continuous within one reset counter; `None` unless tracking.
+    /// Smooth pose, continuous within one reset counter; `None` unless tracking or dead reckoning.
     pub odom_from_camera: Option<Se3<Odom, Camera>>,
     /// `Some` in the state of that name only.
     pub orientation: Option<OrientationEstimate>,
@@ -110,4 +112,8 @@ pub struct Counters {
     pub loops_closed: u64,
     /// Turns on the spot that left all behind whose distance was known: the scale of what follows is an assumption.
     pub blind_turns: u64,
+    /// Time (ns) and way (mm) for which frames were placed by the wheels alone, and how often a map went on from there.
+    pub blind_ns: u64,
+    pub blind_mm: u64,
+    pub blind_starts: u64,
 }

@@ -176,7 +176,8 @@ impl Converter {
         self.is_metric = pose.scale() == Scale::Metric;
         let map_from_body = Transform { position: pose.position, orientation: pose.orientation };
         let odom_from_body = Transform { position: pose.odom_position, orientation: pose.odom_orientation };
-        if pose.state() != State::Tracking || !is_finite(&map_from_body) || !is_finite(&odom_from_body) {
+        let has_place = matches!(pose.state(), State::Tracking | State::DeadReckoning);
+        if !has_place || !is_finite(&map_from_body) || !is_finite(&odom_from_body) {
             return;
         }
         let frames = frames(self.is_metric);

@@ -33,6 +33,7 @@ mirror!(Health, "cairn_msgs/msg/Health", {
     landmarks: u32, maps: u32, reset_counter: u32, map_id: u32, map_revision: u32, pid: u32, state: u8, clock: u8,
     intrinsics: u8, lens_model: u8, version: [u8; 32], focal_px: [f32; 2], centre_px: [f32; 2], focal_sigma: f32,
     centre_sigma_px: f32, correction_distance: f32, correction_rad: f32, map_mode: u8,
+    blind_ns: u64, blind_m: f64,
     wheel_messages: u64, wheel_refused: u64, wheel_missing: u64, wheel_late: u64,
 });
 

@@ -18,12 +18,16 @@ use crate::atomic_file::{WriteError, write_atomically};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 
+pub mod beside;
+mod odometry;
+mod record;
 mod spool;
 mod timestamp;
 
 #[cfg(test)]
 mod tests;
 
+pub use odometry::{OdometryLog, OdometrySummary};
 pub use spool::{LiveTrajectory, TrajectorySpool, TrajectorySummary};
 pub use timestamp::{TimestampError, TimestampText, format_timestamp, parse_timestamp};
 
@@ -146,13 +150,19 @@ pub fn write_tum_line(
     timestamp_ns: i64,
     world_from_camera: &Se3<World, Camera>,
 ) -> io::Result<()> {
-    let (t, q) = (world_from_camera.translation, world_from_camera.rotation.coords);
-    let sign = if q.w < 0.0 { -1.0 } else { 1.0 };
     write!(out, "{}", TimestampText(timestamp_ns))?;
+    write_pose_fields(out, world_from_camera)?;
+    out.write_all(b"\n")
+}
+
+/// ` tx ty tz qx qy qz qw`
+fn write_pose_fields<W>(out: &mut impl Write, pose: &Se3<W, Camera>) -> io::Result<()> {
+    let (t, q) = (pose.translation, pose.rotation.coords);
+    let sign = if q.w < 0.0 { -1.0 } else { 1.0 };
     for value in [t.x, t.y, t.z, sign * q.x, sign * q.y, sign * q.z, sign * q.w] {
         write!(out, " {:.9}", without_negative_zero(value))?;
     }
-    out.write_all(b"\n")
+    Ok(())
 }
 
 /// What would be printed as `-0.000000000` is zero.

@@ -1,7 +1,7 @@
 //! Spools: a run's poses on disk while it lasts, a TUM file at its end.
 //!
 //! Input: [`TrajectoryEvent`]s (pose relative to a keyframe, 80 bytes each) or published poses, as they come. Output: one
-//! TUM file of the largest map. A frame's pose is `world_from_keyframe * keyframe_from_camera` with the keyframe as the
+//! TUM file of the largest map, and one for each other map beside it if that is wanted. A frame's pose is `world_from_keyframe * keyframe_from_camera` with the keyframe as the
 //! map knows it at the end; a keyframe that was removed hands its frames to its parent, however often. Maps that were joined are one:
 //! what was recorded in the unit of one is written in that of the other.
 //!
@@ -16,11 +16,10 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io;
 use std::os::unix::fs::FileExt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use nalgebra::{Quaternion, UnitQuaternion, Vector3};
-
-use super::{TrajectoryError, write_tum_line};
+use super::record::{RECORD_BYTES, decode, encode};
+use super::{TrajectoryError, beside, write_tum_line};
 use crate::atomic_file::{create_unique, write_atomically};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, Keyframe, World};
@@ -29,7 +28,6 @@ use crate::reconstruction::{PoseEstimate, TrackingState, TrajectoryEvent};
 
 /// Size at which a spool stops growing: 41 days at 30 frames a second.
 pub const MAX_SPOOL_BYTES: u64 = 8 << 30;
-const RECORD_BYTES: usize = 80;
 const BUFFER_RECORDS: usize = 819;
 
 /// What writing a trajectory came to.
@@ -39,7 +37,7 @@ pub struct TrajectorySummary {
     pub poses_written: u64,
     /// The map that they belong to: the one with the most poses, the earliest of several.
     pub map: Option<MapId>,
-    /// Maps that were left out, and their poses.
+    /// Maps that are not in this file, and their poses.
     pub other_maps: u64,
     pub poses_in_other_maps: u64,
     /// Poses replaced by a later one of the same timestamp.
@@ -74,6 +72,29 @@ impl TrajectorySpool {
         path: &Path,
         keyframe_poses: &[(KeyframeId, Se3<World, Camera>)],
     ) -> Result<TrajectorySummary, TrajectoryError> {
+        self.write(path, keyframe_poses, &mut None)
+    }
+
+    /// The same, and the poses of each other map beside it ([`beside`]); also the paths of those. What an earlier
+    /// run has left there of other maps is removed.
+    pub fn write_all_maps(
+        &mut self,
+        path: &Path,
+        keyframe_poses: &[(KeyframeId, Se3<World, Camera>)],
+    ) -> Result<(TrajectorySummary, Vec<PathBuf>), TrajectoryError> {
+        let mut others = Some(Vec::new());
+        let summary = self.write(path, keyframe_poses, &mut others)?;
+        let others = others.unwrap_or_default();
+        beside::remove_others(path, &others)?;
+        Ok((summary, others))
+    }
+
+    fn write(
+        &mut self,
+        path: &Path,
+        keyframe_poses: &[(KeyframeId, Se3<World, Camera>)],
+        others: &mut Option<Vec<PathBuf>>,
+    ) -> Result<TrajectorySummary, TrajectoryError> {
         let joined = self.records.joined_maps()?;
         let mut moved = BTreeMap::new();
         // A keyframe's frame is its camera's.
@@ -100,7 +121,7 @@ impl TrajectorySpool {
             keyframe_from_camera.translation *= joined.of(map).1 * units.since(keyframe, number);
             world_from_keyframe(keyframe, &mut known, &moved).map(|w| w * keyframe_from_camera)
         };
-        self.records.write_largest(path, &joined, resolve)
+        self.records.write_maps(path, &joined, resolve, others)
     }
 }
 
@@ -207,7 +228,7 @@ impl LiveTrajectory {
 
     /// Writes the poses of the map that most of them were published in (poses of different maps are unrelated).
     pub fn write_tum(&mut self, path: &Path) -> Result<TrajectorySummary, TrajectoryError> {
-        self.records.write_largest(path, &JoinedMaps::default(), |_, _, _, pose| Some(pose.relabel()))
+        self.records.write_maps(path, &JoinedMaps::default(), |_, _, _, pose| Some(pose.relabel()), &mut None)
     }
 }
 
@@ -294,12 +315,13 @@ impl RecordFile {
         Ok(joined)
     }
 
-    /// Writes the map with the most poses that `resolve` can place.
-    fn write_largest(
+    /// Writes the map with the most poses that `resolve` can place; with `others`, each other one beside it, whose paths are added there.
+    fn write_maps(
         &mut self,
         path: &Path,
         joined: &JoinedMaps,
         mut resolve: impl FnMut(u32, MapId, KeyframeId, Se3<Keyframe, Camera>) -> Option<Se3<World, Camera>>,
+        others: &mut Option<Vec<PathBuf>>,
     ) -> Result<TrajectorySummary, TrajectoryError> {
         let mut poses_of_map = BTreeMap::<MapId, u64>::new();
         self.for_each(|_, event| {
@@ -307,19 +329,38 @@ impl RecordFile {
                 *poses_of_map.entry(joined.of(map).0).or_default() += 1;
             }
         })?;
-        let mut summary = TrajectorySummary { events_lost: self.lost, ..Default::default() };
         let largest = poses_of_map.iter().max_by_key(|(map, poses)| (**poses, std::cmp::Reverse(**map)));
-        summary.map = largest.map(|(map, _)| *map);
+        let (map, poses) = largest.map(|(map, poses)| (*map, *poses)).unzip();
+        let mut summary = self.write_map(path, (map, poses.unwrap_or_default()), joined, &mut resolve)?;
         summary.other_maps = poses_of_map.len().saturating_sub(1) as u64;
-        summary.poses_in_other_maps = poses_of_map.values().sum::<u64>() - largest.map_or(0, |(_, poses)| *poses);
+        summary.poses_in_other_maps = poses_of_map.values().sum::<u64>() - poses.unwrap_or_default();
+        // A pipe or a device has nothing beside it.
+        if let Some(others) = others.as_mut().filter(|_| path.is_file()) {
+            for (other, poses) in poses_of_map.iter().filter(|(other, _)| Some(**other) != map) {
+                let path = beside::path_of(path, *other);
+                self.write_map(&path, (Some(*other), *poses), joined, &mut resolve)?;
+                others.push(path);
+            }
+        }
+        Ok(summary)
+    }
 
+    /// Writes one map, of which there are so many poses.
+    fn write_map(
+        &mut self,
+        path: &Path,
+        (map, poses): (Option<MapId>, u64),
+        joined: &JoinedMaps,
+        resolve: &mut impl FnMut(u32, MapId, KeyframeId, Se3<Keyframe, Camera>) -> Option<Se3<World, Camera>>,
+    ) -> Result<TrajectorySummary, TrajectoryError> {
+        let mut summary = TrajectorySummary { map, events_lost: self.lost, ..Default::default() };
         // Frames that were solved afterwards come late: sort by time, the last record of a timestamp first.
-        let mut order = Vec::<(i64, u32)>::with_capacity(largest.map_or(0, |(_, poses)| *poses as usize));
+        let mut order = Vec::<(i64, u32)>::with_capacity(poses as usize);
         self.for_each(|number, event| match event {
-            TrajectoryEvent::Pose { timestamp_ns, map, keyframe, keyframe_from_camera }
-                if Some(joined.of(map).0) == summary.map =>
+            TrajectoryEvent::Pose { timestamp_ns, map: of, keyframe, keyframe_from_camera }
+                if Some(joined.of(of).0) == map =>
             {
-                match resolve(number, map, keyframe, keyframe_from_camera).is_some_and(|pose| pose.is_finite()) {
+                match resolve(number, of, keyframe, keyframe_from_camera).is_some_and(|pose| pose.is_finite()) {
                     true => order.push((timestamp_ns, number)),
                     false => summary.poses_unresolved += 1,
                 }
@@ -348,76 +389,6 @@ impl RecordFile {
     }
 }
 
-const KIND_POSE: u32 = 1;
-const KIND_REMOVED: u32 = 2;
-const KIND_RETIRED: u32 = 3;
-const KIND_JOINED: u32 = 4;
-const KIND_SCALED: u32 = 5;
-
-/// `kind u32, map or keyframe u32, keyframe, parent or map u32, map u32, timestamp i64, q xyzw 4 f64, t 3 f64`, little endian.
-fn encode(event: &TrajectoryEvent) -> [u8; RECORD_BYTES] {
-    let none = UnitQuaternion::identity();
-    let (words, timestamp_ns, rotation, t) = match event {
-        TrajectoryEvent::Pose { timestamp_ns, map, keyframe, keyframe_from_camera: pose } => {
-            ([KIND_POSE, map.0, keyframe.0, 0], *timestamp_ns, pose.rotation, pose.translation)
-        }
-        TrajectoryEvent::KeyframeRemoved { map, keyframe, parent, parent_from_keyframe: pose } => {
-            ([KIND_REMOVED, keyframe.0, parent.0, map.0], 0, pose.rotation, pose.translation)
-        }
-        TrajectoryEvent::KeyframeRetired { keyframe, world_from_camera: pose } => {
-            ([KIND_RETIRED, keyframe.0, 0, 0], 0, pose.rotation, pose.translation)
-        }
-        TrajectoryEvent::MapJoined { map, into, scale } => {
-            ([KIND_JOINED, map.0, into.0, 0], 0, none, Vector3::new(*scale, 0.0, 0.0))
-        }
-        TrajectoryEvent::KeyframeScaled { keyframe, scale } => {
-            ([KIND_SCALED, keyframe.0, 0, 0], 0, none, Vector3::new(*scale, 0.0, 0.0))
-        }
-    };
-    let mut record = [0; RECORD_BYTES];
-    for (slot, word) in record[..16].chunks_exact_mut(4).zip(words) {
-        slot.copy_from_slice(&word.to_le_bytes());
-    }
-    record[16..24].copy_from_slice(&timestamp_ns.to_le_bytes());
-    let q = rotation.coords;
-    for (slot, value) in record[24..].chunks_exact_mut(8).zip([q.x, q.y, q.z, q.w, t.x, t.y, t.z]) {
-        slot.copy_from_slice(&value.to_le_bytes());
-    }
-    record
-}
-
-fn decode(record: &[u8]) -> Option<TrajectoryEvent> {
-    let word = |i: usize| record.get(4 * i..4 * i + 4)?.try_into().ok().map(u32::from_le_bytes);
-    let long = |i: usize| -> Option<[u8; 8]> { record.get(16 + 8 * i..24 + 8 * i)?.try_into().ok() };
-    let real = |i: usize| long(i).map(f64::from_le_bytes);
-    // Already a unit quaternion when it was recorded: normalising again could change its last digit.
-    let rotation = UnitQuaternion::new_unchecked(Quaternion::new(real(4)?, real(1)?, real(2)?, real(3)?));
-    let translation = Vector3::new(real(5)?, real(6)?, real(7)?);
-    match word(0)? {
-        KIND_POSE => Some(TrajectoryEvent::Pose {
-            timestamp_ns: long(0).map(i64::from_le_bytes)?,
-            map: MapId(word(1)?),
-            keyframe: KeyframeId(word(2)?),
-            keyframe_from_camera: Se3::new(rotation, translation),
-        }),
-        KIND_REMOVED => Some(TrajectoryEvent::KeyframeRemoved {
-            map: MapId(word(3)?),
-            keyframe: KeyframeId(word(1)?),
-            parent: KeyframeId(word(2)?),
-            parent_from_keyframe: Se3::new(rotation, translation),
-        }),
-        KIND_RETIRED => Some(TrajectoryEvent::KeyframeRetired {
-            keyframe: KeyframeId(word(1)?),
-            world_from_camera: Se3::new(rotation, translation),
-        }),
-        KIND_JOINED => {
-            Some(TrajectoryEvent::MapJoined { map: MapId(word(1)?), into: MapId(word(2)?), scale: translation.x })
-        }
-        KIND_SCALED => Some(TrajectoryEvent::KeyframeScaled { keyframe: KeyframeId(word(1)?), scale: translation.x }),
-        _ => None,
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -440,35 +411,5 @@ mod tests {
         assert_eq!(errors, 1, "one error a lost block, for the log");
         let summary = spool.write_tum(&dir.path().join("t.txt"), &[(KeyframeId(0), Se3::identity())]).unwrap();
         assert_eq!((summary.poses_written, summary.events_lost), (BUFFER_RECORDS as u64, BUFFER_RECORDS as u64 + 5));
-    }
-
-    #[test]
-    fn records_survive_their_encoding_bit_for_bit() {
-        let rotation = UnitQuaternion::from_euler_angles(0.1, -2.0, 3.0);
-        let translation = Vector3::new(1e-300, -0.1, 1e17);
-        for event in [
-            TrajectoryEvent::Pose {
-                timestamp_ns: i64::MIN,
-                map: MapId(u32::MAX),
-                keyframe: KeyframeId(1),
-                keyframe_from_camera: Se3::new(rotation, translation),
-            },
-            TrajectoryEvent::MapJoined { map: MapId(2), into: MapId(5), scale: 0.3 },
-            TrajectoryEvent::KeyframeScaled { keyframe: KeyframeId(6), scale: 1.25 },
-            TrajectoryEvent::KeyframeRemoved {
-                map: MapId(7),
-                keyframe: KeyframeId(3),
-                parent: KeyframeId(2),
-                parent_from_keyframe: Se3::new(rotation, translation),
-            },
-            TrajectoryEvent::KeyframeRetired {
-                keyframe: KeyframeId(9),
-                world_from_camera: Se3::new(rotation, translation),
-            },
-        ] {
-            assert_eq!(decode(&encode(&event)), Some(event));
-        }
-        assert_eq!(decode(&[0; RECORD_BYTES]), None);
-        assert_eq!(decode(&[1; 20]), None);
     }
 }

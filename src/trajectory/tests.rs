@@ -199,6 +199,28 @@ fn only_the_largest_map_is_written_and_the_rest_is_counted() {
 }
 
 #[test]
+fn other_maps_stand_beside_the_largest_and_none_of_an_earlier_run_is_left() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("t.txt");
+    let mut spool = TrajectorySpool::create(dir.path()).unwrap();
+    for (map, keyframe, times) in [(0, 1, 0..5), (7, 2, 5..25), (8, 3, 30..32), (9, 4, 40..41)] {
+        times.for_each(|i| spool.record(&pose_event(i * S, map, keyframe, 0.5)).unwrap());
+    }
+    spool.record(&TrajectoryEvent::MapJoined { map: MapId(8), into: MapId(9), scale: 3.0 }).unwrap();
+    for stale in ["t.map2.txt", "t.map8.txt", "t.map0.txt"] {
+        std::fs::write(dir.path().join(stale), "0 0 0 0 0 0 0 1\n").unwrap();
+    }
+    let known = [keyframe(1, 0.0), keyframe(2, 0.0), keyframe(3, 10.0), keyframe(4, 20.0)];
+    let (summary, others) = spool.write_all_maps(&path, &known).unwrap();
+    assert_eq!((summary.map, summary.other_maps, summary.poses_in_other_maps), (Some(MapId(7)), 2, 8));
+    assert_eq!(others, ["t.map0.txt", "t.map9.txt"].map(|name| dir.path().join(name)));
+    assert_eq!([&path, &others[0], &others[1]].map(|path| lines(path).len()), [20, 5, 3]);
+    assert_eq!(lines(&others[1]).iter().map(|l| l.1).collect::<Vec<_>>(), [11.5, 11.5, 20.5], "in one unit");
+    assert!(!dir.path().join("t.map2.txt").exists() && !dir.path().join("t.map8.txt").exists());
+    assert!(spool.write_all_maps(Path::new("/dev/null"), &known).unwrap().1.is_empty());
+}
+
+#[test]
 fn joined_maps_are_one_in_the_unit_of_the_last() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("t.txt");
@@ -334,18 +356,14 @@ fn a_run_without_poses_writes_an_empty_file_over_an_old_one() {
     assert_eq!(std::fs::read(&path).unwrap(), b"");
 }
 
-#[test]
-fn the_live_trajectory_holds_what_was_published_and_nothing_else() {
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("live.txt");
-    let mut live = LiveTrajectory::create(dir.path()).unwrap();
-    let estimate = |i: i64, map: u32, state, pose| PoseEstimate {
+fn estimate(i: i64, map: u32, state: TrackingState, pose: Option<Se3<World, Camera>>) -> PoseEstimate {
+    PoseEstimate {
         sequence: i as u64,
         timestamp_ns: i * S,
         arrival_ns: 0,
         state,
         world_from_camera: pose,
-        odom_from_camera: None,
+        odom_from_camera: pose.map(|pose| pose.relabel()),
         orientation: None,
         map_revision: 0,
         anchor: None,
@@ -359,7 +377,14 @@ fn the_live_trajectory_holds_what_was_published_and_nothing_else() {
         reset_counter: map,
         keyframe: false,
         scale: Default::default(),
-    };
+    }
+}
+
+#[test]
+fn the_live_trajectory_holds_what_was_published_and_nothing_else() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("live.txt");
+    let mut live = LiveTrajectory::create(dir.path()).unwrap();
     live.record(&estimate(0, 0, TrackingState::Initializing, None)).unwrap();
     live.record(&estimate(1, 0, TrackingState::Tracking, Some(at(1.0, 0.2)))).unwrap();
     live.record(&estimate(2, 0, TrackingState::Lost, Some(at(2.0, 0.2)))).unwrap();
@@ -371,4 +396,31 @@ fn the_live_trajectory_holds_what_was_published_and_nothing_else() {
     let mut expected = Vec::new();
     write_tum_line(&mut expected, 4 * S, &at(4.0, 0.2)).unwrap();
     assert!(std::fs::read(&path).unwrap().ends_with(&expected), "bit for bit the published pose");
+}
+
+#[test]
+fn odometry_has_every_frame_with_its_state_and_says_where_it_begins_anew() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("odometry.txt");
+    let mut log = OdometryLog::create(dir.path()).unwrap();
+    log.record(&estimate(0, 0, TrackingState::Initializing, None)).unwrap();
+    log.record(&estimate(1, 0, TrackingState::Tracking, Some(at(1.0, 0.2)))).unwrap();
+    log.record(&estimate(2, 0, TrackingState::DeadReckoning, Some(at(2.0, 0.2)))).unwrap();
+    log.record(&estimate(3, 1, TrackingState::Lost, None)).unwrap();
+    for _ in 0..2 {
+        assert_eq!(log.write(&path).unwrap(), OdometrySummary { frames_lost: 0 });
+    }
+    let text = std::fs::read_to_string(&path).unwrap();
+    let told: Vec<&str> =
+        text.lines().filter(|line| !line.starts_with("# axes") && !line.starts_with("# odom")).collect();
+    assert_eq!(told.len(), 6, "{text}");
+    assert_eq!(
+        (told[0], told[4]),
+        ("# reset counter 0, lengths in map units", "# reset counter 1, lengths in map units")
+    );
+    assert_eq!(told[1], "0.000000 nan nan nan nan nan nan nan INITIALIZING");
+    assert!(told[2].starts_with("1.000000 1.0") && told[2].ends_with(" TRACKING"));
+    assert!(told[3].starts_with("2.000000 2.0") && told[3].ends_with(" DEAD_RECKONING"));
+    assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1, "nothing else is left in the folder");
+    assert!(OdometryLog::create(&dir.path().join("none")).is_err());
 }

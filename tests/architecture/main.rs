@@ -34,7 +34,7 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
     // What the robot knows besides the picture says how long a map unit is.
     ("motion", &["features", "geometry", "image", "map", "telemetry"]),
     // Places and maps on disk, whose library's panics are kept from the log.
-    ("places", &["features", "geometry", "image", "map", "telemetry"]),
+    ("places", &["atomic_file", "features", "geometry", "image", "map", "telemetry"]),
     ("reconstruction", &["features", "geometry", "image", "map", "motion", "places"]),
     // What comes out.
     ("trajectory", &["atomic_file", "geometry", "map", "reconstruction"]),

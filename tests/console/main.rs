@@ -188,6 +188,40 @@ fn pages_see_video_features_map_and_answers_and_a_slow_one_holds_nobody_up() {
 }
 
 #[test]
+fn maps_are_kept_listed_and_gone_on_in_from_a_page() {
+    let place = Place::new();
+    let console = Console::start(&place, &[]);
+    let _demo = place.demo(90);
+    let mut page = console.page();
+    page.send(r#"{"show":["map"]}"#);
+    page.state_until("connected");
+    let start = Instant::now();
+    while u32_at(&page.next(KEYFRAMES), 4) < 4 {
+        page.send(r#"{"seen":3}"#);
+        assert!(start.elapsed() < PATIENCE, "no keyframes");
+    }
+    let mut ask = |id: u32, action: &str, ok: bool| {
+        page.send(&format!(r#"{{"command":{{"id":{id},"action":{action}}}}}"#));
+        let reply: Value = serde_json::from_slice(&page.next(REPLY)[8..]).expect("JSON");
+        assert_eq!((&reply["id"], &reply["ok"]), (&id.into(), &ok.into()), "{action}: {reply}");
+        (reply["text"].as_str().expect("text").to_owned(), reply["terminal"].as_str().expect("text").to_owned())
+    };
+    let (_, terminal) = ask(1, r#"{"do":"store_map","name":"room"}"#, true);
+    assert!(terminal.ends_with(" save room"), "{terminal}");
+    for (id, name) in [(2, "../room"), (3, "/tmp/room"), (4, "none")] {
+        let (text, _) = ask(id, &format!(r#"{{"do":"load_map","name":"{name}"}}"#), false);
+        assert!(text.contains(name), "{text}");
+    }
+    assert!(ask(5, r#"{"do":"list_maps"}"#, true).0.starts_with("room "));
+    assert!(ask(6, r#"{"do":"load_map","name":"room"}"#, true).0.contains("room.map"));
+    assert!(ask(7, r#"{"do":"list_maps"}"#, true).0.ends_with("the current one"));
+    ask(8, r#"{"do":"localise_only","on":true}"#, true);
+    ask(9, r#"{"do":"localise_only","on":false}"#, true);
+    ask(10, r#"{"do":"new_map","name":"other"}"#, true);
+    assert!(ask(11, r#"{"do":"store_map","name":""}"#, true).0.contains("other.map"));
+}
+
+#[test]
 fn two_pictures_are_taken_and_go_through_the_chain() {
     let place = Place::new();
     let console = Console::start(&place, &[]);

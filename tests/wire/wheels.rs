@@ -15,7 +15,11 @@ type Read = Vec<(WheelMessage, Option<&'static str>)>;
 fn read(inbox: &mut WheelInbox) -> (Read, WheelNews) {
     let mut all = Vec::new();
     let now_ns = monotonic_ns();
-    let news = inbox.read(now_ns, &mut |m, fault| all.push((*m, fault.map(|f: WheelFault| f.name())))).expect("read");
+    let mut take = |m: &WheelMessage, fault: Option<WheelFault>| {
+        all.push((*m, fault.map(|f| f.name())));
+        fault.is_none()
+    };
+    let news = inbox.read(now_ns, &mut take).expect("read");
     (all, news)
 }
 
@@ -38,7 +42,7 @@ fn three_lines_tell_of_the_wheels_and_each_message_is_the_mean_since_the_one_bef
         assert!(wheels.send(0.5, -0.1, f64::from(k)).expect("sent"));
     }
     let (got, news) = read(&mut publisher.wheels);
-    assert_eq!((got.len(), news), (10, WheelNews { messages: 10, ..WheelNews::default() }));
+    assert_eq!((got.len(), news), (10, WheelNews { messages: 10, believed: 10, ..WheelNews::default() }));
     let queue = WheelQueue::default();
     for (k, (message, fault)) in got.iter().enumerate() {
         assert_eq!((fault, message.linear_x_mps, message.angular_z_radps), (&None, 0.5, k as f64));
@@ -68,9 +72,13 @@ fn lost_messages_are_counted_and_another_clock_is_not_believed() {
     let realtime_ns = std::time::SystemTime::UNIX_EPOCH.elapsed().expect("clock").as_nanos() as i64;
     for timestamp_ns in [realtime_ns, 0] {
         wheels.publish(&WheelOdometry { timestamp_ns, ..WheelOdometry::default() }).expect("sent");
-        let (got, _) = read(&mut publisher.wheels);
+        let (got, news) = read(&mut publisher.wheels);
         assert_eq!(got.iter().map(|(_, fault)| *fault).collect::<Vec<_>>(), [Some("wrong_clock")]);
+        assert_eq!((news.believed, news.missing), (0, 0), "nothing is missing");
     }
+    wheels.send(0.5, 0.0, 0.0).expect("sent");
+    let (_, news) = read(&mut publisher.wheels);
+    assert_eq!((news.believed, news.missing), (1, 0), "what is not believed has come all the same");
 }
 
 #[test]
@@ -102,6 +110,14 @@ fn a_second_driver_is_refused_by_the_client_and_not_believed_by_the_daemon() {
         [(9.0, Some("second_publisher"))]
     );
     assert_eq!((news.second, news.driver), (Some(std::process::id()), None));
+    // Nor where both are read late: the first one was not silent.
+    std::thread::sleep(Duration::from_millis(600));
+    rude.send_copy(message(9.0)).expect("sent");
+    wheels.send(0.5, 0.0, 0.0).expect("sent");
+    let (mut got, news) = read(&mut publisher.wheels);
+    got.sort_by(|a, b| a.0.linear_x_mps.total_cmp(&b.0.linear_x_mps));
+    assert_eq!(got.iter().map(|(_, fault)| *fault).collect::<Vec<_>>(), [None, Some("second_publisher")]);
+    assert_eq!(news.driver, None);
     // The first one goes: the other is the driver now.
     drop(wheels);
     rude.send_copy(message(8.0)).expect("sent");

@@ -131,9 +131,37 @@ class Client:
         """Writes the sparse map (PLY), as the daemon's user."""
         return self.command("SAVE_MAP", os.path.abspath(path), timeout=timeout)
 
-    def load_map(self, path, timeout=30.0):
-        """Loads a map. Raises Refused with UNSUPPORTED by a daemon that cannot."""
-        return self.command("LOAD_MAP", os.path.abspath(path), timeout=timeout)
+    def load_map(self, name, timeout=30.0):
+        """Goes on in the stored map of this name (never a path); the map before is stored first."""
+        return self.command("LOAD_MAP", name, timeout=timeout)
+
+    def store_map(self, name="", timeout=30.0):
+        """Stores the map now: in its own file, or a copy of it under a name that no map has yet."""
+        return self.command("STORE_MAP", name, timeout=timeout)
+
+    def new_map(self, name, timeout=30.0):
+        """Begins a new map, which is kept under this name; the map before is stored first."""
+        return self.command("NEW_MAP", name, timeout=timeout)
+
+    def localise_only(self, on, timeout=10.0):
+        """Whether frames are only located in the map, which stays as it is."""
+        return self.command("LOCALISE", "on" if on else "off", timeout=timeout)
+
+    def list_maps(self, timeout=10.0):
+        """The stored maps, by name: (name, bytes, seconds since 1970 when it was written, whether it is the current one)."""
+        maps = []
+        for _ in range(100):  # a daemon keeps a hundred maps
+            lines = self.command("LIST_MAPS", maps[-1][0] if maps else "", timeout=timeout).splitlines()
+            for words in (line.split(" ") for line in lines if line != "..."):
+                maps.append((words[0], int(words[1]), int(words[2]), words[3:] == ["current"]))
+            if not lines or lines[-1] != "...":
+                break
+        return maps
+
+    def copy_map(self, timeout=30.0):
+        """Has a copy of the map written for the caller, who removes it: its path, and that of the map's own file ("" if it has none)."""
+        copy, _, own = self.command("COPY_MAP", timeout=timeout).partition("\n")
+        return copy, own
 
     def set_pose(self, x, y, yaw=0.0, z=0.0, timeout=10.0):
         """Says where the robot is now (map units, rad): poses and map are published accordingly from then on."""

@@ -42,7 +42,18 @@ ERRORS = (
 )
 STAGES = ("capture", "features", "tracking", "mapping", "publishing", "end_to_end")
 
-COMMANDS = {"RESET": 1, "SAVE_TRAJECTORY": 2, "SAVE_MAP": 3, "LOAD_MAP": 4, "SET_POSE": 5}
+COMMANDS = {
+    "RESET": 1,
+    "SAVE_TRAJECTORY": 2,
+    "SAVE_MAP": 3,
+    "LOAD_MAP": 4,
+    "SET_POSE": 5,
+    "STORE_MAP": 6,
+    "NEW_MAP": 7,
+    "LOCALISE": 8,
+    "LIST_MAPS": 9,
+    "COPY_MAP": 10,
+}
 REPLIES = ("OK", "UNSUPPORTED", "INVALID", "FAILED", "BUSY")
 
 
@@ -154,7 +165,9 @@ class Health(_Message):
         ("correction_distance", c.c_float),
         ("correction_rad", c.c_float),
         ("map_mode", c.c_uint8),
-        ("reserved", c.c_uint8 * 31),
+        ("reserved", c.c_uint8 * 15),
+        ("blind_ns", c.c_uint64),
+        ("blind_m", c.c_double),
         ("wheel_messages", c.c_uint64),
         ("wheel_refused", c.c_uint64),
         ("wheel_missing", c.c_uint64),

@@ -75,7 +75,7 @@ class Value:
 
     @property
     def state(self):
-        """INITIALIZING, ORIENTATION (how the body has turned is known, not where it is), TRACKING, LOST, DEAD_RECKONING (not sent yet), or UNKNOWN for one of a newer daemon."""
+        """INITIALIZING, ORIENTATION (how the body has turned is known, not where it is), TRACKING, LOST, DEAD_RECKONING (by the wheels alone), or UNKNOWN for one of a newer daemon."""
         return m.word(m.STATES, self.raw.state)
 
     def __repr__(self):
@@ -83,7 +83,7 @@ class Value:
 
 
 class Pose(Value):
-    """One frame's pose. Unless `tracking`, everything that belongs to the pose is NaN or zero, but for the rotation while `oriented`."""
+    """One frame's pose. Unless `tracking` or `dead_reckoned`, everything that belongs to the pose is NaN or zero, but for the rotation while `oriented`."""
 
     __slots__ = ()
 
@@ -95,7 +95,12 @@ class Pose(Value):
     @property
     def oriented(self):
         """The orientations and their covariance are known: of a pose, or alone, before there is a map."""
-        return self.state in ("TRACKING", "ORIENTATION")
+        return self.state in ("TRACKING", "ORIENTATION", "DEAD_RECKONING")
+
+    @property
+    def dead_reckoned(self):
+        """The picture is lost and the wheels alone carry the pose on; its covariance grows, and it is not `usable`."""
+        return self.state == "DEAD_RECKONING"
 
     @property
     def heading(self):

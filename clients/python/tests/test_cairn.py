@@ -133,7 +133,9 @@ def test_an_orientation_without_a_position_is_a_heading_and_nothing_to_drive_by(
     pose = cairn.Pose(raw)
     assert pose.state == "ORIENTATION" and pose.oriented and not pose.tracking and not pose.usable(10.0)
     assert abs(pose.heading - math.pi / 2) < 1e-12
-    for state, word in ((0, "INITIALIZING"), (2, "LOST"), (4, "DEAD_RECKONING"), (77, "UNKNOWN")):
+    raw.state = 4
+    assert pose.state == "DEAD_RECKONING" and pose.dead_reckoned and pose.heading is not None and not pose.usable(10.0)
+    for state, word in ((0, "INITIALIZING"), (2, "LOST"), (77, "UNKNOWN")):
         raw.state = state
         assert pose.state == word and pose.heading is None and not pose.usable(10.0), word
     raw.scale_source = 0b1000_0101
@@ -250,11 +252,40 @@ def test_commands_are_answered(daemon):
     path = daemon.root / "map.ply"
     client.save_map(str(path))
     assert path.read_bytes().startswith(b"ply")
-    with pytest.raises(cairn.Refused, match="UNSUPPORTED") as refused:
+    with pytest.raises(cairn.Refused, match="INVALID") as refused:
         client.load_map(str(path))
-    assert refused.value.reply == "UNSUPPORTED"
+    assert refused.value.reply == "INVALID", "a name, not a path"
+    with pytest.raises(cairn.Refused, match="FAILED"):
+        client.load_map("no-such-map")
+    with pytest.raises(cairn.Refused, match="UNSUPPORTED"):
+        client.command(4711)
     with pytest.raises(cairn.Refused, match="INVALID"):
         client.command("SET_POSE", orientation=(0, 0, 0, 2))
+
+
+def test_maps_are_stored_listed_left_and_gone_on_in(daemon):
+    client = cairn.connect()
+    healths = client.health()
+    deadline = time.monotonic() + 20
+    while healths.wait(10).keyframes < 4:
+        assert time.monotonic() < deadline
+    client.store_map("room")
+    assert [(name, current) for name, _, _, current in client.list_maps()] == [("room", False)]
+    with pytest.raises(cairn.Refused, match="already"):
+        client.store_map("room")
+    copy, own = client.copy_map()
+    assert os.path.getsize(copy) > 4096 and own == ""
+    os.remove(copy)
+    before = healths.wait(10)
+    client.load_map("room")
+    assert [current for *_, current in client.list_maps()] == [True]
+    client.localise_only(True)
+    while (health := healths.wait(10)).reset_counter == before.reset_counter:
+        assert time.monotonic() < deadline + 20
+    assert health.map_id != before.map_id
+    client.localise_only(False)
+    client.new_map("other")
+    assert {name: current for name, _, _, current in client.list_maps()}["room"] is False
 
 
 def test_the_robot_is_where_a_planner_says_it_is(daemon):

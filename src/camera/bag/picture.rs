@@ -16,7 +16,7 @@ pub enum Kind {
 }
 
 /// A message's stamp, ns; what is behind it stays in `reader`.
-fn stamp_ns(reader: &mut Reader) -> Result<i64, String> {
+pub fn stamp_ns(reader: &mut Reader) -> Result<i64, String> {
     let read = |reader: &mut Reader| -> Result<i64, crate::ros::CdrError> {
         let (seconds, nanoseconds) = (reader.i32()?, reader.u32()?);
         // The frame's name.

@@ -16,7 +16,7 @@
 //!
 //! # Rooms
 //! `random` numbers; `paint`, `styles`, `furnishings`: textures; `scene`, `room`: geometry and light;
-//! `desk`: the place of `desk_sweep`; [`trajectory`], `jerks`: the movement; [`wheels`]: what a driven base tells of it; `rays`, `cull`, `render`, `tile`, `texture`, `gloss`: the
+//! `desk`: the place of `desk_sweep`; `building`: three rooms in a row; [`trajectory`], `jerks`: the movement; [`wheels`]: what a driven base tells of it; `rays`, `cull`, `render`, `tile`, `texture`, `gloss`: the
 //! picture; `effects`, `actors`, `occluder`, `people`: what spoils it; `export`: a recording on disk.
 //!
 //! # Cost
@@ -37,6 +37,7 @@
 //! Deliberately not here: physics, colour, transparency, reflections but of lamps, cast shadows of moving things.
 
 mod actors;
+mod building;
 mod cull;
 mod desk;
 mod effects;
@@ -86,6 +87,8 @@ fn place(scenario: Scenario, plan: &room::Plan) -> Scene {
     match scenario {
         Scenario::Corridor => room::corridor(plan),
         Scenario::DeskSweep => desk::office(plan),
+        Scenario::ThreeRooms => building::building(plan, false),
+        Scenario::LookAlike => building::building(plan, true),
         _ => room::furnished_room(plan),
     }
 }

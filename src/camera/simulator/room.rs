@@ -1,4 +1,4 @@
-//! A furnished room and a corridor; the third place that the simulator knows is `desk`.
+//! A furnished room and a corridor; the simulator knows two places more, `desk` and `building`.
 //!
 //! Input: seed, richness, texel size, chessboard. Output: a [`Scene`]. The seed changes all pictures and patterns, moves
 //! furniture by some centimetres and degrees and decides what lies on it; the plan stays the same, so that every
@@ -131,6 +131,13 @@ impl Furnisher {
 
 /// The furnished room.
 pub(super) fn furnished_room(plan: &Plan) -> Scene {
+    let mut f = furnished(plan);
+    f.builder.shell([Style::Plaster, Style::Door, Style::Window, Style::Wallpaper], Style::Planks, Style::Ceiling);
+    f.builder.finish()
+}
+
+/// The same without walls, floor and ceiling.
+pub(super) fn furnished(plan: &Plan) -> Furnisher {
     let mut f = Furnisher::new(plan, ROOM);
     let wood_front = Faces { front: Style::Front, sides: Style::Wood, top: Style::Wood };
     let carton = Faces::all(Style::Carton);
@@ -202,8 +209,7 @@ pub(super) fn furnished_room(plan: &Plan) -> Scene {
         let (right, down) = (-Vector3::y(), -Vector3::z());
         f.builder.chessboard(Vector3::new(x, y, z), right, down, board.columns, board.rows, board.square_m);
     }
-    f.builder.shell([Style::Plaster, Style::Door, Style::Window, Style::Wallpaper], Style::Planks, Style::Ceiling);
-    f.builder.finish()
+    f
 }
 
 /// A corridor with lockers, cartons, benches and notice boards along its walls.

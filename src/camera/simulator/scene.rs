@@ -119,6 +119,27 @@ impl Scene {
         })
     }
 
+    /// The same elsewhere; a chessboard goes with it.
+    pub(super) fn moved(mut self, shift: &Vector3<f64>) -> Self {
+        self.quads.iter_mut().for_each(|quad| quad.origin += shift);
+        self.solids.iter_mut().for_each(|(low, high)| (*low, *high) = (*low + shift, *high + shift));
+        self.lamps.iter_mut().for_each(|lamp| *lamp += shift);
+        if let Some(board) = &mut self.chessboard {
+            board.origin += shift;
+        }
+        self
+    }
+
+    /// Takes over another scene that lies so far from here, but for its chessboard.
+    pub(super) fn absorb(&mut self, other: Self, shift: &Vector3<f64>) {
+        let other = other.moved(shift);
+        let first = self.textures.len();
+        self.quads.extend(other.quads.into_iter().map(|quad| Quad { texture: quad.texture + first, ..quad }));
+        self.textures.extend(other.textures);
+        self.solids.extend(other.solids);
+        self.lamps.extend(other.lamps);
+    }
+
     /// Memory of all textures, bytes.
     pub(super) fn texture_bytes(&self) -> usize {
         self.textures.iter().map(Texture::bytes).sum()
@@ -343,18 +364,26 @@ impl Builder {
 
     /// The six inner sides of the room; `styles` of the walls at +x, -x, +y, -y.
     pub(super) fn shell(&mut self, walls: [Style; 4], floor: Style, ceiling: Style) {
+        let [lx, ly, _] = self.room;
+        let x = Vector3::x();
+        self.wall(-x, 0.5 * lx, ly, walls[0]);
+        self.wall(x, 0.5 * lx, ly, walls[1]);
+        self.shell_but_ends([walls[2], walls[3]], floor, ceiling);
+    }
+
+    fn wall(&mut self, normal: Vector3<f64>, half: f64, width: f64, style: Style) {
+        let z = Vector3::z();
+        let right = (-normal).cross(&z);
+        let origin = -normal * half - right * (0.5 * width) + z * self.room[2];
+        self.quad(origin, right, -z, [width, self.room[2]], style, 1.5);
+    }
+
+    /// All but the walls at +x and -x; `walls` at +y, -y.
+    pub(super) fn shell_but_ends(&mut self, walls: [Style; 2], floor: Style, ceiling: Style) {
         let [lx, ly, lz] = self.room;
-        let (x, y, z) = (Vector3::x(), Vector3::y(), Vector3::z());
-        for (normal, half, width, style) in [
-            (-x, 0.5 * lx, ly, walls[0]),
-            (x, 0.5 * lx, ly, walls[1]),
-            (-y, 0.5 * ly, lx, walls[2]),
-            (y, 0.5 * ly, lx, walls[3]),
-        ] {
-            let right = (-normal).cross(&z);
-            let origin = -normal * half - right * (0.5 * width) + z * lz;
-            self.quad(origin, right, -z, [width, lz], style, 1.5);
-        }
+        let (x, y) = (Vector3::x(), Vector3::y());
+        self.wall(-y, 0.5 * ly, lx, walls[0]);
+        self.wall(y, 0.5 * ly, lx, walls[1]);
         self.quad(Vector3::new(-0.5 * lx, 0.5 * ly, 0.0), x, -y, [lx, ly], floor, 1.5);
         self.quad(Vector3::new(-0.5 * lx, -0.5 * ly, lz), x, y, [lx, ly], ceiling, 2.5);
     }

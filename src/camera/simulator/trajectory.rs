@@ -14,6 +14,7 @@ use std::sync::{Arc, OnceLock};
 
 use nalgebra::{UnitQuaternion, Vector3};
 
+use super::building;
 use super::jerks::{Jerks, smooth};
 use super::random::Random;
 use super::room::CHESSBOARD_MIDDLE;
@@ -88,7 +89,11 @@ impl Trajectory {
             scenario: config.scenario,
             speed: config.speed,
             phases,
-            tour: (config.scenario == Scenario::RoomTour).then(|| Arc::new(room_tour(&mut random))),
+            tour: match config.scenario {
+                Scenario::RoomTour => Some(Arc::new(room_tour(&mut random))),
+                Scenario::ThreeRooms | Scenario::LookAlike => Some(Arc::new(along(&building::way()))),
+                _ => None,
+            },
             legs: match config.scenario {
                 Scenario::Square => Some(Arc::new(square())),
                 Scenario::Corridor => Some(Arc::new(corridor())),
@@ -192,7 +197,7 @@ impl Trajectory {
     fn stance(&self, t: f64) -> Stance {
         let phase = self.phases[20];
         match self.scenario {
-            Scenario::RoomTour | Scenario::Square | Scenario::Corridor => {
+            Scenario::RoomTour | Scenario::Square | Scenario::Corridor | Scenario::ThreeRooms | Scenario::LookAlike => {
                 let (place, drive) = self.base(t).unwrap_or(([0.0; 3], 0.0));
                 self.robot(t, drive, place)
             }
@@ -365,16 +370,47 @@ fn room_tour(random: &mut Random) -> Spline {
             [hub[0] + forward[0] * along + left[0] * across, hub[1] + forward[1] * along + left[1] * across]
         })
         .collect();
+    heading(places, step)
+}
+
+/// A closed way along corners at 0.42 m/s, looking where it goes.
+fn along(corners: &[[f64; 2]]) -> Spline {
+    let ends = |i: usize| (corners[i], corners[(i + 1) % corners.len()]);
+    let length = |i: usize| {
+        let (a, b) = ends(i);
+        (b[0] - a[0]).hypot(b[1] - a[1])
+    };
+    let whole: f64 = (0..corners.len()).map(length).sum();
+    let knots = (whole / 0.35).round().max(4.0) as usize;
+    let step = whole / knots as f64;
+    let (mut corner, mut passed) = (0, 0.0);
+    let places = (0..knots).map(|i| {
+        let s = i as f64 * step;
+        while corner + 1 < corners.len() && s > passed + length(corner) {
+            passed += length(corner);
+            corner += 1;
+        }
+        let ((a, b), share) = (ends(corner), (s - passed) / length(corner));
+        [a[0] + (b[0] - a[0]) * share, a[1] + (b[1] - a[1]) * share]
+    });
+    heading(places.collect(), step)
+}
+
+/// A closed way over places that lie `step` m apart, at 0.42 m/s, looking where it goes.
+fn heading(places: Vec<[f64; 2]>, step: f64) -> Spline {
     let n = places.len();
-    let mut points: Vec<[f64; 3]> = Vec::with_capacity(n);
-    for i in 0..n {
+    let mut points: Vec<[f64; 3]> = Vec::with_capacity(n + 1);
+    for i in 0..=n {
         let (p, q) = (places[(i + n - 1) % n], places[(i + 1) % n]);
         let heading = (q[1] - p[1]).atan2(q[0] - p[0]);
         let last = points.last().map_or(heading, |p| p[2]);
         let turned = (heading - last + PI).rem_euclid(TAU) - PI;
-        points.push([places[i][0], places[i][1], last + turned]);
+        points.push([places[i % n][0], places[i % n][1], last + turned]);
     }
-    Spline { points, knot_s: step / 0.42, round_yaw: TAU * LAPS as f64 }
+    // Back at the first place it looks the same way again.
+    let round_yaw = ((points[n][2] - points[0][2]) / TAU).round() * TAU;
+    points.truncate(n);
+    Spline { points, knot_s: step / 0.42, round_yaw }
 }
 
 /// Straight drives and turns on the spot, repeated for ever.

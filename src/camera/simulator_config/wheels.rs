@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::{Scenario, SimulatorConfigError, within};
 
 config! {
-    /// A differential-drive base and its driver. Only where a base drives (`room_tour`, `square`, `corridor`, without jerks of a hand).
+    /// A differential-drive base and its driver. Only where a base drives (`room_tour`, `square`, `corridor`, `three_rooms`, `look_alike`, without jerks of a hand).
     WheelsConfig {
         /// Tell of the wheels.
         enabled: bool = false,

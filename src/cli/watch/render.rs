@@ -91,7 +91,7 @@ impl Render for Pose {
         let unit = if self.scale() == Scale::Metric { "m" } else { "u" };
         let mut line = format!("{:>7} {:12}", self.sequence, self.state().name());
         match self.state() {
-            State::Tracking => {
+            State::Tracking | State::DeadReckoning => {
                 let _ = write!(line, " x {x:8.3} y {y:8.3} z {z:8.3} {unit}  yaw {yaw:6.1} deg");
             }
             State::Orientation => {
@@ -182,6 +182,8 @@ impl Render for Health {
             .field("correction_distance", self.correction_distance)
             .field("correction_rad", self.correction_rad)
             .field("map_mode", map_mode::names(self.map_mode).collect::<Vec<_>>())
+            .field("blind_ns", self.blind_ns)
+            .field("blind_m", self.blind_m)
             .field("wheel_messages", self.wheel_messages)
             .field("wheel_refused", self.wheel_refused)
             .field("wheel_missing", self.wheel_missing)

@@ -79,7 +79,7 @@ fn sentence(state: State) -> &'static str {
         State::Initializing => "No map yet: move the camera sideways.",
         State::Orientation => "No map yet, but a heading: move the camera sideways.",
         State::Lost => "Lost: go back to where the camera has been, or move on and a new map begins.",
-        State::DeadReckoning => "The picture is lost; odometry goes on by other means.",
+        State::DeadReckoning => "The picture is lost; the wheels alone carry the pose on.",
         State::Unknown(_) => "A state of a newer daemon: install the same version of both.",
     }
 }

@@ -17,7 +17,7 @@ use std::path::Path;
 use super::{Outcome, Reference, evaluate};
 use crate::features::FeaturesConfig;
 use crate::map::MapId;
-use crate::reconstruction::ReconstructionConfig;
+use crate::reconstruction::{ReconstructionConfig, TrackingState};
 use crate::trajectory::TumPose;
 use cases::{Case, Expectation};
 use consistency::Consistency;
@@ -118,13 +118,13 @@ fn figures(case: &Case, seconds: f64, run: &Run) -> CaseResult {
     let records = &run.records;
     // As they were published, poses of different maps are unrelated: those of the map with the most.
     let mut poses_of_map = BTreeMap::<MapId, usize>::new();
-    for r in records.iter().filter(|r| r.estimate.world_from_camera.is_some()) {
+    for r in records.iter().filter(|r| r.estimate.state == TrackingState::Tracking) {
         *poses_of_map.entry(r.estimate.map).or_default() += 1;
     }
     let largest = poses_of_map.iter().max_by_key(|(map, poses)| (**poses, Reverse(**map))).map(|(map, _)| *map);
     let live: Vec<TumPose> = records
         .iter()
-        .filter(|r| Some(r.estimate.map) == largest)
+        .filter(|r| Some(r.estimate.map) == largest && r.estimate.state == TrackingState::Tracking)
         .filter_map(|r| {
             Some(TumPose { timestamp_ns: r.timestamp_ns, world_from_camera: r.estimate.world_from_camera? })
         })

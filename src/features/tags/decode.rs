@@ -33,7 +33,7 @@ pub struct Reading {
 }
 
 /// Homography from the unit square (corners clockwise from (0, 0), y down) to a quadrilateral (Heckbert 1989); `None` for a degenerate one.
-fn from_square(q: &[Vector2<f64>; 4]) -> Option<Matrix3<f64>> {
+pub(super) fn from_square(q: &[Vector2<f64>; 4]) -> Option<Matrix3<f64>> {
     let (d1, d2, s) = (q[1] - q[2], q[3] - q[2], q[0] - q[1] + q[2] - q[3]);
     let determinant = d1.perp(&d2);
     if !(determinant.abs() > 1e-9) {

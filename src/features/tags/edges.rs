@@ -55,30 +55,40 @@ pub fn edge_points(image: &GreyImage, from: &Vector2<f64>, to: &Vector2<f64>) ->
     }
     // Outwards: to the left of a clockwise edge, y being down.
     let normal = Vector2::new(along.y, -along.x) / length;
-    let reach = REACH_PX.min(REACH_CELLS * length / 8.0).max(1.0);
-    let steps = (reach / STEP_PX) as i32;
     let points = ((length * (1.0 - 2.0 * END_SHARE)) as usize).clamp(6, EDGE_POINTS);
+    let span = reach_steps(length);
     for i in 0..points {
         let share = END_SHARE + (1.0 - 2.0 * END_SHARE) * (i as f64 + 0.5) / points as f64;
         let middle = from + along * share;
-        let (mut weights, mut sum) = (0.0, 0.0);
-        for k in -steps..=steps {
-            let s = f64::from(k) * STEP_PX;
-            let outer = bilinear(image, &(middle + normal * (s + HALF_CHANGE_PX)));
-            let inner = bilinear(image, &(middle + normal * (s - HALF_CHANGE_PX)));
-            let Some((outer, inner)) = outer.zip(inner) else { continue };
-            let change = outer - inner;
-            if change > LEAST_CHANGE {
-                weights += change * change;
-                sum += change * change * s;
-            }
-        }
-        if weights > 0.0 {
-            edge.points[edge.count] = middle + normal * (sum / weights);
+        if let Some(off) = crossing(image, &middle, &normal, span) {
+            edge.points[edge.count] = middle + normal * off;
             edge.count += 1;
         }
     }
     edge
+}
+
+/// How far along `normal`, px, the picture turns from dark to bright near a place: the mean of up to so many steps to both sides, weighted by the square
+/// of the change.
+pub fn crossing(image: &GreyImage, middle: &Vector2<f64>, normal: &Vector2<f64>, steps: i32) -> Option<f64> {
+    let (mut weights, mut sum) = (0.0, 0.0);
+    for k in -steps..=steps {
+        let s = f64::from(k) * STEP_PX;
+        let outer = bilinear(image, &(middle + normal * (s + HALF_CHANGE_PX)));
+        let inner = bilinear(image, &(middle + normal * (s - HALF_CHANGE_PX)));
+        let Some((outer, inner)) = outer.zip(inner) else { continue };
+        let change = outer - inner;
+        if change > LEAST_CHANGE {
+            weights += change * change;
+            sum += change * change * s;
+        }
+    }
+    (weights > 0.0).then(|| sum / weights)
+}
+
+/// Steps to both sides in which an edge is looked for, on a tag with sides of this length, px.
+pub fn reach_steps(length: f64) -> i32 {
+    (REACH_PX.min(REACH_CELLS * length / 8.0).max(1.0) / STEP_PX) as i32
 }
 
 /// A line: `normal . x = offset`.
@@ -105,6 +115,11 @@ fn fit(points: &[Vector2<f64>]) -> Option<Line> {
 }
 
 impl Edge {
+    /// Moves its points.
+    pub fn shift(&mut self, by: &Vector2<f64>) {
+        self.points[..self.count].iter_mut().for_each(|point| *point += by);
+    }
+
     /// The line through its points as `map` places them, without those that leave it.
     fn line(&self, map: &impl Fn(&Vector2<f64>) -> Option<Vector2<f64>>) -> Option<Line> {
         let mut mapped = [Vector2::zeros(); EDGE_POINTS];

@@ -3,7 +3,8 @@
 //! Grey picture -> [`Tag`]s: number, misread cells, corners clockwise as printed from the upper left one, level-0 pixels (pixel (0, 0) is a
 //! pixel's centre). The family: Wang & Olson, AprilTag 2 (2016); Olson, AprilTag (2011).
 //! 1. `binary`: what is dark beside its surroundings. 2. `contour`: outlines of dark regions that are quadrilaterals.
-//! 3. `edges`: where the brightness changes across the four sides. 4. `decode`: cells, code, orientation.
+//! 3. `edges`: where the brightness changes across the four sides. 4. `decode`: cells, code, orientation. 5. `inset`: by how much the camera's tone curve
+//!    moves all edges towards the dark, which is undone.
 //!
 //! Needs all of a tag and its white rim in the picture, at least about 2 px a cell. A lens may bend the sides by a few percent: whoever has the camera asks
 //! for the corners on an undistorted plane ([`Tag::corners_on`]).
@@ -31,6 +32,7 @@ mod codes;
 mod contour;
 mod decode;
 mod edges;
+mod inset;
 
 use nalgebra::Vector2;
 
@@ -46,6 +48,10 @@ pub const FAMILY_SIZE: u16 = codes::CODES.len() as u16;
 const MOVED_PX: f64 = 4.0;
 const MOVED_SHARE: f64 = 0.1;
 
+/// Standard deviation of an inset that is not known, px: what gamma makes of a sharp edge. And of one that was measured.
+pub const UNKNOWN_INSET_PX: f64 = 0.25;
+pub const KNOWN_INSET_PX: f64 = 0.04;
+
 /// A tag in a picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Tag {
@@ -54,6 +60,9 @@ pub struct Tag {
     pub wrong: u32,
     /// Outer corners of the black border, px: upper left, upper right, lower right, lower left as printed.
     pub corners: [Vector2<f64>; 4],
+    /// How far edges were found on the dark side, px, which is undone; `None`: it cannot be told, the tag may seem smaller by twice
+    /// [`UNKNOWN_INSET_PX`].
+    pub inset_px: Option<f64>,
     /// What the corners rest on: edge i runs from corner i to the next.
     pub edges: [Edge; 4],
 }
@@ -100,7 +109,15 @@ fn tag_at(image: &GreyImage, outline: &[Vector2<f64>; 4]) -> Option<Tag> {
     corners.rotate_left(reading.first_corner);
     let mut edges = edges?;
     edges.rotate_left(reading.first_corner);
-    Some(Tag { id: reading.id, wrong: reading.wrong, corners, edges })
+    let inset_px = inset::inset_px(image, &corners, reading.id);
+    if let Some(inset_px) = inset_px {
+        for (i, edge) in edges.iter_mut().enumerate() {
+            let along = corners[(i + 1) % 4] - corners[i];
+            edge.shift(&(Vector2::new(along.y, -along.x) / along.norm() * inset_px));
+        }
+        corners = edges::corners(&edges, &|p| Some(*p))?;
+    }
+    Some(Tag { id: reading.id, wrong: reading.wrong, corners, inset_px, edges })
 }
 
 #[cfg(test)]

@@ -13,12 +13,17 @@ fn weighed(drive: &Drive) -> Vec<Segment> {
 #[test]
 fn jacobian_of_turn_and_step_agrees_with_numeric_differences() {
     let case = drive(3, |d| d.seconds = 12.0);
-    let segments = weighed(&case);
+    let mut segments = weighed(&case);
+    segments.iter_mut().take(4).for_each(|s| s.unit = Unit(7));
     let mut random = Random::new(8);
     let mut robot = case.truth;
     robot.base_from_camera = UnitQuaternion::from_scaled_axis(Vector3::new(0.1, -0.2, 0.3)) * robot.base_from_camera;
     (robot.lever_m, robot.yaw_factor, robot.time_offset_s) = (Vector2::new(0.2, -0.1), 1.03, 0.004);
-    let state = State { log_scale: std::array::from_fn(|_| 0.5 * random.normal()), robot };
+    let state = State {
+        log_scale: std::array::from_fn(|_| 0.5 * random.normal()),
+        log_ratio: std::array::from_fn(|_| 0.5 * random.normal()),
+        robot,
+    };
     let prior = Robot::unknown();
     let problem = problem(&segments, &prior, &state, [1.0; 2], Loss::Squared, |_| true);
     for term in problem.terms.iter().step_by(3) {

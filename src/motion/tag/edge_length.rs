@@ -78,7 +78,10 @@ pub enum NoLength {
     /// Too few views, or from one direction: more will do.
     Waits,
     /// The views do not fit together: it was moved, or it is not one tag.
-    Moved,
+    Moved {
+        /// The view that fits least.
+        worst: usize,
+    },
 }
 
 /// Standard deviations, normalised units.
@@ -247,6 +250,13 @@ fn squares(views: &[View], square: &Square) -> Option<(f64, f64)> {
     Some((within, means))
 }
 
+/// The view whose residuals are the largest.
+fn worst(views: &[View], square: &Square) -> usize {
+    let off = |view: &View| squares(std::slice::from_ref(view), square).map_or(f64::INFINITY, |(w, m)| w + 4.0 * m);
+    let largest = views.iter().map(off).enumerate().max_by(|a, b| a.1.total_cmp(&b.1));
+    largest.map_or(0, |(i, _)| i)
+}
+
 impl Noise {
     fn usual(focal_px: f64) -> Self {
         Self { corner: USUAL_CORNER_PX / focal_px, view: USUAL_VIEW_PX / focal_px }
@@ -275,14 +285,16 @@ pub fn edge_length(views: &[View], focal_px: f64) -> Result<PlacedTag, NoLength>
     let problem = Problem { views, noise: Noise::usual(focal_px) };
     let solved = starts(views, &centre).into_iter().map(|start| minimise(&problem, start, &STEPS));
     let best = solved.min_by(|a, b| a.1.final_cost.total_cmp(&b.1.final_cost));
-    let (square, _) = best.filter(|(_, summary)| summary.final_cost.is_finite()).ok_or(NoLength::Moved)?;
-    let noise = Noise::of(views, &square, focal_px).ok_or(NoLength::Moved)?;
+    let (square, _) = best.filter(|(_, summary)| summary.final_cost.is_finite()).ok_or(NoLength::Moved { worst: 0 })?;
+    let moved = || NoLength::Moved { worst: worst(views, &square) };
+    let noise = Noise::of(views, &square, focal_px).ok_or_else(moved)?;
     let problem = Problem { views, noise };
     let (square, _) = minimise(&problem, square, &STEPS);
-    let (within, means) = squares(views, &square).ok_or(NoLength::Moved)?;
+    let moved = || NoLength::Moved { worst: worst(views, &square) };
+    let (within, means) = squares(views, &square).ok_or_else(moved)?;
     let residual_px = focal_px * ((within + 4.0 * means) / (8.0 * views.len() as f64)).sqrt();
     if !(residual_px <= MOST_PX) {
-        return Err(NoLength::Moved);
+        return Err(moved());
     }
     let variance = |noise: Noise| {
         let mut hessian = Problem { views, noise }.linearise(&square).hessian;

@@ -54,7 +54,8 @@ impl Sheet {
         // The rim of a cell that the detector needs, and room to cut.
         let margin = (side / CELLS as f64).max(5.0);
         let text = (0.03 * side).clamp(1.5, 6.0);
-        let width = (side + 2.0 * margin).max(40.0 * text);
+        // The longest line is some 36 letters' heights long, and begins at the left margin.
+        let width = (side + 2.0 * margin).max(38.0 * text + margin);
         Measures { side, margin, text, sheet: [width, side + 2.0 * margin + 9.0 * text] }
     }
 
@@ -92,7 +93,7 @@ impl Sheet {
         let ruler = (side / 10.0).floor().clamp(1.0, 10.0) * 10.0;
         let y = side + 2.0 * margin + text;
         out += &format!(
-            "<path d=\"M{left:.3} {y:.3}v{text:.3}m0 -{half:.3}h{ruler:.3}m0 {half:.3}v-{text:.3}\" stroke=\"black\" stroke-width=\"0.25\" \
+            "<path d=\"M{margin:.3} {y:.3}v{text:.3}m0 -{half:.3}h{ruler:.3}m0 {half:.3}v-{text:.3}\" stroke=\"black\" stroke-width=\"0.25\" \
              fill=\"none\"/>\n",
             half = 0.5 * text,
         );
@@ -106,7 +107,7 @@ impl Sheet {
         for (n, line) in lines.iter().enumerate() {
             let y = y + (2.4 + 1.5 * n as f64) * text;
             out += &format!(
-                "<text x=\"{left:.3}\" y=\"{y:.3}\" font-family=\"sans-serif\" font-size=\"{text:.3}\">{line}</text>\n"
+                "<text x=\"{margin:.3}\" y=\"{y:.3}\" font-family=\"sans-serif\" font-size=\"{text:.3}\">{line}</text>\n"
             );
         }
         out + "</svg>\n"
@@ -176,6 +177,24 @@ mod tests {
         }
         assert!(sheet.paper().contains("fits on A4"));
         assert!(Sheet::new(0, 0.3).expect("valid").paper().contains("larger than A4"));
+    }
+
+    #[test]
+    fn the_words_of_the_smallest_sheets_stay_on_them() {
+        for size_m in [0.01, 0.02, 0.035, 0.05, 0.15, 0.5] {
+            let svg = Sheet::new(0, size_m).expect("valid").svg();
+            let document = roxmltree::Document::parse(&svg).expect("well-formed");
+            let number = |node: roxmltree::Node<'_, '_>, key: &str| {
+                node.attribute(key).expect(key).trim_end_matches("mm").parse::<f64>().expect("number")
+            };
+            let width = number(document.root_element(), "width");
+            for text in document.descendants().filter(|n| n.has_tag_name("text")) {
+                // Letters of a sans-serif are about half as wide as high.
+                let letters = text.text().expect("words").chars().count() as f64;
+                let end = number(text, "x") + 0.52 * letters * number(text, "font-size");
+                assert!(end <= width, "{size_m} m: ends at {end} of {width} mm");
+            }
+        }
     }
 
     #[test]

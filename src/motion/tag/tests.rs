@@ -54,6 +54,19 @@ fn tags_that_disagree_raise_the_sigma_and_one_of_another_size_is_left_out() {
 }
 
 #[test]
+fn without_a_majority_of_one_size_tags_say_nothing() {
+    let of = |edges: &[f64]| {
+        let tags: Vec<PlacedTag> = edges.iter().map(|edge| placed(*edge, 0.002, 0.0)).collect();
+        combine(tags.iter(), &config(0.0)).map(|found| (found.log_metres_per_unit - 3f64.ln()).abs() < 1e-9)
+    };
+    assert_eq!(of(&[0.05, 0.05, 0.08, 0.08]), None);
+    assert_eq!(of(&[0.05, 0.08]), None);
+    assert_eq!(of(&[0.05, 0.08, 0.12]), None);
+    assert_eq!(of(&[0.05, 0.05, 0.08]), Some(true));
+    assert_eq!(of(&[0.03, 0.03, 0.05, 0.05, 0.05]), Some(true));
+}
+
+#[test]
 fn several_tags_with_common_errors_of_the_keyframes_keep_the_truth_in_the_interval() {
     let mut inside = 0;
     for seed in 0..200 {
@@ -86,7 +99,12 @@ fn wrong_values_of_the_configuration_are_named() {
 }
 
 /// What a camera with a lens sees of tag `id` on the plane z = 0 (x right, y down, side `size_m`, its middle in the origin).
-fn picture(camera: &CameraModel, camera_from_metres: &Se3<Camera, World>, id: u16, size_m: f64) -> GreyImage {
+fn picture(
+    camera: &CameraModel,
+    camera_from_metres: &Se3<Camera, World>,
+    (id, size_m): (u16, f64),
+    tone: impl Fn(f64) -> f64,
+) -> GreyImage {
     let metres_from_camera = camera_from_metres.inverse();
     let value = |pixel: Vector2<f64>| {
         let ray = metres_from_camera.rotation * camera.undistort(&pixel).expect("inside").push(1.0);
@@ -103,13 +121,17 @@ fn picture(camera: &CameraModel, camera_from_metres: &Se3<Camera, World>, id: u1
     for (i, v) in image.data.iter_mut().enumerate() {
         let at = Vector2::new((i % camera.width as usize) as f64, (i / camera.width as usize) as f64);
         let around = [[-0.3, -0.1], [0.1, -0.3], [0.3, 0.1], [-0.1, 0.3]];
-        *v = (around.map(|by| value(at + Vector2::from(by))).iter().sum::<f64>() / 4.0).round() as u8;
+        *v = tone(around.map(|by| value(at + Vector2::from(by))).iter().sum::<f64>() / 4.0).round() as u8;
     }
     image
 }
 
 /// A map whose unit is 2.5 m, with five keyframes that look at tag 9 of 0.15 m, and their pictures through a lens that bends.
 fn map_before_a_tag() -> (CameraModel, Map, Vec<(KeyframeId, GreyImage)>) {
+    map_before_a_tag_through(|light| light)
+}
+
+fn map_before_a_tag_through(tone: impl Fn(f64) -> f64) -> (CameraModel, Map, Vec<(KeyframeId, GreyImage)>) {
     let camera =
         CameraModel::new(240, 180, 220.0, 221.0, 118.0, 91.0, [-0.25, 0.08, 0.001, -0.001, 0.0]).expect("valid");
     let mut map = Map::default();
@@ -133,7 +155,7 @@ fn map_before_a_tag() -> (CameraModel, Map, Vec<(KeyframeId, GreyImage)>) {
             covisible: Vec::new(),
             corners: Vec::new(),
         });
-        pictures.push((id, picture(&camera, &camera_from_metres, 9, 0.15)));
+        pictures.push((id, picture(&camera, &camera_from_metres, (9, 0.15), &tone)));
     }
     (camera, map, pictures)
 }
@@ -160,6 +182,46 @@ fn keyframes_that_see_a_tag_through_a_lens_tell_the_maps_scale() {
     assert!((metric - error).abs() < 1e-12, "the map is in metres now: {metric}");
     tags.forget();
     assert_eq!(tags.measurement(MapId(3)), None);
+}
+
+#[test]
+fn a_cameras_tone_curve_moves_no_scale_out_of_its_interval() {
+    for exposure in [1.0, 1.5] {
+        let (camera, map, pictures) =
+            map_before_a_tag_through(|light| 255.0 * (exposure * light / 255.0).min(1.0).powf(1.0 / 2.2));
+        let optics = Optics { camera: &camera, readout_s: 0.0 };
+        let mut tags = Tags::new(&config(0.0003)).expect("on");
+        for (keyframe, picture) in &pictures {
+            assert!(tags.see((&map, MapId(3)), *keyframe, picture, &optics));
+        }
+        let found = tags.measurement(MapId(3)).expect("told");
+        let error = found.log_metres_per_unit - 2.5f64.ln();
+        eprintln!("exposure {exposure}: off by {:.3} %, sigma {:.3} %", 100.0 * error, 100.0 * found.sigma);
+        assert!(error.abs() < 0.005 && error.abs() < 1.96 * found.sigma, "exposure {exposure}: {error}: {found:?}");
+    }
+}
+
+#[test]
+fn one_wrong_sighting_silences_no_tag_and_one_that_was_moved_is_told_anew() {
+    let (camera, map, pictures) = map_before_a_tag();
+    let optics = Optics { camera: &camera, readout_s: 0.0 };
+    for (wrong, kept) in [(1, 4), (2, LEAST_VIEWS)] {
+        let mut tags = Tags::new(&config(0.0003)).expect("on");
+        for (keyframe, picture) in &pictures[..4] {
+            tags.see((&map, MapId(3)), *keyframe, picture, &optics);
+        }
+        for sighting in &mut tags.known[0].sightings[..wrong] {
+            sighting.corners.iter_mut().for_each(|c| *c += Vector2::new(40.0, -25.0));
+        }
+        let (keyframe, picture) = &pictures[4];
+        tags.see((&map, MapId(3)), *keyframe, picture, &optics);
+        assert_eq!(tags.known[0].sightings.len(), kept, "{wrong} wrong");
+        // The newest come again.
+        tags.see((&map, MapId(3)), *keyframe, picture, &optics);
+        let found = tags.measurement(MapId(3)).expect("told");
+        let error = found.log_metres_per_unit - 2.5f64.ln();
+        assert!(error.abs() < 0.01 && error.abs() < 2.0 * found.sigma, "{wrong} wrong: {error}: {found:?}");
+    }
 }
 
 #[test]

@@ -9,6 +9,12 @@ pub const MAX_SPEED_MPS: f64 = 50.0;
 /// Nor does one turn faster, rad/s (three turns a second): a driver that sends degrees/s passes it in any quick turn.
 pub const MAX_TURN_RADPS: f64 = 20.0;
 
+/// Largest variance of a field: a speed that is not known to this is not measured.
+fn most_variance(name: &str) -> f64 {
+    let most = if name == "angular_z_radps" { MAX_TURN_RADPS } else { MAX_SPEED_MPS };
+    most * most
+}
+
 /// What a driver says: the mean twist of the base over an interval, in the base frame at its start (REP-103: x forward, y left, yaw positive to
 /// the left).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -25,7 +31,7 @@ pub struct WheelMessage {
     pub linear_y_mps: f64,
     /// rad/s.
     pub angular_z_radps: f64,
-    /// Variances of the three, (m/s)^2, (m/s)^2, (rad/s)^2; NaN where the driver does not know.
+    /// Variances of the three, (m/s)^2, (m/s)^2, (rad/s)^2; NaN or 0 where the driver does not know.
     pub variance: [f64; 3],
 }
 
@@ -44,7 +50,7 @@ pub enum WheelFault {
     TurnRate {
         value_radps: f64,
     },
-    /// Negative or infinite.
+    /// Negative, or above the square of what no robot's speed exceeds.
     Variance {
         name: &'static str,
         value: f64,
@@ -57,7 +63,7 @@ pub enum WheelFault {
     GoesBack {
         by_ns: i64,
     },
-    /// One message ahead of those that follow it.
+    /// Ahead of messages that follow it.
     JumpsAhead {
         by_ns: i64,
     },
@@ -97,15 +103,17 @@ impl fmt::Display for WheelFault {
             Self::TurnRate { value_radps } => {
                 write!(f, "angular_z_radps {value_radps} rad/s: faster than {MAX_TURN_RADPS} rad/s; is it in degrees?")
             }
-            Self::Variance { name, value } => write!(f, "variance of {name} is {value}: must be 0 or more, or NaN"),
+            Self::Variance { name, value } => {
+                write!(f, "variance of {name} is {value}: must lie in 0..={}, or be NaN", most_variance(name))
+            }
             Self::Interval { length_ns } => {
                 write!(f, "its interval lasts {:.3} ms: must be above 0 and at most 500 ms", ms(length_ns))
             }
             Self::GoesBack { by_ns: 0 } => write!(f, "its time repeats that of the one before"),
             Self::GoesBack { by_ns } => write!(f, "its time goes back {:.3} ms behind the one before", ms(by_ns)),
-            Self::JumpsAhead { by_ns } => write!(f, "its time is {:.3} ms ahead of the next one's", ms(by_ns)),
+            Self::JumpsAhead { by_ns } => write!(f, "its time is {:.3} ms ahead of one that follows", ms(by_ns)),
             Self::WrongClock { ahead_ns } => {
-                write!(f, "its time is {:.3} s ahead of CLOCK_MONOTONIC: another clock?", ms(ahead_ns) * 1e-3)
+                write!(f, "its time is {:.3} s ahead of the pictures' clock: is it another one?", ms(ahead_ns) * 1e-3)
             }
             Self::SecondPublisher => write!(f, "it comes from a second publisher while the first lives"),
         }
@@ -138,7 +146,7 @@ impl WheelMessage {
         }
         let variances = NAMES.into_iter().zip(self.variance);
         for (name, value) in variances.filter(|(_, value)| !value.is_nan()) {
-            if !(value >= 0.0 && value.is_finite()) {
+            if !(0.0..=most_variance(name)).contains(&value) {
                 return Some(WheelFault::Variance { name, value });
             }
         }
@@ -155,12 +163,14 @@ mod tests {
     fn each_fault_is_named_with_value_and_unit() {
         let good = WheelMessage::new(1, 0, [0.5, 0.0, 0.2]);
         assert_eq!(good.fault(), None);
-        let cases: [(WheelMessage, &str, &str); 7] = [
+        let cases: [(WheelMessage, &str, &str); 9] = [
             (WheelMessage { linear_x_mps: f64::NAN, ..good }, "not_finite", "linear_x_mps is NaN"),
             (WheelMessage { angular_z_radps: f64::INFINITY, ..good }, "not_finite", "angular_z_radps is inf"),
             (WheelMessage { linear_y_mps: -500.0, ..good }, "speed", "linear_y_mps -500 m/s"),
             (WheelMessage { angular_z_radps: 57.3, ..good }, "turn_rate", "57.3 rad/s"),
             (WheelMessage { variance: [1.0, -1.0, f64::NAN], ..good }, "variance", "linear_y_mps is -1"),
+            (WheelMessage { variance: [2501.0, 0.0, 0.0], ..good }, "variance", "must lie in 0..=2500"),
+            (WheelMessage { variance: [0.0, 0.0, f64::INFINITY], ..good }, "variance", "must lie in 0..=400"),
             (WheelMessage { from_ns: Some(0), ..good }, "interval", "0.000 ms"),
             (WheelMessage { from_ns: Some(-600_000_000), ..good }, "interval", "600.000 ms"),
         ];

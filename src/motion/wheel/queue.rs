@@ -5,9 +5,9 @@
 //! start says.
 //!
 //! # Intervals
-//! A reading without a start of its own starts where the one before ended. A hole of up to [`GAP_NS`] (a lost message) is bridged: the reading after
-//! it is taken to hold for it as well. After a longer one nothing is supposed of the time between: a reading with its own start keeps it, one
-//! without only begins anew.
+//! A reading with a start of its own keeps it, but for what the one before has told already: whoever braked in a hole did not stand in it.
+//! One without starts where the one before ended, so that it is taken to hold for a hole of up to [`GAP_NS`] (a lost message) as well; after a longer
+//! one nothing is supposed of the time between, and it only begins anew.
 //!
 //! Cost: a lock and some 20 ns a reading; nothing at all without readings but one lock a frame.
 
@@ -103,9 +103,14 @@ impl WheelQueue {
         self.counts.gaps.add(u64::from(before.is_some() && follows.is_none()));
         self.counts.received.add(1);
         // Without a start there is nothing that it is the mean of: the next one starts here.
-        let Some(from_ns) = follows.or(message.from_ns) else { return Ok(()) };
+        let own = message.from_ns.map(|from| before.map_or(from, |before| from.max(before)));
+        let Some(from_ns) = own.or(follows) else { return Ok(()) };
         if state.asked_ns.is_some_and(|asked| message.timestamp_ns <= asked) {
             self.counts.late.add(1);
+        }
+        if state.waiting.capacity() < CAPACITY {
+            // All at the first reading: who fills the queue later may be on the way to a pose.
+            state.waiting.reserve_exact(CAPACITY);
         }
         if state.waiting.len() >= CAPACITY {
             state.waiting.pop_front();
@@ -177,7 +182,9 @@ mod tests {
         let hole_before = WheelMessage { from_ns: Some(2030 * MS), ..at(2040) };
         queue.push(&own_start).expect("believed");
         queue.push(&hole_before).expect("believed");
-        assert_eq!(taken(&queue, 9000), [(0, 500), (1001, 1100), (1980, 2000), (2000, 2040)]);
+        let overlaps = WheelMessage { from_ns: Some(2010 * MS), ..at(2050) };
+        queue.push(&overlaps).expect("believed");
+        assert_eq!(taken(&queue, 9000), [(0, 500), (1001, 1100), (1980, 2000), (2030, 2040), (2040, 2050)]);
         assert_eq!(queue.counts().gaps.get(), 2);
     }
 

@@ -101,7 +101,7 @@ fn a_loop_gives_back_place_and_scale_and_the_first_keyframe_stays() {
     let (mut map, ids) = drifted();
     let (before, log_unit) = error(&map, &ids);
     assert!(before > 0.3 && log_unit < -0.25, "{before} {log_unit}");
-    let job = LoopClosure::new(&map, ids[KEYFRAMES - 1], &[told(&ids)], &[]).expect("a loop");
+    let job = LoopClosure::new(&map, ids[KEYFRAMES - 1], &[told(&ids)], &[], false).expect("a loop");
     let closed = job.run().expect("a solution");
     assert_eq!(closed.correction.keyframes.len(), KEYFRAMES);
     map.correct(&closed.correction);
@@ -114,7 +114,8 @@ fn a_loop_gives_back_place_and_scale_and_the_first_keyframe_stays() {
     map.check_consistency().expect("links as before");
     // Closed once, it holds: nothing moves any more.
     let again = LoopEdge { recognised_from_old: Sim3::from_se3(&relative(&map, &ids)), ..told(&ids) };
-    let job = LoopClosure::new(&map, ids[KEYFRAMES - 1], &[again], &[(ids[0], ids[KEYFRAMES - 1])]).expect("a loop");
+    let job =
+        LoopClosure::new(&map, ids[KEYFRAMES - 1], &[again], &[(ids[0], ids[KEYFRAMES - 1])], false).expect("a loop");
     let moved = job.run().map_or(0.0, |c| {
         c.correction.keyframes.iter().map(|(_, s)| (s.scale.ln()).abs() + s.translation.norm()).fold(0.0, f64::max)
     });
@@ -131,7 +132,7 @@ fn a_turn_that_told_no_scale_takes_most_of_the_error() {
     let (mut map, ids) = drifted();
     // From the middle on the scale came through a turn.
     ids[30..].iter().for_each(|id| map.set_scale_origin(*id, Some(crate::map::TurnId(0))));
-    let job = LoopClosure::new(&map, ids[KEYFRAMES - 1], &[told(&ids)], &[]).expect("a loop");
+    let job = LoopClosure::new(&map, ids[KEYFRAMES - 1], &[told(&ids)], &[], false).expect("a loop");
     let closed = job.run().expect("a solution");
     let scale = |i: usize| closed.correction.keyframes[i].1.scale.ln();
     let at_turn = scale(31) - scale(28);
@@ -143,7 +144,7 @@ fn a_turn_that_told_no_scale_takes_most_of_the_error() {
 fn a_loop_whose_end_is_gone_is_none() {
     let (mut map, ids) = drifted();
     map.remove_keyframe(ids[0]);
-    assert!(LoopClosure::new(&map, ids[KEYFRAMES - 1], &[told(&ids)], &[]).is_none());
-    assert!(LoopClosure::new(&map, ids[KEYFRAMES - 1], &[], &[]).is_none());
-    assert!(LoopClosure::new(&map, ids[0], &[told(&ids)], &[]).is_none());
+    assert!(LoopClosure::new(&map, ids[KEYFRAMES - 1], &[told(&ids)], &[], false).is_none());
+    assert!(LoopClosure::new(&map, ids[KEYFRAMES - 1], &[], &[], false).is_none());
+    assert!(LoopClosure::new(&map, ids[0], &[told(&ids)], &[], false).is_none());
 }

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{File, OpenOptions, TryLockError};
+use std::io;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -12,7 +13,9 @@ use super::front::Front;
 use super::layout::{HeaderOf, HeaderRecord, Raw, encode_keyframe, encode_landmarks};
 use super::picture;
 use super::records::{Kind, Records, Tally};
+use crate::atomic_file::create_unique;
 use crate::map::saved::{MapChanges, SavedMaps};
+use crate::telemetry::contained;
 
 /// Everything that a file holds.
 pub struct Contents {
@@ -68,10 +71,8 @@ impl MapFile {
         let mut id = [0; 16];
         File::open("/dev/urandom").and_then(|mut r| std::io::Read::read_exact(&mut r, &mut id)).map_err(Fault::Read)?;
         let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-        let temporary = folder.join(format!(".{name}.{}", std::process::id()));
-        let mut options = OpenOptions::new();
-        options.read(true).write(true).create(true).truncate(true);
-        let file = options.open(&temporary).map_err(Fault::Write)?;
+        // New, locked, and cleared away at a later start should this process be killed.
+        let (file, temporary) = create_unique(folder, &format!(".{name}"), false).map_err(Fault::Write)?;
         let front = Front { id, created_ns: now_ns() };
         let filled = || {
             lock(file.try_lock())?;
@@ -88,11 +89,10 @@ impl MapFile {
             own.put(first)?;
             file.sync_all().map_err(Fault::Write)?;
             use rustix::fs::{CWD, RenameFlags, renameat_with};
-            renameat_with(CWD, &temporary, CWD, path, RenameFlags::NOREPLACE).map_err(|e| match e {
-                rustix::io::Errno::EXIST => Fault::Exists,
-                other => Fault::Write(other.into()),
-            })?;
-            File::open(folder).and_then(|f| f.sync_all()).map_err(Fault::Write)?;
+            let renamed = renameat_with(CWD, &temporary, CWD, path, RenameFlags::NOREPLACE);
+            linked_instead(renamed.map_err(Into::into), &temporary, path)?;
+            // Some file systems refuse to sync a folder; the file is whole and has its name.
+            let _ = File::open(folder).and_then(|f| f.sync_all());
             Ok(own)
         };
         filled().inspect_err(|_: &Fault| {
@@ -139,10 +139,8 @@ impl MapFile {
         for (id, keyframe) in &changes.keyframes {
             new.push((Kind::Keyframe, *id, encode_keyframe(keyframe, camera).ok_or_else(senseless)?));
             let revision = keyframe.picture.revision();
-            if self.keyframes.get(id) != Some(&revision)
-                && let Some(bytes) = picture::encode(&keyframe.picture)
-            {
-                new.push((Kind::Picture, *id, bytes));
+            if self.keyframes.get(id) != Some(&revision) && keyframe.picture.kept().is_some() {
+                new.push((Kind::Picture, *id, picture::encode(&keyframe.picture).ok_or_else(senseless)?));
             }
             revisions.push((*id, revision));
         }
@@ -153,7 +151,7 @@ impl MapFile {
 
         let kept: BTreeSet<u32> = changes.maps.iter().flat_map(|(_, keyframes)| keyframes).copied().collect();
         let gone: Vec<u32> = self.keyframes.keys().filter(|id| !kept.contains(id)).copied().collect();
-        let emptied = emptied.into_iter().map(|(page, _)| *page);
+        let emptied = emptied.into_iter().map(|(page, _)| *page).filter(|page| self.pages.contains(page));
         let left = |page: &&u32| changes.is_everything && !changes.landmarks.contains_key(page);
         let emptied: Vec<u32> = emptied.chain(self.pages.iter().filter(left).copied()).collect();
         let removed = gone.iter().flat_map(|id| [(Kind::Keyframe, *id), (Kind::Picture, *id)]);
@@ -184,6 +182,23 @@ impl MapFile {
     }
 }
 
+/// What came of renaming without replacing; network file systems that cannot do that can link a second name.
+fn linked_instead(renamed: io::Result<()>, temporary: &Path, path: &Path) -> Result<(), Fault> {
+    let named = match renamed {
+        Err(e) if matches!(e.raw_os_error(), Some(libc::EINVAL | libc::ENOSYS)) => {
+            std::fs::hard_link(temporary, path).inspect(|()| {
+                // It has its own name; the other is cleared away at a later start.
+                let _ = std::fs::remove_file(temporary);
+            })
+        }
+        other => other,
+    };
+    named.map_err(|e| match e.kind() {
+        io::ErrorKind::AlreadyExists => Fault::Exists,
+        _ => Fault::Write(e),
+    })
+}
+
 fn lock(outcome: Result<(), TryLockError>) -> Result<(), Fault> {
     outcome.map_err(|e| match e {
         TryLockError::WouldBlock => Fault::Busy,
@@ -193,6 +208,11 @@ fn lock(outcome: Result<(), TryLockError>) -> Result<(), Fault> {
 
 /// Reads all there is without a change to the file. Also: what the records add up to, and the pages of landmarks.
 fn look(file: &File) -> Result<(Contents, Tally, BTreeSet<u32>), Fault> {
+    let panicked = |panic| Err(Fault::Broken(format!("no sense can be made of it ({panic})")));
+    contained(|| look_inside(file)).unwrap_or_else(panicked)
+}
+
+fn look_inside(file: &File) -> Result<(Contents, Tally, BTreeSet<u32>), Fault> {
     let front = Front::read(file)?;
     let bytes = file.metadata().map_err(Fault::Read)?.len();
     let mut records = Records::open(file.try_clone().map_err(Fault::Read)?, Access::Look).map_err(as_look)?;
@@ -219,7 +239,7 @@ fn look(file: &File) -> Result<(Contents, Tally, BTreeSet<u32>), Fault> {
             }
             k if k == Kind::Landmarks as u8 => {
                 pages.insert(number);
-                raw.add_landmarks(bytes).is_some()
+                raw.add_landmarks(number, bytes).is_some()
             }
             _ => false,
         };
@@ -248,6 +268,8 @@ fn look(file: &File) -> Result<(Contents, Tally, BTreeSet<u32>), Fault> {
 /// Nothing is written where a file is only looked at.
 fn as_look(fault: Fault) -> Fault {
     match fault {
+        // The system's errors have its number, those of a file that is too short have none.
+        Fault::Write(error) if error.raw_os_error().is_some() => Fault::Read(error),
         Fault::Write(error) => Fault::Broken(error.to_string()),
         other => other,
     }
@@ -256,4 +278,34 @@ fn as_look(fault: Fault) -> Fault {
 fn now_ns() -> i64 {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     i64::try_from(since.as_nanos()).unwrap_or(i64::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_disk_that_fails_is_no_broken_map() {
+        let failed = as_look(Fault::Write(io::Error::from_raw_os_error(libc::EIO)));
+        assert!(matches!(failed, Fault::Read(_)) && !failed.is_in_the_data());
+        assert!(as_look(Fault::Write(io::ErrorKind::UnexpectedEof.into())).is_in_the_data());
+    }
+
+    #[test]
+    fn where_a_file_cannot_be_renamed_without_replacing_it_is_linked() {
+        let dir = tempfile::tempdir().unwrap();
+        let [temporary, path] = ["t", "a.map"].map(|name| dir.path().join(name));
+        for errno in [libc::EINVAL, libc::ENOSYS] {
+            let refused = || Err(io::Error::from_raw_os_error(errno));
+            std::fs::write(&temporary, "new").unwrap();
+            linked_instead(refused(), &temporary, &path).unwrap();
+            assert!(!temporary.exists() && std::fs::read(&path).unwrap() == b"new");
+            std::fs::write(&temporary, "newer").unwrap();
+            assert!(matches!(linked_instead(refused(), &temporary, &path), Err(Fault::Exists)));
+            assert!(std::fs::read(&path).unwrap() == b"new");
+            std::fs::remove_file(&path).unwrap();
+        }
+        let full = linked_instead(Err(io::Error::from_raw_os_error(libc::ENOSPC)), &temporary, &path);
+        assert!(matches!(full, Err(Fault::Write(_))) && !path.exists());
+    }
 }

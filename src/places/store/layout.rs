@@ -16,9 +16,13 @@ use crate::geometry::{CameraModel, LensModel, Se3};
 use crate::map::picture::KeyframePicture;
 use crate::map::saved::{MapHead, SavedMap, SavedMaps, SavedOptics, SavedTurn};
 use crate::map::scale::{MapScale, ScaleSources};
+use crate::map::store::PAGE;
 use crate::map::{
     AssumedDistance, FreeCorner, Keyframe, KeyframeId, Landmark, LandmarkId, Map, MapId, Observation, TurnId,
 };
+
+/// Ids of keyframes, and of landmarks, that a file may have used up: at 30 new landmarks a second 100 days.
+const MOST_IDS: u32 = 1 << 28;
 
 /// The one record that tells what the others are.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -283,6 +287,7 @@ fn undistorted(pixel: Vector2<f32>, camera: &CameraModel) -> Option<[f64; 6]> {
 /// A keyframe from its record and its picture; `None` if it is not one.
 fn decode_keyframe(bytes: &[u8], picture: KeyframePicture, camera: &CameraModel) -> Option<Keyframe> {
     let record: KeyframeRecord = postcard::from_bytes(bytes).ok()?;
+    record.is_sound().then_some(())?;
     let mut observations = Vec::with_capacity(record.observations.len());
     for (i, o) in record.observations.iter().enumerate() {
         let pixel = Vector2::from(o.pixel);
@@ -329,6 +334,38 @@ fn decode_keyframe(bytes: &[u8], picture: KeyframePicture, camera: &CameraModel)
     })
 }
 
+impl KeyframeRecord {
+    fn is_sound(&self) -> bool {
+        let seen = |o: &ObservationRecord| {
+            o.pixel.iter().all(|v| v.is_finite()) && are_finite(&o.displacement) && o.inv_sigma_px.is_finite()
+        };
+        self.map != u32::MAX
+            && self.motion.as_ref().is_none_or(|motion| are_finite(motion))
+            && self.observations.iter().all(seen)
+            && self.corners.iter().all(|c| c.pixel.iter().all(|v| v.is_finite()))
+            && self.undistorted.iter().flatten().all(|u| are_finite(u))
+            && self.undistorted_corners.iter().flatten().all(|u| are_finite(u))
+    }
+}
+
+impl LandmarkRecord {
+    /// The covariance is not looked at: of a landmark that was never adjusted it may be none.
+    fn is_sound(&self) -> bool {
+        are_finite(&self.position) && self.assumed.is_none_or(|assumed| are_finite(&assumed))
+    }
+}
+
+impl MapRecord {
+    fn is_sound(&self) -> bool {
+        self.metric.is_none_or(|(sigma, _)| sigma.is_finite() && sigma >= 0.0)
+            && self.turns.iter().all(|(_, centre, variance, _)| are_finite(centre) && !variance.is_nan())
+    }
+}
+
+fn are_finite(values: &[f64]) -> bool {
+    values.iter().all(|v| v.is_finite())
+}
+
 /// A page of landmarks.
 pub fn encode_landmarks(page: &[(u32, Landmark)]) -> Option<Vec<u8>> {
     let record = |(id, l): &(u32, Landmark)| LandmarkRecord {
@@ -355,8 +392,9 @@ pub struct Raw {
 
 impl Raw {
     /// Takes a page of landmarks; `None` if it is not one.
-    pub fn add_landmarks(&mut self, bytes: &[u8]) -> Option<()> {
+    pub fn add_landmarks(&mut self, number: u32, bytes: &[u8]) -> Option<()> {
         let page: Vec<LandmarkRecord> = postcard::from_bytes(bytes).ok()?;
+        page.iter().all(|l| l.id / PAGE as u32 == number && l.is_sound()).then_some(())?;
         for l in page {
             let landmark = Landmark {
                 position: l.position.into(),
@@ -376,6 +414,7 @@ impl Raw {
     /// The maps, the largest first; the error says what does not fit together.
     pub fn maps(mut self) -> Result<SavedMaps, String> {
         let header = self.header.take().ok_or("it has no header")?;
+        self.check_ids(&header)?;
         let optics = header.optics.restored().ok_or("its camera is none")?;
         let mut owner = BTreeMap::new();
         let mut parts = Vec::new();
@@ -404,6 +443,31 @@ impl Raw {
         }
         maps.sort_by_key(|m| std::cmp::Reverse(m.map.keyframes.len()));
         Ok(SavedMaps { frame_ns: header.frame_ns, optics, maps })
+    }
+
+    /// Room is made for all ids below the largest, so it must not lie.
+    fn check_ids(&self, header: &HeaderRecord) -> Result<(), String> {
+        let (next_keyframe, next_landmark) = (header.next_keyframe, header.next_landmark);
+        if next_keyframe.max(next_landmark) > MOST_IDS {
+            return Err(format!("its next ids are {next_keyframe} and {next_landmark}, more than {MOST_IDS}"));
+        }
+        let largest =
+            self.keyframes.last_key_value().map(|(id, _)| *id).max(self.pictures.last_key_value().map(|(id, _)| *id));
+        if let Some(id) = largest.filter(|id| *id >= next_keyframe) {
+            return Err(format!("keyframe {id} is there, and the next one has {next_keyframe}"));
+        }
+        if let Some(id) = self.landmarks.iter().map(|(id, _)| *id).find(|id| *id >= next_landmark) {
+            return Err(format!("landmark {id} is there, and the next one has {next_landmark}"));
+        }
+        let mut maps: Vec<u32> = header.maps.iter().map(|map| map.id).collect();
+        maps.sort_unstable();
+        if !maps.is_sorted_by(|a, b| a < b) || maps.last() == Some(&u32::MAX) {
+            return Err("its maps' numbers are no numbers of maps".into());
+        }
+        if let Some(map) = header.maps.iter().find(|map| !map.is_sound()) {
+            return Err(format!("map {} has a scale or a turn that is no number", map.id));
+        }
+        Ok(())
     }
 
     fn keyframes_of(&mut self, record: &MapRecord, camera: &CameraModel) -> Result<Vec<(u32, Keyframe)>, String> {

@@ -111,6 +111,14 @@ impl Records {
         gone: &[(Kind, u32)],
         header: impl FnOnce(Tally) -> Option<Vec<u8>>,
     ) -> Result<Tally, Fault> {
+        for (kind, number, bytes) in records {
+            let most = PIECE * usize::from(MOST_PIECES) - 4;
+            if bytes.len() > most {
+                let error =
+                    format!("record {number} of kind {} has {} bytes, more than {most}", *kind as u8, bytes.len());
+                return Err(Fault::Write(std::io::Error::other(error)));
+            }
+        }
         let database = self.database.take().ok_or_else(closed)?;
         let outcome = guarded(move || {
             let mut tally = tally;

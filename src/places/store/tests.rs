@@ -13,7 +13,7 @@ use crate::geometry::random::Random;
 use crate::geometry::{CameraModel, LensModel, Se3};
 use crate::image::{GreyImage, Pyramid};
 use crate::map::picture::KeyframePicture;
-use crate::map::saved::{MapChanges, MapHead, SavedMap, SavedOptics, SavedTurn};
+use crate::map::saved::{Ids, MapChanges, MapHead, SavedMap, SavedOptics, SavedTurn};
 use crate::map::scale::{MapScale, ScaleSource, ScaleSources};
 use crate::map::{
     AssumedDistance, FreeCorner, Keyframe, KeyframeId, Landmark, LandmarkId, Map, MapId, Observation, TurnId,
@@ -170,6 +170,48 @@ fn is_there(path: &Path, maps: &[Map; 2], optics: &SavedOptics) {
 }
 
 #[test]
+fn maps_may_get_other_ids_and_a_file_follows() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.map");
+    let mut random = Random::new(43);
+    let (mut maps, optics) = (two_maps(&mut random), optics(&mut random));
+    MapFile::create(&path, &changes(&mut maps, &optics, true)).unwrap().close().unwrap();
+    let by = Ids { maps: 10, keyframes: 100, landmarks: 1000 };
+    let (mut file, contents) = MapFile::open(&path).unwrap();
+    let first = contents.saved.first_ids().unwrap();
+    let mut moved = contents.saved.moved_by(by).unwrap();
+    let told_first = moved.first_ids().unwrap();
+    assert_eq!((told_first.maps, told_first.keyframes), (first.maps + 10, first.keyframes + 100));
+    assert_eq!(told_first.landmarks, first.landmarks + 1000);
+    for (saved, map) in moved.maps.iter().zip(&maps) {
+        saved.map.check_consistency().expect("consistent");
+        assert_eq!((saved.map.keyframes.len(), saved.map.landmarks.len()), (map.keyframes.len(), map.landmarks.len()));
+        assert_eq!((saved.head.reference, saved.head.turns[0].keyframe), (KeyframeId(101), KeyframeId(102)));
+        for ((id, k), (before, old)) in saved.map.keyframes.iter().zip(map.keyframes.iter()) {
+            assert_eq!((id, k.map.0), (before + 100, old.map.0 + 10));
+            assert!(k.observations.iter().zip(&old.observations).all(|(a, b)| a.landmark.0 == b.landmark.0 + 1000));
+            let patches = |k: &Keyframe, by: u32| k.picture.patches().map(|p| p.0 + by).collect::<Vec<_>>();
+            assert_eq!(patches(k, 0), patches(old, 1000));
+        }
+        for ((id, l), (before, old)) in saved.map.landmarks.iter().zip(map.landmarks.iter()) {
+            assert_eq!((id, l.position, l.created_by.0), (before + 1000, old.position, old.created_by.0 + 100));
+        }
+    }
+    // Everything under its new ids, and nothing of the old ones.
+    let heads: Vec<MapHead> = moved.maps.iter().map(|m| m.head.clone()).collect();
+    let all = heads.into_iter().zip(moved.maps.iter_mut().map(|m| &mut m.map)).collect();
+    file.write(&MapChanges::take(optics.clone(), 77, all, true)).unwrap();
+    file.close().unwrap();
+    let again = read(&path).unwrap().saved;
+    for (saved, written) in again.maps.iter().zip(&moved.maps) {
+        assert!(saved.head == written.head && told(&saved.map) == told(&written.map));
+    }
+    assert_eq!(again.first_ids(), Some(told_first));
+    let none_left = Ids { landmarks: u32::MAX - 1, ..by };
+    assert!(again.moved_by(none_left).is_err_and(|reason| reason.contains("ids")));
+}
+
+#[test]
 fn a_map_comes_back_bit_for_bit_whenever_it_was_written() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("a.map");
@@ -267,6 +309,72 @@ fn what_exists_or_is_foreign_or_newer_is_left_as_it_is() {
         assert!(std::fs::read(&path).unwrap() == bytes, "{word}");
     }
     assert!(matches!(read(&dir.path().join("none")).err().unwrap().fault, Fault::Read(_)));
+}
+
+#[test]
+fn what_lies_beside_a_map_file_by_a_name_like_its_own_is_nobodys_to_write() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.map");
+    let other = dir.path().join(format!(".a.map.{}", std::process::id()));
+    std::fs::write(&other, "of a process of the same number").unwrap();
+    let mut random = Random::new(45);
+    let (mut maps, optics) = (two_maps(&mut random), optics(&mut random));
+    MapFile::create(&path, &changes(&mut maps, &optics, true)).unwrap().close().unwrap();
+    assert_eq!(std::fs::read(&other).unwrap(), b"of a process of the same number");
+}
+
+#[test]
+fn a_record_that_no_reader_takes_is_not_written() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.map");
+    let mut random = Random::new(46);
+    let (mut maps, optics) = (two_maps(&mut random), optics(&mut random));
+    let mut file = MapFile::create(&path, &changes(&mut maps, &optics, true)).unwrap();
+    // One that still has free corners: its picture is whole.
+    let corners = maps[0].keyframe(KeyframeId(4)).unwrap().corners.clone();
+    maps[0].set_corners(KeyframeId(4), corners.iter().cycle().take(450_000).copied().collect());
+    let told = changes(&mut maps, &optics, false);
+    let sizes: Vec<(u32, usize)> = told.keyframes.iter().map(|(id, k)| (*id, k.corners.len())).collect();
+    let error = match file.write(&told) {
+        Err(error) => error,
+        Ok(bytes) => panic!("{bytes} bytes were written, of keyframes with so many corners: {sizes:?}"),
+    };
+    assert!(matches!(error.fault, Fault::Write(_)), "{error}");
+    drop(file);
+    maps[0].set_corners(KeyframeId(4), corners);
+    is_there(&path, &maps, &optics);
+}
+
+/// Numbers that are none, and ids that would make room for more than there is.
+#[test]
+fn a_map_with_senseless_numbers_is_refused() {
+    let refused = |spoil: &dyn Fn(&mut MapChanges)| {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.map");
+        let mut random = Random::new(47);
+        let (mut maps, optics) = (two_maps(&mut random), optics(&mut random));
+        let mut all = changes(&mut maps, &optics, true);
+        spoil(&mut all);
+        MapFile::create(&path, &all).unwrap().close().unwrap();
+        read(&path).err().is_some_and(|error| matches!(error.fault, Fault::Broken(_)))
+    };
+    assert!(!refused(&|_| {}));
+    let cases: [&dyn Fn(&mut MapChanges); 11] = [
+        &|c| c.next_landmark = (1 << 28) + 1,
+        &|c| c.next_keyframe = 2,
+        &|c| c.next_landmark = 2,
+        &|c| c.maps[0].0.id = MapId(u32::MAX),
+        &|c| c.maps[0].0.id = c.maps[1].0.id,
+        &|c| c.maps[0].0.scale = MapScale::Metric { sigma: f64::NAN, sources: ScaleSources::default() },
+        &|c| c.keyframes[0].1.map = MapId(u32::MAX),
+        &|c| c.keyframes[0].1.observations[0].inv_sigma_px = f64::INFINITY,
+        &|c| c.keyframes[0].1.motion = Some(CameraMotion { turn: Vector3::x() * f64::NAN, shift: Vector3::x() }),
+        &|c| c.landmarks.values_mut().next().unwrap()[0].1.position.y = f64::NAN,
+        &|c| c.landmarks.values_mut().next().unwrap()[0].0 += 64,
+    ];
+    for (n, case) in cases.iter().enumerate() {
+        assert!(refused(*case), "case {n}");
+    }
 }
 
 /// A flipped byte, several, a page of something else, cut off, or longer.

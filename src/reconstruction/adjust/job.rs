@@ -80,8 +80,17 @@ pub struct FoundIntrinsics {
 const WHOLE_GAIN: f64 = 1e-5;
 /// Keyframes further apart, ns, are held by no length: over a long way the distance of its ends is not what wheels know best.
 const LONGEST_STEP_NS: i64 = 5_000_000_000;
+/// A length is held no harder than this, m, and as a share of it: wheels that roll unevenly or are dented are no better, whatever their driver says.
+const LEAST_HELD_M: f64 = 0.002;
+const LEAST_HELD_SHARE: f64 = 0.01;
 /// Keyframes at which the whole map is adjusted first; then whenever it has grown by a third, up to the limit.
 pub const WHOLE_FIRST: usize = 5;
+
+/// Standard deviation that a length of a metric map is held with, m.
+fn held_sigma(length: f64, sigma: f64) -> f64 {
+    sigma.max(LEAST_HELD_M).max(LEAST_HELD_SHARE * length)
+}
+
 impl Adjustment {
     /// The local problem around `newest`; `None` if it has nothing to move.
     pub fn local(
@@ -210,8 +219,8 @@ impl Adjustment {
         }
     }
 
-    /// Holds distances between keyframes that follow one another, at the places that `length` knows (times of both, ns): map units and standard
-    /// deviation. Those of them that stay where they are or lie further apart than `LONGEST_STEP_NS` are left alone.
+    /// Holds distances between keyframes that follow one another, at the places that `length` knows (times of both, ns): its length and standard
+    /// deviation, m. Those of them that stay where they are or lie further apart than `LONGEST_STEP_NS` are left alone.
     pub fn hold_lengths(&mut self, map: &Map, mut length: impl FnMut(i64, i64) -> Option<(f64, f64)>) {
         for i in 1..self.keyframes.len() {
             if self.problem.fixed[i - 1] && self.problem.fixed[i] {
@@ -223,6 +232,7 @@ impl Adjustment {
                 continue;
             }
             if let Some((length, sigma)) = length(from_ns, to_ns) {
+                let sigma = held_sigma(length, sigma);
                 self.problem.lengths.push(KnownLength { cameras: [i as u32 - 1, i as u32], length, sigma });
             }
         }
@@ -358,6 +368,12 @@ impl MappingWorker for InlineWorker {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn no_length_is_held_as_if_it_were_exact() {
+        let found = [held_sigma(0.05, 0.0), held_sigma(1.0, 1e-9), held_sigma(1.0, 0.03)];
+        assert_eq!(found, [0.002, 0.01, 0.03]);
+    }
 
     #[test]
     fn intrinsics_jacobian_agrees_with_numeric_differences() {

@@ -26,6 +26,10 @@ impl Mapper {
         Self { worker, lockstep, posted: None }
     }
 
+    pub fn is_lockstep(&self) -> bool {
+        self.lockstep
+    }
+
     pub fn is_busy(&self) -> bool {
         self.posted.is_some()
     }

@@ -70,17 +70,18 @@ impl Reconstruction {
         // One under way began from poses that are no more; the keyframe that this frame becomes posts another.
         self.mapper.discard();
         self.pending.turned = None;
-        if placed.is_assumed {
-            self.counters.blind_turns += 1;
-            self.doubt_scale_behind(placed.from);
+        self.counters.blind_turns += u64::from(placed.step == Step::Assumed);
+        if placed.step != Step::Measured {
+            self.doubt_scale_behind(placed.from, placed.step == Step::Assumed);
         }
         Some(pose)
     }
 
-    /// What has been seen since the turn at `from` began has the scale that was assumed, but for keyframes that saw enough of known distance.
-    fn doubt_scale_behind(&mut self, from: KeyframeId) {
+    /// What has been seen since the turn at `from` began has the scale that was assumed or that wheels told in a moment, but for keyframes that saw
+    /// enough of known distance.
+    fn doubt_scale_behind(&mut self, from: KeyframeId, assumed: bool) {
         let before = self.active.map.keyframe(from).and_then(|k| k.scale_from);
-        let Some(turn) = self.active.scale.add(&self.active.map, from, before) else { return };
+        let Some(turn) = self.active.scale.add(&self.active.map, from, before, assumed) else { return };
         let mut behind: Vec<KeyframeId> = self.active.map.keyframes.iter().map(|(id, _)| KeyframeId(id)).collect();
         let blind = |id: &KeyframeId| {
             let (assumed, all) = assumed_among(&self.active.map, *id);
@@ -119,8 +120,17 @@ struct Placed {
     camera_from_world: Se3<Camera, World>,
     /// The first of the two views.
     from: KeyframeId,
-    /// The step between them is as long as assumed distances make it.
-    is_assumed: bool,
+    step: Step,
+}
+
+/// What makes the step behind a turn as long as it is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Step {
+    /// Landmarks of known distance.
+    Measured,
+    Wheels,
+    /// Assumed distances.
+    Assumed,
 }
 
 /// The newest frame's place from its `matches`; `None` if there is no such keyframe, or not enough parallax yet.
@@ -172,10 +182,10 @@ fn place(
     let measured = lengths(false);
     let blind = measured.len() < MIN_MEASURED;
     let driven = if blind { way.since(keyframe.timestamp_ns) } else { None };
-    let is_assumed = blind && driven.is_none();
-    let length = match driven {
-        Some(driven) => driven / solution.second_from_first.translation.norm(),
-        None => median(&mut if blind { lengths(true) } else { measured }).unwrap_or(0.0),
+    let (told, length) = match driven {
+        Some(driven) => (Step::Wheels, driven / solution.second_from_first.translation.norm()),
+        None if blind => (Step::Assumed, median(&mut lengths(true)).unwrap_or(0.0)),
+        None => (Step::Measured, median(&mut { measured }).unwrap_or(0.0)),
     };
     if !(length > 0.0 && length.is_finite()) {
         return None;
@@ -190,7 +200,7 @@ fn place(
         }
     }
     resolve_between(map, from, camera, readout_s);
-    Some(Placed { camera_from_world: step * from_world, from, is_assumed })
+    Some(Placed { camera_from_world: step * from_world, from, step: told })
 }
 
 /// Keyframes after `from` were placed against distances that were wrong.
@@ -332,10 +342,10 @@ mod tests {
         let way = Way { wheels: &wheels, fusion: &fusion, to_ns: 1_000_000_000 };
         let placed = place(&mut map, &matches, &camera(), 0.0, (1, &way)).expect("a place");
         let step = placed.camera_from_world.inverse().translation.norm();
-        assert!(!placed.is_assumed && (step - 0.3).abs() < 0.003, "the step is {step} long");
+        assert!(placed.step == Step::Wheels && (step - 0.3).abs() < 0.003, "the step is {step} long");
         // Of a map whose scale the wheels have not told they tell no length.
         let placed = place(&mut map, &matches, &camera(), 0.0, (1, &silent(&wheels))).expect("a place");
-        assert!(placed.is_assumed);
+        assert_eq!(placed.step, Step::Assumed);
     }
 
     #[test]
@@ -346,7 +356,7 @@ mod tests {
             let (mut map, matches) = scene(&truth);
             assert!(matches.len() > 80, "{} matches: the scene is too poor", matches.len());
             let placed = place(&mut map, &matches, &camera(), 0.0, (1, &silent(&wheels))).expect("a place");
-            assert!(placed.is_assumed, "nothing here has a known distance");
+            assert_eq!(placed.step, Step::Assumed, "nothing here has a known distance");
             let found = placed.camera_from_world;
             let turn = (found.rotation * truth.rotation.inverse()).angle().to_degrees();
             assert!(turn < 0.05, "moved by {by:?}: rotation off by {turn} degrees");

@@ -9,25 +9,21 @@
 //! Cost: nothing while no map is kept; else one attempt of relocalisation for every few keyframes, rarer while nothing is recognised, after
 //! the pose was published. Not here: a kept map is not asked while the present one is lost.
 
-use nalgebra::Vector3;
-
 use super::other_maps::{
-    ATTEMPT_GAP, LONGEST_GAP, MAX_SCALE_SIGMA, OtherMap, OtherMaps, REMEMBERED, Sighting, at_corner, log_ratio, retire,
-    similarity,
+    ATTEMPT_GAP, LONGEST_GAP, MAX_SCALE_SIGMA, OtherMap, OtherMaps, REMEMBERED, Sighting, at_corner, found_in,
+    log_ratio, retire, similarity, turned_only,
 };
 use crate::features::FrameFeatures;
 use crate::geometry::CameraModel;
-use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::World;
 use crate::geometry::sim3::Sim3;
 use crate::map::{KeyframeId, LandmarkId, Map, Observation};
 use crate::reconstruction::Reconstruction;
 use crate::reconstruction::keyframe::observe_match;
 use crate::reconstruction::optics::Optics;
+use crate::reconstruction::track::Tracker;
 use crate::reconstruction::track::association::Bindings;
 use crate::reconstruction::track::frame::Frame;
-use crate::reconstruction::track::search::Match;
-use crate::reconstruction::track::{Tracked, Tracker};
 use crate::reconstruction::types::{PoseEstimate, TrajectoryEvent};
 
 /// Landmarks of both maps at one corner whose depths have a larger logarithm of their ratio are two points.
@@ -160,23 +156,6 @@ impl Reconstruction {
         active.next_whole = 0;
         active.unadjusted = newest;
     }
-}
-
-/// Of a motion only the turn is known in another map's unit.
-pub(in crate::reconstruction) fn turned_only(motion: CameraMotion) -> CameraMotion {
-    CameraMotion { shift: Vector3::zeros(), ..motion }
-}
-
-/// What was found of a keyframe that a tracker has placed elsewhere, but for assumed distances, which tell nothing.
-pub(in crate::reconstruction) fn found_in(
-    frame: &Frame<'_>,
-    tracker: &Tracker,
-    keyframe: KeyframeId,
-    placed: &Tracked,
-) -> Option<Sighting> {
-    let is_measured = |m: &&Match| frame.map.landmark(m.landmark).is_some_and(|l| l.assumed.is_none());
-    let found: Vec<Match> = tracker.inliers().filter(is_measured).copied().collect();
-    (!found.is_empty()).then_some(Sighting { keyframe, there: placed.camera_from_world, found })
 }
 
 /// Enters what a keyframe was found to see of another map, which is a part of this one by now; `seen`: what it saw before.

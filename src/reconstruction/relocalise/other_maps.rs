@@ -9,7 +9,10 @@
 //! p_present = s p_other  in the camera's axes, so  x_present = s R x_other + t,  R = R_p' R_o,  t = R_p' (s t_o - t_p)
 //! ```
 
+use nalgebra::Vector3;
+
 use super::Relocaliser;
+use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::sim3::Sim3;
 use crate::geometry::{Se3, median};
@@ -18,7 +21,9 @@ use crate::motion::scale::ScaleFusion;
 use crate::reconstruction::active_map::ActiveMap;
 use crate::reconstruction::keyframe::{SAME_CORNER_PX, triangulate};
 use crate::reconstruction::scale_uncertainty::ScaleUncertainty;
+use crate::reconstruction::track::frame::Frame;
 use crate::reconstruction::track::search::Match;
+use crate::reconstruction::track::{Tracked, Tracker};
 use crate::reconstruction::types::TrajectoryEvent;
 
 /// Maps that are kept at the most; the smallest goes first.
@@ -119,6 +124,18 @@ impl OtherMaps {
     }
 }
 
+/// Of a motion only the turn is known in another map's unit.
+pub fn turned_only(motion: CameraMotion) -> CameraMotion {
+    CameraMotion { shift: Vector3::zeros(), ..motion }
+}
+
+/// What was found of a keyframe that a tracker has placed elsewhere, but for assumed distances, which tell nothing.
+pub fn found_in(frame: &Frame<'_>, tracker: &Tracker, keyframe: KeyframeId, placed: &Tracked) -> Option<Sighting> {
+    let is_measured = |m: &&Match| frame.map.landmark(m.landmark).is_some_and(|l| l.assumed.is_none());
+    let found: Vec<Match> = tracker.inliers().filter(is_measured).copied().collect();
+    (!found.is_empty()).then_some(Sighting { keyframe, there: placed.camera_from_world, found })
+}
+
 /// The similarity, present from other, that two keyframes tell, if it is the same. `min_parallax`: of what they triangulate, rad.
 pub fn similarity(
     map: &Map,
@@ -211,7 +228,7 @@ mod tests {
     use super::*;
     use crate::geometry::random::Random;
     use crate::map::{Keyframe, Landmark};
-    use nalgebra::{Matrix2, Matrix3, UnitQuaternion, Vector2, Vector3};
+    use nalgebra::{Matrix2, Matrix3, UnitQuaternion, Vector2};
 
     /// Two keyframes of the present map that see the same 40 points of another one, whose unit is a third of it.
     struct Scene {

@@ -63,10 +63,10 @@ impl SeedRays {
         self.list.clear();
     }
 
-    /// Takes the seeds among the frame's tracks, if the way from the pose before it to the one expected for it is a quick turn.
+    /// Takes the seeds among the frame's tracks, if the way from the pose before it (the last guess) to the one expected for it is a quick turn.
     pub fn collect(&mut self, frame: &Frame<'_>, expected: &[Se3<Camera, World>]) {
         self.list.clear();
-        let quick = matches!(expected, [next, last, ..] if next.rotation.angle_to(&last.rotation) > QUICK_TURN_RAD);
+        let quick = matches!(expected, [next, .., last] if next.rotation.angle_to(&last.rotation) > QUICK_TURN_RAD);
         let Some(distance) = self.distance.filter(|_| quick) else { return };
         for track in &frame.features.tracks {
             if let Some(Target::Seed(seed)) = frame.bindings.get(track.id) {

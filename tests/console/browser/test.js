@@ -97,12 +97,31 @@ async function buttons(page) {
   await place.getByRole("button").click();
   await page.waitForFunction(() => /^(4[89]|5[012])\./.test([...document.querySelectorAll("#numbers div")].find((d) => d.firstChild.textContent === "Position").lastChild.textContent));
   check(true, "the robot is where it was said to be");
+  const command = (name) => page.locator(".command").filter({ has: page.getByRole("button", { name, exact: true }) });
+  const keep = command("Keep the map");
+  await keep.locator("input").fill("room");
+  check((await keep.locator(".shell").innerText()) === "cairn map --prefix robot save room", "a button on maps shows its command");
+  await keep.getByRole("button").click();
+  await page.waitForFunction(() => [...document.querySelectorAll(".command output[data-ok=true]")].some((o) => o.textContent.includes("room.map")));
+  const load = command("Go on in a map");
+  await load.locator("input").focus();
+  await page.waitForFunction(() => [...document.querySelectorAll("#stored-maps option")].some((o) => o.value === "room"));
+  check(true, "stored maps are listed");
+  for (const [name, value] of [["Go on in a map", "room"], ["Only locate in the map", null], ["Let the map grow again", null], ["Begin a new map", "other"]]) {
+    const row = command(name);
+    if (value) await row.locator("input").fill(value);
+    await row.getByRole("button").click();
+    await page.waitForFunction((n) => [...document.querySelectorAll(".command")].find((c) => [...c.querySelectorAll("button")].some((b) => b.textContent === n)).querySelector("output").dataset.ok === "true", name);
+    check(true, `a button does it: ${name}`);
+    if (value) await stateIs(page, "tracking");
+  }
   const resets = Number(await number(page, "Resets"));
   const drop = page.getByRole("button", { name: "Drop the map" });
   await drop.click();
   await page.getByRole("button", { name: "Really drop it?" }).click();
   await page.waitForFunction((n) => Number([...document.querySelectorAll("#numbers div")].find((d) => d.firstChild.textContent === "Resets").lastChild.textContent) > n, resets);
-  check((await answer(page, "Drop the map").getAttribute("data-ok")) === "true", "the map is dropped by a second click");
+  await page.waitForFunction(() => [...document.querySelectorAll(".command")].find((c) => c.textContent.includes("Drop the map")).querySelector("output").dataset.ok === "true");
+  check(true, "the map is dropped by a second click");
 }
 
 async function pair(page) {

@@ -33,12 +33,14 @@ pub(super) struct LengthTerm {
 }
 
 impl KnownLength {
-    /// Residual, standard deviations, and its derivatives by both poses; `None` where the cameras are in one place.
+    /// Residual, standard deviations, and its derivatives by both poses; `None` where the cameras are in one place, or nothing is told: one NaN
+    /// would spoil all that is adjusted with it.
     fn linearised(&self, poses: &[Se3<Camera, World>]) -> Option<(f64, [Vector6<f64>; 2])> {
         let [a, b] = self.cameras.map(|camera| poses[camera as usize]);
         let between = a * b.inverse();
         let length = between.translation.norm();
-        if !(length > 1e-9) {
+        let told = self.length.is_finite() && self.sigma > 0.0 && self.sigma.is_finite();
+        if !(told && length > 1e-9) {
             return None;
         }
         let along = between.translation / length;
@@ -66,6 +68,15 @@ mod tests {
     use super::*;
     use crate::geometry::random::Random;
     use nalgebra::UnitQuaternion;
+
+    #[test]
+    fn a_length_without_a_finite_sigma_has_no_part_in_an_adjustment() {
+        let poses = [Se3::identity(), Se3::new(UnitQuaternion::identity(), Vector3::new(0.7, 0.0, 0.0))];
+        for (length, sigma) in [(0.7, 0.0), (0.7, f64::NAN), (0.7, f64::INFINITY), (f64::NAN, 0.1), (0.7, -0.1)] {
+            let known = KnownLength { cameras: [0, 1], length, sigma };
+            assert!(known.term(&poses).is_none() && known.cost(&poses) == 0.0, "{length} {sigma}");
+        }
+    }
 
     #[test]
     fn jacobian_of_a_length_agrees_with_numeric_differences() {

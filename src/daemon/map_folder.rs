@@ -1,0 +1,167 @@
+//! Maps by name: the one folder in which commands may load and store, and what a name may be.
+//!
+//! A client says names and never paths. `kitchen` is the file `kitchen.map` of the folder; a name has 1 to 64 letters, digits, `-`, `_` and `.`,
+//! and begins with a letter or digit, so none leads out of the folder or is hidden in it.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use crate::messages::TEXT_LEN;
+
+const ENDING: &str = ".map";
+const LONGEST_NAME: usize = 64;
+/// Maps in the folder at the most: whoever presses a button all night does not fill the disk with new ones.
+const MOST_MAPS: usize = 100;
+/// Entries of the folder that are looked at.
+const MOST_ENTRIES: usize = 10_000;
+/// How copies that are made for a client are named, and how long one has to fetch its own.
+const COPY: &str = ".copy-";
+const COPY_LIVES: Duration = Duration::from_secs(300);
+
+/// Where maps are kept by name.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct MapFolder {
+    path: PathBuf,
+}
+
+impl MapFolder {
+    pub fn new(path: PathBuf) -> Self {
+        Self { path }
+    }
+
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The file of a name, with or without its ending. The error says what a name may be.
+    pub fn file(&self, name: &str) -> Result<PathBuf, String> {
+        let name = name.strip_suffix(ENDING).unwrap_or(name);
+        let may = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
+        let is_name = name.starts_with(|c: char| c.is_ascii_alphanumeric())
+            && name.len() <= LONGEST_NAME
+            && name.chars().all(may);
+        if !is_name {
+            return Err(format!(
+                "{name:?} is no name of a map: 1 to {LONGEST_NAME} letters, digits, '-', '_' and '.', a letter or digit first; maps are kept in {}",
+                self.path.display()
+            ));
+        }
+        Ok(self.path.join(format!("{name}{ENDING}")))
+    }
+
+    /// The same for a map that is to be made; the folder is made if it is missing.
+    pub fn new_file(&self, path: &Path) -> Result<(), String> {
+        self.make()?;
+        if path.symlink_metadata().is_ok() {
+            return Err(format!("{}: there is such a map already", path.display()));
+        }
+        let there = self.maps().len();
+        if there >= MOST_MAPS {
+            return Err(format!("{}: there are {there} maps; remove some", self.path.display()));
+        }
+        Ok(())
+    }
+
+    fn make(&self) -> Result<(), String> {
+        std::fs::create_dir_all(&self.path).map_err(|e| format!("{}: {e}", self.path.display()))
+    }
+
+    /// Where a copy for a client goes. Copies that nobody has fetched are removed.
+    pub fn copy_file(&self) -> Result<PathBuf, String> {
+        self.make()?;
+        let now = SystemTime::now();
+        for entry in std::fs::read_dir(&self.path).into_iter().flatten().flatten().take(MOST_ENTRIES) {
+            let is_copy = entry.file_name().to_str().is_some_and(|name| name.starts_with(COPY));
+            let age = || now.duration_since(entry.metadata().ok()?.modified().ok()?).ok();
+            if is_copy && age().is_some_and(|age| age > COPY_LIVES) {
+                // Another look is taken with the next copy.
+                let _ = std::fs::remove_file(entry.path());
+            }
+        }
+        let stamp = now.duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos();
+        Ok(self.path.join(format!("{COPY}{}-{stamp}{ENDING}", std::process::id())))
+    }
+
+    /// Maps by name, ascending, with their bytes and when they were written, s since 1970.
+    fn maps(&self) -> Vec<(String, u64, u64)> {
+        let entries = std::fs::read_dir(&self.path).into_iter().flatten().flatten().take(MOST_ENTRIES);
+        let of = |entry: std::fs::DirEntry| {
+            let name = entry.file_name().into_string().ok()?.strip_suffix(ENDING)?.to_owned();
+            self.file(&name).ok()?;
+            let about = std::fs::metadata(entry.path()).ok().filter(std::fs::Metadata::is_file)?;
+            let written = about.modified().ok()?.duration_since(UNIX_EPOCH).unwrap_or_default().as_secs();
+            Some((name, about.len(), written))
+        };
+        let mut maps: Vec<_> = entries.filter_map(of).collect();
+        maps.sort();
+        maps
+    }
+
+    /// As many lines on the maps behind the name `after` as fit into an answer; see the command's text.
+    pub fn list(&self, after: &str, current: Option<&Path>) -> String {
+        const MORE: &str = "...";
+        let mut text = String::new();
+        for (name, bytes, written) in self.maps().into_iter().filter(|(name, ..)| name.as_str() > after) {
+            let is_current = current == Some(&*self.path.join(format!("{name}{ENDING}")));
+            let line = format!("{name} {bytes} {written}{}\n", if is_current { " current" } else { "" });
+            if text.len() + line.len() + MORE.len() > TEXT_LEN {
+                return text + MORE;
+            }
+            text += &line;
+        }
+        text
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_name_leads_out_of_the_folder() {
+        let folder = MapFolder::new("/var/lib/cairn/maps".into());
+        for (name, file) in [("kitchen", "kitchen.map"), ("kitchen.map", "kitchen.map"), ("1_a-b.c", "1_a-b.c.map")] {
+            assert_eq!(folder.file(name), Ok(folder.path().join(file)));
+        }
+        let long = "x".repeat(65);
+        for name in
+            ["", ".map", "..", "../a", "a/b", "/etc/passwd", ".hidden", "-x", "a b", "a\0b", "ä", "a\n", long.as_str()]
+        {
+            let told = folder.file(name).expect_err(name);
+            assert!(told.contains("/var/lib/cairn/maps"), "{told}");
+        }
+    }
+
+    #[test]
+    fn maps_are_listed_in_answers_that_hold_some_each() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = MapFolder::new(dir.path().join("maps"));
+        assert_eq!(folder.list("", None), "", "there is no folder yet");
+        assert_eq!(folder.new_file(&folder.file("a").unwrap()), Ok(()));
+        for n in 0..30 {
+            std::fs::write(folder.path().join(format!("a-long-name-of-a-map-{n:02}.map")), "x").unwrap();
+        }
+        for foreign in [".copy-1-1.map", "notes.txt", ".a.map.12"] {
+            std::fs::write(folder.path().join(foreign), "x").unwrap();
+        }
+        let current = folder.file("a-long-name-of-a-map-07").unwrap();
+        let (mut names, mut after) = (Vec::new(), String::new());
+        for _ in 0..30 {
+            let text = folder.list(&after, Some(&current));
+            assert!(text.len() <= TEXT_LEN);
+            let lines: Vec<&str> = text.lines().filter(|line| *line != "...").collect();
+            names.extend(lines.iter().map(|line| line.split(' ').next().unwrap().to_owned()));
+            assert!(lines.iter().all(|line| line.ends_with(" current") == line.contains("-07 ")), "{text}");
+            let Some(last) = names.last().filter(|_| text.ends_with("...")) else { break };
+            after.clone_from(last);
+        }
+        assert_eq!(names.len(), 30, "{names:?}");
+        assert!(names.is_sorted());
+        let told = folder.new_file(&current).expect_err("it is there");
+        assert!(told.contains("already"), "{told}");
+        for n in 0..MOST_MAPS {
+            std::fs::write(folder.path().join(format!("b{n}.map")), "x").unwrap();
+        }
+        assert!(folder.new_file(&folder.file("new").unwrap()).expect_err("full").contains("remove some"));
+    }
+}

@@ -1,0 +1,247 @@
+//! Who writes maps to disk, and reads those that a command asks for: in the daemon a thread of its own, in lock-step called directly.
+//!
+//! A map that is left is written before: what comes with a load or a new map follows the last changes of the old one through the same
+//! queue, and goes on only if these are on the disk. Reading a file, verifying it and giving its maps ids of this run happens here;
+//! reconstruction gets maps that it only has to take.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use crossbeam::channel::{Receiver, Sender};
+use tracing::{debug, error, info};
+
+use super::map_folder::MapFolder;
+use super::request::{CopyTo, Loaded, Reply, Request};
+use crate::map::saved::{Ids, MapChanges};
+use crate::places::store::{MapFile, StoreError, read};
+
+/// Ids that a run may give while a file is read: half a minute of keyframes and landmarks at the utmost.
+const MEANWHILE: Ids = Ids { maps: 16, keyframes: 1 << 10, landmarks: 1 << 17 };
+/// A stage that does not take a request for so long hangs.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// Who writes.
+pub struct Keeper {
+    path: PathBuf,
+    file: Option<MapFile>,
+    exists: bool,
+    /// Why the newest changes are not in the file.
+    failed: Option<StoreError>,
+    /// Told to the desk: it has to hand over everything.
+    wants_everything: Arc<AtomicBool>,
+}
+
+/// What is handed to whoever writes.
+pub enum Order {
+    /// Changes of the map; told whoever waits for them to be on the disk.
+    Keep(Box<MapChanges>, Option<Reply>),
+    /// Everything, into the map's own file if it has one, and into another, which is made.
+    Copy {
+        everything: Box<MapChanges>,
+        to: CopyTo,
+        reply: Reply,
+    },
+    /// Read a map for reconstruction, whose ids are these so far.
+    Load {
+        path: PathBuf,
+        given: Ids,
+        localise_only: bool,
+        requests: Sender<Request>,
+        reply: Reply,
+    },
+    /// A new map is to begin in this file: back to reconstruction with it, if the old one is on the disk.
+    Begin {
+        path: PathBuf,
+        folder: MapFolder,
+        requests: Sender<Request>,
+        reply: Reply,
+    },
+    List {
+        folder: MapFolder,
+        after: String,
+        reply: Reply,
+    },
+    /// Changes go to this file from now on, or to none.
+    Switch(Option<Box<Keeper>>),
+}
+
+impl Keeper {
+    /// `file`: open for writing; `None`: to be opened, or made unless it `exists`, with the first changes.
+    pub fn new(path: PathBuf, file: Option<MapFile>, exists: bool, wants_everything: Arc<AtomicBool>) -> Self {
+        Self { path, file, exists, failed: None, wants_everything }
+    }
+
+    /// Writes changes; everything, if the file is to be made or opened anew.
+    pub fn keep(&mut self, changes: &MapChanges) {
+        let outcome = self.ready(changes).and_then(|file| match file {
+            Some(file) => file.write(changes),
+            None => Ok(0),
+        });
+        match outcome {
+            Ok(bytes) => {
+                let keyframes = changes.keyframes.len();
+                debug!(path = %self.path.display(), keyframes, bytes, "map file written");
+                self.failed = None;
+            }
+            Err(reason) => {
+                if self.failed.is_none() {
+                    error!(%reason, "map file not written, tried again later");
+                }
+                (self.file, self.failed) = (None, Some(reason));
+                self.wants_everything.store(true, Ordering::Release);
+            }
+        }
+    }
+
+    /// The file, to write the changes to; `None` if they are in it already, as it was made with them.
+    fn ready(&mut self, changes: &MapChanges) -> Result<Option<&mut MapFile>, StoreError> {
+        if self.file.is_none() {
+            let file = match self.exists {
+                true => MapFile::open(&self.path)?.0,
+                false => MapFile::create(&self.path, changes)?,
+            };
+            let made = !std::mem::replace(&mut self.exists, true);
+            self.file = Some(file);
+            if made {
+                return Ok(None);
+            }
+        }
+        Ok(self.file.as_mut())
+    }
+
+    /// Closes the file: where it lies, or why what came last is not in it.
+    pub fn close(self) -> Result<Option<PathBuf>, String> {
+        if let Some(failed) = self.failed {
+            return Err(failed.to_string());
+        }
+        let Some(file) = self.file else { return Ok(None) };
+        file.close().map_err(|e| e.to_string())?;
+        info!(path = %self.path.display(), "map file closed");
+        Ok(Some(self.path))
+    }
+
+    /// Whether what was handed over last is on the disk.
+    fn outcome(&self) -> Result<String, String> {
+        match &self.failed {
+            None => Ok(format!("the map is stored in {}", self.path.display())),
+            Some(reason) => Err(reason.to_string()),
+        }
+    }
+}
+
+/// The keeper's thread: works off orders until the desk is gone.
+pub fn serve(mut keeper: Option<Keeper>, orders: &Receiver<Order>) -> Result<Option<PathBuf>, String> {
+    for order in orders {
+        match order {
+            Order::Keep(changes, reply) => {
+                if let Some(keeper) = &mut keeper {
+                    keeper.keep(&changes);
+                }
+                if let Some(reply) = reply {
+                    answer(&reply, keeper.as_ref().map_or(Err("the map has no file".into()), Keeper::outcome));
+                }
+            }
+            Order::Copy { everything, to, reply } => {
+                if let Some(keeper) = &mut keeper {
+                    keeper.keep(&everything);
+                }
+                answer(&reply, copy(&everything, to, keeper.as_ref()));
+            }
+            Order::Load { path, given, localise_only, requests, reply } => {
+                let loaded = left(keeper.as_ref()).and_then(|()| load(path, given, localise_only, keeper.as_ref()));
+                pass_on(
+                    loaded.map(|loaded| Request::TakeMap { loaded: Box::new(loaded), reply: reply.clone() }),
+                    &requests,
+                    &reply,
+                );
+            }
+            Order::Begin { path, folder, requests, reply } => {
+                let ready = left(keeper.as_ref()).and_then(|()| folder.new_file(&path));
+                pass_on(ready.map(|()| Request::BeginMap { path, reply: reply.clone() }), &requests, &reply);
+            }
+            Order::List { folder, after, reply } => {
+                let current = keeper.as_ref().map(|keeper| keeper.path.as_path());
+                answer(&reply, Ok(folder.list(&after, current)));
+            }
+            Order::Switch(next) => {
+                let old = std::mem::replace(&mut keeper, next.map(|next| *next));
+                if let Some(Err(reason)) = old.map(Keeper::close) {
+                    error!(reason, "map file not closed");
+                }
+            }
+        }
+    }
+    keeper.map_or(Ok(None), Keeper::close)
+}
+
+/// Whoever asked may have gone.
+fn answer(reply: &Reply, outcome: Result<String, String>) {
+    let _ = reply.try_send(outcome);
+}
+
+fn pass_on(request: Result<Request, String>, requests: &Sender<Request>, reply: &Reply) {
+    let sent = request.and_then(|request| {
+        requests.send_timeout(request, PATIENCE).map_err(|_| "the reconstruction stage takes no requests".to_owned())
+    });
+    if let Err(reason) = sent {
+        answer(reply, Err(reason));
+    }
+}
+
+/// Whether the present map may be left: it is on the disk, if it has a file.
+fn left(keeper: Option<&Keeper>) -> Result<(), String> {
+    match keeper.and_then(|keeper| keeper.failed.as_ref()) {
+        Some(reason) => Err(format!("the present map is not left, as it cannot be stored: {reason}")),
+        None => Ok(()),
+    }
+}
+
+fn load(path: PathBuf, given: Ids, localise_only: bool, keeper: Option<&Keeper>) -> Result<Loaded, String> {
+    if keeper.is_some_and(|keeper| keeper.path == path) {
+        return Err(format!("{}: it is the present map", path.display()));
+    }
+    let (file, saved) = match localise_only {
+        true => (None, read(&path).map_err(|e| e.to_string())?.saved),
+        false => {
+            let (file, contents) = MapFile::open(&path).map_err(|e| e.to_string())?;
+            (Some(file), contents.saved)
+        }
+    };
+    if saved.maps.is_empty() {
+        return Err(format!("{}: there is no map in it yet", path.display()));
+    }
+    let above = |given: u32, margin: u32| given.checked_add(margin);
+    let by = || {
+        Some(Ids {
+            maps: above(given.maps, MEANWHILE.maps)?,
+            keyframes: above(given.keyframes, MEANWHILE.keyframes)?,
+            landmarks: above(given.landmarks, MEANWHILE.landmarks)?,
+        })
+    };
+    let saved = by().ok_or_else(|| "its ids are used up".to_owned()).and_then(|by| saved.moved_by(by));
+    let saved = saved.map_err(|reason| format!("{}: {reason}", path.display()))?;
+    Ok(Loaded { path, file, saved })
+}
+
+fn copy(everything: &MapChanges, to: CopyTo, keeper: Option<&Keeper>) -> Result<String, String> {
+    let write = |path: &PathBuf| {
+        let file = MapFile::create(path, everything).and_then(MapFile::close);
+        file.map_err(|e| e.to_string())
+    };
+    match to {
+        CopyTo::Named(path, folder) => {
+            folder.new_file(&path)?;
+            write(&path)?;
+            info!(path = %path.display(), "map copied");
+            Ok(format!("the map as it is now is stored in {}", path.display()))
+        }
+        CopyTo::Sender(folder) => {
+            let path = folder.copy_file()?;
+            write(&path)?;
+            let own = keeper.map(|keeper| keeper.path.display().to_string()).unwrap_or_default();
+            Ok(format!("{}\n{own}", path.display()))
+        }
+    }
+}

@@ -1,0 +1,234 @@
+//! Frames that the picture cannot place: odometry goes on by the wheels, and vision takes up again where it is.
+//!
+//! Once the map is metric and the camera's place on the base is known, the wheels say where each frame is expected
+//! ([`dead_reckoning`](super::dead_reckoning)): tracking searches there what it does not find where the last motion leads, and a frame that it cannot
+//! place all the same (dark, covered, blurred) is published as `DeadReckoning`, up to a limit of time, way and doubt; beyond it, and without wheels, it is lost as ever.
+//!
+//! Vision takes up again by the same search at the expected place, among the landmarks of the keyframe nearest to it. A pose that agrees
+//! with the wheels need not speak for itself as one after a loss must. The smooth pose goes on without a jump: what the wheels were off by moves the map
+//! pose alone.
+//!
+//! Where nothing of the map is in view when the picture comes back, the same map goes on from the dead-reckoned pose: a start as that of a map,
+//! brought into the present one by the newest camera's dead-reckoned place and by the way that the wheels drove between its first and
+//! last view. It must agree with the wheels' motion over its views. Landmarks on both sides of the gap hang together by the wheels alone: the doubt is
+//! told ([`Reckoned`]), and a loop that is closed later takes it out.
+//!
+//! Not here: what is seen of an old part of the map while a new one is in view (`loops` finds it).
+
+use nalgebra::{Matrix6, Vector3};
+
+use super::Reconstruction;
+use super::active_map::ActiveMap;
+use super::dead_reckoning::{Ahead, Reckoned};
+use super::odometry::{LastFrame, Odometry};
+use super::relocalise::other_maps::WORTH_KEEPING;
+use super::track::frame::Frame;
+use super::track::{Tracked, Tracker};
+use super::types::{PoseEstimate, TrackingState, TrajectoryEvent};
+use crate::features::FrameFeatures;
+use crate::geometry::Se3;
+use crate::geometry::frames::{Camera, Odom, World};
+use crate::geometry::sim3::Sim3;
+use crate::map::scale::ScaleSource;
+use crate::map::{KeyframeId, Map};
+
+/// A keyframe that looks elsewhere than the expected pose by more than this sees nothing of the same, rad; and how far away counts as much as a
+/// radian, m.
+const SAME_VIEW_RAD: f64 = 1.0;
+const RADIAN_M: f64 = 4.0;
+/// The views of a start and the wheels over the same time agree up to this turn (rad) and direction (rad).
+const START_TURN_RAD: f64 = 0.06;
+const START_DIRECTION_RAD: f64 = 0.3;
+/// Wheels that moved by fewer of their standard deviations between the views of a start tell no length.
+const MOVED_SIGMAS: f64 = 5.0;
+
+impl Reconstruction {
+    /// The wheels alone place the newest frame: for how long and how surely; `None` otherwise.
+    pub fn reckoned(&self) -> Option<Reckoned> {
+        self.blind.reckoned.filter(|_| self.state == TrackingState::DeadReckoning)
+    }
+
+    /// Where the camera is expected at a time, ns, by the wheels; `None` where they do not tell.
+    pub(super) fn look_ahead(&self, timestamp_ns: i64) -> Option<Ahead> {
+        if self.wheels.scale.is_silent() || !self.active.fusion.is_metric() {
+            return None;
+        }
+        let last = self.active.odometry.last?;
+        Ahead::of(&self.wheels.scale, (last.timestamp_ns, timestamp_ns), self.units_per_m()).filter(Ahead::is_believed)
+    }
+
+    /// Map units of now for a metre of the wheels: near one, as the map is metric.
+    fn units_per_m(&self) -> f64 {
+        self.active.fusion.word(ScaleSource::Wheels).map_or(1.0, |log| (-log).exp())
+    }
+
+    /// The keyframe to search around: after frames that were not tracked, the one with the view nearest to the expected one.
+    pub(super) fn expected_reference(&self, ahead: Option<&Ahead>) -> KeyframeId {
+        let ActiveMap { map, odometry, reference, .. } = &self.active;
+        let expected = ahead.zip(odometry.last).filter(|_| odometry.lost_frames > 0);
+        let nearest =
+            expected.and_then(|(ahead, last)| nearest_view(map, &(ahead.now_from_last * last.camera_from_world)));
+        nearest.unwrap_or(*reference)
+    }
+
+    /// The smooth pose of a frame of this time, if the one before was placed by the wheels.
+    pub(super) fn odom_after_reckoning(&self, ahead: Option<&Ahead>) -> Option<Se3<Odom, Camera>> {
+        let reckoned = self.reckoned()?;
+        // Where the wheels have just fallen silent the last word holds.
+        Some(ahead.map_or(reckoned.odom_from_camera, |ahead| self.odom_ahead(ahead)))
+    }
+
+    fn odom_ahead(&self, ahead: &Ahead) -> Se3<Odom, Camera> {
+        self.active.odometry.odom_from_camera * ahead.now_from_last.inverse()
+    }
+
+    /// A frame that the picture does not place, and the wheels do.
+    pub(super) fn reckon(&mut self, features: &FrameFeatures, ahead: &Ahead) -> PoseEstimate {
+        let Some(last) = self.active.odometry.last else { return self.estimate_none(features) };
+        let camera_from_world = ahead.now_from_last * last.camera_from_world;
+        let odom_from_camera = self.odom_ahead(ahead);
+        self.state = TrackingState::DeadReckoning;
+        self.blind.note(ahead, odom_from_camera);
+        if !self.localise_only
+            && self.active.map.keyframes.len() >= WORTH_KEEPING
+            && let Some(estimate) = self.go_on_from(features, camera_from_world, odom_from_camera)
+        {
+            return estimate;
+        }
+        // `motion` takes camera coordinates at one time to later ones; the camera itself moves the other way.
+        let unknown = Vector3::from_element(f64::NAN);
+        let (angular, linear) = ahead.motion.map_or((unknown, unknown), |m| (-m.turn, -m.shift));
+        PoseEstimate {
+            state: TrackingState::DeadReckoning,
+            world_from_camera: Some(camera_from_world.inverse()),
+            odom_from_camera: Some(odom_from_camera),
+            anchor: Some(self.active.reference),
+            covariance: ahead.carry(&self.blind.covariance),
+            angular_velocity: angular,
+            linear_velocity: linear,
+            ..self.estimate_none(features)
+        }
+    }
+
+    /// The picture is back, and nothing of the map is in it: perhaps this frame makes a start, which the map then goes on with.
+    fn go_on_from(
+        &mut self,
+        features: &FrameFeatures,
+        here: Se3<Camera, World>,
+        odom_from_camera: Se3<Odom, Camera>,
+    ) -> Option<PoseEstimate> {
+        let (camera, freedom) = (&self.optics.camera, self.optics.intrinsics.uncertainty());
+        let starts = self.initialiser.step(features, camera, &freedom, &self.config);
+        if starts.is_empty() {
+            return None;
+        }
+        // As where a map begins beside this one, but all of it is undone if it is not to be believed.
+        let (counters, events) = (self.counters, self.events.len());
+        let next = self.active.successor();
+        let old = std::mem::replace(&mut self.active, next);
+        let tracker = std::mem::take(&mut self.tracker);
+        let begun = self.start_from(&starts, features).and_then(|_| self.placed_by_wheels(&here));
+        let Some(present_from_start) = begun else {
+            let revision = self.active.map.revision;
+            (self.active, self.tracker) = (old, tracker);
+            // What was made of a revision meanwhile must not be taken for this map's.
+            self.active.map.revision = self.active.map.revision.max(revision) + 1;
+            self.counters = counters;
+            self.events.truncate(events);
+            self.state = TrackingState::DeadReckoning;
+            return None;
+        };
+        self.carry_on(old, &present_from_start, features.timestamp_ns, (here, odom_from_camera));
+        let frame = Frame {
+            features,
+            map: &self.active.map,
+            bindings: &self.active.bindings,
+            camera: &self.optics.camera,
+            config: &self.config,
+            before: None,
+            motion: None,
+            shutter: &self.optics.shutter,
+            is_calibrated: self.optics.intrinsics.is_calibrated(),
+        };
+        let tracked: Option<Tracked> = self.tracker.track(&frame, self.active.reference, &[here]);
+        let Some(tracked) = tracked else {
+            self.state = TrackingState::Lost;
+            return Some(self.estimate_none(features));
+        };
+        self.tracker.keep_inliers();
+        self.active.odometry.replace(tracked.camera_from_world);
+        self.blind.reckoned = None;
+        let estimate = self.estimate_tracked(features, &tracked, None, true);
+        self.blind.covariance = estimate.covariance;
+        Some(estimate)
+    }
+
+    /// How the map that has just begun lies to the one before, given where its newest camera is there; `None` if its motion and the wheels' disagree.
+    fn placed_by_wheels(&self, here: &Se3<Camera, World>) -> Option<Sim3<World, World>> {
+        let newest = self.active.odometry.last?;
+        let first = self.active.map.keyframes.iter().next()?.1;
+        let seen = (newest.camera_from_world * first.camera_from_world.inverse()).relabel::<Camera, Camera>();
+        let driven = Ahead::of(&self.wheels.scale, (first.timestamp_ns, newest.timestamp_ns), 1.0)?;
+        let way = driven.now_from_last.translation.norm();
+        let turn = seen.rotation.angle_to(&driven.now_from_last.rotation);
+        let direction = seen.translation.angle(&driven.now_from_last.translation);
+        let (sigma_m, sigma_rad) = driven.sigma();
+        let agrees = turn <= START_TURN_RAD + 3.0 * sigma_rad && direction <= START_DIRECTION_RAD;
+        if !agrees || way <= MOVED_SIGMAS * sigma_m {
+            return None;
+        }
+        let scale = way / seen.translation.norm();
+        let own = newest.camera_from_world;
+        let turn = here.rotation.inverse();
+        let present_from_start =
+            Sim3::new(scale, turn * own.rotation, turn * (own.translation * scale - here.translation));
+        present_from_start.is_valid().then_some(present_from_start)
+    }
+
+    /// The map before goes on, with what has just begun as a part of it.
+    fn carry_on(
+        &mut self,
+        mut old: ActiveMap,
+        present_from_start: &Sim3<World, World>,
+        timestamp_ns: i64,
+        (here, odom_from_camera): (Se3<Camera, World>, Se3<Odom, Camera>),
+    ) {
+        self.mapper.discard();
+        self.loops.forget_found();
+        self.wheels.interrupt();
+        self.tracker = Tracker::default();
+        let scale = present_from_start.scale;
+        let mut begun = std::mem::take(&mut self.active);
+        begun.map.transform(present_from_start);
+        begun.map.renumber(begun.id, old.id);
+        self.events.push(TrajectoryEvent::MapJoined { map: begun.id, into: old.id, scale });
+        old.unadjusted = begun.map.keyframes.iter().last().map(|(id, _)| KeyframeId(id));
+        old.map.absorb(begun.map);
+        old.bindings = begun.bindings;
+        old.reference = begun.reference;
+        old.next_id = begun.next_id;
+        old.frames += begun.frames;
+        old.last_keyframe_frame = self.counters.frames;
+        let last = LastFrame { timestamp_ns, camera_from_world: here, step: None };
+        old.odometry = Odometry { last: Some(last), odom_from_camera, lost_frames: 0 };
+        self.active = old;
+        self.state = TrackingState::Tracking;
+        self.blind.continued += 1;
+    }
+
+    /// A frame was tracked, whose pose is known so.
+    pub(super) fn note_seen(&mut self, covariance: &Matrix6<f64>) {
+        self.blind.covariance = *covariance;
+        self.blind.reckoned = None;
+    }
+}
+
+/// The keyframe whose view is nearest to that of a pose; `None` if all look elsewhere. (Lengths are metres.)
+fn nearest_view(map: &Map, camera_from_world: &Se3<Camera, World>) -> Option<KeyframeId> {
+    let centre = camera_from_world.inverse().translation;
+    let apart = |(id, k): (u32, &crate::map::Keyframe)| {
+        let angle = k.camera_from_world.rotation.angle_to(&camera_from_world.rotation);
+        (angle < SAME_VIEW_RAD).then(|| (angle + (k.centre() - centre).norm() / RADIAN_M, KeyframeId(id)))
+    };
+    map.keyframes.iter().filter_map(apart).min_by(|a, b| a.0.total_cmp(&b.0)).map(|nearest| nearest.1)
+}

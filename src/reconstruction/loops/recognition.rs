@@ -1,0 +1,202 @@
+//! Whether a keyframe shows an old place, as a piece of work on a copy, so that it delays no pose.
+//!
+//! Input: the keyframe's picture, and a copy of the map around the likeliest places ([`Map::part`]). Output: where the keyframe is by
+//! their landmarks, if it is there. It takes 30 to 90 ms at 640 x 480 (descriptors by gradients of the keyframe and of each place), so it
+//! runs in a thread of its own, beside the mapping worker's, whose adjustments it would hold up. One is under way at a time. In lock-step
+//! its result is taken a fixed number of frames later, by waiting.
+
+use crate::features::FrameFeatures;
+use crate::geometry::CameraModel;
+use crate::geometry::camera_motion::CameraMotion;
+use crate::map::{KeyframeId, Map};
+use crate::reconstruction::config::ReconstructionConfig;
+use crate::reconstruction::measurement::rolling_shutter::Shutter;
+use crate::reconstruction::relocalise::Relocaliser;
+use crate::reconstruction::relocalise::other_maps::{Sighting, found_in};
+use crate::reconstruction::track::association::Bindings;
+use crate::reconstruction::track::frame::Frame;
+
+/// The picture is parted into so many columns and rows, and what was found of a place lies in so many of these parts at the least: landmarks
+/// on one poster say that this is the poster, and not where it hangs.
+const PARTS: [usize; 2] = [4, 3];
+const MIN_PARTS: usize = 5;
+
+/// Work to be done. See the module.
+pub struct Recognition {
+    pub keyframe: KeyframeId,
+    /// Keyframes of one place, the likeliest first.
+    pub places: Vec<KeyframeId>,
+    /// What is there of the map around them.
+    pub part: Map,
+    /// The keyframe's picture, without tracks.
+    pub features: FrameFeatures,
+    pub motion: Option<CameraMotion>,
+    pub camera: CameraModel,
+    pub shutter: Shutter,
+    pub is_calibrated: bool,
+    pub config: ReconstructionConfig,
+    /// Lent: its buffers, and the descriptors that it remembers.
+    pub relocaliser: Box<Relocaliser>,
+}
+
+/// What came of it.
+pub struct Recognised {
+    pub sighting: Option<Sighting>,
+    pub relocaliser: Box<Relocaliser>,
+}
+
+impl Recognition {
+    /// Bounded by the number of places.
+    pub fn run(mut self) -> Recognised {
+        let sighting = self.find();
+        Recognised { sighting, relocaliser: self.relocaliser }
+    }
+
+    fn find(&mut self) -> Option<Sighting> {
+        let Self { part, camera, features, relocaliser, .. } = self;
+        let bindings = Bindings::default();
+        let frame = Frame {
+            features,
+            map: part,
+            bindings: &bindings,
+            camera,
+            config: &self.config,
+            before: None,
+            motion: self.motion,
+            shutter: &self.shutter,
+            is_calibrated: self.is_calibrated,
+        };
+        let placed = relocaliser.place_among(&frame, &self.places)?;
+        let sighting = found_in(&frame, &relocaliser.tracker, self.keyframe, &placed)?;
+        (parts_seen(&sighting, camera) >= MIN_PARTS).then_some(sighting)
+    }
+}
+
+/// Parts of the picture in which something was found.
+fn parts_seen(sighting: &Sighting, camera: &CameraModel) -> usize {
+    let [columns, rows] = PARTS;
+    let mut seen = [false; PARTS[0] * PARTS[1]];
+    for m in &sighting.found {
+        let share = |at: f32, size: u32, parts: usize| {
+            ((f64::from(at) / f64::from(size) * parts as f64).max(0.0) as usize).min(parts - 1)
+        };
+        seen[share(m.pixel.y, camera.height, rows) * columns + share(m.pixel.x, camera.width, columns)] = true;
+    }
+    seen.iter().filter(|seen| **seen).count()
+}
+
+/// Who recognises places: a thread of the daemon's, or the caller itself. At most one piece of work is under way.
+pub trait PlaceWorker: Send {
+    /// Starts one; never called while one is under way.
+    fn post(&mut self, work: Recognition);
+    /// The result if there is one; with `wait`, blocks until it is there (`None` then only if none is under way or the worker died).
+    fn take(&mut self, wait: bool) -> Option<Recognised>;
+    /// Forgets the one under way: its result is never given. Another may be posted at once. Does not wait where it can be avoided.
+    fn discard(&mut self);
+}
+
+/// Recognises at once, in the calling thread.
+#[derive(Default)]
+pub struct InlinePlaceWorker {
+    result: Option<Recognised>,
+}
+
+impl PlaceWorker for InlinePlaceWorker {
+    fn post(&mut self, work: Recognition) {
+        self.result = Some(work.run());
+    }
+
+    fn take(&mut self, _wait: bool) -> Option<Recognised> {
+        self.result.take()
+    }
+
+    fn discard(&mut self) {
+        self.result = None;
+    }
+}
+
+/// The one recognition that is under way, and when its result is due.
+pub struct Recogniser {
+    pub worker: Box<dyn PlaceWorker>,
+    /// Frame at which it was posted.
+    posted: Option<u64>,
+    /// Lent while one is under way.
+    relocaliser: Option<Box<Relocaliser>>,
+    attempts: u64,
+}
+
+impl Default for Recogniser {
+    fn default() -> Self {
+        Self { worker: Box::<InlinePlaceWorker>::default(), posted: None, relocaliser: None, attempts: 0 }
+    }
+}
+
+impl Recogniser {
+    pub fn is_busy(&self) -> bool {
+        self.posted.is_some()
+    }
+
+    /// Number of the next attempt, and what it needs; of one that was given up nothing comes back.
+    pub fn lend(&mut self) -> (u64, Box<Relocaliser>) {
+        self.attempts += 1;
+        (self.attempts, self.relocaliser.take().unwrap_or_default())
+    }
+
+    pub fn post(&mut self, work: Recognition, frame: u64) {
+        self.worker.post(work);
+        self.posted = Some(frame);
+    }
+
+    /// Forgets the one under way.
+    pub fn discard(&mut self) {
+        if self.posted.take().is_some() {
+            self.worker.discard();
+        }
+    }
+
+    /// The result, once it is to be used: with `wait` it is waited for, and not before frame `due_after` after it was posted unless `early`.
+    pub fn take(&mut self, frame: u64, due_after: u64, wait: bool, early: bool) -> Option<Option<Sighting>> {
+        let posted = self.posted?;
+        if wait && !early && frame < posted + due_after {
+            return None;
+        }
+        let Some(Recognised { sighting, relocaliser }) = self.worker.take(wait) else {
+            // Waited for in vain: there is no worker any more.
+            if wait {
+                self.posted = None;
+            }
+            return None;
+        };
+        self.posted = None;
+        self.relocaliser = Some(relocaliser);
+        Some(sighting)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Se3;
+    use crate::map::LandmarkId;
+    use crate::reconstruction::track::search::Match;
+    use nalgebra::{Vector2, Vector3};
+
+    #[test]
+    fn what_lies_on_one_poster_is_no_place() {
+        let camera = CameraModel::new(640, 480, 500.0, 500.0, 319.5, 239.5, [0.0; 5]).expect("a camera");
+        let at = |x: f32, y: f32| Match {
+            landmark: LandmarkId(0),
+            point: Vector3::z(),
+            pixel: Vector2::new(x, y),
+            normalised: Vector2::zeros(),
+            displacement: Vector2::zeros(),
+            inv_sigma_px: 1.0,
+            inlier: true,
+        };
+        let sighting = |found| Sighting { keyframe: KeyframeId(0), there: Se3::identity(), found };
+        let poster = (0..60).map(|i| at(330.0 + i as f32, 170.0 + i as f32)).collect();
+        assert!(parts_seen(&sighting(poster), &camera) < MIN_PARTS);
+        let room = (0..60).map(|i| at(-0.4 + (i * 97 % 641) as f32, (i * 61 % 481) as f32)).collect();
+        assert_eq!(parts_seen(&sighting(room), &camera), PARTS[0] * PARTS[1]);
+    }
+}
