@@ -19,9 +19,9 @@ use super::map_keeper::{Keeper, Order};
 use super::request::Request;
 use crate::geometry::CameraModel;
 use crate::map::MapId;
-use crate::map::saved::{SavedMaps, SavedOptics};
+use crate::map::saved::{Ids, SavedMaps, SavedOptics};
 use crate::messages::map_mode;
-use crate::places::store::MapFile;
+use crate::places::store::{MOST_IDS, MapFile};
 use crate::reconstruction::{LensPrior, Reconstruction, TrajectoryEvent};
 
 /// Between two writes, ns of the frames' time: what a power cut loses at the most, with the time that a write takes.
@@ -151,6 +151,14 @@ impl MapDesk {
             self.let_go("it is of another camera or calibration");
             return Ok(());
         }
+        let saved = if saved.next_id() > MOST_IDS / 2 {
+            let saved = saved.renumbered(Ids::default()).map_err(|reason| format!("{path}: {reason}"))?;
+            self.note_stored(Some(&saved));
+            self.hand_over_everything();
+            saved
+        } else {
+            saved
+        };
         let maps = saved.maps.len();
         let keyframes = saved.maps.first().map_or(0, |m| m.map.keyframes.len());
         info!(path, maps, keyframes, localise_only = self.localise_only, "map loaded");
