@@ -150,6 +150,10 @@ impl MapDesk {
 
     pub(super) fn begin_new(&mut self, reconstruction: &mut Reconstruction, path: PathBuf) -> Result<String, String> {
         let orders = self.orders(2)?;
+        if self.localise_only {
+            // Switched on since: the maps would stay, and be kept under the new name.
+            return Err("frames are only located in the present map by now; no new one has begun".into());
+        }
         if self.is_kept() {
             send(orders, Order::Keep(self.last_changes(reconstruction), None))?;
         }
