@@ -23,6 +23,15 @@ const MEANWHILE: Ids = Ids { maps: 16, keyframes: 1 << 10, landmarks: 1 << 17 };
 /// A stage that does not take a request for so long hangs.
 const PATIENCE: Duration = Duration::from_secs(5);
 
+/// What whoever writes tells the desk.
+#[derive(Debug, Default)]
+pub struct KeeperWord {
+    /// It has to hand over everything.
+    pub wants_everything: AtomicBool,
+    /// The newest changes are not in the file.
+    pub fails: AtomicBool,
+}
+
 /// Who writes.
 pub struct Keeper {
     path: PathBuf,
@@ -30,8 +39,7 @@ pub struct Keeper {
     exists: bool,
     /// Why the newest changes are not in the file.
     failed: Option<StoreError>,
-    /// Told to the desk: it has to hand over everything.
-    wants_everything: Arc<AtomicBool>,
+    word: Arc<KeeperWord>,
 }
 
 /// What is handed to whoever writes.
@@ -70,15 +78,15 @@ pub enum Order {
 
 impl Keeper {
     /// `file`: open for writing; `None`: to be opened, or made unless it `exists`, with the first changes.
-    pub fn new(path: PathBuf, file: Option<MapFile>, exists: bool, wants_everything: Arc<AtomicBool>) -> Self {
-        Self { path, file, exists, failed: None, wants_everything }
+    pub fn new(path: PathBuf, file: Option<MapFile>, exists: bool, word: Arc<KeeperWord>) -> Self {
+        Self { path, file, exists, failed: None, word }
     }
 
     /// Writes changes; everything, if the file is to be made or opened anew.
     pub fn keep(&mut self, changes: &MapChanges) {
         if self.failed.is_some() && !changes.is_everything {
             // They were on their way when the ones before were lost, and make no map without those.
-            self.wants_everything.store(true, Ordering::Release);
+            self.word.wants_everything.store(true, Ordering::Release);
             return;
         }
         let outcome = self.ready(changes).and_then(|file| match file {
@@ -96,9 +104,10 @@ impl Keeper {
                     error!(%reason, "map file not written, tried again later");
                 }
                 (self.file, self.failed) = (None, Some(reason));
-                self.wants_everything.store(true, Ordering::Release);
+                self.word.wants_everything.store(true, Ordering::Release);
             }
         }
+        self.word.fails.store(self.failed.is_some(), Ordering::Release);
     }
 
     /// The file, to write the changes to; `None` if they are in it already, as it was made with them.
@@ -173,6 +182,9 @@ pub fn serve(mut keeper: Option<Keeper>, orders: &Receiver<Order>) -> Result<Opt
             }
             Order::Switch(next) => {
                 let old = std::mem::replace(&mut keeper, next.map(|next| *next));
+                if let Some(old) = &old {
+                    old.word.fails.store(false, Ordering::Release);
+                }
                 if let Some(Err(reason)) = old.map(Keeper::close) {
                     error!(reason, "map file not closed");
                 }
@@ -275,19 +287,19 @@ mod tests {
     fn what_follows_a_write_that_failed_is_not_written_without_what_was_lost() {
         let dir = tempfile::tempdir().expect("folder");
         let path = dir.path().join("missing/a.map");
-        let wants_everything = Arc::<AtomicBool>::default();
-        let mut keeper = Keeper::new(path.clone(), None, false, wants_everything.clone());
+        let word = Arc::<KeeperWord>::default();
+        let mut keeper = Keeper::new(path.clone(), None, false, word.clone());
         let mut reconstruction = begun();
         keeper.keep(&reconstruction.take_changes(true));
-        assert!(keeper.outcome().is_err() && wants_everything.swap(false, Ordering::AcqRel));
+        assert!(keeper.outcome().is_err() && word.wants_everything.swap(false, Ordering::AcqRel));
         std::fs::create_dir(dir.path().join("missing")).expect("made");
         let some = reconstruction.take_changes(false);
         assert!(!some.is_everything);
         keeper.keep(&some);
         assert!(keeper.outcome().is_err() && !path.exists(), "a part of a map");
-        assert!(wants_everything.load(Ordering::Acquire));
+        assert!(word.wants_everything.load(Ordering::Acquire) && word.fails.load(Ordering::Acquire));
         keeper.keep(&reconstruction.take_changes(true));
-        assert!(keeper.outcome().is_ok() && path.exists());
+        assert!(keeper.outcome().is_ok() && path.exists() && !word.fails.load(Ordering::Acquire));
     }
 
     #[test]
