@@ -63,7 +63,7 @@
 //! - What the base's wheels tell (`odometry.txt` beside the pictures, the simulator's base, a driver on `PREFIX/wheel`) waits in one bounded queue
 //!   ([`motion::wheel`]); the reconstruction step takes from it, before it tracks a frame, all that ended at that frame's timestamp or earlier.
 //! - With `[reconstruction] loops`: a keyframe that shows a place of the same map from long ago is recognised by an index over binary descriptors ([`places`]), verified as a lost frame
-//!   is, and believed when two keyframes tell the same similarity; a pose graph on a copy in the mapping worker then moves the map, not the smooth pose.
+//!   is (on a copy, in a thread of its own beside the mapping worker's), and believed when two keyframes tell the same similarity; a pose graph on a copy in the mapping worker then moves the map, not the smooth pose.
 //!
 //! # Invariants
 //! 1. [`messages`] and [`client`] build alone (`default-features = false, features = ["client"]`).

@@ -153,7 +153,10 @@ fn maps_that_were_not_joined_have_a_trajectory_each() {
     let cut = cut_together(dir.path(), [&room("one", "hand_held", "5"), &room("other", "desk_orbit", "4")], 0.5);
     let path = dir.path().join("t.txt");
     let of_an_earlier_run = dir.path().join("t.map77.txt");
-    std::fs::write(&of_an_earlier_run, "0 0 0 0 0 0 0 1\n").unwrap();
+    let marked = format!("{}0 0 0 0 0 0 0 1\n", cairn::trajectory::beside::MARK);
+    std::fs::write(&of_an_earlier_run, marked).unwrap();
+    let somebodys = dir.path().join("t.map78.txt");
+    std::fs::write(&somebodys, "notes").unwrap();
     let replayed = || {
         let mut command = cairn();
         command.arg("replay").arg(&cut).args(["--lockstep", "--json", "--trajectory"]).arg(&path);
@@ -168,7 +171,10 @@ fn maps_that_were_not_joined_have_a_trajectory_each() {
     let (told, files, contents) = replayed();
     assert!(files.len() >= 2 && files[0] == path, "{files:?}");
     assert_eq!(told["other_maps"], files.len() - 1);
-    assert!(!of_an_earlier_run.exists(), "it is not of this run");
+    assert!(
+        !of_an_earlier_run.exists() && somebodys.exists(),
+        "it is not of this run, and the other is nobody's of ours"
+    );
     let poses: Vec<usize> = contents.iter().map(|content| positions(content).len()).collect();
     assert_eq!((told["in_trajectory"].as_u64(), told["in_other_maps"].as_u64()), {
         (Some(poses[0] as u64), Some(poses[1..].iter().sum::<usize>() as u64))

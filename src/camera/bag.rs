@@ -31,7 +31,7 @@ use crate::image::decode::picture_size;
 use crate::motion::wheel::{WheelFault, WheelMessage};
 use picture::Kind;
 use stream::Stream;
-use wheels::Wheels;
+use wheels::{PictureTimes, Wheels};
 
 /// Pictures that the rate is found from.
 const RATE_PICTURES: usize = 31;
@@ -88,7 +88,7 @@ impl Bag {
             None => None,
         };
         let beginning = Beginning::read(&files, &pictures.name, kind).map_err(|reason| failed(path, reason))?;
-        let wheels = Wheels::open(&files, &topics, asked.wheels, beginning.by_log_time)
+        let wheels = Wheels::open(&files, &topics, asked.wheels, beginning.times)
             .map_err(|reason| failed(path, reason))?
             .map(|(wheels, topic)| {
                 info!(topic, "wheel odometry of the recording");
@@ -106,7 +106,7 @@ impl Bag {
             description,
             stream: Stream::new(files, &pictures.name),
             kind,
-            by_log_time: beginning.by_log_time,
+            by_log_time: beginning.times.by_log_time,
             pacer: (pacing == Pacing::RealTime).then(|| Pacer::new(beginning.interval_ns)),
             last_timestamp_ns: None,
             held: None,
@@ -194,31 +194,40 @@ fn first_camera(files: &[PathBuf], topic: &str, rectified: bool) -> Result<Optio
 struct Beginning {
     size: Option<(u32, u32)>,
     interval_ns: Option<i64>,
-    by_log_time: bool,
+    times: PictureTimes,
 }
 
 impl Beginning {
     fn read(files: &[PathBuf], topic: &str, kind: Kind) -> Result<Self, String> {
         let (mut message, mut slot) = (Vec::new(), RawFrame::default());
         let mut stream = Stream::new(files.to_vec(), topic);
-        let (mut size, mut stamps, mut log_times) = (None, Vec::new(), Vec::new());
+        let (mut size, mut stamps, mut log_times, mut above) = (None, Vec::new(), Vec::new(), Vec::new());
         while log_times.len() < RATE_PICTURES
             && let Some(log_time_ns) = stream.next(&mut message).map_err(|e| e.to_string())?
         {
             if size.is_none() && picture::read(kind, &message, &mut slot).is_ok() {
                 size = picture_size(&slot.data).or(Some((slot.width, slot.height)));
             }
-            stamps.extend(picture::read_stamp(&message));
+            if let Ok(stamp) = picture::read_stamp(&message) {
+                stamps.push(stamp);
+                above.push(stamp.saturating_sub(log_time_ns));
+            }
             log_times.push(log_time_ns);
         }
         let by_log_time = stamps.first().is_none_or(|first| *first == 0);
+        let above_log_ns = if by_log_time { 0 } else { middle(&mut above).unwrap_or(0) };
         let times = if by_log_time { log_times } else { stamps };
         let mut steps: Vec<i64> =
             times.windows(2).map(|w| w[1].saturating_sub(w[0])).filter(|step| *step > 0).collect();
-        let middle = steps.len() / 2;
-        let interval_ns = (!steps.is_empty()).then(|| *steps.select_nth_unstable(middle).1);
-        Ok(Self { size, interval_ns, by_log_time })
+        let first_ns = times.first().copied().unwrap_or(i64::MIN);
+        let times = PictureTimes { by_log_time, first_ns, above_log_ns };
+        Ok(Self { size, interval_ns: middle(&mut steps), times })
     }
+}
+
+fn middle(values: &mut [i64]) -> Option<i64> {
+    let middle = values.len() / 2;
+    (!values.is_empty()).then(|| *values.select_nth_unstable(middle).1)
 }
 
 #[cfg(test)]

@@ -41,7 +41,9 @@ fn trajectory_error(error: TrajectoryError) -> CliError {
     let code = match &error {
         TrajectoryError::Read { .. } => exit_code::NO_INPUT,
         TrajectoryError::Malformed { .. } | TrajectoryError::Empty { .. } => exit_code::DATA,
-        TrajectoryError::Write(_) | TrajectoryError::Spool { .. } => exit_code::CANNOT_CREATE,
+        TrajectoryError::Write(_) | TrajectoryError::NotOurs { .. } | TrajectoryError::Spool { .. } => {
+            exit_code::CANNOT_CREATE
+        }
     };
     CliError::new(code, error.to_string())
 }

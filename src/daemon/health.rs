@@ -319,7 +319,7 @@ impl HealthWatch {
             (s.wheels_heard_ns().is_some_and(|at| now_ns - at > WHEELS_SILENT_NS), error::WHEELS_SILENT),
             (!self.all_alive(now_ns), error::STALLED_STAGE),
             (state == TrackingState::Lost, error::LOST),
-            (self.save_failed, error::SAVE_FAILED),
+            (self.save_failed || s.map_not_stored(), error::SAVE_FAILED),
         ];
         conditions.iter().filter(|(stands, _)| *stands).fold(self.events, |bits, (_, bit)| bits | bit)
     }

@@ -35,7 +35,7 @@ impl MapDesk {
 
     /// What has come since the last write. Not all there is, which would hold the stage for some 50 us a keyframe.
     fn last_changes(&self, reconstruction: &mut Reconstruction) -> Box<MapChanges> {
-        let everything = self.wants_everything.swap(false, Ordering::AcqRel);
+        let everything = self.word.wants_everything.swap(false, Ordering::AcqRel);
         Box::new(reconstruction.take_changes(everything))
     }
 
@@ -105,7 +105,7 @@ impl MapDesk {
             && let Some(path) = self.path.clone()
         {
             // It was only read so far.
-            let keeper = Keeper::new(path, None, true, self.wants_everything.clone());
+            let keeper = Keeper::new(path, None, true, self.word.clone());
             send(orders, Order::Switch(Some(Box::new(keeper))))?;
             self.keeps = true;
         }
@@ -135,8 +135,7 @@ impl MapDesk {
             send(&orders, Order::Keep(self.last_changes(reconstruction), None))?;
         }
         let exists = true;
-        let keeper =
-            (!self.localise_only).then(|| Keeper::new(path.clone(), file, exists, self.wants_everything.clone()));
+        let keeper = (!self.localise_only).then(|| Keeper::new(path.clone(), file, exists, self.word.clone()));
         self.keeps = keeper.is_some();
         send(&orders, Order::Switch(keeper.map(Box::new)))?;
         self.note_stored(Some(&saved));
@@ -150,10 +149,14 @@ impl MapDesk {
 
     pub(super) fn begin_new(&mut self, reconstruction: &mut Reconstruction, path: PathBuf) -> Result<String, String> {
         let orders = self.orders(2)?;
+        if self.localise_only {
+            // Switched on since: the maps would stay, and be kept under the new name.
+            return Err("frames are only located in the present map by now; no new one has begun".into());
+        }
         if self.is_kept() {
             send(orders, Order::Keep(self.last_changes(reconstruction), None))?;
         }
-        let keeper = Keeper::new(path.clone(), None, false, self.wants_everything.clone());
+        let keeper = Keeper::new(path.clone(), None, false, self.word.clone());
         send(orders, Order::Switch(Some(Box::new(keeper))))?;
         self.forget_stored();
         self.keeps = true;

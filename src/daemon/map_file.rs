@@ -9,19 +9,19 @@
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use crossbeam::channel::Sender;
 use tracing::{error, info, warn};
 
-use super::map_keeper::{Keeper, Order};
+use super::map_keeper::{Keeper, KeeperWord, Order};
 use super::request::Request;
 use crate::geometry::CameraModel;
 use crate::map::MapId;
-use crate::map::saved::{SavedMaps, SavedOptics};
+use crate::map::saved::{Ids, SavedMaps, SavedOptics};
 use crate::messages::map_mode;
-use crate::places::store::MapFile;
+use crate::places::store::{MOST_IDS, MapFile};
 use crate::reconstruction::{LensPrior, Reconstruction, TrajectoryEvent};
 
 /// Between two writes, ns of the frames' time: what a power cut loses at the most, with the time that a write takes.
@@ -68,7 +68,7 @@ pub struct MapDesk {
     pub(super) link: Option<KeeperLink>,
     /// For what comes back once a file was read; `None`: no commands.
     pub(super) requests: Option<Sender<Request>>,
-    pub(super) wants_everything: Arc<AtomicBool>,
+    pub(super) word: Arc<KeeperWord>,
     /// Time of the frame after which it was written last.
     last_ns: Option<i64>,
     /// Time of the frame after which changes were handed over last.
@@ -84,7 +84,7 @@ impl MapPlan {
         desk.note_stored(saved.as_ref());
         (desk.saved, desk.may_fail) = (saved, may_fail);
         let exists = file.is_some();
-        let keeper = (!localise_only).then(|| Keeper::new(path, file, exists, desk.wants_everything.clone()));
+        let keeper = (!localise_only).then(|| Keeper::new(path, file, exists, desk.word.clone()));
         (desk, keeper)
     }
 }
@@ -101,7 +101,7 @@ impl MapDesk {
             may_fail: false,
             link: None,
             requests: None,
-            wants_everything: Arc::default(),
+            word: Arc::default(),
             last_ns: None,
             last_write_ns: None,
         }
@@ -126,7 +126,7 @@ impl MapDesk {
 
     /// The next changes are everything, and due at once.
     pub(super) fn hand_over_everything(&mut self) {
-        self.wants_everything.store(true, Ordering::Release);
+        self.word.wants_everything.store(true, Ordering::Release);
         self.last_ns = None;
     }
 
@@ -151,11 +151,24 @@ impl MapDesk {
             self.let_go("it is of another camera or calibration");
             return Ok(());
         }
+        let saved = if saved.next_id() > MOST_IDS / 2 {
+            let saved = saved.renumbered(Ids::default()).map_err(|reason| format!("{path}: {reason}"))?;
+            self.note_stored(Some(&saved));
+            self.hand_over_everything();
+            saved
+        } else {
+            saved
+        };
         let maps = saved.maps.len();
         let keyframes = saved.maps.first().map_or(0, |m| m.map.keyframes.len());
         info!(path, maps, keyframes, localise_only = self.localise_only, "map loaded");
         reconstruction.resume(saved, self.localise_only);
         Ok(())
+    }
+
+    /// What was handed over last is not in the file.
+    pub fn fails(&self) -> bool {
+        self.keeps && self.word.fails.load(Ordering::Acquire)
     }
 
     /// What happened to maps.
@@ -178,18 +191,18 @@ impl MapDesk {
         if !self.keeps || self.localise_only {
             return;
         }
-        let every = if self.wants_everything.load(Ordering::Acquire) { RETRY_AFTER_NS } else { WRITE_EVERY_NS };
+        let every = if self.word.wants_everything.load(Ordering::Acquire) { RETRY_AFTER_NS } else { WRITE_EVERY_NS };
         let is_due = |last: i64| timestamp_ns < last || timestamp_ns.saturating_sub(last) >= every;
         if !self.last_ns.is_none_or(is_due) {
             return;
         }
         match &mut self.link {
             Some(KeeperLink::Inline(keeper)) => {
-                let everything = self.wants_everything.swap(false, Ordering::AcqRel);
+                let everything = self.word.wants_everything.swap(false, Ordering::AcqRel);
                 keeper.keep(&reconstruction.take_changes(everything));
             }
             Some(KeeperLink::Queue(orders)) if orders.is_empty() => {
-                let everything = self.wants_everything.swap(false, Ordering::AcqRel);
+                let everything = self.word.wants_everything.swap(false, Ordering::AcqRel);
                 // A robot that stands has nothing to tell but the time, which is worth no write every two seconds for months.
                 if !everything
                     && self.last_write_ns.is_some_and(|last| timestamp_ns.saturating_sub(last) < AT_LEAST_EVERY_NS)
@@ -328,7 +341,7 @@ mod tests {
         let mut desk = desk.linked(keeper.map(|keeper| KeeperLink::Inline(Box::new(keeper))));
         let mut r = begun(&camera(300.0), LensPrior::Calibrated);
         desk.turn(&mut r, 0);
-        assert!(desk.wants_everything.load(Ordering::Acquire), "there is no folder");
+        assert!(desk.word.wants_everything.load(Ordering::Acquire), "there is no folder");
         std::fs::create_dir(dir.path().join("missing")).expect("folder");
         desk.turn(&mut r, RETRY_AFTER_NS - 1);
         assert!(!path.exists(), "not so soon");

@@ -17,6 +17,8 @@ const MOST_ENTRIES: usize = 10_000;
 /// How copies that are made for a client are named, and how long one has to fetch its own.
 const COPY: &str = ".copy-";
 const COPY_LIVES: Duration = Duration::from_secs(300);
+/// Copies at a time: whoever fetches none does not fill the disk.
+const MOST_COPIES: usize = 8;
 
 /// Where maps are kept by name.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -66,17 +68,24 @@ impl MapFolder {
         std::fs::create_dir_all(&self.path).map_err(|e| format!("{}: {e}", self.path.display()))
     }
 
-    /// Where a copy for a client goes. Copies that nobody has fetched are removed.
+    /// Where a copy for a client goes. Copies that nobody has fetched are removed, and nothing else that is hidden in the folder.
     pub fn copy_file(&self) -> Result<PathBuf, String> {
         self.make()?;
         let now = SystemTime::now();
+        let mut there = 0;
         for entry in std::fs::read_dir(&self.path).into_iter().flatten().flatten().take(MOST_ENTRIES) {
-            let is_copy = entry.file_name().to_str().is_some_and(|name| name.starts_with(COPY));
-            let age = || now.duration_since(entry.metadata().ok()?.modified().ok()?).ok();
-            if is_copy && age().is_some_and(|age| age > COPY_LIVES) {
-                // Another look is taken with the next copy.
-                let _ = std::fs::remove_file(entry.path());
-            }
+            let is_copy = entry.file_name().to_str().is_some_and(is_copy);
+            let Some(about) = entry.metadata().ok().filter(|about| is_copy && about.is_file()) else { continue };
+            let age = about.modified().ok().and_then(|made| now.duration_since(made).ok());
+            // What cannot be removed is looked at with the next copy again.
+            let removed = age.is_some_and(|age| age > COPY_LIVES) && std::fs::remove_file(entry.path()).is_ok();
+            there += usize::from(!removed);
+        }
+        if there >= MOST_COPIES {
+            let (folder, minutes) = (self.path.display(), COPY_LIVES.as_secs() / 60);
+            return Err(format!(
+                "{folder}: {there} copies wait for whoever asked for them; they go after {minutes} minutes"
+            ));
         }
         let stamp = now.duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos();
         Ok(self.path.join(format!("{COPY}{}-{stamp}{ENDING}", std::process::id())))
@@ -113,9 +122,42 @@ impl MapFolder {
     }
 }
 
+/// Whether this is how copies for clients are named.
+fn is_copy(name: &str) -> bool {
+    let numbers = || name.strip_prefix(COPY)?.strip_suffix(ENDING)?.split_once('-');
+    let is_number = |text: &str| !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit());
+    numbers().is_some_and(|(process, stamp)| is_number(process) && is_number(stamp))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn copies_that_nobody_fetches_are_few_and_go_and_nothing_else_does() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = MapFolder::new(dir.path().join("maps"));
+        let foreign = [".copy-of-my-notes", ".copy-1-2", ".copy-1-x.map", ".copy--1.map", "kitchen.map"];
+        std::fs::create_dir(folder.path()).unwrap();
+        let long_ago = SystemTime::now() - 2 * COPY_LIVES;
+        let old = |path: &Path| {
+            std::fs::write(path, "x").unwrap();
+            std::fs::File::options().write(true).open(path).unwrap().set_modified(long_ago).unwrap();
+        };
+        foreign.iter().for_each(|name| old(&folder.path().join(name)));
+        let copies: Vec<PathBuf> = (0..MOST_COPIES)
+            .map(|_| {
+                let copy = folder.copy_file().unwrap();
+                std::fs::write(&copy, "x").unwrap();
+                copy
+            })
+            .collect();
+        assert!(folder.copy_file().expect_err("enough").contains("copies"));
+        old(&copies[3]);
+        folder.copy_file().unwrap();
+        assert!(!copies[3].exists() && copies[4].exists());
+        assert!(foreign.iter().all(|name| folder.path().join(name).exists()));
+    }
 
     #[test]
     fn no_name_leads_out_of_the_folder() {

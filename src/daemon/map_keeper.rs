@@ -15,12 +15,22 @@ use tracing::{debug, error, info};
 use super::map_folder::MapFolder;
 use super::request::{CopyTo, Loaded, Reply, Request};
 use crate::map::saved::{Ids, MapChanges};
-use crate::places::store::{MapFile, StoreError, read};
+use crate::messages::TEXT_LEN;
+use crate::places::store::{MOST_IDS, MapFile, StoreError, read};
 
 /// Ids that a run may give while a file is read: half a minute of keyframes and landmarks at the utmost.
 const MEANWHILE: Ids = Ids { maps: 16, keyframes: 1 << 10, landmarks: 1 << 17 };
 /// A stage that does not take a request for so long hangs.
 const PATIENCE: Duration = Duration::from_secs(5);
+
+/// What whoever writes tells the desk.
+#[derive(Debug, Default)]
+pub struct KeeperWord {
+    /// It has to hand over everything.
+    pub wants_everything: AtomicBool,
+    /// The newest changes are not in the file.
+    pub fails: AtomicBool,
+}
 
 /// Who writes.
 pub struct Keeper {
@@ -29,8 +39,7 @@ pub struct Keeper {
     exists: bool,
     /// Why the newest changes are not in the file.
     failed: Option<StoreError>,
-    /// Told to the desk: it has to hand over everything.
-    wants_everything: Arc<AtomicBool>,
+    word: Arc<KeeperWord>,
 }
 
 /// What is handed to whoever writes.
@@ -69,12 +78,17 @@ pub enum Order {
 
 impl Keeper {
     /// `file`: open for writing; `None`: to be opened, or made unless it `exists`, with the first changes.
-    pub fn new(path: PathBuf, file: Option<MapFile>, exists: bool, wants_everything: Arc<AtomicBool>) -> Self {
-        Self { path, file, exists, failed: None, wants_everything }
+    pub fn new(path: PathBuf, file: Option<MapFile>, exists: bool, word: Arc<KeeperWord>) -> Self {
+        Self { path, file, exists, failed: None, word }
     }
 
     /// Writes changes; everything, if the file is to be made or opened anew.
     pub fn keep(&mut self, changes: &MapChanges) {
+        if self.failed.is_some() && !changes.is_everything {
+            // They were on their way when the ones before were lost, and make no map without those.
+            self.word.wants_everything.store(true, Ordering::Release);
+            return;
+        }
         let outcome = self.ready(changes).and_then(|file| match file {
             Some(file) => file.write(changes),
             None => Ok(0),
@@ -90,9 +104,10 @@ impl Keeper {
                     error!(%reason, "map file not written, tried again later");
                 }
                 (self.file, self.failed) = (None, Some(reason));
-                self.wants_everything.store(true, Ordering::Release);
+                self.word.wants_everything.store(true, Ordering::Release);
             }
         }
+        self.word.fails.store(self.failed.is_some(), Ordering::Release);
     }
 
     /// The file, to write the changes to; `None` if they are in it already, as it was made with them.
@@ -167,6 +182,9 @@ pub fn serve(mut keeper: Option<Keeper>, orders: &Receiver<Order>) -> Result<Opt
             }
             Order::Switch(next) => {
                 let old = std::mem::replace(&mut keeper, next.map(|next| *next));
+                if let Some(old) = &old {
+                    old.word.fails.store(false, Ordering::Release);
+                }
                 if let Some(Err(reason)) = old.map(Keeper::close) {
                     error!(reason, "map file not closed");
                 }
@@ -213,14 +231,16 @@ fn load(path: PathBuf, given: Ids, localise_only: bool, keeper: Option<&Keeper>)
         return Err(format!("{}: there is no map in it yet", path.display()));
     }
     let above = |given: u32, margin: u32| given.checked_add(margin);
-    let by = || {
+    let from = || {
         Some(Ids {
             maps: above(given.maps, MEANWHILE.maps)?,
             keyframes: above(given.keyframes, MEANWHILE.keyframes)?,
             landmarks: above(given.landmarks, MEANWHILE.landmarks)?,
         })
     };
-    let saved = by().ok_or_else(|| "its ids are used up".to_owned()).and_then(|by| saved.moved_by(by));
+    let used_up = || "the ids of this run are used up; restart the daemon".to_owned();
+    let saved = from().ok_or_else(used_up).and_then(|from| saved.renumbered(from));
+    let saved = saved.and_then(|saved| if saved.next_id() < MOST_IDS { Ok(saved) } else { Err(used_up()) });
     let saved = saved.map_err(|reason| format!("{}: {reason}", path.display()))?;
     Ok(Loaded { path, file, saved })
 }
@@ -239,9 +259,56 @@ fn copy(everything: &MapChanges, to: CopyTo, keeper: Option<&Keeper>) -> Result<
         }
         CopyTo::Sender(folder) => {
             let path = folder.copy_file()?;
-            write(&path)?;
             let own = keeper.map(|keeper| keeper.path.display().to_string()).unwrap_or_default();
-            Ok(format!("{}\n{own}", path.display()))
+            let answer = format!("{}\n{own}", path.display());
+            if answer.len() > TEXT_LEN {
+                // Cut off, it would name another file, which the sender removes.
+                let (is, most) = (answer.len(), TEXT_LEN);
+                return Err(format!("the paths of the copy and of the map have {is} bytes, more than {most}"));
+            }
+            write(&path)?;
+            Ok(answer)
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::CameraModel;
+    use crate::reconstruction::{InlineWorker, Reconstruction, ReconstructionConfig};
+
+    fn begun() -> Reconstruction {
+        let camera = CameraModel::new(320, 240, 300.0, 300.0, 159.5, 119.5, [0.0; 5]).expect("camera");
+        Reconstruction::new(&ReconstructionConfig::default(), &camera, Box::new(InlineWorker::default()), true)
+    }
+
+    #[test]
+    fn what_follows_a_write_that_failed_is_not_written_without_what_was_lost() {
+        let dir = tempfile::tempdir().expect("folder");
+        let path = dir.path().join("missing/a.map");
+        let word = Arc::<KeeperWord>::default();
+        let mut keeper = Keeper::new(path.clone(), None, false, word.clone());
+        let mut reconstruction = begun();
+        keeper.keep(&reconstruction.take_changes(true));
+        assert!(keeper.outcome().is_err() && word.wants_everything.swap(false, Ordering::AcqRel));
+        std::fs::create_dir(dir.path().join("missing")).expect("made");
+        let some = reconstruction.take_changes(false);
+        assert!(!some.is_everything);
+        keeper.keep(&some);
+        assert!(keeper.outcome().is_err() && !path.exists(), "a part of a map");
+        assert!(word.wants_everything.load(Ordering::Acquire) && word.fails.load(Ordering::Acquire));
+        keeper.keep(&reconstruction.take_changes(true));
+        assert!(keeper.outcome().is_ok() && path.exists() && !word.fails.load(Ordering::Acquire));
+    }
+
+    #[test]
+    fn a_copy_whose_path_fits_into_no_answer_is_not_made() {
+        let dir = tempfile::tempdir().expect("folder");
+        let deep = dir.path().join("d".repeat(200)).join("e".repeat(200)).join("f".repeat(100));
+        let folder = MapFolder::new(deep.clone());
+        let told = copy(&begun().take_changes(true), CopyTo::Sender(folder), None).expect_err("too long");
+        assert!(told.contains("bytes"), "{told}");
+        assert_eq!(std::fs::read_dir(deep).expect("made").count(), 0);
     }
 }

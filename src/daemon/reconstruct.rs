@@ -241,6 +241,7 @@ impl ReconstructStep {
         if let (Some(desk), Some(reconstruction)) = (self.map_file.as_mut(), self.reconstruction.as_mut()) {
             desk.turn(reconstruction, features.timestamp_ns);
             self.status.set_map_mode(desk.mode(reconstruction.map_id()));
+            self.status.set_map_not_stored(desk.fails());
         }
         self.publish_map();
         if let Some(outlet) = self.outlet.as_mut() {

@@ -134,11 +134,16 @@ impl Recorder {
     pub fn write(&mut self, outputs: &Outputs, map: &FinalMap) -> Written {
         let mut written = Written::default();
         if let (Some(path), Some(spool)) = (&outputs.trajectory, self.trajectory.as_mut()) {
-            let outcome = spool.write_all_maps(path, &map.keyframe_poses);
-            let (summary, others) = outcome.as_ref().ok().cloned().unzip();
-            written.trajectory = summary;
-            written.note(path, outcome.map(|(summary, _)| log_summary("trajectory", &summary)));
-            written.files.extend(others.into_iter().flatten());
+            match spool.write_all_maps(path, &map.keyframe_poses) {
+                Ok((summary, beside)) => {
+                    log_summary("trajectory", &summary);
+                    written.trajectory = Some(summary);
+                    written.files.push(path.clone());
+                    written.files.extend(beside.files);
+                    written.failures.extend(beside.failures.iter().map(TrajectoryError::to_string));
+                }
+                Err(error) => written.failures.push(error.to_string()),
+            }
         }
         if let (Some(path), Some(spool)) = (&outputs.live_trajectory, self.live.as_mut()) {
             written.note(path, spool.write_tum(path).map(|summary| log_summary("live trajectory", &summary)));

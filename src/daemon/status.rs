@@ -77,6 +77,7 @@ pub struct Status {
     /// What the camera granted, mHz; 0: not known.
     nominal_rate_mhz: AtomicU32,
     calibration_refused: AtomicBool,
+    map_not_stored: AtomicBool,
     scale_is_assumed: AtomicBool,
     state: AtomicU8,
     /// Of the current map, as of its last snapshot.
@@ -151,6 +152,7 @@ impl Default for Status {
             source_present: AtomicBool::new(false),
             nominal_rate_mhz: AtomicU32::new(0),
             calibration_refused: AtomicBool::new(false),
+            map_not_stored: AtomicBool::new(false),
             scale_is_assumed: AtomicBool::new(false),
             state: AtomicU8::new(0),
             map_landmarks: AtomicU32::new(0),
@@ -212,6 +214,15 @@ impl Status {
 
     pub fn set_calibration_refused(&self, refused: bool) {
         self.calibration_refused.store(refused, Ordering::Relaxed);
+    }
+
+    /// The map's newest changes cannot be written to its file.
+    pub fn map_not_stored(&self) -> bool {
+        self.map_not_stored.load(Ordering::Relaxed)
+    }
+
+    pub fn set_map_not_stored(&self, is_not: bool) {
+        self.map_not_stored.store(is_not, Ordering::Relaxed);
     }
 
     /// The last pose lies behind a turn on the spot, at a scale that is assumed.

@@ -281,10 +281,9 @@ impl Bench {
             Ok(asked) => asked,
             Err(reason) => return reply(request, (reply_code::INVALID, &reason)),
         };
-        let writes = matches!(asked, MapRequest::Store | MapRequest::Copy(_));
         let (sender, outcome) = bounded(1);
         match self.requests.try_send(Request::Map { request: asked, reply: sender }) {
-            Ok(()) => self.saves.push(Save { request, outcome, began: Instant::now(), writes }),
+            Ok(()) => self.saves.push(Save { request, outcome, began: Instant::now(), writes: false }),
             Err(_) => reply(request, (reply_code::BUSY, "other requests are under way")),
         }
     }

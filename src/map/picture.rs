@@ -171,9 +171,10 @@ impl KeyframePicture {
         }
     }
 
-    /// All landmarks have larger ids now, by so much.
-    pub(super) fn move_landmarks(&mut self, by: u32) {
-        Arc::make_mut(&mut self.patches).iter_mut().for_each(|p| p.landmark = p.landmark.saturating_add(by));
+    /// All landmarks have other ids now, in the same order, and so has the keyframe: whoever has kept a picture under its new one has another.
+    pub(super) fn rename_all(&mut self, new: impl Fn(u32) -> u32) {
+        Arc::make_mut(&mut self.patches).iter_mut().for_each(|p| p.landmark = new(p.landmark));
+        self.revision += 1;
     }
 
     /// The landmark is not observed any more.

@@ -74,7 +74,7 @@ pub struct SavedMaps {
     pub maps: Vec<SavedMap>,
 }
 
-/// Ids that a run has given so far, or by how much others are to be moved: the next of each kind.
+/// Ids that a run has given so far: the next of each kind.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Ids {
     pub maps: u32,
@@ -136,11 +136,57 @@ impl MapChanges {
     }
 }
 
+/// Ids of a kind, and what each is called anew.
+struct Renumbered {
+    /// Ascending.
+    before: Vec<u32>,
+    /// Stands for all that is gone; the first of those that are there follows.
+    gone: u32,
+}
+
+impl Renumbered {
+    /// `None`: so many ids do not follow.
+    fn new(mut before: Vec<u32>, gone: u32) -> Option<Self> {
+        before.sort_unstable();
+        before.dedup();
+        u32::try_from(before.len()).ok()?.checked_add(gone)?.checked_add(1)?;
+        Some(Self { before, gone })
+    }
+
+    fn of(&self, id: u32) -> u32 {
+        self.before.binary_search(&id).map_or(self.gone, |rank| self.gone + 1 + rank as u32)
+    }
+
+    fn next(&self) -> u32 {
+        self.gone + 1 + self.before.len() as u32
+    }
+}
+
+/// How all ids of maps change.
+struct Renumbering {
+    maps: Renumbered,
+    keyframes: Renumbered,
+    landmarks: Renumbered,
+}
+
 impl SavedMaps {
-    /// The same maps with ids that are larger by so much, for a run that has given the smaller ones to maps of its own.
-    pub fn moved_by(self, by: Ids) -> Result<Self, String> {
-        let maps = self.maps.into_iter().map(|saved| saved.moved_by(by)).collect::<Option<Result<Vec<_>, String>>>();
-        let maps = maps.ok_or("its ids are used up")??;
+    /// The same maps with ids from these on, without holes, for a run that has given the smaller ones to maps of its own. (Without holes, as
+    /// otherwise two maps that are gone on in by turns would have used up all ids before long: each time the one's would go on above the other's.)
+    pub fn renumbered(self, from: Ids) -> Result<Self, String> {
+        let maps = self.maps.iter().flat_map(|m| {
+            // Keyframes of maps that were joined to others have their own map's number still.
+            std::iter::once(m.head.id.0).chain(m.map.keyframes.iter().map(|(_, k)| k.map.0))
+        });
+        let keyframes = self.maps.iter().flat_map(|m| m.map.keyframes.iter()).map(|(id, _)| id);
+        let landmarks = self.maps.iter().flat_map(|m| m.map.landmarks.iter()).map(|(id, _)| id);
+        let all = (
+            Renumbered::new(maps.collect(), from.maps),
+            Renumbered::new(keyframes.collect(), from.keyframes),
+            Renumbered::new(landmarks.collect(), from.landmarks),
+        );
+        let (Some(maps), Some(keyframes), Some(landmarks)) = all else { return Err("its ids are used up".into()) };
+        let new = Renumbering { maps, keyframes, landmarks };
+        let maps = self.maps.into_iter().map(|saved| saved.renumbered(&new)).collect::<Result<_, _>>()?;
         Ok(Self { maps, ..self })
     }
 
@@ -151,43 +197,44 @@ impl SavedMaps {
         let maps = self.maps.iter().map(|m| m.head.id.0).min()?;
         Some(Ids { maps, keyframes: keyframes.unwrap_or(u32::MAX), landmarks: landmarks.unwrap_or(u32::MAX) })
     }
+
+    /// The next keyframe's and the next landmark's id, the larger of both.
+    pub fn next_id(&self) -> u32 {
+        let next = |m: &SavedMap| m.map.keyframes.next_id().max(m.map.landmarks.next_id());
+        self.maps.iter().map(next).max().unwrap_or(0)
+    }
 }
 
 impl SavedMap {
-    /// `None`: there are no such ids.
-    fn moved_by(self, by: Ids) -> Option<Result<Self, String>> {
+    fn renumbered(self, new: &Renumbering) -> Result<Self, String> {
         let Self { mut head, mut map } = self;
-        let keyframe = |id: KeyframeId| id.0.checked_add(by.keyframes).map(KeyframeId);
-        let landmark = |id: LandmarkId| id.0.checked_add(by.landmarks).map(LandmarkId);
-        let next_keyframe = map.keyframes.next_id().checked_add(by.keyframes)?;
-        let next_landmark = map.landmarks.next_id().checked_add(by.landmarks)?;
-        head.id = MapId(head.id.0.checked_add(by.maps)?);
-        head.reference = keyframe(head.reference)?;
+        let keyframe = |id: KeyframeId| KeyframeId(new.keyframes.of(id.0));
+        head.id = MapId(new.maps.of(head.id.0));
+        head.reference = keyframe(head.reference);
         for turn in &mut head.turns {
-            turn.keyframe = keyframe(turn.keyframe)?;
+            turn.keyframe = keyframe(turn.keyframe);
         }
         let ids: Vec<u32> = map.keyframes.iter().map(|(id, _)| id).collect();
         let mut keyframes = Vec::with_capacity(ids.len());
         for id in ids {
-            let mut k = map.keyframes.remove(id)?;
-            k.map = MapId(k.map.0.checked_add(by.maps)?);
+            let Some(mut k) = map.keyframes.remove(id) else { continue };
+            k.map = MapId(new.maps.of(k.map.0));
             for o in &mut k.observations {
-                o.landmark = landmark(o.landmark)?;
+                o.landmark = LandmarkId(new.landmarks.of(o.landmark.0));
             }
-            k.picture.move_landmarks(by.landmarks);
-            keyframes.push((keyframe(KeyframeId(id))?.0, k));
+            k.picture.rename_all(|landmark| new.landmarks.of(landmark));
+            keyframes.push((new.keyframes.of(id), k));
         }
         let ids: Vec<u32> = map.landmarks.iter().map(|(id, _)| id).collect();
         let mut landmarks = Vec::with_capacity(ids.len());
         for id in ids {
-            let mut l = map.landmarks.remove(id)?;
-            l.created_by = keyframe(l.created_by)?;
-            landmarks.push((landmark(LandmarkId(id))?.0, l));
+            let Some(mut l) = map.landmarks.remove(id) else { continue };
+            l.created_by = keyframe(l.created_by);
+            landmarks.push((new.landmarks.of(id), l));
         }
-        Some(Map::restored(keyframes, landmarks).map(|mut map| {
-            map.skip_ids_to(next_keyframe, next_landmark);
-            Self { head, map }
-        }))
+        let mut map = Map::restored(keyframes, landmarks)?;
+        map.skip_ids_to(new.keyframes.next(), new.landmarks.next());
+        Ok(Self { head, map })
     }
 }
 

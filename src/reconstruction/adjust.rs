@@ -49,6 +49,12 @@ impl Reconstruction {
         }
     }
 
+    /// Forgets the job under way, as what it began from is no more; with it what was found of loops, which would wait for it for ever.
+    pub(super) fn discard_job(&mut self) {
+        self.mapper.discard();
+        self.loops.forget_found();
+    }
+
     /// Before a frame is tracked that comes `gap_ns` after the one before.
     pub(super) fn merge_after_gap(&mut self, gap_ns: i64) {
         if gap_ns >= AMPLE_NS {

@@ -91,7 +91,7 @@ impl Reconstruction {
         self.blind.note(ahead, odom_from_camera);
         if !self.localise_only
             && self.active.map.keyframes.len() >= WORTH_KEEPING
-            && let Some(estimate) = self.go_on_from(features, camera_from_world, odom_from_camera)
+            && let Some(estimate) = self.go_on_from(features, (camera_from_world, odom_from_camera), ahead.units_per_m)
         {
             return estimate;
         }
@@ -114,8 +114,8 @@ impl Reconstruction {
     fn go_on_from(
         &mut self,
         features: &FrameFeatures,
-        here: Se3<Camera, World>,
-        odom_from_camera: Se3<Odom, Camera>,
+        (here, odom_from_camera): (Se3<Camera, World>, Se3<Odom, Camera>),
+        units_per_m: f64,
     ) -> Option<PoseEstimate> {
         let (camera, freedom) = (&self.optics.camera, self.optics.intrinsics.uncertainty());
         let starts = self.initialiser.step(features, camera, &freedom, &self.config);
@@ -127,7 +127,7 @@ impl Reconstruction {
         let next = self.active.successor();
         let old = std::mem::replace(&mut self.active, next);
         let tracker = std::mem::take(&mut self.tracker);
-        let begun = self.start_from(&starts, features).and_then(|_| self.placed_by_wheels(&here));
+        let begun = self.start_from(&starts, features).and_then(|_| self.placed_by_wheels(&here, units_per_m));
         let Some(present_from_start) = begun else {
             let revision = self.active.map.revision;
             (self.active, self.tracker) = (old, tracker);
@@ -157,24 +157,25 @@ impl Reconstruction {
         };
         self.tracker.keep_inliers();
         self.active.odometry.replace(tracked.camera_from_world);
-        self.blind.reckoned = None;
+        self.blind.see();
         let estimate = self.estimate_tracked(features, &tracked, None, true);
         self.blind.covariance = estimate.covariance;
         Some(estimate)
     }
 
-    /// How the map that has just begun lies to the one before, given where its newest camera is there; `None` if its motion and the wheels' disagree.
-    fn placed_by_wheels(&self, here: &Se3<Camera, World>) -> Option<Sim3<World, World>> {
+    /// How the map that has just begun lies to the one before, given where its newest camera is there, and that one's units for a metre of the
+    /// wheels; `None` if its motion and the wheels' disagree.
+    fn placed_by_wheels(&self, here: &Se3<Camera, World>, units_per_m: f64) -> Option<Sim3<World, World>> {
         let newest = self.active.odometry.last?;
         let first = self.active.map.keyframes.iter().next()?.1;
         let seen = (newest.camera_from_world * first.camera_from_world.inverse()).relabel::<Camera, Camera>();
-        let driven = Ahead::of(&self.wheels.scale, (first.timestamp_ns, newest.timestamp_ns), 1.0)?;
+        let driven = Ahead::of(&self.wheels.scale, (first.timestamp_ns, newest.timestamp_ns), units_per_m)?;
         let way = driven.now_from_last.translation.norm();
         let turn = seen.rotation.angle_to(&driven.now_from_last.rotation);
         let direction = seen.translation.angle(&driven.now_from_last.translation);
         let (sigma_m, sigma_rad) = driven.sigma();
         let agrees = turn <= START_TURN_RAD + 3.0 * sigma_rad && direction <= START_DIRECTION_RAD;
-        if !agrees || way <= MOVED_SIGMAS * sigma_m {
+        if !agrees || way <= MOVED_SIGMAS * sigma_m * units_per_m {
             return None;
         }
         let scale = way / seen.translation.norm();
@@ -193,8 +194,7 @@ impl Reconstruction {
         timestamp_ns: i64,
         (here, odom_from_camera): (Se3<Camera, World>, Se3<Odom, Camera>),
     ) {
-        self.mapper.discard();
-        self.loops.forget_found();
+        self.discard_job();
         self.wheels.interrupt();
         self.tracker = Tracker::default();
         let scale = present_from_start.scale;
@@ -219,7 +219,7 @@ impl Reconstruction {
     /// A frame was tracked, whose pose is known so.
     pub(super) fn note_seen(&mut self, covariance: &Matrix6<f64>) {
         self.blind.covariance = *covariance;
-        self.blind.reckoned = None;
+        self.blind.see();
     }
 }
 

@@ -130,6 +130,8 @@ pub struct DeadReckoning {
     pub total_m: f64,
     /// Times that a map went on from a dead-reckoned pose.
     pub continued: u64,
+    /// Since the frame that was tracked last, in the totals already: time, s, and way, m.
+    counted: (f64, f64),
 }
 
 /// A frame that the wheels alone have placed.
@@ -145,19 +147,33 @@ pub struct Reckoned {
 
 impl Default for DeadReckoning {
     fn default() -> Self {
-        Self { covariance: Matrix6::from_element(f64::NAN), reckoned: None, total_ns: 0, total_m: 0.0, continued: 0 }
+        Self {
+            covariance: Matrix6::from_element(f64::NAN),
+            reckoned: None,
+            total_ns: 0,
+            total_m: 0.0,
+            continued: 0,
+            counted: (0.0, 0.0),
+        }
     }
 }
 
 impl DeadReckoning {
     /// Another frame has been placed by the wheels.
     pub fn note(&mut self, ahead: &Ahead, odom_from_camera: Se3<Odom, Camera>) {
-        let (span_s, way_m) = self.reckoned.map_or((0.0, 0.0), |before| (before.span_s, before.way_m));
+        // Not those of the frame before: the wheels may have been silent at that one.
+        let (span_s, way_m) = self.counted;
         self.total_ns += ((ahead.span_s - span_s).max(0.0) * 1e9).round() as u64;
         self.total_m += (ahead.way_m - way_m).max(0.0);
         let (sigma_m, sigma_rad) = ahead.sigma();
         let Ahead { span_s, way_m, .. } = *ahead;
+        self.counted = (span_s, way_m);
         self.reckoned = Some(Reckoned { odom_from_camera, span_s, way_m, sigma_m, sigma_rad });
+    }
+
+    /// A frame was tracked, or nothing is to go on from the one that was.
+    pub fn see(&mut self) {
+        (self.reckoned, self.counted) = (None, (0.0, 0.0));
     }
 
     /// The map's lengths are `factor` times as long from now on.
@@ -307,6 +323,19 @@ mod tests {
         assert!(!far.is_believed() && !long.is_believed() && !vague.is_believed());
         let unknown = WheelScale::new(Robot::unknown(), 0.01);
         assert!(Ahead::of(&unknown, (0, 1), 1.0).is_none());
+    }
+
+    #[test]
+    fn time_and_way_are_counted_once_though_the_wheels_were_silent_in_between() {
+        let after = |span_s: f64| Ahead { span_s, way_m: 0.5 * span_s, ..ahead(&curve(|| 0.0)) };
+        let mut blind = DeadReckoning::default();
+        blind.note(&after(1.0), Se3::identity());
+        blind.reckoned = None;
+        blind.note(&after(3.0), Se3::identity());
+        assert_eq!((blind.total_ns, blind.total_m), (3_000_000_000, 1.5));
+        blind.see();
+        blind.note(&after(1.0), Se3::identity());
+        assert_eq!((blind.total_ns, blind.total_m), (4_000_000_000, 2.0));
     }
 
     #[test]

@@ -133,8 +133,7 @@ impl Reconstruction {
     /// The present map's lengths become `factor` times as long; they are metres from now on.
     fn rescale(&mut self, factor: f64) {
         let first = !self.active.fusion.is_metric();
-        self.mapper.discard();
-        self.loops.forget_found();
+        self.discard_job();
         let before = self.active.odometry.last.map(|last| last.camera_from_world);
         self.unify_units();
         let active = &mut self.active;

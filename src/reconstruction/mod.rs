@@ -417,6 +417,7 @@ impl Reconstruction {
         // As in a map that was loaded: nothing speaks for a frame but its landmarks.
         self.active.odometry = Odometry { lost_frames: 1, ..Odometry::default() };
         self.wheels.begin_map();
+        self.blind.see();
         self.tracker = Tracker::default();
         self.pending = Pending::default();
         self.state = TrackingState::Lost;
@@ -438,13 +439,12 @@ impl Reconstruction {
 
     /// Starts over; returns the map that was.
     fn leave_map(&mut self) -> ActiveMap {
-        self.mapper.discard();
+        self.discard_job();
         self.optics.intrinsics.end_map(&self.optics.camera);
         let next = self.active.successor();
         let old = std::mem::replace(&mut self.active, next);
         self.wheels.begin_map();
-        self.blind.reckoned = None;
-        self.loops.forget_found();
+        self.blind.see();
         self.corrections.end_map();
         self.initialiser.clear();
         self.orientation.clear();

@@ -88,7 +88,8 @@ impl Reconstruction {
     /// Leaves all maps of this run, as a reset does, and goes on in those of another one. None of their ids may be one that this run
     /// has given ([`given_ids`](Self::given_ids)).
     pub fn exchange(&mut self, saved: SavedMaps, localise_only: bool) {
-        self.localise_only = localise_only;
+        // All of them, also those that were only located in.
+        self.localise_only = false;
         self.reset();
         self.resume(saved, localise_only);
         // Whoever keeps them knows them by other ids.
@@ -109,7 +110,7 @@ impl Reconstruction {
             return Err("there is no map yet to be located in");
         }
         if on != self.localise_only {
-            self.mapper.discard();
+            self.discard_job();
             self.pending = Default::default();
             self.initialiser.clear();
             self.localise_only = on;

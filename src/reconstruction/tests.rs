@@ -270,3 +270,36 @@ fn maps_that_are_only_located_in_outlive_a_reset() {
     }
     assert!(!events(&mut r).iter().any(|e| matches!(e, TrajectoryEvent::KeyframeRetired { .. })));
 }
+
+#[test]
+fn of_maps_that_were_only_located_in_none_is_left_when_others_are_loaded() {
+    let mut mapped = before_the_wall(Se3::identity());
+    let optics = mapped.take_changes(true).optics;
+    // Two maps, with ids from these on.
+    let saved = |first: u32| {
+        let map = |number: u32| {
+            let mut map = Map::default();
+            map.skip_ids_to(first + 10 * number, 0);
+            map.add_keyframe(Keyframe { map: MapId(first + number), ..keyframe(Se3::identity(), wall(0)) });
+            let (id, reference) = (MapId(first + number), KeyframeId(first + 10 * number));
+            let head = MapHead { id, reference, frames: 9, scale: MapScale::Unknown, turns: Vec::new() };
+            SavedMap { head, map }
+        };
+        SavedMaps { frame_ns: 0, optics: optics.clone(), maps: vec![map(0), map(1)] }
+    };
+    let mut r =
+        Reconstruction::new(&ReconstructionConfig::default(), &camera(), Box::new(InlineWorker::default()), true);
+    r.resume(saved(3), true);
+    let resets = r.reset_counter();
+    r.exchange(saved(100), true);
+    let ids: Vec<u32> = r.others.kept.iter().map(|other| other.id.0).collect();
+    assert_eq!((r.map_id(), ids, r.state()), (MapId(100), vec![101], TrackingState::Lost));
+    assert!(r.localise_only && r.reset_counter() > resets);
+    let retired = |e: &TrajectoryEvent| match e {
+        TrajectoryEvent::KeyframeRetired { keyframe, .. } => Some(keyframe.0),
+        _ => None,
+    };
+    let mut retired: Vec<u32> = events(&mut r).iter().filter_map(retired).collect();
+    retired.sort_unstable();
+    assert_eq!(retired, [3, 13]);
+}

@@ -51,6 +51,11 @@ pub enum TrajectoryError {
     Empty { path: String },
     #[error(transparent)]
     Write(#[from] WriteError),
+    /// Another map's trajectory would replace what somebody else has put there.
+    #[error(
+        "{path}: another map's trajectory belongs here, but this file is not one that cairn has written; it is left as it is"
+    )]
+    NotOurs { path: String },
     /// The temporary file of a spool cannot be made, written or read back.
     #[error("trajectory spool in {directory}: {source}")]
     Spool { directory: String, source: io::Error },

@@ -14,12 +14,13 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io;
+use std::io::{self, Write};
 use std::os::unix::fs::FileExt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
+use super::beside::{self, Beside};
 use super::record::{RECORD_BYTES, decode, encode};
-use super::{TrajectoryError, beside, write_tum_line};
+use super::{TrajectoryError, write_tum_line};
 use crate::atomic_file::{create_unique, write_atomically};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, Keyframe, World};
@@ -75,17 +76,17 @@ impl TrajectorySpool {
         self.write(path, keyframe_poses, &mut None)
     }
 
-    /// The same, and the poses of each other map beside it ([`beside`]); also the paths of those. What an earlier
-    /// run has left there of other maps is removed.
+    /// The same, and the poses of each other map beside it ([`beside`]). What an earlier run has left there of other maps is removed. A file
+    /// beside it that fails takes none of the others with it.
     pub fn write_all_maps(
         &mut self,
         path: &Path,
         keyframe_poses: &[(KeyframeId, Se3<World, Camera>)],
-    ) -> Result<(TrajectorySummary, Vec<PathBuf>), TrajectoryError> {
-        let mut others = Some(Vec::new());
+    ) -> Result<(TrajectorySummary, Beside), TrajectoryError> {
+        let mut others = Some(Beside::default());
         let summary = self.write(path, keyframe_poses, &mut others)?;
-        let others = others.unwrap_or_default();
-        beside::remove_others(path, &others)?;
+        let mut others = others.unwrap_or_default();
+        others.failures.extend(beside::remove_others(path, &others.files).err());
         Ok((summary, others))
     }
 
@@ -93,7 +94,7 @@ impl TrajectorySpool {
         &mut self,
         path: &Path,
         keyframe_poses: &[(KeyframeId, Se3<World, Camera>)],
-        others: &mut Option<Vec<PathBuf>>,
+        others: &mut Option<Beside>,
     ) -> Result<TrajectorySummary, TrajectoryError> {
         let joined = self.records.joined_maps()?;
         let mut moved = BTreeMap::new();
@@ -315,13 +316,13 @@ impl RecordFile {
         Ok(joined)
     }
 
-    /// Writes the map with the most poses that `resolve` can place; with `others`, each other one beside it, whose paths are added there.
+    /// Writes the map with the most poses that `resolve` can place; with `others`, each other one beside it.
     fn write_maps(
         &mut self,
         path: &Path,
         joined: &JoinedMaps,
         mut resolve: impl FnMut(u32, MapId, KeyframeId, Se3<Keyframe, Camera>) -> Option<Se3<World, Camera>>,
-        others: &mut Option<Vec<PathBuf>>,
+        others: &mut Option<Beside>,
     ) -> Result<TrajectorySummary, TrajectoryError> {
         let mut poses_of_map = BTreeMap::<MapId, u64>::new();
         self.for_each(|_, event| {
@@ -331,24 +332,28 @@ impl RecordFile {
         })?;
         let largest = poses_of_map.iter().max_by_key(|(map, poses)| (**poses, std::cmp::Reverse(**map)));
         let (map, poses) = largest.map(|(map, poses)| (*map, *poses)).unzip();
-        let mut summary = self.write_map(path, (map, poses.unwrap_or_default()), joined, &mut resolve)?;
+        let mut summary = self.write_map((path, ""), (map, poses.unwrap_or_default()), joined, &mut resolve)?;
         summary.other_maps = poses_of_map.len().saturating_sub(1) as u64;
         summary.poses_in_other_maps = poses_of_map.values().sum::<u64>() - poses.unwrap_or_default();
         // A pipe or a device has nothing beside it.
         if let Some(others) = others.as_mut().filter(|_| path.is_file()) {
             for (other, poses) in poses_of_map.iter().filter(|(other, _)| Some(**other) != map) {
                 let path = beside::path_of(path, *other);
-                self.write_map(&path, (Some(*other), *poses), joined, &mut resolve)?;
-                others.push(path);
+                let written = beside::check_free(&path)
+                    .and_then(|()| self.write_map((&path, beside::MARK), (Some(*other), *poses), joined, &mut resolve));
+                match written {
+                    Ok(_) => others.files.push(path),
+                    Err(error) => others.failures.push(error),
+                }
             }
         }
         Ok(summary)
     }
 
-    /// Writes one map, of which there are so many poses.
+    /// Writes one map, of which there are so many poses; `begin`: what stands before them.
     fn write_map(
         &mut self,
-        path: &Path,
+        (path, begin): (&Path, &str),
         (map, poses): (Option<MapId>, u64),
         joined: &JoinedMaps,
         resolve: &mut impl FnMut(u32, MapId, KeyframeId, Se3<Keyframe, Camera>) -> Option<Se3<World, Camera>>,
@@ -375,6 +380,7 @@ impl RecordFile {
 
         write_atomically(path, |out| {
             let mut record = [0; RECORD_BYTES];
+            out.write_all(begin.as_bytes())?;
             for (timestamp_ns, number) in &order {
                 self.file.read_exact_at(&mut record, u64::from(*number) * RECORD_BYTES as u64)?;
                 if let Some(TrajectoryEvent::Pose { map, keyframe, keyframe_from_camera, .. }) = decode(&record)

@@ -208,16 +208,42 @@ fn other_maps_stand_beside_the_largest_and_none_of_an_earlier_run_is_left() {
     }
     spool.record(&TrajectoryEvent::MapJoined { map: MapId(8), into: MapId(9), scale: 3.0 }).unwrap();
     for stale in ["t.map2.txt", "t.map8.txt", "t.map0.txt"] {
-        std::fs::write(dir.path().join(stale), "0 0 0 0 0 0 0 1\n").unwrap();
+        std::fs::write(dir.path().join(stale), format!("{}0 0 0 0 0 0 0 1\n", beside::MARK)).unwrap();
     }
     let known = [keyframe(1, 0.0), keyframe(2, 0.0), keyframe(3, 10.0), keyframe(4, 20.0)];
     let (summary, others) = spool.write_all_maps(&path, &known).unwrap();
     assert_eq!((summary.map, summary.other_maps, summary.poses_in_other_maps), (Some(MapId(7)), 2, 8));
-    assert_eq!(others, ["t.map0.txt", "t.map9.txt"].map(|name| dir.path().join(name)));
-    assert_eq!([&path, &others[0], &others[1]].map(|path| lines(path).len()), [20, 5, 3]);
-    assert_eq!(lines(&others[1]).iter().map(|l| l.1).collect::<Vec<_>>(), [11.5, 11.5, 20.5], "in one unit");
+    let files = others.files;
+    assert!(others.failures.is_empty(), "{:?}", others.failures);
+    assert_eq!(files, ["t.map0.txt", "t.map9.txt"].map(|name| dir.path().join(name)));
+    assert_eq!([&path, &files[0], &files[1]].map(|path| read_tum(path).unwrap().len()), [20, 5, 3]);
+    let along = |path: &Path| -> Vec<f64> {
+        read_tum(path).unwrap().iter().map(|pose| pose.world_from_camera.translation.x).collect()
+    };
+    assert_eq!(along(&files[1]), [11.5, 11.5, 20.5], "in one unit");
     assert!(!dir.path().join("t.map2.txt").exists() && !dir.path().join("t.map8.txt").exists());
-    assert!(spool.write_all_maps(Path::new("/dev/null"), &known).unwrap().1.is_empty());
+    let (_, beside_a_device) = spool.write_all_maps(Path::new("/dev/null"), &known).unwrap();
+    assert!(beside_a_device.files.is_empty());
+}
+
+#[test]
+fn what_somebody_else_has_put_beside_a_trajectory_stays_and_the_rest_is_written() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("t.txt");
+    let mut spool = TrajectorySpool::create(dir.path()).unwrap();
+    for (map, keyframe, times) in [(0, 1, 0..5), (7, 2, 5..25), (9, 3, 40..41)] {
+        times.for_each(|i| spool.record(&pose_event(i * S, map, keyframe, 0.5)).unwrap());
+    }
+    let theirs = ["t.map0.txt", "t.map4.txt"].map(|name| dir.path().join(name));
+    theirs.iter().for_each(|file| std::fs::write(file, "my notes on map 0\n").unwrap());
+    let (summary, others) =
+        spool.write_all_maps(&path, &[keyframe(1, 0.0), keyframe(2, 0.0), keyframe(3, 10.0)]).unwrap();
+    assert_eq!((summary.poses_written, others.files), (20, vec![dir.path().join("t.map9.txt")]));
+    let told: Vec<String> = others.failures.iter().map(TrajectoryError::to_string).collect();
+    assert!(told.len() == 1 && told[0].contains("t.map0.txt"), "{told:?}");
+    for file in theirs {
+        assert_eq!(std::fs::read(file).unwrap(), b"my notes on map 0\n");
+    }
 }
 
 #[test]

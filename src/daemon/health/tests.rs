@@ -142,3 +142,12 @@ fn a_driver_that_dies_lies_or_is_late_is_told_each_by_its_fault() {
     assert_eq!(at(5001, false).0, error::WHEELS_SILENT);
     assert_eq!(at(6001, true).0, 0);
 }
+
+#[test]
+fn a_map_that_cannot_be_stored_is_a_fault_for_as_long_as_it_cannot() {
+    let (status, mut watch) = watch();
+    for is_not in [false, true, false] {
+        status.set_map_not_stored(is_not);
+        assert_eq!(watch.tick(MS).errors & error::SAVE_FAILED != 0, is_not);
+    }
+}

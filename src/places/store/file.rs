@@ -10,7 +10,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use super::backend::Access;
 use super::error::{FORMAT, Fault, StoreError};
 use super::front::Front;
-use super::layout::{HeaderOf, HeaderRecord, Raw, encode_keyframe, encode_landmarks};
+use super::layout::{HeaderOf, HeaderRecord, MOST_IDS, Raw, encode_keyframe, encode_landmarks};
 use super::picture;
 use super::records::{Kind, Records, Tally};
 use crate::atomic_file::create_unique;
@@ -132,15 +132,23 @@ impl MapFile {
             self.records = Some(Records::open(file, Access::Write)?);
         }
         let records = self.records.as_mut().ok_or_else(|| Fault::GivenUp("an earlier write failed".into()))?;
+        if changes.next_keyframe.max(changes.next_landmark) > MOST_IDS {
+            // No reader would take it. What is in the file is whole, and gets small ids when a run begins with it.
+            return Err(Fault::GivenUp("ids are used up; a restart makes room for others".into()));
+        }
         let camera = &changes.optics.camera;
         let senseless = || Fault::GivenUp("a record cannot be made of the map".into());
-        let mut new = Vec::new();
-        let mut revisions = Vec::new();
+        let (mut new, mut revisions, mut bare) = (Vec::new(), Vec::new(), Vec::new());
         for (id, keyframe) in &changes.keyframes {
             new.push((Kind::Keyframe, *id, encode_keyframe(keyframe, camera).ok_or_else(senseless)?));
             let revision = keyframe.picture.revision();
-            if self.keyframes.get(id) != Some(&revision) && keyframe.picture.kept().is_some() {
-                new.push((Kind::Picture, *id, picture::encode(&keyframe.picture).ok_or_else(senseless)?));
+            if self.keyframes.get(id) != Some(&revision) {
+                match keyframe.picture.kept() {
+                    Some(_) => {
+                        new.push((Kind::Picture, *id, picture::encode(&keyframe.picture).ok_or_else(senseless)?))
+                    }
+                    None => bare.push((Kind::Picture, *id)),
+                }
             }
             revisions.push((*id, revision));
         }
@@ -155,7 +163,7 @@ impl MapFile {
         let left = |page: &&u32| changes.is_everything && !changes.landmarks.contains_key(page);
         let emptied: Vec<u32> = emptied.chain(self.pages.iter().filter(left).copied()).collect();
         let removed = gone.iter().flat_map(|id| [(Kind::Keyframe, *id), (Kind::Picture, *id)]);
-        let removed: Vec<_> = removed.chain(emptied.iter().map(|page| (Kind::Landmarks, *page))).collect();
+        let removed: Vec<_> = removed.chain(bare).chain(emptied.iter().map(|page| (Kind::Landmarks, *page))).collect();
 
         let MapChanges { frame_ns, optics, maps, next_keyframe, next_landmark, .. } = changes;
         let (frame_ns, next_keyframe, next_landmark) = (*frame_ns, *next_keyframe, *next_landmark);

@@ -22,7 +22,7 @@ use crate::map::{
 };
 
 /// Ids of keyframes, and of landmarks, that a file may have used up: at 30 new landmarks a second 100 days.
-const MOST_IDS: u32 = 1 << 28;
+pub const MOST_IDS: u32 = 1 << 28;
 
 /// The one record that tells what the others are.
 #[derive(Debug, Clone, Serialize, Deserialize)]

@@ -34,3 +34,4 @@ mod tests;
 
 pub use error::{Fault, StoreError};
 pub use file::{Contents, MapFile, read};
+pub use layout::MOST_IDS;

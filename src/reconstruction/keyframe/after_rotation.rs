@@ -68,7 +68,7 @@ impl Reconstruction {
         }
         self.active.odometry.replace(pose);
         // One under way began from poses that are no more; the keyframe that this frame becomes posts another.
-        self.mapper.discard();
+        self.discard_job();
         self.pending.turned = None;
         self.counters.blind_turns += u64::from(placed.step == Step::Assumed);
         if placed.step != Step::Measured {

@@ -136,8 +136,8 @@ impl Reconstruction {
         self.loops.forget_found();
         match is_little(map, &sightings[1], &told) {
             true => {
-                let edges = sightings.iter().filter_map(|s| loop_edge(map, s, &told));
-                self.loops.closed.extend(edges.map(|e| (e.old, e.recognised)));
+                let ties = ties(map, &sightings, &told);
+                self.loops.tie(ties);
                 self.fuse_found(&sightings);
             }
             false => {
@@ -154,9 +154,6 @@ impl Reconstruction {
         let edges: Vec<LoopEdge> = found.sightings.iter().filter_map(|s| loop_edge(map, s, &found.told)).collect();
         let newest = found.sightings[1].keyframe;
         let job = LoopClosure::new(map, newest, &edges, &self.loops.closed, self.active.fusion.is_metric())?;
-        self.loops.closed.extend(edges.iter().map(|e| (e.old, e.recognised)));
-        let too_many = self.loops.closed.len().saturating_sub(MOST_CLOSED);
-        self.loops.closed.drain(..too_many);
         self.loops.under_way = Some(found);
         Some(job)
     }
@@ -177,6 +174,9 @@ impl Reconstruction {
         }
         active.scale.follow(&active.map);
         self.counters.loops_closed += 1;
+        // Not before: of a loop that could not be closed the ends lie as they should not.
+        let ties = ties(&self.active.map, &found.sightings, &found.told);
+        self.loops.tie(ties);
         self.fuse_found(&found.sightings);
         self.active.next_whole = 0;
     }
@@ -191,6 +191,20 @@ impl Reconstruction {
         }
         self.active.unadjusted = map.keyframes.iter().last().map(|(id, _)| KeyframeId(id));
     }
+}
+
+impl Loops {
+    /// From now on these lie as they should; the oldest are forgotten where there are too many.
+    fn tie(&mut self, ends: Vec<(KeyframeId, KeyframeId)>) {
+        self.closed.extend(ends);
+        let too_many = self.closed.len().saturating_sub(MOST_CLOSED);
+        self.closed.drain(..too_many);
+    }
+}
+
+/// Ends of a loop that has been closed.
+fn ties(map: &Map, sightings: &[Sighting; 2], told: &Similarity) -> Vec<(KeyframeId, KeyframeId)> {
+    sightings.iter().filter_map(|s| loop_edge(map, s, told)).map(|e| (e.old, e.recognised)).collect()
 }
 
 /// The keyframe that sees most of what was found, other than the one that was recognised, and how that one lies to it.
@@ -276,7 +290,100 @@ fn is_little(map: &Map, sighting: &Sighting, told: &Similarity) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::{Matrix2, Matrix3, UnitQuaternion, Vector2, Vector3};
+
     use super::*;
+    use crate::geometry::sim3::Sim3;
+    use crate::geometry::{CameraModel, Se3};
+    use crate::map::{Keyframe, Landmark, LandmarkId, MapId};
+    use crate::reconstruction::track::search::Match;
+    use crate::reconstruction::{InlineWorker, ReconstructionConfig};
+
+    /// Six keyframes side by side, 20 landmarks that the first two share; the last two have been recognised to be where those are.
+    fn found_a_loop() -> Reconstruction {
+        let camera = CameraModel::new(320, 240, 300.0, 300.0, 159.5, 119.5, [0.0; 5]).expect("a camera");
+        let config = ReconstructionConfig::default();
+        let mut r = Reconstruction::new(&config, &camera, Box::new(InlineWorker::default()), true);
+        let map = &mut r.active.map;
+        let ids: Vec<KeyframeId> = (0..6)
+            .map(|i| {
+                map.add_keyframe(Keyframe {
+                    sequence: i,
+                    timestamp_ns: 0,
+                    map: MapId(0),
+                    camera_from_world: Se3::new(UnitQuaternion::identity(), Vector3::x() * -(i as f64)),
+                    motion: None,
+                    picture: Default::default(),
+                    thumbnail: Default::default(),
+                    scale_from: None,
+                    observations: Vec::new(),
+                    covisible: Vec::new(),
+                    corners: Vec::new(),
+                })
+            })
+            .collect();
+        let mut found = Vec::new();
+        for i in 0..20 {
+            let position = Vector3::new(0.1 * f64::from(i), 0.0, 3.0);
+            let (pixel, normalised, displacement) = (Vector2::new(i as f32, 9.0), Vector2::zeros(), Vector2::zeros());
+            let (landmark, inv_sigma_px) = (LandmarkId(0), 1.0);
+            let normalised_from_pixel = Matrix2::identity();
+            let seen = Observation { landmark, pixel, normalised, displacement, inv_sigma_px, normalised_from_pixel };
+            let landmark = Landmark {
+                position,
+                covariance: Matrix3::identity(),
+                observers: Vec::new(),
+                created_by: ids[1],
+                assumed: None,
+                sought: 1,
+                found: 1,
+                disagreed: 0,
+            };
+            let landmark = map.add_landmark(landmark, &[(ids[0], seen), (ids[1], seen)]);
+            found.push(Match {
+                landmark,
+                point: position,
+                pixel,
+                normalised,
+                displacement,
+                inv_sigma_px,
+                inlier: true,
+            });
+        }
+        let sighting = |at: usize, x: f64| Sighting {
+            keyframe: ids[at],
+            there: Se3::new(UnitQuaternion::identity(), Vector3::x() * -x),
+            found: found.clone(),
+        };
+        let sightings = [sighting(4, 0.0), sighting(5, 1.0)];
+        let told = Similarity { present_from_other: Sim3::identity(), log_scale_sigma: 0.01 };
+        r.loops.waiting = Some(FoundLoop { sightings, told });
+        r
+    }
+
+    #[test]
+    fn only_the_ends_of_a_loop_that_was_closed_are_tied() {
+        let mut r = found_a_loop();
+        let job = r.loop_closure().expect("a job");
+        assert!(r.loops.closed.is_empty(), "it may fail yet");
+        r.take_over_loop(None);
+        assert!(r.loops.closed.is_empty() && r.loops.under_way.is_none());
+        r.loops.waiting = found_a_loop().loops.waiting;
+        let again = r.loop_closure().expect("a job");
+        drop(again);
+        r.take_over_loop(Some(job.run().expect("closed")));
+        assert_eq!(r.loops.closed.iter().map(|tie| tie.1.0).collect::<Vec<_>>(), [4, 5]);
+        r.loops.tie(vec![(KeyframeId(1), KeyframeId(2)); MOST_CLOSED]);
+        assert_eq!(r.loops.closed.len(), MOST_CLOSED);
+    }
+
+    #[test]
+    fn a_closure_that_is_discarded_leaves_room_for_the_next() {
+        let mut r = found_a_loop();
+        drop(r.loop_closure().expect("a job"));
+        r.discard_job();
+        assert!(r.loops.waiting.is_none() && r.loops.under_way.is_none());
+    }
 
     /// After a way of ten, with nothing drifted.
     const NONE: Drift = Drift {

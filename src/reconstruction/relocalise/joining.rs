@@ -47,9 +47,8 @@ impl Reconstruction {
             self.active = old;
             return self.estimate_none(features);
         };
-        self.mapper.discard();
+        self.discard_job();
         self.wheels.begin_map();
-        self.loops.forget_found();
         self.corrections.end_map();
         self.optics.intrinsics.end_map(&self.optics.camera);
         self.counters.resets += 1;
@@ -128,8 +127,7 @@ impl Reconstruction {
 
     /// Makes the other map a part of this one.
     fn join(&mut self, mut other: OtherMap, present_from_other: &Sim3<World, World>) {
-        self.mapper.discard();
-        self.loops.forget_found();
+        self.discard_job();
         let active = &mut self.active;
         // The lens may be known better by now.
         other.map.undistort_anew(&self.optics.camera);
