@@ -201,11 +201,11 @@ impl Outlet {
     ) -> Result<(), PublishError> {
         self.turn_to(map.map);
         self.conversion.scale = map.scale.into();
-        let mut graph = Ok(());
+        let mut graph = Ok(false);
         if let Some(publisher) = self.graph.as_mut().filter(|graph| graph.is_wanted()) {
             reconstruction.graph(&mut self.edges, MAX_EDGES);
             graph = publisher.publish(&self.edges, map, &self.conversion, context);
         }
-        self.map.publish(map, &self.conversion, context).and(graph)
+        self.map.publish(map, &self.conversion, context).and(graph.map(|_| ()))
     }
 }

@@ -21,15 +21,18 @@ impl GraphPublisher {
         self.port.subscribers() > 0
     }
 
-    /// Sends the graph of the map that `snapshot` is of, at most [`MAX_EDGES`](crate::messages::services::MAX_EDGES) edges of it. To be called before
-    /// that snapshot is sent: who wakes by the map finds its graph.
+    /// Sends the graph of the map that `snapshot` is of, if somebody subscribes; tells whether it was sent. `graph` has at most
+    /// [`MAX_EDGES`](crate::messages::services::MAX_EDGES) edges. To be called before that snapshot is sent: who wakes by the map finds its graph.
     pub fn publish(
         &mut self,
         graph: &MapGraph,
         snapshot: &MapSnapshot,
         conversion: &Conversion,
         context: &MapContext,
-    ) -> Result<(), PublishError> {
+    ) -> Result<bool, PublishError> {
+        if !self.is_wanted() {
+            return Ok(false);
+        }
         let edges = self.port.fill(&graph.edges, edge)?;
         let header = GraphHeader {
             run_id: self.run_id,
@@ -45,7 +48,8 @@ impl GraphPublisher {
             map_mode: context.map_mode,
             reserved: [0; 10],
         };
-        self.port.send_filled(edges, header)
+        self.port.send_filled(edges, header)?;
+        Ok(true)
     }
 }
 

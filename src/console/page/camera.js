@@ -20,7 +20,7 @@ export class CameraView {
     this.id = FIRST_ID;
     this.waiting = new Map();
     this.rows = new Map();
-    this.first = this.row("What the camera offers", () => "", () => this.ask(this.first));
+    this.first = this.row("What it offers", () => "", () => this.ask(this.first));
     $("camera").append(this.first.element);
   }
 

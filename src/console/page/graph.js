@@ -25,6 +25,7 @@ const ENDS = {
     void main() {
       if (length(gl_PointCoord - 0.5) > 0.5) discard;
       gl_FragColor = shade;
+      #include <colorspace_fragment>
     }`,
 };
 
