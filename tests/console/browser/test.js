@@ -132,6 +132,10 @@ async function buttons(page) {
   await load.locator("input").focus();
   await page.waitForFunction(() => [...document.querySelectorAll("#stored-maps option")].some((o) => o.value === "room"));
   check(true, "stored maps are listed");
+  await load.locator("input").fill("no-such-map");
+  await load.getByRole("button").click();
+  await page.waitForFunction(() => [...document.querySelectorAll(".command output[data-ok=false]")].some((o) => o.textContent.includes("no-such-map")));
+  check(true, "a map that is not there is refused, and the page says so");
   for (const [name, value] of [["Go on in a map", "room"], ["Only locate in the map", null], ["Let the map grow again", null], ["Begin a new map", "other"]]) {
     const row = command(name);
     if (value) await row.locator("input").fill(value);
