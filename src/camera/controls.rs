@@ -65,7 +65,7 @@ pub struct ControlState {
 impl ControlState {
     /// Whether a value lies in the range; NaN does not.
     pub fn allows(&self, value: f64) -> bool {
-        // Half a step, as decimal fractions are no binary ones.
+        // Decimal fractions are no binary ones: both ends are in it.
         let slack = 1e-6 * self.step;
         (self.low - slack..=self.high + slack).contains(&value)
     }
