@@ -32,6 +32,11 @@
 #define CAIRN_NO_LANDMARK UINT32_MAX
 
 /**
+ * Stands where there is no map.
+ */
+#define CAIRN_NO_MAP UINT32_MAX
+
+/**
  * Stands where there is no track.
  */
 #define CAIRN_NO_TRACK UINT64_MAX
@@ -191,6 +196,18 @@
 #define CAIRN_COMMAND_COPY_MAP 10
 
 /**
+ * Name the camera's controls: a line each of the message, `NAME UNIT LOWEST HIGHEST STEP DEFAULT VALUE WHO`. Names: `exposure` (unit `ms`), `gain`
+ * and `focus` (unit `steps`, of the camera's own). WHO: `auto` (the camera decides), `manual`, `manual-only` (it has no automatic).
+ */
+#define CAIRN_COMMAND_CAMERA_CONTROLS 11
+
+/**
+ * Set a control of the camera to a value in its unit, or have the camera decide: `path` is its name, a space, and a number or `auto`. It holds
+ * until the camera is opened anew.
+ */
+#define CAIRN_COMMAND_SET_CAMERA 12
+
+/**
  * Done.
  */
 #define CAIRN_REPLY_OK 0
@@ -214,6 +231,21 @@
  * Not now: another one of its kind is under way.
  */
 #define CAIRN_REPLY_BUSY 4
+
+/**
+ * `kind` of an edge: both keyframes see the same landmarks.
+ */
+#define CAIRN_EDGE_COVISIBLE 0
+
+/**
+ * `kind` of an edge: a loop was closed, the newer keyframe showed the place of the older one again.
+ */
+#define CAIRN_EDGE_LOOP 1
+
+/**
+ * `kind` of an edge: another map was joined to this one, by a keyframe that showed a place of it.
+ */
+#define CAIRN_EDGE_JOIN 2
 
 /**
  * Number of stages.
@@ -440,6 +472,11 @@ typedef struct cairn_features_hold cairn_features_hold;
  * Keeps a picture in shared memory.
  */
 typedef struct cairn_frame_hold cairn_frame_hold;
+
+/**
+ * Keeps a graph in shared memory.
+ */
+typedef struct cairn_graph_hold cairn_graph_hold;
 
 /**
  * A connection to one daemon.
@@ -1236,6 +1273,110 @@ typedef struct cairn_command_reply {
 } cairn_command_reply;
 
 /**
+ * What a graph message is a picture of; the same `content_revision` as the keyframes message that was sent with it.
+ */
+typedef struct cairn_graph_header {
+  /**
+   * Another value at every start of the daemon.
+   */
+  uint64_t run_id;
+  /**
+   * Grows with every change of what the message holds: another picture of the map.
+   */
+  uint64_t content_revision;
+  /**
+   * Capture time of the newest frame that the map knows of, in the source's clock (`clock`), ns.
+   */
+  int64_t timestamp_ns;
+  /**
+   * CLOCK_MONOTONIC when this message was sent, ns.
+   */
+  int64_t published_ns;
+  /**
+   * Edges in this message.
+   */
+  uint32_t count;
+  /**
+   * Edges of the map; if larger than `count`, the weakest covisible ones were left out.
+   */
+  uint32_t total;
+  /**
+   * As in cairn_pose.map_id.
+   */
+  uint32_t map_id;
+  /**
+   * As in cairn_pose.reset_counter.
+   */
+  uint32_t reset_counter;
+  /**
+   * As in cairn_pose.map_revision.
+   */
+  uint32_t map_revision;
+  /**
+   * CAIRN_CLOCK_MONOTONIC, CAIRN_CLOCK_RECORDING.
+   */
+  uint8_t clock;
+  /**
+   * Bits of map_mode.
+   */
+  uint8_t map_mode;
+  /**
+   * Zero.
+   */
+  uint8_t reserved[10];
+} cairn_graph_header;
+
+/**
+ * Two keyframes that belong together; `PREFIX/graph` carries a slice of them: joins, then loops, oldest first each, then what is covisible, strongest
+ * first.
+ */
+typedef struct cairn_graph_edge {
+  /**
+   * As in cairn_keyframe.id: the older one; of a join, the one of the map that was joined.
+   */
+  uint32_t from;
+  /**
+   * As in cairn_keyframe.id: the newer one; of a join, the one that showed the other map's place.
+   */
+  uint32_t to;
+  /**
+   * Landmarks that both see now.
+   */
+  uint32_t shared;
+  /**
+   * Of a join: what cairn_pose.map_id the other map had; else CAIRN_NO_MAP.
+   */
+  uint32_t joined_map;
+  /**
+   * CAIRN_EDGE_COVISIBLE, CAIRN_EDGE_LOOP, CAIRN_EDGE_JOIN.
+   */
+  uint8_t kind;
+  /**
+   * Zero.
+   */
+  uint8_t reserved[3];
+} cairn_graph_edge;
+
+/**
+ * What holds the map together, in shared memory; never changes. Two may be held at a time.
+ */
+typedef struct cairn_graph {
+  /**
+   * What the edges are a picture of.
+   */
+  const struct cairn_graph_header *header;
+  /**
+   * `count` edges.
+   */
+  const struct cairn_graph_edge *edges;
+  size_t count;
+  /**
+   * For `cairn_graph_release`.
+   */
+  struct cairn_graph_hold *held;
+} cairn_graph;
+
+/**
  * The mean twist of the base over an interval, in the base frame at its start (REP-103: x forward, y left, yaw positive to the left).
  */
 typedef struct cairn_wheel_odometry {
@@ -1347,6 +1488,8 @@ typedef struct cairn_encoded_header {
    */
   uint8_t reserved[16];
 } cairn_encoded_header;
+
+
 
 
 
@@ -1556,6 +1699,33 @@ int32_t cairn_send_command(struct cairn_client *client,
                            struct cairn_command_reply *reply);
 
 /**
+ * The next graph that has not been read, waiting for it if need be. From the first call until `cairn_close` or `cairn_graph_stop` the daemon
+ * makes one with every map. Release it with `cairn_graph_release`.
+ *
+ * # Safety
+ * `client` comes from `cairn_connect`; `graph` may be written.
+ */
+int32_t cairn_graph_wait(struct cairn_client *client,
+                         uint64_t timeout_ns,
+                         struct cairn_graph *graph);
+
+/**
+ * Gives a graph back; the view is empty then. Null and empty views are left alone.
+ *
+ * # Safety
+ * `graph` is null or was filled by `cairn_graph_wait`, and is zeroed or unchanged since.
+ */
+void cairn_graph_release(struct cairn_graph *graph);
+
+/**
+ * No more graphs are wanted.
+ *
+ * # Safety
+ * `client` is null or comes from `cairn_connect`.
+ */
+void cairn_graph_stop(struct cairn_client *client);
+
+/**
  * For the driver of the robot's base: its mean twist since the last call, up to now (REP-103: forward, to the left, turn to the left). To be
  * called 20 to 100 times a second. `CAIRN_MESSAGE` if a daemon is there, `CAIRN_NOTHING` if not, `CAIRN_ERROR` where waiting does not
  * help: another driver tells of the wheels already. Never waits.
@@ -1600,6 +1770,8 @@ void cairn_wheel_stop(struct cairn_client *client);
 #define CAIRN_MAP_HEADER_TYPE "cairn.MapHeader.v2"
 #define CAIRN_KEYFRAME_TYPE "cairn.Keyframe.v1"
 #define CAIRN_KEYFRAMES_HEADER_TYPE "cairn.KeyframesHeader.v2"
+#define CAIRN_GRAPH_EDGE_TYPE "cairn.GraphEdge.v1"
+#define CAIRN_GRAPH_HEADER_TYPE "cairn.GraphHeader.v1"
 #define CAIRN_FRAME_HEADER_TYPE "cairn.FrameHeader.v1"
 #define CAIRN_ENCODED_HEADER_TYPE "cairn.EncodedHeader.v1"
 #define CAIRN_FEATURE_TYPE "cairn.Feature.v1"
@@ -1742,6 +1914,26 @@ CAIRN_ASSERT(offsetof(cairn_keyframes_header, scale_source) == 57 && sizeof(((ca
 CAIRN_ASSERT(offsetof(cairn_keyframes_header, clock) == 58 && sizeof(((cairn_keyframes_header *)0)->clock) == 1);
 CAIRN_ASSERT(offsetof(cairn_keyframes_header, map_mode) == 59 && sizeof(((cairn_keyframes_header *)0)->map_mode) == 1);
 CAIRN_ASSERT(offsetof(cairn_keyframes_header, reserved) == 60 && sizeof(((cairn_keyframes_header *)0)->reserved) == 4);
+CAIRN_ASSERT(sizeof(cairn_graph_edge) == 20);
+CAIRN_ASSERT(offsetof(cairn_graph_edge, from) == 0 && sizeof(((cairn_graph_edge *)0)->from) == 4);
+CAIRN_ASSERT(offsetof(cairn_graph_edge, to) == 4 && sizeof(((cairn_graph_edge *)0)->to) == 4);
+CAIRN_ASSERT(offsetof(cairn_graph_edge, shared) == 8 && sizeof(((cairn_graph_edge *)0)->shared) == 4);
+CAIRN_ASSERT(offsetof(cairn_graph_edge, joined_map) == 12 && sizeof(((cairn_graph_edge *)0)->joined_map) == 4);
+CAIRN_ASSERT(offsetof(cairn_graph_edge, kind) == 16 && sizeof(((cairn_graph_edge *)0)->kind) == 1);
+CAIRN_ASSERT(offsetof(cairn_graph_edge, reserved) == 17 && sizeof(((cairn_graph_edge *)0)->reserved) == 3);
+CAIRN_ASSERT(sizeof(cairn_graph_header) == 64);
+CAIRN_ASSERT(offsetof(cairn_graph_header, run_id) == 0 && sizeof(((cairn_graph_header *)0)->run_id) == 8);
+CAIRN_ASSERT(offsetof(cairn_graph_header, content_revision) == 8 && sizeof(((cairn_graph_header *)0)->content_revision) == 8);
+CAIRN_ASSERT(offsetof(cairn_graph_header, timestamp_ns) == 16 && sizeof(((cairn_graph_header *)0)->timestamp_ns) == 8);
+CAIRN_ASSERT(offsetof(cairn_graph_header, published_ns) == 24 && sizeof(((cairn_graph_header *)0)->published_ns) == 8);
+CAIRN_ASSERT(offsetof(cairn_graph_header, count) == 32 && sizeof(((cairn_graph_header *)0)->count) == 4);
+CAIRN_ASSERT(offsetof(cairn_graph_header, total) == 36 && sizeof(((cairn_graph_header *)0)->total) == 4);
+CAIRN_ASSERT(offsetof(cairn_graph_header, map_id) == 40 && sizeof(((cairn_graph_header *)0)->map_id) == 4);
+CAIRN_ASSERT(offsetof(cairn_graph_header, reset_counter) == 44 && sizeof(((cairn_graph_header *)0)->reset_counter) == 4);
+CAIRN_ASSERT(offsetof(cairn_graph_header, map_revision) == 48 && sizeof(((cairn_graph_header *)0)->map_revision) == 4);
+CAIRN_ASSERT(offsetof(cairn_graph_header, clock) == 52 && sizeof(((cairn_graph_header *)0)->clock) == 1);
+CAIRN_ASSERT(offsetof(cairn_graph_header, map_mode) == 53 && sizeof(((cairn_graph_header *)0)->map_mode) == 1);
+CAIRN_ASSERT(offsetof(cairn_graph_header, reserved) == 54 && sizeof(((cairn_graph_header *)0)->reserved) == 10);
 CAIRN_ASSERT(sizeof(cairn_frame_header) == 48);
 CAIRN_ASSERT(offsetof(cairn_frame_header, run_id) == 0 && sizeof(((cairn_frame_header *)0)->run_id) == 8);
 CAIRN_ASSERT(offsetof(cairn_frame_header, sequence) == 8 && sizeof(((cairn_frame_header *)0)->sequence) == 8);

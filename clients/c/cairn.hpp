@@ -4,8 +4,10 @@
 
 #include <chrono>
 #include <cstring>
+#include <locale>
 #include <memory>
 #include <optional>
+#include <sstream>
 #include <stdexcept>
 #include <string>
 #include <string_view>
@@ -66,6 +68,12 @@ struct Keyframes : detail::Held<cairn_keyframes, cairn_keyframes_release> {
     const cairn_keyframe *begin() const { return (*this)->keyframes; }
     const cairn_keyframe *end() const { return (*this)->keyframes + (*this)->count; }
 };
+// What holds the map together: header, edges, count.
+struct Graph : detail::Held<cairn_graph, cairn_graph_release> {
+    using Held::Held;
+    const cairn_graph_edge *begin() const { return (*this)->edges; }
+    const cairn_graph_edge *end() const { return (*this)->edges + (*this)->count; }
+};
 // A grey picture: header, pixels, size.
 using Frame = detail::Held<cairn_frame, cairn_frame_release>;
 
@@ -116,6 +124,7 @@ class Client {
     // The next map that was not read yet, where it lies in shared memory.
     std::optional<Map> map(Duration timeout) { return view<Map>(cairn_map_wait, timeout); }
     std::optional<Keyframes> keyframes(Duration timeout) { return view<Keyframes>(cairn_keyframes_wait, timeout); }
+    std::optional<Graph> graph(Duration timeout) { return view<Graph>(cairn_graph_wait, timeout); }
     std::optional<Frame> frame(Duration timeout) { return view<Frame>(cairn_frame_wait, timeout); }
     std::optional<Features> features(Duration timeout) { return view<Features>(cairn_features_wait, timeout); }
 
@@ -138,13 +147,14 @@ class Client {
     // A command on stored maps: CAIRN_COMMAND_LOAD_MAP, _STORE_MAP, _NEW_MAP, _LIST_MAPS and _COPY_MAP with a map's name (or nothing),
     // CAIRN_COMMAND_LOCALISE with "on" or "off".
     cairn_command_reply map_command(std::uint32_t kind, std::string_view name, Duration timeout) {
-        cairn_command what{};
-        what.kind = kind;
-        if (name.size() > sizeof what.path)
-            throw Error("the name of a map is too long");
-        std::memcpy(what.path, name.data(), name.size());
-        what.path_len = static_cast<std::uint32_t>(name.size());
-        return command(what, timeout);
+        return text_command(kind, name, timeout);
+    }
+
+    // A line for each control of the camera: NAME UNIT LOWEST HIGHEST STEP DEFAULT VALUE, and auto, manual or manual-only (src/messages/WIRE.md).
+    cairn_command_reply camera_controls(Duration timeout) { return text_command(CAIRN_COMMAND_CAMERA_CONTROLS, "", timeout); }
+    // exposure (ms), gain or focus (the camera's own steps); without a value the camera decides.
+    cairn_command_reply set_camera(const std::string &control, std::optional<double> value, Duration timeout) {
+        return text_command(CAIRN_COMMAND_SET_CAMERA, control + " " + (value ? number(*value) : "auto"), timeout);
     }
 
     cairn_command_reply reset(Duration timeout) {
@@ -154,6 +164,22 @@ class Client {
     }
 
   private:
+    cairn_command_reply text_command(std::uint32_t kind, std::string_view text, Duration timeout) {
+        cairn_command what{};
+        what.kind = kind;
+        if (text.size() > sizeof what.path)
+            throw Error("the text of a command is too long");
+        std::memcpy(what.path, text.data(), text.size());
+        what.path_len = static_cast<std::uint32_t>(text.size());
+        return command(what, timeout);
+    }
+    // Whatever the program's locale calls a decimal point.
+    static std::string number(double value) {
+        std::ostringstream text;
+        text.imbue(std::locale::classic());
+        text << value;
+        return text.str();
+    }
     template <typename Owner, typename View>
     std::optional<Owner> view(std::int32_t (*wait)(cairn_client *, std::uint64_t, View *), Duration timeout) {
         View view{};

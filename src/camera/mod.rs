@@ -1,6 +1,7 @@
 //! Frames from anywhere through one door, [`FrameSource`].
 
 pub mod bag;
+pub mod controls;
 pub mod recording;
 #[cfg(feature = "tools")]
 pub mod simulator;
@@ -14,6 +15,7 @@ pub use recording::{Pacing, Recording};
 use crate::frame::{Clock, RawFrame};
 use crate::geometry::CameraModel;
 use crate::motion::wheel::{WheelFault, WheelMessage};
+use controls::{Control, ControlError, ControlState, Setting};
 
 /// What a source says of itself once it is open.
 #[derive(Debug, Clone)]
@@ -66,4 +68,14 @@ pub trait FrameSource: Send {
     /// Wheel odometry that the source brings with its frames, up to a frame's timestamp, each message once; with it what the source itself knows to
     /// be wrong with it. A camera has none.
     fn wheels(&mut self, _until_ns: i64, _to: &mut dyn FnMut(&WheelMessage, Option<WheelFault>)) {}
+
+    /// What of exposure, gain and focus can be set. A recording and a simulator have nothing of it.
+    fn controls(&mut self) -> Result<Vec<ControlState>, ControlError> {
+        Err(ControlError::NoControls(self.description().name.clone()))
+    }
+
+    /// Sets one, between two frames; what it is then. It holds until the source is opened anew.
+    fn set_control(&mut self, _control: Control, _to: Setting) -> Result<ControlState, ControlError> {
+        Err(ControlError::NoControls(self.description().name.clone()))
+    }
 }

@@ -7,7 +7,7 @@
 //!
 //! The rooms: [`negotiate`] ranks what a camera offers, [`device`] and [`queue`] speak to the kernel (the only `unsafe`), [`capture`] decides
 //! what a buffer means, behind a trait of three functions so that its tests need no camera; [`controls`] sets focus, exposure and
-//! the like; [`finder`] finds a camera again that was away.
+//! the like, and [`adjust`] what somebody asks for while it streams; [`finder`] finds a camera again that was away.
 //!
 //! A camera that is unplugged is [`SourceError::Gone`]; the caller opens another `V4l2Camera` when it likes. Dropping
 //! one stops the stream and gives the buffers back.
@@ -23,6 +23,7 @@
 //!
 //! Deliberately not here: multi-planar devices, raw Bayer sensors, other pixel formats, an exposure control of our own.
 
+pub mod adjust;
 pub mod capture;
 mod config;
 pub mod controls;
@@ -35,6 +36,7 @@ pub mod queue;
 pub use config::{FormatPreference, PowerLine, V4l2Config};
 pub use finder::Finder;
 
+use super::controls::{Control, ControlError, ControlState, Setting};
 use super::{FrameSource, Grab, SourceDescription, SourceError};
 use crate::calibration::store::CameraIdentity;
 use crate::frame::{Clock, PixelFormat, RawFrame};
@@ -281,6 +283,17 @@ impl FrameSource for V4l2Camera {
             self.lock.frame(self.capture.queue().device(), slot.arrival_ns);
         }
         Ok(grab)
+    }
+
+    fn controls(&mut self) -> Result<Vec<ControlState>, ControlError> {
+        let offered = adjust::offered(self.capture.queue().device());
+        if offered.is_empty() { Err(ControlError::NoControls(self.card.clone())) } else { Ok(offered) }
+    }
+
+    fn set_control(&mut self, control: Control, to: Setting) -> Result<ControlState, ControlError> {
+        let set = adjust::set(self.capture.queue().device(), control, to)?;
+        self.lock.give_up();
+        Ok(set)
     }
 }
 

@@ -6,11 +6,11 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use super::endpoint_args::EndpointArgs;
-use super::{CliError, exit_code};
+use super::{CliError, camera_command, exit_code};
 use crate::client::Client;
 use crate::messages::{CommandReply, Transform, reply_code};
 
-/// Tell a running daemon to reset, to save its trajectory or map, or where the robot is
+/// Tell a running daemon to reset, to save its trajectory or map, where the robot is, or how its camera is to expose and focus
 #[derive(Debug, Clone, clap::Args)]
 pub struct CommandArgs {
     #[command(flatten)]
@@ -49,6 +49,8 @@ pub enum Action {
         #[arg(allow_negative_numbers = true)]
         yaw: f64,
     },
+    /// Show or set exposure, gain and focus of its camera
+    Camera(camera_command::CameraArgs),
 }
 
 /// Runs the subcommand.
@@ -59,6 +61,10 @@ pub fn run(args: &CommandArgs) -> Result<ExitCode, CliError> {
         Action::Reset => client.reset(timeout)?,
         Action::SaveTrajectory { path } => client.save_trajectory(&absolute(path)?, timeout)?,
         Action::SaveMap { path } => client.save_map(&absolute(path)?, timeout)?,
+        Action::Camera(camera) => match camera_command::run(camera, &client, timeout)? {
+            Some(reply) => reply,
+            None => return Ok(ExitCode::SUCCESS),
+        },
         Action::SetPose { x, y, yaw } => client.set_pose(&Transform::level(*x, *y, yaw.to_radians()), timeout)?,
     };
     outcome(&reply)

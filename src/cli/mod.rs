@@ -3,6 +3,7 @@
 mod builds;
 pub mod calibrate;
 mod camera_calibration;
+mod camera_command;
 pub mod command;
 #[cfg(feature = "tools")]
 pub mod compare;

@@ -117,6 +117,7 @@ pub fn open_wire(config: &Config, clock: Clock, size: Option<(u32, u32)>) -> Res
     let endpoint = Endpoint::new(&config.prefix).and_then(Endpoint::with_environment)?;
     let publisher = Publisher::open(&endpoint, &config.publish.limits(size))?;
     let outlet = Outlet::new(publisher.poses, publisher.map, publisher.frames, &config.mount, clock)
+        .with_graph(publisher.graph)
         .with_features(publisher.features)
         .with_encoded(publisher.encoded)
         .with_wheels(publisher.wheels);

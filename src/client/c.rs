@@ -15,7 +15,7 @@ use std::ffi::CString;
 use std::time::Duration;
 
 use super::{
-    Client, ClientError, FeatureLists, Features, Frame, Frames, Healths, Keyframes, KeyframesSnapshot, Map,
+    Client, ClientError, FeatureLists, Features, Frame, Frames, Graphs, Healths, Keyframes, KeyframesSnapshot, Map,
     MapSnapshot, Poses, Subscription, Topic, WheelPublisher, monotonic_ns,
 };
 use crate::messages::{
@@ -53,6 +53,7 @@ pub struct Handle {
     keyframes: Keyframes,
     frames: Option<Frames>,
     features: Option<FeatureLists>,
+    graphs: Option<Graphs>,
     wheels: Option<WheelPublisher>,
 }
 
@@ -156,8 +157,8 @@ pub unsafe extern "C" fn cairn_connect(prefix: *const c_char) -> *mut Handle {
     match client {
         Ok(client) => {
             let (poses, health, map, keyframes) = (client.poses(), client.health(), client.map(), client.keyframes());
-            let (frames, features, wheels) = (None, None, None);
-            Box::into_raw(Box::new(Handle { client, poses, health, map, keyframes, frames, features, wheels }))
+            let (frames, features, graphs, wheels) = (None, None, None, None);
+            Box::into_raw(Box::new(Handle { client, poses, health, map, keyframes, frames, features, graphs, wheels }))
         }
         Err(error) => {
             failed(&error.to_string());
@@ -220,6 +221,7 @@ macro_rules! handle {
     }};
 }
 
+mod graph;
 mod wheels;
 
 /// The newest pose, without waiting; the same one again while no newer has come (look at `cairn_pose_is_usable`). A client that

@@ -186,7 +186,7 @@ impl Client {
     }
 }
 
-fn with_path(kind: u32, path: &str) -> Result<Command, ClientError> {
+pub(super) fn with_path(kind: u32, path: &str) -> Result<Command, ClientError> {
     Command::with_path(kind, path).ok_or(ClientError::PathTooLong { bytes: path.len(), limit: TEXT_LEN })
 }
 

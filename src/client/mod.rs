@@ -33,6 +33,7 @@
 
 #[cfg(feature = "c")]
 pub mod c;
+mod camera;
 mod commander;
 mod error;
 mod latest;
@@ -48,8 +49,8 @@ use iceoryx2_bb_posix::clock::{ClockType, Time};
 
 pub use commander::{MapList, StoredMap};
 pub use error::ClientError;
-pub use subscription::{Encodeds, FeatureLists, Frames, Healths, Keyframes, Map, Poses, Subscription};
-pub use topics::{Encoded, Features, Frame, KeyframesSnapshot, MapSnapshot, Slice, Topic};
+pub use subscription::{Encodeds, FeatureLists, Frames, Graphs, Healths, Keyframes, Map, Poses, Subscription};
+pub use topics::{Encoded, Features, Frame, Graph, KeyframesSnapshot, MapSnapshot, Slice, Topic};
 pub use wheel::WheelPublisher;
 
 use crate::messages::services::topic;
@@ -118,6 +119,11 @@ impl Client {
 
     /// Keyframes, with the map.
     pub fn keyframes(&self) -> Keyframes {
+        Subscription::new(self.link.clone())
+    }
+
+    /// What holds the map together, before each map. The daemon makes it only while somebody holds such a subscription.
+    pub fn graph(&self) -> Graphs {
         Subscription::new(self.link.clone())
     }
 

@@ -12,7 +12,8 @@ use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
 
 use super::link::{Ipc, Link};
 use super::topics::{
-    EncodedTopic, FeaturesTopic, FrameTopic, HealthTopic, KeyframesTopic, MapTopic, OpenFailure, PoseTopic, Topic,
+    EncodedTopic, FeaturesTopic, FrameTopic, GraphTopic, HealthTopic, KeyframesTopic, MapTopic, OpenFailure, PoseTopic,
+    Topic,
 };
 use super::{ClientError, LOOK_EVERY};
 
@@ -54,6 +55,8 @@ pub type Map = Subscription<MapTopic>;
 pub type Keyframes = Subscription<KeyframesTopic>;
 /// Subscription to grey pictures.
 pub type Frames = Subscription<FrameTopic>;
+/// Subscription to what holds the map together.
+pub type Graphs = Subscription<GraphTopic>;
 /// Subscription to what is found in the pictures.
 pub type FeatureLists = Subscription<FeaturesTopic>;
 /// Subscription to the camera's own bytes.

@@ -15,13 +15,16 @@ use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use super::link::Ipc;
 use crate::messages::services::topic;
 use crate::messages::{
-    EncodedHeader, Feature, FeaturesHeader, FrameHeader, Health, Keyframe, KeyframesHeader, Landmark, MapHeader, Pose,
+    EncodedHeader, Feature, FeaturesHeader, FrameHeader, GraphEdge, GraphHeader, Health, Keyframe, KeyframesHeader,
+    Landmark, MapHeader, Pose,
 };
 
 /// The map as it was at one moment: a slice of [`Landmark`] in shared memory.
 pub type MapSnapshot = Slice<Landmark, MapHeader>;
 /// The keyframes as they were at one moment: a slice of [`Keyframe`] in shared memory.
 pub type KeyframesSnapshot = Slice<Keyframe, KeyframesHeader>;
+/// What held the map together at one moment: a slice of [`GraphEdge`] in shared memory.
+pub type Graph = Slice<GraphEdge, GraphHeader>;
 /// A grey picture in shared memory, rows of [`FrameHeader::stride`] bytes.
 pub type Frame = Slice<u8, FrameHeader>;
 /// A picture's bytes as they came from the camera, in shared memory.
@@ -177,6 +180,9 @@ impl WireName for Landmark {
 impl WireName for Keyframe {
     const WIRE_NAME: &'static str = Keyframe::TYPE_NAME;
 }
+impl WireName for GraphEdge {
+    const WIRE_NAME: &'static str = GraphEdge::TYPE_NAME;
+}
 impl WireName for Feature {
     const WIRE_NAME: &'static str = Feature::TYPE_NAME;
 }
@@ -199,6 +205,10 @@ topic!(
 topic!(
     /// [`KeyframesSnapshot`], with the map.
     KeyframesTopic, topic::KEYFRAMES, [Keyframe], Keyframe, KeyframesHeader, true, KeyframesSnapshot, held
+);
+topic!(
+    /// [`Graph`], just before the map, while somebody subscribes.
+    GraphTopic, topic::GRAPH, [GraphEdge], GraphEdge, GraphHeader, true, Graph, held
 );
 topic!(
     /// [`Frame`], while somebody subscribes.

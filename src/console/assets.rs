@@ -47,8 +47,10 @@ impl Assets {
             "/state.js" "state.js" JS,
             "/video.js" "video.js" JS,
             "/map.js" "map.js" JS,
+            "/graph.js" "graph.js" JS,
             "/charts.js" "charts.js" JS,
             "/controls.js" "controls.js" JS,
+            "/camera.js" "camera.js" JS,
             "/log.js" "log.js" JS,
             "/pair.js" "pair.js" JS,
         ];

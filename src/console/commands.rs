@@ -5,7 +5,7 @@ use std::time::Duration;
 use serde::Deserialize;
 
 use crate::client::{Client, StoredMap};
-use crate::messages::{CommandReply, DEFAULT_PREFIX, Transform, reply_code};
+use crate::messages::{CameraControl, CommandReply, DEFAULT_PREFIX, Transform, reply_code};
 
 /// How long the daemon may take; saving a large map takes seconds.
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -42,6 +42,13 @@ pub enum Action {
         on: bool,
     },
     ListMaps {},
+    /// Its answer is the daemon's: a line a control.
+    CameraControls {},
+    /// `exposure`, `gain` or `focus`; `None`: the camera decides.
+    SetCamera {
+        control: String,
+        value: Option<f64>,
+    },
 }
 
 impl Action {
@@ -60,6 +67,9 @@ impl Action {
             Self::SaveTrajectory { path } => format!("save-trajectory {}", quoted(path)),
             Self::SaveMap { path } => format!("save-map {}", quoted(path)),
             Self::SetPose { x, y, yaw_deg } => format!("set-pose {x} {y} {yaw_deg}"),
+            Self::CameraControls {} => "camera".into(),
+            Self::SetCamera { control, value: Some(value) } => format!("camera {} {value}", quoted(control)),
+            Self::SetCamera { control, value: None } => format!("camera {} auto", quoted(control)),
         };
         format!("cairn command{prefix} {what}")
     }
@@ -83,6 +93,8 @@ impl Action {
             Self::NewMap { name } => client.new_map(name, PATIENCE),
             Self::LocaliseOnly { on } => client.localise_only(*on, PATIENCE),
             Self::ListMaps {} => return list(client),
+            Self::CameraControls {} => return controls(client),
+            Self::SetCamera { control, value } => client.set_camera(control, *value, PATIENCE),
         };
         outcome(&reply.map_err(|e| e.to_string())?)
     }
@@ -97,6 +109,14 @@ fn list(client: &Client) -> Result<String, String> {
     match client.all_maps(PATIENCE).map_err(|e| e.to_string())? {
         Ok(maps) if maps.is_empty() => Ok("no maps yet".into()),
         Ok(maps) => Ok(maps.into_iter().map(line).collect::<Vec<_>>().join("\n")),
+        Err(refused) => Err(refused.message().into()),
+    }
+}
+
+/// A line a control, as the daemon has it.
+fn controls(client: &Client) -> Result<String, String> {
+    match client.camera_controls(PATIENCE).map_err(|e| e.to_string())? {
+        Ok(controls) => Ok(controls.iter().map(CameraControl::to_string).collect::<Vec<_>>().join("\n")),
         Err(refused) => Err(refused.message().into()),
     }
 }
@@ -139,6 +159,12 @@ mod tests {
             (r#"{"do":"new_map","name":"attic"}"#, "cairn map --prefix left new attic"),
             (r#"{"do":"localise_only","on":true}"#, "cairn map --prefix left localise on"),
             (r#"{"do":"list_maps"}"#, "cairn map --prefix left list"),
+            (r#"{"do":"camera_controls"}"#, "cairn command --prefix left camera"),
+            (
+                r#"{"do":"set_camera","control":"exposure","value":8.5}"#,
+                "cairn command --prefix left camera exposure 8.5",
+            ),
+            (r#"{"do":"set_camera","control":"gain","value":null}"#, "cairn command --prefix left camera gain auto"),
         ] {
             assert_eq!(terminal(json, "left"), line);
         }

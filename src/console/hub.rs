@@ -15,6 +15,7 @@ pub mod demand {
     pub const VIDEO: u32 = 1;
     pub const MAP: u32 = 2;
     pub const LOG: u32 = 4;
+    pub const COVISIBLE: u32 = 8;
 }
 
 /// See module.
@@ -55,7 +56,7 @@ impl Hub {
     /// All that a page that has just said who it is must know.
     pub fn greet(&self, page: &Outbox) {
         page.put(Kind::History, wire::samples(Kind::History, lock(&self.history).samples()));
-        self.replay(page, &[Kind::State, Kind::Keyframes, Kind::Map]);
+        self.replay(page, &[Kind::State, Kind::Keyframes, Kind::Ties, Kind::Map]);
     }
 
     /// The newest messages of these kinds, to a page that has missed them.

@@ -10,7 +10,7 @@ use std::time::Duration;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use tracing::warn;
 
-use super::feed::{Source, pictures, robot};
+use super::feed::{Source, graph, pictures, robot};
 use super::guard::{Access, Token};
 use super::hub::{Hub, lock};
 use super::journal::{self, LogSource};
@@ -88,6 +88,7 @@ impl Console {
             scope.spawn(|| robot::run(&hub, &source, self.options.advice, stop));
             scope.spawn(|| pictures::run(&hub, &source, stop));
             scope.spawn(|| robot::run_map(&hub, &source, stop));
+            scope.spawn(|| graph::run(&hub, &source, stop));
             scope.spawn(|| journal::run(&hub, &log, stop));
             self.accept(&hub, jobs::start(&source, &pair), stop);
             hub.close_all();

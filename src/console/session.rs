@@ -81,6 +81,7 @@ pub enum Part {
     Video,
     Map,
     Log,
+    Covisible,
 }
 
 impl Part {
@@ -89,6 +90,7 @@ impl Part {
             Self::Video => demand::VIDEO,
             Self::Map => demand::MAP,
             Self::Log => demand::LOG,
+            Self::Covisible => demand::COVISIBLE,
         }
     }
 }
@@ -243,7 +245,10 @@ fn obey(word: Word, hub: &Hub, page: &Arc<Outbox>, order: &Order) {
                 hub.replay_log(page);
             }
             if begun & demand::MAP != 0 {
-                hub.replay(page, &[Kind::Keyframes, Kind::Map]);
+                hub.replay(page, &[Kind::Keyframes, Kind::Ties, Kind::Map]);
+            }
+            if begun & demand::COVISIBLE != 0 {
+                hub.replay(page, &[Kind::Covisible]);
             }
         }
         Word::Seen(number) => {

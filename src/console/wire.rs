@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::messages::{Feature, Keyframe, Landmark, NO_LANDMARK, NO_TRACK};
+use crate::messages::{Feature, GraphEdge, Keyframe, Landmark, NO_LANDMARK, NO_TRACK};
 
 /// A message as it goes on the wire; its copies share the memory.
 pub type Bytes = tungstenite::Bytes;
@@ -20,17 +20,24 @@ pub enum Kind {
     Reply = 7,
     Picture = 8,
     History = 9,
+    /// Loops and joins.
+    Ties = 10,
+    /// Covisibility.
+    Covisible = 11,
 }
 
 /// One more than the last kind.
-pub const KINDS: usize = 10;
+pub const KINDS: usize = 12;
 
 impl Kind {
     /// Kinds that a page acknowledges: they are large.
-    pub const ACKNOWLEDGED: [Self; 2] = [Self::Frame, Self::Map];
+    pub const ACKNOWLEDGED: [Self; 3] = [Self::Frame, Self::Map, Self::Covisible];
 
     pub fn is_newest_only(self) -> bool {
-        matches!(self, Self::State | Self::Poses | Self::Keyframes | Self::Map | Self::Frame)
+        matches!(
+            self,
+            Self::State | Self::Poses | Self::Keyframes | Self::Map | Self::Frame | Self::Ties | Self::Covisible
+        )
     }
 
     /// Of an acknowledgement.
@@ -127,6 +134,13 @@ pub fn keyframes(keyframes: &[Keyframe], h: &MapHead) -> Bytes {
     out.into()
 }
 
+/// from, to, shared landmarks, joined map and kind of each edge, 20 bytes: [`Kind::Ties`] or [`Kind::Covisible`].
+pub fn edges(kind: Kind, edges: &[GraphEdge], h: &MapHead) -> Bytes {
+    let mut out = map_head(kind, edges.len(), h, 20);
+    edges.iter().for_each(|e| words(&mut out, &[e.from, e.to, e.shared, e.joined_map, u32::from(e.kind)]));
+    out.into()
+}
+
 /// Bytes of a feature, and its flags: a landmark of the map was found here; it is no track.
 const FEATURE: usize = 16;
 const MATCHED: u16 = 1;
@@ -200,6 +214,9 @@ mod tests {
         let head = MapHead { epoch: 7, total: 9, scale: 0, revision: 3 };
         assert_eq!(map(&[Landmark::default(); 2], &head).len(), 24 + 32);
         assert_eq!(keyframes(&[Keyframe::default()], &head).len(), 24 + 32);
+        let tie = GraphEdge { from: 1, to: 2, shared: 3, joined_map: 4, kind: 2, reserved: [0; 3] };
+        let bytes = edges(Kind::Ties, &[tie, tie], &head);
+        assert_eq!((bytes.len(), bytes[0], &bytes[40..44]), (24 + 40, 10, &2u32.to_le_bytes()[..]));
         let found = Feature { track: NO_TRACK, position: [1.0, 2.0], age: 70_000, landmark: 3 };
         let bytes = frame(1, 2.0, (640, 480), &[found, Feature { landmark: NO_LANDMARK, ..found }], &[1, 2, 3]);
         assert_eq!(bytes.len(), 32 + 2 * FEATURE + 3);

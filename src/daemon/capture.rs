@@ -12,6 +12,7 @@ use tracing::{info, warn};
 
 use super::background::TURN;
 use super::background::{Background, Progress};
+use super::camera_commands::CameraOrder;
 use super::status::Status;
 use super::timestamps::{TimestampGate, Verdict};
 use super::wheels::WheelIntake;
@@ -163,6 +164,11 @@ impl CaptureStep {
             }
             Err(error) => self.lose(&error),
         }
+    }
+
+    /// Carries out what somebody asks of the camera.
+    pub fn obey(&mut self, order: CameraOrder) {
+        order.carry_out(self.source.as_deref_mut());
     }
 
     fn judge(&mut self, slot: &mut RawFrame) -> Captured {

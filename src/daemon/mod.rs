@@ -20,6 +20,7 @@ mod announce;
 mod background;
 mod base;
 mod blind;
+mod camera_commands;
 mod capture;
 mod feature;
 mod health;
@@ -65,6 +66,7 @@ use crate::features::{Feedback, FrameFeatures};
 use crate::frame::{RawFrame, monotonic_ns};
 use crate::motion::wheel::WheelQueue;
 use crate::ring::{Consumer, Producer, Wait, frame_ring};
+use camera_commands::{CAMERA_QUEUE, CameraOrder};
 use capture::CaptureStep;
 use feature::FeatureStep;
 use map_file::{KeeperLink, MapDesk};
@@ -133,6 +135,7 @@ pub(super) struct Threads {
     /// Where the map lies, or why what came last is not there.
     pub map_file: Option<MapThread>,
     pub requests: Sender<Request>,
+    pub camera: Sender<CameraOrder>,
     pub maps: Option<MapFolder>,
 }
 
@@ -185,8 +188,9 @@ pub(super) fn start(parts: Parts) -> Result<Threads, DaemonError> {
     let capture_step = CaptureStep::new(supply, status.clone()).map_err(DaemonError::Thread)?;
     let capture_step = capture_step.sharing(encoded).with_wheels(WheelIntake::new(wheels));
     let to_reset = requests.clone();
-    let capture = spawn("cairn-capture", move || capture_frames(capture_step, producer, &to_reset, &status))?;
-    Ok(Threads { capture, features, reconstruction, mapping, places, recorder, map_file, requests, maps })
+    let (camera, orders) = bounded(CAMERA_QUEUE);
+    let capture = spawn("cairn-capture", move || capture_frames(capture_step, producer, &to_reset, &orders, &status))?;
+    Ok(Threads { capture, features, reconstruction, mapping, places, recorder, map_file, requests, camera, maps })
 }
 
 /// Reconstruction's end of the map file, and the thread at the other: where there is a file, or commands may ask for one.
@@ -215,16 +219,20 @@ pub fn spawn<T: Send + 'static>(
     thread::Builder::new().name(name.into()).spawn(work).map_err(DaemonError::Thread)
 }
 
-/// The capture thread: frames from the source into the ring. `true` if the source broke.
+/// The capture thread: frames from the source into the ring; orders for the camera between frames. `true` if the source broke.
 fn capture_frames(
     mut step: CaptureStep,
     mut ring: Producer<RawFrame>,
     requests: &Sender<Request>,
+    orders: &Receiver<CameraOrder>,
     status: &Status,
 ) -> bool {
     let mut failed = false;
     while !status.stopping() && !ring.is_abandoned() {
         status.capture.beat(monotonic_ns());
+        for order in orders.try_iter().take(CAMERA_QUEUE) {
+            step.obey(order);
+        }
         match ring.write(|slot| step.step(slot, TURN)) {
             Captured::Frame => {
                 ring.publish();

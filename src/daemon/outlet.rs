@@ -5,15 +5,17 @@ use crate::features::FrameFeatures;
 use crate::frame::{Clock, monotonic_ns};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Body, World};
+use crate::map::graph::MapGraph;
 use crate::map::{LandmarkId, MapId, MapSnapshot};
 use crate::messages::Pose;
+use crate::messages::services::MAX_EDGES;
 use crate::motion::hand_eye::Robot;
 use crate::publish::convert::{self, Map};
 use crate::publish::{
-    Conversion, EncodedPublisher, FeaturesPublisher, FramePublisher, FrameStamp, MapContext, MapPublisher,
-    PosePublisher, PublishError, ScaleEstimate, WheelInbox,
+    Conversion, EncodedPublisher, FeaturesPublisher, FramePublisher, FrameStamp, GraphPublisher, MapContext,
+    MapPublisher, PosePublisher, PublishError, ScaleEstimate, WheelInbox,
 };
-use crate::reconstruction::PoseEstimate;
+use crate::reconstruction::{PoseEstimate, Reconstruction};
 
 /// A pose that is older than this is not where the robot is now.
 const NOW_NS: i64 = 1_000_000_000;
@@ -35,6 +37,9 @@ pub struct Outlet {
     poses: PosePublisher,
     map: MapPublisher,
     frames: FramePublisher,
+    graph: Option<GraphPublisher>,
+    /// As sent last.
+    edges: MapGraph,
     features: Option<FeaturesPublisher>,
     /// For the capture stage, which takes it.
     encoded: Option<EncodedPublisher>,
@@ -65,6 +70,8 @@ impl Outlet {
             poses,
             map,
             frames,
+            graph: None,
+            edges: MapGraph::default(),
             features: None,
             encoded: None,
             wheels: None,
@@ -72,6 +79,12 @@ impl Outlet {
             placement: None,
             last: None,
         }
+    }
+
+    /// Tells what holds the map together, too.
+    pub fn with_graph(mut self, graph: GraphPublisher) -> Self {
+        self.graph = Some(graph);
+        self
     }
 
     /// Tells what is found in the pictures, too.
@@ -179,10 +192,20 @@ impl Outlet {
         self.map.is_due(now_ns)
     }
 
-    /// The map and its keyframes.
-    pub fn map(&mut self, map: &MapSnapshot, context: &MapContext) -> Result<(), PublishError> {
+    /// What ties the map together, if anybody subscribes to it; then the map and its keyframes. `map` is of this reconstruction.
+    pub fn map(
+        &mut self,
+        reconstruction: &Reconstruction,
+        map: &MapSnapshot,
+        context: &MapContext,
+    ) -> Result<(), PublishError> {
         self.turn_to(map.map);
         self.conversion.scale = map.scale.into();
-        self.map.publish(map, &self.conversion, context)
+        let mut graph = Ok(false);
+        if let Some(publisher) = self.graph.as_mut().filter(|graph| graph.is_wanted()) {
+            reconstruction.graph(&mut self.edges, MAX_EDGES);
+            graph = publisher.publish(&self.edges, map, &self.conversion, context);
+        }
+        self.map.publish(map, &self.conversion, context).and(graph.map(|_| ()))
     }
 }

@@ -497,9 +497,8 @@ impl ReconstructStep {
         }
         reconstruction.snapshot(&mut self.snapshot);
         self.status.set_map(&self.snapshot);
-        match outlet
-            .map(&self.snapshot, &context(reconstruction, self.placements, self.last_frame_ns, self.status.map_mode()))
-        {
+        let context = context(reconstruction, self.placements, self.last_frame_ns, self.status.map_mode());
+        match outlet.map(reconstruction, &self.snapshot, &context) {
             Ok(()) => self.status.maps_published.add(1),
             Err(error) => self.publish_failed(&error),
         }

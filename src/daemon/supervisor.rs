@@ -12,6 +12,7 @@ use sd_notify::NotifyState;
 use tracing::{error, info, warn};
 
 use super::announce::{Announcer, notify};
+use super::camera_commands::CameraDesk;
 use super::health::HealthWatch;
 use super::map_folder::MapFolder;
 use super::recorder::{FinalMap, Outputs, Recorder, SaveKind, Written};
@@ -82,7 +83,8 @@ pub fn supervise(
     let mut watch = HealthWatch::new(status.clone(), clock, stall_after, monotonic_ns());
     let requests = threads.requests.clone();
     let maps = threads.maps.clone();
-    let mut bench = Bench { desk, saves: Vec::new(), requests, maps, faults: RateLimiter::default() };
+    let camera = CameraDesk::new(threads.camera.clone());
+    let mut bench = Bench { desk, saves: Vec::new(), requests, camera, maps, faults: RateLimiter::default() };
     let mut announcer = Announcer::default();
     let mut stopped_at = None;
     loop {
@@ -112,8 +114,9 @@ pub fn supervise(
 
 /// Joins what ends, writes the files, and says how it went.
 fn wind_up(threads: Threads, status: &Arc<Status>, outputs: &Outputs, stopped: bool, deadline: Instant) -> End {
-    let Threads { capture, features, reconstruction, mapping, places, recorder, map_file, requests, maps: _ } = threads;
-    drop(requests);
+    let Threads { capture, features, reconstruction, mapping, places, recorder, map_file, requests, camera, maps: _ } =
+        threads;
+    drop((requests, camera));
     let mut cause = if stopped { EndCause::Stopped } else { EndCause::SourceEnded };
     match join(capture, "capture", deadline) {
         Ok(true) if !stopped => cause = EndCause::SourceFailed,
@@ -192,6 +195,7 @@ struct Bench {
     desk: Option<Desk>,
     saves: Vec<Save>,
     requests: Sender<Request>,
+    camera: CameraDesk,
     /// Where maps are kept by name; `None`: no commands on them.
     maps: Option<MapFolder>,
     faults: RateLimiter,
@@ -213,6 +217,7 @@ impl Bench {
         }
         self.take_commands();
         self.answer_saves(watch);
+        self.camera.answer();
         health
     }
 
@@ -257,6 +262,7 @@ impl Bench {
             | command_kind::LOCALISE
             | command_kind::LIST_MAPS
             | command_kind::COPY_MAP => return self.map_command(request),
+            command_kind::CAMERA_CONTROLS | command_kind::SET_CAMERA => return self.camera.take(request),
             _ => {
                 request.refuse();
                 return;

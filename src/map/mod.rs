@@ -6,6 +6,7 @@
 pub mod colmap;
 mod correction;
 pub mod export;
+pub mod graph;
 mod part;
 pub mod picture;
 mod reduction;

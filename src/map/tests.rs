@@ -206,3 +206,43 @@ fn reduced_keyframes_keep_the_views_of_a_landmark_that_differ_and_lose_them_with
     assert_eq!(shows(&map), [false; 3]);
     map.check_consistency().unwrap();
 }
+
+#[test]
+fn the_graph_is_what_ties_the_map_then_the_strongest_of_what_is_covisible() {
+    use graph::{EdgeView, MapGraph, Tie};
+    let mut random = Random::new(9);
+    let mut map = Map::default();
+    let keyframes: Vec<KeyframeId> = (0..30).map(|_| map.add_keyframe(keyframe(&[]))).collect();
+    for _ in 0..400 {
+        let first = random.below(25);
+        let seen: Vec<_> = keyframes[first..first + 5].iter().map(|k| (*k, observation(0))).collect();
+        map.add_landmark(landmark(), &seen[..2 + random.below(4)]);
+    }
+    let ties = [(keyframes[1], keyframes[28], Tie::Loop), (keyframes[0], keyframes[1], Tie::Join(MapId(7)))];
+    let gone = (KeyframeId(99), keyframes[3], Tie::Loop);
+    let filled = |limit: usize| {
+        let mut graph = MapGraph::default();
+        graph.fill(&map, ties.into_iter().chain([gone]), limit);
+        graph
+    };
+    let whole = filled(usize::MAX);
+    assert_eq!(whole.total, whole.edges.len());
+    let shared = |a: KeyframeId, b: KeyframeId| {
+        let own = |k| map.keyframe(k).unwrap().observations.iter().map(|o| o.landmark).collect::<Vec<_>>();
+        let others = own(b);
+        own(a).iter().filter(|l| others.contains(l)).count() as u32
+    };
+    let found: Vec<(KeyframeId, KeyframeId, Tie)> = whole.edges[..2].iter().map(|e| (e.from, e.to, e.tie)).collect();
+    assert_eq!(found, ties, "an edge without its keyframe is none");
+    assert!(whole.edges.iter().all(|e| e.shared == shared(e.from, e.to)), "{whole:?}");
+    let pairs = keyframes.iter().flat_map(|&a| keyframes.iter().map(move |&b| (a, b)));
+    let covisible = pairs.filter(|&(a, b)| a < b && shared(a, b) > 0).count();
+    assert_eq!(whole.edges.len(), 2 + covisible);
+    assert!(whole.edges[2..].windows(2).all(|w| w[0].shared >= w[1].shared));
+    for limit in [0, 1, 2, 3, 40, covisible + 1, covisible + 2] {
+        let part = filled(limit);
+        assert_eq!((part.edges.as_slice(), part.total), (&whole.edges[..limit], whole.total), "{limit}");
+    }
+    let first: &EdgeView = &whole.edges[2];
+    assert!(first.from < first.to && first.tie == Tie::Covisible);
+}

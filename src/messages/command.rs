@@ -29,6 +29,12 @@ pub mod command_kind {
     /// Write a copy of the map for the sender; the message is its path, then a line with that of the map's own file, if it has one. The
     /// sender removes the copy; the daemon does after some minutes.
     pub const COPY_MAP: u32 = 10;
+    /// Name the camera's controls: a line each of the message, `NAME UNIT LOWEST HIGHEST STEP DEFAULT VALUE WHO`. Names: `exposure` (unit `ms`), `gain`
+    /// and `focus` (unit `steps`, of the camera's own). WHO: `auto` (the camera decides), `manual`, `manual-only` (it has no automatic).
+    pub const CAMERA_CONTROLS: u32 = 11;
+    /// Set a control of the camera to a value in its unit, or have the camera decide: `path` is its name, a space, and a number or `auto`. It holds
+    /// until the camera is opened anew.
+    pub const SET_CAMERA: u32 = 12;
 }
 
 /// Values of [`CommandReply::code`].

@@ -31,11 +31,13 @@ macro_rules! layout {
     };
 }
 
+mod camera;
 mod command;
 mod encoded;
 mod endpoint;
 mod features;
 mod frame;
+mod graph;
 mod health;
 mod map;
 mod pose;
@@ -44,12 +46,14 @@ mod transform;
 mod unfilled;
 mod wheel;
 
+pub use camera::{Automatic, CameraControl, NoControl};
 pub use command::{Command, CommandReply, TEXT_LEN, command_kind, reply_code};
 pub use encoded::EncodedHeader;
 pub(crate) use endpoint::user_name;
 pub use endpoint::{DEFAULT_PREFIX, Endpoint, EndpointError, Presence, Squatter, effective_uid, service_name};
 pub use features::{Feature, FeaturesHeader};
 pub use frame::FrameHeader;
+pub use graph::{EDGE_COVISIBLE, EDGE_JOIN, EDGE_LOOP, GraphEdge, GraphHeader};
 pub use health::{Health, STAGES, StageHealth, error, map_mode, stage};
 pub use map::{Keyframe, KeyframesHeader, Landmark, MapHeader};
 pub use pose::Pose;
@@ -92,6 +96,8 @@ pub const UNKNOWN_NS: i64 = i64::MIN;
 pub const NO_KEYFRAME: u32 = u32::MAX;
 /// Stands where there is no landmark.
 pub const NO_LANDMARK: u32 = u32::MAX;
+/// Stands where there is no map.
+pub const NO_MAP: u32 = u32::MAX;
 /// Stands where there is no track.
 pub const NO_TRACK: u64 = u64::MAX;
 

@@ -9,6 +9,7 @@ pub mod topic {
     pub const MAP: &str = "map";
     pub const KEYFRAMES: &str = "keyframes";
     pub const HEALTH: &str = "health";
+    pub const GRAPH: &str = "graph";
     pub const FRAME: &str = "frame";
     pub const FEATURES: &str = "features";
     pub const ENCODED: &str = "encoded";
@@ -50,6 +51,8 @@ pub const DEFAULT_MAX_KEYFRAMES: usize = 2_000;
 pub const DEFAULT_MAX_FRAME_BYTES: usize = 640 * 480;
 /// Features in a features message: a frame has a few hundred.
 pub const MAX_FEATURES: usize = 3_000;
+/// Edges in a graph message: five for each of 2,000 keyframes.
+pub const MAX_EDGES: usize = 10_000;
 /// Map messages a second at most.
 pub const MAP_RATE_HZ: f64 = 2.0;
 
@@ -82,6 +85,8 @@ pub const POSE: Qos = Qos { history: 4, buffer: 32, borrowed: 4, subscribers: MA
 pub const MAP: Qos = Qos { history: 1, buffer: 1, borrowed: 2, subscribers: MAX_SUBSCRIBERS };
 /// Always the newest.
 pub const KEYFRAMES: Qos = Qos { history: 1, buffer: 1, borrowed: 2, subscribers: MAX_SUBSCRIBERS };
+/// Always the newest. No history: it is made only while somebody subscribes, and comes with each map.
+pub const GRAPH: Qos = Qos { history: 0, buffer: 1, borrowed: 2, subscribers: MAX_SUBSCRIBERS };
 /// A few, so that no change of state is missed by a reader that is busy.
 pub const HEALTH: Qos = Qos { history: 1, buffer: 4, borrowed: 2, subscribers: MAX_SUBSCRIBERS };
 /// Always the newest. No history: pictures are sent only while somebody subscribes.

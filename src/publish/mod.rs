@@ -8,7 +8,7 @@
 //! - [`convert`] turns optical axes into REP-103 axes of the robot's body, covariance included.
 //! - One daemon a prefix: a second one gets [`PublishError::AlreadyRunning`]. What a killed one left behind is cleared away.
 //! - Shared memory, reserved though not touched before it is used, for 8 subscribers: poses 0.2 MB, health 0.03 MB, map
-//!   12.5 MB (20,000 landmarks), keyframes 3.8 MB (2,000), frames 8 MB (640x480), features 3.6 MB, encoded pictures 6 MB (as frames). A full `/dev/shm` kills a process by
+//!   12.5 MB (20,000 landmarks), keyframes 3.8 MB (2,000), graph 5.2 MB, frames 8 MB (640x480), features 3.6 MB, encoded pictures 6 MB (as frames). A full `/dev/shm` kills a process by
 //!   SIGBUS, so [`Publisher::open`] refuses to start where there is no room.
 //!
 //! Does not: log, read configuration, spawn threads, convert pictures.
@@ -18,6 +18,7 @@ pub mod convert;
 mod encoded;
 mod error;
 mod features;
+mod graph;
 mod opening;
 mod ports;
 mod wheels;
@@ -33,6 +34,7 @@ pub use convert::{Conversion, ScaleEstimate};
 pub use encoded::{CameraView, EncodedPublisher};
 pub use error::PublishError;
 pub use features::FeaturesPublisher;
+pub use graph::GraphPublisher;
 pub use wheels::{WheelInbox, WheelNews};
 
 use crate::frame::{Clock, monotonic_ns};
@@ -40,8 +42,8 @@ use crate::image::GreyImage;
 use crate::map::MapSnapshot;
 use crate::messages::services::{self, topic};
 use crate::messages::{
-    DAEMON_NODE, EncodedHeader, Endpoint, Feature, FeaturesHeader, FrameHeader, Health, Keyframe, KeyframesHeader,
-    Landmark, MapHeader, Pose, Presence,
+    DAEMON_NODE, EncodedHeader, Endpoint, Feature, FeaturesHeader, FrameHeader, GraphEdge, GraphHeader, Health,
+    Keyframe, KeyframesHeader, Landmark, MapHeader, Pose, Presence,
 };
 use crate::reconstruction::PoseEstimate;
 use opening::Ipc;
@@ -86,6 +88,7 @@ impl Limits {
             (services::HEALTH, size_of::<Health>()),
             (services::MAP, self.landmarks * size_of::<Landmark>()),
             (services::KEYFRAMES, self.keyframes * size_of::<Keyframe>()),
+            (services::GRAPH, services::MAX_EDGES * size_of::<GraphEdge>()),
             (services::FRAME, self.frame_bytes),
             (services::FEATURES, services::MAX_FEATURES * size_of::<Feature>()),
             (services::ENCODED, self.frame_bytes),
@@ -100,6 +103,7 @@ impl Limits {
 pub struct Publisher {
     pub poses: PosePublisher,
     pub map: MapPublisher,
+    pub graph: GraphPublisher,
     pub frames: FramePublisher,
     pub features: FeaturesPublisher,
     pub encoded: EncodedPublisher,
@@ -131,6 +135,8 @@ impl Publisher {
             Port::open_slices(&node, endpoint, topic::MAP, services::MAP, limits.landmarks)?;
         let keyframes: Port<[Keyframe], KeyframesHeader> =
             Port::open_slices(&node, endpoint, topic::KEYFRAMES, services::KEYFRAMES, limits.keyframes)?;
+        let graph: Port<[GraphEdge], GraphHeader> =
+            Port::open_slices(&node, endpoint, topic::GRAPH, services::GRAPH, services::MAX_EDGES)?;
         let frames: Port<[u8], FrameHeader> =
             Port::open_slices(&node, endpoint, topic::FRAME, services::FRAME, limits.frame_bytes)?;
         let features: Port<[Feature], FeaturesHeader> =
@@ -144,6 +150,7 @@ impl Publisher {
             updater(&poses.publisher),
             updater(&map.publisher),
             updater(&keyframes.publisher),
+            updater(&graph.publisher),
             updater(&frames.publisher),
             updater(&features.publisher),
             updater(&encoded.publisher),
@@ -151,6 +158,7 @@ impl Publisher {
         Ok(Self {
             poses: PosePublisher { next: None, port: poses, run_id },
             map: MapPublisher { map, keyframes, limits: *limits, run_id, sent_ns: None },
+            graph: GraphPublisher { port: graph, run_id },
             frames: FramePublisher { port: frames, limit: limits.frame_bytes, run_id },
             features: FeaturesPublisher::new(features, run_id),
             encoded: EncodedPublisher::new(encoded, limits.frame_bytes, run_id),

@@ -11,6 +11,7 @@ pub mod config;
 mod corrections;
 mod covariance;
 mod dead_reckoning;
+mod graph;
 mod initialise;
 mod keyframe;
 mod loops;

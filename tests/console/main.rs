@@ -16,6 +16,8 @@ const MAP: u8 = 4;
 const KEYFRAMES: u8 = 3;
 const REPLY: u8 = 7;
 const PICTURE: u8 = 8;
+const TIES: u8 = 10;
+const COVISIBLE: u8 = 11;
 
 fn u32_at(bytes: &[u8], at: usize) -> usize {
     u32::from_le_bytes(bytes[at..at + 4].try_into().expect("four bytes")) as usize
@@ -160,6 +162,27 @@ fn pages_see_video_features_map_and_answers_and_a_slow_one_holds_nobody_up() {
         assert!(start.elapsed() < PATIENCE, "no keyframes");
     };
     assert_eq!(tracked.len(), 24 + 32 * u32_at(&tracked, 4));
+    let ties = page.next(TIES);
+    assert_eq!(ties.len(), 24 + 20 * u32_at(&ties, 4));
+    page.send(r#"{"show":["video","map","covisible"]}"#);
+    let covisible = page.next(COVISIBLE);
+    let pairs = u32_at(&covisible, 4);
+    assert!(pairs >= 1 && covisible.len() == 24 + 20 * pairs, "{pairs} pairs in {} bytes", covisible.len());
+    let edge = |i: usize, word: usize| u32_at(&covisible, 24 + 20 * i + 4 * word);
+    assert!((0..pairs).all(|i| edge(i, 0) < edge(i, 1) && edge(i, 2) > 0 && edge(i, 4) == 0));
+    page.send(r#"{"seen":11}"#);
+    page.send(r#"{"show":["video","map"]}"#);
+    page.send(r#"{"command":{"id":6,"action":{"do":"camera_controls"}}}"#);
+    let reply: Value = serde_json::from_slice(&page.next(REPLY)[8..]).expect("JSON");
+    assert_eq!(
+        (&reply["ok"], &reply["terminal"]),
+        (&false.into(), &"cairn command --prefix robot camera".into()),
+        "{reply}"
+    );
+    assert!(
+        reply["text"].as_str().is_some_and(|t| t.ends_with("has no exposure, gain or focus that could be set")),
+        "{reply}"
+    );
     // One that never reads and never acknowledges, and twenty that do: one subscription of each service for all.
     let listeners = place.listeners();
     let mut slow = console.page();

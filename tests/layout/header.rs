@@ -9,16 +9,18 @@ use cairn::messages::Field;
 
 use crate::support::{compare, plain, renames, root, types};
 
-const SOURCES: [&str; 10] = [
+const SOURCES: [&str; 12] = [
     "src/messages/mod.rs",
     "src/messages/pose.rs",
     "src/messages/map.rs",
+    "src/messages/graph.rs",
     "src/messages/frame.rs",
     "src/messages/encoded.rs",
     "src/messages/health.rs",
     "src/messages/command.rs",
     "src/messages/wheel.rs",
     "src/client/c.rs",
+    "src/client/c/graph.rs",
     "src/client/c/wheels.rs",
 ];
 

@@ -4,7 +4,12 @@ use std::time::Duration;
 
 use cairn::client::{Client, ClientError};
 use cairn::image::GreyImage;
-use cairn::messages::{Clock, Command, CommandReply, Health, Pose, State, Transform, command_kind, error, reply_code};
+use cairn::map::graph::{EdgeView, MapGraph, Tie};
+use cairn::map::{KeyframeId, MapId};
+use cairn::messages::{
+    Clock, Command, CommandReply, EDGE_COVISIBLE, EDGE_JOIN, EDGE_LOOP, Health, NO_MAP, Pose, State, Transform,
+    command_kind, error, reply_code,
+};
 use cairn::publish::{Conversion, FrameStamp, MapContext, PublishError, Publisher};
 use iceoryx2::prelude::*;
 
@@ -142,6 +147,35 @@ fn the_map_is_a_slice_and_says_what_was_left_out() {
     assert_eq!((first.header().content_revision, first[99].id), (1, 129));
     drop(second);
     assert_eq!(next(&mut map).header().content_revision, 3);
+}
+
+#[test]
+fn the_graph_is_sent_only_while_somebody_wants_it() {
+    let place = Place::new();
+    let mut publisher = place.publisher();
+    let edge = |from: u32, tie: Tie| EdgeView { from: KeyframeId(from), to: KeyframeId(9), shared: 40 - from, tie };
+    let edges =
+        vec![edge(2, Tie::Join(MapId(1))), edge(3, Tie::Loop), edge(4, Tie::Covisible), edge(5, Tie::Covisible)];
+    let graph = MapGraph { edges, total: 77 };
+    let context = MapContext { timestamp_ns: 6, reset_counter: 3, map_revision: 2, map_mode: 2 };
+    let mut publish =
+        |graph: &MapGraph| publisher.graph.publish(graph, &snapshot(5, 0), &Conversion::default(), &context);
+    assert!(!publish(&graph).unwrap(), "nobody subscribes");
+    let mut graphs = place.client().graph();
+    connect(&mut graphs);
+    assert!(publish(&graph).unwrap());
+    let got = next(&mut graphs);
+    let header = got.header();
+    assert_eq!((header.count, header.total, header.content_revision, header.map_revision), (4, 77, 5, 2));
+    assert_eq!((header.reset_counter, header.timestamp_ns, header.map_mode, header.reserved), (3, 6, 2, [0; 10]));
+    let told: Vec<_> = got.iter().map(|e| (e.kind, e.from, e.to, e.shared, e.joined_map)).collect();
+    let [join, closed, covisible] = [EDGE_JOIN, EDGE_LOOP, EDGE_COVISIBLE];
+    assert_eq!(
+        told,
+        [(join, 2, 9, 38, 1), (closed, 3, 9, 37, NO_MAP), (covisible, 4, 9, 36, NO_MAP), (covisible, 5, 9, 35, NO_MAP)]
+    );
+    drop((got, graphs));
+    assert!(!publish(&graph).unwrap(), "nobody subscribes any more");
 }
 
 #[test]

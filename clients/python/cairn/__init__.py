@@ -8,6 +8,7 @@
 
 import threading
 
+from .camera import CameraControl
 from .client import Client, Subscription
 from .errors import (
     CairnError,
@@ -22,15 +23,17 @@ from .errors import (
     VersionMismatch,
 )
 from .wheels import WheelPublisher
-from .values import Encoded, Features, Frame, Health, Keyframes, Map, Pose
+from .values import Encoded, Features, Frame, Graph, Health, Keyframes, Map, Pose
 
 __version__ = "0.1.0"
 __all__ = [
     "CairnError",
+    "CameraControl",
     "Client",
     "Encoded",
     "Features",
     "Frame",
+    "Graph",
     "Health",
     "IpcError",
     "Keyframes",

@@ -15,8 +15,8 @@ from math import cos, sin
 
 import iceoryx2 as iox2
 
+from . import camera, values, wheels
 from . import messages as m
-from . import values, wheels
 from .errors import (
     CairnError,
     IpcError,
@@ -90,6 +90,10 @@ class Client:
         """Keyframes, with the map."""
         return Subscription(self, "keyframes", iox2.Slice[m.Keyframe], m.KeyframesHeader, values.Keyframes)
 
+    def graph(self):
+        """What holds the map together, before each map. The daemon makes it only while somebody holds such a subscription."""
+        return Subscription(self, "graph", iox2.Slice[m.GraphEdge], m.GraphHeader, values.Graph)
+
     def health(self):
         """The daemon's health, ten times a second."""
         return Subscription(self, "health", m.Health, None, lambda s, _: values.Health(_copied(m.Health, s)))
@@ -162,6 +166,14 @@ class Client:
         """Has a copy of the map written for the caller, who removes it: its path, and that of the map's own file ("" if it has none)."""
         copy, _, own = self.command("COPY_MAP", timeout=timeout).partition("\n")
         return copy, own
+
+    def camera_controls(self, timeout=15.0):
+        """What the camera offers of exposure, gain and focus (see CameraControl); Refused where it is no camera: a recording, the simulator."""
+        return camera.controls(self.command("CAMERA_CONTROLS", timeout=timeout))
+
+    def set_camera(self, control, value, timeout=15.0):
+        """Sets the control of this name to a value in its unit, or has the camera decide ("auto"). It holds until the camera is opened anew."""
+        return self.command("SET_CAMERA", f"{control} {value}", timeout=timeout)
 
     def set_pose(self, x, y, yaw=0.0, z=0.0, timeout=10.0):
         """Says where the robot is now (map units, rad): poses and map are published accordingly from then on."""

@@ -9,6 +9,7 @@ import ctypes as c
 UNKNOWN_NS = -(2**63)
 NO_KEYFRAME = 2**32 - 1
 NO_LANDMARK = 2**32 - 1
+NO_MAP = 2**32 - 1
 NO_TRACK = 2**64 - 1
 TEXT_LEN = 512
 
@@ -16,6 +17,7 @@ STATES = ("INITIALIZING", "TRACKING", "LOST", "ORIENTATION", "DEAD_RECKONING")
 SCALES = ("UNKNOWN", "ESTIMATED", "METRIC")
 SCALE_SOURCES = ("WHEELS", "HEIGHT", "TAG", "STORED_MAP")
 MAP_MODES = ("LOCALISATION_ONLY", "STORED")
+EDGES = ("COVISIBLE", "LOOP", "JOIN")
 CLOCKS = ("MONOTONIC", "RECORDING")
 INTRINSICS = ("CALIBRATED", "ESTIMATED", "GUESSED")
 LENS_MODELS = ("RADIAL_TANGENTIAL", "KANNALA_BRANDT")
@@ -53,6 +55,8 @@ COMMANDS = {
     "LOCALISE": 8,
     "LIST_MAPS": 9,
     "COPY_MAP": 10,
+    "CAMERA_CONTROLS": 11,
+    "SET_CAMERA": 12,
 }
 REPLIES = ("OK", "UNSUPPORTED", "INVALID", "FAILED", "BUSY")
 
@@ -218,6 +222,34 @@ class Keyframe(_Message):
 class KeyframesHeader(_Message):
     VERSION = 2
     _fields_ = MapHeader._fields_
+
+
+class GraphEdge(_Message):
+    _fields_ = [
+        ("from", c.c_uint32),
+        ("to", c.c_uint32),
+        ("shared", c.c_uint32),
+        ("joined_map", c.c_uint32),
+        ("kind", c.c_uint8),
+        ("reserved", c.c_uint8 * 3),
+    ]
+
+
+class GraphHeader(_Message):
+    _fields_ = [
+        ("run_id", c.c_uint64),
+        ("content_revision", c.c_uint64),
+        ("timestamp_ns", c.c_int64),
+        ("published_ns", c.c_int64),
+        ("count", c.c_uint32),
+        ("total", c.c_uint32),
+        ("map_id", c.c_uint32),
+        ("reset_counter", c.c_uint32),
+        ("map_revision", c.c_uint32),
+        ("clock", c.c_uint8),
+        ("map_mode", c.c_uint8),
+        ("reserved", c.c_uint8 * 10),
+    ]
 
 
 class FrameHeader(_Message):

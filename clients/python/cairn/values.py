@@ -10,6 +10,16 @@ from . import messages as m
 
 LANDMARK = np.dtype([("id", "<u4"), ("observations", "<u4"), ("position", "<f4", 3), ("sigma", "<f4")])
 FEATURE = np.dtype([("track", "<u8"), ("position", "<f4", 2), ("age", "<u4"), ("landmark", "<u4")])
+GRAPH_EDGE = np.dtype(
+    [
+        ("from", "<u4"),
+        ("to", "<u4"),
+        ("shared", "<u4"),
+        ("joined_map", "<u4"),
+        ("kind", "u1"),
+        ("reserved", "u1", 3),
+    ]
+)
 KEYFRAME = np.dtype(
     [("timestamp_ns", "<i8"), ("position", "<f8", 3), ("orientation", "<f8", 4), ("id", "<u4"), ("reserved", "<u4")]
 )
@@ -266,6 +276,24 @@ class Keyframes(_Slice):
 
     def __repr__(self):
         return f"<Keyframes of map {self.map_id} content {self.content_revision}: {len(self)} of {self.total}>"
+
+
+class Graph(_Slice):
+    """What held the map together at one moment: joins, closed loops, then what is covisible, strongest first."""
+
+    __slots__ = ()
+
+    def __init__(self, sample, port):
+        super().__init__(sample, port, m.GraphHeader, GRAPH_EDGE)
+
+    froms = property(lambda self: self.elements["from"], doc="(N,) ids of the older keyframes: a view.")
+    tos = property(lambda self: self.elements["to"], doc="(N,) ids of the newer keyframes: a view.")
+    shared = property(lambda self: self.elements["shared"], doc="(N,) landmarks that both see.")
+    joined_maps = property(lambda self: self.elements["joined_map"], doc="(N,) of a join the other map's number, else `NO_MAP`.")
+    kinds = property(lambda self: self.elements["kind"], doc="(N,) index of `messages.EDGES`.")
+
+    def __repr__(self):
+        return f"<Graph of map {self.map_id} content {self.content_revision}: {len(self)} of {self.total} edges>"
 
 
 class Frame(_Slice):

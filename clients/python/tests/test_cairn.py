@@ -120,6 +120,7 @@ def test_the_words_are_the_headers_numbers():
     sources = {f"SOURCE_{name}": 1 << i for i, name in enumerate(messages.SCALE_SOURCES)}
     assert numbers("SCALE") == {name: i for i, name in enumerate(messages.SCALES)} | sources
     assert numbers("MAP_MODE") == {name: 1 << i for i, name in enumerate(messages.MAP_MODES)}
+    assert numbers("EDGE") == {name: i for i, name in enumerate(messages.EDGES)}
     assert numbers("CLOCK") == {name: i for i, name in enumerate(messages.CLOCKS)}
     assert numbers("ERROR") == {name: 1 << i for i, name in enumerate(messages.ERRORS)}
     assert numbers("STAGE") == {name.upper(): i for i, name in enumerate(messages.STAGES)}
@@ -247,6 +248,23 @@ def test_what_was_found_in_a_picture_is_an_array(daemon):
     assert (features.points >= -0.5).all() and (features.points < [features.width, features.height]).all()
 
 
+def test_what_holds_the_map_together_is_an_array_over_keyframes(daemon):
+    client = cairn.connect()
+    graphs, keyframes = client.graph(), client.keyframes()
+    deadline = time.monotonic() + 30
+    while len(graph := graphs.wait(10)) < 3:
+        assert time.monotonic() < deadline
+    known = keyframes.latest()
+    while known.content_revision < graph.content_revision:
+        known = keyframes.wait(10)
+    assert graph.map_id == known.map_id and graph.total >= len(graph)
+    covisible = graph.kinds == messages.EDGES.index("COVISIBLE")
+    assert covisible.sum() > 2 and (graph.shared[covisible] > 0).all()
+    assert (np.diff(graph.shared[covisible].astype(int)) <= 0).all(), "strongest first"
+    assert (graph.froms < graph.tos).all() and np.isin(graph.tos, known.ids).mean() > 0.8
+    assert (graph.joined_maps[covisible] == messages.NO_MAP).all() and not graph.elements.flags.writeable
+
+
 def test_commands_are_answered(daemon):
     client = cairn.connect()
     path = daemon.root / "map.ply"
@@ -261,6 +279,22 @@ def test_commands_are_answered(daemon):
         client.command(4711)
     with pytest.raises(cairn.Refused, match="INVALID"):
         client.command("SET_POSE", orientation=(0, 0, 0, 2))
+
+
+def test_a_simulated_camera_says_that_nothing_can_be_set_on_it(daemon):
+    client = cairn.connect()
+    with pytest.raises(cairn.Refused, match="UNSUPPORTED.*simulator .* has no exposure, gain or focus"):
+        client.camera_controls()
+    with pytest.raises(cairn.Refused, match="UNSUPPORTED"):
+        client.set_camera("exposure", "auto")
+    with pytest.raises(cairn.Refused, match="INVALID.*a number or auto"):
+        client.set_camera("zoom", 2)
+
+
+def test_a_cameras_answer_is_read_line_by_line():
+    exposure, gain = cairn.camera.controls("exposure ms 0.3 204.7 0.1 25 8 auto\nsenseless\ngain steps 0 255 1 64 NaN manual-only")
+    assert exposure == ("exposure", "ms", 0.3, 204.7, 0.1, 25.0, 8.0, True)
+    assert gain.name == "gain" and gain.auto is None and np.isnan(gain.value)
 
 
 def test_maps_are_stored_listed_left_and_gone_on_in(daemon):

@@ -12,23 +12,23 @@
 //! automatic exposure of our own.
 
 use super::config::{PowerLine, V4l2Config};
-use super::device::Device;
+use super::device::{ControlRange, Device};
 
 const AUTO_WHITE_BALANCE: u32 = 0x0098_090c;
-const AUTO_GAIN: u32 = 0x0098_0912;
-const GAIN: u32 = 0x0098_0913;
+pub const AUTO_GAIN: u32 = 0x0098_0912;
+pub const GAIN: u32 = 0x0098_0913;
 const POWER_LINE: u32 = 0x0098_0918;
-const EXPOSURE_MODE: u32 = 0x009a_0901;
+pub const EXPOSURE_MODE: u32 = 0x009a_0901;
 /// Units of 0.1 ms.
-const EXPOSURE: u32 = 0x009a_0902;
+pub const EXPOSURE: u32 = 0x009a_0902;
 const DYNAMIC_RATE: u32 = 0x009a_0903;
-const FOCUS: u32 = 0x009a_090a;
-const AUTOFOCUS: u32 = 0x009a_090c;
+pub const FOCUS: u32 = 0x009a_090a;
+pub const AUTOFOCUS: u32 = 0x009a_090c;
 
-const MODE_AUTO: i32 = 0;
-const MODE_MANUAL: i32 = 1;
-const MODE_APERTURE_PRIORITY: i32 = 3;
-const UNITS_PER_MS: f64 = 10.0;
+pub const MODE_AUTO: i32 = 0;
+pub const MODE_MANUAL: i32 = 1;
+pub const MODE_APERTURE_PRIORITY: i32 = 3;
+pub const UNITS_PER_MS: f64 = 10.0;
 
 impl PowerLine {
     /// V4L2's number for it.
@@ -47,7 +47,7 @@ impl PowerLine {
 pub trait Controls {
     fn get(&self, id: u32) -> std::io::Result<i32>;
     fn set(&self, id: u32, value: i32) -> std::io::Result<()>;
-    fn range(&self, id: u32) -> std::io::Result<(i32, i32)>;
+    fn range(&self, id: u32) -> std::io::Result<ControlRange>;
 }
 
 impl Controls for Device {
@@ -57,7 +57,7 @@ impl Controls for Device {
     fn set(&self, id: u32, value: i32) -> std::io::Result<()> {
         self.set_control(id, value)
     }
-    fn range(&self, id: u32) -> std::io::Result<(i32, i32)> {
+    fn range(&self, id: u32) -> std::io::Result<ControlRange> {
         self.control_range(id)
     }
 }
@@ -77,15 +77,18 @@ pub fn prepare(device: &impl Controls, config: &V4l2Config) {
         demand(device, EXPOSURE, units(config.exposure_ms), "exposure_ms");
         return;
     }
-    // Webcams have one of the two automatics, the second nearly always.
     if device.range(EXPOSURE_MODE).is_ok()
-        && device.set(EXPOSURE_MODE, MODE_APERTURE_PRIORITY).is_err()
-        && let Err(error) = device.set(EXPOSURE_MODE, MODE_AUTO)
+        && let Err(error) = automatic_exposure(device)
     {
         tracing::debug!(%error, "camera has no automatic exposure");
     }
     prefer(device, AUTO_GAIN, 1, "automatic gain");
     prefer(device, AUTO_WHITE_BALANCE, 1, "automatic white balance");
+}
+
+/// The camera decides on exposure. Webcams have one of the two automatics, the first nearly always.
+pub fn automatic_exposure(device: &impl Controls) -> std::io::Result<()> {
+    device.set(EXPOSURE_MODE, MODE_APERTURE_PRIORITY).or_else(|_| device.set(EXPOSURE_MODE, MODE_AUTO))
 }
 
 /// Locks the automatics once they have settled.
@@ -103,6 +106,11 @@ impl Lock {
         let limit_units = if config.exposure_limit_ms > 0.0 { units(config.exposure_limit_ms) } else { 0 };
         let after_ns = (config.lock_after_s * 1e9) as i64;
         Self { after_ns, limit_units, first_ns: None, done: after_ns == 0 }
+    }
+
+    /// Somebody has set something by hand: what is locked later would undo it.
+    pub fn give_up(&mut self) {
+        self.done = true;
     }
 
     /// To be called for every frame.
@@ -151,7 +159,7 @@ fn prefer(device: &impl Controls, id: u32, value: i32, name: &str) {
 
 /// A value that somebody asked for, within the camera's range; what was set.
 fn demand(device: &impl Controls, id: u32, value: i32, name: &str) -> i32 {
-    let inside = device.range(id).map_or(value, |(low, high)| value.clamp(low, high.max(low)));
+    let inside = device.range(id).map_or(value, |range| value.clamp(range.low, range.high.max(range.low)));
     if inside != value {
         tracing::warn!(control = name, value, set = inside, "beyond the camera's range");
     }
@@ -161,39 +169,65 @@ fn demand(device: &impl Controls, id: u32, value: i32, name: &str) -> i32 {
     inside
 }
 
+/// A camera of numbers.
 #[cfg(test)]
-mod tests {
-    use super::*;
+pub mod fake {
+    use super::{ControlRange, Controls};
     use std::cell::RefCell;
     use std::collections::BTreeMap;
     use std::io::{Error, ErrorKind, Result};
 
     /// Controls with their ranges and values.
-    struct Fake(RefCell<BTreeMap<u32, (i32, i32, i32)>>);
+    pub struct Fake {
+        controls: RefCell<BTreeMap<u32, (i32, i32, i32)>>,
+        steps: BTreeMap<u32, i32>,
+        refused: Option<u32>,
+    }
 
     impl Fake {
-        fn new(controls: &[(u32, (i32, i32, i32))]) -> Self {
-            Self(RefCell::new(controls.iter().copied().collect()))
+        /// Number, and lowest, highest and present value of each.
+        pub fn new(controls: &[(u32, (i32, i32, i32))]) -> Self {
+            let controls = RefCell::new(controls.iter().copied().collect());
+            Self { controls, steps: BTreeMap::new(), refused: None }
+        }
+
+        pub fn with_steps(mut self, id: u32, control: (i32, i32, i32), step: i32) -> Self {
+            self.controls.get_mut().insert(id, control);
+            self.steps.insert(id, step);
+            self
+        }
+
+        /// Takes no value of this one.
+        pub fn refusing(self, id: u32) -> Self {
+            Self { refused: Some(id), ..self }
         }
     }
 
     impl Controls for Fake {
         fn get(&self, id: u32) -> Result<i32> {
-            self.0.borrow().get(&id).map(|c| c.2).ok_or_else(|| Error::from(ErrorKind::InvalidInput))
+            self.controls.borrow().get(&id).map(|c| c.2).ok_or_else(|| Error::from(ErrorKind::InvalidInput))
         }
         fn set(&self, id: u32, value: i32) -> Result<()> {
-            match self.0.borrow_mut().get_mut(&id) {
-                Some(c) if (c.0..=c.1).contains(&value) => {
+            match self.controls.borrow_mut().get_mut(&id) {
+                Some(c) if (c.0..=c.1).contains(&value) && self.refused != Some(id) => {
                     c.2 = value;
                     Ok(())
                 }
                 _ => Err(ErrorKind::InvalidInput.into()),
             }
         }
-        fn range(&self, id: u32) -> Result<(i32, i32)> {
-            self.0.borrow().get(&id).map(|c| (c.0, c.1)).ok_or_else(|| Error::from(ErrorKind::InvalidInput))
+        fn range(&self, id: u32) -> Result<ControlRange> {
+            let controls = self.controls.borrow();
+            let (low, high, default) = *controls.get(&id).ok_or_else(|| Error::from(ErrorKind::InvalidInput))?;
+            Ok(ControlRange { low, high, step: self.steps.get(&id).copied().unwrap_or(1), default })
         }
     }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::fake::Fake;
+    use super::*;
 
     #[test]
     fn the_lock_cuts_exposure_to_its_limit_and_makes_up_with_gain() {

@@ -24,6 +24,7 @@ const CAP_DEVICE_CAPS: u32 = 0x8000_0000;
 const CAP_TIME_PER_FRAME: u32 = 0x1000;
 const FIELD_NONE: u32 = 1;
 const DISCRETE: u32 = 1; // of sizes and intervals alike
+const CONTROL_DISABLED: u32 = 1; // V4L2_CTRL_FLAG_DISABLED
 
 /// Bounds of what a driver may list.
 const MAX_FORMATS: u32 = 64;
@@ -57,6 +58,15 @@ pub struct CallError {
 
 pub(super) fn in_call<T>(call: &'static str, result: io::Result<T>) -> Result<T, CallError> {
     result.map_err(|error| CallError { call, error })
+}
+
+/// Values that a control may have.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ControlRange {
+    pub low: i32,
+    pub high: i32,
+    pub step: i32,
+    pub default: i32,
 }
 
 /// What the driver made of the format that it was asked for.
@@ -265,13 +275,17 @@ impl Device {
         unsafe { self.ioctl(vidioc::VIDIOC_S_CTRL, &mut control) }
     }
 
-    /// Smallest and largest value of a control; an error if the camera has none such.
-    pub fn control_range(&self, id: u32) -> io::Result<(i32, i32)> {
+    /// Which values a control may have; an error if the camera has none such.
+    pub fn control_range(&self, id: u32) -> io::Result<ControlRange> {
         let mut query: sys::v4l2_queryctrl = zeroed();
         query.id = id;
         // SAFETY: QUERYCTRL is declared for v4l2_queryctrl.
         unsafe { self.ioctl(vidioc::VIDIOC_QUERYCTRL, &mut query)? };
-        Ok((query.minimum, query.maximum))
+        if query.flags & CONTROL_DISABLED != 0 {
+            return Err(io::Error::new(io::ErrorKind::NotFound, "the control is disabled for good"));
+        }
+        let (low, high) = (query.minimum, query.maximum);
+        Ok(ControlRange { low, high, step: query.step, default: query.default_value })
     }
 
     /// REQBUFS; how many were granted.

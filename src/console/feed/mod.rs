@@ -1,5 +1,6 @@
 //! The daemon's services, each subscribed once for all pages.
 
+pub mod graph;
 pub mod pictures;
 pub mod robot;
 mod source;

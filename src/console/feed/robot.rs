@@ -9,7 +9,7 @@ use super::source::{Source, pause, wait};
 use crate::client::{ClientError, monotonic_ns};
 use crate::console::hub::{Hub, demand, lock};
 use crate::console::wire::{self, Kind, MapHead};
-use crate::messages::{Health, Scale, State, UNKNOWN_NS, error, stage};
+use crate::messages::{Health, Pose, Scale, State, UNKNOWN_NS, error, scale_source, stage};
 
 /// How soon the end, and a daemon that has gone, are noticed.
 const NAP: Duration = Duration::from_millis(100);
@@ -70,6 +70,7 @@ struct Daemon {
     focal_sigma: f32,
     scale: &'static str,
     scale_sigma: f32,
+    scale_source: Vec<&'static str>,
 }
 
 /// What a state means for whoever stands beside the robot.
@@ -88,7 +89,24 @@ fn seconds(ns: i64) -> Option<f64> {
     (ns != UNKNOWN_NS).then_some(ns as f64 * 1e-9)
 }
 
-fn daemon(h: &Health, advice: fn(&str) -> &'static str, scale: (Scale, f32)) -> Daemon {
+/// What is known of the length of a map unit.
+#[derive(Debug, Clone, Copy)]
+struct ScaleKnown {
+    scale: Scale,
+    sigma: f32,
+    /// Bits of [`scale_source`].
+    source: u8,
+}
+
+impl ScaleKnown {
+    const NOTHING: Self = Self { scale: Scale::Arbitrary, sigma: f32::NAN, source: 0 };
+
+    fn of(pose: &Pose) -> Self {
+        Self { scale: pose.scale(), sigma: pose.scale_sigma, source: pose.scale_source }
+    }
+}
+
+fn daemon(h: &Health, advice: fn(&str) -> &'static str, scale: ScaleKnown) -> Daemon {
     let end_to_end = h.stages.get(stage::END_TO_END).copied().unwrap_or_default();
     Daemon {
         version: h.version().into(),
@@ -119,8 +137,9 @@ fn daemon(h: &Health, advice: fn(&str) -> &'static str, scale: (Scale, f32)) -> 
         lens_model: h.lens_model().name(),
         focal_px: h.focal_px,
         focal_sigma: h.focal_sigma,
-        scale: scale.0.name(),
-        scale_sigma: scale.1,
+        scale: scale.scale.name(),
+        scale_sigma: scale.sigma,
+        scale_source: scale_source::names(scale.source).collect(),
     }
 }
 
@@ -146,11 +165,11 @@ fn follow(hub: &Hub, source: &Source, advice: fn(&str) -> &'static str, stop: &A
     let client = source.client()?;
     let (mut poses, mut healths) = (client.poses(), client.health());
     let mut told: Option<(Instant, &str)> = None;
-    let mut scale = (Scale::Arbitrary, f32::NAN);
+    let mut scale = ScaleKnown::NOTHING;
     let mut connected_ns = None;
     while !stop.load(Ordering::Relaxed) {
         if let Some(pose) = poses.wait(NAP)? {
-            scale = (pose.scale(), pose.scale_sigma);
+            scale = ScaleKnown::of(&pose);
             let sample = lock(&hub.history).add(&pose);
             hub.tell(Kind::Poses, 0, &wire::samples(Kind::Poses, [sample].iter()));
         }
@@ -229,8 +248,9 @@ mod tests {
     #[test]
     fn faults_come_with_what_to_do() {
         let health = Health { errors: error::LOST | error::NO_CAMERA, ..Health::default() };
-        let said =
-            daemon(&health, |name| if name == "LOST" { "go back" } else { "plug it in" }, (Scale::Arbitrary, 0.0));
+        let pose = Pose { scale: 2, scale_sigma: 0.02, scale_source: scale_source::TAG, ..Pose::default() };
+        let said = daemon(&health, |name| if name == "LOST" { "go back" } else { "plug it in" }, ScaleKnown::of(&pose));
+        assert_eq!((said.scale, said.scale_sigma, said.scale_source.as_slice()), ("METRIC", 0.02, &["TAG"][..]));
         let faults: Vec<_> = said.faults.iter().map(|f| (f.name, f.advice)).collect();
         assert_eq!(faults, [("NO_CAMERA", "plug it in"), ("LOST", "go back")]);
         assert_eq!(said.frame_age_s, None);

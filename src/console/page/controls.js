@@ -17,7 +17,7 @@ const COMMANDS = [
   },
 ];
 
-function quoted(word) {
+export function quoted(word) {
   return /^[\w/.+:@-]+$/.test(word) ? word : `'${word.replaceAll("'", "'\\''")}'`;
 }
 

@@ -6,6 +6,8 @@ import { Video } from "/video.js";
 import { MapView } from "/map.js";
 import { Chart } from "/charts.js";
 import { Controls } from "/controls.js";
+import { GraphView } from "/graph.js";
+import { CameraView } from "/camera.js";
 import { Log } from "/log.js";
 import { PairView } from "/pair.js";
 
@@ -18,6 +20,8 @@ const log = new Log();
 const pair = new PairView((word) => link.say(word));
 const video = new Video(() => link.seen(KIND.FRAME));
 const map = new MapView();
+const graph = new GraphView(map, () => turn());
+const camera = new CameraView((word) => link.say(word));
 const charts = [
   new Chart($("latency"), $("latency-now"), { value: (s) => s.latency, unit: " ms", digits: 1, colour: "--accent" }),
   new Chart($("landmarks"), $("landmarks-now"), { value: (s) => s.landmarks, unit: "", digits: 0, colour: "--good" }),
@@ -26,6 +30,11 @@ const charts = [
 const receive = {
   [KIND.STATE]: ({ value }) => {
     controls.setPrefix(value.prefix);
+    camera.setPrefix(value.prefix);
+    if (value.daemon) {
+      camera.turnTo(value.daemon.run_id);
+      graph.turnTo(value.daemon.run_id);
+    }
     const trouble = state.report(value);
     set($("banner"), trouble);
     map.setAway(trouble !== "", value.daemon?.state);
@@ -44,9 +53,18 @@ const receive = {
     map.landmarks(message);
     link.seen(KIND.MAP);
   },
-  [KIND.KEYFRAMES]: (message) => map.keyframes(message),
+  [KIND.KEYFRAMES]: (message) => {
+    map.keyframes(message);
+    graph.keyframes(message);
+  },
+  [KIND.TIES]: (message) => graph.edges(message, false),
+  [KIND.COVISIBLE]: (message) => {
+    graph.edges(message, true);
+    link.seen(KIND.COVISIBLE);
+  },
   [KIND.REPLY]: ({ value }) => {
     controls.reply(value);
+    camera.reply(value);
     pair.reply(value);
   },
   [KIND.PICTURE]: (message) => pair.picture(message),
@@ -58,6 +76,7 @@ const link = new Link({
   status: (sentence) => {
     // Answers of the connection before do not come any more, now that there is another one either.
     controls.lost();
+    camera.lost();
     pair.lost();
     if (sentence === "") return;
     set($("banner"), sentence);
@@ -83,7 +102,7 @@ function turn() {
     if (name === view) anchor.setAttribute("aria-current", "page");
     else anchor.removeAttribute("aria-current");
   }
-  link.show(PARTS[view]);
+  link.show(view === "live" && graph.isWanted ? [...PARTS.live, "covisible"] : PARTS[view]);
 }
 
 addEventListener("hashchange", turn);

@@ -3,6 +3,10 @@ const $ = (id) => document.getElementById(id);
 const known = (v) => v !== null && v !== undefined && Number.isFinite(v);
 const number = (v, digits = 0, unit = "") => (known(v) ? `${v.toFixed(digits)}${unit}` : "–");
 const percent = (v) => (known(v) ? number(100 * v, 0, " %") : "–");
+/** Of a scale: a tenth of a per cent counts. */
+const fine = (v) => (known(v) ? number(100 * v, v < 0.0995 ? 1 : 0, " %") : "–");
+const SOURCES = { WHEELS: "wheels", HEIGHT: "height", TAG: "tags", STORED_MAP: "stored map" };
+const sources = (d) => d.scale_source.map((name) => SOURCES[name] ?? name.toLowerCase()).join(", ") || "–";
 const WORDS = { INITIALIZING: "initializing", TRACKING: "tracking", LOST: "lost", ORIENTATION: "heading only", DEAD_RECKONING: "dead reckoning" };
 
 const NUMBERS = [
@@ -19,7 +23,9 @@ const NUMBERS = [
   ["Maps kept, joined", (d) => `${d.maps}, ${d.maps_joined}`],
   ["Resets", (d) => `${d.resets}`],
   ["Found again", (d) => `${d.relocalisations}`],
-  ["Scale", (d) => ({ UNKNOWN: "map units", ESTIMATED: `estimated ± ${percent(d.scale_sigma)}`, METRIC: "metres" })[d.scale]],
+  ["Loops closed", (d) => `${d.loops_closed}`],
+  ["Scale", (d) => ({ UNKNOWN: "map units", ESTIMATED: `estimated ± ${percent(d.scale_sigma)}`, METRIC: `metres ± ${fine(d.scale_sigma)}` })[d.scale]],
+  ["Scale from", (d) => sources(d)],
   ["Lens", (d) => (d.intrinsics === "CALIBRATED" ? "calibrated" : `${d.intrinsics.toLowerCase()} ± ${percent(d.focal_sigma)}`)],
   ["Focal length", (d) => number(d.focal_px[0], 0, " px")],
   ["Position", (d, s) => (s?.state === "TRACKING" ? s.position.map((v) => v.toFixed(2)).join(" ") : "–")],

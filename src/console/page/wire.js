@@ -1,5 +1,6 @@
 // Messages of the console as values; docs/console.md describes their bytes.
-export const KIND = { STATE: 1, POSES: 2, KEYFRAMES: 3, MAP: 4, FRAME: 5, LOG: 6, REPLY: 7, PICTURE: 8, HISTORY: 9 };
+export const KIND = { STATE: 1, POSES: 2, KEYFRAMES: 3, MAP: 4, FRAME: 5, LOG: 6, REPLY: 7, PICTURE: 8, HISTORY: 9, TIES: 10, COVISIBLE: 11 };
+export const EDGE = { COVISIBLE: 0, LOOP: 1, JOIN: 2 };
 export const STATES = ["INITIALIZING", "TRACKING", "LOST", "ORIENTATION", "DEAD_RECKONING"];
 const SAMPLE = 64;
 const text = new TextDecoder();
@@ -18,7 +19,9 @@ export function parse(buffer) {
     case KIND.MAP:
       return { kind, ...head(view), points: new Float32Array(buffer, 24, 4 * count) };
     case KIND.KEYFRAMES:
-      return { kind, ...head(view), keyframes: new Float32Array(buffer, 24, 8 * count) };
+      return { kind, ...head(view), keyframes: new Float32Array(buffer, 24, 8 * count), ids: new Uint32Array(buffer, 24, 8 * count) };
+    case KIND.TIES: case KIND.COVISIBLE:
+      return { kind, ...head(view), edges: Array.from({ length: count }, (_, i) => edge(new Uint32Array(buffer, 24 + 20 * i, 5))) };
     case KIND.FRAME:
       return {
         kind, count, sequence: Number(view.getBigUint64(8, true)), time: view.getFloat64(16, true),
@@ -32,6 +35,10 @@ export function parse(buffer) {
 
 function head(view) {
   return { count: view.getUint32(4, true), epoch: view.getUint32(8, true), total: view.getUint32(12, true), scale: view.getUint32(20, true) };
+}
+
+function edge([from, to, shared, joined, kind]) {
+  return { from, to, shared, joined, kind };
 }
 
 function sample(view, at) {

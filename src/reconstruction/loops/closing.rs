@@ -11,7 +11,9 @@ use crate::places::way::shortest_way;
 use crate::reconstruction::Reconstruction;
 use crate::reconstruction::adjust::mapper::Merge;
 use crate::reconstruction::relocalise::joining::add_found;
-use crate::reconstruction::relocalise::other_maps::{REMEMBERED, Sighting, Similarity, similarity, turned_only};
+use crate::reconstruction::relocalise::other_maps::{
+    REMEMBERED, Sighting, Similarity, seen_most_by, similarity, turned_only,
+};
 use crate::reconstruction::types::TrajectoryEvent;
 
 /// Two sightings so many keyframes apart are not one soon after the other.
@@ -44,7 +46,11 @@ impl Reconstruction {
 
     /// Loops that were closed in the present maps: the keyframe of old, and the one that it was recognised from; the newest last.
     pub fn closed_loops(&self) -> impl Iterator<Item = (KeyframeId, KeyframeId)> {
-        self.loops.closed.iter().copied()
+        // What is being closed is none yet, and may come to nothing.
+        let Loops { closed, under_way, .. } = &self.loops;
+        let ends = under_way.iter().flat_map(|found| found.sightings.iter().map(|s| s.keyframe));
+        let is_open = move |recognised: KeyframeId| ends.clone().any(|end| end == recognised);
+        closed.iter().copied().filter(move |(_, recognised)| !is_open(*recognised))
     }
 
     /// Enters the frame that has just become the keyframe `id`, and has looked for it in the likeliest old place.
@@ -209,16 +215,7 @@ fn ties(map: &Map, sightings: &[Sighting; 2], told: &Similarity) -> Vec<(Keyfram
 
 /// The keyframe that sees most of what was found, other than the one that was recognised, and how that one lies to it.
 fn loop_edge(map: &Map, sighting: &Sighting, told: &Similarity) -> Option<LoopEdge> {
-    let mut votes: Vec<(KeyframeId, u32)> = Vec::new();
-    for m in &sighting.found {
-        for &k in map.landmark(m.landmark).into_iter().flat_map(|l| &l.observers) {
-            match votes.binary_search_by_key(&k, |v| v.0) {
-                Ok(i) => votes[i].1 += 1,
-                Err(i) => votes.insert(i, (k, 1)),
-            }
-        }
-    }
-    let old = votes.iter().filter(|v| v.0 != sighting.keyframe).max_by_key(|&&(k, n)| (n, k))?.0;
+    let old = seen_most_by(map, sighting)?;
     let recognised_from_old = told.scaled(&(sighting.there * map.keyframe(old)?.camera_from_world.inverse()).relabel());
     Some(LoopEdge { old, recognised: sighting.keyframe, recognised_from_old, log_scale_sigma: told.log_scale_sigma })
 }

@@ -10,8 +10,8 @@
 //! the pose was published. Not here: a kept map is not asked while the present one is lost.
 
 use super::other_maps::{
-    ATTEMPT_GAP, LONGEST_GAP, MAX_SCALE_SIGMA, OtherMap, OtherMaps, REMEMBERED, Sighting, at_corner, found_in,
-    log_ratio, retire, similarity, turned_only,
+    ATTEMPT_GAP, Join, LONGEST_GAP, MAX_SCALE_SIGMA, OtherMap, OtherMaps, REMEMBERED, Sighting, at_corner, found_in,
+    log_ratio, retire, seen_most_by, similarity, turned_only,
 };
 use crate::features::FrameFeatures;
 use crate::geometry::CameraModel;
@@ -139,6 +139,10 @@ impl Reconstruction {
         active.fusion.inherit(&other.fusion, -present_from_other.scale.ln(), MAX_SCALE_SIGMA);
         let own = |s: &Sighting| active.map.keyframe(s.keyframe).map(|k| k.observations.clone()).unwrap_or_default();
         let seen: Vec<Vec<Observation>> = other.sightings.iter().map(own).collect();
+        let by = other.sightings.last().and_then(|s| Some((seen_most_by(&other.map, s)?, s.keyframe)));
+        if let Some((from, to)) = by {
+            self.others.note_join(Join { map: other.id, from, to });
+        }
         active.map.absorb(other.map);
         for (sighting, seen) in other.sightings.iter().zip(&seen) {
             add_found(&mut active.map, sighting, seen, &self.optics.camera);

@@ -42,6 +42,9 @@ const AGREE_DEPTHS: f64 = 0.1;
 /// And they are two witnesses: so far apart, in mean depths, or with fewer than half of what they see in common.
 const APART_DEPTHS: f64 = 0.05;
 
+/// Joins that are remembered, to be shown.
+const MOST_JOINS: usize = 256;
+
 /// Keyframes recognised in one map that are remembered.
 pub const REMEMBERED: usize = 4;
 
@@ -103,9 +106,29 @@ pub struct OtherMaps {
     pub turn: usize,
     /// Attempts in a row that found something.
     pub warm: usize,
+    /// Those that were joined to others, the newest last.
+    pub joins: Vec<Join>,
+}
+
+/// By which keyframes a map was joined to the present one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Join {
+    /// The number that it had.
+    pub map: MapId,
+    /// The keyframe of it whose landmarks were recognised most, and the present map's that showed them.
+    pub from: KeyframeId,
+    pub to: KeyframeId,
 }
 
 impl OtherMaps {
+    /// A map is a part of another one.
+    pub fn note_join(&mut self, join: Join) {
+        if self.joins.len() == MOST_JOINS {
+            self.joins.remove(0);
+        }
+        self.joins.push(join);
+    }
+
     pub fn maps(&self) -> impl Iterator<Item = &Map> {
         self.kept.iter().map(|other| &other.map)
     }
@@ -134,6 +157,20 @@ pub fn found_in(frame: &Frame<'_>, tracker: &Tracker, keyframe: KeyframeId, plac
     let is_measured = |m: &&Match| frame.map.landmark(m.landmark).is_some_and(|l| l.assumed.is_none());
     let found: Vec<Match> = tracker.inliers().filter(is_measured).copied().collect();
     (!found.is_empty()).then_some(Sighting { keyframe, there: placed.camera_from_world, found })
+}
+
+/// The keyframe, other than the one that was recognised, that sees most of what was found.
+pub fn seen_most_by(map: &Map, sighting: &Sighting) -> Option<KeyframeId> {
+    let mut votes: Vec<(KeyframeId, u32)> = Vec::new();
+    for m in &sighting.found {
+        for &k in map.landmark(m.landmark).into_iter().flat_map(|l| &l.observers) {
+            match votes.binary_search_by_key(&k, |v| v.0) {
+                Ok(i) => votes[i].1 += 1,
+                Err(i) => votes.insert(i, (k, 1)),
+            }
+        }
+    }
+    Some(votes.iter().filter(|v| v.0 != sighting.keyframe).max_by_key(|&&(k, n)| (n, k))?.0)
 }
 
 /// The similarity, present from other, that two keyframes tell, if it is the same. `min_parallax`: of what they triangulate, rad.

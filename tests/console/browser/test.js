@@ -74,6 +74,31 @@ async function live(page) {
   check((await pixels(page.locator("#latency"), (r, g, b) => b > r + 60)) > 20, "latency is drawn");
 }
 
+async function graph(page) {
+  const map = page.locator("#map");
+  const drawn = () => map.getAttribute("data-covisible").then(Number);
+  check(!((await drawn()) > 0), "covisibility is drawn on demand only");
+  await page.locator("#draw-covisible").check();
+  await page.waitForFunction(() => Number(document.getElementById("map").dataset.covisible) > 5);
+  await page.waitForTimeout(300);
+  const green = (r, g, b) => g > r + 25 && g > b + 25;
+  check((await pixels(map, green)) > 60, "covisibility is drawn in green");
+  await page.screenshot({ path: join(pictures, "covisible.png") });
+  await page.locator("#draw-covisible").uncheck();
+  await page.waitForTimeout(300);
+  check((await drawn()) === 0 && (await pixels(map, green)) < 20, "and taken away again");
+}
+
+async function camera(page) {
+  const row = page.locator("#camera .command").first();
+  check((await row.locator(".shell").innerText()) === "cairn command --prefix robot camera", "the camera group shows its command");
+  await row.getByRole("button").click();
+  await page.waitForFunction(() => document.querySelector("#camera output").dataset.ok === "false");
+  const said = await row.locator("output").innerText();
+  check(/^simulator .* has no exposure, gain or focus that could be set$/.test(said), `a simulated camera says plainly: ${said}`);
+  check((await page.locator("#camera .command").count()) === 1, "and there is nothing to set");
+}
+
 async function buttons(page) {
   const ply = join(robot.folder, "map.ply");
   const save = page.locator(".command", { hasText: "Save the map" });
@@ -107,6 +132,10 @@ async function buttons(page) {
   await load.locator("input").focus();
   await page.waitForFunction(() => [...document.querySelectorAll("#stored-maps option")].some((o) => o.value === "room"));
   check(true, "stored maps are listed");
+  await load.locator("input").fill("no-such-map");
+  await load.getByRole("button").click();
+  await page.waitForFunction(() => [...document.querySelectorAll(".command output[data-ok=false]")].some((o) => o.textContent.includes("no-such-map")));
+  check(true, "a map that is not there is refused, and the page says so");
   for (const [name, value] of [["Go on in a map", "room"], ["Only locate in the map", null], ["Let the map grow again", null], ["Begin a new map", "other"]]) {
     const row = command(name);
     if (value) await row.locator("input").fill(value);
@@ -195,6 +224,8 @@ try {
   const page = await open(browser, url, { viewport: { width: 1360, height: 1000 } });
   await live(page);
   await page.screenshot({ path: join(pictures, "desktop.png") });
+  await graph(page);
+  await camera(page);
   await buttons(page);
   await pair(page);
   await log(page);

@@ -2,7 +2,7 @@
 
 import time
 
-from robot import CAMERA_GONE, check, now, row, summary
+from robot import CAIRN, CAMERA_GONE, check, now, row, sh, summary
 
 RETURN_LIMIT_S = 2.0
 
@@ -158,8 +158,34 @@ def controls(stage):
     for line in ["control 1 0x8 = 0", "control 1 0x3 = 0", "control 1 0x6 = 30", "control 2 0x5 = 1",
                  "control 1 0x2 = 1", "control 1 0x4 = 80", "control 2 0x4 = 200", "control 2 0xb = 0"]:
         check(line in said, f"the camera was not told {line!r}: {said}")
-    return row(health, began, "focus 30, 50 Hz, lock after 2 s with exposure of at most 8 ms",
-               note="autofocus off, exposure 25 ms to 8 ms, gain 64 to 200")
+    return [row(health, began, "focus 30, 50 Hz, lock after 2 s with exposure of at most 8 ms",
+                note="autofocus off, exposure 25 ms to 8 ms, gain 64 to 200"), by_hand(camera, health)]
+
+
+def by_hand(camera, health):
+    """Exposure, gain and focus by command while it streams: asked for, set, refused with the range, given back; poses go on meanwhile."""
+    began = now()
+
+    def command(words, status, *said):
+        got, text = sh(f"{CAIRN} command camera {words}", 20, "cairn")
+        check(got == status and all(part in text for part in said), f"camera {words}: {got}: {text}")
+
+    command("", 0, "exposure: 8 ms, set", "(0.3 to 204.7 ms, every 0.1; 25 when plugged in)", "gain: 200 steps",
+            "focus: 30 steps, set")
+    command("exposure 12.5", 0, "exposure is 12.5 ms")
+    command("gain 90", 0, "gain is 90 steps")
+    # The camera's lens moves in steps of 5.
+    command("focus 61", 0, "focus is 60 steps")
+    command("exposure 900", 64, "exposure 900 ms: this camera takes 0.3 to 204.7 ms")
+    command("gain auto", 69, "no automatic")
+    command("exposure auto", 0, "the camera decides on exposure")
+    told = camera.controls().splitlines()
+    told = told[len(told) - told[::-1].index("control 1 0x4 = 125") - 1:]
+    for line in ["control 2 0x4 = 90", "control 1 0x6 = 60", "control 1 0x2 = 8"]:
+        check(line in told, f"the camera was not told {line!r}: {told}")
+    health.flowing(now(), 5, frames=5)
+    return row(health, began, "exposure 12.5 ms, gain 90, focus 60 by command while it streams, and exposure given back",
+               note="beyond the range: refused with range and unit")
 
 
 SCENARIOS = {"stops_delivering": stops_delivering, "half_rate": half_rate, "bad_frames": bad_frames,
