@@ -51,6 +51,9 @@ impl Assets {
             "/controls.js" "controls.js" JS,
             "/log.js" "log.js" JS,
             "/pair.js" "pair.js" JS,
+            "/calibrate.js" "calibrate.js" JS,
+            "/board.js" "board.js" JS,
+            "/calibrate.css" "calibrate.css" CSS,
         ];
         let mut assets = Vec::with_capacity(plain.len() + 1);
         for (path, media_type, bytes) in plain {

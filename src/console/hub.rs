@@ -15,6 +15,7 @@ pub mod demand {
     pub const VIDEO: u32 = 1;
     pub const MAP: u32 = 2;
     pub const LOG: u32 = 4;
+    pub const CALIBRATION: u32 = 16;
 }
 
 /// See module.

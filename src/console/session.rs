@@ -15,6 +15,7 @@ use tungstenite::protocol::frame::coding::CloseCode;
 use tungstenite::protocol::{Role, WebSocketConfig};
 use tungstenite::{Message, WebSocket};
 
+use super::calibration;
 use super::commands::Action;
 use super::guard::Access;
 use super::http;
@@ -65,6 +66,11 @@ pub enum Word {
         id: u32,
         method: Method,
     },
+    /// Starts, ends or keeps a calibration.
+    Calibrate {
+        id: u32,
+        action: calibration::Action,
+    },
 }
 
 /// What takes its time.
@@ -73,6 +79,7 @@ pub enum Job {
     Command(Action),
     Take(Which),
     Chain(Method),
+    Calibrate(calibration::Action),
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
@@ -81,6 +88,7 @@ pub enum Part {
     Video,
     Map,
     Log,
+    Calibration,
 }
 
 impl Part {
@@ -89,6 +97,7 @@ impl Part {
             Self::Video => demand::VIDEO,
             Self::Map => demand::MAP,
             Self::Log => demand::LOG,
+            Self::Calibration => demand::CALIBRATION,
         }
     }
 }
@@ -245,6 +254,9 @@ fn obey(word: Word, hub: &Hub, page: &Arc<Outbox>, order: &Order) {
             if begun & demand::MAP != 0 {
                 hub.replay(page, &[Kind::Keyframes, Kind::Map]);
             }
+            if begun & demand::CALIBRATION != 0 {
+                hub.replay(page, &[Kind::Calibration]);
+            }
         }
         Word::Seen(number) => {
             if let Some(kind) = Kind::acknowledged(number) {
@@ -254,6 +266,7 @@ fn obey(word: Word, hub: &Hub, page: &Arc<Outbox>, order: &Order) {
         Word::Command { id, action } => order(page, id, Job::Command(action)),
         Word::Take { id, which } => order(page, id, Job::Take(which)),
         Word::Chain { id, method } => order(page, id, Job::Chain(method)),
+        Word::Calibrate { id, action } => order(page, id, Job::Calibrate(action)),
     }
 }
 

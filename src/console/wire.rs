@@ -20,17 +20,21 @@ pub enum Kind {
     Reply = 7,
     Picture = 8,
     History = 9,
+    Calibration = 12,
 }
 
 /// One more than the last kind.
-pub const KINDS: usize = 10;
+pub const KINDS: usize = 13;
 
 impl Kind {
     /// Kinds that a page acknowledges: they are large.
     pub const ACKNOWLEDGED: [Self; 2] = [Self::Frame, Self::Map];
 
     pub fn is_newest_only(self) -> bool {
-        matches!(self, Self::State | Self::Poses | Self::Keyframes | Self::Map | Self::Frame)
+        matches!(
+            self,
+            Self::State | Self::Poses | Self::Keyframes | Self::Map | Self::Frame | Self::Calibration
+        )
     }
 
     /// Of an acknowledgement.

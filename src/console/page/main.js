@@ -8,14 +8,16 @@ import { Chart } from "/charts.js";
 import { Controls } from "/controls.js";
 import { Log } from "/log.js";
 import { PairView } from "/pair.js";
+import { Calibration } from "/calibrate.js";
 
 const $ = (id) => document.getElementById(id);
-const PARTS = { live: ["video", "map"], pair: [], log: ["log"] };
+const PARTS = { live: ["video", "map"], pair: [], calibrate: ["video", "calibration"], log: ["log"] };
 
 const state = new StateView();
 const controls = new Controls((word) => link.say(word));
 const log = new Log();
 const pair = new PairView((word) => link.say(word));
+const calibration = new Calibration((word) => link.say(word), () => link.seen(KIND.FRAME));
 const video = new Video(() => link.seen(KIND.FRAME));
 const map = new MapView();
 const charts = [
@@ -39,7 +41,8 @@ const receive = {
     map.pose(sample);
     charts.forEach((chart) => chart.add(sample));
   }),
-  [KIND.FRAME]: (frame) => video.frame(frame),
+  [KIND.FRAME]: (frame) => ($("calibrate").hidden ? video : calibration).frame(frame),
+  [KIND.CALIBRATION]: ({ value }) => calibration.told(value),
   [KIND.MAP]: (message) => {
     map.landmarks(message);
     link.seen(KIND.MAP);
@@ -48,6 +51,7 @@ const receive = {
   [KIND.REPLY]: ({ value }) => {
     controls.reply(value);
     pair.reply(value);
+    calibration.reply(value);
   },
   [KIND.PICTURE]: (message) => pair.picture(message),
   [KIND.LOG]: ({ value }) => log.add(value),
@@ -59,6 +63,7 @@ const link = new Link({
     // Answers of the connection before do not come any more, now that there is another one either.
     controls.lost();
     pair.lost();
+    calibration.lost();
     if (sentence === "") return;
     set($("banner"), sentence);
     state.away();
