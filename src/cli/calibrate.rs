@@ -15,9 +15,9 @@ use std::process::ExitCode;
 pub use args::CalibrateArgs;
 #[cfg(feature = "tools")]
 pub(super) use live::before_board;
+pub(super) use output::encode;
 #[cfg(feature = "tools")]
 pub(super) use output::keep;
-pub(super) use output::encode;
 use output::{format_of, write_text};
 
 use super::builds::needs_tools;

@@ -31,10 +31,7 @@ impl Kind {
     pub const ACKNOWLEDGED: [Self; 2] = [Self::Frame, Self::Map];
 
     pub fn is_newest_only(self) -> bool {
-        matches!(
-            self,
-            Self::State | Self::Poses | Self::Keyframes | Self::Map | Self::Frame | Self::Calibration
-        )
+        matches!(self, Self::State | Self::Poses | Self::Keyframes | Self::Map | Self::Frame | Self::Calibration)
     }
 
     /// Of an acknowledgement.

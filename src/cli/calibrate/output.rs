@@ -70,9 +70,7 @@ pub fn keep(
     let mut lines = vec![format!("wrote {shown} (found by `cairn run` of this user for camera {identity})")];
     if Path::new(SERVICE_STATE).is_dir() && !path.starts_with(SERVICE_STATE) {
         let name = identity.file_name((file.camera.width, file.camera.height));
-        lines.push(format!(
-            "the service is another user: `sudo install -D -m 0644 {shown} /etc/cairn/cameras/{name}`"
-        ));
+        lines.push(format!("the service is another user: `sudo install -D -m 0644 {shown} /etc/cairn/cameras/{name}`"));
     }
     Ok(lines)
 }

@@ -94,11 +94,7 @@ impl Guided for Sitting {
             None => coverage(boards().flat_map(|b| &b.corners).map(|c| &c.pixel), self.size),
         };
         let needs = solution.map_or(&[][..], |solved| &solved.verdict.needs);
-        let need = |need: &verdict::Need| Need {
-            name: need.name(),
-            missing: need.to_string(),
-            advice: need.advice(),
-        };
+        let need = |need: &verdict::Need| Need { name: need.name(), missing: need.to_string(), advice: need.advice() };
         Guidance {
             views,
             enough: ENOUGH_VIEWS,
@@ -198,12 +194,8 @@ impl Sitting {
 /// A board's corners for a page, row by row, to a tenth of a pixel.
 fn rows(board: &Board) -> Vec<Vec<f32>> {
     let tenth = |v: f64| ((10.0 * v).round() / 10.0) as f32;
-    let same_row = |a: &BoardCorner, b: &BoardCorner| {
-        a.row == b.row
-    };
-    let row = |corners: &[BoardCorner]| {
-        corners.iter().flat_map(|c| [tenth(c.pixel.x), tenth(c.pixel.y)]).collect()
-    };
+    let same_row = |a: &BoardCorner, b: &BoardCorner| a.row == b.row;
+    let row = |corners: &[BoardCorner]| corners.iter().flat_map(|c| [tenth(c.pixel.x), tenth(c.pixel.y)]).collect();
     board.corners.chunk_by(same_row).map(row).collect()
 }
 

@@ -30,12 +30,8 @@ pub struct Board {
 impl Board {
     /// The same on a terminal; `device`: the camera's.
     pub fn terminal(&self, device: Option<&str>) -> String {
-        let mut line = format!(
-            "cairn calibrate --camera {} --pattern {}x{}",
-            device.unwrap_or("auto"),
-            self.columns,
-            self.rows
-        );
+        let mut line =
+            format!("cairn calibrate --camera {} --pattern {}x{}", device.unwrap_or("auto"), self.columns, self.rows);
         if let Some(square_m) = self.square_m {
             line += &format!(" --square {square_m}");
         }

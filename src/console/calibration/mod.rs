@@ -18,7 +18,9 @@ mod session;
 mod tray;
 mod worker;
 
-pub use guided::{Board, Calibrator, Camera, Gauge, Glance, Guidance, Guided, Lens, Look, Need, Outcome, Picture, Value};
+pub use guided::{
+    Board, Calibrator, Camera, Gauge, Glance, Guidance, Guided, Lens, Look, Need, Outcome, Picture, Value,
+};
 pub use session::{Action, Session, Told};
 pub use tray::Tray;
 pub use worker::{Desk, run};

@@ -109,7 +109,9 @@ impl Session {
                     self.end("stopped");
                     Ok("calibrated with the views that there are".into())
                 }
-                State::Running(running) => Err(format!("{} views are too few to calibrate from", running.guidance.views)),
+                State::Running(running) => {
+                    Err(format!("{} views are too few to calibrate from", running.guidance.views))
+                }
                 _ => Err("no calibration is under way".into()),
             },
             Action::Save {} => self.save(),

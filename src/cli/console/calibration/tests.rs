@@ -133,7 +133,10 @@ fn what_there_is_can_be_taken_once_it_is_a_camera_and_is_no_good_one() {
     let told = session.told(sweep.now);
     let outcome = told.outcome.expect("outcome");
     assert!(!outcome.good && outcome.words.iter().any(|w| w.starts_with("missing: ")), "{:?}", outcome.words);
-    assert!(!told.guidance.expect("guidance").gauges.iter().any(|g| g.name == "distance"), "nobody said how long a square is");
+    assert!(
+        !told.guidance.expect("guidance").gauges.iter().any(|g| g.name == "distance"),
+        "nobody said how long a square is"
+    );
     let error = session.obey(Action::Save {}, 4, sweep.now).expect_err("whose camera?");
     assert!(error.contains("download"), "{error}");
     session.obey(Action::Cancel {}, 5, sweep.now).expect("put away");
