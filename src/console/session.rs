@@ -314,6 +314,16 @@ mod tests {
         assert_eq!(word(r#"{"seen":5}"#), Some(Word::Seen(5)));
         let command = word(r#"{"command":{"id":1,"action":{"do":"reset"}}}"#);
         assert_eq!(command, Some(Word::Command { id: 1, action: Action::Reset {} }));
+        let calibrate = |action: &str| word(&format!(r#"{{"calibrate":{{"id":4,"action":{action}}}}}"#));
+        let board = calibration::Board { columns: 9, rows: 6, square_m: None, lens: calibration::Lens::Full };
+        let start = calibration::Action::Start { board };
+        let said = calibrate(r#"{"do":"start","board":{"columns":9,"rows":6}}"#);
+        assert_eq!(said, Some(Word::Calibrate { id: 4, action: start }));
+        for action in
+            [r#"{"do":"start"}"#, r#"{"do":"start","board":{"columns":-9,"rows":6}}"#, r#"{"do":"save","path":"/x"}"#]
+        {
+            assert_eq!(calibrate(action), None, "{action}");
+        }
         for text in
             ["", "{}", r#"{"hello":{"tokens":1}}"#, r#"{"show":["all"]}"#, r#"{"seen":-1}"#, r#"{"seen":1,"show":[]}"#]
         {

@@ -155,9 +155,14 @@ impl Sitting {
         };
         let known = solution.map_or_else(unknown, |s| {
             let (focal, centre) = precision(&s.solved, (s.camera.width, s.camera.height));
-            // Both in one: each as a share of what is asked for.
-            let worst = (focal / MAX_FOCAL_SIGMA).max(centre / MAX_CENTRE_SIGMA);
-            (format!("focal length ± {:.2} %, centre ± {:.2} %", 100.0 * focal, 100.0 * centre), 1.0 / worst)
+            // The one that is farther from what is asked for.
+            let (focal_of, centre_of) = (focal / MAX_FOCAL_SIGMA, centre / MAX_CENTRE_SIGMA);
+            let (name, sigma, wanted) = if focal_of > centre_of {
+                ("focal", focal, MAX_FOCAL_SIGMA)
+            } else {
+                ("centre", centre, MAX_CENTRE_SIGMA)
+            };
+            (format!("{name} ± {:.2} % of {:.2} %", 100.0 * sigma, 100.0 * wanted), wanted / sigma)
         });
         let covers = format!("{:.0} % of {:.0} %", 100.0 * covered, 100.0 * MIN_COVERED);
         let gauge = |(name, label, (text, share)): (_, _, (String, f64))| Gauge {

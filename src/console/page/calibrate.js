@@ -76,6 +76,10 @@ export class Calibration {
     this.buttons();
   }
 
+  frame(frame) {
+    return this.picture.frame(frame);
+  }
+
   lost() {
     this.busy = false;
     this.told(NOTHING);
@@ -132,14 +136,14 @@ export class Calibration {
     const taken = glance?.look === "taken" && guidance.views !== this.views;
     this.views = guidance?.views;
     const text = {
-      idle: "", failed: capital(sentence), running: capital(sentence),
+      idle: this.state.run === 0 && !this.state.limit_s ? "" : "Press Start when you have the board at hand", failed: capital(sentence), running: capital(sentence),
       done: outcome?.good ? `Calibrated from ${guidance.views} views` : `Calibrated from ${guidance?.views} views (${sentence}), but something is missing`,
     }[phase] ?? "";
     const show = (words, kind) => {
       $("board-says").dataset.kind = kind;
       set($("board-says"), words);
     };
-    const kind = { failed: "wrong", done: outcome?.good ? "good" : "wait" }[phase] ?? { taken: "good", known: "good", unfit: "wait" }[glance?.look] ?? "wrong";
+    const kind = { idle: "", failed: "wrong", done: outcome?.good ? "good" : "wait" }[phase] ?? { taken: "good", known: "good", unfit: "wait" }[glance?.look] ?? "wrong";
     if (phase === "running" && taken) {
       this.held = time + TAKEN_MS;
       return show(`View ${guidance.views} is taken`, "good");
@@ -162,7 +166,7 @@ export class Calibration {
         element("td", { textContent: sigma === null ? "not estimated" : `± ${sigma.toFixed(s)}${unit && ` ${unit}`}` }),
       ]);
     }));
-    const words = outcome.words.map((text) => element("li", { textContent: capital(text) }));
+    const words = outcome.words.map((text) => element("li", { textContent: capital(text).replace(" +- ", " ± ") }));
     if (saved) words.push(element("li", { className: "saved", textContent: `${capital(saved)}. The daemon takes it at its next start.` }));
     $("board-words").replaceChildren(...words);
   }
@@ -175,14 +179,14 @@ export class Calibration {
       idle: [["Start", () => $("board-form").requestSubmit(), true]],
       failed: [["Start", () => $("board-form").requestSubmit(), true]],
       running: [
-        ["Take what there is", press({ do: "finish" }), false, !guidance?.solved],
-        ["Start again", () => this.again()],
+        ["Finish", press({ do: "finish" }), false, !guidance?.solved],
+        ["Restart", () => this.again()],
         ["Cancel", press({ do: "cancel" })],
       ],
       done: [
         ...(camera && !saved ? [["Save", press({ do: "save" }), true]] : []),
         ["Download", () => download(outcome), !camera],
-        ["New calibration", press({ do: "cancel" })],
+        ["New", press({ do: "cancel" })],
       ],
     }[phase] ?? [];
     const key = JSON.stringify([phase, this.busy, all.map(([text, , main, off]) => [text, main, off])]);
