@@ -91,6 +91,7 @@ export class Calibration {
     this.state = state;
     const { phase, guidance, glance } = state;
     for (const part of document.querySelectorAll(".board-part")) part.hidden = !part.dataset.phase.split(" ").includes(phase);
+    $("board-body").dataset.phase = phase;
     set($("board-what"), TITLES[phase] ?? phase);
     const other = state.by !== this.begun && phase !== "idle" ? ", begun on another page" : "";
     const time = phase === "running" ? `${state.seconds} s of ${state.limit_s}` : "";

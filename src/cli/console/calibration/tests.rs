@@ -88,7 +88,7 @@ fn a_guided_calibration_ends_with_the_true_camera_and_is_kept_for_it() {
     }
     let told = session.told(sweep.now);
     assert_eq!((told.phase, told.sentence, told.by), ("done", "done", 5));
-    assert!(drawn > 30 && needs.contains(&"precision"), "{drawn} whole boards were drawn; {needs:?} were asked for");
+    assert!(drawn > 30 && needs.contains(&"views"), "{drawn} whole boards were drawn; {needs:?} were asked for");
     let outcome = told.outcome.expect("outcome");
     assert!(outcome.good, "{:?}", outcome.words);
     let truth = sweep.truth();
