@@ -158,13 +158,13 @@ export class Calibration {
   }
 
   outcome({ outcome, saved }) {
-    const digits = (unit) => (unit === "px" ? [2, 2] : [4, 4]);
+    const digits = (unit) => (unit === "px" ? 2 : 5);
     $("board-values").tBodies[0].replaceChildren(...outcome.values.map(({ name, value, sigma, unit }) => {
-      const [d, s] = digits(unit);
+      const d = digits(unit);
       return element("tr", {}, [
         element("th", { scope: "row", textContent: name }),
         element("td", { textContent: `${value.toFixed(d)}${unit && ` ${unit}`}` }),
-        element("td", { textContent: sigma === null ? "not estimated" : `± ${sigma.toFixed(s)}${unit && ` ${unit}`}` }),
+        element("td", { textContent: sigma === null ? "not estimated" : `± ${sigma.toFixed(d)}${unit && ` ${unit}`}` }),
       ]);
     }));
     const words = outcome.words.map((text) => element("li", { textContent: capital(text).replace(" +- ", " ± ") }));
