@@ -193,7 +193,12 @@ export class Calibration {
     const key = JSON.stringify([phase, this.busy, all.map(([text, , main, off]) => [text, main, off])]);
     if (key === this.shownButtons) return;
     this.shownButtons = key;
-    $("board-buttons").replaceChildren(...all.map(([textContent, onclick, main, off]) => element("button", { type: "button", textContent, onclick, className: main ? "main" : "", disabled: this.busy || off || false })));
+    const bar = $("board-buttons");
+    // Whoever goes by keyboard stays here, though the button that was pressed is gone.
+    this.focused = bar.contains(document.activeElement) || (this.focused && this.waited);
+    this.waited = this.busy;
+    bar.replaceChildren(...all.map(([textContent, onclick, main, off]) => element("button", { type: "button", textContent, onclick, className: main ? "main" : "", disabled: this.busy || off || false })));
+    if (this.focused && !this.busy) bar.querySelector(phase === "running" ? "button:last-child" : "button:enabled")?.focus();
   }
 
   /** The same board from the beginning. */

@@ -219,6 +219,7 @@ async function calibrate(browser) {
     for (const [name, options] of others) {
       const other = await open(browser, `${url}#calibrate`, options);
       await other.waitForFunction(() => document.querySelectorAll("#board-needs li").length > 0, null, { timeout: 120_000 });
+      await other.waitForFunction(() => Number(document.getElementById("board").dataset.frames) > 3);
       check((await other.locator("#board-phase").innerText()).includes("begun on another page"), `another page sees it (${name})`);
       await other.screenshot({ path: join(pictures, `calibrate-${name}.png`), fullPage: name === "phone" });
       const [wide, wanted] = await other.evaluate(() => [document.documentElement.scrollWidth, innerWidth]);
