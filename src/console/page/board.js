@@ -37,7 +37,7 @@ export class BoardPicture {
     this.recent.delete(sequence);
   }
 
-  /** What was found in one of the pictures, and the first thing that is missing. */
+  /** What was found in one of the pictures, and the edge that no view has reached. */
   found(running, glance, need) {
     const news = glance && glance.sequence !== this.glance?.sequence;
     Object.assign(this, { running, glance, need });

@@ -5,6 +5,7 @@ import { set } from "/state.js";
 const $ = (id) => document.getElementById(id);
 const SETTLED_MS = 300; // advice that changes quicker is not read
 const TAKEN_MS = 1500; // how long a view that was taken is told
+const EDGES = ["left", "right", "top", "bottom"];
 const NOTHING = { phase: "idle", run: 0, by: 0, sentence: "", board: null, guidance: null, glance: null, outcome: null };
 const TITLES = { idle: "The board", failed: "The board", running: "What is missing", done: "The camera" };
 // Of a gauge, on 16 x 16.
@@ -96,7 +97,7 @@ export class Calibration {
     const other = state.by !== this.begun && phase !== "idle" ? ", begun on another page" : "";
     const time = phase === "running" ? `${state.seconds} s of ${state.limit_s}` : "";
     set($("board-phase"), `${time}${other}`.replace(/^, /, ""));
-    this.picture.found(phase === "running", glance, guidance?.needs[0]?.name ?? "");
+    this.picture.found(phase === "running", glance, guidance?.needs.find((need) => EDGES.includes(need.name))?.name);
     if (guidance) this.guide(guidance, glance);
     if (phase === "done" && (before.phase !== "done" || before.run !== state.run || before.saved !== state.saved)) this.outcome(state);
     this.sentence(before.phase !== phase || before.run !== state.run);
