@@ -97,7 +97,8 @@
 //!   would otherwise put files and clocks into `features` and `geometry`; it knows these two, and only `cli` knows it.
 //!
 //! - A room more, [`console`]: the web page (`cairn console`), a subscriber of the same services as any planner. It knows the client's side of
-//!   the wire alone; what to do about a fault it is told by `cli`, so that page, log and doctor say the same.
+//!   the wire alone; what to do about a fault it is told by `cli`, so that page, log and doctor say the same, and how a camera is
+//!   calibrated `cli` hands in as well (`console::calibration::Calibrator`), so that page and terminal do the same.
 //!
 //! # Features
 //!

@@ -67,6 +67,7 @@ pub struct Taken {
     pub speed: f64,
     /// How fast each corner moved, px/s.
     pub velocity: Vec<Vector2<f64>>,
+    /// Empty if pictures are not kept.
     pub picture: GreyImage,
 }
 
@@ -75,6 +76,7 @@ pub struct Taken {
 pub struct Guide {
     pattern: Pattern,
     distortion: Distortion,
+    keeps_pictures: bool,
     detector: Detector,
     size: (u32, u32),
     previous: Option<(i64, Board)>,
@@ -147,6 +149,7 @@ impl Guide {
         Self {
             pattern,
             distortion,
+            keeps_pictures: true,
             detector: Detector::default(),
             size: (0, 0),
             previous: None,
@@ -155,6 +158,12 @@ impl Guide {
             unsettled: None,
             solution: None,
         }
+    }
+
+    /// The pictures of its views, megabytes each, are for a report: without one they need not be kept.
+    pub fn without_pictures(mut self) -> Self {
+        self.keeps_pictures = false;
+        self
     }
 
     /// One frame, taken at `time_ns`. Pictures of another size than the first ones start it all over.
@@ -184,7 +193,8 @@ impl Guide {
         let waiting_ns = time_ns - *self.waiting_since_ns.get_or_insert(time_ns);
         let speed = self.speed(&board, time_ns);
         let seen = self.judge(&board, speed, waiting_ns as f64 * 1e-9);
-        let taken = || Taken { board: board.clone(), speed, velocity: Vec::new(), picture: picture.clone() };
+        let kept = || if self.keeps_pictures { picture.clone() } else { GreyImage::default() };
+        let taken = || Taken { board: board.clone(), speed, velocity: Vec::new(), picture: kept() };
         let index = match seen {
             Seen::Taken => {
                 self.views.push(taken());
@@ -271,6 +281,11 @@ impl Guide {
         let good = self.solution.as_ref().is_some_and(|s| s.verdict.is_good());
         let settled = self.unsettled.is_none();
         settled && (self.views.len() >= MAX_VIEWS || (self.views.len() >= ENOUGH_VIEWS && good))
+    }
+
+    /// The board in the last frame, if it was there.
+    pub fn board(&self) -> Option<&Board> {
+        self.previous.as_ref().map(|(_, board)| board)
     }
 
     pub fn views(&self) -> &[Taken] {

@@ -18,12 +18,12 @@ pub const COVERAGE: (usize, usize) = (8, 6);
 /// The outer share of the picture that corners must reach.
 const RIM_SHARE: f64 = 0.15;
 /// Degrees of tilt that are asked for, to either side together, and at the largest.
-const TILT_DEG: f64 = 15.0;
+pub const TILT_DEG: f64 = 15.0;
 /// Share of the coverage cells with corners.
-const MIN_COVERED: f64 = 0.55;
+pub const MIN_COVERED: f64 = 0.55;
 /// Standard deviation of a focal length as a share of it, and of the principal point as a share of the longer side.
-const MAX_FOCAL_SIGMA: f64 = 0.002;
-const MAX_CENTRE_SIGMA: f64 = 0.003;
+pub const MAX_FOCAL_SIGMA: f64 = 0.002;
+pub const MAX_CENTRE_SIGMA: f64 = 0.003;
 
 /// Something that more or other views would bring.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -48,6 +48,22 @@ pub enum Need {
 }
 
 impl Need {
+    /// One word for it.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::MoreViews(_) => "views",
+            Self::Left => "left",
+            Self::Right => "right",
+            Self::Top => "top",
+            Self::Bottom => "bottom",
+            Self::Coverage(_) => "coverage",
+            Self::TurnSideways(_) => "sideways",
+            Self::TiltForward(_) => "forward",
+            Self::Precision(_) => "precision",
+            Self::Distortion => "distortion",
+        }
+    }
+
     /// What to do, for somebody who holds the board.
     pub fn advice(&self) -> String {
         match self {
@@ -109,6 +125,27 @@ impl Verdict {
     }
 }
 
+/// Corners in each cell of the [`COVERAGE`] map, row by row.
+pub fn coverage<'a>(pixels: impl Iterator<Item = &'a Vector2<f64>>, (width, height): (u32, u32)) -> Vec<u32> {
+    let (columns, rows) = COVERAGE;
+    let mut cells = vec![0u32; columns * rows];
+    let cell = |at: f64, length: u32, count: usize| {
+        ((at / f64::from(length.max(1)) * count as f64).max(0.0) as usize).min(count - 1)
+    };
+    for p in pixels {
+        cells[cell(p.y, height, rows) * columns + cell(p.x, width, columns)] += 1;
+    }
+    cells
+}
+
+/// How surely a camera is known: the larger standard deviation of its focal lengths as a share of them, and of the principal point as a
+/// share of the longer side.
+pub fn precision(solved: &PlaneCalibration, (width, height): (u32, u32)) -> (f64, f64) {
+    let sigmas = solved.sigmas();
+    let focal = (sigmas[0] / solved.intrinsics[0]).max(sigmas[1] / solved.intrinsics[1]);
+    (focal, sigmas[2].max(sigmas[3]) / f64::from(width.max(height)))
+}
+
 /// Judges. `pixels`: the corners of the used views; `covers`: can every pixel be undistorted?
 pub fn judge<'a>(
     solved: &PlaneCalibration,
@@ -117,15 +154,8 @@ pub fn judge<'a>(
     covers: bool,
 ) -> Verdict {
     let (w, h) = (f64::from(width), f64::from(height));
-    let (columns, rows) = COVERAGE;
-    let mut cells = vec![0u32; columns * rows];
     let (mut low, mut high) = (Vector2::new(w, h), Vector2::new(0.0, 0.0));
-    for p in pixels {
-        (low, high) = (low.inf(p), high.sup(p));
-        let column = ((p.x / w * columns as f64).max(0.0) as usize).min(columns - 1);
-        let row = ((p.y / h * rows as f64).max(0.0) as usize).min(rows - 1);
-        cells[row * columns + column] += 1;
-    }
+    let cells = coverage(pixels.inspect(|p| (low, high) = (low.inf(p), high.sup(p))), (width, height));
     let covered = cells.iter().filter(|c| **c > 0).count() as f64 / cells.len() as f64;
     let mut tilt = [0.0f64; 2];
     let mut used = 0;
@@ -135,9 +165,7 @@ pub fn judge<'a>(
         tilt[0] = tilt[0].max(normal.x.atan2(normal.z).abs().to_degrees());
         tilt[1] = tilt[1].max(normal.y.atan2(normal.z).abs().to_degrees());
     }
-    let sigmas = solved.sigmas();
-    let focal = (sigmas[0] / solved.intrinsics[0]).max(sigmas[1] / solved.intrinsics[1]);
-    let centre = sigmas[2].max(sigmas[3]) / w.max(h);
+    let (focal, centre) = precision(solved, (width, height));
     let all = [
         (used < GOOD_VIEWS, Need::MoreViews(GOOD_VIEWS.saturating_sub(used))),
         (tilt[0] < TILT_DEG, Need::TurnSideways(tilt[0])),

@@ -13,7 +13,12 @@ use std::path::Path;
 use std::process::ExitCode;
 
 pub use args::CalibrateArgs;
-use output::{encode, format_of, write_text};
+#[cfg(feature = "tools")]
+pub(super) use live::before_board;
+pub(super) use output::encode;
+#[cfg(feature = "tools")]
+pub(super) use output::keep;
+use output::{format_of, write_text};
 
 use super::builds::needs_tools;
 use super::session::{self, StatusLine};

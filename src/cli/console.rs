@@ -1,5 +1,7 @@
 //! `cairn console`: a web page that shows what the robot sees.
 
+mod calibration;
+
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -51,6 +53,7 @@ pub fn run(args: &ConsoleArgs) -> Result<ExitCode, CliError> {
         endpoint: args.endpoint.endpoint()?,
         log: args.log_file.clone().map_or_else(|| LogChoice::Unit(args.unit.clone()), LogChoice::File),
         advice,
+        calibrator: Arc::new(calibration::Chessboards::default()),
     })?;
     telemetry::say(&format!("the console is at http://{}/", console.address()));
     console.run(&stop);

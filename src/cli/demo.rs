@@ -9,6 +9,7 @@ use std::time::Duration;
 
 use serde::Serialize;
 
+use super::calibrate::before_board;
 use super::session::{self, Resources, ResultArgs, SessionArgs, StageLatencies, StatusLine};
 use super::{CliError, exit_code};
 use crate::atomic_file::write_atomically;
@@ -25,6 +26,9 @@ pub struct DemoArgs {
     /// Length, s (1 to 3600)
     #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..=3600))]
     pub seconds: u64,
+    /// Move slowly before a chessboard of 9x6 inner corners ([simulator.chessboard] says others): to try a calibration in the console
+    #[arg(long)]
+    pub board: bool,
     /// Folder for trajectory, truth, map, picture and summary
     #[arg(long, value_name = "DIR", default_value = "cairn-demo")]
     pub output: PathBuf,
@@ -67,6 +71,9 @@ pub fn run(args: &DemoArgs) -> Result<ExitCode, CliError> {
     let mut config = args.session.open_for_result(args.result.quiet)?;
     let stop = session::stop_flag()?;
     config.simulator.duration_s = args.seconds as f64;
+    if args.board {
+        before_board(&mut config.simulator);
+    }
     fs::create_dir_all(&args.output)
         .map_err(|e| CliError::new(exit_code::CANNOT_CREATE, format!("{}: {e}", args.output.display())))?;
     let file = |name: &str| args.output.join(name);

@@ -53,6 +53,9 @@ impl Assets {
             "/camera.js" "camera.js" JS,
             "/log.js" "log.js" JS,
             "/pair.js" "pair.js" JS,
+            "/calibrate.js" "calibrate.js" JS,
+            "/board.js" "board.js" JS,
+            "/calibrate.css" "calibrate.css" CSS,
         ];
         let mut assets = Vec::with_capacity(plain.len() + 1);
         for (path, media_type, bytes) in plain {

@@ -16,6 +16,7 @@ pub mod demand {
     pub const MAP: u32 = 2;
     pub const LOG: u32 = 4;
     pub const COVISIBLE: u32 = 8;
+    pub const CALIBRATION: u32 = 16;
 }
 
 /// See module.

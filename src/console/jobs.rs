@@ -1,4 +1,4 @@
-//! What pages ask for that takes its time: commands to the daemon, and the two-picture chain; one at a time of each.
+//! What pages ask for that takes its time: commands to the daemon, the two-picture chain, and calibrations; one at a time of each.
 
 use std::sync::Arc;
 
@@ -6,6 +6,7 @@ use crossbeam::channel::{Sender, TrySendError, bounded};
 use serde_json::json;
 use tracing::info;
 
+use super::calibration::Desk;
 use super::commands::Action;
 use super::feed::Source;
 use super::outbox::Outbox;
@@ -15,21 +16,32 @@ use super::wire::{self, Kind};
 
 /// Jobs of a kind that wait for the one before.
 const WAITING: usize = 4;
+/// Where more wait.
+const BUSY: &str = "others are under way: try again";
 
 type Queue = Sender<(Arc<Outbox>, u32, Job)>;
 
-/// Starts the two workers; jobs given to the result are theirs. They end when it is dropped and are not waited for: a daemon that hangs may hold a
+/// Starts the two workers; jobs given to the result are theirs, or go to the `desk` of calibrations. They end when it is dropped and are not waited for: a daemon that hangs may hold a
 /// command for half a minute.
-pub fn start(source: &Arc<Source>, pair: &Arc<Pair>) -> Order {
+pub fn start(source: &Arc<Source>, pair: &Arc<Pair>, desk: &Arc<Desk>) -> Order {
     let (commands, chains) = (worker(source, pair), worker(source, pair));
-    let prefix = source.prefix().to_owned();
+    let (prefix, desk) = (source.prefix().to_owned(), desk.clone());
     Box::new(move |page, id, job| {
+        let job = match job {
+            Job::Calibrate(action) => {
+                if desk.orders.try_send((page.clone(), id, action)).is_err() {
+                    answer(page, id, "", Err(BUSY.into()), false);
+                }
+                return;
+            }
+            job => job,
+        };
         let queue: &Queue = if matches!(job, Job::Command(_)) { &commands } else { &chains };
         if let Err(TrySendError::Full((page, id, job)) | TrySendError::Disconnected((page, id, job))) =
             queue.try_send((page.clone(), id, job))
         {
             let terminal = if let Job::Command(action) = job { action.terminal(&prefix) } else { String::new() };
-            answer(&page, id, &terminal, Err("others are under way: try again".into()), false);
+            answer(&page, id, &terminal, Err(BUSY.into()), false);
         }
     })
 }
@@ -43,6 +55,8 @@ fn worker(source: &Arc<Source>, pair: &Arc<Pair>) -> Queue {
                 Job::Command(action) => command(&source, &page, id, &action),
                 Job::Take(which) => take(&source, &page, id, which, &pair),
                 Job::Chain(method) => chain(&page, id, method, &pair),
+                // Not given to these workers.
+                Job::Calibrate(_) => {}
             }
         }
     });
@@ -75,6 +89,11 @@ fn chain(page: &Outbox, id: u32, method: Method, pair: &Pair) {
         }
         Err(reason) => answer(page, id, "", Err(reason), true),
     }
+}
+
+/// What became of an order of a calibration.
+pub fn calibration(page: &Outbox, id: u32, terminal: &str, done: Result<String, String>) {
+    answer(page, id, terminal, done, false);
 }
 
 /// What became of a job, to the page that asked for it.

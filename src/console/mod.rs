@@ -3,7 +3,7 @@
 //! ```text
 //! daemon ──► shared memory ──► feeds (one subscription each) ──► hub ──► a page's outbox (newest wins) ──► its WebSocket
 //!                                                                  ▲                                              │
-//!                                      commands, two-picture chain, journal (one at a time each) ◄── orders ◄─────┘
+//!                         commands, two-picture chain, calibration, journal (one at a time each) ◄── orders ◄─────┘
 //! ```
 //!
 //! - [`guard`] decides who may speak: names of this host, the page's own origin, and a token unless only this machine can connect.
@@ -18,6 +18,7 @@
 //! Does not: know the daemon's rooms or configuration, or keep anything on disk but the two pictures of `pair`, until it ends.
 
 pub mod assets;
+pub mod calibration;
 mod commands;
 mod error;
 mod feed;

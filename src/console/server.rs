@@ -10,6 +10,7 @@ use std::time::Duration;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use tracing::warn;
 
+use super::calibration::{self, Calibrator, Desk};
 use super::feed::{Source, graph, pictures, robot};
 use super::guard::{Access, Token};
 use super::hub::{Hub, lock};
@@ -39,6 +40,8 @@ pub struct Options {
     pub log: LogChoice,
     /// What to do about a fault of health, by its name.
     pub advice: fn(&str) -> &'static str,
+    /// Who knows how to calibrate.
+    pub calibrator: Arc<dyn Calibrator>,
 }
 
 /// Where the daemon's log is.
@@ -78,7 +81,7 @@ impl Console {
 
     /// Until `stop`. Ends within seconds, whatever pages do.
     pub fn run(&self, stop: &AtomicBool) {
-        let (hub, pair) = (Arc::new(Hub::default()), Arc::new(Pair::new()));
+        let (hub, pair, desk) = (Arc::new(Hub::default()), Arc::new(Pair::new()), Arc::new(Desk::default()));
         let source = Arc::new(Source::new(self.options.endpoint.clone()));
         let log = match &self.options.log {
             LogChoice::Unit(unit) => LogSource::journal(unit),
@@ -86,11 +89,14 @@ impl Console {
         };
         std::thread::scope(|scope| {
             scope.spawn(|| robot::run(&hub, &source, self.options.advice, stop));
-            scope.spawn(|| pictures::run(&hub, &source, stop));
+            scope.spawn(|| pictures::run(&hub, &source, &desk.tray, stop));
             scope.spawn(|| robot::run_map(&hub, &source, stop));
             scope.spawn(|| graph::run(&hub, &source, stop));
             scope.spawn(|| journal::run(&hub, &log, stop));
-            self.accept(&hub, jobs::start(&source, &pair), stop);
+            scope.spawn(|| {
+                calibration::run(&hub, &source, &desk, &self.options.calibrator, jobs::calibration, stop);
+            });
+            self.accept(&hub, jobs::start(&source, &pair, &desk), stop);
             hub.close_all();
         });
         pair.clear();

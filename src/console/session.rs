@@ -15,6 +15,7 @@ use tungstenite::protocol::frame::coding::CloseCode;
 use tungstenite::protocol::{Role, WebSocketConfig};
 use tungstenite::{Message, WebSocket};
 
+use super::calibration;
 use super::commands::Action;
 use super::guard::Access;
 use super::http;
@@ -65,6 +66,11 @@ pub enum Word {
         id: u32,
         method: Method,
     },
+    /// Starts, ends or keeps a calibration.
+    Calibrate {
+        id: u32,
+        action: calibration::Action,
+    },
 }
 
 /// What takes its time.
@@ -73,6 +79,7 @@ pub enum Job {
     Command(Action),
     Take(Which),
     Chain(Method),
+    Calibrate(calibration::Action),
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
@@ -82,6 +89,7 @@ pub enum Part {
     Map,
     Log,
     Covisible,
+    Calibration,
 }
 
 impl Part {
@@ -91,6 +99,7 @@ impl Part {
             Self::Map => demand::MAP,
             Self::Log => demand::LOG,
             Self::Covisible => demand::COVISIBLE,
+            Self::Calibration => demand::CALIBRATION,
         }
     }
 }
@@ -250,6 +259,9 @@ fn obey(word: Word, hub: &Hub, page: &Arc<Outbox>, order: &Order) {
             if begun & demand::COVISIBLE != 0 {
                 hub.replay(page, &[Kind::Covisible]);
             }
+            if begun & demand::CALIBRATION != 0 {
+                hub.replay(page, &[Kind::Calibration]);
+            }
         }
         Word::Seen(number) => {
             if let Some(kind) = Kind::acknowledged(number) {
@@ -259,6 +271,7 @@ fn obey(word: Word, hub: &Hub, page: &Arc<Outbox>, order: &Order) {
         Word::Command { id, action } => order(page, id, Job::Command(action)),
         Word::Take { id, which } => order(page, id, Job::Take(which)),
         Word::Chain { id, method } => order(page, id, Job::Chain(method)),
+        Word::Calibrate { id, action } => order(page, id, Job::Calibrate(action)),
     }
 }
 
@@ -306,6 +319,16 @@ mod tests {
         assert_eq!(word(r#"{"seen":5}"#), Some(Word::Seen(5)));
         let command = word(r#"{"command":{"id":1,"action":{"do":"reset"}}}"#);
         assert_eq!(command, Some(Word::Command { id: 1, action: Action::Reset {} }));
+        let calibrate = |action: &str| word(&format!(r#"{{"calibrate":{{"id":4,"action":{action}}}}}"#));
+        let board = calibration::Board { columns: 9, rows: 6, square_m: None, lens: calibration::Lens::Full };
+        let start = calibration::Action::Start { board };
+        let said = calibrate(r#"{"do":"start","board":{"columns":9,"rows":6}}"#);
+        assert_eq!(said, Some(Word::Calibrate { id: 4, action: start }));
+        for action in
+            [r#"{"do":"start"}"#, r#"{"do":"start","board":{"columns":-9,"rows":6}}"#, r#"{"do":"save","path":"/x"}"#]
+        {
+            assert_eq!(calibrate(action), None, "{action}");
+        }
         for text in
             ["", "{}", r#"{"hello":{"tokens":1}}"#, r#"{"show":["all"]}"#, r#"{"seen":-1}"#, r#"{"seen":1,"show":[]}"#]
         {

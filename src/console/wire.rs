@@ -24,10 +24,11 @@ pub enum Kind {
     Ties = 10,
     /// Covisibility.
     Covisible = 11,
+    Calibration = 12,
 }
 
 /// One more than the last kind.
-pub const KINDS: usize = 12;
+pub const KINDS: usize = 13;
 
 impl Kind {
     /// Kinds that a page acknowledges: they are large.
@@ -36,7 +37,14 @@ impl Kind {
     pub fn is_newest_only(self) -> bool {
         matches!(
             self,
-            Self::State | Self::Poses | Self::Keyframes | Self::Map | Self::Frame | Self::Ties | Self::Covisible
+            Self::State
+                | Self::Poses
+                | Self::Keyframes
+                | Self::Map
+                | Self::Frame
+                | Self::Ties
+                | Self::Covisible
+                | Self::Calibration
         )
     }
 

@@ -18,6 +18,7 @@ const REPLY: u8 = 7;
 const PICTURE: u8 = 8;
 const TIES: u8 = 10;
 const COVISIBLE: u8 = 11;
+const CALIBRATION: u8 = 12;
 
 fn u32_at(bytes: &[u8], at: usize) -> usize {
     u32::from_le_bytes(bytes[at..at + 4].try_into().expect("four bytes")) as usize
@@ -272,6 +273,49 @@ fn two_pictures_are_taken_and_go_through_the_chain() {
         assert!(text.lines().any(|line| line.starts_with(step)), "{step} is not in {text}");
     }
     assert!(said["terminal"].as_str().is_some_and(|t| t.starts_with("cairn twoview a.png b.png")), "{said}");
+}
+
+#[test]
+fn a_calibration_is_seen_by_all_pages_and_finds_the_board() {
+    let place = Place::new();
+    let console = Console::start(&place, &[]);
+    let told = |page: &mut Page| -> Value { serde_json::from_slice(&page.next(CALIBRATION)[8..]).expect("JSON") };
+    let order = |page: &mut Page, id: u32, action: &str| -> Value {
+        page.send(&format!(r#"{{"calibrate":{{"id":{id},"action":{action}}}}}"#));
+        let reply: Value = serde_json::from_slice(&page.next(REPLY)[8..]).expect("JSON");
+        assert_eq!(reply["id"], id, "{reply}");
+        reply
+    };
+    let start = r#"{"do":"start","board":{"columns":9,"rows":6,"square_m":0.03,"lens":"full"}}"#;
+    let (mut page, mut other) = (console.page(), console.page());
+    for page in [&mut page, &mut other] {
+        page.send(r#"{"show":["calibration"]}"#);
+        assert_eq!(told(page)["phase"], "idle");
+    }
+    let refused = order(&mut page, 1, &start.replace("9,", "90,"));
+    assert!(refused["text"].as_str().is_some_and(|t| t.contains("90x6")), "{refused}");
+    let _demo = place.demo_with(60, &["--board"]);
+    page.state_until("connected");
+    let reply = order(&mut page, 2, start);
+    assert_eq!(reply["ok"], true, "{reply}");
+    assert_eq!(reply["terminal"], "cairn calibrate --camera auto --pattern 9x6 --square 0.03");
+    let refused = order(&mut other, 3, start);
+    assert!(refused["ok"] == false && refused["text"].as_str().is_some_and(|t| t.contains("under way")), "{refused}");
+    let begun = Instant::now();
+    let mut seen = told(&mut other);
+    while seen["glance"]["corners"].as_array().is_none_or(|rows| rows.len() != 6) {
+        assert!(begun.elapsed() < PATIENCE, "no board: {seen}");
+        assert!(seen["phase"] != "failed", "{seen}");
+        seen = told(&mut other);
+    }
+    assert_eq!((&seen["phase"], &seen["by"], &seen["run"]), (&"running".into(), &2.into(), &1.into()));
+    assert_eq!(seen["glance"]["corners"][5].as_array().map(Vec::len), Some(18));
+    // The simulator has no identity, and no camera is open.
+    assert!(seen["camera"].is_null() && seen["guidance"]["enough"] == 15, "{seen}");
+    assert_eq!(order(&mut other, 4, r#"{"do":"cancel"}"#)["ok"], true);
+    while told(&mut page)["phase"] != "idle" {
+        assert!(begun.elapsed() < PATIENCE, "the first page does not hear of it");
+    }
 }
 
 #[test]

@@ -38,9 +38,13 @@ impl Place {
 
     /// A daemon on the simulator; killed when dropped.
     pub fn demo(&self, seconds: u32) -> Running {
+        self.demo_with(seconds, &[])
+    }
+
+    pub fn demo_with(&self, seconds: u32, arguments: &[&str]) -> Running {
         let output = self.root.join("demo");
         let mut command = self.cairn();
-        command.args(["demo", "--quiet", "--seconds", &seconds.to_string(), "--output"]).arg(output);
+        command.args(["demo", "--quiet", "--seconds", &seconds.to_string(), "--output"]).arg(output).args(arguments);
         Running(command.stderr(Stdio::null()).spawn().expect("demo"))
     }
 

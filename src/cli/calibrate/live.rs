@@ -135,15 +135,21 @@ fn open(
     Ok((Box::new(source), Some(identity)))
 }
 
+/// The simulator moves before its chessboard, as slowly as somebody does who holds one.
+#[cfg(feature = "tools")]
+pub fn before_board(config: &mut crate::camera::simulator::SimulatorConfig) {
+    config.scenario = crate::camera::simulator::Scenario::CalibrationSweep;
+    config.speed = (config.speed * SWEEP_SPEED).max(0.1);
+    config.chessboard.enabled = true;
+}
+
 /// The simulator, moving before a board of this pattern.
 #[cfg(feature = "tools")]
 fn simulated(args: &CalibrateArgs, pattern: &Pattern, config: &mut Config) -> Result<Box<dyn FrameSource>, CliError> {
     use crate::camera::Pacing;
-    use crate::camera::simulator::{Scenario, Simulator};
+    use crate::camera::simulator::Simulator;
     let simulated = &mut config.simulator;
-    simulated.scenario = Scenario::CalibrationSweep;
-    simulated.speed = (simulated.speed * SWEEP_SPEED).max(0.1);
-    simulated.chessboard.enabled = true;
+    before_board(simulated);
     (simulated.chessboard.columns, simulated.chessboard.rows) = (pattern.columns, pattern.rows);
     simulated.chessboard.square_m = pattern.square_m;
     let pacing = if args.lockstep { Pacing::LockStep } else { Pacing::RealTime };

@@ -1,16 +1,14 @@
 //! Where a calibration is written to: the file that was asked for, the place where `cairn run` finds it, the report's folder.
 
-use std::path::Path;
-#[cfg(feature = "tools")]
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use super::args::CalibrateArgs;
 use crate::atomic_file::write_atomically;
-use crate::calibration::CalibrationFile;
 use crate::calibration::boards::Calibrated;
 use crate::calibration::export::{self, Format};
 use crate::calibration::store::{self, CameraIdentity};
+use crate::calibration::{CalibrationError, CalibrationFile};
 use crate::cli::session::{self, StatusLine};
 use crate::cli::{CliError, exit_code};
 
@@ -50,17 +48,8 @@ pub fn save(args: &CalibrateArgs, calibrated: &Calibrated, identity: Option<&Cam
         session::print(&format!("wrote {}\n", output.display()))?;
     }
     if let Some(identity) = identity {
-        match store::save(&store::state_folders(), identity, &file) {
-            Ok(path) => {
-                let shown = path.display();
-                session::print(&format!("wrote {shown} (found by `cairn run` of this user for camera {identity})\n"))?;
-                if Path::new(SERVICE_STATE).is_dir() && !path.starts_with(SERVICE_STATE) {
-                    let name = identity.file_name((file.camera.width, file.camera.height));
-                    session::print(&format!(
-                        "the service is another user: `sudo install -D -m 0644 {shown} /etc/cairn/cameras/{name}`\n"
-                    ))?;
-                }
-            }
+        match keep(&store::state_folders(), identity, &file) {
+            Ok(lines) => session::print(&lines.iter().map(|line| format!("{line}\n")).collect::<String>())?,
             Err(error) if args.output.is_none() => {
                 return Err(CliError::new(exit_code::CANNOT_CREATE, error.to_string()));
             }
@@ -68,6 +57,22 @@ pub fn save(args: &CalibrateArgs, calibrated: &Calibrated, identity: Option<&Cam
         }
     }
     Ok(())
+}
+
+/// Keeps a calibration where it is found by its camera's identity; what is to be said of that, a line each.
+pub fn keep(
+    folders: &[PathBuf],
+    identity: &CameraIdentity,
+    file: &CalibrationFile,
+) -> Result<Vec<String>, CalibrationError> {
+    let path = store::save(folders, identity, file)?;
+    let shown = path.display();
+    let mut lines = vec![format!("wrote {shown} (found by `cairn run` of this user for camera {identity})")];
+    if Path::new(SERVICE_STATE).is_dir() && !path.starts_with(SERVICE_STATE) {
+        let name = identity.file_name((file.camera.width, file.camera.height));
+        lines.push(format!("the service is another user: `sudo install -D -m 0644 {shown} /etc/cairn/cameras/{name}`"));
+    }
+    Ok(lines)
 }
 
 /// Folder of the report, if one is wanted.

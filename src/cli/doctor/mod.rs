@@ -7,7 +7,7 @@
 //! It changes nothing, and what it opens it closes again.
 
 mod probe;
-mod processes;
+pub(super) mod processes;
 mod report;
 mod service;
 mod wire;

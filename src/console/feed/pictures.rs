@@ -1,4 +1,4 @@
-//! The camera's pictures and what was found in them: subscribed only while a page shows them, encoded once for all.
+//! The camera's pictures and what was found in them: subscribed only while a page shows them or a calibration runs, encoded once for all.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -8,6 +8,7 @@ use tracing::warn;
 
 use super::source::{Source, pause, wait};
 use crate::client::{ClientError, FeatureLists, Features, Frame};
+use crate::console::calibration::{Picture, Tray};
 use crate::console::hub::{Hub, demand};
 use crate::console::picture::{Grey, grey};
 use crate::console::wire::{self, Bytes, Kind};
@@ -20,26 +21,31 @@ const QUALITY: u8 = 70;
 const NAP: Duration = Duration::from_millis(100);
 
 /// Until `stop`.
-pub fn run(hub: &Hub, source: &Source, stop: &AtomicBool) {
+pub fn run(hub: &Hub, source: &Source, tray: &Tray, stop: &AtomicBool) {
     while !stop.load(Ordering::Relaxed) {
-        if !hub.wants(demand::VIDEO) {
+        if !is_wanted(hub, tray) {
             wait(stop, NAP);
-        } else if let Err(error) = show(hub, source, stop) {
+        } else if let Err(error) = show(hub, source, tray, stop) {
             warn!(%error, "console: no pictures");
             pause(stop);
         }
     }
 }
 
-/// While somebody looks.
-fn show(hub: &Hub, source: &Source, stop: &AtomicBool) -> Result<(), ClientError> {
+/// Somebody looks, or a calibration runs.
+fn is_wanted(hub: &Hub, tray: &Tray) -> bool {
+    hub.wants(demand::VIDEO) || tray.is_open()
+}
+
+/// While it is wanted.
+fn show(hub: &Hub, source: &Source, tray: &Tray, stop: &AtomicBool) -> Result<(), ClientError> {
     let client = source.client()?;
     let (mut frames, mut found) = (client.frames(), client.features());
     let mut jpeg = Vec::new();
     let pause = Duration::from_secs_f64(1.0 / RATE_HZ);
     // Nothing is encoded sooner after the last than this; a tenth less, as a camera's frames do not come by our clock.
     let mut next = Instant::now();
-    while !stop.load(Ordering::Relaxed) && hub.wants(demand::VIDEO) {
+    while !stop.load(Ordering::Relaxed) && is_wanted(hub, tray) {
         let Some(frame) = frames.wait(NAP)? else { continue };
         let features = of_frame(&mut found, frame.header().sequence)?;
         let now = Instant::now();
@@ -47,11 +53,32 @@ fn show(hub: &Hub, source: &Source, stop: &AtomicBool) -> Result<(), ClientError
             continue;
         }
         next = now.max(next + pause).min(now + pause) - pause / 10;
+        // Before it is encoded, so that both take place at a time.
+        if tray.is_asked()
+            && let Some(grey) = grey(&frame)
+        {
+            tray.give(|| copy(&frame, grey));
+        }
+        if !hub.wants(demand::VIDEO) {
+            continue;
+        }
         if let Some(message) = encode(&frame, features, &mut jpeg) {
             hub.tell(Kind::Frame, demand::VIDEO, &message);
         }
     }
     Ok(())
+}
+
+fn copy(frame: &Frame, grey: Grey<'_>) -> Picture {
+    let h = frame.header();
+    Picture {
+        run_id: h.run_id,
+        sequence: h.sequence,
+        time_ns: h.timestamp_ns,
+        width: grey.width.into(),
+        height: grey.height.into(),
+        pixels: grey.pixels.into_owned(),
+    }
 }
 
 /// What was found in the frame of this number; it was sent before the picture. `None` if that of a later one came already.

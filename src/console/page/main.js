@@ -10,14 +10,16 @@ import { GraphView } from "/graph.js";
 import { CameraView } from "/camera.js";
 import { Log } from "/log.js";
 import { PairView } from "/pair.js";
+import { Calibration } from "/calibrate.js";
 
 const $ = (id) => document.getElementById(id);
-const PARTS = { live: ["video", "map"], pair: [], log: ["log"] };
+const PARTS = { live: ["video", "map"], pair: [], calibrate: ["video", "calibration"], log: ["log"] };
 
 const state = new StateView();
 const controls = new Controls((word) => link.say(word));
 const log = new Log();
 const pair = new PairView((word) => link.say(word));
+const calibration = new Calibration((word) => link.say(word), () => link.seen(KIND.FRAME));
 const video = new Video(() => link.seen(KIND.FRAME));
 const map = new MapView();
 const graph = new GraphView(map, () => turn());
@@ -48,7 +50,8 @@ const receive = {
     map.pose(sample);
     charts.forEach((chart) => chart.add(sample));
   }),
-  [KIND.FRAME]: (frame) => video.frame(frame),
+  [KIND.FRAME]: (frame) => ($("calibrate").hidden ? video : calibration).frame(frame),
+  [KIND.CALIBRATION]: ({ value }) => calibration.told(value),
   [KIND.MAP]: (message) => {
     map.landmarks(message);
     link.seen(KIND.MAP);
@@ -66,6 +69,7 @@ const receive = {
     controls.reply(value);
     camera.reply(value);
     pair.reply(value);
+    calibration.reply(value);
   },
   [KIND.PICTURE]: (message) => pair.picture(message),
   [KIND.LOG]: ({ value }) => log.add(value),
@@ -78,6 +82,7 @@ const link = new Link({
     controls.lost();
     camera.lost();
     pair.lost();
+    calibration.lost();
     if (sentence === "") return;
     set($("banner"), sentence);
     state.away();

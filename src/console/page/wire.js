@@ -1,5 +1,7 @@
 // Messages of the console as values; docs/console.md describes their bytes.
-export const KIND = { STATE: 1, POSES: 2, KEYFRAMES: 3, MAP: 4, FRAME: 5, LOG: 6, REPLY: 7, PICTURE: 8, HISTORY: 9, TIES: 10, COVISIBLE: 11 };
+export const KIND = {
+  STATE: 1, POSES: 2, KEYFRAMES: 3, MAP: 4, FRAME: 5, LOG: 6, REPLY: 7, PICTURE: 8, HISTORY: 9, TIES: 10, COVISIBLE: 11, CALIBRATION: 12,
+};
 export const EDGE = { COVISIBLE: 0, LOOP: 1, JOIN: 2 };
 export const STATES = ["INITIALIZING", "TRACKING", "LOST", "ORIENTATION", "DEAD_RECKONING"];
 const SAMPLE = 64;
@@ -10,7 +12,7 @@ export function parse(buffer) {
   const kind = view.getUint8(0);
   const count = view.getUint32(4, true);
   switch (kind) {
-    case KIND.STATE: case KIND.LOG: case KIND.REPLY:
+    case KIND.STATE: case KIND.LOG: case KIND.REPLY: case KIND.CALIBRATION:
       return { kind, value: JSON.parse(text.decode(new Uint8Array(buffer, 8))) };
     case KIND.POSES: case KIND.HISTORY:
       return { kind, samples: Array.from({ length: count }, (_, i) => sample(view, 8 + i * SAMPLE)) };

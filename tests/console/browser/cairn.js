@@ -7,8 +7,9 @@ import { join } from "node:path";
 const BINARY = process.env.CAIRN_BINARY ?? "target/release/cairn";
 
 export class Robot {
-  constructor() {
-    this.name = `cb${process.pid}`;
+  /** `mark`: apart from others of this test. */
+  constructor(mark = "") {
+    this.name = `cb${process.pid}${mark}`;
     this.folder = mkdtempSync(join(tmpdir(), "cairn-console-"));
     this.log = join(this.folder, "log");
     this.running = new Set();
@@ -23,8 +24,8 @@ export class Robot {
     return child;
   }
 
-  demo() {
-    return this.start(["demo", "--seconds", "160", "--log", "info", "--output", join(this.folder, "demo")], openSync(this.log, "a"));
+  demo(seconds = 160, ...args) {
+    return this.start(["demo", "--seconds", `${seconds}`, ...args, "--log", "info", "--output", join(this.folder, "demo")], openSync(this.log, "a"));
   }
 
   /** Its address, once it listens. */

@@ -9,6 +9,7 @@ const PATIENCE_MS = 40_000;
 const pictures = process.argv[2];
 mkdirSync(pictures, { recursive: true });
 const robot = new Robot();
+const robots = [robot];
 let passed = 0;
 
 function check(holds, what) {
@@ -216,7 +217,65 @@ async function token(browser) {
   check(true, "a console that has gone is told");
 }
 
-for (const signal of ["SIGTERM", "SIGINT"]) process.on(signal, () => { robot.end(); process.exit(1); });
+/** Guided calibration before the simulator's board, whose camera is known. */
+async function calibrate(browser) {
+  const place = new Robot("board");
+  robots.push(place);
+  try {
+    place.demo(400, "--board");
+    const { url } = await place.console();
+    const page = await open(browser, url, { viewport: { width: 1280, height: 900 } });
+    const says = (text, time = PATIENCE_MS) => page.waitForFunction((t) => document.getElementById("board-says").textContent.includes(t), text, { timeout: time });
+    const press = (name) => page.locator("#board-buttons").getByRole("button", { name, exact: true }).click();
+    const fill = (id, value) => page.locator(`#board-${id}`).fill(value);
+    await page.getByRole("link", { name: "Calibrate" }).click();
+    await page.waitForFunction(() => Number(document.getElementById("board").dataset.frames) > 3);
+    await page.screenshot({ path: join(pictures, "calibrate-start.png") });
+    await fill("columns", "8");
+    await press("Start");
+    await says("9x6 inner corners is seen, 8x6 was asked for");
+    check(true, "a board of another size is told");
+    await press("Cancel");
+    await page.locator("#board-columns").waitFor();
+    await fill("columns", "9");
+    await fill("square", "30");
+    const command = "cairn calibrate --camera auto --pattern 9x6 --square 0.03";
+    check((await page.locator("#board-shell").innerText()) === command, "the calibration shows its command");
+    await press("Start");
+    await page.waitForFunction(() => Number(document.getElementById("board").dataset.corners) === 54);
+    check((await pixels(page.locator("#board"), (r, g, b) => (g > 180 && b < 120) || (r > 200 && g > 150 && b < 100))) > 100, "the board is drawn over the picture");
+    const others = [["dark", { colorScheme: "dark", viewport: { width: 1280, height: 900 } }], ["phone", { viewport: { width: 390, height: 844 }, deviceScaleFactor: 2 }]];
+    for (const [name, options] of others) {
+      const other = await open(browser, `${url}#calibrate`, options);
+      await other.waitForFunction(() => document.querySelectorAll("#board-needs li").length > 0, null, { timeout: 120_000 });
+      await other.waitForFunction(() => Number(document.getElementById("board").dataset.frames) > 3);
+      check((await other.locator("#board-phase").innerText()).includes("begun on another page"), `another page sees it (${name})`);
+      await other.screenshot({ path: join(pictures, `calibrate-${name}.png`), fullPage: name === "phone" });
+      const [wide, wanted] = await other.evaluate(() => [document.documentElement.scrollWidth, innerWidth]);
+      check(wide <= wanted, `nothing of the calibration is wider than the screen (${name})`);
+      await other.context().close();
+    }
+    await page.screenshot({ path: join(pictures, "calibrate-running.png") });
+    await says("Calibrated", 320_000);
+    await page.screenshot({ path: join(pictures, "calibrate-done.png") });
+    const value = (name) => page.locator("#board-values tr", { has: page.locator("th", { hasText: name }) }).locator("td").first().innerText();
+    const [focal, truth] = [Number.parseFloat(await value("fx")), 0.82 * 640];
+    check(Math.abs(focal / truth - 1) < 0.01, `the focal length is ${focal} px, in truth ${truth.toFixed(1)} px`);
+    check((await page.locator("#board-says").getAttribute("data-kind")) === "good", "the views constrain the camera well");
+    check((await page.locator("#board-buttons").getByRole("button", { name: "Save" }).count()) === 0, "a camera without an identity is not saved");
+    const [download] = await Promise.all([page.waitForEvent("download"), press("Download")]);
+    const file = readFileSync(await download.path(), "utf8");
+    check(download.suggestedFilename() === "camera-640x480.toml" && Math.abs(Number(file.match(/^fx_px = ([\d.]+)/m)[1]) - focal) < 0.01, "the calibration is downloaded");
+    await press("New");
+    await says("Press Start");
+    check(await page.locator("#board-columns").isVisible(), "another can begin");
+    await page.context().close();
+  } finally {
+    place.end();
+  }
+}
+
+for (const signal of ["SIGTERM", "SIGINT"]) process.on(signal, () => { robots.forEach((r) => r.end()); process.exit(1); });
 const browser = await chromium.launch({ executablePath: "/usr/bin/chromium", args: ["--no-sandbox", "--enable-unsafe-swiftshader"] });
 try {
   const demo = robot.demo();
@@ -243,6 +302,11 @@ try {
   check(troubles.length === 0, `no error and no foreign request ${troubles.join("; ")}`);
   // The browser tells refused connections as errors; here they are meant.
   await token(browser);
+  robot.end();
+  for (const context of browser.contexts()) await context.close();
+  troubles.length = 0;
+  await calibrate(browser);
+  check(troubles.length === 0, `no error and no foreign request of the calibration ${troubles.join("; ")}`);
   console.log(`${passed} passed, 0 failed`);
 } catch (error) {
   console.log(`${error.stack}\n${troubles.join("\n")}\n${passed} passed, 1 failed`);
