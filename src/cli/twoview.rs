@@ -296,7 +296,7 @@ fn text(result: &TwoView, options: &Options, listed: bool, cameras: Option<&Came
             match four {
                 Some(four) => {
                     line(name, candidates(four));
-                    if *name == "  its motions" {
+                    if name == "  its motions" {
                         (0..4).for_each(|k| line("", motion(four, k)));
                     }
                 }
@@ -397,7 +397,9 @@ fn kept(corners: &[Keypoint]) -> String {
         sorted.sort_unstable_by(f32::total_cmp);
         match sorted[..] {
             [] => "none".into(),
-            [low, .., high] => format!("{low:.digits$} to {high:.digits$}, median {:.digits$}", sorted[sorted.len() / 2]),
+            [low, .., high] => {
+                format!("{low:.digits$} to {high:.digits$}, median {:.digits$}", sorted[sorted.len() / 2])
+            }
             [one] => format!("{one:.digits$}"),
         }
     };

@@ -36,8 +36,8 @@ pub use error::PlotError;
 pub use motions::{MotionPanel, write_motions};
 pub use overview::write_overview;
 pub use pair::{
-    AttributeMark, CornerMark, EpipolarMark, Link, MarkDirection, points_along, write_attributes, write_corners, write_distances,
-    write_epipolar_lines, write_links,
+    AttributeMark, CornerMark, EpipolarMark, Link, MarkDirection, points_along, write_attributes, write_corners,
+    write_distances, write_epipolar_lines, write_links,
 };
 pub use space::{SpaceCamera, write_space};
 

@@ -113,7 +113,8 @@ mod tests {
         let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
         let info = reader.next_frame(&mut pixels).unwrap();
         let green = |p: &[u8]| p[1] > 150 && p[0] < 100 && p[2] < 100;
-        let rows: Vec<_> = pixels.chunks(3 * info.width as usize).map(|row| row.chunks(3).filter(|p| green(p)).count()).collect();
+        let rows: Vec<_> =
+            pixels.chunks(3 * info.width as usize).map(|row| row.chunks(3).filter(|p| green(p)).count()).collect();
         let upper: usize = rows[..info.height as usize / 2].iter().sum();
         let lower: usize = rows[info.height as usize / 2..].iter().sum();
         assert!(upper == 0 && lower > 3000, "{upper} {lower}");

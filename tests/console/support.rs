@@ -197,6 +197,16 @@ impl Page {
         }
     }
 
+    /// The code with which it is closed; `None` once this many messages have come.
+    pub fn closed_or(&mut self, messages: usize) -> Option<u16> {
+        for _ in 0..messages {
+            if let Message::Close(frame) = self.socket.read().expect("a message") {
+                return frame.map(|f| f.code.into());
+            }
+        }
+        None
+    }
+
     /// The code with which it was closed; `None` if the connection just ended.
     pub fn closed(&mut self) -> Option<u16> {
         let start = Instant::now();

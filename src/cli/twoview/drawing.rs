@@ -94,11 +94,7 @@ pub fn write(
 fn corner_marks(corners: &Corners) -> Vec<CornerMark> {
     corners.keypoints[..corners.plain_count()]
         .iter()
-        .map(|k| CornerMark {
-            at: k.position,
-            radius_px: 3.0 * k.size_px,
-            direction: direction(k),
-        })
+        .map(|k| CornerMark { at: k.position, radius_px: 3.0 * k.size_px, direction: direction(k) })
         .collect()
 }
 
