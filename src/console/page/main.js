@@ -83,8 +83,6 @@ function turn() {
     if (name === view) anchor.setAttribute("aria-current", "page");
     else anchor.removeAttribute("aria-current");
   }
-  // Its top, and not what the address names below the header.
-  scrollTo(0, 0);
   link.show(PARTS[view]);
 }
 
