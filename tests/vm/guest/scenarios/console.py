@@ -120,7 +120,7 @@ def console(stage):
     check(said["ok"] and "outcome" in said["text"], f"the two-picture chain within the unit: {said}")
 
     check(get("Host: evil.example").startswith("HTTP/1.1 403 "), "a foreign host is served")
-    until(lambda: "foreign host" in sh("journalctl -q -u cairn-console --no-pager")[1], 5, "the refusal is in the journal")
+    until(lambda: "foreign host" in sh("journalctl -q -u cairn-console -o json --no-pager")[1], 5, "the refusal is in the journal")
     check(LISTENS in pathlib.Path("/proc/net/tcp").read_text(), "it does not listen on loopback alone")
     refused = ["/etc/x", "/usr/x", "/var/lib/cairn/x", "/var/lib/x", "/root/x", "/home/x", "/run/x", "/var/log/x"]
     for path in refused:
