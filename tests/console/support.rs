@@ -44,11 +44,11 @@ impl Place {
         Running(command.stderr(Stdio::null()).spawn().expect("demo"))
     }
 
-    /// Listeners of all services, of all processes.
-    pub fn listeners(&self) -> usize {
+    /// Subscriptions to all services, of all processes.
+    pub fn subscriptions(&self) -> usize {
         let entries = std::fs::read_dir("/dev/shm").expect("/dev/shm").flatten();
         let name = |entry: std::fs::DirEntry| entry.file_name().into_string().unwrap_or_default();
-        entries.map(name).filter(|n| n.starts_with(&self.ipc_prefix) && n.ends_with(".event_mgmt")).count()
+        entries.map(name).filter(|n| n.starts_with(&self.ipc_prefix) && n.ends_with(".connection")).count()
     }
 }
 

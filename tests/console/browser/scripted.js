@@ -52,6 +52,7 @@ async function states(page) {
   await tell("silent", "A daemon is there and says nothing: it hangs, was stopped, or has just been killed.");
   check((await text(page, "state")) === "silent" && /says nothing/.test(await text(page, "banner")), "a silent daemon is said");
   check((await page.locator("#numbers dd").allInnerTexts()).every((t) => t === "–"), "numbers of a silent daemon are not shown");
+  await page.waitForFunction(() => document.getElementById("latency-now").textContent === "–");
   await page.waitForFunction(() => document.getElementById("video-empty").textContent === "No new picture comes.");
   check((await page.locator(".stage.stale").count()) === 2, "an old picture and an old map look old");
   await page.evaluate(() => { window.stage.gone = true; window.stage.socket.close(); });
