@@ -178,6 +178,7 @@ try {
   const { url } = await robot.console();
   const page = await open(browser, url, { viewport: { width: 1360, height: 1000 } });
   await live(page);
+  await page.evaluate(() => scrollTo(0, 0));
   await page.screenshot({ path: join(pictures, "desktop.png") });
   await buttons(page);
   await pair(page);
