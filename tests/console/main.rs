@@ -59,7 +59,7 @@ fn foreign_hosts_and_origins_and_what_is_no_request_are_refused() {
     assert!(get("/", &here).starts_with("HTTP/1.1 200 "));
     let said = console.end();
     for why in ["foreign host", "foreign origin", "426", "400", "431", "405", "408"] {
-        assert!(said.contains(&format!("why=\"{why}")), "{why} is not in the log: {said}");
+        assert!(said.contains(&format!("\"why\":\"{why}")), "{why} is not in the log: {said}");
     }
 }
 
@@ -151,7 +151,7 @@ fn malformed_and_oversized_messages_end_their_own_page_only() {
     assert_eq!(good.state()["link"], "waiting");
     let said = console.end();
     for why in ["message too large", "not understood", "too many messages", "malformed", "no hello"] {
-        assert!(said.contains(&format!("why=\"{why}\"")), "{why} is not in the log: {said}");
+        assert!(said.contains(&format!("\"why\":\"{why}\"")), "{why} is not in the log: {said}");
     }
 }
 
@@ -170,7 +170,7 @@ fn more_pages_than_are_served_are_sent_away_until_one_leaves() {
     while let Some(code) = console.page().closed_or(1) {
         assert!(code == 4429 && start.elapsed() < PATIENCE, "{code}");
     }
-    assert!(console.end().contains("why=\"too many pages\""));
+    assert!(console.end().contains("\"why\":\"too many pages\""));
 }
 
 /// Until the system's buffers are full it costs nothing; then it has ten seconds.
@@ -202,7 +202,7 @@ fn a_page_that_takes_nothing_is_ended_and_the_others_are_not_held_up() {
     }
     // Said five times a second.
     assert!(slowest < Duration::from_secs(2), "{slowest:?}");
-    assert!(console.end().contains("why=\"takes nothing\""));
+    assert!(console.end().contains("\"why\":\"takes nothing\""));
 }
 
 #[test]
