@@ -69,8 +69,11 @@ fn the_tools_lie_beside_the_robots_package_and_share_no_file_with_it() {
     let tools = metadata["variants"]["tools"].as_table().expect("variant");
     assert_eq!((tools["name"].as_str(), metadata["name"].as_str()), (Some("cairn-tools"), Some("cairn")));
     // Conffiles, units and scripts are inherited unless they are named.
-    for (key, empty) in [("conf-files", "[]"), ("systemd-units", "[]"), ("maintainer-scripts", "\"\"")] {
-        assert_eq!(tools[key].to_string(), empty, "{key}");
+    assert_eq!(tools["conf-files"].to_string(), "[]");
+    assert_eq!(tools["systemd-units"]["unit-name"].as_str(), Some("cairn-console"));
+    let scripts = Path::new(env!("CARGO_MANIFEST_DIR")).join(tools["maintainer-scripts"].as_str().expect("scripts"));
+    for name in ["preinst", "postinst", "prerm", "postrm", "config", "templates"] {
+        assert!(!scripts.join(name).exists(), "{name} of the package cairn would be the tools', too");
     }
     let tools = assets_of(tools);
     assert!(tools.contains(&("target/release/cairn".into(), "usr/bin/cairn-tools".into())), "{tools:?}");
@@ -132,10 +135,16 @@ fn user_folder_and_state_are_the_same_everywhere() {
 #[test]
 fn the_console_runs_as_the_daemons_user_from_the_tools_and_serves_this_machine_only() {
     let metadata = metadata();
-    let tools = assets_of(metadata["variants"]["tools"].as_table().expect("variant"));
+    let variant = metadata["variants"]["tools"].as_table().expect("variant");
+    let tools = assets_of(variant);
     let unit = |key: &str| unit_of("cairn-console", key);
     let brought = |to: &str| tools.iter().any(|(_, there)| there == to);
-    assert!(brought("usr/lib/systemd/system/cairn-console.service") && brought("usr/bin/cairn-tools"));
+    assert!(brought("usr/bin/cairn-tools"));
+    // Installed as it is, off, and restarted by an upgrade where it runs.
+    let units = &variant["systemd-units"];
+    assert_eq!(units["unit-scripts"].as_str(), Some("systemd/"));
+    let is = |key: &str| units[key].as_bool();
+    assert_eq!((is("enable"), is("start"), is("restart-after-upgrade")), (Some(false), Some(false), Some(true)));
     assert_eq!(unit("ExecStart"), ["/usr/bin/cairn-tools console"]);
     for key in ["User", "Group", "BindPaths", "ReadWritePaths", "RemoveIPC"] {
         assert_eq!(unit(key), unit_of("cairn", key), "{key}");

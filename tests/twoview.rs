@@ -124,11 +124,32 @@ fn two_simulated_pictures_give_their_true_motion_and_every_file() {
     assert!(rotation < 0.3 && direction < 1.5, "{rotation} {direction} degrees\n{text}");
     assert!((vector(&document["t"]).norm() - 1.0).abs() < 1e-9);
     assert!((matrix(&document["R"]).determinant() - 1.0).abs() < 1e-9);
-    for file in ["corners_a.png", "corners_b.png", "matches.png", "epipolar.png", "scene.png", "points.ply"] {
+    for file in [
+        "corners_a.png",
+        "corners_b.png",
+        "attributes.png",
+        "matches.png",
+        "epipolar.png",
+        "motions.png",
+        "distances.png",
+        "scene.png",
+        "points.ply",
+    ] {
         assert!(std::fs::metadata(scene.path("out").join(file)).is_ok_and(|m| m.len() > 200), "{file}");
     }
-    for word in ["corners", "matches", "inliers", "singular values", "P_A", "one point says", "votes say", "adjustment"]
-    {
+    for word in [
+        "corners",
+        "salient degree",
+        "matches",
+        "inliers",
+        "singular values",
+        "P_A",
+        "P_D turned by",
+        "one point says",
+        "votes say",
+        "adjustment",
+        "triangulation",
+    ] {
         assert!(text.contains(word), "{word}: {text}");
     }
 }

@@ -8,8 +8,10 @@ use std::process::ExitCode;
 use super::session::print;
 use super::{CliError, exit_code};
 use crate::calibration;
-use crate::geometry::CameraModel;
+use crate::features::attributes::Direction;
+use crate::geometry::{CameraModel, Se3};
 use crate::workbench::compare::pairs::listed;
+use crate::workbench::detect::Keypoint;
 use crate::workbench::pairing::Pair;
 use crate::workbench::pose::{CANDIDATES, FourMotions};
 use crate::workbench::report;
@@ -20,8 +22,8 @@ use crate::workbench::{
 
 /// Two pictures to corners, matches, epipolar geometry, relative pose and points, each step in the open
 ///
-/// Prints each step's numbers and writes corners_a.png, corners_b.png, matches.png, epipolar.png, twoview.json, and with a camera
-/// points.ply and scene.png. Without a camera it stops after F. Exit code 3: the pictures give no model or no pose; which of
+/// Prints each step's numbers and writes corners_a.png, corners_b.png, attributes.png, matches.png, epipolar.png, twoview.json, and with a
+/// camera motions.png, distances.png, points.ply and scene.png. Without a camera it stops after F. Exit code 3: the pictures give no model or no pose; which of
 /// the reasons it was stands on the last line and as outcome in twoview.json.
 #[derive(Debug, Clone, clap::Args)]
 pub struct TwoViewArgs {
@@ -241,6 +243,9 @@ fn text(result: &TwoView, options: &Options, listed: bool, cameras: Option<&Came
             let more = [a, b].map(|c| c.keypoints.len() - c.plain_count());
             line("tilted views", format!("{} and {} corners more  ({:.1} ms)", more[0], more[1], ms("tilted views")));
         }
+        for (name, corners) in [("attributes", a), ("", b)] {
+            line(name, kept(&corners.keypoints[..corners.plain_count()]));
+        }
         line(
             "matches",
             format!("{} by {}  ({:.1} ms)", result.unguided, options.matching.matcher.name(), ms("matches")),
@@ -289,7 +294,12 @@ fn text(result: &TwoView, options: &Options, listed: bool, cameras: Option<&Came
         }
         for (name, four) in [("  its motions", &pose.from_fundamental), ("E by five points", &pose.five_point)] {
             match four {
-                Some(four) => line(name, candidates(four)),
+                Some(four) => {
+                    line(name, candidates(four));
+                    if name == "  its motions" {
+                        (0..4).for_each(|k| line("", motion(four, k)));
+                    }
+                }
                 None => line(name, "none".into()),
             }
         }
@@ -330,6 +340,19 @@ fn text(result: &TwoView, options: &Options, listed: bool, cameras: Option<&Came
                     s.adjusted.sigma_direction_rad.to_degrees()
                 ),
             );
+            let mut far: Vec<f64> = s.points.iter().flatten().map(|p| p.norm()).collect();
+            far.sort_unstable_by(f64::total_cmp);
+            if let [nearest, .., farthest] = far[..] {
+                line(
+                    "triangulation",
+                    format!(
+                        "{} points, {nearest:.2} to {farthest:.2} baselines away, {:.2} in the median; the adjustment moved them by {:.1} %",
+                        far.len(),
+                        far[far.len() / 2],
+                        100.0 * s.linear_difference
+                    ),
+                );
+            }
             line("parallax", format!("{:.2} degrees in the median", s.median_parallax_rad.to_degrees()));
             if let Some(f) = &s.fundamental {
                 line(
@@ -364,6 +387,38 @@ fn degeneracy(d: &crate::geometry::fundamental::Degeneracy) -> String {
             format!("a homography that a mere turn can make explains {on_plane} inliers, F is one of many")
         }
     }
+}
+
+/// What is kept of a picture's corners, together.
+fn kept(corners: &[Keypoint]) -> String {
+    let attributes: Vec<_> = corners.iter().filter_map(|k| k.attributes).collect();
+    let spread = |values: &mut dyn Iterator<Item = f32>, digits: usize| {
+        let mut sorted: Vec<f32> = values.collect();
+        sorted.sort_unstable_by(f32::total_cmp);
+        match sorted[..] {
+            [] => "none".into(),
+            [low, .., high] => {
+                format!("{low:.digits$} to {high:.digits$}, median {:.digits$}", sorted[sorted.len() / 2])
+            }
+            [one] => format!("{one:.digits$}"),
+        }
+    };
+    let grey = spread(&mut attributes.iter().map(|a| f32::from(a.grey)), 0);
+    let degree = spread(&mut attributes.iter().map(|a| a.salient_degree), 2);
+    let count = |wanted: fn(&Direction) -> bool| attributes.iter().filter(|a| wanted(&a.direction)).count();
+    format!(
+        "grey level {grey}; salient degree {degree}; {} point one way, {} both ways, {} nowhere",
+        count(|d| matches!(d, Direction::Towards(_))),
+        count(|d| matches!(d, Direction::Axis(_))),
+        count(|d| matches!(d, Direction::Undefined))
+    )
+}
+
+/// One of the four, as a motion of the second camera.
+fn motion(four: &FourMotions, k: usize) -> String {
+    let Se3 { rotation, translation: t, .. } = &four.candidates[k];
+    let angle = rotation.angle().to_degrees();
+    format!("{} turned by {angle:7.3} degrees, t = [{:7.4} {:7.4} {:7.4}]", CANDIDATES[k], t.x, t.y, t.z)
 }
 
 fn candidates(four: &FourMotions) -> String {

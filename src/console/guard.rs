@@ -78,6 +78,14 @@ pub enum Refused {
 }
 
 impl Refused {
+    /// For the log.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::ForeignHost => "foreign host",
+            Self::ForeignOrigin => "foreign origin",
+        }
+    }
+
     pub fn sentence(self) -> &'static str {
         match self {
             Self::ForeignHost => {

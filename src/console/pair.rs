@@ -20,7 +20,8 @@ const CHAIN_TIME: Duration = Duration::from_secs(120);
 /// Largest picture of a step that is sent, bytes.
 const MAX_PICTURE: u64 = 8 << 20;
 /// Pictures that the chain leaves, in the order of its steps.
-pub const STEPS: [&str; 5] = ["corners_a", "corners_b", "matches", "epipolar", "scene"];
+pub const STEPS: [&str; 8] =
+    ["corners_a", "corners_b", "attributes", "matches", "epipolar", "motions", "distances", "scene"];
 
 /// Which of the two.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
@@ -45,6 +46,9 @@ impl Which {
 pub enum Detector {
     Fast,
     Susan,
+    SusanStudy,
+    #[serde(rename = "susan-41")]
+    Susan41,
 }
 
 /// As `cairn twoview` names them.
@@ -72,6 +76,8 @@ impl Method {
         let detector = match self.detector {
             Detector::Fast => "fast",
             Detector::Susan => "susan",
+            Detector::SusanStudy => "susan-study",
+            Detector::Susan41 => "susan-41",
         };
         let matcher = match self.matcher {
             Matcher::Descriptors => "descriptors",

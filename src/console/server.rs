@@ -1,5 +1,6 @@
 //! Listens, and gives each connection a thread.
 
+use std::collections::BTreeMap;
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -105,7 +106,7 @@ impl Console {
     fn accept(&self, hub: &Arc<Hub>, order: Order, stop: &AtomicBool) {
         let order = Arc::new(order);
         let connections = Arc::new(AtomicUsize::new(0));
-        let refused = Arc::new(Mutex::new(RateLimiter::default()));
+        let refused = Arc::new(Mutex::new(BTreeMap::new()));
         let nap = Timespec { tv_sec: 0, tv_nsec: NAP.as_nanos() as i64 };
         while !stop.load(Ordering::Relaxed) {
             if connections.load(Ordering::Relaxed) >= MAX_CONNECTIONS {
@@ -166,7 +167,8 @@ struct Visit {
     access: Arc<Access>,
     assets: Arc<Assets>,
     order: Arc<Order>,
-    refused: Arc<Mutex<RateLimiter>>,
+    /// By reason, so that a storm of one hides no other. Reasons are this program's own words, so they are few.
+    refused: Arc<Mutex<BTreeMap<&'static str, RateLimiter>>>,
 }
 
 impl Visit {
@@ -187,17 +189,20 @@ impl Visit {
             Err(http::Bad::Gone) => return,
         };
         if let Err(refused) = self.access.judge(&request.host, request.origin.as_deref()) {
-            self.refuse(stream.peer_addr().ok(), &format!("{refused:?}"));
+            self.refuse(stream.peer_addr().ok(), refused.name());
             let _ = http::say(&mut stream, "403 Forbidden", refused.sentence());
             return;
         }
         let _ = match (request.path.as_str(), &request.websocket_key) {
             ("/ws", Some(key)) => http::upgrade(&mut stream, key).and_then(|()| {
                 let peer = stream.peer_addr().ok();
-                let refuse = |why: &str| self.refuse(peer, why);
+                let refuse = |why: &'static str| self.refuse(peer, why);
                 session::run(stream, request.rest, &self.hub, &self.access, &self.order, &refuse)
             }),
-            ("/ws", None) => http::say(&mut stream, "426 Upgrade Required", "Here is a WebSocket."),
+            ("/ws", None) => {
+                self.refuse(stream.peer_addr().ok(), "426 Upgrade Required");
+                http::say(&mut stream, "426 Upgrade Required", "Here is a WebSocket.")
+            }
             ("/access", _) => {
                 http::say(&mut stream, "200 OK", if self.access.needs_token() { "token" } else { "open" })
             }
@@ -205,8 +210,8 @@ impl Visit {
         };
     }
 
-    fn refuse(&self, peer: Option<SocketAddr>, why: &str) {
-        if let Some(requests) = lock(&self.refused).event(monotonic_ns()) {
+    fn refuse(&self, peer: Option<SocketAddr>, why: &'static str) {
+        if let Some(requests) = lock(&self.refused).entry(why).or_default().event(monotonic_ns()) {
             warn!(requests, why, ?peer, "console: request refused");
         }
     }

@@ -149,7 +149,7 @@ pub fn run(
     hub: &Hub,
     access: &Access,
     order: &Order,
-    refuse: &dyn Fn(&str),
+    refuse: &dyn Fn(&'static str),
 ) -> io::Result<()> {
     stream.set_nodelay(true)?;
     stream.set_write_timeout(Some(WRITE_TIME))?;
@@ -174,12 +174,15 @@ pub fn run(
     };
     page.open();
     hub.greet(&page);
-    let end = std::thread::scope(|scope| {
-        scope.spawn(|| write(&mut writer, &page));
+    let (end, taken) = std::thread::scope(|scope| {
+        let writing = scope.spawn(|| write(&mut writer, &page));
         let end = listen(&mut reader, hub, &page, order);
         hub.leave(&page);
-        end
+        (end, writing.join().unwrap_or(true))
     });
+    if !taken {
+        refuse("takes nothing");
+    }
     if let Some((code, reason)) = end {
         if code != u16::from(CloseCode::Normal) {
             refuse(reason);
@@ -275,8 +278,8 @@ fn obey(word: Word, hub: &Hub, page: &Arc<Outbox>, order: &Order) {
     }
 }
 
-/// Until the page's outbox is closed or nobody takes what is written.
-fn write(writer: &mut WebSocket<TcpStream>, page: &Outbox) {
+/// Until the page's outbox is closed or nobody takes what is written; false for a page that is there and took nothing for [`WRITE_TIME`].
+fn write(writer: &mut WebSocket<TcpStream>, page: &Outbox) -> bool {
     let mut pinged = Instant::now();
     loop {
         let sent = match page.next(PING_EVERY) {
@@ -286,7 +289,7 @@ fn write(writer: &mut WebSocket<TcpStream>, page: &Outbox) {
             Next::Closed => {
                 // Where the console ends the reader still waits.
                 let _ = writer.get_ref().shutdown(Shutdown::Read);
-                return;
+                return true;
             }
         };
         let sent = sent.and_then(|()| {
@@ -296,10 +299,11 @@ fn write(writer: &mut WebSocket<TcpStream>, page: &Outbox) {
             pinged = Instant::now();
             writer.send(Message::Ping(tungstenite::Bytes::new()))
         });
-        if sent.is_err() {
+        if let Err(error) = sent {
             // The reader wakes, and ends the session.
             let _ = writer.get_ref().shutdown(Shutdown::Both);
-            return;
+            let waited = |e: &io::Error| matches!(e.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut);
+            return !matches!(&error, tungstenite::Error::Io(e) if waited(e));
         }
     }
 }

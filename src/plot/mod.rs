@@ -19,6 +19,7 @@ mod canvas;
 mod chart;
 mod comparison;
 mod error;
+mod motions;
 mod overview;
 mod pair;
 mod palette;
@@ -32,9 +33,11 @@ pub use calibration::{BoardCorner, write_coverage, write_view};
 pub use chart::{Chart, write_chart};
 pub use comparison::{ComparedFrame, ComparedPose, Comparison, ErrorRange, write_comparison};
 pub use error::PlotError;
+pub use motions::{MotionPanel, write_motions};
 pub use overview::write_overview;
 pub use pair::{
-    CornerMark, EpipolarMark, Link, MarkDirection, points_along, write_corners, write_epipolar_lines, write_links,
+    AttributeMark, CornerMark, EpipolarMark, Link, MarkDirection, points_along, write_attributes, write_corners,
+    write_distances, write_epipolar_lines, write_links,
 };
 pub use space::{SpaceCamera, write_space};
 

@@ -1,4 +1,5 @@
-//! Pictures of a pair: corners with their directions, matches as lines from one picture to the other, epipolar lines.
+//! Pictures of a pair: corners with their directions and what else is kept of them, matches as lines from one picture to the other, epipolar
+//! lines, how far the points are.
 //!
 //! Input: grey pictures and places in their pixels (pixel (0, 0) is the centre of the first one). Output: one PNG each;
 //! small pictures are enlarged by whole factors, so that a corner can be seen at its pixel. Corners are red, matches green
@@ -33,6 +34,14 @@ pub struct CornerMark {
     pub at: Vector2<f64>,
     /// Radius of its circle, pixels of the picture.
     pub radius_px: f64,
+    pub direction: Option<MarkDirection>,
+}
+
+/// A corner with what is kept of it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AttributeMark {
+    pub at: Vector2<f64>,
+    pub salient_degree: f64,
     pub direction: Option<MarkDirection>,
 }
 
@@ -99,16 +108,87 @@ pub fn write_corners(path: &Path, picture: &GreyImage, corners: &[CornerMark], h
         let (x, y) = sheet.place(0, &corner.at);
         let radius = (corner.radius_px as f32 * sheet.zoom).max(2.5);
         sheet.canvas.circle((x, y), radius, 1.2, palette::CORNER, 0.9);
-        let (angle, both) = match corner.direction {
-            Some(MarkDirection::Towards(angle)) => (angle as f32, false),
-            Some(MarkDirection::Axis(angle)) => (angle as f32, true),
-            None => continue,
-        };
-        let (dx, dy) = (1.9 * radius * angle.cos(), 1.9 * radius * angle.sin());
-        let from = if both { (x - dx, y - dy) } else { (x, y) };
-        sheet.canvas.line(&[from, (x + dx, y + dy)], 1.2, palette::CORNER, 0.9, None);
+        hand(&mut sheet.canvas, (x, y), corner.direction, 1.9 * radius, palette::CORNER);
     }
     save(path, &sheet.canvas)
+}
+
+/// From the corner where it points, or through it.
+fn hand(canvas: &mut Canvas, (x, y): Point, direction: Option<MarkDirection>, length: f32, colour: u32) {
+    let (angle, both) = match direction {
+        Some(MarkDirection::Towards(angle)) => (angle as f32, false),
+        Some(MarkDirection::Axis(angle)) => (angle as f32, true),
+        None => return,
+    };
+    let (dx, dy) = (length * angle.cos(), length * angle.sin());
+    let from = if both { (x - dx, y - dy) } else { (x, y) };
+    canvas.line(&[from, (x + dx, y + dy)], 1.2, colour, 0.9, None);
+}
+
+/// Draws what is kept of the corners of both pictures: salient degree as colour, direction as a hand, the grey level beneath.
+pub fn write_attributes(
+    path: &Path,
+    pictures: [&GreyImage; 2],
+    marks: [&[AttributeMark]; 2],
+    heading: &str,
+) -> Result<(), PlotError> {
+    let mut sheet = Sheet::new(&pictures, heading)?;
+    let ends = ends(marks.iter().flat_map(|of| of.iter().map(|m| m.salient_degree)));
+    for (k, of) in marks.iter().enumerate() {
+        for mark in of.iter() {
+            let colour = palette::sequential((mark.salient_degree - ends.0) / (ends.1 - ends.0));
+            let at = sheet.place(k, &mark.at);
+            hand(&mut sheet.canvas, at, mark.direction, 9.0, colour);
+            sheet.canvas.disc(at, 3.6, palette::INK, 0.6);
+            sheet.canvas.disc(at, 2.8, colour, 1.0);
+        }
+    }
+    legend(&mut sheet, "salient degree", [format!("{:.2}", ends.0), format!("{:.2}", ends.1)]);
+    save(path, &sheet.canvas)
+}
+
+/// Draws a picture's points by how far they are: near ones yellow, far ones violet.
+pub fn write_distances(
+    path: &Path,
+    picture: &GreyImage,
+    points: &[(Vector2<f64>, f64)],
+    unit: &str,
+    heading: &str,
+) -> Result<(), PlotError> {
+    let mut sheet = Sheet::new(&[picture], heading)?;
+    // Of a few far ones the rest would all be near.
+    let (low, high) = ends(points.iter().map(|(_, distance)| distance.ln()));
+    for (at, distance) in points {
+        let at = sheet.place(0, at);
+        sheet.canvas.disc(at, 5.0, palette::INK, 0.6);
+        sheet.canvas.disc(at, 4.0, palette::sequential((high - distance.ln()) / (high - low)), 1.0);
+    }
+    legend(&mut sheet, unit, [high, low].map(|end| format!("{:.1}", end.exp())));
+    save(path, &sheet.canvas)
+}
+
+/// What holds all but a twentieth of finite values at either end, and has a width.
+fn ends(values: impl Iterator<Item = f64>) -> (f64, f64) {
+    let mut sorted: Vec<f64> = values.filter(|v| v.is_finite()).collect();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let at = |share: f64| sorted.get((share * sorted.len().saturating_sub(1) as f64) as usize).copied();
+    let (low, high) = (at(0.05).unwrap_or(0.0), at(0.95).unwrap_or(1.0));
+    (low, high.max(low + 1e-6))
+}
+
+/// The scale of colours, right in the heading: its name and what its two ends mean.
+fn legend(sheet: &mut Sheet, name: &str, ends: [String; 2]) {
+    const STEPS: usize = 60;
+    let right = sheet.areas.last().map_or(360.0, |area| area.right) - 12.0;
+    let style = TextStyle::new(17.0, palette::MUTED, Anchor::Right);
+    let canvas = &mut sheet.canvas;
+    let high = right - canvas.text(&ends[1], (right, 28.0), style) - 8.0;
+    for i in 0..STEPS {
+        let left = high - (STEPS - i) as f32 * 2.0;
+        let area = Area { left, top: 14.0, right: left + 2.0, bottom: 30.0 };
+        canvas.rectangle(&area, palette::sequential(i as f64 / (STEPS - 1) as f64), 1.0);
+    }
+    canvas.text(&format!("{name} {}", ends[0]), (high - 2.0 * STEPS as f32 - 8.0, 28.0), style);
 }
 
 /// Draws both pictures side by side with a line for each match.

@@ -71,6 +71,13 @@ pub struct PoseSteps {
     pub other: Option<Se3<Second, First>>,
 }
 
+impl PoseSteps {
+    /// Those of the E of F and K where there is one, otherwise of that of five points.
+    pub fn four_motions(&self) -> Option<&FourMotions> {
+        self.from_fundamental.as_ref().or(self.five_point.as_ref())
+    }
+}
+
 /// The motion and its points.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Solution {

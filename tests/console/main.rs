@@ -60,6 +60,10 @@ fn foreign_hosts_and_origins_and_what_is_no_request_are_refused() {
     assert!(console.raw(b"GET / HTTP/1.1\r\nHost: loc").starts_with("HTTP/1.1 408 "));
     assert!(start.elapsed() < Duration::from_secs(8));
     assert!(get("/", &here).starts_with("HTTP/1.1 200 "));
+    let said = console.end();
+    for why in ["foreign host", "foreign origin", "426", "400", "431", "405", "408"] {
+        assert!(said.contains(&format!("\"why\":\"{why}")), "{why} is not in the log: {said}");
+    }
 }
 
 #[test]
@@ -122,11 +126,86 @@ fn malformed_and_oversized_messages_end_their_own_page_only() {
         }
     }
     assert!(matches!(page.closed(), Some(1008) | None));
-    // A frame without a mask, which is no client's.
-    let mut page = console.page();
-    page.socket.get_mut().write_all(&[0x81, 1, b'x']).expect("sent");
-    assert!(matches!(page.closed(), Some(1002) | None));
+    // Bytes that are no message: without a mask, with reserved bits, of an unknown kind, of 2^62 bytes, a ping that is too long, text that is no
+    // UTF-8, and one in parts that are small and together too large.
+    let masked = |first: u8, payload: &[u8]| {
+        let length = (payload.len() as u16).to_be_bytes();
+        [&[first, 0x80 | 126, length[0], length[1], 0, 0, 0, 0], payload].concat()
+    };
+    let parts = [masked(0x01, &[b'x'; 3000]), masked(0x00, &[b'x'; 3000])].concat();
+    for (bytes, code) in [
+        (vec![0x81, 1, b'x'], 1002),
+        (masked(0xf1, b"{}"), 1002),
+        (masked(0x83, b"{}"), 1002),
+        ([&[0x81, 0xff, 0x40], [0; 11].as_slice()].concat(), 1009),
+        (masked(0x89, &[0; 200]), 1002),
+        (masked(0x81, &[0xff, 0xfe]), 1002),
+        (parts, 1009),
+    ] {
+        let mut page = console.page();
+        page.socket.get_mut().write_all(&bytes).expect("sent");
+        let closed = page.closed();
+        assert!(closed == Some(code) || closed.is_none(), "{closed:?}: {:?}", &bytes[..bytes.len().min(16)]);
+    }
+    // One that never says who it is.
+    let start = Instant::now();
+    assert_eq!(console.connect().closed(), Some(1008));
+    assert!(start.elapsed() < Duration::from_secs(8));
     assert_eq!(good.state()["link"], "waiting");
+    let said = console.end();
+    for why in ["message too large", "not understood", "too many messages", "malformed", "no hello"] {
+        assert!(said.contains(&format!("\"why\":\"{why}\"")), "{why} is not in the log: {said}");
+    }
+}
+
+#[test]
+fn more_pages_than_are_served_are_sent_away_until_one_leaves() {
+    let place = Place::new();
+    let console = Console::start(&place, &[]);
+    let mut pages: Vec<Page> = (0..32).map(|_| console.page()).collect();
+    for page in &mut pages {
+        assert_eq!(page.state()["link"], "waiting");
+    }
+    assert_eq!(console.page().closed(), Some(4429));
+    assert_eq!(pages[0].state()["link"], "waiting");
+    drop(pages.pop());
+    let start = Instant::now();
+    while let Some(code) = console.page().closed_or(1) {
+        assert!(code == 4429 && start.elapsed() < PATIENCE, "{code}");
+    }
+    assert!(console.end().contains("\"why\":\"too many pages\""));
+}
+
+/// Until the system's buffers are full it costs nothing; then it has ten seconds.
+#[test]
+fn a_page_that_takes_nothing_is_ended_and_the_others_are_not_held_up() {
+    let place = Place::new();
+    let mut log = tempfile::NamedTempFile::new().expect("file");
+    for i in 0..400 {
+        let record =
+            serde_json::json!({ "level": "INFO", "fields": { "message": format!("{i} {}", "x".repeat(300)) } });
+        writeln!(log, "{record}").expect("written");
+    }
+    let console = Console::start(&place, &["--log-file", log.path().to_str().expect("text")]);
+    let mut good = console.page();
+    good.send(r#"{"show":["log"]}"#);
+    good.next(6);
+    let mut stuck = console.page();
+    for _ in 0..150 {
+        stuck.send(r#"{"show":["log"]}"#);
+        stuck.send(r#"{"show":[]}"#);
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let start = Instant::now();
+    let mut slowest = Duration::ZERO;
+    while start.elapsed() < Duration::from_secs(12) {
+        let asked = Instant::now();
+        assert_eq!(good.state()["link"], "waiting");
+        slowest = slowest.max(asked.elapsed());
+    }
+    // Said five times a second.
+    assert!(slowest < Duration::from_secs(2), "{slowest:?}");
+    assert!(console.end().contains("\"why\":\"takes nothing\""));
 }
 
 #[test]
@@ -185,7 +264,8 @@ fn pages_see_video_features_map_and_answers_and_a_slow_one_holds_nobody_up() {
         "{reply}"
     );
     // One that never reads and never acknowledges, and twenty that do: one subscription of each service for all.
-    let listeners = place.listeners();
+    let subscriptions = place.subscriptions();
+    assert!(subscriptions >= 5, "{subscriptions}");
     let mut slow = console.page();
     slow.send(r#"{"show":["video","map"]}"#);
     let mut pages: Vec<Page> = (0..20).map(|_| console.page()).collect();
@@ -198,7 +278,7 @@ fn pages_see_video_features_map_and_answers_and_a_slow_one_holds_nobody_up() {
             page.send(r#"{"seen":5}"#);
         }
     }
-    assert_eq!(place.listeners(), listeners, "pages cost subscriptions");
+    assert_eq!(place.subscriptions(), subscriptions, "pages cost subscriptions");
     // What waits for the slow one is what a page may have under way, however long ago it was.
     let waiting = slow.drain(FRAME);
     assert!((1..=2).contains(&waiting), "{waiting} pictures");

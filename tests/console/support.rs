@@ -48,11 +48,11 @@ impl Place {
         Running(command.stderr(Stdio::null()).spawn().expect("demo"))
     }
 
-    /// Listeners of all services, of all processes.
-    pub fn listeners(&self) -> usize {
+    /// Subscriptions to all services, of all processes.
+    pub fn subscriptions(&self) -> usize {
         let entries = std::fs::read_dir("/dev/shm").expect("/dev/shm").flatten();
         let name = |entry: std::fs::DirEntry| entry.file_name().into_string().unwrap_or_default();
-        entries.map(name).filter(|n| n.starts_with(&self.ipc_prefix) && n.ends_with(".event_mgmt")).count()
+        entries.map(name).filter(|n| n.starts_with(&self.ipc_prefix) && n.ends_with(".connection")).count()
     }
 }
 
@@ -199,6 +199,16 @@ impl Page {
             }
             assert!(start.elapsed() < PATIENCE, "never {link}: {state}");
         }
+    }
+
+    /// The code with which it is closed; `None` once this many messages have come.
+    pub fn closed_or(&mut self, messages: usize) -> Option<u16> {
+        for _ in 0..messages {
+            if let Message::Close(frame) = self.socket.read().expect("a message") {
+                return frame.map(|f| f.code.into());
+            }
+        }
+        None
     }
 
     /// The code with which it was closed; `None` if the connection just ended.

@@ -327,6 +327,18 @@ def two_pictures(data, short):
     ]
 
 
+def console(data, short):
+    drive = f"{OUT}/console-drive"
+    simulate = f"cairn simulate --scenario room_tour --seconds {8 if short else 30} --output {drive} >&2"
+    return [
+        Step("What pages cost the daemon", f"rm -rf {drive}\n{simulate}\ntests/results/console.py {1 if short else 7} {drive}",
+             "Replays of a simulated drive at the camera's pace, with scripted pages that show video, map and log; what bad pages do stands at the "
+             "head of `console.py`. Pages, console and daemon share the machine."),
+        Step("The page in a browser", f"tests/console/browser/run {OUT}/console load.js",
+             "Headless Chromium with software GL beside a running demo, each time with an empty cache."),
+    ]
+
+
 def faults(data, short):
     if os.geteuid():
         raise Missing("the guest's image needs root")
@@ -351,6 +363,7 @@ KINDS = {
     "calibration_live": Kind("Live calibration", "15 min", calibration_live),
     "two_pictures": Kind("Two pictures", "10 min", two_pictures),
     "wire": Kind("The wire", "2 min", wire),
+    "console": Kind("The console", "20 min", console),
     "faults": Kind("Faults on real device nodes", "40 min", faults),
     "builds": Kind("Builds", "15 min", builds),
 }

@@ -38,6 +38,28 @@ fn poses_arrive_in_order_and_complete() {
 }
 
 #[test]
+fn a_reader_that_polls_hears_the_same_and_has_no_listener() {
+    let place = Place::new();
+    let mut publisher = place.publisher();
+    let client = place.client();
+    let mut polled = client.poses().polled(Duration::from_millis(5));
+    let mut woken = client.poses();
+    connect(&mut polled);
+    connect(&mut woken);
+    let endpoint = place.endpoint();
+    let node = NodeBuilder::new().config(endpoint.config()).create::<ipc::Service>().expect("node");
+    let events = node.service_builder(&endpoint.service("pose").expect("name")).event().open().expect("events");
+    assert_eq!(events.dynamic_config().number_of_listeners(), 1);
+    for sequence in 0..3 {
+        publisher.poses.publish(&estimate(sequence), &Conversion::default(), 0).unwrap();
+    }
+    for sequence in 0..3 {
+        assert_eq!((next(&mut polled).sequence, next(&mut woken).sequence), (sequence, sequence));
+    }
+    assert!(polled.wait(NOW).unwrap().is_none());
+}
+
+#[test]
 fn the_latest_pose_stays_and_its_age_grows() {
     let place = Place::new();
     let mut publisher = place.publisher();

@@ -1,19 +1,22 @@
 //! The pictures of `cairn twoview`: corners, matches, epipolar lines, and the scene.
 //!
-//! `corners_a.png`, `corners_b.png`: corners in red with their directions. `matches.png`: matches in green, those that are
-//! no inliers thin. `epipolar.png`: some inliers and the lines of their partners. `scene.png`: points blue, cameras red.
+//! `corners_a.png`, `corners_b.png`: corners in red with their directions. `attributes.png`: what is kept of each. `matches.png`: matches in
+//! green, those that are no inliers thin. `epipolar.png`: some inliers and the lines of their partners. `motions.png`: the four motions of
+//! E with the points of each. `distances.png`: the points in the first picture, by how far they are. `scene.png`: points blue, cameras red.
 
 use std::path::Path;
 
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Matrix3x4, Vector2, Vector3};
 
 use crate::features::attributes::Direction;
 use crate::geometry::CameraModel;
+use crate::geometry::triangulation::{euclidean, triangulate};
 use crate::plot::{
-    CornerMark, EpipolarMark, Link, MarkDirection, PlotError, SpaceCamera, points_along, write_corners,
-    write_epipolar_lines, write_links, write_space,
+    AttributeMark, CornerMark, EpipolarMark, Link, MarkDirection, MotionPanel, PlotError, SpaceCamera, points_along,
+    write_attributes, write_corners, write_distances, write_epipolar_lines, write_links, write_motions, write_space,
 };
-use crate::workbench::detect::Corners;
+use crate::workbench::detect::{Corners, Keypoint};
+use crate::workbench::pose::{CANDIDATES, FourMotions};
 use crate::workbench::{Cameras, Picture, TwoView};
 
 /// Matches whose epipolar lines are drawn.
@@ -32,6 +35,11 @@ pub fn write(
         let marks = corner_marks(&result.corners[k]);
         let heading = format!("{}: {} corners", pictures[k].name(), marks.len());
         write_corners(&folder.join(file), &pictures[k].grey, &marks, &heading)?;
+    }
+    let kept = [0, 1].map(|k| attribute_marks(&result.corners[k]));
+    if kept.iter().any(|marks| !marks.is_empty()) {
+        let both = pictures.map(|p| &p.grey);
+        write_attributes(&folder.join("attributes.png"), both, [&kept[0], &kept[1]], "salient degree and direction")?;
     }
     let inliers = result.inliers();
     let both = pictures.map(|p| &p.grey);
@@ -57,6 +65,10 @@ pub fn write(
             format!("epipolar lines of {} inliers, median distance {:.2} px", marks.len(), result.median_px());
         write_epipolar_lines(&folder.join("epipolar.png"), both, &marks, &heading)?;
     }
+    if let (Some(four), Some(cameras)) = (result.pose.as_ref().and_then(|p| p.four_motions()), cameras) {
+        let heading = "the four motions of E, from above: points before both cameras are blue";
+        write_motions(&folder.join("motions.png"), &motion_panels(result, four, cameras, &inliers), heading)?;
+    }
     if let (Some(solution), Some(cameras)) = (result.pose.as_ref().and_then(|p| p.solution.as_ref()), cameras) {
         let points: Vec<Vector3<f64>> = solution.points.iter().flatten().copied().collect();
         let first_from_second = solution.second_from_first.inverse();
@@ -69,6 +81,10 @@ pub fn write(
             solution.second_from_first.rotation.angle().to_degrees(),
             solution.adjusted.rms_after_px
         );
+        let far: Vec<_> =
+            result.pairs.iter().zip(&solution.points).filter_map(|(pair, p)| Some((pair.a, (*p)?.norm()))).collect();
+        let heading = format!("{}: {} points by their distance", pictures[0].name(), far.len());
+        write_distances(&folder.join("distances.png"), &pictures[0].grey, &far, "baselines", &heading)?;
         let heading = format!("{} and {}", pictures[0].name(), pictures[1].name());
         write_space(&folder.join("scene.png"), &points, &views, "baselines", &heading, &facts)?;
     }
@@ -78,16 +94,54 @@ pub fn write(
 fn corner_marks(corners: &Corners) -> Vec<CornerMark> {
     corners.keypoints[..corners.plain_count()]
         .iter()
-        .map(|k| CornerMark {
-            at: k.position,
-            radius_px: 3.0 * k.size_px,
-            direction: k.attributes.and_then(|a| match a.direction {
-                Direction::Towards(angle) => Some(MarkDirection::Towards(f64::from(angle))),
-                Direction::Axis(angle) => Some(MarkDirection::Axis(f64::from(angle))),
-                Direction::Undefined => None,
-            }),
+        .map(|k| CornerMark { at: k.position, radius_px: 3.0 * k.size_px, direction: direction(k) })
+        .collect()
+}
+
+fn attribute_marks(corners: &Corners) -> Vec<AttributeMark> {
+    corners.keypoints[..corners.plain_count()]
+        .iter()
+        .filter_map(|k| {
+            let salient_degree = f64::from(k.attributes?.salient_degree);
+            Some(AttributeMark { at: k.position, salient_degree, direction: direction(k) })
         })
         .collect()
+}
+
+fn direction(keypoint: &Keypoint) -> Option<MarkDirection> {
+    match keypoint.attributes?.direction {
+        Direction::Towards(angle) => Some(MarkDirection::Towards(f64::from(angle))),
+        Direction::Axis(angle) => Some(MarkDirection::Axis(f64::from(angle))),
+        Direction::Undefined => None,
+    }
+}
+
+/// The inliers' points by each of the four motions.
+fn motion_panels(result: &TwoView, four: &FourMotions, cameras: &Cameras, inliers: &[bool]) -> [MotionPanel; 4] {
+    let normalised = |camera: &CameraModel, p: &Vector2<f64>| {
+        Vector2::new((p.x - camera.cx) / camera.fx, (p.y - camera.cy) / camera.fy)
+    };
+    [0, 1, 2, 3].map(|k| {
+        let motion = &four.candidates[k];
+        let views = [Matrix3x4::identity(), motion.matrix()];
+        let points = result.ideal.iter().zip(inliers).filter(|(_, inlier)| **inlier).filter_map(|([a, b], _)| {
+            let seen = [normalised(&cameras.a, a), normalised(&cameras.b, b)];
+            let point = euclidean(&triangulate(&views, &seen)?)?;
+            let there = motion.rotation * point + motion.translation;
+            Some((point, point.z > 0.0 && there.z > 0.0))
+        });
+        let first_from_second = motion.inverse();
+        MotionPanel {
+            name: CANDIDATES[k].into(),
+            facts: format!("{} of {} votes", four.votes[k], four.inliers),
+            is_chosen: k == four.winner(),
+            points: points.collect(),
+            cameras: [
+                space_camera("A", &cameras.a, Vector3::zeros(), |d| d),
+                space_camera("B", &cameras.b, first_from_second.translation, |d| first_from_second.rotation * d),
+            ],
+        }
+    })
 }
 
 /// Inliers far from each other in the first picture: each the farthest from those before it.

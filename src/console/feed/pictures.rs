@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use jpeg_encoder::{ColorType, Encoder};
 use tracing::warn;
 
-use super::source::{Source, pause, wait};
+use super::source::{LOOK, Source, pause, wait};
 use crate::client::{ClientError, FeatureLists, Features, Frame};
 use crate::console::calibration::{Picture, Tray};
 use crate::console::hub::{Hub, demand};
@@ -40,7 +40,7 @@ fn is_wanted(hub: &Hub, tray: &Tray) -> bool {
 /// While it is wanted.
 fn show(hub: &Hub, source: &Source, tray: &Tray, stop: &AtomicBool) -> Result<(), ClientError> {
     let client = source.client()?;
-    let (mut frames, mut found) = (client.frames(), client.features());
+    let (mut frames, mut found) = (client.frames().polled(LOOK), client.features().polled(LOOK));
     let mut jpeg = Vec::new();
     let pause = Duration::from_secs_f64(1.0 / RATE_HZ);
     // Nothing is encoded sooner after the last than this; a tenth less, as a camera's frames do not come by our clock.

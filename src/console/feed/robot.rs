@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use serde::Serialize;
 
-use super::source::{Source, pause, wait};
+use super::source::{LOOK, Source, pause, wait};
 use crate::client::{ClientError, monotonic_ns};
 use crate::console::hub::{Hub, demand, lock};
 use crate::console::wire::{self, Kind, MapHead};
@@ -163,7 +163,7 @@ pub fn run(hub: &Hub, source: &Source, advice: fn(&str) -> &'static str, stop: &
 
 fn follow(hub: &Hub, source: &Source, advice: fn(&str) -> &'static str, stop: &AtomicBool) -> Result<(), ClientError> {
     let client = source.client()?;
-    let (mut poses, mut healths) = (client.poses(), client.health());
+    let (mut poses, mut healths) = (client.poses().polled(LOOK), client.health().polled(LOOK));
     let mut told: Option<(Instant, &str)> = None;
     let mut scale = ScaleKnown::NOTHING;
     let mut connected_ns = None;
@@ -218,7 +218,7 @@ pub fn run_map(hub: &Hub, source: &Source, stop: &AtomicBool) {
 
 fn follow_map(hub: &Hub, source: &Source, stop: &AtomicBool) -> Result<(), ClientError> {
     let client = source.client()?;
-    let (mut maps, mut keyframes) = (client.map(), client.keyframes());
+    let (mut maps, mut keyframes) = (client.map().polled(LOOK), client.keyframes().polled(LOOK));
     let mut told = None;
     while !stop.load(Ordering::Relaxed) && hub.wants(demand::MAP) {
         let Some(map) = maps.wait(NAP)? else { continue };

@@ -10,6 +10,9 @@ use crate::messages::Endpoint;
 /// Pause after an error that waiting may cure after all: the daemon is updated, or belongs to our user next time.
 const PAUSE: Duration = Duration::from_secs(1);
 
+/// How often a feed looks for something new. A person sees nothing of it, and the daemon need not wake the console for each message.
+pub const LOOK: Duration = Duration::from_millis(10);
+
 /// See module.
 #[derive(Debug)]
 pub struct Source {

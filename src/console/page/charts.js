@@ -69,7 +69,7 @@ export class Chart {
     c.lineWidth = 1.6;
     c.lineJoin = "round";
     c.stroke();
-    const last = finite.at(-1);
+    const last = this.isAway ? undefined : finite.at(-1);
     const text = last ? `${last.value.toFixed(this.digits)}${this.unit}` : "–";
     if (this.label.textContent !== text) this.label.textContent = text;
   }

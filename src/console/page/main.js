@@ -29,6 +29,12 @@ const charts = [
   new Chart($("landmarks"), $("landmarks-now"), { value: (s) => s.landmarks, unit: "", digits: 0, colour: "--good" }),
 ];
 
+function setAway(isAway, state) {
+  map.setAway(isAway, state);
+  // What was last is not what is now.
+  charts.forEach((chart) => { chart.isAway = isAway; });
+}
+
 const receive = {
   [KIND.STATE]: ({ value }) => {
     controls.setPrefix(value.prefix);
@@ -39,7 +45,7 @@ const receive = {
     }
     const trouble = state.report(value);
     set($("banner"), trouble);
-    map.setAway(trouble !== "", value.daemon?.state);
+    setAway(trouble !== "", value.daemon?.state);
   },
   [KIND.HISTORY]: ({ samples }) => {
     charts.forEach((chart) => chart.replace(samples));
@@ -86,7 +92,7 @@ const link = new Link({
     if (sentence === "") return;
     set($("banner"), sentence);
     state.away();
-    map.setAway(true);
+    setAway(true);
     set($("state"), "no console");
     $("state").dataset.state = "NONE";
   },

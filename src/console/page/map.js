@@ -7,7 +7,10 @@ import { set } from "/state.js";
 
 const $ = (id) => document.getElementById(id);
 const MOST_WAY = 20000, MOST_KEYFRAMES = 2000, FIRST_POINTS = 20000;
+const MOST_SLOW = 50000; // landmarks that software draws some twenty times a second on two cores; it takes three quarters of a microsecond each
 const SAMPLED = 3000; // landmarks that the extent is judged by
+// A corrected map is found in the one before by the keyframes of both: so many next to what is looked at, which must agree to a tenth of their spread.
+const CARRIERS = 12, AGREE = 0.1;
 const BARS = [1, 2, 5];
 // A pyramid that looks along x, as REP-103 has it: tip, and four corners.
 const CORNERS = [[0, 0, 0], [1, 0.6, 0.45], [1, -0.6, 0.45], [1, -0.6, -0.45], [1, 0.6, -0.45]];
@@ -31,15 +34,28 @@ const POINTS = {
     }`,
 };
 
+/** Without a graphics card smooth edges cost two thirds of the pictures a second. */
+function isSoftware() {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  const names = gl?.getExtension("WEBGL_debug_renderer_info");
+  const name = gl?.getParameter(names?.UNMASKED_RENDERER_WEBGL ?? gl.RENDERER) ?? "";
+  gl?.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|software|basic render/i.test(name);
+}
+
 export class MapView {
   constructor() {
     this.canvas = $("map");
     this.view = "orbit";
     this.way = [];
+    this.drawn = 0; // of the way, in the line
+    this.places = new Map(); // keyframe -> x, y, z of the message before
+    this.sorted = [0, 1, 2].map(() => new Float32Array(SAMPLED + 1));
     this.center = new Vector3();
     this.radius = 1;
     try {
-      this.renderer = new WebGLRenderer({ canvas: this.canvas, antialias: true });
+      this.isSlow = isSoftware();
+      this.renderer = new WebGLRenderer({ canvas: this.canvas, antialias: !this.isSlow });
     } catch {
       set($("map-empty"), "This browser draws no WebGL, so there is no map here.");
       return;
@@ -114,17 +130,22 @@ export class MapView {
   landmarks({ points, count, total, scale, epoch }) {
     if (!this.renderer) return;
     const began = performance.now();
-    if (4 * count > this.buffer.array.length) this.room(2 * count);
-    this.buffer.array.set(points);
+    const every = this.isSlow ? Math.max(1, Math.ceil(count / MOST_SLOW)) : 1;
+    const drawn = Math.ceil(count / every);
+    if (4 * drawn > this.buffer.array.length) this.room(2 * drawn);
+    this.place(epoch);
+    const { array } = this.buffer;
+    if (every === 1) array.set(points);
+    else for (let i = 0; i < drawn; i++) for (let a = 0; a < 3; a++) array[4 * i + a] = points[4 * i * every + a];
     this.buffer.clearUpdateRanges();
-    this.buffer.addUpdateRange(0, points.length);
+    this.buffer.addUpdateRange(0, 4 * drawn);
     this.buffer.needsUpdate = true;
-    this.points.geometry.setDrawRange(0, count);
+    this.points.geometry.setDrawRange(0, drawn);
     this.metric = scale === 2;
     this.count = count;
-    this.turnTo(epoch);
     this.measure(points, count);
-    const left = total > count ? `, the newest of ${total}` : "";
+    if (this.told && !(Math.abs(this.radius / this.sized - 1) < 0.15)) this.drawFrusta();
+    const left = (total > count ? `, the newest of ${total}` : "") + (every > 1 ? `, one of ${every} drawn: no graphics card` : "");
     set($("map-size"), count > 0 ? `${count} landmarks${left}` : "");
     $("map-empty").hidden = count > 0;
     // The view grows with the map until somebody takes hold of it.
@@ -136,15 +157,21 @@ export class MapView {
 
   /** Middle, size and heights of the bulk: a few landmarks are always far away. */
   measure(points, count) {
-    const step = Math.max(1, Math.floor(count / SAMPLED));
-    const axes = [[], [], []];
-    for (let i = 0; i < count; i += step) for (let a = 0; a < 3; a++) axes[a].push(points[4 * i + a]);
-    if (axes[0].length === 0) return;
-    axes.forEach((values) => values.sort((a, b) => a - b));
-    const at = (a, share) => axes[a][Math.floor(share * (axes[a].length - 1))];
+    if (count === 0) return;
+    const step = Math.max(1, Math.ceil(count / SAMPLED));
+    const sampled = Math.ceil(count / step);
+    const axes = this.sorted.map((values, a) => {
+      for (let n = 0; n < sampled; n++) values[n] = points[4 * n * step + a];
+      return values.subarray(0, sampled).sort();
+    });
+    const at = (a, share) => axes[a][Math.floor(share * (sampled - 1))];
     const ends = [0, 1, 2].map((a) => [at(a, 0.05), at(a, 0.95)]);
-    for (const { epoch, position } of this.way) {
-      if (epoch === this.epoch) ends.forEach((end, a) => { [end[0], end[1]] = [Math.min(end[0], position[a]), Math.max(end[1], position[a])]; });
+    // The way belongs to it, wherever it leads.
+    const { array } = this.line.geometry.attributes.position;
+    for (let i = 0; i < 3 * this.drawn; i++) {
+      const end = ends[i % 3];
+      if (array[i] < end[0]) end[0] = array[i];
+      else if (array[i] > end[1]) end[1] = array[i];
     }
     this.center.set(...ends.map(([from, to]) => (from + to) / 2));
     this.radius = Math.max(1e-3, Math.hypot(...ends.map(([from, to]) => (to - from) / 2)));
@@ -159,29 +186,86 @@ export class MapView {
 
   keyframes({ keyframes, count, epoch }) {
     if (!this.renderer) return;
+    this.place(epoch, keyframes, count);
+    this.told = { keyframes, count };
+    this.drawFrusta();
+  }
+
+  /** As large as the map wants them. */
+  drawFrusta() {
+    const { keyframes, count } = this.told;
     const shown = Math.min(count, MOST_KEYFRAMES);
+    this.sized = this.radius;
     const { array } = this.frusta.geometry.attributes.position;
-    const [turn, place] = [new Quaternion(), new Vector3()];
+    const [turn, corner] = [new Quaternion(), new Vector3()];
+    const corners = new Float32Array(3 * CORNERS.length);
     const size = this.radius * 0.035;
-    for (let k = 0; k < shown; k++) {
-      const [x, y, z, qx, qy, qz, qw] = keyframes.subarray(8 * (count - shown + k), 8 * (count - shown + k) + 7);
-      turn.set(qx, qy, qz, qw);
-      const corners = CORNERS.map((corner) => place.set(...corner).multiplyScalar(size).applyQuaternion(turn).toArray());
-      EDGES.forEach((corner, e) => {
-        const at = 3 * (k * EDGES.length + e);
-        [array[at], array[at + 1], array[at + 2]] = [corners[corner][0] + x, corners[corner][1] + y, corners[corner][2] + z];
-      });
+    let out = 0;
+    for (let k = count - shown; k < count; k++) {
+      const at = 8 * k;
+      turn.set(keyframes[at + 3], keyframes[at + 4], keyframes[at + 5], keyframes[at + 6]);
+      for (let c = 0; c < CORNERS.length; c++) {
+        corner.fromArray(CORNERS[c]).multiplyScalar(size).applyQuaternion(turn).toArray(corners, 3 * c);
+        for (let a = 0; a < 3; a++) corners[3 * c + a] += keyframes[at + a];
+      }
+      for (const edge of EDGES) for (let a = 0; a < 3; a++) array[out++] = corners[3 * edge + a];
     }
-    this.frusta.geometry.attributes.position.needsUpdate = true;
+    const { position } = this.frusta.geometry.attributes;
+    position.clearUpdateRanges();
+    position.addUpdateRange(0, out);
+    position.needsUpdate = true;
     this.frusta.geometry.setDrawRange(0, shown * EDGES.length);
-    this.turnTo(epoch);
     this.draw();
   }
 
-  /** Positions of another epoch are out of place. */
+  /** Positions of another epoch are out of place. Those of a map that was corrected, or has got its metres, are elsewhere than before: the eye goes along. */
+  place(epoch, keyframes, count = 0) {
+    this.turnTo(epoch);
+    if (this.placed !== epoch) {
+      const isKnown = this.placed === undefined || this.carry(keyframes, count);
+      if (!isKnown) [this.taken, this.fitted] = [false, undefined];
+      this.placed = epoch;
+    }
+    if (!keyframes) return;
+    this.places.clear();
+    const ids = new Uint32Array(keyframes.buffer, keyframes.byteOffset, keyframes.length);
+    for (let k = 0; k < count; k++) this.places.set(ids[8 * k + 7], keyframes.subarray(8 * k, 8 * k + 7));
+  }
+
+  /** Moves the eye as the keyframes next to what it looks at were moved; false where these are none of the map before. */
+  carry(keyframes, count) {
+    const ids = keyframes && new Uint32Array(keyframes.buffer, keyframes.byteOffset, keyframes.length);
+    const { target } = this.controls;
+    const vector = (values) => new Vector3(values[0], values[1], values[2]);
+    const pairs = [];
+    for (let k = 0; k < count; k++) {
+      const before = this.places.get(ids[8 * k + 7]);
+      if (before) pairs.push({ before, now: keyframes.subarray(8 * k, 8 * k + 7), away: vector(before).distanceToSquared(target) });
+    }
+    if (pairs.length < 3) return false;
+    pairs.sort((a, b) => a.away - b.away).splice(CARRIERS);
+    const middle = (which) => pairs.reduce((sum, pair) => sum.add(vector(pair[which])), new Vector3()).divideScalar(pairs.length);
+    const [from, to] = [middle("before"), middle("now")];
+    const spread = (which, centre) => Math.sqrt(pairs.reduce((sum, pair) => sum + vector(pair[which]).distanceToSquared(centre), 0));
+    const [wide, wideNow] = [spread("before", from), spread("now", to)];
+    const scale = wideNow / wide;
+    const quaternion = ([, , , x, y, z, w]) => new Quaternion(x, y, z, w);
+    const turn = quaternion(pairs[0].now).multiply(quaternion(pairs[0].before).invert());
+    const moved = (place) => place.sub(from).multiplyScalar(scale).applyQuaternion(turn).add(to);
+    const off = Math.sqrt(pairs.reduce((sum, { before, now }) => sum + moved(vector(before)).distanceToSquared(vector(now)), 0));
+    // Written so that NaN is none.
+    if (!(off <= AGREE * wideNow)) return false;
+    moved(target);
+    moved(this.camera.position);
+    [this.radius, this.fitted] = [this.radius * scale, this.fitted && this.fitted * scale];
+    [this.camera.near, this.camera.far] = [this.camera.near * scale, this.camera.far * scale];
+    this.camera.updateProjectionMatrix();
+    this.controls.update();
+    return true;
+  }
+
   turnTo(epoch) {
     if (this.epoch === epoch) return;
-    [this.taken, this.fitted] = [false, undefined];
     this.epoch = epoch;
     this.drawWay();
   }
@@ -198,11 +282,13 @@ export class MapView {
     this.robot.visible = tracking && this.count > 0;
     if (tracking) {
       this.way.push(sample);
-      if (this.way.length > MOST_WAY) this.way.splice(0, this.way.length - MOST_WAY + 1000);
+      const isFull = this.way.length > MOST_WAY;
+      if (isFull) this.way.splice(0, 1000);
       this.robot.position.set(...sample.position);
       this.robot.quaternion.set(...sample.orientation);
       if (sample.epoch !== this.epoch) this.turnTo(sample.epoch);
-      else this.drawWay();
+      else if (isFull) this.drawWay();
+      else this.goOn(sample);
       if (this.view === "follow") this.follow();
     }
     this.draw();
@@ -211,16 +297,25 @@ export class MapView {
   drawWay() {
     if (!this.renderer) return;
     const { position } = this.line.geometry.attributes;
-    let n = 0;
-    for (const s of this.way) {
-      if (s.epoch !== this.epoch) continue;
-      position.array.set(s.position, 3 * n);
-      n += 1;
-    }
+    this.drawn = 0;
+    for (const s of this.way) if (s.epoch === this.epoch) position.array.set(s.position, 3 * this.drawn++);
     position.clearUpdateRanges();
-    position.addUpdateRange(0, 3 * n);
+    position.addUpdateRange(0, 3 * this.drawn);
     position.needsUpdate = true;
-    this.line.geometry.setDrawRange(0, n);
+    this.line.geometry.setDrawRange(0, this.drawn);
+  }
+
+  /** Adds a place to the line that is drawn already. */
+  goOn({ position: [x, y, z] }) {
+    const { position } = this.line.geometry.attributes;
+    position.setXYZ(this.drawn, x, y, z);
+    // One range, however long nobody draws it.
+    const last = position.updateRanges.at(-1);
+    if (last && last.start + last.count === 3 * this.drawn) last.count += 3;
+    else position.addUpdateRange(3 * this.drawn, 3);
+    position.needsUpdate = true;
+    this.drawn += 1;
+    this.line.geometry.setDrawRange(0, this.drawn);
   }
 
   choose(view) {
@@ -257,7 +352,7 @@ export class MapView {
   resize() {
     const { clientWidth: width, clientHeight: height } = this.canvas.parentElement;
     if (width === 0) return;
-    const ratio = Math.min(devicePixelRatio || 1, 2);
+    const ratio = this.isSlow ? 1 : Math.min(devicePixelRatio || 1, 2);
     this.renderer.setPixelRatio(ratio);
     this.renderer.setSize(width, height, false);
     this.points.material.uniforms.size.value = 2.6 * ratio;

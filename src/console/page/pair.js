@@ -3,12 +3,15 @@ const $ = (id) => document.getElementById(id);
 const LABEL = 18; // characters of a line's name in the text of `cairn twoview`
 
 const STEPS = [
-  { title: "Corners", names: ["corners", "tilted views"], pictures: ["corners_a", "corners_b"], says: "Places that can be found again: the picture changes there in every direction." },
+  { title: "Corners", names: ["corners", "tilted views"], pictures: ["corners_a", "corners_b"], says: "Places that can be found again: the picture changes there in every direction. A hand shows which way each points." },
+  { title: "Attributes", names: ["attributes"], pictures: ["attributes"], says: "What is kept of each corner: its grey level, how little of its surroundings looks like it (salient degree), and its direction." },
   { title: "Matches", names: ["matches", "guided matches", "first try"], pictures: ["matches"], says: "Corners that look alike in both pictures; green ones agree with the geometry that follows." },
   { title: "Fundamental matrix F", names: ["F"], pictures: ["epipolar"], says: "A point of one picture lies on a line of the other: F says on which. It needs no calibration." },
-  { title: "Essential matrix E and its four motions", names: ["E from F and K", "its motions", "E by five points"], pictures: [], says: "With the lens known F becomes E, which four motions explain; points must lie before both cameras, and each match votes." },
-  { title: "Judgement and adjustment", names: ["judge", "adjustment", "second_from_first", "parallax", "F of the motion"], pictures: [], says: "The votes decide; then motion and points are adjusted together until their errors in the pictures are smallest." },
-  { title: "Triangulation", names: [], pictures: ["scene"], says: "Each match's two rays meet at a point: blue the points, red the two cameras." },
+  { title: "Essential matrix E", names: ["E from F and K"], pictures: [], says: "With the lens known F becomes E = KᵀFK; two of its singular values are equal and the third is zero." },
+  { title: "Four motions and their votes", names: ["its motions", "E by five points", "judge"], pictures: ["motions"], says: "Four motions explain E. A real point lies before both cameras: each match votes (cheirality), and one motion wins." },
+  { title: "Triangulation", names: ["triangulation", "parallax"], pictures: ["distances"], says: "Each match's two rays meet at a point; how far away it lies is counted in baselines, the way between the cameras." },
+  { title: "Adjustment", names: ["adjustment", "second_from_first", "F of the motion"], pictures: [], says: "Motion and points are adjusted together until their errors in the pictures are smallest." },
+  { title: "The scene in 3D", names: [], pictures: ["scene"], says: "Blue the points, red the two cameras." },
   { title: "Outcome", names: ["outcome"], pictures: [], says: "" },
 ];
 
@@ -49,6 +52,8 @@ export class PairView {
       const image = $(`picture-${value.name}`);
       URL.revokeObjectURL(image.src);
       image.src = url;
+      image.hidden = false;
+      image.nextElementSibling.hidden = true;
     } else this.images[value.name] = url;
   }
 

@@ -92,7 +92,7 @@ export class StateView {
     });
     if (items.length === 0) {
       const li = document.createElement("li");
-      [li.className, li.textContent] = ["none", faults ? "No fault stands." : "Not known."];
+      [li.className, li.textContent] = faults ? ["none", "No fault stands."] : ["none unknown", "Not known."];
       items.push(li);
     }
     $("faults").replaceChildren(...items);

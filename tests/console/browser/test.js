@@ -2,46 +2,13 @@
 import { existsSync, mkdirSync, readFileSync, writeFileSync } from "node:fs";
 import { join } from "node:path";
 import { chromium } from "playwright-core";
-import { PNG } from "pngjs";
 import { Robot } from "./cairn.js";
+import { PATIENCE_MS, check, open, passed, pixels, troubles } from "./page.js";
 
-const PATIENCE_MS = 40_000;
 const pictures = process.argv[2];
 mkdirSync(pictures, { recursive: true });
 const robot = new Robot();
 const robots = [robot];
-let passed = 0;
-
-function check(holds, what) {
-  if (!holds) throw new Error(`does not hold: ${what}`);
-  passed += 1;
-  console.log(`ok  ${what}`);
-}
-
-/** Pixels of an element for which `wanted` holds. */
-async function pixels(locator, wanted) {
-  const { data } = PNG.sync.read(await locator.screenshot());
-  let count = 0;
-  for (let i = 0; i < data.length; i += 4) if (wanted(data[i], data[i + 1], data[i + 2])) count += 1;
-  return count;
-}
-
-const troubles = [];
-
-async function open(browser, url, options = {}) {
-  const page = await (await browser.newContext(options)).newPage();
-  page.setDefaultTimeout(PATIENCE_MS);
-  page.on("pageerror", (error) => troubles.push(`${error}`));
-  page.on("console", (message) => {
-    if (message.type() === "error") troubles.push(message.text());
-  });
-  page.on("request", (request) => {
-    const own = new URL(url).host === new URL(request.url()).host || /^(data|blob):/.test(request.url());
-    if (!own) troubles.push(`foreign request ${request.url()}`);
-  });
-  await page.goto(url);
-  return page;
-}
 
 const frames = (page) => page.locator("#video").getAttribute("data-frames").then(Number);
 const number = (page, name) => page.locator("#numbers div", { hasText: name }).locator("dd").first().innerText();
@@ -163,15 +130,32 @@ async function pair(page) {
   }
   check(true, "two pictures are taken");
   const run = page.getByRole("button", { name: "Run the chain" });
-  for (const [count, matcher] of [[1, "gradients"], [2, "descriptors"]]) {
+  const chosen = (id) => page.locator(`#${id} option`).evaluateAll((options) => options.map((o) => o.value));
+  const [detectors, matchers] = [await chosen("detector"), await chosen("matcher")];
+  check(detectors.length === 4 && matchers.length === 5, `detectors ${detectors}, matchers ${matchers}`);
+  // Each of them once.
+  const ways = [...detectors.slice(1).map((d) => [d, "gradients"]), ...matchers.slice(1).map((m) => ["fast", m]), ["susan", "attributes"], ["fast", "gradients"]];
+  for (const [detector, matcher] of ways) {
+    await page.locator("#detector").selectOption(detector);
     await page.locator("#matcher").selectOption(matcher);
     await run.click();
-    await page.waitForFunction((n) => document.querySelectorAll("#results article").length === n, count);
+    await page.waitForFunction((words) => {
+      const last = document.querySelector("#results article:last-child");
+      return last?.querySelector("code").textContent.includes(words) && /Outcome/.test(last.textContent);
+    }, `--detector ${detector} --matcher ${matcher} `);
+    check(true, `the chain runs by ${detector} and ${matcher}`);
   }
-  const text = await page.locator("#results article").last().innerText();
-  check(/cairn twoview .*--matcher descriptors/.test(text) && /Outcome/.test(text), "the chain shows its command and its outcome");
-  const drawn = await page.evaluate(() => [...document.querySelectorAll("#results img")].map((i) => i.complete && i.naturalWidth > 100));
-  check(drawn.length >= 6 && drawn.every(Boolean), `two runs are beside each other, with ${drawn.length} pictures`);
+  check((await page.locator("#results article").count()) === 2, "the run before stays beside the last one");
+  const article = page.locator("#results article").last();
+  for (const [step, pictured, says] of [
+    ["Corners", 2, /found by fast/], ["Attributes", 1, /salient degree 0\.\d+ to/], ["Matches", 1, /\d+ by gradients/],
+    ["Fundamental matrix F", 1, /inliers of/], ["Essential matrix E", 0, /singular values 1, /], ["Four motions and their votes", 1, /P_D turned by.*t = /s],
+    ["Triangulation", 1, /baselines away/], ["Adjustment", 0, /px RMS/], ["The scene in 3D", 1, /red the two cameras/], ["Outcome", 0, /./],
+  ]) {
+    const section = article.locator("section").filter({ has: page.getByRole("heading", { name: step, exact: true }) });
+    const drawn = await section.locator("img").evaluateAll((images) => images.map((i) => i.complete && i.naturalWidth > 100));
+    check(drawn.length === pictured && drawn.every(Boolean) && says.test(await section.innerText()), `the step is shown: ${step}, ${pictured} pictures, numbers, a sentence`);
+  }
   await page.screenshot({ path: join(pictures, "pair.png"), fullPage: true });
 }
 
@@ -282,6 +266,7 @@ try {
   const { url } = await robot.console();
   const page = await open(browser, url, { viewport: { width: 1360, height: 1000 } });
   await live(page);
+  await page.evaluate(() => scrollTo(0, 0));
   await page.screenshot({ path: join(pictures, "desktop.png") });
   await graph(page);
   await camera(page);

@@ -94,7 +94,23 @@ if [ -f "$tools" ]; then
     check "tools: install" dpkg -i "$tools"
     check "tools: of the same version" test "$(cairn --version)" = "$(cairn-tools --version)"
     check "tools: what the robot's build lacks" says "Length, s" cairn-tools demo --help
+    is_console() { test "$(systemctl show cairn-console -p "$1" --value)" = "$2"; }
+    page() { python3 -c 'import urllib.request as u; print(u.urlopen("http://127.0.0.1:7979/", timeout=5).read().decode())'; }
+    check "console: off as installed" is_console ActiveState inactive
+    check "console: not enabled" is_console UnitFileState disabled
+    check "console: start" systemctl start cairn-console
+    served() { says "<title>Cairn</title>" page; }
+    check "console: the page is served" within 20 served
+    console=$(systemctl show cairn-console -p MainPID --value)
+    check "console: upgrade" dpkg -i "$tools"
+    check "console: an upgrade restarts it" bash -c '! test -d /proc/'"$console"
+    check "console: served again" within 20 served
+    check "console: stop" systemctl stop cairn-console
+    check "console: an upgrade" dpkg -i "$tools"
+    check "console: an upgrade does not start it" is_console ActiveState inactive
+    systemctl start cairn-console
     check "tools: purge" dpkg --purge cairn-tools
+    check "console: purged while it ran" bash -c '! pgrep -x cairn-tools && ! test -e /usr/lib/systemd/system/cairn-console.service'
     check "tools: only they are gone" test ! -e /usr/bin/cairn-tools -a -x /usr/bin/cairn -a -e /etc/cairn/cairn.toml
 fi
 

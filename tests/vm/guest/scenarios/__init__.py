@@ -1,6 +1,6 @@
 """The scenarios by name, in the order in which they run. The host reads ORDER from this text."""
 
-from . import access, delivery, doctor, injection, kill, lens, package, reboot, streaming, unplug
+from . import access, console, delivery, doctor, injection, kill, lens, package, reboot, streaming, unplug
 
 ORDER = [
     "usb_mjpeg",
@@ -28,10 +28,11 @@ ORDER = [
     "kill_rounds",
     "power_cut",
     "service",
+    "console",
     "journal_rate",
     "package"
 ]
 KNOWN = {}
-for module in (access, delivery, doctor, injection, kill, lens, package, reboot, streaming, unplug):
+for module in (access, console, delivery, doctor, injection, kill, lens, package, reboot, streaming, unplug):
     KNOWN.update(module.SCENARIOS)
 SCENARIOS = {name: KNOWN[name] for name in ORDER}

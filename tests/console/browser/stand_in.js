@@ -1,0 +1,160 @@
+// The page from its sources, with a WebSocket that says what a test wants it to say: states that a daemon cannot be made to have at will, and maps
+// larger than a demo's. `inPage` runs in the page, before its own code.
+import { readFileSync } from "node:fs";
+import { join } from "node:path";
+import { gunzipSync } from "node:zlib";
+
+export const URL_OF_PAGE = "http://127.0.0.1:7979/";
+const TYPES = { html: "text/html; charset=utf-8", js: "text/javascript", css: "text/css", svg: "image/svg+xml" };
+
+/** Serves the page's folder in place of a console. */
+export async function standIn(page, folder) {
+  await page.addInitScript(inPage);
+  await page.route(`${URL_OF_PAGE}**`, (route) => {
+    const { pathname } = new URL(route.request().url());
+    if (pathname === "/access") return route.fulfill({ body: "open" });
+    const file = pathname === "/" ? "index.html" : pathname.slice(1);
+    const body = file === "vendor/three.js" ? gunzipSync(readFileSync(join(folder, `${file}.gz`))) : readFileSync(join(folder, file));
+    return route.fulfill({ body, contentType: TYPES[file.split(".").at(-1)] });
+  });
+}
+
+function inPage() {
+  const stage = { sent: [], draws: [], work: [], cls: 0, shifts: [] };
+  window.stage = stage;
+  // Also refuses to be opened again once it is `gone`.
+  window.WebSocket = class {
+    static OPEN = 1;
+    constructor() {
+      this.readyState = 0;
+      stage.socket = this;
+      setTimeout(() => {
+        if (stage.gone) return this.close();
+        this.readyState = 1;
+        this.onopen();
+      });
+    }
+    send(text) { stage.sent.push(JSON.parse(text)); }
+    close(code = 1006) {
+      this.readyState = 3;
+      this.onclose({ code });
+    }
+  };
+  new PerformanceObserver((list) => {
+    for (const entry of list.getEntries()) if (!entry.hadRecentInput) {
+      stage.cls += entry.value;
+      stage.shifts.push(...entry.sources.map((s) => s.node?.id || s.node?.parentElement?.id || s.node?.className || s.node?.nodeName));
+    }
+  }).observe({ type: "layout-shift", buffered: true });
+  // What a picture of the screen costs the page's thread, and what it draws.
+  const ask = window.requestAnimationFrame.bind(window);
+  window.requestAnimationFrame = (draw) => ask((time) => {
+    const began = performance.now();
+    draw(time);
+    stage.work.push(performance.now() - began);
+  });
+  // A graphics card, as far as the page can tell.
+  const extension = WebGL2RenderingContext.prototype.getExtension;
+  WebGL2RenderingContext.prototype.getExtension = function (name) {
+    return name === "WEBGL_debug_renderer_info" && location.search === "?card" ? null : extension.call(this, name);
+  };
+  const drawArrays = WebGL2RenderingContext.prototype.drawArrays;
+  WebGL2RenderingContext.prototype.drawArrays = function (mode, first, count) {
+    stage.draws.push(count);
+    return drawArrays.call(this, mode, first, count);
+  };
+
+  /** The page hears it; how long that keeps it, ms. */
+  stage.say = (message) => {
+    const began = performance.now();
+    stage.socket.onmessage({ data: message });
+    return performance.now() - began;
+  };
+  const head = (kind, count, size) => {
+    const view = new DataView(new ArrayBuffer(size));
+    view.setUint8(0, kind);
+    view.setUint32(4, count, true);
+    return view;
+  };
+  stage.state = (link, sentence, daemon) => {
+    const text = new TextEncoder().encode(JSON.stringify({ link, sentence, prefix: "cairn", console_version: "0", daemon }));
+    const view = head(1, 0, 8 + text.length);
+    new Uint8Array(view.buffer, 8).set(text);
+    return stage.say(view.buffer);
+  };
+  stage.daemon = (more = {}) => ({
+    version: "0.1.0", pid: 1, run_id: "1", uptime_s: 83, realtime_minus_monotonic_s: 0, state: "TRACKING", faults: [], frames_captured: 900,
+    frames_dropped: 0, frames_corrupt: 0, frames_tracked: 880, keyframes: 40, landmarks: 3000, maps: 1, resets: 0, relocalisations: 0,
+    maps_joined: 0, loops_closed: 0, frame_age_s: 0.01, pose_age_s: 0.01, rate_hz: 30, latency_p50_ms: 4.1, latency_p95_ms: 7.2,
+    latency_p99_ms: 11.9, intrinsics: "CALIBRATED", lens_model: "RADIAL_TANGENTIAL", focal_px: [520, 520], focal_sigma: 0.01,
+    scale: "UNKNOWN", scale_sigma: null, ...more,
+  });
+  stage.pose = (i, epoch = 1, state = 1) => {
+    const view = head(2, 1, 72);
+    const angle = i / 60;
+    view.setFloat64(8, i / 30, true);
+    [2 * Math.cos(angle), 2 * Math.sin(angle), 0, 0, 0, Math.sin(angle / 2), Math.cos(angle / 2), 4 + Math.sin(i), 0.9]
+      .forEach((v, k) => view.setFloat32(16 + 4 * k, v, true));
+    [180, 200, epoch, 0].forEach((v, k) => view.setUint32(52 + 4 * k, v, true));
+    view.setUint8(68, state);
+    return stage.say(view.buffer);
+  };
+  // `move` of a place: what became of the map; (x, y, z) => [x, y, z].
+  const same = (x, y, z) => [x, y, z];
+  const list = (kind, element, count, epoch) => {
+    const view = head(kind, count, 24 + element * count);
+    [epoch, count, 1, 0].forEach((v, k) => view.setUint32(8 + 4 * k, v, true));
+    return view.buffer;
+  };
+  /** A room: walls with windows, the same ones for the same count. */
+  stage.map = (count, epoch = 1, move = same) => {
+    const buffer = list(4, 16, count, epoch);
+    const points = new Float32Array(buffer, 24);
+    let seed = 1;
+    const random = () => (seed = (seed * 48271) % 2147483647) / 2147483647;
+    for (let i = 0; i < count; i++) {
+      const [along, high, wall] = [8 * random() - 4, 2.5 * random() - 1, i % 4];
+      const [x, y] = [[along, 4], [along, -4], [4, along], [-4, along]][wall];
+      points.set(move(x + 0.05 * random(), y + 0.05 * random(), high), 4 * i);
+    }
+    return buffer;
+  };
+  stage.keyframes = (count, epoch = 1, move = same, turn = 0, firstId = 0) => {
+    const buffer = list(3, 32, count, epoch);
+    const [values, ids] = [new Float32Array(buffer, 24), new Uint32Array(buffer, 24)];
+    for (let k = 0; k < count; k++) {
+      const angle = (2 * Math.PI * k) / count;
+      values.set(move(2 * Math.cos(angle), 2 * Math.sin(angle), 0.2 * Math.sin(3 * angle)), 8 * k);
+      values.set([0, 0, Math.sin((angle + turn) / 2), Math.cos((angle + turn) / 2)], 8 * k + 3);
+      ids[8 * k + 7] = firstId + k;
+    }
+    return buffer;
+  };
+  /** A grey picture with features, as a JPEG that the page itself makes. */
+  stage.frame = async (sequence) => {
+    const canvas = new OffscreenCanvas(640, 480);
+    const context = canvas.getContext("2d");
+    context.fillStyle = "#777";
+    context.fillRect(0, 0, 640, 480);
+    for (let i = 0; i < 60; i++) {
+      context.fillStyle = `rgb(${(i * 37) % 200 + 30} ${(i * 37) % 200 + 30} ${(i * 37) % 200 + 30})`;
+      context.fillRect((i * 97) % 640, (i * 61) % 480, 60, 40);
+    }
+    const jpeg = new Uint8Array(await (await canvas.convertToBlob({ type: "image/jpeg" })).arrayBuffer());
+    const features = 200;
+    const view = head(5, features, 32 + 16 * features + jpeg.length);
+    view.setBigUint64(8, BigInt(sequence), true);
+    view.setFloat64(16, sequence / 30, true);
+    view.setUint32(24, 640, true);
+    view.setUint32(28, 480, true);
+    for (let i = 0; i < features; i++) {
+      view.setFloat32(32 + 16 * i, ((i * 97) % 640) + sequence % 7, true);
+      view.setFloat32(36 + 16 * i, (i * 61) % 480, true);
+      view.setUint32(40 + 16 * i, i, true);
+      view.setUint16(44 + 16 * i, sequence, true);
+      view.setUint16(46 + 16 * i, i % 2, true);
+    }
+    new Uint8Array(view.buffer, 32 + 16 * features).set(jpeg);
+    return stage.say(view.buffer);
+  };
+}

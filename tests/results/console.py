@@ -1,0 +1,282 @@
+#!/usr/bin/env python3
+"""What the console costs the daemon: replays at the camera's pace, each with other pages connected, round by round.
+
+    tests/results/console.py ROUNDS RECORDING
+
+A round is a replay with none, 1, 20 and 20 bad pages, in an order that moves on with each round; `cairn` is looked for in PATH. A page
+shows video, map and log and says what it has seen, as the real one does. Bad pages: of 20 eight behave, four never read, four read
+20 kB/s, and four break a rule each and come again: too many messages, no message at all, too large a message, too large a request.
+What is compared is compared within its round. Prints Markdown.
+"""
+
+import base64
+import json
+import os
+import pathlib
+import re
+import selectors
+import socket
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+
+FRAME, MAP = 5, 4
+WAYS = ["0", "1", "20", "20, most of them bad"]
+# Bytes a second of a slow page, and how often it reads.
+SLOW_BYTES, SLOW_EVERY_S = 20_000, 0.5
+# A bad page that was sent away comes again after this, as the real one does at first.
+AGAIN_S = 0.5
+
+
+def words(value):
+    """A masked text frame; a mask of zeros is one."""
+    text = json.dumps(value).encode()
+    length = bytes([0x80 | len(text)]) if len(text) < 126 else bytes([0x80 | 126]) + len(text).to_bytes(2, "big")
+    return b"\x81" + length + bytes(4) + text
+
+
+class Page:
+    """One that behaves."""
+
+    pause_s = 0.0
+
+    def __init__(self, address):
+        self.socket = socket.create_connection(address, timeout=5)
+        self.host = f"{address[0]}:{address[1]}"
+        self.buffer = bytearray()
+        self.got, self.pictures, self.maps = 0, 0, 0
+        self.next_read = 0.0
+        self.greet()
+        self.socket.setblocking(False)
+
+    def greet(self):
+        key = base64.b64encode(os.urandom(16)).decode()
+        self.socket.sendall(f"GET /ws HTTP/1.1\r\nHost: {self.host}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+                            f"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: {key}\r\n\r\n".encode())
+        head = b""
+        while not head.endswith(b"\r\n\r\n"):
+            head += self.socket.recv(1)
+        if b" 101 " not in head:
+            raise OSError(head[:80])
+        self.socket.sendall(words({"hello": {}}) + words({"show": ["video", "map", "log"]}))
+
+    def take(self):
+        """False once it was sent away."""
+        try:
+            chunk = self.socket.recv(1 << 18)
+        except BlockingIOError:
+            return True
+        except OSError:
+            return False
+        if not chunk:
+            return False
+        self.got += len(chunk)
+        self.buffer += chunk
+        while (size := self.message()) is not None:
+            del self.buffer[:size]
+        return True
+
+    def message(self):
+        """Deals with the first message of the buffer; its size, or None if it is not whole."""
+        b = self.buffer
+        if len(b) < 2:
+            return None
+        length, start = b[1] & 0x7F, 2
+        if length >= 126:
+            start = 4 if length == 126 else 10
+            if len(b) < start:
+                return None
+            length = int.from_bytes(b[2:start], "big")
+        if len(b) < start + length:
+            return None
+        opcode = b[0] & 0x0F
+        if opcode == 9:
+            self.say(b"\x8a" + bytes([0x80 | length]) + bytes(4) + bytes(b[start:start + length]))
+        elif opcode == 2 and length and b[start] in (FRAME, MAP):
+            self.pictures += b[start] == FRAME
+            self.maps += b[start] == MAP
+            self.say(words({"seen": b[start]}))
+        return start + length
+
+    def say(self, data):
+        try:
+            self.socket.send(data)
+        except OSError:
+            pass
+
+
+class Deaf(Page):
+    """Never reads."""
+
+    pause_s = float("inf")
+
+    def take(self):
+        return True
+
+
+class Slow(Page):
+    pause_s = SLOW_EVERY_S
+
+    def take(self):
+        try:
+            chunk = self.socket.recv(int(SLOW_BYTES * SLOW_EVERY_S))
+        except BlockingIOError:
+            return True
+        except OSError:
+            return False
+        self.got += len(chunk)
+        return bool(chunk)
+
+
+def rule_breaker(what):
+    class Bad(Page):
+        def greet(self):
+            if what == "request":
+                self.socket.sendall(b"GET / HTTP/1.1\r\nX: " + b"x" * 60_000)
+                return
+            super().greet()
+            self.socket.sendall({"flood": words({"seen": FRAME}) * 1000, "nonsense": b"\x81\x02xx", "large": b"\x81\xff" + bytes(7) + b"\x10" + bytes(64)}[what])
+
+        def message(self):
+            return len(self.buffer) or None
+
+    return Bad
+
+
+KINDS = {
+    "0": [],
+    "1": [Page],
+    "20": [Page] * 20,
+    "20, most of them bad": [Page] * 8 + [Deaf] * 4 + [Slow] * 4 + [rule_breaker(w) for w in ("flood", "nonsense", "large", "request")],
+}
+
+
+class Crowd(threading.Thread):
+    """All pages of a replay, in one thread."""
+
+    def __init__(self, address, kinds):
+        super().__init__()
+        self.address, self.kinds = address, kinds
+        self.ending = threading.Event()
+        self.pages, self.sent_away = [], 0
+
+    def run(self):
+        watched = selectors.DefaultSelector()
+        waiting = [(0.0, kind) for kind in self.kinds]
+        while not self.ending.is_set():
+            now = time.monotonic()
+            for when, kind in [w for w in waiting if w[0] <= now]:
+                waiting.remove((when, kind))
+                try:
+                    page = kind(self.address)
+                except OSError:
+                    waiting.append((now + AGAIN_S, kind))
+                    self.sent_away += 1
+                    continue
+                self.pages.append(page)
+                watched.register(page.socket, selectors.EVENT_READ, (page, kind))
+            # Those that do not read now are not waited for.
+            for key, (page, kind) in [(k, k.data) for k, _ in watched.select(0.01)]:
+                if page.next_read > now:
+                    continue
+                page.next_read = now + page.pause_s
+                if not page.take():
+                    watched.unregister(key.fileobj)
+                    page.socket.close()
+                    self.sent_away += 1
+                    waiting.append((now + AGAIN_S, kind))
+            if any(page.pause_s for page in self.pages):
+                time.sleep(0.005)
+        for page in self.pages:
+            page.socket.close()
+
+    def end(self):
+        self.ending.set()
+        self.join()
+
+
+def cpu_s(pid):
+    fields = pathlib.Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def replay(way, address, console, recording, log):
+    """One replay with these pages."""
+    crowd = Crowd(address, KINDS[way])
+    crowd.start()
+    before, began = cpu_s(console.pid), time.monotonic()
+    with open(log, "a", encoding="utf-8") as said:
+        done = subprocess.run(["cairn", "replay", recording, "--json", "--log", "info"], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=said, text=True)
+    seconds, after = time.monotonic() - began, cpu_s(console.pid)
+    crowd.end()
+    if done.returncode:
+        sys.exit(f"the replay ended with {done.returncode}; see {log}")
+    if console.poll() is not None:
+        sys.exit("the console has ended")
+    summary = json.loads(done.stdout)
+    good = [page for page in crowd.pages if type(page) is Page]
+    return {
+        "way": way, "cpu_ms": summary["cpu_ms_per_frame"], "p50": summary["stages"]["latency"]["p50_ms"], "p99": summary["stages"]["latency"]["p99_ms"],
+        "dropped": summary["dropped"], "frames": summary["frames"], "console": 100 * (after - before) / seconds,
+        "bytes": statistics.median([p.got / seconds for p in good]) if good else None,
+        "pictures": min([p.pictures / seconds for p in good]) if good else None, "sent_away": crowd.sent_away,
+    }
+
+
+def row(way, runs, base):
+    """One way beside the runs of the same rounds without a page."""
+    mid = lambda key: statistics.median(r[key] for r in runs)  # noqa: E731
+
+    def change(key):
+        if way == WAYS[0]:
+            return "–"
+        changes = [100 * (r[key] / b[key] - 1) for r, b in zip(runs, base)]
+        return f"{statistics.median(changes):+.1f} ({min(changes):+.1f} to {max(changes):+.1f})"
+
+    known = lambda key, form: form.format(mid(key)) if runs[0][key] is not None else "–"  # noqa: E731
+    return [way, f"{mid('cpu_ms'):.2f}", change("cpu_ms"), f"{mid('p50'):.2f}", change("p50"), f"{mid('p99'):.1f}", sum(r["dropped"] for r in runs),
+            f"{mid('console'):.0f}", known("pictures", "{:.1f}"), f"{mid('bytes') / 1000:.0f}" if runs[0]["bytes"] else "–", sum(r["sent_away"] for r in runs)]
+
+
+def main():
+    if len(sys.argv) != 3 or not sys.argv[1].isdigit():
+        sys.exit(__doc__)
+    rounds, recording = int(sys.argv[1]), sys.argv[2]
+    with tempfile.TemporaryDirectory() as folder:
+        log = os.path.join(folder, "log")
+        open(log, "w", encoding="utf-8").close()
+        told = open(os.path.join(folder, "console"), "w+", encoding="utf-8")
+        console = subprocess.Popen(["cairn", "console", "--listen", "127.0.0.1:0", "--log-file", log], stdin=subprocess.DEVNULL, stderr=told)
+        try:
+            deadline, found = time.monotonic() + 20, None
+            while not found and time.monotonic() < deadline and console.poll() is None:
+                time.sleep(0.1)
+                found = re.search(r"http://([\d.]+):(\d+)/", pathlib.Path(told.name).read_text())
+            if not found:
+                sys.exit("the console does not say where it listens")
+            address = (found[1], int(found[2]))
+            replay(WAYS[0], address, console, recording, log)  # reads the recording into the system's cache, and is not counted
+            runs = {way: [] for way in WAYS}
+            for n in range(rounds):
+                for way in WAYS[n % 4:] + WAYS[:n % 4]:
+                    runs[way].append(replay(way, address, console, recording, log))
+                    print(f"round {n + 1}, {way} pages: {runs[way][-1]}", file=sys.stderr, flush=True)
+        finally:
+            console.terminate()
+            console.wait(10)
+    base = runs[WAYS[0]]
+    heads = ["pages", "daemon's CPU ms a frame", "more than without, %", "latency p50 ms", "more, %", "p99 ms", "frames dropped", "console's CPU, % of a core",
+             "pictures a second of the poorest page", "kB a second a page", "pages sent away"]
+    print("| " + " | ".join(heads) + " |\n|---|" + "---:|" * (len(heads) - 1))
+    for way in WAYS:
+        print("| " + " | ".join(map(str, row(way, runs[way], base))) + " |")
+    spread = lambda key: 100 * (max(r[key] for r in base) / min(r[key] for r in base) - 1)  # noqa: E731
+    print(f"\n{rounds} rounds of {base[0]['frames']} frames. Without a page the rounds differ among each other by up to {spread('cpu_ms'):.1f} % (CPU) and "
+          f"{spread('p50'):.1f} % (median latency). The CPU is that of the whole replay, which also reads and inflates the recording's pictures.")
+
+
+if __name__ == "__main__":
+    main()
