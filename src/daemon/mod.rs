@@ -22,6 +22,7 @@ mod base;
 mod blind;
 mod capture;
 mod feature;
+mod floor;
 mod health;
 pub mod lockstep;
 mod map_commands;
@@ -164,7 +165,7 @@ pub(super) fn start(parts: Parts) -> Result<Threads, DaemonError> {
     .with_wheels(wheels.clone())
     .with_base(&config.mount, config.wheel.scale_sigma)
     .with_map_file(desk)
-    .looking_for(&config.tag);
+    .looking_for(&config.tag, &config.scale);
 
     // As many parcels as may wait, and the one that reconstruction works on.
     let parcels = config.daemon.queue_frames + 1;

@@ -10,6 +10,7 @@ use tracing::{debug, error, info, warn};
 
 use super::base;
 use super::blind::BlindLog;
+use super::floor::FloorLog;
 use super::map_file::MapDesk;
 use super::map_keeper::Keeper;
 use super::outlet::Outlet;
@@ -25,6 +26,7 @@ use crate::map::MapSnapshot;
 use crate::map::scale::MapScale;
 use crate::motion::hand_eye::Robot;
 use crate::motion::scale::ScaleMeasurement;
+use crate::motion::floor::ScaleConfig;
 use crate::motion::tag::TagConfig;
 use crate::motion::wheel::WheelQueue;
 use crate::publish::{MapContext, PublishError};
@@ -85,6 +87,7 @@ pub struct ReconstructStep {
     config: ReconstructionConfig,
     pub(super) calibration: Calibration,
     tag: TagConfig,
+    scale: ScaleConfig,
     lockstep: bool,
     /// Given to reconstruction with the first frame, whose size completes the camera model.
     worker: Option<Box<dyn MappingWorker>>,
@@ -113,6 +116,7 @@ pub struct ReconstructStep {
     blind: BlindLog,
     last_maps_joined: u64,
     last_tag_scale: Option<ScaleMeasurement>,
+    floor: FloorLog,
     last_loops_closed: u64,
     /// Times that a planner has put the map elsewhere: to its readers each is a reset.
     placements: u32,
@@ -139,6 +143,7 @@ impl ReconstructStep {
             config: config.clone(),
             calibration,
             tag: TagConfig::default(),
+            scale: ScaleConfig::default(),
             lockstep,
             worker: Some(worker),
             place_worker: None,
@@ -162,6 +167,7 @@ impl ReconstructStep {
             blind: BlindLog::default(),
             last_maps_joined: 0,
             last_tag_scale: None,
+            floor: FloorLog::default(),
             last_loops_closed: 0,
             placements: 0,
             last_frame_ns: 0,
@@ -202,9 +208,9 @@ impl ReconstructStep {
         Self { map_file, ..self }
     }
 
-    /// Tags of a known size are looked for, if the configuration names a size.
-    pub fn looking_for(self, tag: &TagConfig) -> Self {
-        Self { tag: tag.clone(), ..self }
+    /// Tags of a known size and the floor are looked for, where the configuration names that size, and how high the camera is above it.
+    pub fn looking_for(self, tag: &TagConfig, scale: &ScaleConfig) -> Self {
+        Self { tag: tag.clone(), scale: *scale, ..self }
     }
 
     /// One frame, from features to map. `ready_ns`: CLOCK_MONOTONIC when its features were ready. The error is the
@@ -309,6 +315,7 @@ impl ReconstructStep {
                 begun.set_base(base, radius_sigma);
             }
             begun.look_for_tags(&self.tag);
+            begun.look_for_floor(&self.scale, &self.base.map_or_else(Robot::unknown, |(base, _)| base));
             if let Some(desk) = self.map_file.as_mut() {
                 desk.begin(&mut begun, &camera, prior)?;
             }
@@ -399,6 +406,9 @@ impl ReconstructStep {
         self.log_loops(e);
         if let Some(reconstruction) = &self.reconstruction {
             self.blind.follow(reconstruction, e, state_name(e.state));
+            if self.scale.is_on() {
+                self.floor.follow(&self.scale, reconstruction, e);
+            }
         }
         let blind_turns = self.reconstruction.as_ref().map_or(0, |r| r.counters().blind_turns);
         if blind_turns != self.last_blind_turns {

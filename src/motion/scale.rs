@@ -17,8 +17,8 @@ const METRIC_SIGMA: f64 = 0.05;
 /// A metric map is scaled again where the fused word differs by more than this share of its standard deviation, and by more than this at all.
 const REFINE_SHARE: f64 = 0.3;
 const REFINE_LEAST: f64 = 0.001;
-/// No number of words makes a source better than this: a measured height has an error that all its words share. What tells by wheels or
-/// tags has it in its sigma already.
+/// No number of words makes a source better than this, whatever is said of the error that all its words share: a floor is no plane, and what
+/// poses have wrong alike does not average out. What tells by wheels or tags has it in its sigma already.
 const COMMON_SIGMA: [f64; 4] = [0.0, 0.005, 0.0, 0.0];
 /// The word of a source that told a stored scale, too, takes its place once its standard deviation is below this share of it.
 const SURER_SHARE: f64 = 0.7;
@@ -31,6 +31,8 @@ const INSISTS: u32 = 3;
 struct Word {
     log: f64,
     variance: f64,
+    /// What all words of this source share.
+    common_variance: f64,
     /// Words in a row that contradict.
     contradicted: u32,
 }
@@ -69,11 +71,17 @@ impl ScaleFusion {
     /// Takes a word on the present map as it is now. A second one of the wheels' or of tags replaces the one before, those of heights add to it. `false`, and nothing
     /// taken: it is not finite, or contradicts its own source.
     pub fn add(&mut self, measurement: &ScaleMeasurement) -> bool {
+        self.add_sharing(measurement, 0.0)
+    }
+
+    /// The same for a word with an error of this standard deviation that all words of its source share, beside its own: a height's, by whoever measured it.
+    pub fn add_sharing(&mut self, measurement: &ScaleMeasurement, common_sigma: f64) -> bool {
         let ScaleMeasurement { source, log_metres_per_unit: log, sigma } = *measurement;
-        if !log.is_finite() || !sigma.is_finite() || sigma <= 0.0 {
+        if !log.is_finite() || !sigma.is_finite() || sigma <= 0.0 || !common_sigma.is_finite() {
             return false;
         }
-        let new = Word { log, variance: sigma * sigma, contradicted: 0 };
+        let common_variance = common_sigma.powi(2).max(COMMON_SIGMA[source as usize].powi(2));
+        let new = Word { log, variance: sigma * sigma, common_variance, contradicted: 0 };
         let word = &mut self.words[source as usize];
         let Some(before) = word.as_mut().filter(|_| source == ScaleSource::Height) else {
             *word = Some(new);
@@ -125,7 +133,7 @@ impl ScaleFusion {
     }
 
     fn variance(&self, source: ScaleSource) -> Option<f64> {
-        self.words[source as usize].map(|word| word.variance + COMMON_SIGMA[source as usize].powi(2))
+        self.words[source as usize].map(|word| word.variance + word.common_variance)
     }
 
     /// By what factor the map's lengths are to grow now, if they are: it becomes metric, or what is known has changed enough. To be followed by
@@ -152,6 +160,7 @@ impl ScaleFusion {
             *mine = others.map(|word| Word {
                 log: word.log + log_metres_per_unit,
                 variance: word.variance + join_sigma * join_sigma,
+                common_variance: word.common_variance,
                 contradicted: 0,
             });
         }

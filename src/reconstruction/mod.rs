@@ -58,6 +58,7 @@ use crate::geometry::{CameraModel, Se3};
 use crate::image::pyramid::PyramidPool;
 use crate::map::saved::Taken;
 use crate::map::{KeyframeId, KeyframeView, LandmarkId, MapId, Sought};
+use crate::motion::floor::{Floor, NoFloor, Plane, ScaleConfig};
 use crate::motion::hand_eye::Robot;
 use crate::motion::scale::ScaleMeasurement;
 use crate::motion::tag::{self, TagConfig, Tags};
@@ -94,6 +95,8 @@ pub struct Reconstruction {
     epipolar: EpipolarMatcher,
     /// Where tags of a known size are looked for.
     tags: Option<Tags>,
+    /// Where the camera's height above the floor is known.
+    floor: Option<Floor>,
     /// Of the newest keyframes and their neighbours: when one is reduced the next takes its place, which keeps the heap in one piece.
     pictures: PyramidPool,
     mapper: Mapper,
@@ -144,6 +147,7 @@ impl Reconstruction {
             relocaliser: Relocaliser::default(),
             epipolar: EpipolarMatcher::default(),
             tags: None,
+            floor: None,
             pictures: PyramidPool::new(WHOLE_PICTURES, 1),
             mapper: Mapper::new(worker, lockstep),
             corrections: Corrections::default(),
@@ -161,6 +165,12 @@ impl Reconstruction {
     /// Looks for tags of a known size in keyframes from now on, if the configuration names a size.
     pub fn look_for_tags(&mut self, config: &TagConfig) {
         self.tags = Tags::new(config);
+    }
+
+    /// Looks for the floor from now on, if the configuration says how high the camera is above it. `base`: how the camera sits on the robot, as far
+    /// as that is said.
+    pub fn look_for_floor(&mut self, config: &ScaleConfig, base: &Robot) {
+        self.floor = Floor::new(config, base);
     }
 
     /// The pose of a frame. Allocates nothing once warm while there is a map and the frame is found in it, unless the one before is so
@@ -399,6 +409,11 @@ impl Reconstruction {
                 self.active.fusion.add(&word);
             }
         }
+        if let Some(floor) = &mut self.floor
+            && let Some(word) = floor.see(&self.active.map, self.active.id, id)
+        {
+            self.active.fusion.add_sharing(&word, floor.common_sigma());
+        }
     }
 
     /// Drops all maps and starts over at the next frame. Maps that are only located in stay: the next frame is looked for in them as after a loss.
@@ -462,6 +477,9 @@ impl Reconstruction {
         if let Some(tags) = &mut self.tags {
             tags.forget();
         }
+        if let Some(floor) = &mut self.floor {
+            floor.forget();
+        }
     }
 
     /// Events since the last call, in order; to be drained after every frame.
@@ -500,6 +518,16 @@ impl Reconstruction {
     /// What tags of a known size say of the present map's scale; the newest measurement contains those before.
     pub fn scale_by_tags(&self) -> Option<ScaleMeasurement> {
         self.tags.as_ref()?.measurement(self.active.id)
+    }
+
+    /// The floor around the newest keyframes, in the present map's unit.
+    pub fn floor(&self) -> Option<&Plane> {
+        self.floor.as_ref()?.plane(self.active.id)
+    }
+
+    /// Why the newest keyframe tells no floor, where one is looked for.
+    pub fn no_floor(&self) -> Option<NoFloor> {
+        self.floor.as_ref()?.refused()
     }
 
     /// Landmarks that the last frame's pose rests on, and where they were found in its picture, px; none unless it was tracked.
