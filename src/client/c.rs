@@ -16,7 +16,7 @@ use std::time::Duration;
 
 use super::{
     Client, ClientError, FeatureLists, Features, Frame, Frames, Healths, Keyframes, KeyframesSnapshot, Map,
-    MapSnapshot, Poses, Subscription, Topic, WheelPublisher, monotonic_ns,
+    MapSnapshot, ObstacleScans, Poses, Subscription, Topic, WheelPublisher, monotonic_ns,
 };
 use crate::messages::{
     Command, CommandReply, Feature, FeaturesHeader, FrameHeader, Health, Keyframe, KeyframesHeader, Landmark,
@@ -53,6 +53,7 @@ pub struct Handle {
     keyframes: Keyframes,
     frames: Option<Frames>,
     features: Option<FeatureLists>,
+    obstacles: Option<ObstacleScans>,
     wheels: Option<WheelPublisher>,
 }
 
@@ -156,8 +157,9 @@ pub unsafe extern "C" fn cairn_connect(prefix: *const c_char) -> *mut Handle {
     match client {
         Ok(client) => {
             let (poses, health, map, keyframes) = (client.poses(), client.health(), client.map(), client.keyframes());
-            let (frames, features, wheels) = (None, None, None);
-            Box::into_raw(Box::new(Handle { client, poses, health, map, keyframes, frames, features, wheels }))
+            let (frames, features, obstacles, wheels) = (None, None, None, None);
+            let handle = Handle { client, poses, health, map, keyframes, frames, features, obstacles, wheels };
+            Box::into_raw(Box::new(handle))
         }
         Err(error) => {
             failed(&error.to_string());
@@ -220,6 +222,7 @@ macro_rules! handle {
     }};
 }
 
+mod obstacles;
 mod wheels;
 
 /// The newest pose, without waiting; the same one again while no newer has come (look at `cairn_pose_is_usable`). A client that

@@ -12,7 +12,7 @@ use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
 
 use super::link::{Ipc, Link};
 use super::topics::{
-    EncodedTopic, FeaturesTopic, FrameTopic, HealthTopic, KeyframesTopic, MapTopic, OpenFailure, PoseTopic, Topic,
+    EncodedTopic, FeaturesTopic, FrameTopic, HealthTopic, KeyframesTopic, MapTopic, ObstaclesTopic, OpenFailure, PoseTopic, Topic,
 };
 use super::{ClientError, LOOK_EVERY};
 
@@ -56,6 +56,8 @@ pub type Keyframes = Subscription<KeyframesTopic>;
 pub type Frames = Subscription<FrameTopic>;
 /// Subscription to what is found in the pictures.
 pub type FeatureLists = Subscription<FeaturesTopic>;
+/// Subscription to what stands around the robot.
+pub type ObstacleScans = Subscription<ObstaclesTopic>;
 /// Subscription to the camera's own bytes.
 pub type Encodeds = Subscription<EncodedTopic>;
 

@@ -22,6 +22,7 @@ use crate::camera::v4l2::V4l2Config;
 use crate::features::FeaturesConfig;
 use crate::geometry::plane_calibration::LensKind;
 use crate::motion::floor::ScaleConfig;
+use crate::motion::obstacles::ObstaclesConfig;
 use crate::motion::tag::TagConfig;
 use crate::motion::wheel_scale::WheelConfig;
 use crate::publish::Limits;
@@ -48,6 +49,7 @@ pub struct Config {
     pub wheel: WheelConfig,
     pub map: MapConfig,
     pub mount: MountConfig,
+    pub obstacles: ObstaclesConfig,
     pub publish: PublishConfig,
     pub output: OutputConfig,
     pub log: LogConfig,
@@ -68,6 +70,7 @@ impl Default for Config {
             wheel: WheelConfig::default(),
             map: MapConfig::default(),
             mount: MountConfig::default(),
+            obstacles: ObstaclesConfig::default(),
             publish: PublishConfig::default(),
             output: OutputConfig::default(),
             log: LogConfig::default(),
@@ -263,6 +266,7 @@ impl Config {
         self.reconstruction.validate().map_err(|(key, _, reason)| in_room("reconstruction", key, reason))?;
         self.scale.validate().map_err(|(key, reason)| in_room("scale", key, reason))?;
         self.tag.validate().map_err(|(key, reason)| in_room("tag", key, reason))?;
+        self.obstacles.validate().map_err(|(key, reason)| in_room("obstacles", key, reason))?;
         self.wheel.validate().map_err(|(key, reason)| in_room("wheel", key, reason))?;
         self.camera.validate().map_err(|(key, reason)| in_room("camera", key, reason))?;
         self.simulator.validate().map_err(|e| in_room("simulator", e.key, e.reason))?;

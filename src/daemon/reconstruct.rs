@@ -11,6 +11,7 @@ use tracing::{debug, error, info, warn};
 use super::base;
 use super::blind::BlindLog;
 use super::floor::FloorLog;
+use super::obstacles;
 use super::map_file::MapDesk;
 use super::map_keeper::Keeper;
 use super::outlet::Outlet;
@@ -27,6 +28,7 @@ use crate::map::scale::MapScale;
 use crate::motion::hand_eye::Robot;
 use crate::motion::scale::ScaleMeasurement;
 use crate::motion::floor::ScaleConfig;
+use crate::motion::obstacles::ObstaclesConfig;
 use crate::motion::tag::TagConfig;
 use crate::motion::wheel::WheelQueue;
 use crate::publish::{MapContext, PublishError};
@@ -88,6 +90,7 @@ pub struct ReconstructStep {
     pub(super) calibration: Calibration,
     tag: TagConfig,
     scale: ScaleConfig,
+    obstacles: ObstaclesConfig,
     lockstep: bool,
     /// Given to reconstruction with the first frame, whose size completes the camera model.
     worker: Option<Box<dyn MappingWorker>>,
@@ -144,6 +147,7 @@ impl ReconstructStep {
             calibration,
             tag: TagConfig::default(),
             scale: ScaleConfig::default(),
+            obstacles: ObstaclesConfig::default(),
             lockstep,
             worker: Some(worker),
             place_worker: None,
@@ -213,6 +217,11 @@ impl ReconstructStep {
         Self { tag: tag.clone(), scale: *scale, ..self }
     }
 
+    /// Scans of what stands around the robot are made as this says.
+    pub fn with_obstacles(self, obstacles: &ObstaclesConfig) -> Self {
+        Self { obstacles: *obstacles, ..self }
+    }
+
     /// One frame, from features to map. `ready_ns`: CLOCK_MONOTONIC when its features were ready. The error is the
     /// calibration's: no frame of this source can ever be placed.
     pub fn step(&mut self, features: &FrameFeatures, ready_ns: i64, feedback: &mut Feedback) -> Result<(), String> {
@@ -236,6 +245,7 @@ impl ReconstructStep {
 
         let begin = Instant::now();
         if let Some(reconstruction) = self.reconstruction.as_mut() {
+            reconstruction.want_obstacles(self.outlet.as_ref().is_some_and(Outlet::obstacles_wanted));
             reconstruction.map(features, feedback);
         }
         self.status.mapping.record(begin.elapsed());
@@ -249,6 +259,7 @@ impl ReconstructStep {
             self.status.set_map_mode(desk.mode(reconstruction.map_id()));
         }
         self.publish_map();
+        self.publish_obstacles(&estimate);
         if let Some(outlet) = self.outlet.as_mut() {
             outlet.prepare();
         }
@@ -511,6 +522,18 @@ impl ReconstructStep {
         {
             Ok(()) => self.status.maps_published.add(1),
             Err(error) => self.publish_failed(&error),
+        }
+    }
+
+    /// What stands around the robot, as often as somebody wants it.
+    fn publish_obstacles(&mut self, e: &PoseEstimate) {
+        let (Some(outlet), Some(reconstruction)) = (self.outlet.as_mut(), self.reconstruction.as_mut()) else { return };
+        if !outlet.obstacles_due() {
+            return;
+        }
+        let map = context(reconstruction, self.placements, e.timestamp_ns, 0);
+        if let Err(error) = obstacles::tell(outlet, reconstruction, &self.obstacles, &self.scale, e, map) {
+            self.publish_failed(&error);
         }
     }
 

@@ -38,6 +38,7 @@ mod features;
 mod frame;
 mod health;
 mod map;
+mod obstacles;
 mod pose;
 pub mod services;
 mod transform;
@@ -52,6 +53,9 @@ pub use features::{Feature, FeaturesHeader};
 pub use frame::FrameHeader;
 pub use health::{Health, STAGES, StageHealth, error, map_mode, stage};
 pub use map::{Keyframe, KeyframesHeader, Landmark, MapHeader};
+pub use obstacles::{
+    OBSTACLE_BEARINGS, OBSTACLE_POINTS, OBSTACLES_NO_FLOOR, OBSTACLES_NO_POSE, OBSTACLES_NOT_METRIC, OBSTACLES_TOLD, Obstacles,
+};
 pub use pose::Pose;
 pub use transform::Transform;
 pub use wheel::WheelOdometry;
@@ -354,7 +358,8 @@ mod tests {
             FeaturesHeader,
             Command,
             CommandReply,
-            WheelOdometry
+            WheelOdometry,
+            Obstacles
         );
     }
 

@@ -212,3 +212,6 @@ impl Floor {
         plane::find_floor(&self.points, &cameras, &self.prior, u64::from(newest.0))
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -16,7 +16,7 @@
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
-use super::floor::Plane;
+use super::floor::{Plane, ScaleConfig};
 use super::floor::seen::Footing;
 use crate::geometry::Se3;
 use crate::geometry::frames::{Body, World};
@@ -67,6 +67,11 @@ impl Default for ObstaclesConfig {
 }
 
 impl ObstaclesConfig {
+    /// Up to which height things are in the way, m: as configured, else the camera's.
+    pub fn height_m(&self, scale: &ScaleConfig) -> f64 {
+        if self.robot_height_m > 0.0 { self.robot_height_m } else { scale.camera_height_m }
+    }
+
     /// First value out of its range: key, and what is allowed.
     pub fn validate(&self) -> Result<(), (&'static str, String)> {
         // Written so that NaN fails.

@@ -22,6 +22,7 @@ mod persistence;
 mod relocalise;
 mod scale_uncertainty;
 mod segments;
+mod surroundings;
 mod track;
 pub mod types;
 
@@ -31,6 +32,7 @@ pub use config::ReconstructionConfig;
 pub use corrections::Corrections;
 pub use dead_reckoning::Reckoned;
 pub use loops::recognition::{PlaceWorker, Recognised, Recognition};
+pub use surroundings::NoScan;
 pub use types::*;
 
 use active_map::ActiveMap;
@@ -48,6 +50,7 @@ use optics::Optics;
 use relocalise::Relocaliser;
 use relocalise::other_maps::{OtherMap, OtherMaps, WORTH_KEEPING, retire};
 use segments::Wheels;
+use surroundings::Surroundings;
 use track::frame::Frame;
 use track::search::Match;
 use track::{Tracked, Tracker};
@@ -97,6 +100,7 @@ pub struct Reconstruction {
     tags: Option<Tags>,
     /// Where the camera's height above the floor is known.
     floor: Option<Floor>,
+    surroundings: Surroundings,
     /// Of the newest keyframes and their neighbours: when one is reduced the next takes its place, which keeps the heap in one piece.
     pictures: PyramidPool,
     mapper: Mapper,
@@ -148,6 +152,7 @@ impl Reconstruction {
             epipolar: EpipolarMatcher::default(),
             tags: None,
             floor: None,
+            surroundings: Surroundings::default(),
             pictures: PyramidPool::new(WHOLE_PICTURES, 1),
             mapper: Mapper::new(worker, lockstep),
             corrections: Corrections::default(),
@@ -414,6 +419,7 @@ impl Reconstruction {
         {
             self.active.fusion.add_sharing(&word, floor.common_sigma());
         }
+        self.note_floor(id);
     }
 
     /// Drops all maps and starts over at the next frame. Maps that are only located in stay: the next frame is looked for in them as after a loss.
