@@ -12,7 +12,8 @@ use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
 
 use super::link::{Ipc, Link};
 use super::topics::{
-    EncodedTopic, FeaturesTopic, FrameTopic, HealthTopic, KeyframesTopic, MapTopic, ObstaclesTopic, OpenFailure, PoseTopic, Topic,
+    EncodedTopic, FeaturesTopic, FrameTopic, HealthTopic, KeyframesTopic, MapTopic, ObstaclesTopic, OpenFailure,
+    PoseTopic, Topic,
 };
 use super::{ClientError, LOOK_EVERY};
 

@@ -15,8 +15,8 @@ use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use super::link::Ipc;
 use crate::messages::services::topic;
 use crate::messages::{
-    EncodedHeader, Feature, FeaturesHeader, FrameHeader, Health, Keyframe, KeyframesHeader, Landmark, MapHeader, Obstacles,
-    Pose,
+    EncodedHeader, Feature, FeaturesHeader, FrameHeader, Health, Keyframe, KeyframesHeader, Landmark, MapHeader,
+    Obstacles, Pose,
 };
 
 /// The map as it was at one moment: a slice of [`Landmark`] in shared memory.

@@ -5,7 +5,7 @@ use crate::messages::{OBSTACLES_NO_FLOOR, OBSTACLES_NO_POSE, OBSTACLES_NOT_METRI
 use crate::motion::floor::ScaleConfig;
 use crate::motion::obstacles::ObstaclesConfig;
 use crate::publish::{MapContext, PublishError, ScanContext};
-use crate::reconstruction::{NoScan, PoseEstimate, Reconstruction};
+use crate::reconstruction::{NoScan, Reconstruction};
 
 /// Makes a scan and sends it, or says why there is none.
 pub fn tell(
@@ -13,7 +13,7 @@ pub fn tell(
     reconstruction: &mut Reconstruction,
     config: &ObstaclesConfig,
     scale: &ScaleConfig,
-    e: &PoseEstimate,
+    sequence: u64,
     map: MapContext,
 ) -> Result<(), PublishError> {
     let robot_height_m = config.height_m(scale);
@@ -26,13 +26,7 @@ pub fn tell(
         Err(NoScan::NotMetric) => OBSTACLES_NOT_METRIC,
         Err(NoScan::NoFloor) => OBSTACLES_NO_FLOOR,
     };
-    let context = ScanContext {
-        sequence: e.sequence,
-        map_id: map_id.0,
-        map,
-        robot_height_m,
-        robot_radius_m: config.robot_radius_m,
-        told,
-    };
+    let context =
+        ScanContext { sequence, map_id: map_id.0, map, robot_height_m, robot_radius_m: config.robot_radius_m, told };
     outlet.obstacles(made.ok(), map_id, map_scale, &context)
 }

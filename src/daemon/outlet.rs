@@ -200,7 +200,13 @@ impl Outlet {
     }
 
     /// A scan, or that there is none.
-    pub fn obstacles(&mut self, scan: Option<&Scan>, map: MapId, scale: MapScale, context: &ScanContext) -> Result<(), PublishError> {
+    pub fn obstacles(
+        &mut self,
+        scan: Option<&Scan>,
+        map: MapId,
+        scale: MapScale,
+        context: &ScanContext,
+    ) -> Result<(), PublishError> {
         self.turn_to(map);
         self.conversion.scale = scale.into();
         let Some(publisher) = &mut self.obstacles else { return Ok(()) };

@@ -11,9 +11,9 @@ use tracing::{debug, error, info, warn};
 use super::base;
 use super::blind::BlindLog;
 use super::floor::FloorLog;
-use super::obstacles;
 use super::map_file::MapDesk;
 use super::map_keeper::Keeper;
+use super::obstacles;
 use super::outlet::Outlet;
 use super::recorder::{FinalMap, Record, RecorderLink};
 use super::request::Request;
@@ -25,10 +25,10 @@ use crate::frame::monotonic_ns;
 use crate::geometry::CameraModel;
 use crate::map::MapSnapshot;
 use crate::map::scale::MapScale;
-use crate::motion::hand_eye::Robot;
-use crate::motion::scale::ScaleMeasurement;
 use crate::motion::floor::ScaleConfig;
+use crate::motion::hand_eye::Robot;
 use crate::motion::obstacles::ObstaclesConfig;
+use crate::motion::scale::ScaleMeasurement;
 use crate::motion::tag::TagConfig;
 use crate::motion::wheel::WheelQueue;
 use crate::publish::{MapContext, PublishError};
@@ -250,6 +250,7 @@ impl ReconstructStep {
         }
         self.status.mapping.record(begin.elapsed());
         self.last_frame_ns = estimate.timestamp_ns;
+        let sequence = estimate.sequence;
         self.log_changes(&estimate);
         self.note_lens(KEEP_AGAIN);
         self.drain_events();
@@ -259,7 +260,7 @@ impl ReconstructStep {
             self.status.set_map_mode(desk.mode(reconstruction.map_id()));
         }
         self.publish_map();
-        self.publish_obstacles(&estimate);
+        self.publish_obstacles(sequence);
         if let Some(outlet) = self.outlet.as_mut() {
             outlet.prepare();
         }
@@ -526,13 +527,13 @@ impl ReconstructStep {
     }
 
     /// What stands around the robot, as often as somebody wants it.
-    fn publish_obstacles(&mut self, e: &PoseEstimate) {
+    fn publish_obstacles(&mut self, sequence: u64) {
         let (Some(outlet), Some(reconstruction)) = (self.outlet.as_mut(), self.reconstruction.as_mut()) else { return };
         if !outlet.obstacles_due() {
             return;
         }
-        let map = context(reconstruction, self.placements, e.timestamp_ns, 0);
-        if let Err(error) = obstacles::tell(outlet, reconstruction, &self.obstacles, &self.scale, e, map) {
+        let map = context(reconstruction, self.placements, self.last_frame_ns, 0);
+        if let Err(error) = obstacles::tell(outlet, reconstruction, &self.obstacles, &self.scale, sequence, map) {
             self.publish_failed(&error);
         }
     }

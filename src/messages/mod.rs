@@ -54,7 +54,8 @@ pub use frame::FrameHeader;
 pub use health::{Health, STAGES, StageHealth, error, map_mode, stage};
 pub use map::{Keyframe, KeyframesHeader, Landmark, MapHeader};
 pub use obstacles::{
-    OBSTACLE_BEARINGS, OBSTACLE_POINTS, OBSTACLES_NO_FLOOR, OBSTACLES_NO_POSE, OBSTACLES_NOT_METRIC, OBSTACLES_TOLD, Obstacles,
+    OBSTACLE_BEARINGS, OBSTACLE_POINTS, OBSTACLES_NO_FLOOR, OBSTACLES_NO_POSE, OBSTACLES_NOT_METRIC, OBSTACLES_TOLD,
+    Obstacles,
 };
 pub use pose::Pose;
 pub use transform::Transform;

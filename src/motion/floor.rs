@@ -136,9 +136,8 @@ impl Floor {
         if self.told.len() > ASKED {
             self.told.remove(0);
         }
-        let alike = |told: &Plane| {
-            (told.height / plane.height).ln().abs() <= ALIKE_SIGMAS * told.sigma.hypot(plane.sigma)
-        };
+        let alike =
+            |told: &Plane| (told.height / plane.height).ln().abs() <= ALIKE_SIGMAS * told.sigma.hypot(plane.sigma);
         if !self.told.iter().all(alike) {
             self.told.drain(..self.told.len() - 1);
             return None;

@@ -16,8 +16,8 @@
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
-use super::floor::{Plane, ScaleConfig};
 use super::floor::seen::Footing;
+use super::floor::{Plane, ScaleConfig};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Body, World};
 
@@ -164,7 +164,9 @@ impl Scanner {
     /// Begins a scan around the robot; `false`: it does not stand on its wheels.
     pub fn begin(&mut self, plane: &Plane, world_from_body: &Se3<World, Body>) -> bool {
         let forward = world_from_body.rotation * Vector3::x();
-        let Some(forward) = (forward - plane.normal * plane.normal.dot(&forward)).try_normalize(0.5) else { return false };
+        let Some(forward) = (forward - plane.normal * plane.normal.dot(&forward)).try_normalize(0.5) else {
+            return false;
+        };
         let left = plane.normal.cross(&forward);
         let foot = world_from_body.translation - plane.normal * plane.height_of(&world_from_body.translation);
         self.axes = Footing { foot, forward, left };
@@ -255,7 +257,8 @@ impl Scanner {
         }
         let spread = (HALF_SIZE_M / distance).min(0.5);
         let angle = at.y.atan2(at.x);
-        let index = |angle: f64| ((angle + std::f64::consts::PI) / std::f64::consts::TAU * BEARINGS as f64).round() as i64;
+        let index =
+            |angle: f64| ((angle + std::f64::consts::PI) / std::f64::consts::TAU * BEARINGS as f64).round() as i64;
         for i in index(angle - spread)..=index(angle + spread) {
             let bearing = i.rem_euclid(BEARINGS as i64) as usize;
             let nearest = &mut self.nearest[bearing];

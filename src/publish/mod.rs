@@ -141,8 +141,7 @@ impl Publisher {
             Port::open_slices(&node, endpoint, topic::FEATURES, services::FEATURES, services::MAX_FEATURES)?;
         let encoded: Port<[u8], EncodedHeader> =
             Port::open_slices(&node, endpoint, topic::ENCODED, services::ENCODED, limits.frame_bytes)?;
-        let obstacles: Port<Obstacles, ()> =
-            Port::open(&node, endpoint, topic::OBSTACLES, services::OBSTACLES)?;
+        let obstacles: Port<Obstacles, ()> = Port::open(&node, endpoint, topic::OBSTACLES, services::OBSTACLES)?;
         let commands = CommandServer::open(&node, endpoint)?;
         let wheels = WheelInbox::open(&node, endpoint)?;
         let health: Port<Health, ()> = Port::open(&node, endpoint, topic::HEALTH, services::HEALTH)?;

@@ -120,7 +120,8 @@ impl Reconstruction {
                 scanner.add_driven(&from, &here, config.robot_radius_m);
             }
         }
-        for (_, l) in map.landmarks.iter().filter(|(_, l)| l.assumed.is_none() && l.observers.len() >= LEAST_OBSERVERS) {
+        for (_, l) in map.landmarks.iter().filter(|(_, l)| l.assumed.is_none() && l.observers.len() >= LEAST_OBSERVERS)
+        {
             scanner.add_landmark(plane, &Point { position: l.position, covariance: l.covariance }, robot_height_m);
         }
         Ok(scanner.finish(config.robot_radius_m))

@@ -288,12 +288,7 @@ fn basis(normal: &Unit<Vector3<f64>>) -> (Vector3<f64>, Vector3<f64>) {
     (e1, normal.cross(&e1))
 }
 
-fn is_floor(
-    plane: &Candidate,
-    points: &[FloorPoint],
-    on: &[usize],
-    centres: &[Vector3<f64>],
-) -> Result<(), NoFloor> {
+fn is_floor(plane: &Candidate, points: &[FloorPoint], on: &[usize], centres: &[Vector3<f64>]) -> Result<(), NoFloor> {
     let height = plane.height();
     let stray = centres.iter().map(|c| (plane.normal.dot(c) - plane.cameras).powi(2)).sum::<f64>();
     let stray = (stray / centres.len() as f64).sqrt() / height;
@@ -318,12 +313,7 @@ fn steps(centres: &[Vector3<f64>], height: f64) -> impl Iterator<Item = (Vector3
 }
 
 /// Stations of the way that have landmarks of the plane below it.
-fn driven_stations(
-    plane: &Candidate,
-    points: &[FloorPoint],
-    on: &[usize],
-    centres: &[Vector3<f64>],
-) -> usize {
+fn driven_stations(plane: &Candidate, points: &[FloorPoint], on: &[usize], centres: &[Vector3<f64>]) -> usize {
     let height = plane.height();
     let foot = |x: &Vector3<f64>| x - plane.normal * (plane.normal.dot(x) - plane.floor);
     let (mut driven, mut stations) = (0.0, std::collections::BTreeSet::new());
@@ -332,7 +322,8 @@ fn driven_stations(
         let step = to - from;
         let length = step.norm();
         for point in on.iter().map(|i| points[*i].position) {
-            let share = if length > 0.0 { (step.dot(&(point - from)) / (length * length)).clamp(0.0, 1.0) } else { 0.0 };
+            let share =
+                if length > 0.0 { (step.dot(&(point - from)) / (length * length)).clamp(0.0, 1.0) } else { 0.0 };
             if (foot(&point) - from - step * share).norm() <= STRIP * height {
                 stations.insert(((driven + share * length) / (STATION * height)) as u64);
             }

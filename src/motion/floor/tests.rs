@@ -84,9 +84,8 @@ fn what_is_no_floor_is_refused_for_its_reason() {
     over.extend(sheet(&mut random, [1.0, 6.0], [-2.0, 2.0], 0.0, 60, 0.01));
     let found = find_floor(&over, &driven(), &prior(), 1);
     assert!(!found.as_ref().is_ok_and(|p| (p.height / 0.35 - 1.0).abs() < 0.2), "a table above a floor: {found:?}");
-    let carried: Vec<_> = (0..20)
-        .map(|i| camera([0.2 * f64::from(i), 0.0, HEIGHT + 0.15 * (f64::from(i)).sin()]))
-        .collect();
+    let carried: Vec<_> =
+        (0..20).map(|i| camera([0.2 * f64::from(i), 0.0, HEIGHT + 0.15 * (f64::from(i)).sin()])).collect();
     let found = find_floor(&floor, &carried, &prior(), 1);
     assert!(matches!(found, Err(NoFloor::NotParallel(_))), "carried: {found:?}");
     let standing = vec![camera([0.0, 0.0, HEIGHT]); 20];
