@@ -1,9 +1,10 @@
 //! A scan of what stands around the robot, from reconstruction to the wire.
 
 use super::outlet::Outlet;
+use crate::map::Around;
 use crate::messages::{OBSTACLES_NO_FLOOR, OBSTACLES_NO_POSE, OBSTACLES_NOT_METRIC, OBSTACLES_TOLD};
 use crate::motion::floor::ScaleConfig;
-use crate::motion::obstacles::ObstaclesConfig;
+use crate::motion::obstacles::{ObstaclesConfig, Scan};
 use crate::publish::{MapContext, PublishError, ScanContext};
 use crate::reconstruction::{NoScan, Reconstruction};
 
@@ -29,4 +30,15 @@ pub fn tell(
     let context =
         ScanContext { sequence, map_id: map_id.0, map, robot_height_m, robot_radius_m: config.robot_radius_m, told };
     outlet.obstacles(made.ok(), map_id, map_scale, &context)
+}
+
+/// What stands around the robot now, for a picture; nothing where that is not known.
+pub fn around(
+    outlet: &Outlet,
+    reconstruction: &mut Reconstruction,
+    config: &ObstaclesConfig,
+    scale: &ScaleConfig,
+) -> Around {
+    let scan = reconstruction.obstacles(config, config.height_m(scale), &outlet.body_from_camera());
+    scan.map_or_else(|_| Around::default(), Scan::around)
 }

@@ -592,7 +592,10 @@ impl ReconstructStep {
         self.kept_sigma = f64::INFINITY;
         self.note_lens(1.0);
         self.drain_events();
-        let map = self.final_map();
+        let mut map = self.final_map();
+        if let (Some(outlet), Some(reconstruction)) = (&self.outlet, self.reconstruction.as_mut()) {
+            map.snapshot.around = obstacles::around(outlet, reconstruction, &self.obstacles, &self.scale);
+        }
         if let Some(reconstruction) = &self.reconstruction {
             self.status.set_counters(&reconstruction.counters());
         }

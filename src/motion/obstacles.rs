@@ -20,6 +20,7 @@ use super::floor::seen::Footing;
 use super::floor::{Plane, ScaleConfig};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Body, World};
+use crate::map::Around;
 
 /// Directions of a scan: two degrees each, all round. The first looks backwards, the middle one forward.
 pub const BEARINGS: usize = 180;
@@ -124,6 +125,26 @@ impl Default for Scan {
             free_m: [0.0; BEARINGS],
             points: Vec::with_capacity(MOST_POINTS),
             total: 0,
+        }
+    }
+}
+
+impl Scan {
+    /// For a picture of the map.
+    pub fn around(&self) -> Around {
+        let world = |x: f64, y: f64, z: f64| self.world_from_scan.transform(&Vector3::new(x, y, z));
+        let end = |(bearing, free): (usize, &f32)| {
+            let (sin, cos) = bearing_rad(bearing).sin_cos();
+            world(f64::from(*free) * cos, f64::from(*free) * sin, 0.0)
+        };
+        Around {
+            free: self.free_m.iter().enumerate().filter(|(_, free)| **free > 0.0).map(end).collect(),
+            foot: world(0.0, 0.0, 0.0),
+            in_the_way: self
+                .points
+                .iter()
+                .map(|p| world(p.position[0].into(), p.position[1].into(), p.position[2].into()))
+                .collect(),
         }
     }
 }

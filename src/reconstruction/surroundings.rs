@@ -17,13 +17,16 @@ use crate::motion::obstacles::{ObstaclesConfig, Point, Scan, Scanner};
 const KEPT: usize = 60;
 /// Earlier pictures that a keyframe is compared with, and how far the camera has come since, in heights: nearer there is no parallax, farther it
 /// looks different.
-const COMPARED: usize = 3;
-const LEAST_STEP: f64 = 0.15;
+const COMPARED: usize = 4;
+const LEAST_STEP: f64 = 0.35;
 const MOST_STEP: f64 = 2.5;
 /// Fewer keyframes have not seen enough of a landmark.
 const LEAST_OBSERVERS: usize = 3;
 /// Keyframes farther apart than this, m, are no way that is known to be driven straight.
 const MOST_DRIVEN_M: f64 = 1.0;
+
+/// A floor from which the camera's height differs by more than this share is not the one under it now.
+const MOST_OFF: f64 = 0.1;
 
 /// See module.
 #[derive(Debug, Default)]
@@ -97,6 +100,11 @@ impl Reconstruction {
         let Some(plane) = self.floor.as_ref().and_then(|floor| floor.plane(self.active.id)) else {
             return Err(NoScan::NoFloor);
         };
+        // A map that was just corrected has its floor elsewhere, until the next keyframe.
+        let up = plane.height_of(&last.camera_from_world.inverse().translation);
+        if (up / plane.height - 1.0).abs() > MOST_OFF {
+            return Err(NoScan::NoFloor);
+        }
         let (map, scanner) = (&self.active.map, &mut self.surroundings.scanner);
         let world_from_body: Se3<World, Body> = (*body_from_camera * last.camera_from_world).inverse();
         if !scanner.begin(plane, &world_from_body) {
