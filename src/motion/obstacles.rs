@@ -349,3 +349,6 @@ impl Scanner {
         if last > radius_m { last } else { 0.0 }
     }
 }
+
+#[cfg(test)]
+mod tests;

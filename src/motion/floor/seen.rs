@@ -196,3 +196,6 @@ fn bilinear(image: &GreyImage, at: &Vector2<f64>) -> Option<f64> {
     let lower = value(x, y + 1) * (1.0 - fx) + value(x + 1, y + 1) * fx;
     Some(upper * (1.0 - fy) + lower * fy)
 }
+
+#[cfg(test)]
+mod tests;
