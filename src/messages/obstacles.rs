@@ -68,17 +68,19 @@ pub struct Obstacles {
     pub range: [f32; OBSTACLE_BEARINGS],
     /// Standard deviation of `range`, m; NaN as there.
     pub sigma: [f32; OBSTACLE_BEARINGS],
-    /// The floor is seen free from the robot up to here, m; 0: not known.
+    /// The floor is seen free from here on, m: a camera looks over the floor at the robot's feet, which is then not known; NaN where `free` is 0.
+    pub free_from: [f32; OBSTACLE_BEARINGS],
+    /// The floor is seen free up to here, m; 0: not known.
     pub free: [f32; OBSTACLE_BEARINGS],
     /// Forward, left, up, and the standard deviation along the floor, m; NaN beyond `count`.
     pub points: [[f32; 4]; OBSTACLE_POINTS],
 }
 
-layout!(Obstacles, "cairn.Obstacles.v1", 10296, {
+layout!(Obstacles, "cairn.Obstacles.v1", 11016, {
     run_id @ 0, sequence @ 8, timestamp_ns @ 16, published_ns @ 24, position @ 32, orientation @ 56, angle_min @ 88,
     angle_increment @ 92, range_min @ 96, range_max @ 100, robot_height @ 104, scale_sigma @ 108, map_id @ 112,
     reset_counter @ 116, map_revision @ 120, count @ 124, total @ 128, told @ 132, clock @ 133, reserved @ 134,
-    range @ 136, sigma @ 856, free @ 1576, points @ 2296,
+    range @ 136, sigma @ 856, free_from @ 1576, free @ 2296, points @ 3016,
 });
 
 impl Default for Obstacles {
@@ -108,6 +110,7 @@ impl Default for Obstacles {
             reserved: [0; 2],
             range: [f32::NAN; OBSTACLE_BEARINGS],
             sigma: [f32::NAN; OBSTACLE_BEARINGS],
+            free_from: [f32::NAN; OBSTACLE_BEARINGS],
             free: [0.0; OBSTACLE_BEARINGS],
             points: [[f32::NAN; 4]; OBSTACLE_POINTS],
         }

@@ -7,7 +7,8 @@
 //! - A landmark between [`LEAST_HEIGHT_M`] and the robot's height is in the way. Bearings between two such points less than [`LINK_M`] apart
 //!   have what lies on the line between them: things are more than their corners.
 //! - **Unknown is never free.** A cell of the floor is free where two keyframes saw the floor there, or the robot itself has been; a bearing is free from
-//!   the robot on up to the last such cell, as long as no gap between them is longer than [`GAP_M`], and ends before anything in the way.
+//!   the first such cell (a camera that looks ahead may have looked over those before) up to the last one, as long as no gap between them is longer than
+//!   [`GAP_M`], and ends before anything in the way.
 //!
 //! Cost: 1 to 2 ms with 60 keyframes and 5,000 landmarks; only while somebody asks. Bounded by its constants.
 //!
@@ -32,6 +33,10 @@ pub const RANGE_MAX_M: f64 = 5.0;
 pub const LEAST_HEIGHT_M: f64 = 0.06;
 /// Longest stretch of a bearing without floor seen that is taken to be floor all the same, m: shorter than what a small robot could fall over.
 pub const GAP_M: f64 = 0.25;
+/// Where a stretch of free floor begins at the farthest, m: a camera that looks ahead does not see the floor at the robot's feet; and the shortest that
+/// is told, m.
+const FIRST_M: f64 = 1.6;
+const LEAST_STRETCH_M: f64 = 0.15;
 /// Points nearer to each other than this are one thing, m.
 const LINK_M: f64 = 0.4;
 /// Bearings that a link bridges at the most: 30 degrees.
@@ -108,7 +113,8 @@ pub struct Scan {
     /// Distance of the nearest thing, m, and its standard deviation; NaN: nothing is known to be there.
     pub range_m: [f32; BEARINGS],
     pub sigma_m: [f32; BEARINGS],
-    /// The floor is seen free from the robot to here, m; 0: not known.
+    /// The floor is seen free from here (NaN: nowhere) to there, m; 0: not known.
+    pub free_from_m: [f32; BEARINGS],
     pub free_m: [f32; BEARINGS],
     /// Nearest first.
     pub points: Vec<InTheWay>,
@@ -122,6 +128,7 @@ impl Default for Scan {
             world_from_scan: Se3::identity(),
             range_m: [f32::NAN; BEARINGS],
             sigma_m: [f32::NAN; BEARINGS],
+            free_from_m: [f32::NAN; BEARINGS],
             free_m: [0.0; BEARINGS],
             points: Vec::with_capacity(MOST_POINTS),
             total: 0,
@@ -297,7 +304,9 @@ impl Scanner {
             let (range, sigma) = nearest.unwrap_or((f64::NAN, f64::NAN));
             (self.scan.range_m[bearing], self.scan.sigma_m[bearing]) = (range as f32, sigma as f32);
             let limit = nearest.map_or(RANGE_MAX_M, |(range, sigma)| range - MARGIN_M - MARGIN_SIGMAS * sigma);
-            self.scan.free_m[bearing] = self.free(bearing_rad(bearing), radius_m, limit) as f32;
+            let free = self.free(bearing_rad(bearing), radius_m, limit);
+            let (from, to) = free.unwrap_or((f64::NAN, 0.0));
+            (self.scan.free_from_m[bearing], self.scan.free_m[bearing]) = (from as f32, to as f32);
         }
         &self.scan
     }
@@ -334,19 +343,19 @@ impl Scanner {
         }
     }
 
-    /// How far the floor is seen free from the robot on, at most to `limit`, m; 0: it is not.
-    fn free(&self, angle: f64, radius_m: f64, limit: f64) -> f64 {
+    /// From where to where the floor is seen free, at most to `limit`, m: the stretch nearest to the robot.
+    fn free(&self, angle: f64, radius_m: f64, limit: f64) -> Option<(f64, f64)> {
         let (sin, cos) = angle.sin_cos();
-        let (mut last, mut at) = (radius_m, radius_m);
-        while at < limit && at - last <= GAP_M {
+        let (mut stretch, mut at): (Option<(f64, f64)>, f64) = (None, radius_m);
+        while at < limit && stretch.map_or(at < FIRST_M, |(_, last)| at - last <= GAP_M) {
             let [x, y] = [at * cos, at * sin].map(|v| ((v + RANGE_MAX_M) / CELL_M) as usize);
             let cell = (x < CELLS && y < CELLS).then(|| y * CELLS + x);
             if cell.and_then(|i| self.seen.get(i)).is_some_and(|seen| *seen >= SEEN_BY) {
-                last = at;
+                stretch = Some((stretch.map_or(at, |(from, _)| from), at));
             }
             at += 0.5 * CELL_M;
         }
-        if last > radius_m { last } else { 0.0 }
+        stretch.filter(|(from, to)| to - from >= LEAST_STRETCH_M)
     }
 }
 

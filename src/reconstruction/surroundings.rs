@@ -9,7 +9,7 @@ use nalgebra::Vector3;
 use super::Reconstruction;
 use crate::geometry::Se3;
 use crate::geometry::frames::{Body, Camera, World};
-use crate::map::KeyframeId;
+use crate::map::{Keyframe, KeyframeId};
 use crate::motion::floor::seen::{Footing, Picture, floor_seen};
 use crate::motion::obstacles::{ObstaclesConfig, Point, Scan, Scanner};
 
@@ -20,6 +20,8 @@ const KEPT: usize = 60;
 const COMPARED: usize = 4;
 const LEAST_STEP: f64 = 0.35;
 const MOST_STEP: f64 = 2.5;
+/// The level of the pictures that is compared: the finest that is narrower than this, px.
+const FINEST_PX: usize = 480;
 /// Fewer keyframes have not seen enough of a landmark.
 const LEAST_OBSERVERS: usize = 3;
 /// Keyframes farther apart than this, m, are no way that is known to be driven straight.
@@ -61,27 +63,28 @@ impl Reconstruction {
         }
         let Some(plane) = self.floor.as_ref().and_then(|floor| floor.plane(self.active.id)) else { return };
         let map = &self.active.map;
-        let Some((pose, picture)) = map.keyframe(id).map(|k| (&k.camera_from_world, &k.picture)) else { return };
-        let whole = |picture: &'_ crate::map::picture::KeyframePicture| picture.shared();
-        let Some(own) = whole(picture) else { return };
-        let here = pose.inverse().translation;
-        let near = |other: &&crate::map::Keyframe| {
+        let Some(keyframe) = map.keyframe(id) else { return };
+        let Some(level) = keyframe.picture.pyramid().levels.iter().position(|l| l.width < FINEST_PX) else { return };
+        let picture = |k: &Keyframe| k.picture.pyramid().levels.get(level).filter(|l| !l.data.is_empty());
+        let Some(image) = picture(keyframe) else { return };
+        let size = |pixels: usize| u32::try_from(pixels).unwrap_or(0);
+        let Ok(camera) = self.optics.camera.scaled(size(image.width), size(image.height)) else { return };
+        let here = keyframe.centre();
+        let near = |other: &&Keyframe| {
             let step = (other.centre() - here).norm() / plane.height;
             (LEAST_STEP..MOST_STEP).contains(&step)
         };
         let first = id.0.saturating_sub(KEPT as u32);
         let before = (first..id.0).rev().filter_map(|id| map.keyframe(KeyframeId(id))).filter(near);
         let pictures: Vec<_> = before
-            .filter_map(|k| Some((&k.camera_from_world, k.picture.whole()?.levels.first()?)))
+            .filter_map(|k| Some(Picture { camera_from_world: &k.camera_from_world, image: picture(k)? }))
             .take(COMPARED)
-            .map(|(camera_from_world, image)| Picture { camera_from_world, image })
             .collect();
-        let Some(image) = own.levels.first() else { return };
         let seen = &mut self.surroundings.seen;
         let mut places = if seen.len() < KEPT { Vec::new() } else { seen.pop_front().map_or_else(Vec::new, |k| k.1) };
         places.clear();
-        let now = Picture { camera_from_world: pose, image };
-        floor_seen(plane, &self.optics.camera, &now, &pictures, &mut places);
+        let now = Picture { camera_from_world: &keyframe.camera_from_world, image };
+        floor_seen(plane, &camera, &now, &pictures, &mut places);
         seen.push_back((id, places));
     }
 

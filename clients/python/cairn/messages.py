@@ -338,6 +338,7 @@ class Obstacles(_Message):
         ("reserved", c.c_uint8 * 2),
         ("range", c.c_float * OBSTACLE_BEARINGS),
         ("sigma", c.c_float * OBSTACLE_BEARINGS),
+        ("free_from", c.c_float * OBSTACLE_BEARINGS),
         ("free", c.c_float * OBSTACLE_BEARINGS),
         ("points", (c.c_float * 4) * OBSTACLE_POINTS),
     ]

@@ -30,6 +30,7 @@ impl Render for Obstacles {
             .field("clock", Clock::from_wire(self.clock).name())
             .field("range", &self.range[..])
             .field("sigma", &self.sigma[..])
+            .field("free_from", &self.free_from[..])
             .field("free", &self.free[..])
             .field("points", self.in_the_way())
             .end()

@@ -54,12 +54,13 @@ fn free_is_where_two_keyframes_saw_the_floor_without_a_gap() {
             scanner.add_seen(&axes(), 0.5, &places);
         }
         let scan = scanner.finish(0.12);
+        assert!(scan.free_m.iter().zip(&scan.free_from_m).all(|(to, from)| (*to == 0.0) == from.is_nan()));
         (scan.free_m[AHEAD], scan.free_m[AHEAD + 20])
     };
     let (ahead, aside) = seen(&[[0.2, 2.0]], 2);
     assert!((1.9..2.15).contains(&ahead) && aside == 0.0, "{ahead} {aside}");
     assert_eq!(seen(&[[0.2, 2.0]], 1).0, 0.0, "one keyframe is not enough");
-    assert_eq!(seen(&[[0.8, 2.0]], 2).0, 0.0, "nothing was seen before the robot's feet");
+    assert_eq!(seen(&[[1.8, 3.0]], 2).0, 0.0, "too far from the robot");
     let gap = seen(&[[0.2, 1.0], [1.6, 2.0]], 2).0;
     assert!((0.95..1.2).contains(&gap), "{gap}: not beyond a gap");
     let bridged = seen(&[[0.2, 1.0], [1.15, 2.0]], 2).0;
