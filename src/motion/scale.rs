@@ -18,8 +18,8 @@ const METRIC_SIGMA: f64 = 0.05;
 const REFINE_SHARE: f64 = 0.3;
 const REFINE_LEAST: f64 = 0.001;
 /// No number of words makes a source better than this, whatever is said of the error that all its words share: a floor is no plane, and what
-/// poses have wrong alike does not average out. What tells by wheels or tags has it in its sigma already.
-const COMMON_SIGMA: [f64; 4] = [0.0, 0.005, 0.0, 0.0];
+/// poses have wrong alike does not average out (in eight drives of the simulator by the true height lengths were 1.5 % off, RMS). What tells by wheels or tags has it in its sigma already.
+const COMMON_SIGMA: [f64; 4] = [0.0, 0.012, 0.0, 0.0];
 /// The word of a source that told a stored scale, too, takes its place once its standard deviation is below this share of it.
 const SURER_SHARE: f64 = 0.7;
 /// A word this many standard deviations from what its own source has said so far, several times, replaces that; fewer times it is left out.
@@ -238,13 +238,13 @@ mod tests {
     fn saving_and_loading_makes_no_scale_surer() {
         for source in [ScaleSource::Wheels, ScaleSource::Tag, ScaleSource::Height] {
             let mut fusion = ScaleFusion::default();
-            fusion.add(&word(source, 0.0, 0.01));
+            fusion.add(&word(source, 0.0, 0.03));
             fusion.rescale(1.0);
             let MapScale::Metric { sigma: first, .. } = fusion.scale() else { panic!("it is metric") };
             for round in 0..3 {
                 let MapScale::Metric { sigma, sources } = fusion.scale() else { panic!("it is metric") };
                 fusion = ScaleFusion::restored(sigma, sources);
-                fusion.add(&word(source, 0.004, 0.0095));
+                fusion.add(&word(source, 0.004, 0.0285));
                 let MapScale::Metric { sigma, sources } = fusion.scale() else { panic!("it is metric") };
                 assert!((sigma - first).abs() < 1e-12, "{source:?}, round {round}: {sigma}");
                 assert!(sources.contains(source) && sources.contains(ScaleSource::StoredMap));
@@ -252,7 +252,7 @@ mod tests {
             // A much better word of the same source is not lost either.
             fusion.add(&word(source, 0.004, 0.002));
             let (log, sigma, _) = fusion.fused().expect("told");
-            assert!((log - 0.004).abs() < 1e-12 && sigma < 0.0055, "{source:?}: {log} {sigma}");
+            assert!((log - 0.004).abs() < 1e-12 && sigma < 0.013, "{source:?}: {log} {sigma}");
         }
     }
 
@@ -272,7 +272,7 @@ mod tests {
         let mut fusion = ScaleFusion::default();
         (0..100).for_each(|_| assert!(fusion.add(&word(ScaleSource::Height, 0.0, 0.01))));
         let (_, sigma, _) = fusion.fused().expect("told");
-        assert!((0.0050..0.0052).contains(&sigma), "{sigma}");
+        assert!((0.0120..0.0122).contains(&sigma), "{sigma}");
     }
 
     #[test]
