@@ -9,6 +9,7 @@ use nalgebra::Vector3;
 use super::Reconstruction;
 use crate::geometry::Se3;
 use crate::geometry::frames::{Body, Camera, World};
+use crate::image::GreyImage;
 use crate::map::{Keyframe, KeyframeId};
 use crate::motion::floor::seen::{Footing, Picture, floor_seen};
 use crate::motion::obstacles::{ObstaclesConfig, Point, Scan, Scanner};
@@ -47,6 +48,11 @@ pub enum NoScan {
     NoFloor,
 }
 
+/// A level of a keyframe's picture, if there is all of it.
+fn picture(keyframe: &Keyframe, level: usize) -> Option<&GreyImage> {
+    keyframe.picture.pyramid().levels.get(level).filter(|image| !image.data.is_empty())
+}
+
 impl Reconstruction {
     /// Whether scans are asked for: then keyframes note where they see the floor.
     pub fn want_obstacles(&mut self, wanted: bool) {
@@ -65,8 +71,7 @@ impl Reconstruction {
         let map = &self.active.map;
         let Some(keyframe) = map.keyframe(id) else { return };
         let Some(level) = keyframe.picture.pyramid().levels.iter().position(|l| l.width < FINEST_PX) else { return };
-        let picture = |k: &Keyframe| k.picture.pyramid().levels.get(level).filter(|l| !l.data.is_empty());
-        let Some(image) = picture(keyframe) else { return };
+        let Some(image) = picture(keyframe, level) else { return };
         let size = |pixels: usize| u32::try_from(pixels).unwrap_or(0);
         let Ok(camera) = self.optics.camera.scaled(size(image.width), size(image.height)) else { return };
         let here = keyframe.centre();
@@ -77,7 +82,7 @@ impl Reconstruction {
         let first = id.0.saturating_sub(KEPT as u32);
         let before = (first..id.0).rev().filter_map(|id| map.keyframe(KeyframeId(id))).filter(near);
         let pictures: Vec<_> = before
-            .filter_map(|k| Some(Picture { camera_from_world: &k.camera_from_world, image: picture(k)? }))
+            .filter_map(|k| Some(Picture { camera_from_world: &k.camera_from_world, image: picture(k, level)? }))
             .take(COMPARED)
             .collect();
         let seen = &mut self.surroundings.seen;
