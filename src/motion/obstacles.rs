@@ -17,7 +17,7 @@
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
-use super::floor::seen::Footing;
+use super::floor::seen::{Footing, Places};
 use super::floor::{Plane, ScaleConfig};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Body, World};
@@ -51,7 +51,7 @@ const MARGIN_SIGMAS: f64 = 2.0;
 /// Side of a cell of the floor, m, and cells a side.
 const CELL_M: f64 = 0.05;
 const CELLS: usize = (2.0 * RANGE_MAX_M / CELL_M) as usize;
-/// Keyframes that must have seen a cell.
+/// Keyframes that must have seen a cell; as many that saw something else there end what is free, if no more saw the floor.
 const SEEN_BY: u8 = 2;
 /// A place that was seen covers this share of its distance around it: the grid's spacing there.
 const COVERS: f64 = 0.035;
@@ -166,6 +166,8 @@ pub fn bearing_rad(bearing: usize) -> f64 {
 pub struct Scanner {
     /// Keyframes that saw a cell, and the last one of them.
     seen: Vec<u8>,
+    /// Keyframes that saw something else there.
+    against: Vec<u8>,
     last: Vec<u16>,
     keyframes: u16,
     axes: Footing,
@@ -179,6 +181,7 @@ impl Default for Scanner {
         let axes = Footing { foot: Vector3::zeros(), forward: Vector3::x(), left: Vector3::y() };
         Self {
             seen: vec![0; CELLS * CELLS],
+            against: vec![0; CELLS * CELLS],
             last: vec![0; CELLS * CELLS],
             keyframes: 0,
             axes,
@@ -201,6 +204,7 @@ impl Scanner {
         let axes = Matrix3::from_columns(&[forward, left, plane.normal]);
         self.scan.world_from_scan = Se3::from_matrix(&axes, foot);
         self.seen.fill(0);
+        self.against.fill(0);
         self.last.fill(0);
         self.keyframes = 0;
         self.nearest = [None; BEARINGS];
@@ -216,13 +220,15 @@ impl Scanner {
     }
 
     /// A keyframe saw the floor at these places, in heights of its camera.
-    pub fn add_seen(&mut self, footing: &Footing, height_m: f64, places: &[[f32; 2]]) {
-        self.keyframes = self.keyframes.saturating_add(1);
-        for place in places {
-            let at = place.map(|v| f64::from(v) * height_m);
-            let radius = (COVERS * at[0].hypot(at[1])).max(0.7 * CELL_M);
-            let middle = self.local(&footing.place(at));
-            self.cover(&middle, radius, 1);
+    pub fn add_seen(&mut self, footing: &Footing, height_m: f64, places: &Places) {
+        for (places, is_floor) in [(&places.floor, true), (&places.other, false)] {
+            self.keyframes = self.keyframes.saturating_add(1);
+            for place in places {
+                let at = place.map(|v| f64::from(v) * height_m);
+                let radius = (COVERS * at[0].hypot(at[1])).max(0.7 * CELL_M);
+                let middle = self.local(&footing.place(at));
+                self.cover(&middle, radius, 1, is_floor);
+            }
         }
     }
 
@@ -232,11 +238,11 @@ impl Scanner {
         let (from, to) = (self.local(from), self.local(to));
         let steps = ((to - from).norm() / CELL_M).ceil().clamp(1.0, 100.0) as usize;
         for i in 0..=steps {
-            self.cover(&from.lerp(&to, i as f64 / steps as f64), radius_m, SEEN_BY);
+            self.cover(&from.lerp(&to, i as f64 / steps as f64), radius_m, u8::MAX, true);
         }
     }
 
-    fn cover(&mut self, middle: &Vector2<f64>, radius: f64, times: u8) {
+    fn cover(&mut self, middle: &Vector2<f64>, radius: f64, times: u8, is_floor: bool) {
         let cell = |v: f64| ((v + RANGE_MAX_M) / CELL_M).floor();
         let [x0, x1, y0, y1] = [middle.x - radius, middle.x + radius, middle.y - radius, middle.y + radius].map(cell);
         let inside = |v: f64| v.clamp(0.0, CELLS as f64 - 1.0) as usize;
@@ -249,7 +255,8 @@ impl Scanner {
                 let i = y * CELLS + x;
                 if (centre - middle).norm() <= radius && self.last[i] != self.keyframes {
                     self.last[i] = self.keyframes;
-                    self.seen[i] = self.seen[i].saturating_add(times);
+                    let counts = if is_floor { &mut self.seen } else { &mut self.against };
+                    counts[i] = counts[i].saturating_add(times);
                 }
             }
         }
@@ -350,7 +357,11 @@ impl Scanner {
         while at < limit && stretch.map_or(at < FIRST_M, |(_, last)| at - last <= GAP_M) {
             let [x, y] = [at * cos, at * sin].map(|v| ((v + RANGE_MAX_M) / CELL_M) as usize);
             let cell = (x < CELLS && y < CELLS).then(|| y * CELLS + x);
-            if cell.and_then(|i| self.seen.get(i)).is_some_and(|seen| *seen >= SEEN_BY) {
+            let (seen, against) = cell.map_or((0, 0), |i| (self.seen[i], self.against[i]));
+            if against >= SEEN_BY && against >= seen {
+                break;
+            }
+            if seen >= SEEN_BY {
                 stretch = Some((stretch.map_or(at, |(from, _)| from), at));
             }
             at += 0.5 * CELL_M;

@@ -11,7 +11,7 @@ use crate::geometry::Se3;
 use crate::geometry::frames::{Body, Camera, World};
 use crate::image::GreyImage;
 use crate::map::{Keyframe, KeyframeId};
-use crate::motion::floor::seen::{Footing, Picture, floor_seen};
+use crate::motion::floor::seen::{Footing, Picture, Places, floor_seen};
 use crate::motion::obstacles::{ObstaclesConfig, Point, Scan, Scanner};
 
 /// Keyframes whose floor is kept: of a way of 10 m and more.
@@ -36,7 +36,7 @@ const MOST_OFF: f64 = 0.1;
 pub(super) struct Surroundings {
     wanted: bool,
     /// Where keyframes saw the floor, in heights; newest last.
-    seen: VecDeque<(KeyframeId, Vec<[f32; 2]>)>,
+    seen: VecDeque<(KeyframeId, Places)>,
     scanner: Scanner,
 }
 
@@ -86,8 +86,10 @@ impl Reconstruction {
             .take(COMPARED)
             .collect();
         let seen = &mut self.surroundings.seen;
-        let mut places = if seen.len() < KEPT { Vec::new() } else { seen.pop_front().map_or_else(Vec::new, |k| k.1) };
-        places.clear();
+        let oldest = if seen.len() < KEPT { None } else { seen.pop_front() };
+        let mut places = oldest.map(|(_, places)| places).unwrap_or_default();
+        places.floor.clear();
+        places.other.clear();
         let now = Picture { camera_from_world: &keyframe.camera_from_world, image };
         floor_seen(plane, &camera, &now, &pictures, &mut places);
         seen.push_back((id, places));

@@ -42,6 +42,9 @@ const LEAST_SHIFT_PX: f64 = 0.8;
 /// Correlation that is alike, and what it must be more than elsewhere.
 const ALIKE: f64 = 0.75;
 const CLEARLY: f64 = 0.12;
+/// A patch of so much contrast that is like this in none of the earlier pictures is something else: a thing on the floor, or before it.
+const UNLIKE: f64 = 0.4;
+const RICH_CONTRAST: f64 = 6.0;
 
 /// The camera over the floor: foot point, and forward and left on the floor.
 #[derive(Debug, Clone, Copy)]
@@ -68,14 +71,17 @@ impl Footing {
     }
 }
 
-/// Appends the places where the floor was seen, forward and left in heights.
-pub fn floor_seen(
-    plane: &Plane,
-    camera: &CameraModel,
-    now: &Picture<'_>,
-    before: &[Picture<'_>],
-    out: &mut Vec<[f32; 2]>,
-) {
+/// Places, forward and left in heights.
+#[derive(Debug, Clone, Default)]
+pub struct Places {
+    /// Where the floor was seen.
+    pub floor: Vec<[f32; 2]>,
+    /// Where something else was.
+    pub other: Vec<[f32; 2]>,
+}
+
+/// Appends what was seen.
+pub fn floor_seen(plane: &Plane, camera: &CameraModel, now: &Picture<'_>, before: &[Picture<'_>], out: &mut Places) {
     let Some(footing) = Footing::of(plane, now.camera_from_world) else { return };
     let bearings = (WIDEST_DEG / BEARING_STEP_DEG) as i32;
     let mut distance = NEAREST;
@@ -84,32 +90,40 @@ pub fn floor_seen(
             let bearing = (f64::from(step) * BEARING_STEP_DEG).to_radians();
             let at = [distance * bearing.cos(), distance * bearing.sin()];
             let world = footing.place(at.map(|v| v * plane.height));
-            if is_floor(plane, camera, now, before, &world) {
-                out.push(at.map(|v| v as f32));
+            match judged(plane, camera, now, before, &world) {
+                Some(true) => out.floor.push(at.map(|v| v as f32)),
+                Some(false) => out.other.push(at.map(|v| v as f32)),
+                None => {}
             }
         }
         distance *= RING_FACTOR;
     }
 }
 
-fn is_floor(
+/// Floor, something else, or nothing is known.
+fn judged(
     plane: &Plane,
     camera: &CameraModel,
     now: &Picture<'_>,
     before: &[Picture<'_>],
     world: &Vector3<f64>,
-) -> bool {
-    let Some(pixel) = project(camera, now.camera_from_world, world) else { return false };
-    let Some(patch) = Patch::cut(now.image, &pixel, &Matrix2::identity()) else { return false };
+) -> Option<bool> {
+    let pixel = project(camera, now.camera_from_world, world)?;
+    let patch = Patch::cut(now.image, &pixel, &Matrix2::identity())?;
     if patch.contrast() < LEAST_CONTRAST {
-        return false;
+        return None;
     }
-    before.iter().any(|earlier| {
+    let mut most_alike: Option<f64> = None;
+    let is_floor = before.iter().any(|earlier| {
         let seen_at = |share: f64| {
             let (at, warp) = lead(plane.offset + share * plane.height, plane, camera, now, earlier, &pixel)?;
             Some((at, patch.correlation(&Patch::cut(earlier.image, &at, &warp)?)))
         };
-        let Some((at, alike)) = seen_at(0.0).filter(|(_, alike)| *alike >= ALIKE) else { return false };
+        let Some((at, alike)) = seen_at(0.0) else { return false };
+        most_alike = Some(most_alike.map_or(alike, |most| most.max(alike)));
+        if alike < ALIKE {
+            return false;
+        }
         let mut told = false;
         for height in OTHER_HEIGHTS {
             let Some((other, correlation)) = seen_at(height) else { continue };
@@ -122,7 +136,9 @@ fn is_floor(
             told = true;
         }
         told
-    })
+    });
+    let other = most_alike.is_some_and(|most| most < UNLIKE) && patch.contrast() >= RICH_CONTRAST;
+    (is_floor || other).then_some(is_floor)
 }
 
 fn project(camera: &CameraModel, camera_from_world: &Se3<Camera, World>, world: &Vector3<f64>) -> Option<Vector2<f64>> {

@@ -32,9 +32,10 @@ fn axes() -> Footing {
 }
 
 /// Places along a straight line forward, in heights of 0.5 m.
-fn line(from_m: f64, to_m: f64) -> Vec<[f32; 2]> {
+fn line(from_m: f64, to_m: f64) -> Places {
     let steps = ((to_m - from_m) / 0.05).round() as usize;
-    (0..=steps).map(|i| [(2.0 * (from_m + 0.05 * i as f64)) as f32, 0.0]).collect()
+    let floor = (0..=steps).map(|i| [(2.0 * (from_m + 0.05 * i as f64)) as f32, 0.0]).collect();
+    Places { floor, other: Vec::new() }
 }
 
 #[test]
@@ -50,7 +51,8 @@ fn free_is_where_two_keyframes_saw_the_floor_without_a_gap() {
     let seen = |pieces: &[[f64; 2]], times: usize| {
         let mut scanner = begun();
         for _ in 0..times {
-            let places: Vec<_> = pieces.iter().flat_map(|[from, to]| line(*from, *to)).collect();
+            let floor = pieces.iter().flat_map(|[from, to]| line(*from, *to).floor).collect();
+            let places = Places { floor, other: Vec::new() };
             scanner.add_seen(&axes(), 0.5, &places);
         }
         let scan = scanner.finish(0.12);
@@ -78,6 +80,16 @@ fn what_stands_in_between_ends_what_is_free() {
     assert_eq!((scan.total, scan.points.len()), (1, 1));
     let [x, y, z] = scan.points[0].position;
     assert!((x - 1.5).abs() < 1e-6 && y.abs() < 1e-6 && (z - 0.3).abs() < 1e-6);
+}
+
+#[test]
+fn where_keyframes_saw_something_else_nothing_is_free() {
+    let mut scanner = begun();
+    let other = line(1.4, 1.5).floor;
+    (0..3).for_each(|_| scanner.add_seen(&axes(), 0.5, &Places { other: other.clone(), ..line(0.2, 1.3) }));
+    (0..3).for_each(|_| scanner.add_seen(&axes(), 0.5, &line(1.55, 3.0)));
+    let free = scanner.finish(0.12).free_m[AHEAD];
+    assert!((1.2..1.4).contains(&free), "{free}");
 }
 
 #[test]

@@ -66,7 +66,7 @@ fn picture(pose: &Se3<Camera, World>, noise: &[f64], contrast: f64) -> GreyImage
     image
 }
 
-fn seen(contrast: f64) -> Vec<[f32; 2]> {
+fn seen(contrast: f64) -> Places {
     let mut random = Random::new(5);
     let noise: Vec<f64> = (0..64 * 64).map(|_| random.normal()).collect();
     let (now, earlier) = (camera(0.0), [camera(-0.25), camera(-0.45)]);
@@ -74,21 +74,28 @@ fn seen(contrast: f64) -> Vec<[f32; 2]> {
     let before: Vec<_> =
         earlier.iter().zip(&images).map(|(camera_from_world, image)| Picture { camera_from_world, image }).collect();
     let image = picture(&now, &noise, contrast);
-    let mut out = Vec::new();
+    let mut out = Places::default();
     floor_seen(&floor(), &lens(), &Picture { camera_from_world: &now, image: &image }, &before, &mut out);
     out
 }
 
 #[test]
 fn a_painted_floor_is_seen_and_a_box_on_it_is_not() {
-    let places: Vec<_> = seen(40.0).into_iter().map(|p| p.map(|v| f64::from(v) * HEIGHT_M)).collect();
+    let metres = |places: Vec<[f32; 2]>| -> Vec<[f64; 2]> {
+        places.into_iter().map(|p| p.map(|v| f64::from(v) * HEIGHT_M)).collect()
+    };
+    let Places { floor, other } = seen(40.0);
+    let (places, other) = (metres(floor), metres(other));
     let before = |p: &&[f64; 2]| p[0] < BOX_M - 0.1;
     assert!(places.iter().filter(before).count() > 150, "{} places of the floor", places.len());
     let beyond = places.iter().filter(|p| p[0] > BOX_M + 0.05 && p[1] > 0.1).count();
     assert!(beyond * 50 < places.len(), "{beyond} of {} places in or behind the box", places.len());
+    let of_box = other.iter().filter(|p| p[0] > BOX_M && p[1] > 0.0).count();
+    assert!(of_box > 20 && 2 * of_box > other.len(), "{of_box} of {} other places are the box", other.len());
 }
 
 #[test]
 fn a_bare_floor_tells_nothing() {
-    assert!(seen(0.5).is_empty());
+    let Places { floor, other } = seen(0.5);
+    assert!(floor.is_empty() && other.is_empty());
 }
