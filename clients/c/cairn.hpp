@@ -21,6 +21,7 @@ using Duration = std::chrono::nanoseconds;
 using Pose = cairn_pose;
 using Health = cairn_health;
 using Landmark = cairn_landmark;
+using Obstacles = cairn_obstacles;
 
 // Waiting would not cure it; what() names reason and cure.
 struct Error : std::runtime_error {
@@ -127,6 +128,13 @@ class Client {
     std::optional<Graph> graph(Duration timeout) { return view<Graph>(cairn_graph_wait, timeout); }
     std::optional<Frame> frame(Duration timeout) { return view<Frame>(cairn_frame_wait, timeout); }
     std::optional<Features> features(Duration timeout) { return view<Features>(cairn_features_wait, timeout); }
+
+    // The newest scan of what stands around the robot; made only while it is asked for. NaN and 0 are unknown, never free.
+    std::optional<Obstacles> obstacles(Duration timeout) {
+        Obstacles scan;
+        return detail::came(cairn_obstacles_wait(client_.get(), detail::ns(timeout), &scan)) ? std::optional(scan)
+                                                                                            : std::nullopt;
+    }
 
     // For the driver of the robot's base: its mean twist since the last call, up to now (forward, to the left, turn to the left), 20 to 100
     // times a second. True if a daemon is there; throws where another driver tells of the wheels already. Never waits.

@@ -1,5 +1,6 @@
 //! `cairn watch`: a planner that prints. Waits for a daemon, survives its restarts, ends on a signal or a broken pipe.
 
+mod obstacles;
 mod render;
 
 use std::io::{ErrorKind, Write};
@@ -36,6 +37,9 @@ pub struct WatchArgs {
     /// What each map message says of itself (not its landmarks) instead of poses
     #[arg(long)]
     pub map: bool,
+    /// What stands around the robot, and where the floor is seen free, instead of poses
+    #[arg(long, conflicts_with_all = ["map", "health"])]
+    pub obstacles: bool,
 }
 
 fn seconds(text: &str) -> Result<Duration, String> {
@@ -62,6 +66,8 @@ fn watch(args: &WatchArgs, out: &mut dyn Write, stop: &AtomicBool) -> Result<(),
     let client = Client::with_endpoint(args.endpoint.endpoint()?)?;
     if args.health {
         follow(client.health(), args, out, stop)
+    } else if args.obstacles {
+        follow(client.obstacles(), args, out, stop)
     } else if args.map {
         follow(client.map(), args, out, stop)
     } else {

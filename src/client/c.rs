@@ -16,7 +16,7 @@ use std::time::Duration;
 
 use super::{
     Client, ClientError, FeatureLists, Features, Frame, Frames, Graphs, Healths, Keyframes, KeyframesSnapshot, Map,
-    MapSnapshot, Poses, Subscription, Topic, WheelPublisher, monotonic_ns,
+    MapSnapshot, ObstacleScans, Poses, Subscription, Topic, WheelPublisher, monotonic_ns,
 };
 use crate::messages::{
     Command, CommandReply, Feature, FeaturesHeader, FrameHeader, Health, Keyframe, KeyframesHeader, Landmark,
@@ -54,6 +54,7 @@ pub struct Handle {
     frames: Option<Frames>,
     features: Option<FeatureLists>,
     graphs: Option<Graphs>,
+    obstacles: Option<ObstacleScans>,
     wheels: Option<WheelPublisher>,
 }
 
@@ -157,8 +158,9 @@ pub unsafe extern "C" fn cairn_connect(prefix: *const c_char) -> *mut Handle {
     match client {
         Ok(client) => {
             let (poses, health, map, keyframes) = (client.poses(), client.health(), client.map(), client.keyframes());
-            let (frames, features, graphs, wheels) = (None, None, None, None);
-            Box::into_raw(Box::new(Handle { client, poses, health, map, keyframes, frames, features, graphs, wheels }))
+            let (frames, features, graphs, obstacles, wheels) = (None, None, None, None, None);
+            let handle = Handle { client, poses, health, map, keyframes, frames, features, graphs, obstacles, wheels };
+            Box::into_raw(Box::new(handle))
         }
         Err(error) => {
             failed(&error.to_string());
@@ -222,6 +224,7 @@ macro_rules! handle {
 }
 
 mod graph;
+mod obstacles;
 mod wheels;
 
 /// The newest pose, without waiting; the same one again while no newer has come (look at `cairn_pose_is_usable`). A client that

@@ -49,7 +49,9 @@ use iceoryx2_bb_posix::clock::{ClockType, Time};
 
 pub use commander::{MapList, StoredMap};
 pub use error::ClientError;
-pub use subscription::{Encodeds, FeatureLists, Frames, Graphs, Healths, Keyframes, Map, Poses, Subscription};
+pub use subscription::{
+    Encodeds, FeatureLists, Frames, Graphs, Healths, Keyframes, Map, ObstacleScans, Poses, Subscription,
+};
 pub use topics::{Encoded, Features, Frame, Graph, KeyframesSnapshot, MapSnapshot, Slice, Topic};
 pub use wheel::WheelPublisher;
 
@@ -139,6 +141,12 @@ impl Client {
 
     /// Corners, tracks and matched landmarks of each picture. The daemon makes them only while somebody holds such a subscription.
     pub fn features(&self) -> FeatureLists {
+        Subscription::new(self.link.clone())
+    }
+
+    /// What stands around the robot and where the floor is free, about six times a second. The daemon makes scans only while somebody holds such a
+    /// subscription.
+    pub fn obstacles(&self) -> ObstacleScans {
         Subscription::new(self.link.clone())
     }
 

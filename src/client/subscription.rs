@@ -12,8 +12,8 @@ use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
 
 use super::link::{Ipc, Link};
 use super::topics::{
-    EncodedTopic, FeaturesTopic, FrameTopic, GraphTopic, HealthTopic, KeyframesTopic, MapTopic, OpenFailure, PoseTopic,
-    Topic,
+    EncodedTopic, FeaturesTopic, FrameTopic, GraphTopic, HealthTopic, KeyframesTopic, MapTopic, ObstaclesTopic,
+    OpenFailure, PoseTopic, Topic,
 };
 use super::{ClientError, LOOK_EVERY};
 
@@ -61,6 +61,8 @@ pub type Frames = Subscription<FrameTopic>;
 pub type Graphs = Subscription<GraphTopic>;
 /// Subscription to what is found in the pictures.
 pub type FeatureLists = Subscription<FeaturesTopic>;
+/// Subscription to what stands around the robot.
+pub type ObstacleScans = Subscription<ObstaclesTopic>;
 /// Subscription to the camera's own bytes.
 pub type Encodeds = Subscription<EncodedTopic>;
 

@@ -16,7 +16,7 @@ use super::link::Ipc;
 use crate::messages::services::topic;
 use crate::messages::{
     EncodedHeader, Feature, FeaturesHeader, FrameHeader, GraphEdge, GraphHeader, Health, Keyframe, KeyframesHeader,
-    Landmark, MapHeader, Pose,
+    Landmark, MapHeader, Obstacles, Pose,
 };
 
 /// The map as it was at one moment: a slice of [`Landmark`] in shared memory.
@@ -186,6 +186,9 @@ impl WireName for GraphEdge {
 impl WireName for Feature {
     const WIRE_NAME: &'static str = Feature::TYPE_NAME;
 }
+impl WireName for Obstacles {
+    const WIRE_NAME: &'static str = Obstacles::TYPE_NAME;
+}
 impl WireName for u8 {
     const WIRE_NAME: &'static str = "u8";
 }
@@ -221,4 +224,8 @@ topic!(
 topic!(
     /// [`Encoded`], while somebody subscribes.
     EncodedTopic, topic::ENCODED, [u8], u8, EncodedHeader, true, Encoded, held
+);
+topic!(
+    /// [`Obstacles`], while somebody subscribes.
+    ObstaclesTopic, topic::OBSTACLES, Obstacles, Obstacles, (), false, Obstacles, copied
 );

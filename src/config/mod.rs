@@ -21,6 +21,8 @@ use crate::camera::simulator_config::SimulatorConfig;
 use crate::camera::v4l2::V4l2Config;
 use crate::features::FeaturesConfig;
 use crate::geometry::plane_calibration::LensKind;
+use crate::motion::floor::ScaleConfig;
+use crate::motion::obstacles::ObstaclesConfig;
 use crate::motion::tag::TagConfig;
 use crate::motion::wheel_scale::WheelConfig;
 use crate::publish::Limits;
@@ -42,10 +44,12 @@ pub struct Config {
     pub calibration: CalibrationConfig,
     pub features: FeaturesConfig,
     pub reconstruction: ReconstructionConfig,
+    pub scale: ScaleConfig,
     pub tag: TagConfig,
     pub wheel: WheelConfig,
     pub map: MapConfig,
     pub mount: MountConfig,
+    pub obstacles: ObstaclesConfig,
     pub publish: PublishConfig,
     pub output: OutputConfig,
     pub log: LogConfig,
@@ -61,10 +65,12 @@ impl Default for Config {
             calibration: CalibrationConfig::default(),
             features: FeaturesConfig::default(),
             reconstruction: ReconstructionConfig::default(),
+            scale: ScaleConfig::default(),
             tag: TagConfig::default(),
             wheel: WheelConfig::default(),
             map: MapConfig::default(),
             mount: MountConfig::default(),
+            obstacles: ObstaclesConfig::default(),
             publish: PublishConfig::default(),
             output: OutputConfig::default(),
             log: LogConfig::default(),
@@ -258,7 +264,9 @@ impl Config {
         let in_room = |room: &str, key: &str, reason: String| Invalid::new(format!("{room}.{key}"), reason);
         self.features.validate().map_err(|(key, _, reason)| in_room("features", key, reason))?;
         self.reconstruction.validate().map_err(|(key, _, reason)| in_room("reconstruction", key, reason))?;
+        self.scale.validate().map_err(|(key, reason)| in_room("scale", key, reason))?;
         self.tag.validate().map_err(|(key, reason)| in_room("tag", key, reason))?;
+        self.obstacles.validate().map_err(|(key, reason)| in_room("obstacles", key, reason))?;
         self.wheel.validate().map_err(|(key, reason)| in_room("wheel", key, reason))?;
         self.camera.validate().map_err(|(key, reason)| in_room("camera", key, reason))?;
         self.simulator.validate().map_err(|e| in_room("simulator", e.key, e.reason))?;

@@ -48,7 +48,8 @@ pub fn run(parts: Parts, stop: &AtomicBool, go_on: &mut dyn FnMut(&Status) -> bo
     .with_wheels(wheels)
     .with_base(&config.mount, config.wheel.scale_sigma)
     .with_map_file(desk)
-    .looking_for(&config.tag);
+    .looking_for(&config.tag, &config.scale)
+    .with_obstacles(&config.obstacles);
     let mut slot = RawFrame::default();
     let mut features = FrameFeatures::default();
     let mut feedback = Feedback::default();

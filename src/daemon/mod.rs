@@ -23,6 +23,7 @@ mod blind;
 mod camera_commands;
 mod capture;
 mod feature;
+mod floor;
 mod health;
 pub mod lockstep;
 mod map_commands;
@@ -30,6 +31,7 @@ mod map_file;
 mod map_folder;
 mod map_keeper;
 mod map_requests;
+mod obstacles;
 mod outlet;
 mod reconstruct;
 mod recorder;
@@ -167,7 +169,8 @@ pub(super) fn start(parts: Parts) -> Result<Threads, DaemonError> {
     .with_wheels(wheels.clone())
     .with_base(&config.mount, config.wheel.scale_sigma)
     .with_map_file(desk)
-    .looking_for(&config.tag);
+    .looking_for(&config.tag, &config.scale)
+    .with_obstacles(&config.obstacles);
 
     // As many parcels as may wait, and the one that reconstruction works on.
     let parcels = config.daemon.queue_frames + 1;

@@ -4,16 +4,18 @@ use crate::config::MountConfig;
 use crate::features::FrameFeatures;
 use crate::frame::{Clock, monotonic_ns};
 use crate::geometry::Se3;
-use crate::geometry::frames::{Body, World};
+use crate::geometry::frames::{Body, Camera, World};
 use crate::map::graph::MapGraph;
+use crate::map::scale::MapScale;
 use crate::map::{LandmarkId, MapId, MapSnapshot};
 use crate::messages::Pose;
 use crate::messages::services::MAX_EDGES;
 use crate::motion::hand_eye::Robot;
+use crate::motion::obstacles::Scan;
 use crate::publish::convert::{self, Map};
 use crate::publish::{
     Conversion, EncodedPublisher, FeaturesPublisher, FramePublisher, FrameStamp, GraphPublisher, MapContext,
-    MapPublisher, PosePublisher, PublishError, ScaleEstimate, WheelInbox,
+    MapPublisher, ObstaclesPublisher, PosePublisher, PublishError, ScaleEstimate, ScanContext, WheelInbox,
 };
 use crate::reconstruction::{PoseEstimate, Reconstruction};
 
@@ -41,6 +43,7 @@ pub struct Outlet {
     /// As sent last.
     edges: MapGraph,
     features: Option<FeaturesPublisher>,
+    obstacles: Option<ObstaclesPublisher>,
     /// For the capture stage, which takes it.
     encoded: Option<EncodedPublisher>,
     /// For the reconstruction step, which takes it.
@@ -73,6 +76,7 @@ impl Outlet {
             graph: None,
             edges: MapGraph::default(),
             features: None,
+            obstacles: None,
             encoded: None,
             wheels: None,
             conversion,
@@ -90,6 +94,12 @@ impl Outlet {
     /// Tells what is found in the pictures, too.
     pub fn with_features(mut self, features: FeaturesPublisher) -> Self {
         self.features = Some(features);
+        self
+    }
+
+    /// Tells what stands around the robot, too.
+    pub fn with_obstacles(mut self, obstacles: ObstaclesPublisher) -> Self {
+        self.obstacles = Some(obstacles);
         self
     }
 
@@ -185,6 +195,35 @@ impl Outlet {
             arrival_ns: features.arrival_ns,
             clock: self.conversion.clock,
         }
+    }
+
+    /// Somebody wants to know what stands around the robot.
+    pub fn obstacles_wanted(&self) -> bool {
+        self.obstacles.as_ref().is_some_and(ObstaclesPublisher::is_wanted)
+    }
+
+    /// It is time for another scan of it.
+    pub fn obstacles_due(&self) -> bool {
+        self.obstacles.as_ref().is_some_and(ObstaclesPublisher::is_due)
+    }
+
+    /// Where the camera sits on the robot, as poses are published.
+    pub fn body_from_camera(&self) -> Se3<Body, Camera> {
+        self.conversion.body_from_camera
+    }
+
+    /// A scan, or that there is none.
+    pub fn obstacles(
+        &mut self,
+        scan: Option<&Scan>,
+        map: MapId,
+        scale: MapScale,
+        context: &ScanContext,
+    ) -> Result<(), PublishError> {
+        self.turn_to(map);
+        self.conversion.scale = scale.into();
+        let Some(publisher) = &mut self.obstacles else { return Ok(()) };
+        publisher.publish(scan, &self.conversion, context)
     }
 
     /// It is time for another map message.

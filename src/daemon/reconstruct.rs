@@ -10,8 +10,10 @@ use tracing::{debug, error, info, warn};
 
 use super::base;
 use super::blind::BlindLog;
+use super::floor::FloorLog;
 use super::map_file::MapDesk;
 use super::map_keeper::Keeper;
+use super::obstacles;
 use super::outlet::Outlet;
 use super::recorder::{FinalMap, Record, RecorderLink};
 use super::request::Request;
@@ -23,7 +25,9 @@ use crate::frame::monotonic_ns;
 use crate::geometry::CameraModel;
 use crate::map::MapSnapshot;
 use crate::map::scale::MapScale;
+use crate::motion::floor::ScaleConfig;
 use crate::motion::hand_eye::Robot;
+use crate::motion::obstacles::ObstaclesConfig;
 use crate::motion::scale::ScaleMeasurement;
 use crate::motion::tag::TagConfig;
 use crate::motion::wheel::WheelQueue;
@@ -85,6 +89,8 @@ pub struct ReconstructStep {
     config: ReconstructionConfig,
     pub(super) calibration: Calibration,
     tag: TagConfig,
+    scale: ScaleConfig,
+    obstacles: ObstaclesConfig,
     lockstep: bool,
     /// Given to reconstruction with the first frame, whose size completes the camera model.
     worker: Option<Box<dyn MappingWorker>>,
@@ -113,6 +119,7 @@ pub struct ReconstructStep {
     blind: BlindLog,
     last_maps_joined: u64,
     last_tag_scale: Option<ScaleMeasurement>,
+    floor: FloorLog,
     last_loops_closed: u64,
     /// Times that a planner has put the map elsewhere: to its readers each is a reset.
     placements: u32,
@@ -139,6 +146,8 @@ impl ReconstructStep {
             config: config.clone(),
             calibration,
             tag: TagConfig::default(),
+            scale: ScaleConfig::default(),
+            obstacles: ObstaclesConfig::default(),
             lockstep,
             worker: Some(worker),
             place_worker: None,
@@ -162,6 +171,7 @@ impl ReconstructStep {
             blind: BlindLog::default(),
             last_maps_joined: 0,
             last_tag_scale: None,
+            floor: FloorLog::default(),
             last_loops_closed: 0,
             placements: 0,
             last_frame_ns: 0,
@@ -202,9 +212,14 @@ impl ReconstructStep {
         Self { map_file, ..self }
     }
 
-    /// Tags of a known size are looked for, if the configuration names a size.
-    pub fn looking_for(self, tag: &TagConfig) -> Self {
-        Self { tag: tag.clone(), ..self }
+    /// Tags of a known size and the floor are looked for, where the configuration names that size, and how high the camera is above it.
+    pub fn looking_for(self, tag: &TagConfig, scale: &ScaleConfig) -> Self {
+        Self { tag: tag.clone(), scale: *scale, ..self }
+    }
+
+    /// Scans of what stands around the robot are made as this says.
+    pub fn with_obstacles(self, obstacles: &ObstaclesConfig) -> Self {
+        Self { obstacles: *obstacles, ..self }
     }
 
     /// One frame, from features to map. `ready_ns`: CLOCK_MONOTONIC when its features were ready. The error is the
@@ -230,10 +245,12 @@ impl ReconstructStep {
 
         let begin = Instant::now();
         if let Some(reconstruction) = self.reconstruction.as_mut() {
+            reconstruction.want_obstacles(self.outlet.as_ref().is_some_and(Outlet::obstacles_wanted));
             reconstruction.map(features, feedback);
         }
         self.status.mapping.record(begin.elapsed());
         self.last_frame_ns = estimate.timestamp_ns;
+        let sequence = estimate.sequence;
         self.log_changes(&estimate);
         self.note_lens(KEEP_AGAIN);
         self.drain_events();
@@ -244,6 +261,7 @@ impl ReconstructStep {
             self.status.set_map_not_stored(desk.fails());
         }
         self.publish_map();
+        self.publish_obstacles(sequence);
         if let Some(outlet) = self.outlet.as_mut() {
             outlet.prepare();
         }
@@ -310,6 +328,7 @@ impl ReconstructStep {
                 begun.set_base(base, radius_sigma);
             }
             begun.look_for_tags(&self.tag);
+            begun.look_for_floor(&self.scale, &self.base.map_or_else(Robot::unknown, |(base, _)| base));
             if let Some(desk) = self.map_file.as_mut() {
                 desk.begin(&mut begun, &camera, prior)?;
             }
@@ -400,6 +419,9 @@ impl ReconstructStep {
         self.log_loops(e);
         if let Some(reconstruction) = &self.reconstruction {
             self.blind.follow(reconstruction, e, state_name(e.state));
+            if self.scale.is_on() {
+                self.floor.follow(&self.scale, reconstruction, e);
+            }
         }
         let blind_turns = self.reconstruction.as_ref().map_or(0, |r| r.counters().blind_turns);
         if blind_turns != self.last_blind_turns {
@@ -504,6 +526,18 @@ impl ReconstructStep {
         }
     }
 
+    /// What stands around the robot, as often as somebody wants it.
+    fn publish_obstacles(&mut self, sequence: u64) {
+        let (Some(outlet), Some(reconstruction)) = (self.outlet.as_mut(), self.reconstruction.as_mut()) else { return };
+        if !outlet.obstacles_due() {
+            return;
+        }
+        let map = context(reconstruction, self.placements, self.last_frame_ns, 0);
+        if let Err(error) = obstacles::tell(outlet, reconstruction, &self.obstacles, &self.scale, sequence, map) {
+            self.publish_failed(&error);
+        }
+    }
+
     /// Between two frames, or while none comes.
     pub fn request(&mut self, request: Request) {
         match request {
@@ -558,7 +592,10 @@ impl ReconstructStep {
         self.kept_sigma = f64::INFINITY;
         self.note_lens(1.0);
         self.drain_events();
-        let map = self.final_map();
+        let mut map = self.final_map();
+        if let (Some(outlet), Some(reconstruction)) = (&self.outlet, self.reconstruction.as_mut()) {
+            map.snapshot.around = obstacles::around(outlet, reconstruction, &self.obstacles, &self.scale);
+        }
         if let Some(reconstruction) = &self.reconstruction {
             self.status.set_counters(&reconstruction.counters());
         }

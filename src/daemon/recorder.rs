@@ -187,7 +187,8 @@ impl Recorder {
 #[cfg(feature = "tools")]
 fn draw(path: &Path, map: &MapSnapshot, poses: &[TumPose], title: &str) -> Result<(), crate::plot::PlotError> {
     use crate::plot::{LengthUnit, write_overview};
-    write_overview(path, map, poses, LengthUnit::MapUnits, title)
+    let unit = if map.scale.is_metric() { LengthUnit::Metres } else { LengthUnit::MapUnits };
+    write_overview(path, map, poses, unit, title)
 }
 
 /// Whoever asks for a picture is refused before the work; this is for callers of the library.

@@ -25,7 +25,7 @@ use crate::geometry::sim3::Sim3;
 use crate::geometry::{CameraModel, Se3};
 pub use correction::Correction;
 use picture::KeyframePicture;
-pub use snapshot::{KeyframeView, LandmarkView, MapSnapshot, largest_sigma};
+pub use snapshot::{Around, KeyframeView, LandmarkView, MapSnapshot, largest_sigma};
 use store::Store;
 
 /// A keyframe of a map; never reused within a run.

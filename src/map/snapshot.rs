@@ -34,6 +34,15 @@ pub struct KeyframeView {
     pub world_from_camera: Se3<World, Camera>,
 }
 
+/// What stands around the robot in a metric map, for pictures: world, m.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Around {
+    /// Ends of the stretches from the robot's foot on that are seen free, and the foot itself.
+    pub free: Vec<Vector3<f64>>,
+    pub foot: Vector3<f64>,
+    pub in_the_way: Vec<Vector3<f64>>,
+}
+
 /// The current map; whoever fills it reuses the buffers.
 #[derive(Debug, Clone, Default)]
 pub struct MapSnapshot {
@@ -46,6 +55,8 @@ pub struct MapSnapshot {
     pub landmarks: Vec<LandmarkView>,
     /// Ascending id.
     pub keyframes: Vec<KeyframeView>,
+    /// Nothing unless somebody fills it for a picture.
+    pub around: Around,
 }
 
 impl MapSnapshot {

@@ -40,6 +40,7 @@ mod frame;
 mod graph;
 mod health;
 mod map;
+mod obstacles;
 mod pose;
 pub mod services;
 mod transform;
@@ -56,6 +57,10 @@ pub use frame::FrameHeader;
 pub use graph::{EDGE_COVISIBLE, EDGE_JOIN, EDGE_LOOP, GraphEdge, GraphHeader};
 pub use health::{Health, STAGES, StageHealth, error, map_mode, stage};
 pub use map::{Keyframe, KeyframesHeader, Landmark, MapHeader};
+pub use obstacles::{
+    OBSTACLE_BEARINGS, OBSTACLE_POINTS, OBSTACLES_NO_FLOOR, OBSTACLES_NO_POSE, OBSTACLES_NOT_METRIC, OBSTACLES_TOLD,
+    Obstacles,
+};
 pub use pose::Pose;
 pub use transform::Transform;
 pub use wheel::WheelOdometry;
@@ -360,7 +365,8 @@ mod tests {
             FeaturesHeader,
             Command,
             CommandReply,
-            WheelOdometry
+            WheelOdometry,
+            Obstacles
         );
     }
 

@@ -15,6 +15,7 @@ pub mod topic {
     pub const ENCODED: &str = "encoded";
     pub const COMMAND: &str = "command";
     pub const WHEEL: &str = "wheel";
+    pub const OBSTACLES: &str = "obstacles";
 }
 
 /// Event: a publisher has come.
@@ -96,6 +97,8 @@ pub const FRAME: Qos = Qos { history: 0, buffer: 1, borrowed: 2, subscribers: MA
 pub const ENCODED: Qos = Qos { history: 0, buffer: 6, borrowed: 2, subscribers: MAX_ENCODED_SUBSCRIBERS };
 /// As frames; a few more, so that who reads a picture finds its features.
 pub const FEATURES: Qos = Qos { history: 0, buffer: 4, borrowed: 2, subscribers: MAX_SUBSCRIBERS };
+/// Always the newest. No history, as frames: a scan of before is none of now.
+pub const OBSTACLES: Qos = Qos { history: 0, buffer: 1, borrowed: 2, subscribers: MAX_SUBSCRIBERS };
 /// What the base's driver sends and the daemon reads: half a second at 100 Hz, while the daemon is busy with a frame. No history: a twist of
 /// before is none of now.
 pub const WHEEL: Qos = Qos { history: 0, buffer: 64, borrowed: 2, subscribers: MAX_SUBSCRIBERS };

@@ -17,9 +17,9 @@ const METRIC_SIGMA: f64 = 0.05;
 /// A metric map is scaled again where the fused word differs by more than this share of its standard deviation, and by more than this at all.
 const REFINE_SHARE: f64 = 0.3;
 const REFINE_LEAST: f64 = 0.001;
-/// No number of words makes a source better than this: a measured height has an error that all its words share. What tells by wheels or
-/// tags has it in its sigma already.
-const COMMON_SIGMA: [f64; 4] = [0.0, 0.005, 0.0, 0.0];
+/// No number of words makes a source better than this, whatever is said of the error that all its words share: a floor is no plane, and what
+/// poses have wrong alike does not average out (in eight drives of the simulator by the true height lengths were 1.5 % off, RMS). What tells by wheels or tags has it in its sigma already.
+const COMMON_SIGMA: [f64; 4] = [0.0, 0.012, 0.0, 0.0];
 /// The word of a source that told a stored scale, too, takes its place once its standard deviation is below this share of it.
 const SURER_SHARE: f64 = 0.7;
 /// A word this many standard deviations from what its own source has said so far, several times, replaces that; fewer times it is left out.
@@ -31,6 +31,8 @@ const INSISTS: u32 = 3;
 struct Word {
     log: f64,
     variance: f64,
+    /// What all words of this source share.
+    common_variance: f64,
     /// Words in a row that contradict.
     contradicted: u32,
 }
@@ -69,11 +71,17 @@ impl ScaleFusion {
     /// Takes a word on the present map as it is now. A second one of the wheels' or of tags replaces the one before, those of heights add to it. `false`, and nothing
     /// taken: it is not finite, or contradicts its own source.
     pub fn add(&mut self, measurement: &ScaleMeasurement) -> bool {
+        self.add_sharing(measurement, 0.0)
+    }
+
+    /// The same for a word with an error of this standard deviation that all words of its source share, beside its own: a height's, by whoever measured it.
+    pub fn add_sharing(&mut self, measurement: &ScaleMeasurement, common_sigma: f64) -> bool {
         let ScaleMeasurement { source, log_metres_per_unit: log, sigma } = *measurement;
-        if !log.is_finite() || !sigma.is_finite() || sigma <= 0.0 {
+        if !log.is_finite() || !sigma.is_finite() || sigma <= 0.0 || !common_sigma.is_finite() {
             return false;
         }
-        let new = Word { log, variance: sigma * sigma, contradicted: 0 };
+        let common_variance = common_sigma.powi(2).max(COMMON_SIGMA[source as usize].powi(2));
+        let new = Word { log, variance: sigma * sigma, common_variance, contradicted: 0 };
         let word = &mut self.words[source as usize];
         let Some(before) = word.as_mut().filter(|_| source == ScaleSource::Height) else {
             *word = Some(new);
@@ -125,7 +133,7 @@ impl ScaleFusion {
     }
 
     fn variance(&self, source: ScaleSource) -> Option<f64> {
-        self.words[source as usize].map(|word| word.variance + COMMON_SIGMA[source as usize].powi(2))
+        self.words[source as usize].map(|word| word.variance + word.common_variance)
     }
 
     /// By what factor the map's lengths are to grow now, if they are: it becomes metric, or what is known has changed enough. To be followed by
@@ -152,6 +160,7 @@ impl ScaleFusion {
             *mine = others.map(|word| Word {
                 log: word.log + log_metres_per_unit,
                 variance: word.variance + join_sigma * join_sigma,
+                common_variance: word.common_variance,
                 contradicted: 0,
             });
         }
@@ -229,13 +238,13 @@ mod tests {
     fn saving_and_loading_makes_no_scale_surer() {
         for source in [ScaleSource::Wheels, ScaleSource::Tag, ScaleSource::Height] {
             let mut fusion = ScaleFusion::default();
-            fusion.add(&word(source, 0.0, 0.01));
+            fusion.add(&word(source, 0.0, 0.03));
             fusion.rescale(1.0);
             let MapScale::Metric { sigma: first, .. } = fusion.scale() else { panic!("it is metric") };
             for round in 0..3 {
                 let MapScale::Metric { sigma, sources } = fusion.scale() else { panic!("it is metric") };
                 fusion = ScaleFusion::restored(sigma, sources);
-                fusion.add(&word(source, 0.004, 0.0095));
+                fusion.add(&word(source, 0.004, 0.0285));
                 let MapScale::Metric { sigma, sources } = fusion.scale() else { panic!("it is metric") };
                 assert!((sigma - first).abs() < 1e-12, "{source:?}, round {round}: {sigma}");
                 assert!(sources.contains(source) && sources.contains(ScaleSource::StoredMap));
@@ -243,7 +252,7 @@ mod tests {
             // A much better word of the same source is not lost either.
             fusion.add(&word(source, 0.004, 0.002));
             let (log, sigma, _) = fusion.fused().expect("told");
-            assert!((log - 0.004).abs() < 1e-12 && sigma < 0.0055, "{source:?}: {log} {sigma}");
+            assert!((log - 0.004).abs() < 1e-12 && sigma < 0.013, "{source:?}: {log} {sigma}");
         }
     }
 
@@ -263,7 +272,7 @@ mod tests {
         let mut fusion = ScaleFusion::default();
         (0..100).for_each(|_| assert!(fusion.add(&word(ScaleSource::Height, 0.0, 0.01))));
         let (_, sigma, _) = fusion.fused().expect("told");
-        assert!((0.0050..0.0052).contains(&sigma), "{sigma}");
+        assert!((0.0120..0.0122).contains(&sigma), "{sigma}");
     }
 
     #[test]

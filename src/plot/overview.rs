@@ -2,7 +2,7 @@
 //!
 //! Drawn in the axes of the first keyframe's camera (its right, forward and up; "up" is the camera's, not gravity's). The
 //! views stand beside or above each other, whichever shows the scene larger. Landmarks are faint dots, so that density
-//! shows; the path goes from dark to bright in time; keyframes point the way they look.
+//! shows; where obstacles are known, what is in the way is red and what is seen free around the robot's last place is green; the path goes from dark to bright in time; keyframes point the way they look.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use nalgebra::Vector3;
 use super::axes::{Axes, Range, TICK_TEXT_PX};
 use super::canvas::{Anchor, Area, Canvas, Point, TextStyle};
 use super::{LengthUnit, PlotError, palette, save};
-use crate::map::MapSnapshot;
+use crate::map::{Around, MapSnapshot};
 use crate::trajectory::TumPose;
 
 const WIDTH: u32 = 1800;
@@ -190,6 +190,7 @@ struct Scene {
     path: Vec<Vec<(Vector3<f64>, f64)>>,
     path_length: f64,
     poses: usize,
+    around: Around,
 }
 
 fn finite(p: &Vector3<f64>) -> bool {
@@ -231,6 +232,7 @@ impl Scene {
             path,
             path_length,
             poses: trajectory.len(),
+            around: map.around.clone(),
         }
     }
 
@@ -254,6 +256,7 @@ impl Scene {
         // Fainter the more there are, so that density still shows.
         let opacity = (900.0 / (dots.len() as f32 + 1.0)).sqrt().clamp(0.10, 0.6);
         canvas.clipped(&axes.area, |canvas| {
+            self.surroundings(canvas, &place);
             for dot in &dots {
                 canvas.disc(*dot, 2.4, palette::LANDMARK, opacity);
             }
@@ -280,6 +283,16 @@ impl Scene {
             }
         });
         self.landmarks.len() - dots.len()
+    }
+
+    /// Stretches that are seen free, and what is in the way, around the robot at the end.
+    fn surroundings(&self, canvas: &mut Canvas, place: &impl Fn(&Vector3<f64>) -> Point) {
+        for end in self.around.free.iter().filter(|p| finite(p)) {
+            canvas.line(&[place(&self.around.foot), place(end)], 3.0, palette::START, 0.3, None);
+        }
+        for thing in self.around.in_the_way.iter().filter(|p| finite(p)) {
+            canvas.disc(place(thing), 3.6, palette::LOST, 0.8);
+        }
     }
 
     fn heading(&self, canvas: &mut Canvas, unit: LengthUnit, title: &str, outside: usize) {

@@ -65,6 +65,7 @@ fn room() -> (MapSnapshot, Vec<TumPose>) {
         revision: 1,
         landmarks: (0..3000).map(landmark).collect(),
         keyframes: trajectory.iter().step_by(25).enumerate().map(keyframe).collect(),
+        around: Default::default(),
     };
     (map, trajectory)
 }

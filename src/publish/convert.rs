@@ -130,7 +130,7 @@ impl Conversion {
 }
 
 /// Position and quaternion as on the wire.
-fn to_wire<W>(pose: &Se3<W, Body>) -> ([f64; 3], [f64; 4]) {
+pub(super) fn to_wire<W>(pose: &Se3<W, Body>) -> ([f64; 3], [f64; 4]) {
     // One of the two quaternions of a rotation, always the same.
     let q = if pose.rotation.w < 0.0 { -pose.rotation.coords } else { pose.rotation.coords };
     (pose.translation.into(), [q.x, q.y, q.z, q.w])

@@ -8,7 +8,7 @@
 //! - [`convert`] turns optical axes into REP-103 axes of the robot's body, covariance included.
 //! - One daemon a prefix: a second one gets [`PublishError::AlreadyRunning`]. What a killed one left behind is cleared away.
 //! - Shared memory, reserved though not touched before it is used, for 8 subscribers: poses 0.2 MB, health 0.03 MB, map
-//!   12.5 MB (20,000 landmarks), keyframes 3.8 MB (2,000), graph 5.2 MB, frames 8 MB (640x480), features 3.6 MB, encoded pictures 6 MB (as frames). A full `/dev/shm` kills a process by
+//!   12.5 MB (20,000 landmarks), keyframes 3.8 MB (2,000), graph 5.2 MB, frames 8 MB (640x480), features 3.6 MB, encoded pictures 6 MB (as frames), obstacles 0.3 MB. A full `/dev/shm` kills a process by
 //!   SIGBUS, so [`Publisher::open`] refuses to start where there is no room.
 //!
 //! Does not: log, read configuration, spawn threads, convert pictures.
@@ -19,6 +19,7 @@ mod encoded;
 mod error;
 mod features;
 mod graph;
+mod obstacles;
 mod opening;
 mod ports;
 mod wheels;
@@ -35,6 +36,7 @@ pub use encoded::{CameraView, EncodedPublisher};
 pub use error::PublishError;
 pub use features::FeaturesPublisher;
 pub use graph::GraphPublisher;
+pub use obstacles::{ObstaclesPublisher, ScanContext};
 pub use wheels::{WheelInbox, WheelNews};
 
 use crate::frame::{Clock, monotonic_ns};
@@ -43,7 +45,7 @@ use crate::map::MapSnapshot;
 use crate::messages::services::{self, topic};
 use crate::messages::{
     DAEMON_NODE, EncodedHeader, Endpoint, Feature, FeaturesHeader, FrameHeader, GraphEdge, GraphHeader, Health,
-    Keyframe, KeyframesHeader, Landmark, MapHeader, Pose, Presence,
+    Keyframe, KeyframesHeader, Landmark, MapHeader, Obstacles, Pose, Presence,
 };
 use crate::reconstruction::PoseEstimate;
 use opening::Ipc;
@@ -92,6 +94,7 @@ impl Limits {
             (services::FRAME, self.frame_bytes),
             (services::FEATURES, services::MAX_FEATURES * size_of::<Feature>()),
             (services::ENCODED, self.frame_bytes),
+            (services::OBSTACLES, size_of::<Obstacles>()),
         ];
         // 256: headers and rounding of a message.
         parts.iter().map(|(qos, bytes)| (qos.messages() * (bytes + 256)) as u64).sum()
@@ -107,6 +110,7 @@ pub struct Publisher {
     pub frames: FramePublisher,
     pub features: FeaturesPublisher,
     pub encoded: EncodedPublisher,
+    pub obstacles: ObstaclesPublisher,
     pub health: HealthPublisher,
     pub commands: CommandServer,
     /// What the base's driver tells.
@@ -143,6 +147,7 @@ impl Publisher {
             Port::open_slices(&node, endpoint, topic::FEATURES, services::FEATURES, services::MAX_FEATURES)?;
         let encoded: Port<[u8], EncodedHeader> =
             Port::open_slices(&node, endpoint, topic::ENCODED, services::ENCODED, limits.frame_bytes)?;
+        let obstacles: Port<Obstacles, ()> = Port::open(&node, endpoint, topic::OBSTACLES, services::OBSTACLES)?;
         let commands = CommandServer::open(&node, endpoint)?;
         let wheels = WheelInbox::open(&node, endpoint)?;
         let health: Port<Health, ()> = Port::open(&node, endpoint, topic::HEALTH, services::HEALTH)?;
@@ -154,6 +159,7 @@ impl Publisher {
             updater(&frames.publisher),
             updater(&features.publisher),
             updater(&encoded.publisher),
+            updater(&obstacles.publisher),
         ];
         Ok(Self {
             poses: PosePublisher { next: None, port: poses, run_id },
@@ -162,6 +168,7 @@ impl Publisher {
             frames: FramePublisher { port: frames, limit: limits.frame_bytes, run_id },
             features: FeaturesPublisher::new(features, run_id),
             encoded: EncodedPublisher::new(encoded, limits.frame_bytes, run_id),
+            obstacles: ObstaclesPublisher::new(obstacles, run_id),
             health: HealthPublisher {
                 port: health,
                 node,

@@ -164,6 +164,9 @@ impl Reconstruction {
                 self.corrections.moved(&old, &new);
             }
         }
+        if let Some(floor) = &mut self.floor {
+            floor.rescale(factor, self.active.id);
+        }
     }
 }
 

@@ -23,6 +23,7 @@ mod persistence;
 mod relocalise;
 mod scale_uncertainty;
 mod segments;
+mod surroundings;
 mod track;
 pub mod types;
 
@@ -32,6 +33,7 @@ pub use config::ReconstructionConfig;
 pub use corrections::Corrections;
 pub use dead_reckoning::Reckoned;
 pub use loops::recognition::{PlaceWorker, Recognised, Recognition};
+pub use surroundings::NoScan;
 pub use types::*;
 
 use active_map::ActiveMap;
@@ -49,6 +51,7 @@ use optics::Optics;
 use relocalise::Relocaliser;
 use relocalise::other_maps::{OtherMap, OtherMaps, WORTH_KEEPING, retire};
 use segments::Wheels;
+use surroundings::Surroundings;
 use track::frame::Frame;
 use track::search::Match;
 use track::{Tracked, Tracker};
@@ -59,6 +62,7 @@ use crate::geometry::{CameraModel, Se3};
 use crate::image::pyramid::PyramidPool;
 use crate::map::saved::Taken;
 use crate::map::{KeyframeId, KeyframeView, LandmarkId, MapId, Sought};
+use crate::motion::floor::{Floor, NoFloor, Plane, ScaleConfig};
 use crate::motion::hand_eye::Robot;
 use crate::motion::scale::ScaleMeasurement;
 use crate::motion::tag::{self, TagConfig, Tags};
@@ -95,6 +99,9 @@ pub struct Reconstruction {
     epipolar: EpipolarMatcher,
     /// Where tags of a known size are looked for.
     tags: Option<Tags>,
+    /// Where the camera's height above the floor is known.
+    floor: Option<Floor>,
+    surroundings: Surroundings,
     /// Of the newest keyframes and their neighbours: when one is reduced the next takes its place, which keeps the heap in one piece.
     pictures: PyramidPool,
     mapper: Mapper,
@@ -145,6 +152,8 @@ impl Reconstruction {
             relocaliser: Relocaliser::default(),
             epipolar: EpipolarMatcher::default(),
             tags: None,
+            floor: None,
+            surroundings: Surroundings::default(),
             pictures: PyramidPool::new(WHOLE_PICTURES, 1),
             mapper: Mapper::new(worker, lockstep),
             corrections: Corrections::default(),
@@ -162,6 +171,12 @@ impl Reconstruction {
     /// Looks for tags of a known size in keyframes from now on, if the configuration names a size.
     pub fn look_for_tags(&mut self, config: &TagConfig) {
         self.tags = Tags::new(config);
+    }
+
+    /// Looks for the floor from now on, if the configuration says how high the camera is above it. `base`: how the camera sits on the robot, as far
+    /// as that is said.
+    pub fn look_for_floor(&mut self, config: &ScaleConfig, base: &Robot) {
+        self.floor = Floor::new(config, base);
     }
 
     /// The pose of a frame. Allocates nothing once warm while there is a map and the frame is found in it, unless the one before is so
@@ -400,6 +415,12 @@ impl Reconstruction {
                 self.active.fusion.add(&word);
             }
         }
+        if let Some(floor) = &mut self.floor
+            && let Some(word) = floor.see(&self.active.map, self.active.id, id)
+        {
+            self.active.fusion.add_sharing(&word, floor.common_sigma());
+        }
+        self.note_floor(id);
     }
 
     /// Drops all maps and starts over at the next frame. Maps that are only located in stay: the next frame is looked for in them as after a loss.
@@ -463,6 +484,9 @@ impl Reconstruction {
         if let Some(tags) = &mut self.tags {
             tags.forget();
         }
+        if let Some(floor) = &mut self.floor {
+            floor.forget();
+        }
     }
 
     /// Events since the last call, in order; to be drained after every frame.
@@ -501,6 +525,16 @@ impl Reconstruction {
     /// What tags of a known size say of the present map's scale; the newest measurement contains those before.
     pub fn scale_by_tags(&self) -> Option<ScaleMeasurement> {
         self.tags.as_ref()?.measurement(self.active.id)
+    }
+
+    /// The floor around the newest keyframes, in the present map's unit.
+    pub fn floor(&self) -> Option<&Plane> {
+        self.floor.as_ref()?.plane(self.active.id)
+    }
+
+    /// Why the newest keyframe tells no floor, where one is looked for.
+    pub fn no_floor(&self) -> Option<NoFloor> {
+        self.floor.as_ref()?.refused()
     }
 
     /// Landmarks that the last frame's pose rests on, and where they were found in its picture, px; none unless it was tracked.

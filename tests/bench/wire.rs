@@ -347,5 +347,6 @@ fn snapshot(landmarks: u32) -> MapSnapshot {
         revision: 0,
         landmarks: (0..landmarks).map(landmark).collect(),
         keyframes: (0..landmarks / 50).map(keyframe).collect(),
+        around: Default::default(),
     }
 }

@@ -9,7 +9,7 @@ use cairn::messages::Field;
 
 use crate::support::{compare, plain, renames, root, types};
 
-const SOURCES: [&str; 12] = [
+const SOURCES: [&str; 14] = [
     "src/messages/mod.rs",
     "src/messages/pose.rs",
     "src/messages/map.rs",
@@ -19,9 +19,11 @@ const SOURCES: [&str; 12] = [
     "src/messages/health.rs",
     "src/messages/command.rs",
     "src/messages/wheel.rs",
+    "src/messages/obstacles.rs",
     "src/client/c.rs",
     "src/client/c/graph.rs",
     "src/client/c/wheels.rs",
+    "src/client/c/obstacles.rs",
 ];
 
 /// What cbindgen does not see: names on the wire, and the layout, which every compilation checks.

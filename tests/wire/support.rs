@@ -294,6 +294,7 @@ pub fn snapshot(revision: u64, n: u32) -> MapSnapshot {
         scale: Default::default(),
         landmarks: (0..n).map(landmark).collect(),
         keyframes: vec![keyframe],
+        around: Default::default(),
     }
 }
 

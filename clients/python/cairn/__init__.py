@@ -23,7 +23,7 @@ from .errors import (
     VersionMismatch,
 )
 from .wheels import WheelPublisher
-from .values import Encoded, Features, Frame, Graph, Health, Keyframes, Map, Pose
+from .values import Encoded, Features, Frame, Graph, Health, Keyframes, Map, Obstacles, Pose
 
 __version__ = "0.1.0"
 __all__ = [
@@ -40,6 +40,7 @@ __all__ = [
     "Map",
     "NoDaemon",
     "NoReply",
+    "Obstacles",
     "OtherOwner",
     "Pose",
     "Refused",

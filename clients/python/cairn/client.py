@@ -106,6 +106,10 @@ class Client:
         """Corners, tracks and matched landmarks of pictures. The daemon makes them only while somebody holds such a subscription."""
         return Subscription(self, "features", iox2.Slice[m.Feature], m.FeaturesHeader, values.Features)
 
+    def obstacles(self):
+        """What stands around the robot and where the floor is free. The daemon makes scans only while somebody holds such a subscription."""
+        return Subscription(self, "obstacles", m.Obstacles, None, lambda s, _: values.Obstacles(_copied(m.Obstacles, s)))
+
     def encoded(self):
         """Every picture as it came from the camera, for recorders; a queue of a fifth of a second, two readers at a time."""
         return Subscription(self, "encoded", iox2.Slice[ctypes.c_uint8], m.EncodedHeader, values.Encoded)

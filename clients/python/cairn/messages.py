@@ -42,6 +42,9 @@ ERRORS = (
     "WHEELS_WRONG",
     "WHEELS_LATE",
 )
+OBSTACLES_TOLD = ("TOLD", "NO_POSE", "NOT_METRIC", "NO_FLOOR")
+OBSTACLE_BEARINGS = 180
+OBSTACLE_POINTS = 500
 STAGES = ("capture", "features", "tracking", "mapping", "publishing", "end_to_end")
 
 COMMANDS = {
@@ -340,4 +343,34 @@ class WheelOdometry(_Message):
         ("angular_z_radps", c.c_double),
         ("variance", c.c_double * 3),
         ("reserved", c.c_uint8 * 24),
+    ]
+
+
+class Obstacles(_Message):
+    _fields_ = [
+        ("run_id", c.c_uint64),
+        ("sequence", c.c_uint64),
+        ("timestamp_ns", c.c_int64),
+        ("published_ns", c.c_int64),
+        ("position", c.c_double * 3),
+        ("orientation", c.c_double * 4),
+        ("angle_min", c.c_float),
+        ("angle_increment", c.c_float),
+        ("range_min", c.c_float),
+        ("range_max", c.c_float),
+        ("robot_height", c.c_float),
+        ("scale_sigma", c.c_float),
+        ("map_id", c.c_uint32),
+        ("reset_counter", c.c_uint32),
+        ("map_revision", c.c_uint32),
+        ("count", c.c_uint32),
+        ("total", c.c_uint32),
+        ("told", c.c_uint8),
+        ("clock", c.c_uint8),
+        ("reserved", c.c_uint8 * 2),
+        ("range", c.c_float * OBSTACLE_BEARINGS),
+        ("sigma", c.c_float * OBSTACLE_BEARINGS),
+        ("free_from", c.c_float * OBSTACLE_BEARINGS),
+        ("free", c.c_float * OBSTACLE_BEARINGS),
+        ("points", (c.c_float * 4) * OBSTACLE_POINTS),
     ]

@@ -215,6 +215,50 @@ class Health(Value):
         return (time.monotonic_ns() - self.raw.published_ns) * 1e-9
 
 
+class Obstacles(Value):
+    """What stands around the robot, by bearing, in its axes on the floor. Unknown is NaN in `range` and 0 in `free`: never far, never free."""
+
+    __slots__ = ()
+
+    @property
+    def told(self):
+        """The scan says something; else all of it is unknown, and `why` says why."""
+        return self.raw.told == 0
+
+    @property
+    def why(self):
+        """TOLD, NO_POSE, NOT_METRIC, NO_FLOOR, or UNKNOWN for one of a newer daemon."""
+        return m.word(m.OBSTACLES_TOLD, self.raw.told)
+
+    @property
+    def angles(self):
+        """Of the bearings, from the robot's forward to the left, rad."""
+        return self.raw.angle_min + self.raw.angle_increment * np.arange(len(self.raw.range), dtype=np.float32)
+
+    @property
+    def points(self):
+        """(N, 4): forward, left, up, standard deviation along the floor, m; nearest first."""
+        return np.ctypeslib.as_array(self.raw.points)[: self.raw.count]
+
+    def laser_scan(self):
+        """The fields of sensor_msgs/LaserScan but for its header; unknown is NaN, never infinity (REP-117)."""
+        angles = self.angles
+        return {
+            "angle_min": float(angles[0]),
+            "angle_max": float(angles[-1]),
+            "angle_increment": self.raw.angle_increment,
+            "time_increment": 0.0,
+            "scan_time": 0.0,
+            "range_min": self.raw.range_min,
+            "range_max": self.raw.range_max,
+            "ranges": self.range,
+            "intensities": np.empty(0, np.float32),
+        }
+
+    def __repr__(self):
+        return f"<Obstacles {self.sequence} {self.why}: {self.count} of {self.total} points>"
+
+
 class _Slice(Value):
     """Elements in shared memory, held as long as this object or an array of it lives. Never changes."""
 

@@ -64,6 +64,8 @@ mod tests;
 
 use std::time::Duration;
 
+use nalgebra::Vector3;
+
 pub use super::simulator_config::{Scenario, SimulatorConfig, SimulatorConfigError};
 pub use export::{ExportError, Recorded};
 pub use scene::Chessboard;
@@ -188,6 +190,11 @@ impl Simulator {
     /// Geometry of the chessboard, if the scene has one.
     pub fn chessboard(&self) -> Option<&Chessboard> {
         self.scene.chessboard.as_ref()
+    }
+
+    /// What a ray from a place of the world meets first, in lengths of its direction: the truth of what stands where.
+    pub fn reach(&self, origin: &Vector3<f64>, direction: &Vector3<f64>) -> Option<f64> {
+        self.scene.trace(origin, direction).map(|hit| hit.distance)
     }
 
     /// Timestamp of a frame, ns.

@@ -20,14 +20,14 @@ pub trait Render {
 }
 
 /// A JSON object that keeps the order of its keys.
-struct Object(String);
+pub(super) struct Object(String);
 
 impl Object {
-    fn new() -> Self {
+    pub(super) fn new() -> Self {
         Self("{".into())
     }
 
-    fn field(mut self, key: &str, value: impl Serialize) -> Self {
+    pub(super) fn field(mut self, key: &str, value: impl Serialize) -> Self {
         if self.0.len() > 1 {
             self.0.push(',');
         }
@@ -37,7 +37,7 @@ impl Object {
         self
     }
 
-    fn end(mut self) -> String {
+    pub(super) fn end(mut self) -> String {
         self.0.push('}');
         self.0
     }

@@ -1,0 +1,216 @@
+//! The scale of the map by the camera's height above the floor, and how the camera really sits above that.
+//!
+//! Keyframe (its map, and the way so far) -> [`Floor::see`] -> ln(metres per map unit) with its standard deviation. [`plane`] finds the floor among
+//! the landmarks that the newest keyframes see, and says why it does not. Believed is what several keyframes in a row tell alike
+//! ([`ASKED`]); a word is given again once half of the keyframes asked are new, so that words are nearly independent. What is wrong with the
+//! measured height (`camera_height_sigma_m`) is in all of them ([`Floor::common_sigma`]).
+//!
+//! Cost: at keyframes only, after the pose was published: 2 to 4 ms. Bounded: the newest [`KEYFRAMES`] keyframes and [`LANDMARKS`] landmarks.
+//!
+//! Not here: what becomes of the word; obstacles on the floor; parts of the map behind turns on the spot whose lengths are those of an
+//! assumption (there the floor is not asked).
+
+pub mod plane;
+pub mod seen;
+
+use nalgebra::{Unit, Vector3};
+
+use super::hand_eye::Robot;
+use super::scale::ScaleMeasurement;
+use crate::geometry::Se3;
+use crate::geometry::frames::{Camera, World};
+use crate::geometry::ros_from_optical;
+use crate::map::scale::ScaleSource;
+use crate::map::{Keyframe, KeyframeId, LandmarkId, Map, MapId};
+pub use plane::{FloorPoint, NoFloor, Plane, UpPrior};
+
+/// Keyframes whose landmarks are asked, and landmarks at the most: the newest.
+const KEYFRAMES: usize = 40;
+const LANDMARKS: usize = 1200;
+/// A landmark that fewer keyframes saw may be a mistake.
+const LEAST_OBSERVERS: usize = 3;
+/// So many keyframes in a row must tell heights that differ by less than so many of their sigmas.
+const ASKED: usize = 3;
+const ALIKE_SIGMAS: f64 = 3.0;
+/// New keyframes between two words.
+const BETWEEN_WORDS: usize = KEYFRAMES / 2;
+/// Standard deviation of roll and pitch of a mount that a person has measured, and of one of which nothing is said: webcams on robots look up
+/// or down by some degrees.
+const GIVEN_TILT_RAD: f64 = 0.05;
+const UNSAID_TILT_RAD: f64 = 0.15;
+
+/// `[scale]`: what a person has measured of the robot that tells the map's scale.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Deserialize, serde::Serialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ScaleConfig {
+    /// Height of the camera's optical centre above the floor, m. 0 (the floor is not looked for) or 0.03..=3.0.
+    pub camera_height_m: f64,
+    /// Standard deviation of that, m. 0.0005..=0.1, and less than a tenth of the height.
+    pub camera_height_sigma_m: f64,
+}
+
+impl Default for ScaleConfig {
+    fn default() -> Self {
+        Self { camera_height_m: 0.0, camera_height_sigma_m: 0.003 }
+    }
+}
+
+impl ScaleConfig {
+    /// Whether the floor is looked for.
+    pub fn is_on(&self) -> bool {
+        self.camera_height_m > 0.0
+    }
+
+    /// First value out of its range: key, and what is allowed.
+    pub fn validate(&self) -> Result<(), (&'static str, String)> {
+        let (height, sigma) = (self.camera_height_m, self.camera_height_sigma_m);
+        // Written so that NaN fails.
+        if !(height == 0.0 || (0.03..=3.0).contains(&height)) {
+            return Err(("camera_height_m", "must be 0 (the floor is not looked for) or 0.03 to 3 m".into()));
+        }
+        if !((0.0005..=0.1).contains(&sigma) && (height == 0.0 || sigma < 0.1 * height)) {
+            let reason = "must be 0.0005 to 0.1 m, and less than a tenth of camera_height_m";
+            return Err(("camera_height_sigma_m", reason.into()));
+        }
+        Ok(())
+    }
+}
+
+/// Roll and pitch of the camera's body above the floor, as in `[mount] rpy_deg`, rad.
+pub fn roll_pitch(up_camera: &Unit<Vector3<f64>>) -> (f64, f64) {
+    let up = ros_from_optical() * up_camera.into_inner();
+    (up.y.atan2(up.z), -up.x.clamp(-1.0, 1.0).asin())
+}
+
+/// What is known of the floor.
+#[derive(Debug, Clone)]
+pub struct Floor {
+    config: ScaleConfig,
+    prior: UpPrior,
+    /// Of this map are the rest.
+    map: MapId,
+    /// What the newest keyframes told, in the present unit; at most [`ASKED`].
+    told: Vec<Plane>,
+    /// The last that was believed.
+    believed: Option<Plane>,
+    /// Why the newest keyframe told none.
+    refused: Option<NoFloor>,
+    /// Keyframes since the last word; `None`: there was none.
+    since_word: Option<usize>,
+    /// Made anew at each keyframe.
+    points: Vec<FloorPoint>,
+}
+
+impl Floor {
+    /// `None` where it is not to be looked for. `base`: how the camera sits on the robot, as far as that is said.
+    pub fn new(config: &ScaleConfig, base: &Robot) -> Option<Self> {
+        let up_camera = Unit::new_normalize(base.base_from_camera.inverse() * Vector3::z());
+        let said = base.sigma[..2].iter().all(|sigma| *sigma < GIVEN_TILT_RAD);
+        let sigma_rad = if said { GIVEN_TILT_RAD } else { UNSAID_TILT_RAD };
+        config.is_on().then(|| Self {
+            config: *config,
+            prior: UpPrior { up_camera, sigma_rad },
+            map: MapId::default(),
+            told: Vec::with_capacity(ASKED + 1),
+            believed: None,
+            refused: None,
+            since_word: None,
+            points: Vec::new(),
+        })
+    }
+
+    /// Asks a new keyframe; a word on the map's scale, if there is a new one.
+    pub fn see(&mut self, map: &Map, id: MapId, newest: KeyframeId) -> Option<ScaleMeasurement> {
+        if self.map != id {
+            self.forget();
+            self.map = id;
+        }
+        self.since_word = self.since_word.map(|n| n + 1);
+        let found = self.look(map, newest);
+        self.refused = found.err();
+        let Ok(plane) = found else {
+            self.told.clear();
+            return None;
+        };
+        self.told.push(plane);
+        if self.told.len() > ASKED {
+            self.told.remove(0);
+        }
+        let alike =
+            |told: &Plane| (told.height / plane.height).ln().abs() <= ALIKE_SIGMAS * told.sigma.hypot(plane.sigma);
+        if !self.told.iter().all(alike) {
+            self.told.drain(..self.told.len() - 1);
+            return None;
+        }
+        if self.told.len() < ASKED {
+            return None;
+        }
+        self.believed = Some(plane);
+        if self.since_word.is_some_and(|n| n < BETWEEN_WORDS) {
+            return None;
+        }
+        self.since_word = Some(0);
+        Some(ScaleMeasurement {
+            source: ScaleSource::Height,
+            log_metres_per_unit: (self.config.camera_height_m / plane.height).ln(),
+            sigma: plane.sigma,
+        })
+    }
+
+    /// What all words share: the measured height's own standard deviation, as a share.
+    pub fn common_sigma(&self) -> f64 {
+        self.config.camera_height_sigma_m / self.config.camera_height_m
+    }
+
+    /// The floor around the newest keyframes of this map, in its unit of now.
+    pub fn plane(&self, map: MapId) -> Option<&Plane> {
+        self.believed.as_ref().filter(|_| self.map == map)
+    }
+
+    /// Why the newest keyframe told none.
+    pub fn refused(&self) -> Option<NoFloor> {
+        self.refused
+    }
+
+    /// Lengths of the map were multiplied by `factor`, and it has this number now.
+    pub fn rescale(&mut self, factor: f64, map: MapId) {
+        self.told.iter_mut().chain(&mut self.believed).for_each(|plane| plane.rescale(factor));
+        self.map = map;
+    }
+
+    /// Nothing is known, as of a map that begins.
+    pub fn forget(&mut self) {
+        self.told.clear();
+        (self.believed, self.refused, self.since_word) = (None, None, None);
+    }
+
+    fn look(&mut self, map: &Map, newest: KeyframeId) -> Result<Plane, NoFloor> {
+        let Some(last) = map.keyframe(newest) else { return Err(NoFloor::FewMetres) };
+        // Behind a turn on the spot lengths may be those of an assumption.
+        if last.scale_from.is_some() {
+            return Err(NoFloor::FewMetres);
+        }
+        let recent = |id: &u32| map.keyframe(KeyframeId(*id)).filter(|k| k.scale_from.is_none());
+        let first = newest.0.saturating_sub(4 * KEYFRAMES as u32);
+        let mut keyframes: Vec<&Keyframe> =
+            (first..=newest.0).rev().filter_map(|id| recent(&id)).take(KEYFRAMES).collect();
+        keyframes.reverse();
+        let mut seen: Vec<LandmarkId> =
+            keyframes.iter().flat_map(|k| k.observations.iter().map(|o| o.landmark)).collect();
+        seen.sort_unstable();
+        seen.dedup();
+        let tells = |id: &LandmarkId| {
+            let l = map.landmark(*id)?;
+            let sure = l.assumed.is_none() && l.observers.len() >= LEAST_OBSERVERS;
+            (sure && l.covariance.iter().all(|v| v.is_finite()))
+                .then_some(FloorPoint { position: l.position, covariance: l.covariance })
+        };
+        self.points.clear();
+        self.points.extend(seen.iter().rev().filter_map(tells).take(LANDMARKS));
+        let cameras: Vec<Se3<Camera, World>> = keyframes.iter().map(|k| k.camera_from_world).collect();
+        plane::find_floor(&self.points, &cameras, &self.prior, u64::from(newest.0))
+    }
+}
+
+#[cfg(test)]
+mod tests;

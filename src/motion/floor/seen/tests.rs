@@ -1,0 +1,101 @@
+//! Pictures of a painted floor with a box on it, by rays.
+
+use nalgebra::{Unit, UnitQuaternion};
+
+use super::*;
+use crate::geometry::random::Random;
+use crate::geometry::ros_from_optical;
+
+/// The front of the box, m ahead of the origin; it reaches to both sides of the line y = 0 to its left.
+const BOX_M: f64 = 2.0;
+const HEIGHT_M: f64 = 0.5;
+
+fn lens() -> CameraModel {
+    CameraModel::new(320, 240, 262.0, 262.0, 159.5, 119.5, [0.0; 5]).expect("a lens")
+}
+
+fn camera(x: f64) -> Se3<Camera, World> {
+    let mount = UnitQuaternion::from_euler_angles(0.0, 0.15, 0.0) * ros_from_optical();
+    Se3::<World, Camera>::new(mount, Vector3::new(x, 0.0, HEIGHT_M)).inverse()
+}
+
+fn floor() -> Plane {
+    Plane {
+        normal: Vector3::z(),
+        offset: 0.0,
+        height: HEIGHT_M,
+        sigma: 0.01,
+        up_camera: Unit::new_normalize(-Vector3::y()),
+        landmarks: 100,
+    }
+}
+
+/// Smooth random paint, of 3 cm and coarser.
+fn paint(noise: &[f64], u: f64, v: f64) -> f64 {
+    let at = |u: f64, v: f64| {
+        let value = |i: i64, j: i64| noise[(i.rem_euclid(64) * 64 + j.rem_euclid(64)) as usize];
+        let (i, j) = (u.floor() as i64, v.floor() as i64);
+        let (a, b) = (u - u.floor(), v - v.floor());
+        let along = |j: i64| value(i, j) * (1.0 - a) + value(i + 1, j) * a;
+        along(j) * (1.0 - b) + along(j + 1) * b
+    };
+    at(u / 0.03, v / 0.03) + at(u / 0.12 + 7.0, v / 0.12 + 3.0)
+}
+
+fn picture(pose: &Se3<Camera, World>, noise: &[f64], contrast: f64) -> GreyImage {
+    let (camera, world_from_camera) = (lens(), pose.inverse());
+    let origin = world_from_camera.translation;
+    let mut image = GreyImage::new(320, 240);
+    for y in 0..240 {
+        for x in 0..320 {
+            let ray = camera.undistort(&Vector2::new(x as f64, y as f64)).expect("inside").push(1.0);
+            let ray = world_from_camera.rotation * ray;
+            let front = (BOX_M - origin.x) / ray.x;
+            let at = origin + ray * front;
+            let value = if at.y > 0.0 && at.z > 0.0 && at.z < 0.4 {
+                paint(noise, at.y + 11.0, at.z + 5.0)
+            } else if ray.z < 0.0 {
+                let at = origin - ray * (origin.z / ray.z);
+                paint(noise, at.x, at.y)
+            } else {
+                0.0
+            };
+            image.data[y * 320 + x] = (128.0 + contrast * value).clamp(0.0, 255.0) as u8;
+        }
+    }
+    image
+}
+
+fn seen(contrast: f64) -> Places {
+    let mut random = Random::new(5);
+    let noise: Vec<f64> = (0..64 * 64).map(|_| random.normal()).collect();
+    let (now, earlier) = (camera(0.0), [camera(-0.25), camera(-0.45)]);
+    let images: Vec<_> = earlier.iter().map(|pose| picture(pose, &noise, contrast)).collect();
+    let before: Vec<_> =
+        earlier.iter().zip(&images).map(|(camera_from_world, image)| Picture { camera_from_world, image }).collect();
+    let image = picture(&now, &noise, contrast);
+    let mut out = Places::default();
+    floor_seen(&floor(), &lens(), &Picture { camera_from_world: &now, image: &image }, &before, &mut out);
+    out
+}
+
+#[test]
+fn a_painted_floor_is_seen_and_a_box_on_it_is_not() {
+    let metres = |places: Vec<[f32; 2]>| -> Vec<[f64; 2]> {
+        places.into_iter().map(|p| p.map(|v| f64::from(v) * HEIGHT_M)).collect()
+    };
+    let Places { floor, other } = seen(40.0);
+    let (places, other) = (metres(floor), metres(other));
+    let before = |p: &&[f64; 2]| p[0] < BOX_M - 0.1;
+    assert!(places.iter().filter(before).count() > 150, "{} places of the floor", places.len());
+    let beyond = places.iter().filter(|p| p[0] > BOX_M + 0.05 && p[1] > 0.1).count();
+    assert!(beyond * 50 < places.len(), "{beyond} of {} places in or behind the box", places.len());
+    let of_box = other.iter().filter(|p| p[0] > BOX_M && p[1] > 0.0).count();
+    assert!(of_box > 20 && 2 * of_box > other.len(), "{of_box} of {} other places are the box", other.len());
+}
+
+#[test]
+fn a_bare_floor_tells_nothing() {
+    let Places { floor, other } = seen(0.5);
+    assert!(floor.is_empty() && other.is_empty());
+}

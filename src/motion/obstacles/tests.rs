@@ -1,0 +1,146 @@
+use nalgebra::Unit;
+
+use super::*;
+
+/// A floor at z = 0, metres; the robot at the origin looks along x.
+fn floor() -> Plane {
+    Plane {
+        normal: Vector3::z(),
+        offset: 0.0,
+        height: 0.5,
+        sigma: 0.01,
+        up_camera: Unit::new_normalize(-Vector3::y()),
+        landmarks: 100,
+    }
+}
+
+fn begun() -> Scanner {
+    let mut scanner = Scanner::default();
+    assert!(scanner.begin(&floor(), &Se3::new(nalgebra::UnitQuaternion::identity(), Vector3::new(0.0, 0.0, 0.2))));
+    scanner
+}
+
+fn point(x: f64, y: f64, z: f64) -> Point {
+    Point { position: Vector3::new(x, y, z), covariance: Matrix3::identity() * 1e-4 }
+}
+
+/// Forward.
+const AHEAD: usize = BEARINGS / 2;
+
+fn axes() -> Footing {
+    Footing { foot: Vector3::zeros(), forward: Vector3::x(), left: Vector3::y() }
+}
+
+/// Places along a straight line forward, in heights of 0.5 m.
+fn line(from_m: f64, to_m: f64) -> Places {
+    let steps = ((to_m - from_m) / 0.05).round() as usize;
+    let floor = (0..=steps).map(|i| [(2.0 * (from_m + 0.05 * i as f64)) as f32, 0.0]).collect();
+    Places { floor, other: Vec::new() }
+}
+
+#[test]
+fn unknown_is_never_free_and_never_far() {
+    let mut scanner = begun();
+    let scan = scanner.finish(0.12);
+    assert!(scan.range_m.iter().chain(&scan.sigma_m).all(|v| v.is_nan()));
+    assert!(scan.free_m.iter().all(|v| *v == 0.0));
+}
+
+#[test]
+fn free_is_where_two_keyframes_saw_the_floor_without_a_gap() {
+    let seen = |pieces: &[[f64; 2]], times: usize| {
+        let mut scanner = begun();
+        for _ in 0..times {
+            let floor = pieces.iter().flat_map(|[from, to]| line(*from, *to).floor).collect();
+            let places = Places { floor, other: Vec::new() };
+            scanner.add_seen(&axes(), 0.5, &places);
+        }
+        let scan = scanner.finish(0.12);
+        assert!(scan.free_m.iter().zip(&scan.free_from_m).all(|(to, from)| (*to == 0.0) == from.is_nan()));
+        (scan.free_m[AHEAD], scan.free_m[AHEAD + 20])
+    };
+    let (ahead, aside) = seen(&[[0.2, 2.0]], 2);
+    assert!((1.9..2.15).contains(&ahead) && aside == 0.0, "{ahead} {aside}");
+    assert_eq!(seen(&[[0.2, 2.0]], 1).0, 0.0, "one keyframe is not enough");
+    assert_eq!(seen(&[[1.8, 3.0]], 2).0, 0.0, "too far from the robot");
+    let gap = seen(&[[0.2, 1.0], [1.6, 2.0]], 2).0;
+    assert!((0.95..1.2).contains(&gap), "{gap}: not beyond a gap");
+    let bridged = seen(&[[0.2, 1.0], [1.15, 2.0]], 2).0;
+    assert!(bridged > 1.9, "{bridged}");
+}
+
+#[test]
+fn what_stands_in_between_ends_what_is_free() {
+    let mut scanner = begun();
+    (0..3).for_each(|_| scanner.add_seen(&axes(), 0.5, &line(0.2, 3.0)));
+    scanner.add_landmark(&floor(), &point(1.5, 0.0, 0.3), 0.5);
+    let scan = scanner.finish(0.12);
+    assert!((scan.range_m[AHEAD] - 1.5).abs() < 1e-6 && (scan.sigma_m[AHEAD] - 0.01).abs() < 1e-6);
+    assert!((1.2..1.46).contains(&scan.free_m[AHEAD]), "{}", scan.free_m[AHEAD]);
+    assert_eq!((scan.total, scan.points.len()), (1, 1));
+    let [x, y, z] = scan.points[0].position;
+    assert!((x - 1.5).abs() < 1e-6 && y.abs() < 1e-6 && (z - 0.3).abs() < 1e-6);
+}
+
+#[test]
+fn where_keyframes_saw_something_else_nothing_is_free() {
+    let mut scanner = begun();
+    let other = line(1.4, 1.5).floor;
+    (0..3).for_each(|_| scanner.add_seen(&axes(), 0.5, &Places { other: other.clone(), ..line(0.2, 1.3) }));
+    (0..3).for_each(|_| scanner.add_seen(&axes(), 0.5, &line(1.55, 3.0)));
+    let free = scanner.finish(0.12).free_m[AHEAD];
+    assert!((1.2..1.4).contains(&free), "{free}");
+}
+
+#[test]
+fn the_floor_a_lamp_and_what_is_not_known_are_not_in_the_way() {
+    let mut scanner = begun();
+    for z in [0.0, 0.03, 0.6, 2.0] {
+        scanner.add_landmark(&floor(), &point(1.5, 0.0, z), 0.5);
+    }
+    let unsure = Point { covariance: Matrix3::identity(), ..point(1.5, 0.0, 0.3) };
+    scanner.add_landmark(&floor(), &unsure, 0.5);
+    scanner.add_landmark(&floor(), &point(f64::NAN, 0.0, 0.3), 0.5);
+    let scan = scanner.finish(0.12);
+    assert!(scan.range_m.iter().all(|v| v.is_nan()) && scan.total == 0);
+}
+
+#[test]
+fn things_are_more_than_their_corners() {
+    let mut scanner = begun();
+    // Two corners of a box, 30 cm apart; and another box far to the left.
+    for y in [-0.15, 0.15, 2.0] {
+        scanner.add_landmark(&floor(), &point(2.0, y, 0.3), 0.5);
+    }
+    let scan = scanner.finish(0.12);
+    assert!((scan.range_m[AHEAD] - 2.0).abs() < 0.02, "{}", scan.range_m[AHEAD]);
+    assert!(scan.range_m[AHEAD + 10].is_nan(), "nothing joins two things");
+}
+
+#[test]
+fn where_the_robot_was_the_floor_was_free() {
+    let mut scanner = begun();
+    scanner.add_driven(&Vector3::new(-2.0, 0.0, 0.2), &Vector3::new(0.0, 0.0, 0.2), 0.12);
+    let scan = scanner.finish(0.12);
+    assert!((1.9..2.2).contains(&scan.free_m[0]) && scan.free_m[AHEAD] == 0.0, "{} behind", scan.free_m[0]);
+}
+
+#[test]
+fn of_many_points_the_nearest_are_told() {
+    let mut scanner = begun();
+    for i in (0..2 * MOST_POINTS).rev() {
+        scanner.add_landmark(&floor(), &point(0.5 + 0.002 * i as f64, 0.0, 0.3), 0.5);
+    }
+    let scan = scanner.finish(0.12);
+    assert_eq!((scan.points.len(), scan.total), (MOST_POINTS, 2 * MOST_POINTS));
+    assert!((scan.points[0].position[0] - 0.5).abs() < 1e-6);
+    assert!(scan.points.windows(2).all(|w| w[0].position[0] <= w[1].position[0]));
+}
+
+#[test]
+fn impossible_robots_are_refused() {
+    assert!(ObstaclesConfig::default().validate().is_ok());
+    for (robot_height_m, robot_radius_m) in [(0.01, 0.1), (f64::NAN, 0.1), (0.3, 0.0), (0.3, f64::NAN), (9.0, 0.1)] {
+        assert!(ObstaclesConfig { robot_height_m, robot_radius_m }.validate().is_err());
+    }
+}

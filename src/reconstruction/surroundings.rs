@@ -1,0 +1,147 @@
+//! What stands around the robot, for whoever asks: the floor that keyframes saw, kept while somebody does, and scans made from it and the map.
+//!
+//! Nothing here decides about a pose or the map. Cost while nobody asks: nothing.
+
+use std::collections::VecDeque;
+
+use nalgebra::Vector3;
+
+use super::Reconstruction;
+use crate::geometry::Se3;
+use crate::geometry::frames::{Body, Camera, World};
+use crate::image::GreyImage;
+use crate::map::{Keyframe, KeyframeId};
+use crate::motion::floor::seen::{Footing, Picture, Places, floor_seen};
+use crate::motion::obstacles::{ObstaclesConfig, Point, Scan, Scanner};
+
+/// Keyframes whose floor is kept: of a way of 10 m and more.
+const KEPT: usize = 60;
+/// Earlier pictures that a keyframe is compared with, and how far the camera has come since, in heights: nearer there is no parallax, farther it
+/// looks different.
+const COMPARED: usize = 4;
+const LEAST_STEP: f64 = 0.35;
+const MOST_STEP: f64 = 2.5;
+/// The level of the pictures that is compared: the finest that is narrower than this, px.
+const FINEST_PX: usize = 480;
+/// Fewer keyframes have not seen enough of a landmark.
+const LEAST_OBSERVERS: usize = 3;
+/// Keyframes farther apart than this, m, are no way that is known to be driven straight.
+const MOST_DRIVEN_M: f64 = 1.0;
+
+/// A floor from which the camera's height differs by more than this share is not the one under it now.
+const MOST_OFF: f64 = 0.1;
+
+/// See module.
+#[derive(Debug, Default)]
+pub(super) struct Surroundings {
+    wanted: bool,
+    /// Where keyframes saw the floor, in heights; newest last.
+    seen: VecDeque<(KeyframeId, Places)>,
+    scanner: Scanner,
+}
+
+/// Why there is no scan.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum NoScan {
+    NoPose,
+    NotMetric,
+    NoFloor,
+}
+
+/// A level of a keyframe's picture, if there is all of it.
+fn picture(keyframe: &Keyframe, level: usize) -> Option<&GreyImage> {
+    keyframe.picture.pyramid().levels.get(level).filter(|image| !image.data.is_empty())
+}
+
+impl Reconstruction {
+    /// Whether scans are asked for: then keyframes note where they see the floor.
+    pub fn want_obstacles(&mut self, wanted: bool) {
+        self.surroundings.wanted = wanted;
+        if !wanted {
+            self.surroundings.seen.clear();
+        }
+    }
+
+    /// A new keyframe, once the floor was looked for.
+    pub(super) fn note_floor(&mut self, id: KeyframeId) {
+        if !self.surroundings.wanted {
+            return;
+        }
+        let Some(plane) = self.floor.as_ref().and_then(|floor| floor.plane(self.active.id)) else { return };
+        let map = &self.active.map;
+        let Some(keyframe) = map.keyframe(id) else { return };
+        let Some(level) = keyframe.picture.pyramid().levels.iter().position(|l| l.width < FINEST_PX) else { return };
+        let Some(image) = picture(keyframe, level) else { return };
+        let size = |pixels: usize| u32::try_from(pixels).unwrap_or(0);
+        let Ok(camera) = self.optics.camera.scaled(size(image.width), size(image.height)) else { return };
+        let here = keyframe.centre();
+        let near = |other: &&Keyframe| {
+            let step = (other.centre() - here).norm() / plane.height;
+            (LEAST_STEP..MOST_STEP).contains(&step)
+        };
+        let first = id.0.saturating_sub(KEPT as u32);
+        let before = (first..id.0).rev().filter_map(|id| map.keyframe(KeyframeId(id))).filter(near);
+        let pictures: Vec<_> = before
+            .filter_map(|k| Some(Picture { camera_from_world: &k.camera_from_world, image: picture(k, level)? }))
+            .take(COMPARED)
+            .collect();
+        let seen = &mut self.surroundings.seen;
+        let oldest = if seen.len() < KEPT { None } else { seen.pop_front() };
+        let mut places = oldest.map(|(_, places)| places).unwrap_or_default();
+        places.floor.clear();
+        places.other.clear();
+        let now = Picture { camera_from_world: &keyframe.camera_from_world, image };
+        floor_seen(plane, &camera, &now, &pictures, &mut places);
+        seen.push_back((id, places));
+    }
+
+    /// The scan around the last frame's pose. `body_from_camera`: the mount, its translation in metres.
+    pub fn obstacles(
+        &mut self,
+        config: &ObstaclesConfig,
+        robot_height_m: f64,
+        body_from_camera: &Se3<Body, Camera>,
+    ) -> Result<&Scan, NoScan> {
+        let last = self.active.odometry.last.filter(|_| self.active.odometry.lost_frames == 0);
+        let Some(last) = last else { return Err(NoScan::NoPose) };
+        if !self.active.fusion.is_metric() {
+            return Err(NoScan::NotMetric);
+        }
+        let Some(plane) = self.floor.as_ref().and_then(|floor| floor.plane(self.active.id)) else {
+            return Err(NoScan::NoFloor);
+        };
+        // A map that was just corrected has its floor elsewhere, until the next keyframe.
+        let up = plane.height_of(&last.camera_from_world.inverse().translation);
+        if (up / plane.height - 1.0).abs() > MOST_OFF {
+            return Err(NoScan::NoFloor);
+        }
+        let (map, scanner) = (&self.active.map, &mut self.surroundings.scanner);
+        let world_from_body: Se3<World, Body> = (*body_from_camera * last.camera_from_world).inverse();
+        if !scanner.begin(plane, &world_from_body) {
+            return Err(NoScan::NoFloor);
+        }
+        for (id, places) in &self.surroundings.seen {
+            let keyframe = map.keyframe(*id);
+            if let Some(footing) = keyframe.and_then(|k| Footing::of(plane, &k.camera_from_world)) {
+                scanner.add_seen(&footing, plane.height, places);
+            }
+        }
+        let body = |camera_from_world: &Se3<Camera, World>| -> Vector3<f64> {
+            (*body_from_camera * *camera_from_world).inverse().translation
+        };
+        let mut before: Option<Vector3<f64>> = None;
+        let newest = map.keyframes.next_id();
+        for id in newest.saturating_sub(4 * KEPT as u32)..newest {
+            let Some(keyframe) = map.keyframe(KeyframeId(id)) else { continue };
+            let here = body(&keyframe.camera_from_world);
+            if let Some(from) = before.replace(here).filter(|from| (here - from).norm() <= MOST_DRIVEN_M) {
+                scanner.add_driven(&from, &here, config.robot_radius_m);
+            }
+        }
+        for (_, l) in map.landmarks.iter().filter(|(_, l)| l.assumed.is_none() && l.observers.len() >= LEAST_OBSERVERS)
+        {
+            scanner.add_landmark(plane, &Point { position: l.position, covariance: l.covariance }, robot_height_m);
+        }
+        Ok(scanner.finish(config.robot_radius_m))
+    }
+}

@@ -1,0 +1,231 @@
+//! One drive in lock-step, and its figures.
+
+use std::collections::BTreeMap;
+
+use cairn::camera::Pacing;
+use cairn::camera::simulator::{Scenario, Simulator, SimulatorConfig};
+use cairn::features::{FeatureStage, FeaturesConfig, Feedback, FrameFeatures};
+use cairn::geometry::alignment::align;
+use cairn::geometry::frames::{Camera, World};
+use cairn::geometry::{Se3, ros_from_optical};
+use cairn::image::GreyImage;
+use cairn::map::scale::MapScale;
+use cairn::motion::floor::{ScaleConfig, roll_pitch};
+use cairn::motion::hand_eye::Robot;
+use cairn::motion::obstacles::{BEARINGS, ObstaclesConfig, bearing_rad};
+use cairn::reconstruction::{InlineWorker, Reconstruction, ReconstructionConfig, TrackingState};
+use nalgebra::Vector3;
+
+/// Height of the simulator's camera on a driven base, m, and its pitch there as in `[mount]` (positive: nose down), degrees.
+pub const HEIGHT_M: f64 = 0.5;
+pub const PITCH_DEG: f64 = -2.29;
+
+/// Half of the camera's view in which bearings are judged, rad: all of the picture but its rims.
+const VIEW_RAD: f64 = 0.46;
+/// An obstacle is asked for up to here, and a bearing on which nothing stands up to the second is truly free and counts as reported where the floor is
+/// said to be free up to the third, m.
+const OBSTACLE_M: f64 = 3.0;
+const FREE_M: f64 = 1.5;
+const FREE_TOLD_M: f64 = 1.0;
+/// A distance is reported where it is within this of the truth, m and share; a free report is right if nothing stands before its end, but for this, m.
+const WITHIN_M: f64 = 0.2;
+const WITHIN_SHARE: f64 = 0.1;
+const FREE_WITHIN_M: f64 = 0.05;
+
+/// Of bearings, summed over scans.
+#[derive(Debug, Default, Clone, Copy)]
+pub struct Bearings {
+    pub scans: usize,
+    /// In view, with something within 3 m, and of these reported.
+    pub obstacles: usize,
+    pub reported: usize,
+    /// In view and truly free, and of these told.
+    pub free: usize,
+    pub told_free: usize,
+    /// All round: free reports, and those with something before their end.
+    pub free_reports: usize,
+    pub wrong: usize,
+    /// Longest that a free report reached beyond what stood there, m.
+    pub worst_m: f64,
+}
+
+pub struct Driven {
+    /// Of the camera until the map became metric, and in all, m.
+    pub until_metric_m: Option<f64>,
+    pub way_m: f64,
+    /// Standard deviation of the scale at the end, a share.
+    pub sigma: f64,
+    /// By what share the lengths published since the map became metric are wrong.
+    pub scale_error: f64,
+    /// As found at the end, degrees.
+    pub roll_pitch_deg: Option<(f64, f64)>,
+    /// Keyframes that told a floor, and that told none, by reason.
+    pub told: usize,
+    pub refused: BTreeMap<String, usize>,
+    pub bearings: Bearings,
+    /// The longest that mapping took after a frame, and a scan, ms.
+    pub map_ms: f64,
+    pub scan_ms: f64,
+}
+
+/// Lock-step over so many seconds; the camera's height is said to be `height_m`. With `scans`, one a second is judged.
+pub fn drive(config: &SimulatorConfig, seconds: f64, height_m: f64, scans: bool) -> Driven {
+    let mut simulator = Simulator::new(config, Pacing::LockStep).unwrap();
+    let camera = simulator.camera_model().clone();
+    let mut stage = FeatureStage::new(&FeaturesConfig::default());
+    let worker = Box::new(InlineWorker::default());
+    let mut reconstruction = Reconstruction::new(&ReconstructionConfig::default(), &camera, worker, true);
+    let scale = ScaleConfig { camera_height_m: height_m, ..ScaleConfig::default() };
+    assert!(scale.validate().is_ok());
+    reconstruction.look_for_floor(&scale, &Robot::unknown());
+    reconstruction.want_obstacles(scans);
+    let (mut features, mut feedback, mut picture) =
+        (FrameFeatures::default(), Feedback::default(), GreyImage::new(0, 0));
+    let (mut events, mut from, mut to) = (Vec::new(), Vec::new(), Vec::new());
+    let mut last: Option<Vector3<f64>> = None;
+    let mut driven = Driven {
+        until_metric_m: None,
+        way_m: 0.0,
+        sigma: f64::INFINITY,
+        scale_error: f64::NAN,
+        roll_pitch_deg: None,
+        told: 0,
+        refused: BTreeMap::new(),
+        bearings: Bearings::default(),
+        map_ms: 0.0,
+        scan_ms: 0.0,
+    };
+    let verbose = std::env::var_os("FLOOR_VERBOSE").is_some();
+    for sequence in 0..(seconds * config.rate_hz) as u64 {
+        simulator.render(sequence, &mut picture);
+        stage.step_grey(&picture, &mut features);
+        features.sequence = sequence;
+        features.timestamp_ns = simulator.timestamp_ns(sequence);
+        let truth = simulator.trajectory().pose_at(features.timestamp_ns);
+        let place = truth.translation;
+        driven.way_m += last.replace(place).map_or(0.0, |last| (place - last).norm());
+        let estimate = reconstruction.track(&features);
+        let tracking = estimate.state == TrackingState::Tracking;
+        if let (true, MapScale::Metric { .. }, Some(pose)) = (tracking, estimate.scale, estimate.world_from_camera) {
+            from.push(pose.translation);
+            to.push(place);
+        }
+        let begun = std::time::Instant::now();
+        reconstruction.map(&features, &mut feedback);
+        driven.map_ms = driven.map_ms.max(begun.elapsed().as_secs_f64() * 1e3);
+        stage.feedback(&feedback);
+        reconstruction.take_trajectory_events(&mut events);
+        events.clear();
+        if estimate.keyframe {
+            match reconstruction.no_floor() {
+                None => driven.told += 1,
+                Some(reason) => {
+                    let reason = format!("{reason:?}");
+                    let name = reason.split('(').next().unwrap_or("").to_owned();
+                    *driven.refused.entry(name).or_insert(0) += 1;
+                }
+            }
+            if verbose {
+                println!(
+                    "{sequence}: {:.2} m {:?} {:?}",
+                    driven.way_m,
+                    reconstruction.no_floor(),
+                    reconstruction.floor()
+                );
+            }
+        }
+        if reconstruction.scale().is_metric() {
+            driven.until_metric_m.get_or_insert(driven.way_m);
+        }
+        if scans && tracking && sequence % config.rate_hz.max(1.0) as u64 == 0 {
+            judge_scan(&mut reconstruction, &simulator, &truth, height_m, &mut driven);
+        }
+    }
+    if let Ok(scaled) = align::<World, World>(&from, &to, true) {
+        driven.scale_error = scaled.to_from_from.scale - 1.0;
+    }
+    if let MapScale::Metric { sigma, .. } = reconstruction.scale() {
+        driven.sigma = sigma;
+    }
+    driven.roll_pitch_deg = reconstruction.floor().map(|plane| {
+        let (roll, pitch) = roll_pitch(&plane.up_camera);
+        (roll.to_degrees(), pitch.to_degrees())
+    });
+    driven
+}
+
+fn judge_scan(
+    reconstruction: &mut Reconstruction,
+    simulator: &Simulator,
+    truth: &Se3<World, Camera>,
+    height_m: f64,
+    driven: &mut Driven,
+) {
+    let config = ObstaclesConfig::default();
+    let begun = std::time::Instant::now();
+    let body_from_camera = Se3::new(ros_from_optical(), Vector3::zeros());
+    let Ok(scan) = reconstruction.obstacles(&config, height_m, &body_from_camera) else { return };
+    driven.scan_ms = driven.scan_ms.max(begun.elapsed().as_secs_f64() * 1e3);
+    let axis = truth.rotation * Vector3::z();
+    let yaw = axis.y.atan2(axis.x);
+    let counts = &mut driven.bearings;
+    counts.scans += 1;
+    for bearing in 0..BEARINGS {
+        let angle = bearing_rad(bearing);
+        let direction = Vector3::new((yaw + angle).cos(), (yaw + angle).sin(), 0.0);
+        // What stands there, at heights 5 cm apart.
+        let heights = (0..).map(|i| 0.07 + 0.05 * f64::from(i)).take_while(|z| *z < height_m);
+        let reach = |z: f64| simulator.reach(&Vector3::new(truth.translation.x, truth.translation.y, z), &direction);
+        let stands_m = heights.filter_map(reach).fold(f64::INFINITY, f64::min);
+        let (range, free) = (f64::from(scan.range_m[bearing]), f64::from(scan.free_m[bearing]));
+        if free > 0.0 {
+            counts.free_reports += 1;
+            if free > stands_m + FREE_WITHIN_M {
+                counts.wrong += 1;
+                counts.worst_m = counts.worst_m.max(free - stands_m);
+            }
+        }
+        if angle.abs() > VIEW_RAD {
+            continue;
+        }
+        if stands_m < OBSTACLE_M {
+            counts.obstacles += 1;
+            counts.reported += usize::from((range - stands_m).abs() <= WITHIN_M.max(WITHIN_SHARE * stands_m));
+        }
+        if stands_m >= FREE_M {
+            counts.free += 1;
+            counts.told_free += usize::from(free >= FREE_TOLD_M);
+        }
+    }
+}
+
+pub fn room(scenario: Scenario, seed: u64) -> SimulatorConfig {
+    SimulatorConfig { seed, rate_hz: 12.0, width: 320, height: 240, scenario, ..Default::default() }
+}
+
+/// The same, printed.
+pub fn judge(config: &SimulatorConfig, seconds: f64, height_m: f64, scans: bool) -> Driven {
+    let driven = drive(config, seconds, height_m, scans);
+    let Driven { until_metric_m, way_m, sigma, scale_error, roll_pitch_deg, told, refused, map_ms, .. } = &driven;
+    println!(
+        "{} {}: {way_m:.1} m, metric after {until_metric_m:.1?} m, scale {:.2} % off, sigma {:.2} %, roll and pitch {roll_pitch_deg:.2?}, \
+         floor at {told} keyframes, not at {refused:?}, mapping {map_ms:.1} ms at most",
+        config.scenario.name(),
+        config.seed,
+        100.0 * scale_error,
+        100.0 * sigma,
+    );
+    let b = &driven.bearings;
+    if scans {
+        println!(
+            "    {} scans: {} of {} obstacles reported, {} of {} free bearings, {} of {} free reports wrong, {:.2} m at most; {:.1} ms at most",
+            b.scans, b.reported, b.obstacles, b.told_free, b.free, b.wrong, b.free_reports, b.worst_m, driven.scan_ms,
+        );
+    }
+    driven
+}
+
+/// Of an environment variable, or this.
+pub fn word(name: &str, or: &str) -> String {
+    std::env::var(name).unwrap_or_else(|_| or.into())
+}

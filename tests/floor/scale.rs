@@ -1,0 +1,37 @@
+//! Metres by the camera's height.
+
+use cairn::camera::simulator::Scenario;
+
+use crate::drive::{HEIGHT_M, PITCH_DEG, judge, room, word};
+
+#[test]
+fn a_corridor_is_metric_by_the_height_of_the_camera_within_two_percent() {
+    let driven = judge(&room(Scenario::Corridor, 311), 22.0, HEIGHT_M, false);
+    assert!(driven.until_metric_m.is_some_and(|way_m| way_m < 8.0), "metric after {:?} m", driven.until_metric_m);
+    assert!(driven.scale_error.abs() < 0.02, "scale {} off", driven.scale_error);
+    assert!(driven.scale_error.abs() < 3.0 * driven.sigma, "{} against sigma {}", driven.scale_error, driven.sigma);
+    let (roll, pitch) = driven.roll_pitch_deg.expect("the floor");
+    assert!(roll.abs() < 1.5 && (pitch - PITCH_DEG).abs() < 1.5, "roll {roll} pitch {pitch}");
+}
+
+#[test]
+fn where_no_floor_is_driven_over_nothing_is_told() {
+    // A desk before a hand that sways.
+    let driven = judge(&room(Scenario::HandHeld, 302), 12.0, 1.2, false);
+    assert!(driven.until_metric_m.is_none(), "metric by a desk");
+    assert!(!driven.refused.is_empty(), "the floor was not looked for");
+}
+
+/// `SCENARIOS`, `SEEDS`, `SECONDS` choose.
+#[test]
+#[ignore = "the long form, which prints its figures"]
+fn table() {
+    let seconds: f64 = word("SECONDS", "25").parse().unwrap();
+    let seeds: Vec<u64> = word("SEEDS", "311,312,313").split(',').map(|s| s.parse().unwrap()).collect();
+    for name in word("SCENARIOS", "room_tour,square,corridor,three_rooms").split(',') {
+        let scenario = Scenario::ALL.into_iter().find(|s| s.name() == name).expect("a scenario");
+        for seed in &seeds {
+            judge(&room(scenario, *seed), seconds, HEIGHT_M, false);
+        }
+    }
+}
