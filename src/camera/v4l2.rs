@@ -286,7 +286,7 @@ impl FrameSource for V4l2Camera {
     }
 
     fn controls(&mut self) -> Result<Vec<ControlState>, ControlError> {
-        let offered = adjust::offered(self.capture.queue().device());
+        let offered = adjust::offered(self.capture.queue().device())?;
         if offered.is_empty() { Err(ControlError::NoControls(self.card.clone())) } else { Ok(offered) }
     }
 

@@ -1,8 +1,8 @@
 //! What commands ask of the camera: exposure, gain and focus.
 //!
 //! The supervisor hands a command to the capture stage and answers it when that has ([`CameraDesk`]); the stage carries it out between two frames
-//! ([`CameraOrder::carry_out`]). A control transfer takes a millisecond, and a camera that hangs over it delays its own frames and no pose
-//! of one that has come.
+//! ([`CameraOrder::carry_out`]). A control transfer takes a millisecond. A camera that hangs over it delays its own frames by the driver's 5 s, which
+//! is half of what the watchdog allows, and no pose of a frame that has come.
 
 use std::time::{Duration, Instant};
 
@@ -16,7 +16,7 @@ use crate::publish;
 
 /// Orders on their way to the capture stage.
 pub const CAMERA_QUEUE: usize = 4;
-/// A driver gives a control transfer up after 5 s; to set a control takes two at the most before the first fails.
+/// A driver gives a control transfer up after 5 s, and with it its order: time for this one and one before it.
 const PATIENCE: Duration = Duration::from_secs(12);
 
 #[derive(Debug, Clone, Copy, PartialEq)]

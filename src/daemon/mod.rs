@@ -233,7 +233,8 @@ fn capture_frames(
     let mut failed = false;
     while !status.stopping() && !ring.is_abandoned() {
         status.capture.beat(monotonic_ns());
-        for order in orders.try_iter().take(CAMERA_QUEUE) {
+        // One at a time: a camera that hangs keeps each waiting for 5 s, and the watchdog must see that the stage lives in between.
+        if let Ok(order) = orders.try_recv() {
             step.obey(order);
         }
         match ring.write(|slot| step.step(slot, TURN)) {

@@ -245,7 +245,8 @@ impl ReconstructStep {
 
         let begin = Instant::now();
         if let Some(reconstruction) = self.reconstruction.as_mut() {
-            reconstruction.want_obstacles(self.outlet.as_ref().is_some_and(Outlet::obstacles_wanted));
+            let asked = self.outlet.as_ref().is_some_and(Outlet::obstacles_wanted);
+            reconstruction.want_seen_floor(asked && self.obstacles.seen_floor);
             reconstruction.map(features, feedback);
         }
         self.status.mapping.record(begin.elapsed());

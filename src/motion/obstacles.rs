@@ -6,7 +6,7 @@
 //!
 //! - A landmark between [`LEAST_HEIGHT_M`] and the robot's height is in the way. Bearings between two such points less than [`LINK_M`] apart
 //!   have what lies on the line between them: things are more than their corners.
-//! - **Unknown is never free.** A cell of the floor is free where two keyframes saw the floor there, or the robot itself has been; a bearing is free from
+//! - **Unknown is never free.** A cell of the floor is free where the robot itself has been, and if asked for (`seen_floor`) where two keyframes saw the floor; a bearing is free from
 //!   the first such cell (a camera that looks ahead may have looked over those before) up to the last one, as long as no gap between them is longer than
 //!   [`GAP_M`], and ends before anything in the way.
 //!
@@ -64,11 +64,14 @@ pub struct ObstaclesConfig {
     pub robot_height_m: f64,
     /// Of the robot's footprint around its origin, m: where it has been the floor was free. 0.05..=1.0.
     pub robot_radius_m: f64,
+    /// Tell floor that keyframes saw as free, too, and not only where the robot has been. Of the simulator's reports one in eight to
+    /// fourteen then reaches past something: for looking at, not for driving by.
+    pub seen_floor: bool,
 }
 
 impl Default for ObstaclesConfig {
     fn default() -> Self {
-        Self { robot_height_m: 0.0, robot_radius_m: 0.12 }
+        Self { robot_height_m: 0.0, robot_radius_m: 0.12, seen_floor: false }
     }
 }
 

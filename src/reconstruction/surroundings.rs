@@ -54,8 +54,8 @@ fn picture(keyframe: &Keyframe, level: usize) -> Option<&GreyImage> {
 }
 
 impl Reconstruction {
-    /// Whether scans are asked for: then keyframes note where they see the floor.
-    pub fn want_obstacles(&mut self, wanted: bool) {
+    /// Whether scans are asked for that tell seen floor as free: then keyframes note where they see it.
+    pub fn want_seen_floor(&mut self, wanted: bool) {
         self.surroundings.wanted = wanted;
         if !wanted {
             self.surroundings.seen.clear();
@@ -120,7 +120,7 @@ impl Reconstruction {
         if !scanner.begin(plane, &world_from_body) {
             return Err(NoScan::NoFloor);
         }
-        for (id, places) in &self.surroundings.seen {
+        for (id, places) in self.surroundings.seen.iter().filter(|_| config.seen_floor) {
             let keyframe = map.keyframe(*id);
             if let Some(footing) = keyframe.and_then(|k| Footing::of(plane, &k.camera_from_world)) {
                 scanner.add_seen(&footing, plane.height, places);

@@ -68,8 +68,8 @@ pub struct Driven {
     pub scan_ms: f64,
 }
 
-/// Lock-step over so many seconds; the camera's height is said to be `height_m`. With `scans`, one a second is judged.
-pub fn drive(config: &SimulatorConfig, seconds: f64, height_m: f64, scans: bool) -> Driven {
+/// Lock-step over so many seconds; the camera's height is said to be `height_m`. With `scans` made so, one a second is judged.
+pub fn drive(config: &SimulatorConfig, seconds: f64, height_m: f64, scans: Option<&ObstaclesConfig>) -> Driven {
     let mut simulator = Simulator::new(config, Pacing::LockStep).unwrap();
     let camera = simulator.camera_model().clone();
     let mut stage = FeatureStage::new(&FeaturesConfig::default());
@@ -78,7 +78,7 @@ pub fn drive(config: &SimulatorConfig, seconds: f64, height_m: f64, scans: bool)
     let scale = ScaleConfig { camera_height_m: height_m, ..ScaleConfig::default() };
     assert!(scale.validate().is_ok());
     reconstruction.look_for_floor(&scale, &Robot::unknown());
-    reconstruction.want_obstacles(scans);
+    reconstruction.want_seen_floor(scans.is_some_and(|config| config.seen_floor));
     let (mut features, mut feedback, mut picture) =
         (FrameFeatures::default(), Feedback::default(), GreyImage::new(0, 0));
     let (mut events, mut from, mut to) = (Vec::new(), Vec::new(), Vec::new());
@@ -137,8 +137,8 @@ pub fn drive(config: &SimulatorConfig, seconds: f64, height_m: f64, scans: bool)
         if reconstruction.scale().is_metric() {
             driven.until_metric_m.get_or_insert(driven.way_m);
         }
-        if scans && tracking && sequence % config.rate_hz.max(1.0) as u64 == 0 {
-            judge_scan(&mut reconstruction, &simulator, &truth, height_m, &mut driven);
+        if let Some(how) = scans.filter(|_| tracking && sequence % config.rate_hz.max(1.0) as u64 == 0) {
+            judge_scan(&mut reconstruction, how, &simulator, &truth, height_m, &mut driven);
         }
     }
     if let Ok(scaled) = align::<World, World>(&from, &to, true) {
@@ -156,15 +156,15 @@ pub fn drive(config: &SimulatorConfig, seconds: f64, height_m: f64, scans: bool)
 
 fn judge_scan(
     reconstruction: &mut Reconstruction,
+    config: &ObstaclesConfig,
     simulator: &Simulator,
     truth: &Se3<World, Camera>,
     height_m: f64,
     driven: &mut Driven,
 ) {
-    let config = ObstaclesConfig::default();
     let begun = std::time::Instant::now();
     let body_from_camera = Se3::new(ros_from_optical(), Vector3::zeros());
-    let Ok(scan) = reconstruction.obstacles(&config, height_m, &body_from_camera) else { return };
+    let Ok(scan) = reconstruction.obstacles(config, height_m, &body_from_camera) else { return };
     driven.scan_ms = driven.scan_ms.max(begun.elapsed().as_secs_f64() * 1e3);
     let axis = truth.rotation * Vector3::z();
     let yaw = axis.y.atan2(axis.x);
@@ -204,7 +204,7 @@ pub fn room(scenario: Scenario, seed: u64) -> SimulatorConfig {
 }
 
 /// The same, printed.
-pub fn judge(config: &SimulatorConfig, seconds: f64, height_m: f64, scans: bool) -> Driven {
+pub fn judge(config: &SimulatorConfig, seconds: f64, height_m: f64, scans: Option<&ObstaclesConfig>) -> Driven {
     let driven = drive(config, seconds, height_m, scans);
     let Driven { until_metric_m, way_m, sigma, scale_error, roll_pitch_deg, told, refused, map_ms, .. } = &driven;
     println!(
@@ -216,7 +216,7 @@ pub fn judge(config: &SimulatorConfig, seconds: f64, height_m: f64, scans: bool)
         100.0 * sigma,
     );
     let b = &driven.bearings;
-    if scans {
+    if scans.is_some() {
         println!(
             "    {} scans: {} of {} obstacles reported, {} of {} free bearings, {} of {} free reports wrong, {:.2} m at most; {:.1} ms at most",
             b.scans, b.reported, b.obstacles, b.told_free, b.free, b.wrong, b.free_reports, b.worst_m, driven.scan_ms,

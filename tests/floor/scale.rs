@@ -6,7 +6,7 @@ use crate::drive::{HEIGHT_M, PITCH_DEG, judge, room, word};
 
 #[test]
 fn a_corridor_is_metric_by_the_height_of_the_camera_within_two_percent() {
-    let driven = judge(&room(Scenario::Corridor, 311), 22.0, HEIGHT_M, false);
+    let driven = judge(&room(Scenario::Corridor, 311), 22.0, HEIGHT_M, None);
     assert!(driven.until_metric_m.is_some_and(|way_m| way_m < 8.0), "metric after {:?} m", driven.until_metric_m);
     assert!(driven.scale_error.abs() < 0.02, "scale {} off", driven.scale_error);
     assert!(driven.scale_error.abs() < 3.0 * driven.sigma, "{} against sigma {}", driven.scale_error, driven.sigma);
@@ -17,7 +17,7 @@ fn a_corridor_is_metric_by_the_height_of_the_camera_within_two_percent() {
 #[test]
 fn where_no_floor_is_driven_over_nothing_is_told() {
     // A desk before a hand that sways.
-    let driven = judge(&room(Scenario::HandHeld, 302), 12.0, 1.2, false);
+    let driven = judge(&room(Scenario::HandHeld, 302), 12.0, 1.2, None);
     assert!(driven.until_metric_m.is_none(), "metric by a desk");
     assert!(!driven.refused.is_empty(), "the floor was not looked for");
 }
@@ -31,7 +31,7 @@ fn table() {
     for name in word("SCENARIOS", "room_tour,square,corridor,three_rooms").split(',') {
         let scenario = Scenario::ALL.into_iter().find(|s| s.name() == name).expect("a scenario");
         for seed in &seeds {
-            judge(&room(scenario, *seed), seconds, HEIGHT_M, false);
+            judge(&room(scenario, *seed), seconds, HEIGHT_M, None);
         }
     }
 }

@@ -20,11 +20,11 @@ _WHO = {"auto": True, "manual": False, "manual-only": None}
 
 
 def controls(message):
-    """An answer to CAMERA_CONTROLS; lines of a newer daemon that are none to us are left out."""
+    """An answer to CAMERA_CONTROLS; lines and words of a newer daemon that are none to us are left out."""
     found = []
     for line in message.splitlines():
         try:
-            name, unit, *numbers, who = line.split(" ")
+            name, unit, *numbers, who = line.split(" ")[:8]
             low, high, step, default, value = map(float, numbers)
             found.append(CameraControl(name, unit, low, high, step, default, value, _WHO[who]))
         except (ValueError, KeyError):

@@ -292,7 +292,7 @@ def test_a_simulated_camera_says_that_nothing_can_be_set_on_it(daemon):
 
 
 def test_a_cameras_answer_is_read_line_by_line():
-    exposure, gain = cairn.camera.controls("exposure ms 0.3 204.7 0.1 25 8 auto\nsenseless\ngain steps 0 255 1 64 NaN manual-only")
+    exposure, gain = cairn.camera.controls("exposure ms 0.3 204.7 0.1 25 8 auto\nsenseless\ngain steps 0 255 1 64 NaN manual-only more")
     assert exposure == ("exposure", "ms", 0.3, 204.7, 0.1, 25.0, 8.0, True)
     assert gain.name == "gain" and gain.auto is None and np.isnan(gain.value)
 

@@ -2,7 +2,8 @@
 //!
 //! Input: an open device. Output: controls in the units of [`camera::controls`](super::super::controls); exposure, which V4L2 counts in 0.1 ms, in ms.
 //! A value beyond the range is refused and named with it; within the range it is taken to the nearest step. The automatic that would undo it is
-//! switched off first, and on again if the camera then refuses the value.
+//! switched off first, and on again if the camera then refuses the value. A camera that hangs is asked nothing more: the driver waits 5 s for each
+//! answer, and no frame comes meanwhile.
 //!
 //! Cost: three control transfers to ask for a control, up to six to set one, a millisecond each on USB, between two frames. Not here: white balance.
 
@@ -14,14 +15,15 @@ use crate::camera::controls::{Control, ControlError, ControlState, Decides, Sett
 use std::io;
 
 /// What the camera has of it.
-pub fn offered(device: &impl Controls) -> Vec<ControlState> {
-    Control::ALL.into_iter().filter_map(|control| state(device, control)).collect()
+pub fn offered(device: &impl Controls) -> Result<Vec<ControlState>, ControlError> {
+    let told = |control| state(device, control).map_err(|e| refused(control, &e)).transpose();
+    Control::ALL.into_iter().filter_map(told).collect()
 }
 
 /// Sets one; what it is then.
 pub fn set(device: &impl Controls, control: Control, to: Setting) -> Result<ControlState, ControlError> {
-    let before = state(device, control).ok_or(ControlError::Missing(control))?;
-    let refused = |e: io::Error| ControlError::Refused { control, reason: e.to_string() };
+    let refused = |e: io::Error| refused(control, &e);
+    let before = state(device, control).map_err(refused)?.ok_or(ControlError::Missing(control))?;
     match to {
         Setting::Automatic if before.decides == Decides::OnlyUs => return Err(ControlError::NoAutomatic(control)),
         Setting::Automatic => give_back(device, control).map_err(refused)?,
@@ -34,9 +36,10 @@ pub fn set(device: &impl Controls, control: Control, to: Setting) -> Result<Cont
             }
             let steps = ((value - before.low) / before.step).round();
             let (id, per_unit) = value_of(control);
-            let raw = ((before.low + steps * before.step) * per_unit).round() as i32;
+            // The range need not end with a step.
+            let raw = ((before.low + steps * before.step).min(before.high) * per_unit).round() as i32;
             if let Err(error) = device.set(id, raw) {
-                if before.decides == Decides::Camera {
+                if before.decides == Decides::Camera && !is_hung(&error) {
                     // As it was; if that fails, too, the next answer tells.
                     let _ = give_back(device, control);
                 }
@@ -44,7 +47,24 @@ pub fn set(device: &impl Controls, control: Control, to: Setting) -> Result<Cont
             }
         }
     }
-    Ok(state(device, control).unwrap_or(before))
+    Ok(state(device, control).map_err(refused)?.unwrap_or(before))
+}
+
+fn refused(control: Control, error: &io::Error) -> ControlError {
+    ControlError::Refused { control, reason: error.to_string() }
+}
+
+/// The driver has given up waiting for the camera.
+fn is_hung(error: &io::Error) -> bool {
+    error.kind() == io::ErrorKind::TimedOut
+}
+
+/// What the camera answers, `None` if it does not have it; an error if it hangs.
+fn answered<T>(answer: io::Result<T>) -> io::Result<Option<T>> {
+    match answer {
+        Err(error) if is_hung(&error) => Err(error),
+        answer => Ok(answer.ok()),
+    }
 }
 
 /// V4L2's number of the value, and its units in one of ours.
@@ -57,30 +77,28 @@ fn value_of(control: Control) -> (u32, f64) {
 }
 
 /// `None`: the camera has none.
-fn state(device: &impl Controls, control: Control) -> Option<ControlState> {
+fn state(device: &impl Controls, control: Control) -> io::Result<Option<ControlState>> {
     let (id, per_unit) = value_of(control);
-    let range = device.range(id).ok().filter(|range| range.low < range.high)?;
+    let Some(range) = answered(device.range(id))?.filter(|range| range.low < range.high) else { return Ok(None) };
     let [low, high, step, default] =
         [range.low, range.high, range.step.max(1), range.default].map(|v| f64::from(v) / per_unit);
-    let decides = match is_automatic(device, control) {
+    let decides = match is_automatic(device, control)? {
         Some(true) => Decides::Camera,
         Some(false) => Decides::Us,
         None => Decides::OnlyUs,
     };
-    let value = device.get(id).map_or(f64::NAN, |v| f64::from(v) / per_unit);
-    Some(ControlState { control, low, high, step, default, value, decides })
+    let value = answered(device.get(id))?.map_or(f64::NAN, |v| f64::from(v) / per_unit);
+    Ok(Some(ControlState { control, low, high, step, default, value, decides }))
 }
 
 /// `None`: there is no such switch.
-fn is_automatic(device: &impl Controls, control: Control) -> Option<bool> {
-    let automatic = |id: u32| device.get(id).ok().map(|on| on != 0);
-    match control {
-        Control::Exposure => {
-            device.get(EXPOSURE_MODE).ok().map(|mode| matches!(mode, MODE_AUTO | MODE_APERTURE_PRIORITY))
-        }
-        Control::Gain => automatic(AUTO_GAIN),
-        Control::Focus => automatic(AUTOFOCUS),
-    }
+fn is_automatic(device: &impl Controls, control: Control) -> io::Result<Option<bool>> {
+    let (switch, is_on): (u32, fn(i32) -> bool) = match control {
+        Control::Exposure => (EXPOSURE_MODE, |mode| matches!(mode, MODE_AUTO | MODE_APERTURE_PRIORITY)),
+        Control::Gain => (AUTO_GAIN, |on| on != 0),
+        Control::Focus => (AUTOFOCUS, |on| on != 0),
+    };
+    Ok(answered(device.get(switch))?.map(is_on))
 }
 
 /// The camera does not decide any more.
@@ -119,7 +137,7 @@ mod tests {
 
     #[test]
     fn what_a_camera_offers_is_told_in_our_units() {
-        let told = offered(&webcam());
+        let told = offered(&webcam()).expect("told");
         let exposure = told[0];
         assert_eq!(
             (exposure.control, exposure.low, exposure.high, exposure.step),
@@ -128,7 +146,7 @@ mod tests {
         assert_eq!((exposure.value, exposure.decides), (25.0, Decides::Camera));
         assert_eq!((told[1].control, told[1].value, told[1].decides), (Control::Gain, 64.0, Decides::OnlyUs));
         assert_eq!((told[2].control, told[2].step, told[2].decides), (Control::Focus, 5.0, Decides::Us));
-        assert!(offered(&Fake::new(&[])).is_empty());
+        assert_eq!(offered(&Fake::new(&[])), Ok(Vec::new()));
     }
 
     #[test]
@@ -158,10 +176,30 @@ mod tests {
         );
         assert!(refused(Control::Gain, Setting::Value(f64::NAN)).starts_with("gain NaN steps: "));
         assert_eq!(refused(Control::Gain, Setting::Automatic), "gain: this camera has no automatic for it");
-        assert_eq!(offered(&camera)[0].decides, Decides::Camera);
+        assert_eq!(offered(&camera).expect("told")[0].decides, Decides::Camera);
         let bare = Fake::new(&[]);
         let missing = set(&bare, Control::Focus, Setting::Value(1.0)).expect_err("missing").to_string();
         assert_eq!(missing, "this camera has no focus that could be set");
+    }
+
+    #[test]
+    fn a_value_beyond_the_last_step_of_the_range_is_its_end() {
+        let camera = Fake::new(&[]).with_steps(FOCUS, (0, 253, 30), 5);
+        assert_eq!(set(&camera, Control::Focus, Setting::Value(253.0)).expect("set").value, 253.0);
+    }
+
+    #[test]
+    fn a_camera_that_hangs_is_asked_once_and_no_more() {
+        let answers: [fn(&Fake) -> Result<(), ControlError>; 2] = [
+            |camera: &Fake| offered(camera).map(|_| ()),
+            |camera: &Fake| set(camera, Control::Exposure, Setting::Value(8.0)).map(|_| ()),
+        ];
+        for answer in answers {
+            let camera = webcam().hanging();
+            let said = answer(&camera).expect_err("it hangs").to_string();
+            assert!(said.starts_with("exposure: the camera refused it: "), "{said}");
+            assert_eq!(camera.timeouts(), 1);
+        }
     }
 
     #[test]

@@ -173,7 +173,7 @@ fn demand(device: &impl Controls, id: u32, value: i32, name: &str) -> i32 {
 #[cfg(test)]
 pub mod fake {
     use super::{ControlRange, Controls};
-    use std::cell::RefCell;
+    use std::cell::{Cell, RefCell};
     use std::collections::BTreeMap;
     use std::io::{Error, ErrorKind, Result};
 
@@ -182,13 +182,15 @@ pub mod fake {
         controls: RefCell<BTreeMap<u32, (i32, i32, i32)>>,
         steps: BTreeMap<u32, i32>,
         refused: Option<u32>,
+        hangs: bool,
+        timeouts: Cell<usize>,
     }
 
     impl Fake {
         /// Number, and lowest, highest and present value of each.
         pub fn new(controls: &[(u32, (i32, i32, i32))]) -> Self {
             let controls = RefCell::new(controls.iter().copied().collect());
-            Self { controls, steps: BTreeMap::new(), refused: None }
+            Self { controls, steps: BTreeMap::new(), refused: None, hangs: false, timeouts: Cell::new(0) }
         }
 
         pub fn with_steps(mut self, id: u32, control: (i32, i32, i32), step: i32) -> Self {
@@ -201,13 +203,33 @@ pub mod fake {
         pub fn refusing(self, id: u32) -> Self {
             Self { refused: Some(id), ..self }
         }
+
+        /// Answers nothing.
+        pub fn hanging(self) -> Self {
+            Self { hangs: true, ..self }
+        }
+
+        /// How often somebody has waited for it in vain.
+        pub fn timeouts(&self) -> usize {
+            self.timeouts.get()
+        }
+
+        fn wait(&self) -> Result<()> {
+            if !self.hangs {
+                return Ok(());
+            }
+            self.timeouts.set(self.timeouts.get() + 1);
+            Err(ErrorKind::TimedOut.into())
+        }
     }
 
     impl Controls for Fake {
         fn get(&self, id: u32) -> Result<i32> {
+            self.wait()?;
             self.controls.borrow().get(&id).map(|c| c.2).ok_or_else(|| Error::from(ErrorKind::InvalidInput))
         }
         fn set(&self, id: u32, value: i32) -> Result<()> {
+            self.wait()?;
             match self.controls.borrow_mut().get_mut(&id) {
                 Some(c) if (c.0..=c.1).contains(&value) && self.refused != Some(id) => {
                     c.2 = value;
@@ -217,6 +239,7 @@ pub mod fake {
             }
         }
         fn range(&self, id: u32) -> Result<ControlRange> {
+            self.wait()?;
             let controls = self.controls.borrow();
             let (low, high, default) = *controls.get(&id).ok_or_else(|| Error::from(ErrorKind::InvalidInput))?;
             Ok(ControlRange { low, high, step: self.steps.get(&id).copied().unwrap_or(1), default })

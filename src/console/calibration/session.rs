@@ -4,8 +4,10 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
+use tracing::error;
 
 use super::guided::{Board, Calibrator, Camera, Glance, Guidance, Guided, Outcome, Picture};
+use crate::telemetry::contained;
 
 /// It ends by itself after this time with what there is, as `cairn calibrate` does.
 pub const LIMIT: Duration = Duration::from_secs(300);
@@ -100,6 +102,16 @@ impl Session {
         matches!(self.state, State::Running(_))
     }
 
+    /// A step of it. One that panics, a defect of whoever calibrates, ends this calibration and not those that come after it; the error says so.
+    pub fn guarded<T>(&mut self, step: impl FnOnce(&mut Self) -> T) -> Result<T, String> {
+        contained(|| step(self)).map_err(|panic| {
+            let reason = format!("a defect of the program, please report it: {panic}");
+            error!(reason, "console: a calibration broke");
+            self.fail(reason.clone());
+            reason
+        })
+    }
+
     /// An order of a page; the sentence says what became of it. `id`: the order's.
     pub fn obey(&mut self, action: Action, id: u32, now: Instant) -> Result<String, String> {
         match action {
@@ -158,7 +170,7 @@ impl Session {
     }
 
     /// A picture of the camera.
-    pub fn look(&mut self, picture: Picture, now: Instant) {
+    pub fn look(&mut self, picture: Picture) {
         let State::Running(running) = &mut self.state else { return };
         if picture.width * picture.height > MAX_PIXELS || picture.pixels.len() != picture.width * picture.height {
             let (width, height) = (picture.width, picture.height);
@@ -168,13 +180,19 @@ impl Session {
             // It may have another camera, and views of two cameras are those of none.
             return self.fail("the daemon was started anew: begin again".into());
         }
-        running.last_picture = now;
         let glance = running.guided.look(picture);
         // Views change it, and the picture after one.
         running.guidance = running.guided.guidance();
         running.glance = Some(glance);
         if running.guided.is_done() {
             self.end("done");
+        }
+    }
+
+    /// The picture is dealt with, however long that took: from now on the next one is waited for.
+    pub fn wait(&mut self, now: Instant) {
+        if let State::Running(running) = &mut self.state {
+            running.last_picture = now;
         }
     }
 
@@ -212,9 +230,12 @@ impl Session {
 
     /// With what there is.
     fn end(&mut self, why: &'static str) {
+        let State::Running(running) = &self.state else { return };
+        // While it is running still: what panics here is that calibration's end.
+        let outcome = running.guided.outcome();
         let State::Running(running) = std::mem::replace(&mut self.state, State::Idle) else { return };
         let Running { board, guided, guidance, camera, .. } = running;
-        self.state = match guided.outcome() {
+        self.state = match outcome {
             Some(outcome) => {
                 State::Done(Done { board, guided, guidance, outcome, why, camera: camera.flatten(), saved: None })
             }

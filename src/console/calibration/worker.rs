@@ -77,24 +77,29 @@ pub fn run(
         select! {
             recv(desk.received) -> asked => {
                 let Ok((page, id, action)) = asked else { return };
-                let done = session.obey(action, id, Instant::now());
+                let done = session.guarded(|s| s.obey(action, id, Instant::now())).unwrap_or_else(Err);
                 info!(ok = done.is_ok(), said = done.as_ref().unwrap_or_else(|e| e), "console: calibration");
                 tell(&session);
                 answer(&page, id, &session.told(Instant::now()).terminal, done);
             }
             recv(desk.tray.pictures()) -> picture => {
                 let (Ok(picture), begun) = (picture, Instant::now()) else { return };
-                session.look(picture, begun);
-                if let Some(run_id) = session.nameless() {
-                    session.name(camera(source, run_id, calibrator.as_ref()));
-                }
+                // What panics has told why in the session.
+                let _ = session.guarded(|session| {
+                    session.look(picture);
+                    if let Some(run_id) = session.nameless() {
+                        session.name(camera(source, run_id, calibrator.as_ref()));
+                    }
+                });
+                session.wait(Instant::now());
                 let took = begun.elapsed();
                 next = begun + Duration::from_secs_f64(1.0 / RATE_HZ).max(took + took.min(LONGEST_REST));
                 tell(&session);
             }
             default(patience) => {
                 // Seconds pass on the page, too.
-                if session.turn(Instant::now()) || (session.is_running() && desk.tray.is_asked()) {
+                let ended = session.guarded(|s| s.turn(Instant::now())).unwrap_or(true);
+                if ended || (session.is_running() && desk.tray.is_asked()) {
                     tell(&session);
                 }
             }

@@ -46,6 +46,8 @@ export class Calibration {
     this.state = NOTHING;
     $("board-form").addEventListener("submit", (event) => {
       event.preventDefault();
+      // The return key submits while the button is disabled, too.
+      if (this.busy) return;
       this.begun = this.order({ do: "start", board: this.board() });
     });
     $("board-form").addEventListener("input", () => this.shell());
@@ -102,7 +104,7 @@ export class Calibration {
     if (phase === "done" && (before.phase !== "done" || before.run !== state.run || before.saved !== state.saved)) this.outcome(state);
     this.sentence(before.phase !== phase || before.run !== state.run);
     this.shell();
-    if (before.phase !== phase || before.saved !== state.saved || before.guidance?.solved !== guidance?.solved) this.buttons();
+    if (before.phase !== phase || before.run !== state.run || before.saved !== state.saved || before.guidance?.solved !== guidance?.solved) this.buttons();
   }
 
   guide(guidance, glance) {
@@ -175,7 +177,7 @@ export class Calibration {
 
   /** Those of the phase. */
   buttons() {
-    const { phase, guidance, outcome, camera, saved } = this.state;
+    const { phase, guidance, camera, saved } = this.state;
     const press = (action) => () => this.order(action);
     const all = {
       idle: [["Start", () => $("board-form").requestSubmit(), true]],
@@ -187,7 +189,7 @@ export class Calibration {
       ],
       done: [
         ...(camera && !saved ? [["Save", press({ do: "save" }), true]] : []),
-        ["Download", () => download(outcome), !camera],
+        ["Download", () => download(this.state.outcome), !camera],
         ["New", press({ do: "cancel" })],
       ],
     }[phase] ?? [];

@@ -83,7 +83,11 @@ export class CameraView {
     }
     for (const control of found) {
       if (!this.rows.has(control.name)) this.rows.set(control.name, this.controlRow(control));
-      const { row, number, automatic } = this.rows.get(control.name);
+      const { row, number, automatic, label } = this.rows.get(control.name);
+      // Of another camera, in the place of the one before, they are others.
+      const { low, high, step, unit } = control;
+      Object.assign(number, { min: low, max: high, step, title: `${low} to ${high} ${unit}` });
+      label.hidden = control.who === "manual-only";
       if (Number.isFinite(control.value)) number.value = control.value;
       automatic.checked = control.who === "auto";
       number.disabled = automatic.checked;
@@ -91,11 +95,11 @@ export class CameraView {
     }
   }
 
-  controlRow({ name, unit, low, high, step, who }) {
-    const number = element("input", { type: "number", min: low, max: high, step, required: true, title: `${low} to ${high} ${unit}` });
+  controlRow({ name, unit }) {
+    const number = element("input", { type: "number", required: true });
     number.setAttribute("aria-label", `${name}, ${unit}`);
     const automatic = element("input", { type: "checkbox" });
-    const label = element("label", { className: "auto", hidden: who === "manual-only" });
+    const label = element("label", { className: "auto" });
     label.append(automatic, "auto");
     automatic.addEventListener("change", () => { number.disabled = automatic.checked; });
     const to = () => (automatic.checked ? null : Number(number.value));
@@ -107,7 +111,7 @@ export class CameraView {
       });
     }, [number, element("span", { className: "quiet", textContent: unit }), label]);
     $("camera").append(row.element);
-    return { row, number, automatic };
+    return { row, number, automatic, label };
   }
 
   /** Answers of a connection that has gone do not come any more. */

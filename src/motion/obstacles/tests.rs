@@ -141,6 +141,6 @@ fn of_many_points_the_nearest_are_told() {
 fn impossible_robots_are_refused() {
     assert!(ObstaclesConfig::default().validate().is_ok());
     for (robot_height_m, robot_radius_m) in [(0.01, 0.1), (f64::NAN, 0.1), (0.3, 0.0), (0.3, f64::NAN), (9.0, 0.1)] {
-        assert!(ObstaclesConfig { robot_height_m, robot_radius_m }.validate().is_err());
+        assert!(ObstaclesConfig { robot_height_m, robot_radius_m, ..ObstaclesConfig::default() }.validate().is_err());
     }
 }

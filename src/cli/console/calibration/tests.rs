@@ -65,7 +65,7 @@ fn a_guided_calibration_ends_with_the_true_camera_and_is_kept_for_it() {
     let (mut most_views, mut drawn, mut needs) = (0, 0, Vec::new());
     for n in 0..900 {
         let (picture, now) = sweep.next();
-        session.look(picture, now);
+        session.look(picture);
         assert_eq!(session.nameless(), (n == 0).then_some(7), "its camera is asked for once");
         session.name(Some(camera.clone()));
         let told = session.told(now);
@@ -119,12 +119,12 @@ fn what_there_is_can_be_taken_once_it_is_a_camera_and_is_no_good_one() {
     let mut session = session(dir.path());
     session.obey(Action::Start { board: board(9, 6, None) }, 1, sweep.now).expect("started");
     let (picture, now) = sweep.next();
-    session.look(picture, now);
+    session.look(picture);
     let error = session.obey(Action::Finish {}, 2, now).expect_err("nothing to calibrate from");
     assert!(error.contains("too few"), "{error}");
     for _ in 0..400 {
         let (picture, now) = sweep.next();
-        session.look(picture, now);
+        session.look(picture);
         if session.told(now).guidance.is_some_and(|guidance| guidance.solved) {
             break;
         }
@@ -162,7 +162,7 @@ fn another_board_is_told_apart_and_impossible_ones_are_refused() {
     }
     session.obey(Action::Start { board: board(8, 5, None) }, 2, sweep.now).expect("started");
     let (picture, now) = sweep.next();
-    session.look(picture, now);
+    session.look(picture);
     let told = session.told(now);
     assert!(told.sentence.contains("9x6 inner corners is seen, 8x5 was asked for"), "{}", told.sentence);
     assert_eq!(told.glance.map(|g| (g.look, g.corners.len())), Some((Look::OtherBoard, 0)));

@@ -3,7 +3,7 @@
 use super::*;
 use crate::console::calibration::guided::{Lens, Look};
 
-/// Takes each picture, is solved with the third, and done with the fifth.
+/// Takes each picture, is solved with the third, and done with the fifth. Panics over a picture one pixel wide.
 #[derive(Debug)]
 struct Counting(usize);
 
@@ -22,6 +22,7 @@ impl Calibrator for Counter {
 impl Guided for Counting {
     fn look(&mut self, picture: Picture) -> Glance {
         self.0 += 1;
+        assert!(picture.width > 1, "too narrow");
         let size = [picture.width, picture.height];
         Glance { sequence: picture.sequence, size, look: Look::Taken, advice: "go on".into(), corners: Vec::new() }
     }
@@ -58,7 +59,8 @@ impl Table {
     fn look(&mut self, run_id: u64) {
         self.now += Duration::from_millis(100);
         let picture = Picture { run_id, width: 2, height: 2, pixels: vec![0; 4], ..Picture::default() };
-        self.session.look(picture, self.now);
+        self.session.look(picture);
+        self.session.wait(self.now);
     }
 
     fn phase(&self) -> &'static str {
@@ -131,7 +133,7 @@ fn silence_another_daemon_and_odd_pictures_end_it_with_a_reason() {
 
     table.start(3).expect("again");
     let picture = Picture { width: 4000, height: 4000, ..Picture::default() };
-    table.session.look(picture, table.now);
+    table.session.look(picture);
     ends(&table, "4000x4000 px");
 
     // Pictures come all the time, and the time is over: with too few of them, and with enough.
@@ -146,4 +148,17 @@ fn silence_another_daemon_and_odd_pictures_end_it_with_a_reason() {
         assert_eq!(table.phase(), phase, "{views} views");
         assert!(table.session.told(table.now).sentence.starts_with("the time is over"));
     }
+}
+
+#[test]
+fn a_panic_ends_the_calibration_that_it_is_in_and_no_other() {
+    let mut table = Table::new();
+    table.start(1).expect("started");
+    let narrow = Picture { width: 1, height: 1, pixels: vec![0], ..Picture::default() };
+    assert!(table.session.guarded(|session| session.look(narrow)).is_err());
+    let told = table.session.told(table.now);
+    assert!(told.phase == "failed" && told.sentence.contains("too narrow"), "{} {}", told.phase, told.sentence);
+    table.start(2).expect("another one");
+    table.look(1);
+    assert_eq!(table.phase(), "running");
 }
