@@ -1401,7 +1401,7 @@ typedef struct cairn_obstacles {
    */
   float free_from[CAIRN_OBSTACLE_BEARINGS];
   /**
-   * The floor is seen free up to here, m; 0: not known.
+   * The floor is seen free up to here, m; 0: not known. A hint, not yet safe to drive by alone: some 7 % of it is wrong.
    */
   float free[CAIRN_OBSTACLE_BEARINGS];
   /**
