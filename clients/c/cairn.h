@@ -389,6 +389,36 @@
 #define CAIRN_STAGE_END_TO_END 5
 
 /**
+ * Bearings of a scan: two degrees each, all round.
+ */
+#define CAIRN_OBSTACLE_BEARINGS 180
+
+/**
+ * Points of a scan at the most.
+ */
+#define CAIRN_OBSTACLE_POINTS 500
+
+/**
+ * `told`: the scan is what is known.
+ */
+#define CAIRN_OBSTACLES_TOLD 0
+
+/**
+ * `told`: the robot has no pose, so nothing is known.
+ */
+#define CAIRN_OBSTACLES_NO_POSE 1
+
+/**
+ * `told`: the map's lengths are no metres, so nothing is known.
+ */
+#define CAIRN_OBSTACLES_NOT_METRIC 2
+
+/**
+ * `told`: the floor was not found, so nothing is known.
+ */
+#define CAIRN_OBSTACLES_NO_FLOOR 3
+
+/**
  * Event: a publisher has come.
  */
 #define CAIRN_EVENT_CREATED 1
@@ -1415,6 +1445,113 @@ typedef struct cairn_wheel_odometry {
 } cairn_wheel_odometry;
 
 /**
+ * A planar scan by bearing, and the points that it is made from, in the robot's axes on the floor (forward, left, up, from the foot of its origin).
+ * What is not known is never free and never far: NaN, and 0.
+ */
+typedef struct cairn_obstacles {
+  /**
+   * Another value at every start of the daemon.
+   */
+  uint64_t run_id;
+  /**
+   * As in cairn_pose.sequence of the frame that the robot's place is of.
+   */
+  uint64_t sequence;
+  /**
+   * Capture time of that frame in the source's clock (`clock`), ns.
+   */
+  int64_t timestamp_ns;
+  /**
+   * CLOCK_MONOTONIC when this message was sent, ns.
+   */
+  int64_t published_ns;
+  /**
+   * The scan's origin in the map, m.
+   */
+  double position[3];
+  /**
+   * `map_from_scan`, quaternion (x, y, z, w): its z axis is the floor's normal.
+   */
+  double orientation[4];
+  /**
+   * Of the first bearing, from the robot's forward to the left, rad.
+   */
+  float angle_min;
+  /**
+   * From one bearing to the next, rad.
+   */
+  float angle_increment;
+  /**
+   * Nothing is told nearer, and nothing farther, m.
+   */
+  float range_min;
+  /**
+   * See `range_min`.
+   */
+  float range_max;
+  /**
+   * What is higher above the floor is not in the way, m.
+   */
+  float robot_height;
+  /**
+   * Relative standard deviation of the scale: of all lengths alike.
+   */
+  float scale_sigma;
+  /**
+   * As in cairn_pose.map_id.
+   */
+  uint32_t map_id;
+  /**
+   * As in cairn_pose.reset_counter.
+   */
+  uint32_t reset_counter;
+  /**
+   * As in cairn_pose.map_revision.
+   */
+  uint32_t map_revision;
+  /**
+   * Points in this message, nearest first.
+   */
+  uint32_t count;
+  /**
+   * Points in reach; if larger than `count`, the farthest were left out.
+   */
+  uint32_t total;
+  /**
+   * CAIRN_OBSTACLES_TOLD, CAIRN_OBSTACLES_NO_POSE, CAIRN_OBSTACLES_NOT_METRIC, CAIRN_OBSTACLES_NO_FLOOR.
+   */
+  uint8_t told;
+  /**
+   * CAIRN_CLOCK_MONOTONIC, CAIRN_CLOCK_RECORDING.
+   */
+  uint8_t clock;
+  /**
+   * Zero.
+   */
+  uint8_t reserved[2];
+  /**
+   * Distance of the nearest thing by bearing, m; NaN: none is known, which does not say that there is none.
+   */
+  float range[CAIRN_OBSTACLE_BEARINGS];
+  /**
+   * Standard deviation of `range`, m; NaN as there.
+   */
+  float sigma[CAIRN_OBSTACLE_BEARINGS];
+  /**
+   * The floor is free from here on, m: a camera looks over the floor at the robot's feet, which is then not known; NaN where `free` is 0.
+   */
+  float free_from[CAIRN_OBSTACLE_BEARINGS];
+  /**
+   * The floor is free up to here, m; 0: not known. Where the robot has been; with `[obstacles] seen_floor` a hint only.
+   */
+  float free[CAIRN_OBSTACLE_BEARINGS];
+  /**
+   * Forward, left, up, and the standard deviation along the floor, m; NaN beyond `count`.
+   */
+  float points[CAIRN_OBSTACLE_POINTS][4];
+} cairn_obstacles;
+
+/**
  * Describes the bytes of a `PREFIX/encoded` message: the picture as it came from the camera, before it is decoded or looked at, with what is
  * believed of its lens and mount at that moment.
  */
@@ -1756,6 +1893,25 @@ int32_t cairn_wheel_publish(struct cairn_client *client,
  */
 void cairn_wheel_stop(struct cairn_client *client);
 
+/**
+ * The newest scan of what stands around the robot and where the floor is seen free, waiting for it if need be. From the first call until
+ * `cairn_close` or `cairn_obstacles_stop` the daemon makes scans, about six a second.
+ *
+ * # Safety
+ * `client` comes from `cairn_connect`; `obstacles` may be written.
+ */
+int32_t cairn_obstacles_wait(struct cairn_client *client,
+                             uint64_t timeout_ns,
+                             struct cairn_obstacles *obstacles);
+
+/**
+ * No more scans are wanted.
+ *
+ * # Safety
+ * `client` is null or comes from `cairn_connect`.
+ */
+void cairn_obstacles_stop(struct cairn_client *client);
+
 #ifdef __cplusplus
 }  // extern "C"
 #endif  // __cplusplus
@@ -1779,6 +1935,7 @@ void cairn_wheel_stop(struct cairn_client *client);
 #define CAIRN_COMMAND_TYPE "cairn.Command.v1"
 #define CAIRN_COMMAND_REPLY_TYPE "cairn.CommandReply.v1"
 #define CAIRN_WHEEL_ODOMETRY_TYPE "cairn.WheelOdometry.v1"
+#define CAIRN_OBSTACLES_TYPE "cairn.Obstacles.v1"
 
 /* The layout, checked wherever this file is included. */
 #ifdef __cplusplus
@@ -1997,4 +2154,30 @@ CAIRN_ASSERT(offsetof(cairn_wheel_odometry, linear_y_mps) == 32 && sizeof(((cair
 CAIRN_ASSERT(offsetof(cairn_wheel_odometry, angular_z_radps) == 40 && sizeof(((cairn_wheel_odometry *)0)->angular_z_radps) == 8);
 CAIRN_ASSERT(offsetof(cairn_wheel_odometry, variance) == 48 && sizeof(((cairn_wheel_odometry *)0)->variance) == 24);
 CAIRN_ASSERT(offsetof(cairn_wheel_odometry, reserved) == 72 && sizeof(((cairn_wheel_odometry *)0)->reserved) == 24);
+CAIRN_ASSERT(sizeof(cairn_obstacles) == 11016);
+CAIRN_ASSERT(offsetof(cairn_obstacles, run_id) == 0 && sizeof(((cairn_obstacles *)0)->run_id) == 8);
+CAIRN_ASSERT(offsetof(cairn_obstacles, sequence) == 8 && sizeof(((cairn_obstacles *)0)->sequence) == 8);
+CAIRN_ASSERT(offsetof(cairn_obstacles, timestamp_ns) == 16 && sizeof(((cairn_obstacles *)0)->timestamp_ns) == 8);
+CAIRN_ASSERT(offsetof(cairn_obstacles, published_ns) == 24 && sizeof(((cairn_obstacles *)0)->published_ns) == 8);
+CAIRN_ASSERT(offsetof(cairn_obstacles, position) == 32 && sizeof(((cairn_obstacles *)0)->position) == 24);
+CAIRN_ASSERT(offsetof(cairn_obstacles, orientation) == 56 && sizeof(((cairn_obstacles *)0)->orientation) == 32);
+CAIRN_ASSERT(offsetof(cairn_obstacles, angle_min) == 88 && sizeof(((cairn_obstacles *)0)->angle_min) == 4);
+CAIRN_ASSERT(offsetof(cairn_obstacles, angle_increment) == 92 && sizeof(((cairn_obstacles *)0)->angle_increment) == 4);
+CAIRN_ASSERT(offsetof(cairn_obstacles, range_min) == 96 && sizeof(((cairn_obstacles *)0)->range_min) == 4);
+CAIRN_ASSERT(offsetof(cairn_obstacles, range_max) == 100 && sizeof(((cairn_obstacles *)0)->range_max) == 4);
+CAIRN_ASSERT(offsetof(cairn_obstacles, robot_height) == 104 && sizeof(((cairn_obstacles *)0)->robot_height) == 4);
+CAIRN_ASSERT(offsetof(cairn_obstacles, scale_sigma) == 108 && sizeof(((cairn_obstacles *)0)->scale_sigma) == 4);
+CAIRN_ASSERT(offsetof(cairn_obstacles, map_id) == 112 && sizeof(((cairn_obstacles *)0)->map_id) == 4);
+CAIRN_ASSERT(offsetof(cairn_obstacles, reset_counter) == 116 && sizeof(((cairn_obstacles *)0)->reset_counter) == 4);
+CAIRN_ASSERT(offsetof(cairn_obstacles, map_revision) == 120 && sizeof(((cairn_obstacles *)0)->map_revision) == 4);
+CAIRN_ASSERT(offsetof(cairn_obstacles, count) == 124 && sizeof(((cairn_obstacles *)0)->count) == 4);
+CAIRN_ASSERT(offsetof(cairn_obstacles, total) == 128 && sizeof(((cairn_obstacles *)0)->total) == 4);
+CAIRN_ASSERT(offsetof(cairn_obstacles, told) == 132 && sizeof(((cairn_obstacles *)0)->told) == 1);
+CAIRN_ASSERT(offsetof(cairn_obstacles, clock) == 133 && sizeof(((cairn_obstacles *)0)->clock) == 1);
+CAIRN_ASSERT(offsetof(cairn_obstacles, reserved) == 134 && sizeof(((cairn_obstacles *)0)->reserved) == 2);
+CAIRN_ASSERT(offsetof(cairn_obstacles, range) == 136 && sizeof(((cairn_obstacles *)0)->range) == 720);
+CAIRN_ASSERT(offsetof(cairn_obstacles, sigma) == 856 && sizeof(((cairn_obstacles *)0)->sigma) == 720);
+CAIRN_ASSERT(offsetof(cairn_obstacles, free_from) == 1576 && sizeof(((cairn_obstacles *)0)->free_from) == 720);
+CAIRN_ASSERT(offsetof(cairn_obstacles, free) == 2296 && sizeof(((cairn_obstacles *)0)->free) == 720);
+CAIRN_ASSERT(offsetof(cairn_obstacles, points) == 3016 && sizeof(((cairn_obstacles *)0)->points) == 8000);
 #undef CAIRN_ASSERT

@@ -176,7 +176,7 @@ fn more_pages_than_are_served_are_sent_away_until_one_leaves() {
     assert!(console.end().contains("\"why\":\"too many pages\""));
 }
 
-/// Until the system's buffers are full it costs nothing; then it has ten seconds.
+/// Until the system's buffers are full it costs nothing; then it has ten seconds, twice if a part of a message still found room.
 #[test]
 fn a_page_that_takes_nothing_is_ended_and_the_others_are_not_held_up() {
     let place = Place::new();
@@ -198,7 +198,7 @@ fn a_page_that_takes_nothing_is_ended_and_the_others_are_not_held_up() {
     }
     let start = Instant::now();
     let mut slowest = Duration::ZERO;
-    while start.elapsed() < Duration::from_secs(12) {
+    while start.elapsed() < Duration::from_secs(22) {
         let asked = Instant::now();
         assert_eq!(good.state()["link"], "waiting");
         slowest = slowest.max(asked.elapsed());
