@@ -27,8 +27,7 @@ pub fn tell(
         Err(NoScan::NotMetric) => OBSTACLES_NOT_METRIC,
         Err(NoScan::NoFloor) => OBSTACLES_NO_FLOOR,
     };
-    let context =
-        ScanContext { sequence, map_id: map_id.0, map, robot_height_m, robot_radius_m: config.robot_radius_m, told };
+    let context = ScanContext { sequence, map_id: map_id.0, map, robot_height_m, told };
     outlet.obstacles(made.ok(), map_id, map_scale, &context)
 }
 

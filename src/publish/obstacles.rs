@@ -2,7 +2,7 @@
 
 use crate::frame::monotonic_ns;
 use crate::messages::{OBSTACLE_POINTS, OBSTACLES_TOLD, Obstacles};
-use crate::motion::obstacles::{RANGE_MAX_M, Scan};
+use crate::motion::obstacles::{RANGE_MAX_M, RANGE_MIN_M, Scan};
 
 use super::ports::Port;
 use super::{Conversion, MapContext, PublishError, convert, count};
@@ -24,9 +24,8 @@ pub struct ScanContext {
     pub sequence: u64,
     pub map_id: u32,
     pub map: MapContext,
-    /// What is higher is not in the way, m; smaller than this radius is the robot itself, m.
+    /// What is higher is not in the way, m.
     pub robot_height_m: f64,
-    pub robot_radius_m: f64,
     /// Why there is none: one of [`Obstacles::told`].
     pub told: u8,
 }
@@ -66,7 +65,7 @@ fn message(scan: Option<&Scan>, conversion: &Conversion, context: &ScanContext) 
     let mut message = Obstacles {
         sequence: context.sequence,
         timestamp_ns: context.map.timestamp_ns,
-        range_min: context.robot_radius_m as f32,
+        range_min: RANGE_MIN_M as f32,
         range_max: RANGE_MAX_M as f32,
         robot_height: context.robot_height_m as f32,
         scale_sigma,
@@ -106,7 +105,6 @@ mod tests {
         map_id: 2,
         map: MapContext { timestamp_ns: 9, reset_counter: 1, map_revision: 3, map_mode: 0 },
         robot_height_m: 0.4,
-        robot_radius_m: 0.1,
         told: OBSTACLES_NO_FLOOR,
     };
 

@@ -25,11 +25,8 @@ const MOST_STEP: f64 = 2.5;
 const FINEST_PX: usize = 480;
 /// Fewer keyframes have not seen enough of a landmark.
 const LEAST_OBSERVERS: usize = 3;
-/// Keyframes farther apart than this, m, are no way that is known to be driven straight.
+/// Keyframes in a row farther apart than this, m, are no way that is known to be driven straight.
 const MOST_DRIVEN_M: f64 = 1.0;
-
-/// A floor from which the camera's height differs by more than this share is not the one under it now.
-const MOST_OFF: f64 = 0.1;
 
 /// See module.
 #[derive(Debug, Default)]
@@ -111,8 +108,7 @@ impl Reconstruction {
             return Err(NoScan::NoFloor);
         };
         // A map that was just corrected has its floor elsewhere, until the next keyframe.
-        let up = plane.height_of(&last.camera_from_world.inverse().translation);
-        if (up / plane.height - 1.0).abs() > MOST_OFF {
+        if !plane.carries(&last.camera_from_world.inverse().translation) {
             return Err(NoScan::NoFloor);
         }
         let (map, scanner) = (&self.active.map, &mut self.surroundings.scanner);
@@ -129,14 +125,18 @@ impl Reconstruction {
         let body = |camera_from_world: &Se3<Camera, World>| -> Vector3<f64> {
             (*body_from_camera * *camera_from_world).inverse().translation
         };
-        let mut before: Option<Vector3<f64>> = None;
+        // Where it was carried, or stood on something else, it has not been on this floor; and where keyframes in between are gone it may have
+        // driven around something, unless its footprints touch.
+        let mut before: Option<(u32, Vector3<f64>)> = None;
         let newest = map.keyframes.next_id();
         for id in newest.saturating_sub(4 * KEPT as u32)..newest {
-            let Some(keyframe) = map.keyframe(KeyframeId(id)) else { continue };
+            let Some(keyframe) = map.keyframe(KeyframeId(id)).filter(|k| plane.carries(&k.centre())) else { continue };
             let here = body(&keyframe.camera_from_world);
-            if let Some(from) = before.replace(here).filter(|from| (here - from).norm() <= MOST_DRIVEN_M) {
-                scanner.add_driven(&from, &here, config.robot_radius_m);
-            }
+            let from = before.replace((id, here)).filter(|(before, from)| {
+                let straight_m = if before + 1 == id { MOST_DRIVEN_M } else { 2.0 * config.robot_radius_m };
+                (here - from).norm() <= straight_m
+            });
+            scanner.add_driven(&from.map_or(here, |(_, from)| from), &here, config.robot_radius_m);
         }
         for (_, l) in map.landmarks.iter().filter(|(_, l)| l.assumed.is_none() && l.observers.len() >= LEAST_OBSERVERS)
         {

@@ -56,6 +56,13 @@ impl Plane {
         self.normal.dot(point) - self.offset
     }
 
+    /// The robot stands on this floor: the camera is as high above it as it was found to be. Not one that is carried, has driven up a step, or
+    /// whose map was corrected since.
+    pub fn carries(&self, camera: &Vector3<f64>) -> bool {
+        // Written so that NaN fails.
+        (self.height_of(camera) / self.height - 1.0).abs() <= MOST_OFF
+    }
+
     /// Lengths are `factor` times as long from now on.
     pub fn rescale(&mut self, factor: f64) {
         self.offset *= factor;
@@ -95,6 +102,8 @@ const MOST_LANDMARK_SIGMA: f64 = 0.05;
 /// A camera on wheels keeps its height to this share (one sigma), and a plane above which it strays by more than the second is no floor.
 const KEEPS_HEIGHT: f64 = 0.02;
 const MOST_STRAY: f64 = 0.05;
+/// A camera whose height differs from the floor's by more than this share of it is above another one, or carried: twice what may stray.
+const MOST_OFF: f64 = 0.1;
 /// A landmark farther beneath than this share of the height, and than its sigmas, is beneath; such a share of those on the plane is let pass:
 /// mistaken matches.
 const BENEATH: f64 = 0.15;

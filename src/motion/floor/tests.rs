@@ -98,6 +98,18 @@ fn what_is_no_floor_is_refused_for_its_reason() {
 }
 
 #[test]
+fn a_floor_carries_who_stands_on_it() {
+    let mut random = Random::new(3);
+    let points = sheet(&mut random, [1.0, 6.0], [-1.0, 1.0], 0.0, 150, 0.01);
+    let plane = find_floor(&points, &driven(), &prior(), 5).expect("a floor");
+    assert!(plane.carries(&Vector3::new(2.0, 1.0, HEIGHT)));
+    // Lifted over a sofa, driven up a step, nowhere.
+    for z in [2.0 * HEIGHT, 1.15 * HEIGHT, 0.8 * HEIGHT, f64::NAN] {
+        assert!(!plane.carries(&Vector3::new(2.0, 1.0, z)), "{z}");
+    }
+}
+
+#[test]
 fn the_same_question_has_the_same_answer() {
     let mut random = Random::new(3);
     let points = sheet(&mut random, [1.0, 6.0], [-1.0, 1.0], 0.0, 150, 0.01);

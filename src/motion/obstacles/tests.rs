@@ -126,6 +126,25 @@ fn where_the_robot_was_the_floor_was_free() {
 }
 
 #[test]
+fn between_two_tracks_of_the_robot_nothing_is_known() {
+    let mut scanner = begun();
+    // Two ways across, with 15 cm between them: room for a pole that the robot drove around.
+    for x in [0.5, 0.89] {
+        scanner.add_driven(&Vector3::new(x, -1.0, 0.2), &Vector3::new(x, 1.0, 0.2), 0.12);
+    }
+    let free = scanner.finish(0.12).free_m[AHEAD];
+    assert!((0.5..0.68).contains(&free), "{free}: up to the first one's far side");
+}
+
+#[test]
+fn what_touches_the_robot_is_told_within_the_range_of_the_message() {
+    let mut scanner = begun();
+    scanner.add_landmark(&floor(), &point(0.09, 0.0, 0.3), 0.5);
+    let range = f64::from(scanner.finish(0.12).range_m[AHEAD]);
+    assert!((range - 0.09).abs() < 1e-6 && range > RANGE_MIN_M, "{range}");
+}
+
+#[test]
 fn of_many_points_the_nearest_are_told() {
     let mut scanner = begun();
     for i in (0..2 * MOST_POINTS).rev() {
