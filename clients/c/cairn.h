@@ -1642,6 +1642,8 @@ typedef struct cairn_encoded_header {
 
 
 
+
+
 #ifdef __cplusplus
 extern "C" {
 #endif // __cplusplus
