@@ -35,6 +35,15 @@ pub(super) struct Surroundings {
     /// Where keyframes saw the floor, in heights; newest last.
     seen: VecDeque<(KeyframeId, Places)>,
     scanner: Scanner,
+    /// Keyframes before this one are of another run: what was free then need not be now.
+    first: u32,
+}
+
+impl Surroundings {
+    /// The map goes on in that of another run, whose keyframes are those before this one.
+    pub fn resume(&mut self, first: u32) {
+        self.first = first;
+    }
 }
 
 /// Why there is no scan.
@@ -131,7 +140,7 @@ impl Reconstruction {
         // Where keyframes in between are gone it may have driven around something, unless its footprints touch.
         let mut before: Option<(u32, Vector3<f64>)> = None;
         let newest = map.keyframes.next_id();
-        for id in newest.saturating_sub(4 * KEPT as u32)..newest {
+        for id in newest.saturating_sub(4 * KEPT as u32).max(self.surroundings.first)..newest {
             let Some(keyframe) = stood(KeyframeId(id)) else { continue };
             let here = body(&keyframe.camera_from_world);
             let from = before.replace((id, here)).filter(|(before, from)| {
