@@ -35,6 +35,15 @@ pub(super) struct Surroundings {
     /// Where keyframes saw the floor, in heights; newest last.
     seen: VecDeque<(KeyframeId, Places)>,
     scanner: Scanner,
+    /// Keyframes before this one are of another run: what was free then need not be now.
+    first: u32,
+}
+
+impl Surroundings {
+    /// The map goes on in that of another run, whose keyframes are those before this one.
+    pub fn resume(&mut self, first: u32) {
+        self.first = first;
+    }
 }
 
 /// Why there is no scan.
@@ -101,7 +110,8 @@ impl Reconstruction {
     ) -> Result<&Scan, NoScan> {
         let last = self.active.odometry.last.filter(|_| self.active.odometry.lost_frames == 0);
         let Some(last) = last else { return Err(NoScan::NoPose) };
-        if !self.active.fusion.is_metric() {
+        // Behind a turn on the spot lengths may be those of an assumption, off by a factor.
+        if !self.active.fusion.is_metric() || self.scale_is_assumed() {
             return Err(NoScan::NotMetric);
         }
         let Some(plane) = self.floor.as_ref().and_then(|floor| floor.plane(self.active.id)) else {
@@ -116,21 +126,22 @@ impl Reconstruction {
         if !scanner.begin(plane, &world_from_body) {
             return Err(NoScan::NoFloor);
         }
+        // Of the part of the map that has the present unit, and on this floor: one that was carried, or stood on something else, has not been on it.
+        let part = map.keyframe(self.active.reference).and_then(|k| k.scale_from);
+        let stood = |id: KeyframeId| map.keyframe(id).filter(|k| k.scale_from == part && plane.carries(&k.centre()));
         for (id, places) in self.surroundings.seen.iter().filter(|_| config.seen_floor) {
-            let keyframe = map.keyframe(*id);
-            if let Some(footing) = keyframe.and_then(|k| Footing::of(plane, &k.camera_from_world)) {
+            if let Some(footing) = stood(*id).and_then(|k| Footing::of(plane, &k.camera_from_world)) {
                 scanner.add_seen(&footing, plane.height, places);
             }
         }
         let body = |camera_from_world: &Se3<Camera, World>| -> Vector3<f64> {
             (*body_from_camera * *camera_from_world).inverse().translation
         };
-        // Where it was carried, or stood on something else, it has not been on this floor; and where keyframes in between are gone it may have
-        // driven around something, unless its footprints touch.
+        // Where keyframes in between are gone it may have driven around something, unless its footprints touch.
         let mut before: Option<(u32, Vector3<f64>)> = None;
         let newest = map.keyframes.next_id();
-        for id in newest.saturating_sub(4 * KEPT as u32)..newest {
-            let Some(keyframe) = map.keyframe(KeyframeId(id)).filter(|k| plane.carries(&k.centre())) else { continue };
+        for id in newest.saturating_sub(4 * KEPT as u32).max(self.surroundings.first)..newest {
+            let Some(keyframe) = stood(KeyframeId(id)) else { continue };
             let here = body(&keyframe.camera_from_world);
             let from = before.replace((id, here)).filter(|(before, from)| {
                 let straight_m = if before + 1 == id { MOST_DRIVEN_M } else { 2.0 * config.robot_radius_m };

@@ -58,7 +58,9 @@ class Page:
                             f"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: {key}\r\n\r\n".encode())
         head = b""
         while not head.endswith(b"\r\n\r\n"):
-            head += self.socket.recv(1)
+            if not (byte := self.socket.recv(1)):
+                raise OSError("the console has closed the connection")
+            head += byte
         if b" 101 " not in head:
             raise OSError(head[:80])
         self.socket.sendall(words({"hello": {}}) + words({"show": ["video", "map", "log"]}))

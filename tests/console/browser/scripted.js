@@ -18,6 +18,9 @@ const text = (page, id) => page.locator(`#${id}`).innerText();
 const isBlue = (r, g, b) => b > 100 && b > r + 50;
 const median = (values) => [...values].sort((a, b) => a - b)[Math.floor(values.length / 2)];
 
+/** What the page draws next has been drawn. */
+const drawn = (page) => page.evaluate(() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done()))));
+
 /** A page that hears a robot at work. */
 async function begin(browser, options, query = "") {
   const page = await open(browser, `${URL_OF_PAGE}${query}`, options, (p) => standIn(p, folder));
@@ -139,7 +142,9 @@ async function corrected(page) {
   await page.mouse.move(box.x + 330, box.y + 230, { steps: 5 });
   await page.mouse.up();
   await page.mouse.wheel(0, -300);
+  // Nothing says when the wheel has arrived.
   await page.waitForTimeout(600);
+  await drawn(page);
   const before = await image(map);
   // A loop is closed, and the map has got its metres: all is turned, moved and larger.
   await page.evaluate(() => {
@@ -147,7 +152,7 @@ async function corrected(page) {
     window.stage.say(window.stage.keyframes(40, 2, turned, Math.atan2(0.6, 0.8)));
     window.stage.say(window.stage.map(4000, 2, turned));
   });
-  await page.waitForTimeout(600);
+  await drawn(page);
   const same = await common(before, await image(map));
   check(same > 0.8, `a correction of the map leaves what is looked at where it is (${(100 * same).toFixed(0)} % of the points' pixels)`);
   // Another map has other keyframes.
@@ -156,7 +161,7 @@ async function corrected(page) {
     window.stage.say(window.stage.keyframes(40, 3, elsewhere, 0, 1000));
     window.stage.say(window.stage.map(4000, 3, elsewhere));
   });
-  await page.waitForTimeout(600);
+  await drawn(page);
   check((await pixels(map, isBlue)) > 300, "another map is looked at as a whole");
 }
 
@@ -182,7 +187,7 @@ async function keyboard(page) {
   await map.focus();
   const before = await image(map);
   for (let i = 0; i < 5; i++) await page.keyboard.press("ArrowLeft");
-  await page.waitForTimeout(300);
+  await drawn(page);
   check((await common(before, await image(map))) < 0.9, "arrow keys move the map");
 }
 
