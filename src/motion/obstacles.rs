@@ -236,7 +236,8 @@ impl Scanner {
             self.keyframes = self.keyframes.saturating_add(1);
             for place in places {
                 let at = place.map(|v| f64::from(v) * height_m);
-                let radius = (COVERS * at[0].hypot(at[1])).max(0.7 * CELL_M);
+                // At the least the cell that it lies in: half a diagonal.
+                let radius = (COVERS * at[0].hypot(at[1])).max(0.75 * CELL_M);
                 let middle = self.local(&footing.place(at));
                 self.cover(&middle, radius, 1, is_floor);
             }

@@ -22,6 +22,7 @@ mod optics;
 mod persistence;
 mod relocalise;
 mod scale_uncertainty;
+mod scanning;
 mod segments;
 mod surroundings;
 mod track;

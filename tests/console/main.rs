@@ -256,6 +256,9 @@ fn pages_see_video_features_map_and_answers_and_a_slow_one_holds_nobody_up() {
     assert!((0..pairs).all(|i| edge(i, 0) < edge(i, 1) && edge(i, 2) > 0 && edge(i, 4) == 0));
     page.send(r#"{"seen":11}"#);
     page.send(r#"{"show":["video","map"]}"#);
+    // Before a command, whose connections go when it is answered.
+    let subscriptions = place.subscriptions();
+    assert!(subscriptions >= 5, "{subscriptions}");
     page.send(r#"{"command":{"id":6,"action":{"do":"camera_controls"}}}"#);
     let reply: Value = serde_json::from_slice(&page.next(REPLY)[8..]).expect("JSON");
     assert_eq!(
@@ -268,8 +271,6 @@ fn pages_see_video_features_map_and_answers_and_a_slow_one_holds_nobody_up() {
         "{reply}"
     );
     // One that never reads and never acknowledges, and twenty that do: one subscription of each service for all.
-    let subscriptions = place.subscriptions();
-    assert!(subscriptions >= 5, "{subscriptions}");
     let mut slow = console.page();
     slow.send(r#"{"show":["video","map"]}"#);
     let mut pages: Vec<Page> = (0..20).map(|_| console.page()).collect();
