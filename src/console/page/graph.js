@@ -102,7 +102,7 @@ export class GraphView {
   }
 
   say(text, kind, isNews) {
-    const line = Object.assign(document.createElement("li"), { textContent: text, className: kind });
+    const line = Object.assign(document.createElement("p"), { textContent: text, className: kind });
     if (isNews) {
       line.classList.add("fresh");
       setTimeout(() => line.classList.remove("fresh"), FRESH_MS);

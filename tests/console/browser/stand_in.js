@@ -87,7 +87,7 @@ function inPage() {
     frames_dropped: 0, frames_corrupt: 0, frames_tracked: 880, keyframes: 40, landmarks: 3000, maps: 1, resets: 0, relocalisations: 0,
     maps_joined: 0, loops_closed: 0, frame_age_s: 0.01, pose_age_s: 0.01, rate_hz: 30, latency_p50_ms: 4.1, latency_p95_ms: 7.2,
     latency_p99_ms: 11.9, intrinsics: "CALIBRATED", lens_model: "RADIAL_TANGENTIAL", focal_px: [520, 520], focal_sigma: 0.01,
-    scale: "UNKNOWN", scale_sigma: null, ...more,
+    scale: "UNKNOWN", scale_sigma: null, scale_source: [], ...more,
   });
   stage.pose = (i, epoch = 1, state = 1) => {
     const view = head(2, 1, 72);
