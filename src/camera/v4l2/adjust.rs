@@ -190,13 +190,14 @@ mod tests {
 
     #[test]
     fn a_camera_that_hangs_is_asked_once_and_no_more() {
-        let answers: [fn(&Fake) -> Result<(), ControlError>; 2] = [
+        type Order = fn(&Fake) -> Result<(), ControlError>;
+        let orders: [Order; 2] = [
             |camera: &Fake| offered(camera).map(|_| ()),
             |camera: &Fake| set(camera, Control::Exposure, Setting::Value(8.0)).map(|_| ()),
         ];
-        for answer in answers {
+        for order in orders {
             let camera = webcam().hanging();
-            let said = answer(&camera).expect_err("it hangs").to_string();
+            let said = order(&camera).expect_err("it hangs").to_string();
             assert!(said.starts_with("exposure: the camera refused it: "), "{said}");
             assert_eq!(camera.timeouts(), 1);
         }
