@@ -2,10 +2,10 @@
 //!
 //! Keyframe (its map, and the way so far) -> [`Floor::see`] -> ln(metres per map unit) with its standard deviation. [`plane`] finds the floor among
 //! the landmarks that the newest keyframes see, and says why it does not. Believed is what several keyframes in a row tell alike
-//! ([`ASKED`]); a word is given again once half of the keyframes asked are new, so that words are nearly independent. What is wrong with the
+//! (`ASKED`); a word is given again once half of the keyframes asked are new, so that words are nearly independent. What is wrong with the
 //! measured height (`camera_height_sigma_m`) is in all of them ([`Floor::common_sigma`]).
 //!
-//! Cost: at keyframes only, after the pose was published: 2 to 4 ms. Bounded: the newest [`KEYFRAMES`] keyframes and [`LANDMARKS`] landmarks.
+//! Cost: at keyframes only, after the pose was published: 2 to 4 ms. Bounded: the newest `KEYFRAMES` keyframes and `LANDMARKS` landmarks.
 //!
 //! Not here: what becomes of the word; obstacles on the floor; parts of the map behind turns on the spot whose lengths are those of an
 //! assumption (there the floor is not asked).
@@ -89,7 +89,7 @@ pub struct Floor {
     prior: UpPrior,
     /// Of this map are the rest.
     map: MapId,
-    /// What the newest keyframes told, in the present unit; at most [`ASKED`].
+    /// What the newest keyframes told, in the present unit; at most `ASKED`.
     told: Vec<Plane>,
     /// The last that was believed.
     believed: Option<Plane>,

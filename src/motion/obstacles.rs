@@ -4,7 +4,7 @@
 //! [`BEARINGS`] directions the nearest thing, its standard deviation, and how far the floor is seen free; and the points above the floor and below the
 //! robot's height. All in the robot's own axes on the floor: forward, left, up from the foot of its origin.
 //!
-//! - A landmark between [`LEAST_HEIGHT_M`] and the robot's height is in the way. Bearings between two such points less than [`LINK_M`] apart
+//! - A landmark between [`LEAST_HEIGHT_M`] and the robot's height is in the way. Bearings between two such points less than `LINK_M` apart
 //!   have what lies on the line between them: things are more than their corners.
 //! - **Unknown is never free.** A cell of the floor is free where the robot itself has been, and if asked for (`seen_floor`) where two keyframes saw the floor; a bearing is free from
 //!   the first such cell (a camera that looks ahead may have looked over those before) up to the last one, as long as there is no gap between them

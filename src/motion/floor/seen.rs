@@ -5,7 +5,7 @@
 //!
 //! The floor's plane takes one picture to another by a homography. Around each place of a polar grid on the floor a patch of the new picture is
 //! compared (normalised correlation) with the earlier one where the plane leads (h = 0), and where planes a little above and below would lead
-//! ([`OTHER_HEIGHTS`]). It is floor where it looks alike at h = 0 and clearly less so elsewhere; a bare patch, or a line along the camera's motion, tells nothing.
+//! (`OTHER_HEIGHTS`). It is floor where it looks alike at h = 0 and clearly less so elsewhere; a bare patch, or a line along the camera's motion, tells nothing.
 //!
 //! Pictures of about 320 pixels' width do best (in the simulator's rooms, of 700 places in view 210 are seen, of 640 pixels' width 140: noise); whoever calls
 //! takes that level of the pyramids, and the camera to it.
