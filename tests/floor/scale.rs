@@ -4,6 +4,7 @@ use cairn::camera::simulator::Scenario;
 
 use crate::drive::{HEIGHT_M, PITCH_DEG, judge, room, word};
 
+/// A corridor is not held to it yet: seed 311 is 2.1 % off after 22 s (docs/floor.md).
 #[test]
 fn a_room_is_metric_by_the_height_of_the_camera_within_two_percent() {
     let driven = judge(&room(Scenario::RoomTour, 303), 24.0, HEIGHT_M, None);
