@@ -210,7 +210,7 @@ impl Reconstruction {
         old.frames += begun.frames;
         old.last_keyframe_frame = self.counters.frames;
         let last = LastFrame { timestamp_ns, camera_from_world: here, step: None };
-        old.odometry = Odometry { last: Some(last), odom_from_camera, lost_frames: 0 };
+        old.odometry = Odometry { last: Some(last), odom_from_camera, ..Odometry::default() };
         self.active = old;
         self.state = TrackingState::Tracking;
         self.blind.continued += 1;

@@ -43,8 +43,8 @@ pub struct ReconstructionConfig {
     pub start_flow_px: f64,
     /// Landmarks that a start needs. 20..=500.
     pub start_landmarks: usize,
-    /// Frames that may be lost in a row before a new map may begin beside this one: no more than the map was tracked for. 1..=1000.
-    pub lost_frames: u64,
+    /// How long tracking may be lost before a new map may begin beside this one, s; no longer than the map was tracked for. 0.0..=60.0.
+    pub lost_s: f64,
     /// Close loops: recognise places of the map after a long way and correct the drift since.
     pub loops: bool,
 }
@@ -71,7 +71,7 @@ impl Default for ReconstructionConfig {
             redundant_share: 0.9,
             start_flow_px: 4.0,
             start_landmarks: 50,
-            lost_frames: 15,
+            lost_s: 0.5,
             loops: true,
         }
     }
@@ -110,6 +110,6 @@ impl ReconstructionConfig {
         within("redundant_share", self.redundant_share, 0.5, 1.0, "")?;
         within("start_flow_px", self.start_flow_px, 3.0, 100.0, "px")?;
         within("start_landmarks", self.start_landmarks, 20, 500, "")?;
-        within("lost_frames", self.lost_frames, 1, 1000, "frames")
+        within("lost_s", self.lost_s, 0.0, 60.0, "s")
     }
 }

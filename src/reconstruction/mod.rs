@@ -304,7 +304,7 @@ impl Reconstruction {
     }
 
     fn lose(&mut self, features: &FrameFeatures, ahead: Option<&Ahead>) -> PoseEstimate {
-        self.active.odometry.lost_frames += 1;
+        self.active.odometry.lose(features.timestamp_ns);
         if let Some(ahead) = ahead {
             return self.reckon(features, ahead);
         }
@@ -322,7 +322,8 @@ impl Reconstruction {
             return self.try_start(features);
         }
         // A map that was tracked for a moment only is worth no longer a wait.
-        if active.odometry.lost_frames > self.config.lost_frames.min(active.frames) {
+        let odometry = &active.odometry;
+        if odometry.lost_frames > active.frames || odometry.lost_for_s(features.timestamp_ns) > self.config.lost_s {
             return self.begin_beside(features);
         }
         self.initialiser.watch(features, &self.optics.camera);

@@ -32,6 +32,8 @@ pub struct Odometry {
     pub odom_from_camera: Se3<Odom, Camera>,
     /// Frames in a row, up to the newest, that could not be tracked.
     pub lost_frames: u64,
+    /// The first of them since the map was there.
+    pub lost_since_ns: Option<i64>,
 }
 
 impl Odometry {
@@ -41,6 +43,7 @@ impl Odometry {
             last: Some(LastFrame { timestamp_ns, camera_from_world, step: None }),
             odom_from_camera: camera_from_world.inverse().relabel(),
             lost_frames: 0,
+            lost_since_ns: None,
         }
     }
 
@@ -60,7 +63,7 @@ impl Odometry {
             step = (dt > 0.0 && self.lost_frames == 0).then_some((motion, dt));
         }
         self.last = Some(LastFrame { timestamp_ns, camera_from_world, step });
-        self.lost_frames = 0;
+        (self.lost_frames, self.lost_since_ns) = (0, None);
         step
     }
 
@@ -87,6 +90,17 @@ impl Odometry {
                 motion.translation *= new_from_old.scale;
             }
         }
+    }
+
+    /// Notes a frame that could not be tracked.
+    pub fn lose(&mut self, timestamp_ns: i64) {
+        self.lost_frames += 1;
+        self.lost_since_ns.get_or_insert(timestamp_ns);
+    }
+
+    /// For how long frames could not be tracked, s.
+    pub fn lost_for_s(&self, timestamp_ns: i64) -> f64 {
+        self.lost_since_ns.map_or(0.0, |since_ns| timestamp_ns.saturating_sub(since_ns) as f64 * 1e-9)
     }
 
     /// The last frame, if it is the one just before.
@@ -149,12 +163,14 @@ mod tests {
         let wheels = at(0.2, 0.1);
         let (guesses, n) = odometry.guesses(300_000_000, Some(&wheels.relabel()));
         assert!(n == 3 && (guesses[0].translation.x + 0.3).abs() < 1e-12 && guesses[1] != guesses[2]);
-        odometry.lost_frames = 1;
+        odometry.lose(200_000_000);
+        odometry.lose(300_000_000);
+        assert!((odometry.lost_for_s(300_000_000) - 0.1).abs() < 1e-9);
         let (guesses, n) = odometry.guesses(300_000_000, Some(&wheels.relabel()));
         assert!(n == 2 && (guesses[0].translation.x + 0.3).abs() < 2e-3, "after lost frames the wheels' word first");
         assert!(odometry.guesses(300_000_000, None).1 == 1 && odometry.motion().is_none());
         assert!(odometry.accept(300_000_000, at(0.5, 0.0)).is_none(), "what led here after lost frames is not known");
-        assert_eq!(odometry.lost_frames, 0);
+        assert_eq!((odometry.lost_frames, odometry.lost_for_s(400_000_000)), (0, 0.0));
     }
 
     #[test]

@@ -53,11 +53,7 @@ impl Reconstruction {
         self.optics.intrinsics.end_map(&self.optics.camera);
         self.counters.resets += 1;
         estimate.reset_counter = self.reset_counter();
-        // A map that was lost as soon as it had begun may have been none.
-        let gone = match old.frames >= self.config.lost_frames {
-            true => self.others.keep(OtherMap::new(old), self.config.max_keyframes),
-            false => vec![old.map],
-        };
+        let gone = self.others.keep(OtherMap::new(old), self.config.max_keyframes);
         gone.iter().for_each(|map| retire(map, &mut self.events));
         estimate
     }
