@@ -35,6 +35,7 @@ async function busy(page) {
     stage.state("connected", "Tracking: the pose rests on landmarks seen in this frame.", stage.daemon());
     stage.say(stage.keyframes(40));
     stage.say(stage.map(3000));
+    stage.obstacles();
     for (let i = 1; i < 9; i++) await stage.frame(i);
   });
   await page.waitForTimeout(300);
@@ -173,6 +174,39 @@ async function corrected(page) {
   check((await pixels(map, isBlue)) > 300, "another map is looked at as a whole");
 }
 
+async function obstacles(page) {
+  const map = page.locator("#map");
+  const tell = (told, epoch) => page.evaluate(([t, e]) => window.stage.obstacles(t, e), [told, epoch]);
+  const shown = async (name) => Number(await map.getAttribute(`data-${name}`));
+  const asked = () => page.evaluate(() => window.stage.sent.findLast((word) => word.show).show);
+  const isOrange = (r, g, b) => r > 100 && r > g + 35 && g > b;
+  const isGreen = (r, g, b) => g > r + 25 && g > b + 5;
+  check((await asked()).includes("obstacles"), "obstacles are asked for");
+  for (const [told, why] of [[1, "no pose"], [2, "no metres"], [3, "floor is not known"], [9, "newer daemon"]]) {
+    await tell(told, 1);
+    check((await text(page, "obstacle-count")).includes(why) && (await shown("obstacles")) === 0, `without obstacles the page says why: ${why}`);
+  }
+  await drawn(page);
+  const before = [await pixels(map, isOrange), await pixels(map, isGreen)];
+  await page.getByRole("button", { name: "Top", exact: true }).click();
+  await tell(0, 1);
+  await drawn(page);
+  check((await shown("obstacles")) === 60 && (await shown("free")) === 60, "60 things are drawn, and free floor in 60 of 180 bearings only");
+  check((await pixels(map, isOrange)) > before[0] + 200 && (await pixels(map, isGreen)) > before[1] + 2000, "things in orange, free floor in green");
+  check(await page.locator("#obstacle-key").isVisible(), "with what the colours mean");
+  await page.screenshot({ path: join(pictures, "scripted-obstacles.png") });
+  await tell(0, 2);
+  check((await shown("obstacles")) === 0, "those of a map that was corrected since are not drawn out of place");
+  await tell(0, 1);
+  await page.locator("#draw-obstacles").uncheck();
+  await drawn(page);
+  check((await shown("obstacles")) === 0 && !(await asked()).includes("obstacles") && (await pixels(map, isGreen)) < before[1] + 200, "unticked they are gone, and not asked for");
+  await page.locator("#draw-obstacles").check();
+  await tell(0, 1);
+  await page.evaluate(() => window.stage.state("waiting", "No daemon.", null));
+  check((await shown("obstacles")) === 0, "without a daemon nothing is said to be free");
+}
+
 async function keyboard(page) {
   await page.evaluate(() => document.activeElement.blur());
   const reached = new Set();
@@ -247,6 +281,10 @@ try {
   await corrected(map);
   await large(map);
   await map.context().close();
+  const surroundings = await begin(browser, DESKTOP);
+  await busy(surroundings);
+  await obstacles(surroundings);
+  await surroundings.context().close();
   const software = await begin(browser, DESKTOP);
   await busy(software);
   await smooth(software);

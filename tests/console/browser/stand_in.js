@@ -130,6 +130,23 @@ function inPage() {
     }
     return buffer;
   };
+  /** Things on an arc before the robot, and the floor free up to half a metre before them; nothing is known behind it. `told` as on the wire. */
+  stage.obstacles = (told = 0, epoch = 1) => {
+    const [bearings, count] = [180, told === 0 ? 60 : 0];
+    const view = head(13, count, 72 + 12 * bearings + 16 * count);
+    [epoch, count, told, bearings].forEach((v, k) => view.setUint32(8 + 4 * k, v, true));
+    const floats = new Float32Array(view.buffer, 24);
+    floats.set([0.5, 0.5, -0.9, 0, 0, 0, 1, -Math.PI, (2 * Math.PI) / bearings, 0.05, 5, 1]);
+    for (let i = 0; i < bearings; i++) {
+      const isAhead = told === 0 && i >= 60 && i < 120;
+      floats.set(isAhead ? [2, 0.4, 1.5] : [NaN, NaN, 0], 12 + 3 * i);
+    }
+    for (let i = 0; i < count; i++) {
+      const angle = (-60 + 2 * i) * (Math.PI / 180);
+      floats.set([2 * Math.cos(angle), 2 * Math.sin(angle), (i % 10) / 10, 0.05], 12 + 3 * bearings + 4 * i);
+    }
+    return stage.say(view.buffer);
+  };
   /** A grey picture with features, as a JPEG that the page itself makes. */
   stage.frame = async (sequence) => {
     const canvas = new OffscreenCanvas(640, 480);
