@@ -7,7 +7,7 @@ const MOST_POINTS = 500, MOST_BEARINGS = 360; // of the wire: 500 and 180
 const POINT_PX = 5;
 const LIFT_M = 0.01; // the free floor above the grid
 const TOLD = 0;
-const WHY = { 1: "none: the robot has no pose", 2: "none: the map has no metres", 3: "none: the floor is not known" };
+const WHY = { 1: "the robot has no pose", 2: "the map has no metres", 3: "the floor is not known" };
 const COLOURS = { low: ["#c25a00", "#ff9e3d"], high: ["#7a1400", "#ffe08a"], free: ["#17883f", "#4fd483"] };
 
 const POINTS = {
@@ -89,8 +89,9 @@ export class ObstacleView {
     // One that was under way when the box was cleared is not drawn.
     const message = this.isWanted ? this.message : null;
     const isTold = message?.told === TOLD;
-    const note = !this.isWanted ? "" : !message ? "none told yet" : isTold ? `${message.count}${message.total > message.count ? ` of ${message.total}` : ""}` : WHY[message.told] ?? "none: for a reason of a newer daemon";
-    set($("obstacle-count"), note);
+    $("obstacle-says").hidden = !message;
+    if (isTold) set($("obstacle-count"), `${message.count}${message.total > message.count ? ` of ${message.total}` : ""} points of obstacles`);
+    else if (message) set($("obstacle-count"), `No obstacles told: ${WHY[message.told] ?? "a newer daemon says why"}`);
     $("obstacle-key").hidden = !isTold;
     if (isTold) set($("obstacle-top"), `${message.robotHeight.toFixed(1)} m`);
     if (!this.points) return;
