@@ -90,7 +90,7 @@ export class ObstacleView {
     const message = this.isWanted ? this.message : null;
     const isTold = message?.told === TOLD;
     $("obstacle-says").hidden = !message;
-    if (isTold) set($("obstacle-count"), `${message.count}${message.total > message.count ? ` of ${message.total}` : ""} points of obstacles`);
+    if (isTold) set($("obstacle-count"), `${message.count}${message.total > message.count ? ` of ${message.total}` : ""} obstacle points`);
     else if (message) set($("obstacle-count"), `No obstacles told: ${WHY[message.told] ?? "a newer daemon says why"}`);
     $("obstacle-key").hidden = !isTold;
     if (isTold) set($("obstacle-top"), `${message.robotHeight.toFixed(1)} m`);

@@ -174,6 +174,28 @@ async function corrected(page) {
   check((await pixels(map, isBlue)) > 300, "another map is looked at as a whole");
 }
 
+/** A loop that is closed and a map that is joined while the page is open. */
+async function ties(page) {
+  const map = page.locator("#map");
+  const tell = (list) => page.evaluate((l) => window.stage.ties(l), list);
+  const isViolet = (r, g, b) => b > 150 && b > r + 50 && r > g + 40;
+  const news = page.locator("#map-news p");
+  await page.getByRole("button", { name: "Top", exact: true }).click();
+  const none = 2 ** 32 - 1;
+  await tell([]);
+  await drawn(page);
+  const before = await pixels(map, isViolet);
+  await tell([[3, 23, none, 1]]);
+  await drawn(page);
+  check((await map.getAttribute("data-ties")) === "1" && (await pixels(map, isViolet)) > before + 100, "a loop is drawn in violet");
+  check(/Loop closed: keyframe 23 shows the place of 3/.test(await news.last().innerText()) && (await page.locator("#map-news .loop.fresh").count()) === 1, "and told as news");
+  await tell([[9, 30, 1, 2], [3, 23, none, 1]]);
+  await drawn(page);
+  check((await map.getAttribute("data-ties")) === "2" && /Map 1 joined: keyframe 30/.test(await news.last().innerText()), "a joined map is drawn and told");
+  await tell([[9, 30, 1, 2], [3, 23, none, 1]]);
+  check((await news.count()) === 2, "each of them once");
+}
+
 async function obstacles(page) {
   const map = page.locator("#map");
   const tell = (told, epoch) => page.evaluate(([t, e]) => window.stage.obstacles(t, e), [told, epoch]);
@@ -283,6 +305,7 @@ try {
   await map.context().close();
   const surroundings = await begin(browser, DESKTOP);
   await busy(surroundings);
+  await ties(surroundings);
   await obstacles(surroundings);
   await surroundings.context().close();
   const software = await begin(browser, DESKTOP);

@@ -130,6 +130,12 @@ function inPage() {
     }
     return buffer;
   };
+  /** Loops and joins: [from, to, joined map, kind] each. */
+  stage.ties = (ties, epoch = 1) => {
+    const buffer = list(10, 20, ties.length, epoch);
+    ties.forEach(([from, to, joined, kind], i) => new Uint32Array(buffer, 24 + 20 * i, 5).set([from, to, 30, joined, kind]));
+    return stage.say(buffer);
+  };
   /** Things on an arc before the robot, and the floor free up to half a metre before them; nothing is known behind it. `told` as on the wire. */
   stage.obstacles = (told = 0, epoch = 1) => {
     const [bearings, count] = [180, told === 0 ? 60 : 0];

@@ -201,6 +201,36 @@ async function token(browser) {
   check(true, "a console that has gone is told");
 }
 
+/** A robot that knows its camera's height: what stands around it, and where it has driven. */
+async function surroundings(browser) {
+  const place = new Robot("floor");
+  robots.push(place);
+  try {
+    const config = join(place.folder, "floor.toml");
+    writeFileSync(config, "[scale]\ncamera_height_m = 0.5\ncamera_height_sigma_m = 0.003\n");
+    place.demo(120, "--config", config);
+    const { url } = await place.console();
+    const page = await open(browser, url, { viewport: { width: 1400, height: 1000 } });
+    const says = page.locator("#obstacle-count");
+    await page.waitForFunction(() => /has no metres|has no pose|floor is not known/.test(document.getElementById("obstacle-count").textContent));
+    check(true, `before there are obstacles the page says why: ${await says.innerText()}`);
+    await page.waitForFunction(() => Number(document.getElementById("map").dataset.obstacles) > 10 && Number(document.getElementById("map").dataset.free) > 0, null, { timeout: 100_000 });
+    await page.waitForTimeout(500);
+    check((await pixels(page.locator("#map"), (r, g, b) => r > 100 && r > g + 35 && g > b + 5)) > 40, `what stands around the robot is drawn: ${await says.innerText()}`);
+    await page.screenshot({ path: join(pictures, "obstacles.png") });
+    for (const [name, options] of [["obstacles-dark", { colorScheme: "dark", viewport: { width: 1400, height: 1000 } }], ["obstacles-phone", { viewport: { width: 390, height: 844 }, deviceScaleFactor: 2 }]]) {
+      const other = await open(browser, url, options);
+      await other.waitForFunction(() => Number(document.getElementById("map").dataset.obstacles) > 10);
+      await other.waitForTimeout(500);
+      await other.screenshot({ path: join(pictures, `${name}.png`), fullPage: name.endsWith("phone") });
+      await other.context().close();
+    }
+    await page.context().close();
+  } finally {
+    place.end();
+  }
+}
+
 /** Guided calibration before the simulator's board, whose camera is known. */
 async function calibrate(browser) {
   const place = new Robot("board");
@@ -290,6 +320,7 @@ try {
   robot.end();
   for (const context of browser.contexts()) await context.close();
   troubles.length = 0;
+  await surroundings(browser);
   await calibrate(browser);
   check(troubles.length === 0, `no error and no foreign request of the calibration ${troubles.join("; ")}`);
   console.log(`${passed} passed, 0 failed`);
