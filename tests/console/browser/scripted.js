@@ -196,6 +196,24 @@ async function ties(page) {
   check((await news.count()) === 2, "each of them once");
 }
 
+/** A finished calibration: with its camera known, and without. */
+async function calibrated(page) {
+  await page.evaluate(() => { location.hash = "calibrate"; });
+  const tell = (camera) => page.evaluate((c) => window.stage.calibration({
+    phase: "done", run: c ? 1 : 2, by: 0, sentence: "done", board: { columns: 9, rows: 6, square_m: null, lens: "full" }, seconds: 0, limit_s: 300, glance: null,
+    guidance: { views: 12, enough: 10, most: 40, grid: [2, 2], gauges: [], cells: [1, 1, 1, 1], outlines: [], needs: [], solved: true },
+    outcome: { values: [{ name: "fx", value: 500, sigma: 1, unit: "px" }], words: ["well"], file: "x = 1", file_name: "camera-640x480.toml", good: true },
+    camera: c, saved: null, terminal: "cairn calibrate",
+  }), camera);
+  const buttons = page.locator("#board-buttons");
+  await tell({ identity: "usb", device: "/dev/video0" });
+  check((await buttons.getByRole("button", { name: "Save" }).count()) === 1 && !(await text(page, "board-words")).includes("sudo"), "the calibration of a camera that is known can be saved");
+  await tell(null);
+  check((await buttons.getByRole("button", { name: "Save" }).count()) === 0 && /sudo install .*\n.*file = .*\nsudo systemctl restart cairn/.test(await text(page, "board-words")), "of one that is not the page says how the service takes it");
+  await labels(page, "calibrated");
+  await page.screenshot({ path: join(pictures, "scripted-calibrated.png") });
+}
+
 async function obstacles(page) {
   const map = page.locator("#map");
   const tell = (told, epoch) => page.evaluate(([t, e]) => window.stage.obstacles(t, e), [told, epoch]);
@@ -307,6 +325,7 @@ try {
   await busy(surroundings);
   await ties(surroundings);
   await obstacles(surroundings);
+  await calibrated(surroundings);
   await surroundings.context().close();
   const software = await begin(browser, DESKTOP);
   await busy(software);

@@ -70,6 +70,12 @@ function inPage() {
     stage.socket.onmessage({ data: message });
     return performance.now() - began;
   };
+  const json = (kind, value) => {
+    const text = new TextEncoder().encode(JSON.stringify(value));
+    const view = head(kind, 0, 8 + text.length);
+    new Uint8Array(view.buffer, 8).set(text);
+    return stage.say(view.buffer);
+  };
   const head = (kind, count, size) => {
     const view = new DataView(new ArrayBuffer(size));
     view.setUint8(0, kind);
@@ -77,11 +83,9 @@ function inPage() {
     return view;
   };
   stage.state = (link, sentence, daemon) => {
-    const text = new TextEncoder().encode(JSON.stringify({ link, sentence, prefix: "cairn", console_version: "0", daemon }));
-    const view = head(1, 0, 8 + text.length);
-    new Uint8Array(view.buffer, 8).set(text);
-    return stage.say(view.buffer);
+    return json(1, { link, sentence, prefix: "cairn", console_version: "0", daemon });
   };
+  stage.calibration = (told) => json(12, told);
   stage.daemon = (more = {}) => ({
     version: "0.1.0", pid: 1, run_id: "1", uptime_s: 83, realtime_minus_monotonic_s: 0, state: "TRACKING", faults: [], frames_captured: 900,
     frames_dropped: 0, frames_corrupt: 0, frames_tracked: 880, keyframes: 40, landmarks: 3000, maps: 1, resets: 0, relocalisations: 0,

@@ -277,6 +277,7 @@ async function calibrate(browser) {
     check(Math.abs(focal / truth - 1) < 0.01, `the focal length is ${focal} px, in truth ${truth.toFixed(1)} px`);
     check((await page.locator("#board-says").getAttribute("data-kind")) === "good", "the views constrain the camera well");
     check((await page.locator("#board-buttons").getByRole("button", { name: "Save" }).count()) === 0, "a camera without an identity is not saved");
+    check((await page.locator("#board-words").innerText()).includes("sudo install -m 644 camera-640x480.toml /etc/cairn/camera-640x480.toml"), "but the page says how a service takes it");
     const [download] = await Promise.all([page.waitForEvent("download"), press("Download")]);
     const file = readFileSync(await download.path(), "utf8");
     check(download.suggestedFilename() === "camera-640x480.toml" && Math.abs(Number(file.match(/^fx_px = ([\d.]+)/m)[1]) - focal) < 0.01, "the calibration is downloaded");
