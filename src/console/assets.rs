@@ -48,6 +48,7 @@ impl Assets {
             "/video.js" "video.js" JS,
             "/map.js" "map.js" JS,
             "/graph.js" "graph.js" JS,
+            "/obstacles.js" "obstacles.js" JS,
             "/charts.js" "charts.js" JS,
             "/controls.js" "controls.js" JS,
             "/camera.js" "camera.js" JS,

@@ -17,6 +17,7 @@ pub mod demand {
     pub const LOG: u32 = 4;
     pub const COVISIBLE: u32 = 8;
     pub const CALIBRATION: u32 = 16;
+    pub const OBSTACLES: u32 = 32;
 }
 
 /// See module.

@@ -12,7 +12,7 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use tracing::warn;
 
 use super::calibration::{self, Calibrator, Desk};
-use super::feed::{Source, graph, pictures, robot};
+use super::feed::{Source, graph, obstacles, pictures, robot};
 use super::guard::{Access, Token};
 use super::hub::{Hub, lock};
 use super::journal::{self, LogSource};
@@ -93,6 +93,7 @@ impl Console {
             scope.spawn(|| pictures::run(&hub, &source, &desk.tray, stop));
             scope.spawn(|| robot::run_map(&hub, &source, stop));
             scope.spawn(|| graph::run(&hub, &source, stop));
+            scope.spawn(|| obstacles::run(&hub, &source, stop));
             scope.spawn(|| journal::run(&hub, &log, stop));
             scope.spawn(|| {
                 calibration::run(&hub, &source, &desk, &self.options.calibrator, jobs::calibration, stop);

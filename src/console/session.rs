@@ -90,6 +90,7 @@ pub enum Part {
     Log,
     Covisible,
     Calibration,
+    Obstacles,
 }
 
 impl Part {
@@ -100,6 +101,7 @@ impl Part {
             Self::Log => demand::LOG,
             Self::Covisible => demand::COVISIBLE,
             Self::Calibration => demand::CALIBRATION,
+            Self::Obstacles => demand::OBSTACLES,
         }
     }
 }
@@ -261,6 +263,9 @@ fn obey(word: Word, hub: &Hub, page: &Arc<Outbox>, order: &Order) {
             }
             if begun & demand::COVISIBLE != 0 {
                 hub.replay(page, &[Kind::Covisible]);
+            }
+            if begun & demand::OBSTACLES != 0 {
+                hub.replay(page, &[Kind::Obstacles]);
             }
             if begun & demand::CALIBRATION != 0 {
                 hub.replay(page, &[Kind::Calibration]);

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::messages::{Feature, GraphEdge, Keyframe, Landmark, NO_LANDMARK, NO_TRACK};
+use crate::messages::{Feature, GraphEdge, Keyframe, Landmark, NO_LANDMARK, NO_TRACK, Obstacles};
 
 /// A message as it goes on the wire; its copies share the memory.
 pub type Bytes = tungstenite::Bytes;
@@ -25,10 +25,12 @@ pub enum Kind {
     /// Covisibility.
     Covisible = 11,
     Calibration = 12,
+    /// What stands around the robot, and where the floor is free.
+    Obstacles = 13,
 }
 
 /// One more than the last kind.
-pub const KINDS: usize = 13;
+pub const KINDS: usize = 14;
 
 impl Kind {
     /// Kinds that a page acknowledges: they are large.
@@ -45,6 +47,7 @@ impl Kind {
                 | Self::Ties
                 | Self::Covisible
                 | Self::Calibration
+                | Self::Obstacles
         )
     }
 
@@ -149,6 +152,22 @@ pub fn edges(kind: Kind, edges: &[GraphEdge], h: &MapHead) -> Bytes {
     out.into()
 }
 
+/// A scan: what it tells, its place in the map, then range, `free_from` and `free` of each bearing, 12 bytes, then the points in the robot's axes,
+/// 16 bytes each.
+pub fn obstacles(scan: &Obstacles, epoch: u32) -> Bytes {
+    let points = scan.in_the_way();
+    let mut out = head(Kind::Obstacles, points.len(), 64 + scan.range.len() * 12 + points.len() * 16);
+    words(&mut out, &[epoch, scan.total, u32::from(scan.told), scan.range.len() as u32]);
+    floats(&mut out, &scan.position.map(|v| v as f32));
+    floats(&mut out, &scan.orientation.map(|v| v as f32));
+    floats(&mut out, &[scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max, scan.robot_height]);
+    for ((range, from), free) in scan.range.iter().zip(&scan.free_from).zip(&scan.free) {
+        floats(&mut out, &[*range, *from, *free]);
+    }
+    points.iter().for_each(|point| floats(&mut out, point));
+    out.into()
+}
+
 /// Bytes of a feature, and its flags: a landmark of the map was found here; it is no track.
 const FEATURE: usize = 16;
 const MATCHED: u16 = 1;
@@ -196,6 +215,7 @@ pub fn picture(name: &str, png: &[u8]) -> Bytes {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::messages::OBSTACLES_TOLD;
 
     #[test]
     fn sizes_are_those_of_the_page() {
@@ -225,6 +245,12 @@ mod tests {
         let tie = GraphEdge { from: 1, to: 2, shared: 3, joined_map: 4, kind: 2, reserved: [0; 3] };
         let bytes = edges(Kind::Ties, &[tie, tie], &head);
         assert_eq!((bytes.len(), bytes[0], &bytes[40..44]), (24 + 40, 10, &2u32.to_le_bytes()[..]));
+        let mut scan = Obstacles { told: OBSTACLES_TOLD, count: 1, total: 2, ..Obstacles::default() };
+        (scan.free[179], scan.points[0]) = (1.5, [1.0, 2.0, 3.0, 0.25]);
+        let bytes = obstacles(&scan, 7);
+        assert_eq!((bytes.len(), bytes[0], &bytes[4..12]), (72 + 180 * 12 + 16, 13, &[1, 0, 0, 0, 7, 0, 0, 0][..]));
+        assert_eq!(bytes[72 + 179 * 12 + 8..][..4], 1.5f32.to_le_bytes());
+        assert_eq!(bytes[72 + 180 * 12 + 12..], 0.25f32.to_le_bytes());
         let found = Feature { track: NO_TRACK, position: [1.0, 2.0], age: 70_000, landmark: 3 };
         let bytes = frame(1, 2.0, (640, 480), &[found, Feature { landmark: NO_LANDMARK, ..found }], &[1, 2, 3]);
         assert_eq!(bytes.len(), 32 + 2 * FEATURE + 3);

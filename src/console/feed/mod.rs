@@ -1,6 +1,7 @@
 //! The daemon's services, each subscribed once for all pages.
 
 pub mod graph;
+pub mod obstacles;
 pub mod pictures;
 pub mod robot;
 mod source;

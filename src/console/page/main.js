@@ -7,6 +7,7 @@ import { MapView } from "/map.js";
 import { Chart } from "/charts.js";
 import { Controls } from "/controls.js";
 import { GraphView } from "/graph.js";
+import { ObstacleView } from "/obstacles.js";
 import { CameraView } from "/camera.js";
 import { Log } from "/log.js";
 import { PairView } from "/pair.js";
@@ -23,6 +24,7 @@ const calibration = new Calibration((word) => link.say(word), () => link.seen(KI
 const video = new Video(() => link.seen(KIND.FRAME));
 const map = new MapView();
 const graph = new GraphView(map, () => turn());
+const obstacles = new ObstacleView(map, () => turn());
 const camera = new CameraView((word) => link.say(word));
 const charts = [
   new Chart($("latency"), $("latency-now"), { value: (s) => s.latency, unit: " ms", digits: 1, colour: "--accent" }),
@@ -31,6 +33,7 @@ const charts = [
 
 function setAway(isAway, state) {
   map.setAway(isAway, state);
+  if (isAway) obstacles.forget();
   // What was last is not what is now.
   charts.forEach((chart) => { chart.isAway = isAway; });
 }
@@ -71,6 +74,7 @@ const receive = {
     graph.edges(message, true);
     link.seen(KIND.COVISIBLE);
   },
+  [KIND.OBSTACLES]: (message) => obstacles.scan(message),
   [KIND.REPLY]: ({ value }) => {
     controls.reply(value);
     camera.reply(value);
@@ -113,7 +117,8 @@ function turn() {
     if (name === view) anchor.setAttribute("aria-current", "page");
     else anchor.removeAttribute("aria-current");
   }
-  link.show(view === "live" && graph.isWanted ? [...PARTS.live, "covisible"] : PARTS[view]);
+  const more = [graph.isWanted && "covisible", obstacles.isWanted && "obstacles"].filter(Boolean);
+  link.show(view === "live" ? [...PARTS.live, ...more] : PARTS[view]);
 }
 
 addEventListener("hashchange", turn);

@@ -1,6 +1,6 @@
 // Messages of the console as values; docs/console.md describes their bytes.
 export const KIND = {
-  STATE: 1, POSES: 2, KEYFRAMES: 3, MAP: 4, FRAME: 5, LOG: 6, REPLY: 7, PICTURE: 8, HISTORY: 9, TIES: 10, COVISIBLE: 11, CALIBRATION: 12,
+  STATE: 1, POSES: 2, KEYFRAMES: 3, MAP: 4, FRAME: 5, LOG: 6, REPLY: 7, PICTURE: 8, HISTORY: 9, TIES: 10, COVISIBLE: 11, CALIBRATION: 12, OBSTACLES: 13,
 };
 export const EDGE = { COVISIBLE: 0, LOOP: 1, JOIN: 2 };
 export const STATES = ["INITIALIZING", "TRACKING", "LOST", "ORIENTATION", "DEAD_RECKONING"];
@@ -24,6 +24,8 @@ export function parse(buffer) {
       return { kind, ...head(view), keyframes: new Float32Array(buffer, 24, 8 * count), ids: new Uint32Array(buffer, 24, 8 * count) };
     case KIND.TIES: case KIND.COVISIBLE:
       return { kind, ...head(view), edges: Array.from({ length: count }, (_, i) => edge(new Uint32Array(buffer, 24 + 20 * i, 5))) };
+    case KIND.OBSTACLES:
+      return { kind, count, ...obstacles(buffer, view, count) };
     case KIND.FRAME:
       return {
         kind, count, sequence: Number(view.getBigUint64(8, true)), time: view.getFloat64(16, true),
@@ -37,6 +39,16 @@ export function parse(buffer) {
 
 function head(view) {
   return { count: view.getUint32(4, true), epoch: view.getUint32(8, true), total: view.getUint32(12, true), scale: view.getUint32(20, true) };
+}
+
+function obstacles(buffer, view, count) {
+  const bearings = view.getUint32(20, true);
+  const f = (at, n) => new Float32Array(buffer, at, n);
+  const [angleMin, angleStep, rangeMin, rangeMax, robotHeight] = f(52, 5);
+  return {
+    epoch: view.getUint32(8, true), total: view.getUint32(12, true), told: view.getUint32(16, true), bearings, position: f(24, 3), orientation: f(36, 4),
+    angleMin, angleStep, rangeMin, rangeMax, robotHeight, scan: f(72, 3 * bearings), points: f(72 + 12 * bearings, 4 * count),
+  };
 }
 
 function edge([from, to, shared, joined, kind]) {

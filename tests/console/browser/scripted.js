@@ -35,6 +35,7 @@ async function busy(page) {
     stage.state("connected", "Tracking: the pose rests on landmarks seen in this frame.", stage.daemon());
     stage.say(stage.keyframes(40));
     stage.say(stage.map(3000));
+    stage.obstacles();
     for (let i = 1; i < 9; i++) await stage.frame(i);
   });
   await page.waitForTimeout(300);
@@ -173,6 +174,79 @@ async function corrected(page) {
   check((await pixels(map, isBlue)) > 300, "another map is looked at as a whole");
 }
 
+/** A loop that is closed and a map that is joined while the page is open. */
+async function ties(page) {
+  const map = page.locator("#map");
+  const tell = (list) => page.evaluate((l) => window.stage.ties(l), list);
+  const isViolet = (r, g, b) => b > 150 && b > r + 50 && r > g + 40;
+  const news = page.locator("#map-news p");
+  await page.getByRole("button", { name: "Top", exact: true }).click();
+  const none = 2 ** 32 - 1;
+  await tell([]);
+  await drawn(page);
+  const before = await pixels(map, isViolet);
+  await tell([[3, 23, none, 1]]);
+  await drawn(page);
+  check((await map.getAttribute("data-ties")) === "1" && (await pixels(map, isViolet)) > before + 100, "a loop is drawn in violet");
+  check(/Loop closed: keyframe 23 shows the place of 3/.test(await news.last().innerText()) && (await page.locator("#map-news .loop.fresh").count()) === 1, "and told as news");
+  await tell([[9, 30, 1, 2], [3, 23, none, 1]]);
+  await drawn(page);
+  check((await map.getAttribute("data-ties")) === "2" && /Map 1 joined: keyframe 30/.test(await news.last().innerText()), "a joined map is drawn and told");
+  await tell([[9, 30, 1, 2], [3, 23, none, 1]]);
+  check((await news.count()) === 2, "each of them once");
+}
+
+/** A finished calibration: with its camera known, and without. */
+async function calibrated(page) {
+  await page.evaluate(() => { location.hash = "calibrate"; });
+  const tell = (camera) => page.evaluate((c) => window.stage.calibration({
+    phase: "done", run: c ? 1 : 2, by: 0, sentence: "done", board: { columns: 9, rows: 6, square_m: null, lens: "full" }, seconds: 0, limit_s: 300, glance: null,
+    guidance: { views: 12, enough: 10, most: 40, grid: [2, 2], gauges: [], cells: [1, 1, 1, 1], outlines: [], needs: [], solved: true },
+    outcome: { values: [{ name: "fx", value: 500, sigma: 1, unit: "px" }], words: ["well"], file: "x = 1", file_name: "camera-640x480.toml", good: true },
+    camera: c, saved: null, terminal: "cairn calibrate",
+  }), camera);
+  const buttons = page.locator("#board-buttons");
+  await tell({ identity: "usb", device: "/dev/video0" });
+  check((await buttons.getByRole("button", { name: "Save" }).count()) === 1 && !(await text(page, "board-words")).includes("sudo"), "the calibration of a camera that is known can be saved");
+  await tell(null);
+  check((await buttons.getByRole("button", { name: "Save" }).count()) === 0 && /sudo install .*\n.*file = .*\nsudo systemctl restart cairn/.test(await text(page, "board-words")), "of one that is not the page says how the service takes it");
+  await labels(page, "calibrated");
+  await page.screenshot({ path: join(pictures, "scripted-calibrated.png") });
+}
+
+async function obstacles(page) {
+  const map = page.locator("#map");
+  const tell = (told, epoch) => page.evaluate(([t, e]) => window.stage.obstacles(t, e), [told, epoch]);
+  const shown = async (name) => Number(await map.getAttribute(`data-${name}`));
+  const asked = () => page.evaluate(() => window.stage.sent.findLast((word) => word.show).show);
+  const isOrange = (r, g, b) => r > 100 && r > g + 35 && g > b;
+  const isGreen = (r, g, b) => g > r + 25 && g > b + 5;
+  check((await asked()).includes("obstacles"), "obstacles are asked for");
+  for (const [told, why] of [[1, "no pose"], [2, "no metres"], [3, "floor is not known"], [9, "newer daemon"]]) {
+    await tell(told, 1);
+    check((await text(page, "obstacle-count")).includes(why) && (await shown("obstacles")) === 0, `without obstacles the page says why: ${why}`);
+  }
+  await drawn(page);
+  const before = [await pixels(map, isOrange), await pixels(map, isGreen)];
+  await page.getByRole("button", { name: "Top", exact: true }).click();
+  await tell(0, 1);
+  await drawn(page);
+  check((await shown("obstacles")) === 60 && (await shown("free")) === 60, "60 things are drawn, and free floor in 60 of 180 bearings only");
+  check((await pixels(map, isOrange)) > before[0] + 200 && (await pixels(map, isGreen)) > before[1] + 2000, "things in orange, free floor in green");
+  check(await page.locator("#obstacle-key").isVisible(), "with what the colours mean");
+  await page.screenshot({ path: join(pictures, "scripted-obstacles.png") });
+  await tell(0, 2);
+  check((await shown("obstacles")) === 0, "those of a map that was corrected since are not drawn out of place");
+  await tell(0, 1);
+  await page.locator("#draw-obstacles").uncheck();
+  await drawn(page);
+  check((await shown("obstacles")) === 0 && !(await asked()).includes("obstacles") && (await pixels(map, isGreen)) < before[1] + 200, "unticked they are gone, and not asked for");
+  await page.locator("#draw-obstacles").check();
+  await tell(0, 1);
+  await page.evaluate(() => window.stage.state("waiting", "No daemon.", null));
+  check((await shown("obstacles")) === 0, "without a daemon nothing is said to be free");
+}
+
 async function keyboard(page) {
   await page.evaluate(() => document.activeElement.blur());
   const reached = new Set();
@@ -247,6 +321,12 @@ try {
   await corrected(map);
   await large(map);
   await map.context().close();
+  const surroundings = await begin(browser, DESKTOP);
+  await busy(surroundings);
+  await ties(surroundings);
+  await obstacles(surroundings);
+  await calibrated(surroundings);
+  await surroundings.context().close();
   const software = await begin(browser, DESKTOP);
   await busy(software);
   await smooth(software);

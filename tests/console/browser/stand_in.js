@@ -70,6 +70,12 @@ function inPage() {
     stage.socket.onmessage({ data: message });
     return performance.now() - began;
   };
+  const json = (kind, value) => {
+    const text = new TextEncoder().encode(JSON.stringify(value));
+    const view = head(kind, 0, 8 + text.length);
+    new Uint8Array(view.buffer, 8).set(text);
+    return stage.say(view.buffer);
+  };
   const head = (kind, count, size) => {
     const view = new DataView(new ArrayBuffer(size));
     view.setUint8(0, kind);
@@ -77,11 +83,9 @@ function inPage() {
     return view;
   };
   stage.state = (link, sentence, daemon) => {
-    const text = new TextEncoder().encode(JSON.stringify({ link, sentence, prefix: "cairn", console_version: "0", daemon }));
-    const view = head(1, 0, 8 + text.length);
-    new Uint8Array(view.buffer, 8).set(text);
-    return stage.say(view.buffer);
+    return json(1, { link, sentence, prefix: "cairn", console_version: "0", daemon });
   };
+  stage.calibration = (told) => json(12, told);
   stage.daemon = (more = {}) => ({
     version: "0.1.0", pid: 1, run_id: "1", uptime_s: 83, realtime_minus_monotonic_s: 0, state: "TRACKING", faults: [], frames_captured: 900,
     frames_dropped: 0, frames_corrupt: 0, frames_tracked: 880, keyframes: 40, landmarks: 3000, maps: 1, resets: 0, relocalisations: 0,
@@ -129,6 +133,29 @@ function inPage() {
       ids[8 * k + 7] = firstId + k;
     }
     return buffer;
+  };
+  /** Loops and joins: [from, to, joined map, kind] each. */
+  stage.ties = (ties, epoch = 1) => {
+    const buffer = list(10, 20, ties.length, epoch);
+    ties.forEach(([from, to, joined, kind], i) => new Uint32Array(buffer, 24 + 20 * i, 5).set([from, to, 30, joined, kind]));
+    return stage.say(buffer);
+  };
+  /** Things on an arc before the robot, and the floor free up to half a metre before them; nothing is known behind it. `told` as on the wire. */
+  stage.obstacles = (told = 0, epoch = 1) => {
+    const [bearings, count] = [180, told === 0 ? 60 : 0];
+    const view = head(13, count, 72 + 12 * bearings + 16 * count);
+    [epoch, count, told, bearings].forEach((v, k) => view.setUint32(8 + 4 * k, v, true));
+    const floats = new Float32Array(view.buffer, 24);
+    floats.set([0.5, 0.5, -0.9, 0, 0, 0, 1, -Math.PI, (2 * Math.PI) / bearings, 0.05, 5, 1]);
+    for (let i = 0; i < bearings; i++) {
+      const isAhead = told === 0 && i >= 60 && i < 120;
+      floats.set(isAhead ? [2, 0.4, 1.5] : [NaN, NaN, 0], 12 + 3 * i);
+    }
+    for (let i = 0; i < count; i++) {
+      const angle = (-60 + 2 * i) * (Math.PI / 180);
+      floats.set([2 * Math.cos(angle), 2 * Math.sin(angle), (i % 10) / 10, 0.05], 12 + 3 * bearings + 4 * i);
+    }
+    return stage.say(view.buffer);
   };
   /** A grey picture with features, as a JPEG that the page itself makes. */
   stage.frame = async (sequence) => {

@@ -201,6 +201,36 @@ async function token(browser) {
   check(true, "a console that has gone is told");
 }
 
+/** A robot that knows its camera's height: what stands around it, and where it has driven. */
+async function surroundings(browser) {
+  const place = new Robot("floor");
+  robots.push(place);
+  try {
+    const config = join(place.folder, "floor.toml");
+    writeFileSync(config, "[scale]\ncamera_height_m = 0.5\ncamera_height_sigma_m = 0.003\n");
+    place.demo(120, "--config", config);
+    const { url } = await place.console();
+    const page = await open(browser, url, { viewport: { width: 1400, height: 1000 } });
+    const says = page.locator("#obstacle-count");
+    await page.waitForFunction(() => /has no metres|has no pose|floor is not known/.test(document.getElementById("obstacle-count").textContent));
+    check(true, `before there are obstacles the page says why: ${await says.innerText()}`);
+    await page.waitForFunction(() => Number(document.getElementById("map").dataset.obstacles) > 10 && Number(document.getElementById("map").dataset.free) > 0, null, { timeout: 100_000 });
+    await page.waitForTimeout(500);
+    check((await pixels(page.locator("#map"), (r, g, b) => r > 100 && r > g + 35 && g > b + 5)) > 40, `what stands around the robot is drawn: ${await says.innerText()}`);
+    await page.screenshot({ path: join(pictures, "obstacles.png") });
+    for (const [name, options] of [["obstacles-dark", { colorScheme: "dark", viewport: { width: 1400, height: 1000 } }], ["obstacles-phone", { viewport: { width: 390, height: 844 }, deviceScaleFactor: 2 }]]) {
+      const other = await open(browser, url, options);
+      await other.waitForFunction(() => Number(document.getElementById("map").dataset.obstacles) > 10);
+      await other.waitForTimeout(500);
+      await other.screenshot({ path: join(pictures, `${name}.png`), fullPage: name.endsWith("phone") });
+      await other.context().close();
+    }
+    await page.context().close();
+  } finally {
+    place.end();
+  }
+}
+
 /** Guided calibration before the simulator's board, whose camera is known. */
 async function calibrate(browser) {
   const place = new Robot("board");
@@ -247,6 +277,7 @@ async function calibrate(browser) {
     check(Math.abs(focal / truth - 1) < 0.01, `the focal length is ${focal} px, in truth ${truth.toFixed(1)} px`);
     check((await page.locator("#board-says").getAttribute("data-kind")) === "good", "the views constrain the camera well");
     check((await page.locator("#board-buttons").getByRole("button", { name: "Save" }).count()) === 0, "a camera without an identity is not saved");
+    check((await page.locator("#board-words").innerText()).includes("sudo install -m 644 camera-640x480.toml /etc/cairn/camera-640x480.toml"), "but the page says how a service takes it");
     const [download] = await Promise.all([page.waitForEvent("download"), press("Download")]);
     const file = readFileSync(await download.path(), "utf8");
     check(download.suggestedFilename() === "camera-640x480.toml" && Math.abs(Number(file.match(/^fx_px = ([\d.]+)/m)[1]) - focal) < 0.01, "the calibration is downloaded");
@@ -290,6 +321,7 @@ try {
   robot.end();
   for (const context of browser.contexts()) await context.close();
   troubles.length = 0;
+  await surroundings(browser);
   await calibrate(browser);
   check(troubles.length === 0, `no error and no foreign request of the calibration ${troubles.join("; ")}`);
   console.log(`${passed} passed, 0 failed`);

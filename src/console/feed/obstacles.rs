@@ -1,0 +1,42 @@
+//! What stands around the robot, and where the floor is free: the daemon makes it while a page asks for it.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use super::source::{LOOK, Source, pause, wait};
+use crate::client::ClientError;
+use crate::console::hub::{Hub, demand, lock};
+use crate::console::wire::{self, Kind};
+
+/// How soon the end of a demand is noticed.
+const NAP: Duration = Duration::from_millis(100);
+
+/// Until `stop`.
+pub fn run(hub: &Hub, source: &Source, stop: &AtomicBool) {
+    while !stop.load(Ordering::Relaxed) {
+        if !hub.wants(demand::OBSTACLES) {
+            wait(stop, NAP);
+        } else if follow(hub, source, stop).is_err() {
+            // Poses fail for the same reason, which is told there.
+            pause(stop);
+        }
+    }
+}
+
+/// While somebody looks.
+fn follow(hub: &Hub, source: &Source, stop: &AtomicBool) -> Result<(), ClientError> {
+    let client = source.client()?;
+    let mut scans = client.obstacles().polled(LOOK);
+    let mut silent = None;
+    while !stop.load(Ordering::Relaxed) && hub.wants(demand::OBSTACLES) {
+        let Some(scan) = scans.wait(NAP)? else { continue };
+        let epoch = lock(&hub.history).epoch(scan.run_id, scan.map_id, scan.reset_counter, scan.map_revision);
+        // Why there is nothing is said once, not seven times a second.
+        let why = (!scan.is_told()).then_some((scan.told, epoch));
+        if why.is_none() || why != silent {
+            hub.tell(Kind::Obstacles, demand::OBSTACLES, &wire::obstacles(&scan, epoch));
+        }
+        silent = why;
+    }
+    Ok(())
+}
