@@ -368,6 +368,40 @@ fn a_recording_ends_at_its_limits_and_a_ring_is_kept_when_asked_for() {
     assert!(counts(&file(&kept[0]))["image/compressed"] > 0);
 }
 
+/// What a driver on the wire tells is in the recording, and its replay believes every reading of it.
+#[test]
+fn wheels_on_the_wire_come_back_in_a_replay_of_the_recording() {
+    let dir = tempfile::tempdir().unwrap();
+    let config = dir.path().join("cairn.toml");
+    fs::write(&config, SIMULATOR).unwrap();
+    let file = dir.path().join("wheels.mcap");
+    let prefix = format!("test-recordings-driven-{}", std::process::id());
+    let endpoint = cairn::messages::Endpoint::new(&prefix).unwrap();
+    let mut wheels = cairn::client::Client::with_endpoint(endpoint).unwrap().wheels();
+    let running = daemon("driven", &config);
+    let mut recorder = recorder("driven", &file, &["--seconds", "4"]);
+    let begin = Instant::now();
+    while recorder.0.try_wait().unwrap().is_none() {
+        assert!(begin.elapsed() < Duration::from_secs(60), "the recorder does not end");
+        wheels.send(0.25, 0.0, 0.125).unwrap();
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    drop(running);
+    let counts = counts(&file);
+    let readings = counts.get("wheel").copied().unwrap_or_default();
+    assert!(readings > 50 && counts["wheel/twist"] == readings, "{counts:?}");
+    // Nothing is known of obstacles before the scale is metric, and that is told.
+    assert!(counts["obstacles"] > 3 && !counts.contains_key("scan"), "{counts:?}");
+    let output = cairn("driven").args(["replay", "--lockstep", "--json"]).arg(&file).output().unwrap();
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap_or_else(|e| panic!("{e}: {told}"));
+    let wheels = &summary["wheels"];
+    // Readings before the first picture and after the last are nobody's: two seconds of them at the most.
+    let believed = wheels["readings"].as_u64().unwrap_or_default();
+    assert!(believed > 50 && believed + 100 > readings as u64, "{readings} recorded: {wheels} {told}");
+    assert_eq!((wheels["absurd"].as_u64(), wheels["out_of_order"].as_u64()), (Some(0), Some(0)), "{wheels} {told}");
+}
+
 #[test]
 fn the_layout_for_foxglove_shows_topics_that_are_recorded() {
     let layout: serde_json::Value = serde_json::from_str(

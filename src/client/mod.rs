@@ -50,7 +50,7 @@ use iceoryx2_bb_posix::clock::{ClockType, Time};
 pub use commander::{MapList, StoredMap};
 pub use error::ClientError;
 pub use subscription::{
-    Encodeds, FeatureLists, Frames, Graphs, Healths, Keyframes, Map, ObstacleScans, Poses, Subscription,
+    Encodeds, FeatureLists, Frames, Graphs, Healths, Keyframes, Map, ObstacleScans, Poses, Subscription, WheelReports,
 };
 pub use topics::{Encoded, Features, Frame, Graph, KeyframesSnapshot, MapSnapshot, Slice, Topic};
 pub use wheel::WheelPublisher;
@@ -148,6 +148,12 @@ impl Client {
     /// subscription.
     pub fn obstacles(&self) -> ObstacleScans {
         Subscription::new(self.link.clone())
+    }
+
+    /// What the base's driver tells the daemon, for recorders: it is looked for every `pause`, as its messages wake nobody. Connected is such a
+    /// subscription while a driver is. Let go of it when the daemon has gone, or the driver takes this reader for one.
+    pub fn wheel_reports(&self, pause: Duration) -> WheelReports {
+        Subscription::new(self.link.clone()).polled(pause)
     }
 
     /// Every picture as it came from the camera (JPEG, rows of grey), with what is believed of its lens: for recorders. The queue holds a fifth of

@@ -16,7 +16,7 @@ use super::link::Ipc;
 use crate::messages::services::topic;
 use crate::messages::{
     EncodedHeader, Feature, FeaturesHeader, FrameHeader, GraphEdge, GraphHeader, Health, Keyframe, KeyframesHeader,
-    Landmark, MapHeader, Obstacles, Pose,
+    Landmark, MapHeader, Obstacles, Pose, WheelOdometry,
 };
 
 /// The map as it was at one moment: a slice of [`Landmark`] in shared memory.
@@ -189,6 +189,9 @@ impl WireName for Feature {
 impl WireName for Obstacles {
     const WIRE_NAME: &'static str = Obstacles::TYPE_NAME;
 }
+impl WireName for WheelOdometry {
+    const WIRE_NAME: &'static str = WheelOdometry::TYPE_NAME;
+}
 impl WireName for u8 {
     const WIRE_NAME: &'static str = "u8";
 }
@@ -228,4 +231,8 @@ topic!(
 topic!(
     /// [`Obstacles`], while somebody subscribes.
     ObstaclesTopic, topic::OBSTACLES, Obstacles, Obstacles, (), false, Obstacles, copied
+);
+topic!(
+    /// [`WheelOdometry`], as the base's driver tells the daemon. No event goes with it: read it polled.
+    WheelTopic, topic::WHEEL, WheelOdometry, WheelOdometry, (), false, WheelOdometry, copied
 );

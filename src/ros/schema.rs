@@ -6,6 +6,10 @@ use super::cdr::Writer;
 pub trait Field {
     /// As it stands in a definition: `uint8`, `float64[9]`, `std_msgs/Header`.
     fn type_name() -> String;
+    /// An array of so many. ROS 2 has no arrays of arrays: theirs are as long as all of them.
+    fn array_name(length: usize) -> String {
+        format!("{}[{length}]", Self::type_name())
+    }
     /// Adds the definitions of the messages that this type is made of, itself first, each once.
     fn definitions(_found: &mut Vec<(String, String)>) {}
     /// Appends the value.
@@ -109,7 +113,10 @@ impl Field for Bytes<'_> {
 
 impl<T: Field, const N: usize> Field for [T; N] {
     fn type_name() -> String {
-        format!("{}[{N}]", T::type_name())
+        T::array_name(N)
+    }
+    fn array_name(length: usize) -> String {
+        T::array_name(N * length)
     }
     fn definitions(found: &mut Vec<(String, String)>) {
         T::definitions(found);

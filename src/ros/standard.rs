@@ -63,6 +63,11 @@ message!(
     Odometry<'a>, "nav_msgs/msg/Odometry",
     { header: Header<'a>, child_frame_id: &'a str, pose: PoseWithCovariance, twist: TwistWithCovariance }
 );
+message!(
+    /// In the axes of the header's frame.
+    TwistWithCovarianceStamped<'a>, "geometry_msgs/msg/TwistWithCovarianceStamped",
+    { header: Header<'a>, twist: TwistWithCovariance }
+);
 message!(Transform, "geometry_msgs/msg/Transform", { translation: Vector3, rotation: Quaternion });
 message!(
     /// The child's place in the header's frame.
@@ -99,6 +104,14 @@ message!(
     {
         header: Header<'a>, height: u32, width: u32, fields: Vec<PointField<'a>>, is_bigendian: bool, point_step: u32,
         row_step: u32, data: Bytes<'a>, is_dense: bool,
+    }
+);
+message!(
+    /// A turn of ranges, m, from `angle_min` to the left; NaN is nothing known, +Inf would be nothing there.
+    LaserScan<'a>, "sensor_msgs/msg/LaserScan",
+    {
+        header: Header<'a>, angle_min: f32, angle_max: f32, angle_increment: f32, time_increment: f32, scan_time: f32,
+        range_min: f32, range_max: f32, ranges: Vec<f32>, intensities: Vec<f32>,
     }
 );
 message!(KeyValue, "diagnostic_msgs/msg/KeyValue", { key: &'static str, value: String });

@@ -7,6 +7,7 @@
 //! Each half is a plain step or loop; `cli` puts the second into a thread of the daemon's making. Does not: open sockets, follow pixels, know the daemon.
 //! Users' page: `docs/recordings.md`.
 
+mod conversion;
 mod copy;
 mod error;
 mod file;

@@ -10,7 +10,9 @@ use tracing::{info, warn};
 use super::ShareError;
 use super::records::{Converter, Record};
 use super::sink::{Queue, Queued};
-use crate::client::{Client, Encodeds, Healths, Keyframes, Map, Poses, Subscription, Topic};
+use crate::client::{
+    Client, Encodeds, Healths, Keyframes, Map, ObstacleScans, Poses, Subscription, Topic, WheelReports,
+};
 use crate::messages::{
     ENCODED_GREY, ENCODED_JPEG, ENCODED_PNG, ENCODED_YUYV, EncodedHeader, Endpoint, Health, Pose, State,
 };
@@ -44,6 +46,10 @@ pub struct Recorder {
     map: Map,
     keyframes: Keyframes,
     health: Healths,
+    obstacles: ObstacleScans,
+    /// While a daemon is there: a driver would take this reader for one.
+    wheels: Option<WheelReports>,
+    client: Client,
     converter: Converter,
     realtime_minus_monotonic_ns: i64,
     queue: Queue,
@@ -69,6 +75,9 @@ impl Recorder {
             map: client.map(),
             keyframes: client.keyframes(),
             health: client.health(),
+            obstacles: client.obstacles(),
+            wheels: None,
+            client,
             converter: Converter::new(&prefix, realtime_minus_monotonic_ns),
             realtime_minus_monotonic_ns,
             queue,
@@ -121,7 +130,20 @@ impl Recorder {
             self.note_clock(&health);
             self.converter.health(&health, &mut self.records);
         }
+        self.take_wheels()?;
+        let Self { converter, records, .. } = self;
+        drain(&mut self.obstacles, |obstacles| converter.obstacles(&obstacles, records))?;
         Ok(self.hand_over())
+    }
+
+    fn take_wheels(&mut self) -> Result<(), ShareError> {
+        if !self.poses.is_connected() {
+            self.wheels = None;
+            return Ok(());
+        }
+        let wheels = self.wheels.get_or_insert_with(|| self.client.wheel_reports(TURN));
+        let Self { converter, records, .. } = self;
+        drain(wheels, |wheel| converter.wheel(&wheel, records))
     }
 
     fn picture(&mut self, header: &EncodedHeader, data: &[u8]) {

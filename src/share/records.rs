@@ -9,13 +9,16 @@
 //! Lengths of a map without a metric scale are no metres, so its frames have names of their own that no metric tree has: `map_unscaled`,
 //! `odom_unscaled`, `base_link_unscaled`, `camera_unscaled`. A message of ROS's own with a position is written only where there is one.
 
+use super::conversion::{
+    camera_info, diagnostics, is_finite, landmark_bytes, laser_scan, odometry, point_cloud, wheel_twist,
+};
 use super::wire::Keyframes;
 use crate::messages::{
-    self, CLOCK_MONOTONIC, EncodedHeader, Health, Keyframe, KeyframesHeader, Landmark, LensModel, MapHeader, Pose,
-    Scale, State, Transform,
+    CLOCK_MONOTONIC, EncodedHeader, Health, Keyframe, KeyframesHeader, Landmark, MapHeader, Obstacles, Pose, Scale,
+    State, Transform, WheelOdometry,
 };
 use crate::ros::standard::{self as ros, Header, Time};
-use crate::ros::{Byte, Bytes, Message};
+use crate::ros::{Bytes, Message};
 
 /// Topics of a recording.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -31,10 +34,14 @@ pub enum Topic {
     Keyframes,
     Health,
     Diagnostics,
+    Scan,
+    Obstacles,
+    WheelTwist,
+    Wheel,
 }
 
 impl Topic {
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 15] = [
         Self::Image,
         Self::CameraInfo,
         Self::EncodedHeader,
@@ -46,6 +53,10 @@ impl Topic {
         Self::Keyframes,
         Self::Health,
         Self::Diagnostics,
+        Self::Scan,
+        Self::Obstacles,
+        Self::WheelTwist,
+        Self::Wheel,
     ];
 
     /// Below the daemon's prefix; what belongs to a whole robot is at the root, as ROS 2 has it.
@@ -67,6 +78,10 @@ impl Topic {
             Self::Keyframes => own("keyframes"),
             Self::Health => own("health"),
             Self::Diagnostics => "/diagnostics".into(),
+            Self::Scan => own("scan"),
+            Self::Obstacles => own("obstacles"),
+            Self::WheelTwist => own("wheel/twist"),
+            Self::Wheel => own("wheel"),
         }
     }
 
@@ -87,6 +102,10 @@ impl Topic {
             Self::Keyframes => of::<Keyframes>(),
             Self::Health => of::<Health>(),
             Self::Diagnostics => of::<ros::DiagnosticArray>(),
+            Self::Scan => of::<ros::LaserScan>(),
+            Self::Obstacles => of::<Obstacles>(),
+            Self::WheelTwist => of::<ros::TwistWithCovarianceStamped>(),
+            Self::Wheel => of::<WheelOdometry>(),
         }
     }
 }
@@ -113,6 +132,9 @@ const METRIC: Frames = Frames { map: "map", odom: "odom", body: "base_link", cam
 const UNSCALED: Frames =
     Frames { map: "map_unscaled", odom: "odom_unscaled", body: "base_link_unscaled", camera: "camera_unscaled" };
 
+/// The robot's foot point, level with the floor: a scan's, in the map.
+const SCAN_FRAME: &str = "scan";
+
 fn frames(is_metric: bool) -> &'static Frames {
     if is_metric { &METRIC } else { &UNSCALED }
 }
@@ -123,6 +145,8 @@ pub struct Converter {
     prefix: String,
     realtime_minus_monotonic_ns: i64,
     is_metric: bool,
+    /// Of the last pose: [`CLOCK_MONOTONIC`], or a recording's.
+    clock: u8,
     /// `body_from_camera`, of the last picture.
     mount: Option<Transform>,
     /// What the last diagnostics said, and when.
@@ -140,6 +164,7 @@ impl Converter {
             prefix: prefix.into(),
             realtime_minus_monotonic_ns,
             is_metric: false,
+            clock: CLOCK_MONOTONIC,
             mount: None,
             diagnosed: None,
             written: [None; 2],
@@ -173,7 +198,7 @@ impl Converter {
     pub fn pose(&mut self, pose: &Pose, out: &mut Vec<Record>) {
         let time_ns = self.unix_ns(pose.published_ns);
         out.push(Record { topic: Topic::Pose, time_ns, data: pose.to_cdr() });
-        self.is_metric = pose.scale() == Scale::Metric;
+        (self.is_metric, self.clock) = (pose.scale() == Scale::Metric, pose.clock);
         let map_from_body = Transform { position: pose.position, orientation: pose.orientation };
         let odom_from_body = Transform { position: pose.odom_position, orientation: pose.odom_orientation };
         let has_place = matches!(pose.state(), State::Tracking | State::DeadReckoning);
@@ -202,6 +227,38 @@ impl Converter {
         out.push(Record { topic: Topic::Tf, time_ns, data: ros::TfMessage { transforms }.to_cdr() });
     }
 
+    /// What stands around the robot; as a scan, with the transform to its frame, where anything is known.
+    pub fn obstacles(&self, obstacles: &Obstacles, out: &mut Vec<Record>) {
+        let time_ns = self.unix_ns(obstacles.published_ns);
+        out.push(Record { topic: Topic::Obstacles, time_ns, data: obstacles.to_cdr() });
+        let map_from_scan = Transform { position: obstacles.position, orientation: obstacles.orientation };
+        if !obstacles.is_told() || !is_finite(&map_from_scan) {
+            return;
+        }
+        let header = |frame_id| Header { stamp: self.stamp(obstacles.timestamp_ns, obstacles.clock), frame_id };
+        let transforms = vec![ros::TransformStamped {
+            header: header(METRIC.map),
+            child_frame_id: SCAN_FRAME,
+            transform: ros::Transform {
+                translation: map_from_scan.position.into(),
+                rotation: map_from_scan.orientation.into(),
+            },
+        }];
+        out.push(Record { topic: Topic::Tf, time_ns, data: ros::TfMessage { transforms }.to_cdr() });
+        let scan = laser_scan(obstacles, header(SCAN_FRAME));
+        out.push(Record { topic: Topic::Scan, time_ns, data: scan.to_cdr() });
+    }
+
+    /// What the base's driver tells; as a twist only what is finite, and only beside a camera: beside a recording it is of another time than the pictures.
+    pub fn wheel(&self, wheel: &WheelOdometry, out: &mut Vec<Record>) {
+        let time_ns = self.unix_ns(wheel.timestamp_ns);
+        out.push(Record { topic: Topic::Wheel, time_ns, data: wheel.to_cdr() });
+        let Some(twist) = wheel_twist(wheel).filter(|_| self.clock == CLOCK_MONOTONIC) else { return };
+        let header = Header { stamp: Time::from_ns(time_ns), frame_id: METRIC.body };
+        let message = ros::TwistWithCovarianceStamped { header, twist };
+        out.push(Record { topic: Topic::WheelTwist, time_ns, data: message.to_cdr() });
+    }
+
     /// The map, unless it is the one that was written last.
     pub fn map(&mut self, header: &MapHeader, landmarks: &[Landmark], out: &mut Vec<Record>) {
         let content = (header.run_id, header.content_revision, header.map_revision, header.reset_counter);
@@ -212,26 +269,8 @@ impl Converter {
         out.push(Record { topic: Topic::MapHeader, time_ns, data: header.to_cdr() });
         let frame_id = frames(Scale::from_wire(header.scale) == Scale::Metric).map;
         let data = landmark_bytes(landmarks);
-        let field = |name, offset, datatype| ros::PointField { name, offset, datatype, count: 1 };
-        let width = u32::try_from(landmarks.len()).unwrap_or(u32::MAX);
-        let cloud = ros::PointCloud2 {
-            header: Header { stamp: self.stamp(header.timestamp_ns, header.clock), frame_id },
-            height: 1,
-            width,
-            fields: vec![
-                field("id", 0, ros::POINT_UINT32),
-                field("observations", 4, ros::POINT_UINT32),
-                field("x", 8, ros::POINT_FLOAT32),
-                field("y", 12, ros::POINT_FLOAT32),
-                field("z", 16, ros::POINT_FLOAT32),
-                field("sigma", 20, ros::POINT_FLOAT32),
-            ],
-            is_bigendian: false,
-            point_step: LANDMARK_BYTES,
-            row_step: width.saturating_mul(LANDMARK_BYTES),
-            data: Bytes(&data),
-            is_dense: true,
-        };
+        let header = Header { stamp: self.stamp(header.timestamp_ns, header.clock), frame_id };
+        let cloud = point_cloud(&data, landmarks.len(), header);
         out.push(Record { topic: Topic::Points, time_ns, data: cloud.to_cdr() });
     }
 
@@ -266,135 +305,10 @@ impl Converter {
     }
 }
 
-fn is_finite(t: &Transform) -> bool {
-    t.position.iter().chain(&t.orientation).all(|v| v.is_finite())
-}
-
-/// Bytes of a landmark, on the wire and in a cloud.
-const LANDMARK_BYTES: u32 = size_of::<Landmark>() as u32;
-
-fn landmark_bytes(landmarks: &[Landmark]) -> Vec<u8> {
-    let mut bytes = Vec::with_capacity(size_of_val(landmarks));
-    for l in landmarks {
-        let [x, y, z] = l.position;
-        bytes.extend_from_slice(&l.id.to_le_bytes());
-        bytes.extend_from_slice(&l.observations.to_le_bytes());
-        [x, y, z, l.sigma].iter().for_each(|v| bytes.extend_from_slice(&v.to_le_bytes()));
-    }
-    bytes
-}
-
-/// Not known, as nav_msgs says it.
-const UNKNOWN: f64 = -1.0;
-
-fn odometry<'a>(
-    pose: &Pose,
-    odom_from_body: &Transform,
-    header: Header<'a>,
-    child_frame_id: &'a str,
-) -> ros::Odometry<'a> {
-    // The method turns into the axes of whatever the orientation leads to.
-    let turned = Pose { orientation: pose.odom_orientation, ..*pose }.covariance_in_map_axes();
-    let mut covariance = [0.0; 36];
-    covariance.iter_mut().zip(turned.iter().flatten()).for_each(|(to, from)| *to = *from);
-    let mut unknown = [0.0; 36];
-    unknown[0] = UNKNOWN;
-    if covariance.iter().any(|v| !v.is_finite()) {
-        covariance = unknown;
-    }
-    let known = |v: [f64; 3]| v.map(|v| if v.is_finite() { v } else { 0.0 });
-    ros::Odometry {
-        header,
-        child_frame_id,
-        pose: ros::PoseWithCovariance {
-            pose: ros::Pose {
-                position: odom_from_body.position.into(),
-                orientation: odom_from_body.orientation.into(),
-            },
-            covariance,
-        },
-        twist: ros::TwistWithCovariance {
-            twist: ros::Twist {
-                linear: known(pose.linear_velocity).into(),
-                angular: known(pose.angular_velocity).into(),
-            },
-            covariance: unknown,
-        },
-    }
-}
-
-/// `None` before anything is known of the lens. One that is only a guess is not told as a calibration: `k` is zero then, as ROS has it.
-fn camera_info<'a>(header: &EncodedHeader, ros_header: Header<'a>) -> Option<ros::CameraInfo<'a>> {
-    let ([fx, fy], [cx, cy]) = (header.focal_px, header.centre_px);
-    if ![fx, fy, cx, cy].iter().chain(&header.distortion).all(|v| v.is_finite()) {
-        return None;
-    }
-    let is_known = header.intrinsics != messages::INTRINSICS_GUESSED;
-    let (distortion_model, d) = match LensModel::from_wire(header.lens_model) {
-        LensModel::RadialTangential => ("plumb_bob", header.distortion.to_vec()),
-        LensModel::KannalaBrandt => ("equidistant", header.distortion[..4].to_vec()),
-        LensModel::Unknown(_) => return None,
-    };
-    let k = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0];
-    let p = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0];
-    Some(ros::CameraInfo {
-        header: ros_header,
-        height: header.height,
-        width: header.width,
-        distortion_model,
-        d: if is_known { d } else { Vec::new() },
-        k: if is_known { k } else { [0.0; 9] },
-        r: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-        p: if is_known { p } else { [0.0; 12] },
-        binning_x: 0,
-        binning_y: 0,
-        roi: ros::RegionOfInterest { x_offset: 0, y_offset: 0, height: 0, width: 0, do_rectify: false },
-    })
-}
-
-/// `diagnostic_msgs/DiagnosticStatus`: levels.
-const OK: u8 = 0;
-const WARN: u8 = 1;
-const ERROR: u8 = 2;
-
-fn diagnostics<'a>(health: &Health, prefix: &'a str) -> ros::DiagnosticStatus<'a> {
-    let state = State::from_wire(health.state);
-    let faults: Vec<&str> = messages::error::names(health.errors).collect();
-    use messages::error::{BAD_CALIBRATION, LOST, NO_CAMERA, NO_FRAMES, STALLED_STAGE};
-    let level = match health.errors {
-        0 => OK,
-        e if e & (NO_CAMERA | NO_FRAMES | BAD_CALIBRATION | STALLED_STAGE | LOST) != 0 => ERROR,
-        _ => WARN,
-    };
-    let message =
-        if faults.is_empty() { state.name().into() } else { format!("{}: {}", state.name(), faults.join(" ")) };
-    let end_to_end = &health.stages[messages::stage::END_TO_END];
-    let value = |key, value: String| ros::KeyValue { key, value };
-    ros::DiagnosticStatus {
-        level: Byte(level),
-        name: "cairn: pose and map",
-        message,
-        hardware_id: prefix,
-        values: vec![
-            value("state", state.name().into()),
-            value("faults", faults.join(" ")),
-            value("frames_captured", health.frames_captured.to_string()),
-            value("frames_tracked", health.frames_tracked.to_string()),
-            value("frames_dropped", health.frames_dropped.to_string()),
-            value("landmarks", health.landmarks.to_string()),
-            value("keyframes", health.keyframes.to_string()),
-            value("resets", health.resets.to_string()),
-            value("latency_p95_ms", format!("{:.1}", end_to_end.p95_ms)),
-        ],
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::messages::{
-        INTRINSICS_CALIBRATED, INTRINSICS_GUESSED, LENS_KANNALA_BRANDT, SCALE_METRIC, STATE_LOST, STATE_TRACKING,
-    };
+    use crate::messages::{self, OBSTACLE_BEARINGS, SCALE_METRIC, STATE_LOST, STATE_TRACKING};
     use crate::ros::Reader;
 
     fn pose(scale: u8) -> Pose {
@@ -462,20 +376,62 @@ mod tests {
     }
 
     #[test]
-    fn a_guessed_lens_is_no_calibration() {
-        let known = EncodedHeader {
-            focal_px: [500.0; 2],
-            centre_px: [320.0, 240.0],
-            distortion: [0.1, 0.2, 0.3, 0.4, 0.0],
-            intrinsics: INTRINSICS_CALIBRATED,
-            lens_model: LENS_KANNALA_BRANDT,
-            ..EncodedHeader::default()
+    fn a_scan_is_told_where_it_is_known_and_its_unknown_is_never_far() {
+        let converter = Converter::new("robot", 1_000_000_000_000);
+        let mut out = Vec::new();
+        let mut obstacles = Obstacles {
+            timestamp_ns: 5,
+            published_ns: 7,
+            position: [1.0, 2.0, 0.0],
+            orientation: [0.0, 0.0, 0.0, 1.0],
+            told: messages::OBSTACLES_TOLD,
+            range_max: 4.0,
+            ..Obstacles::default()
         };
-        let header = || Header { stamp: Time::from_ns(0), frame_id: "camera" };
-        let info = camera_info(&known, header()).expect("a camera");
-        assert_eq!((info.distortion_model, info.d.len(), info.k[0]), ("equidistant", 4, 500.0));
-        let guess = camera_info(&EncodedHeader { intrinsics: INTRINSICS_GUESSED, ..known }, header()).expect("told");
-        assert_eq!((guess.d.len(), guess.k), (0, [0.0; 9]));
+        obstacles.range[3] = 1.5;
+        for unknown in [
+            Obstacles { told: messages::OBSTACLES_NOT_METRIC, ..obstacles },
+            Obstacles { position: [f64::NAN; 3], ..obstacles },
+        ] {
+            out.clear();
+            converter.obstacles(&unknown, &mut out);
+            assert_eq!(topics(&out), [Topic::Obstacles]);
+        }
+        out.clear();
+        converter.obstacles(&obstacles, &mut out);
+        assert_eq!(topics(&out), [Topic::Obstacles, Topic::Tf, Topic::Scan]);
+        assert!(holds(&out[1], "map") && holds(&out[1], "scan") && holds(&out[2], "scan"));
+        let mut scan = Reader::new(&out[2].data).expect("CDR");
+        assert_eq!((scan.i32(), scan.u32(), scan.text()), (Ok(1000), Ok(5), Ok("scan")));
+        let floats: Vec<f32> =
+            out[2].data[4 + 20..].chunks_exact(4).map(|b| f32::from_le_bytes(b.try_into().expect("4"))).collect();
+        assert_eq!(floats[0], obstacles.angle_min);
+        assert_eq!((floats[1], floats[6]), (obstacles.angle(OBSTACLE_BEARINGS - 1), 4.0));
+        let ranges = &floats[8..8 + OBSTACLE_BEARINGS];
+        assert!(ranges.iter().enumerate().all(|(i, r)| if i == 3 { *r == 1.5 } else { r.is_nan() }), "{ranges:?}");
+    }
+
+    #[test]
+    fn wheels_are_a_twist_unless_they_are_nonsense_or_the_pictures_are_of_another_time() {
+        let mut converter = Converter::new("robot", 1_000_000_000_000);
+        let mut out = Vec::new();
+        let known = WheelOdometry {
+            timestamp_ns: 5,
+            linear_x_mps: 0.4,
+            linear_y_mps: 0.0,
+            angular_z_radps: 0.1,
+            variance: [0.01, f64::NAN, 0.04],
+            ..WheelOdometry::default()
+        };
+        converter.wheel(&known, &mut out);
+        assert_eq!(topics(&out), [Topic::Wheel, Topic::WheelTwist]);
+        assert!(out.iter().all(|record| record.time_ns == 1_000_000_000_005) && holds(&out[1], "base_link"));
+        assert!(!out[1].data.chunks(4).any(|w| w == f32::NAN.to_le_bytes()));
+        out.clear();
+        converter.wheel(&WheelOdometry { linear_x_mps: f64::NAN, ..known }, &mut out);
+        converter.pose(&Pose { clock: messages::CLOCK_RECORDING, ..Pose::default() }, &mut out);
+        converter.wheel(&known, &mut out);
+        assert_eq!(topics(&out), [Topic::Wheel, Topic::Pose, Topic::Wheel]);
     }
 
     #[test]

@@ -1,6 +1,9 @@
 //! The wire's own messages as ROS 2 messages: every field as it is on the wire (`cairn_msgs/msg/...`), NaN and all; what is reserved is left out.
 
-use crate::messages::{EncodedHeader, Health, Keyframe, KeyframesHeader, MapHeader, Pose, STAGES, StageHealth};
+use crate::messages::{
+    EncodedHeader, Health, Keyframe, KeyframesHeader, MapHeader, OBSTACLE_BEARINGS, OBSTACLE_POINTS, Obstacles, Pose,
+    STAGES, StageHealth, WheelOdometry,
+};
 use crate::ros_fields;
 
 macro_rules! mirror {
@@ -65,6 +68,19 @@ mirror!(EncodedHeader, "cairn_msgs/msg/EncodedHeader", {
     format: u8, clock: u8, intrinsics: u8, lens_model: u8,
 });
 
+mirror!(Obstacles, "cairn_msgs/msg/Obstacles", {
+    run_id: u64, sequence: u64, timestamp_ns: i64, published_ns: i64, position: [f64; 3], orientation: [f64; 4],
+    angle_min: f32, angle_increment: f32, range_min: f32, range_max: f32, robot_height: f32, scale_sigma: f32,
+    map_id: u32, reset_counter: u32, map_revision: u32, count: u32, total: u32, told: u8, clock: u8,
+    range: [f32; OBSTACLE_BEARINGS], sigma: [f32; OBSTACLE_BEARINGS], free_from: [f32; OBSTACLE_BEARINGS],
+    free: [f32; OBSTACLE_BEARINGS], points: [[f32; 4]; OBSTACLE_POINTS],
+});
+
+mirror!(WheelOdometry, "cairn_msgs/msg/WheelOdometry", {
+    sequence: u64, timestamp_ns: i64, interval_start_ns: i64, linear_x_mps: f64, linear_y_mps: f64, angular_z_radps: f64,
+    variance: [f64; 3],
+});
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -83,6 +99,6 @@ mod tests {
         macro_rules! all {
             ($($type:ty),+) => { $(check::<$type>(<$type>::FIELDS, <$type>::TYPE_NAME);)+ };
         }
-        all!(Pose, StageHealth, Health, MapHeader, KeyframesHeader, Keyframe, EncodedHeader);
+        all!(Pose, StageHealth, Health, MapHeader, KeyframesHeader, Keyframe, EncodedHeader, Obstacles, WheelOdometry);
     }
 }

@@ -4,8 +4,9 @@ reads what `rosbags` writes.
     python tests/peers/recordings.py [--cairn target/release/cairn]
 
 1. A demo is recorded while the Python client listens to the same services. Both readers decode every message of the file, and their fields are those
-   of the wire, whose bytes the client got by another way.
-2. Bags in the dialects of Humble and Jazzy, with Image in mono8, bgr8 and yuyv, are replayed. mono8 must come to the same bytes as the
+   of the wire, whose bytes the client got by another way. Beside it a driver tells of wheels.
+2. The same of a demo with its camera at a known height, whose scale becomes metric: obstacles, and the scan that is made of them.
+3. Bags in the dialects of Humble and Jazzy, with Image in mono8, bgr8 and yuyv, are replayed. mono8 must come to the same bytes as the
    folder of the same pictures.
 """
 
@@ -16,6 +17,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from collections import Counter
 from pathlib import Path
 
@@ -28,6 +30,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 ROOT = Path(__file__).resolve().parents[2]
 SECONDS = 8
+METRIC_SECONDS = 20  # the tour drives the 3 m that the floor asks for in half of that
 
 
 def run(*words, **options):
@@ -42,14 +45,17 @@ class Listener(threading.Thread):
 
     def __init__(self):
         super().__init__(daemon=True)
-        self.stop, self.poses, self.health, self.pictures = False, {}, {}, {}
+        self.stop, self.poses, self.health, self.pictures, self.obstacles, self.wheels = False, {}, {}, {}, {}, {}
 
     def run(self):
         import cairn
 
         client = cairn.Client()
-        poses, health, encoded = client.poses(), client.health(), client.encoded()
+        poses, health, encoded, obstacles = client.poses(), client.health(), client.encoded(), client.obstacles()
         while not self.stop:
+            scan = obstacles.wait(0)
+            if scan is not None:
+                self.obstacles[scan.sequence] = scan
             picture = encoded.wait(0.02)
             while picture is not None:
                 self.pictures[picture.sequence] = bytes(picture.data)
@@ -61,11 +67,30 @@ class Listener(threading.Thread):
                     item = subscription.wait(0)
 
 
-def record(cairn, out):
+def drive(listener, end):
+    """A driver whose wheels stand: for a second, less than it takes to be believed."""
+    import cairn
+
+    wheels = cairn.Client().wheels()
+    time.sleep(end - 1)
+    for number in range(50):
+        stamp, twist, variance = time.monotonic_ns(), (number / 1000, 0.0, -number / 500), (1e-4, math.nan, 4e-4)
+        wheels.publish(stamp, twist, variance)
+        listener.wheels[stamp] = (number, twist)
+        time.sleep(0.02)
+    wheels.close()
+
+
+def record(cairn, file, seconds, config=None):
     listener = Listener()
     listener.start()
-    demo = subprocess.Popen([cairn, "demo", "--quiet", "--seconds", str(SECONDS), "--output", out / "demo"], stdout=subprocess.DEVNULL)
-    run(cairn, "record", out / "out.mcap", "--quiet", "--seconds", SECONDS - 3)
+    words = [cairn, "demo", "--quiet", "--seconds", seconds, "--output", file.with_suffix("")]
+    if config:
+        words += ["--config", config]
+    demo = subprocess.Popen([str(word) for word in words], stdout=subprocess.DEVNULL)
+    if not config:
+        threading.Thread(target=drive, args=(listener, seconds - 3), daemon=True).start()
+    run(cairn, "record", file, "--quiet", "--seconds", seconds - 3)
     demo.wait(timeout=60)
     listener.stop = True
     listener.join(timeout=10)
@@ -82,11 +107,47 @@ def same(ours, wire, fields, where):
 
 POSE = ("run_id timestamp_ns arrival_ns published_ns latency_arrival_ns frames_dropped position orientation odom_position odom_orientation "
         "covariance linear_velocity angular_velocity quality landmarks landmarks_sought reset_counter map_id anchor_keyframe state scale").split()
+OBSTACLES = ("run_id timestamp_ns published_ns position orientation angle_min angle_increment range_min range_max robot_height scale_sigma map_id "
+             "reset_counter map_revision count total told clock range sigma free_from free").split()
 HEALTH = "run_id published_ns uptime_ns realtime_minus_monotonic_ns errors frames_captured state focal_px centre_px focal_sigma".split()
 
 
 def finite(*vectors):
     return all(math.isfinite(getattr(v, k)) for v in vectors for k in "xyzw" if hasattr(v, k))
+
+
+def check_scans(messages, listener, offset, prefix, reader):
+    """Obstacles as on the wire, and scan and frame as WIRE.md makes them of these."""
+    told, scans, frames, whole = {}, {}, {}, 0
+    for topic, m in messages:
+        if topic == f"/{prefix}/obstacles":
+            if m.sequence in listener.obstacles:
+                wire = listener.obstacles[m.sequence].raw
+                points = np.ctypeslib.as_array(wire.points).reshape(-1)
+                assert np.array_equal(np.float32(m.points), points, equal_nan=True)
+                same(m, wire, OBSTACLES, f"{reader}: obstacles {m.sequence}")
+                whole += 1
+            if m.told == 0:
+                told[m.timestamp_ns + offset] = m
+        elif topic == f"/{prefix}/scan":
+            scans[m.header.stamp.sec * 10**9 + m.header.stamp.nanosec] = m
+        elif topic == "/tf" and m.transforms[0].child_frame_id == "scan":
+            header = m.transforms[0].header
+            assert header.frame_id == "map" and len(m.transforms) == 1
+            frames[header.stamp.sec * 10**9 + header.stamp.nanosec] = m.transforms[0].transform
+    assert set(scans) == set(told) == set(frames), (len(scans), len(told), len(frames))
+    known = 0
+    for stamp, scan in scans.items():
+        wire, t = told[stamp], frames[stamp].translation
+        assert scan.header.frame_id == "scan" and [t.x, t.y, t.z] == list(wire.position)
+        same(scan, wire, ("angle_min", "angle_increment", "range_min", "range_max"), f"{reader}: scan")
+        assert np.array_equal(np.float32(scan.ranges), np.float32(wire.range), equal_nan=True)
+        assert not np.isinf(scan.ranges).any() and len(scan.intensities) == 0
+        assert abs(scan.angle_min + 179 * scan.angle_increment - scan.angle_max) < 1e-5
+        known += int(np.isfinite(scan.ranges).any())
+    if whole < 5 or known < 5:
+        sys.exit(f"{reader}: {whole} obstacles compared, {known} of {len(scans)} scans know anything")
+    print(f"{reader}: {whole} obstacles as on the wire, {len(scans)} scans, {known} with something in the way")
 
 
 def check(messages, listener, offset, prefix, reader):
@@ -118,6 +179,16 @@ def check(messages, listener, offset, prefix, reader):
         elif topic == "/tf":
             assert all(finite(t.transform.translation, t.transform.rotation) for t in m.transforms)
             assert [t.child_frame_id for t in m.transforms[:2]] == ["odom_unscaled", "base_link_unscaled"]
+        elif topic == f"/{prefix}/wheel":
+            number, twist = listener.wheels[m.timestamp_ns]
+            assert m.sequence == number and (m.linear_x_mps, m.linear_y_mps, m.angular_z_radps) == twist
+            compared["wheel"] += 1
+        elif topic == f"/{prefix}/wheel/twist":
+            _, (x, _, yaw) = listener.wheels[m.header.stamp.sec * 10**9 + m.header.stamp.nanosec - offset]
+            twist, covariance = m.twist.twist, m.twist.covariance
+            assert (twist.linear.x, twist.angular.z) == (x, yaw) and m.header.frame_id == "base_link"
+            assert (covariance[0], covariance[7], covariance[35]) == (1e-4, 0.0, 4e-4)
+            compared["twist"] += 1
         elif topic == f"/{prefix}/points":
             assert len(m.data) == m.row_step == m.width * m.point_step
         elif topic == f"/{prefix}/camera_info":
@@ -132,29 +203,37 @@ def check(messages, listener, offset, prefix, reader):
             width, height, rows, _ = png.Reader(bytes=data).read()
             assert (width, height) == (header.width, header.height) and b"".join(rows) == raw
             compared["picture"] += 1
-    for kind in ("pose", "health", "odom", "picture"):
+    for kind in ("pose", "health", "odom", "picture", "wheel", "twist"):
         if compared[kind] < 5:
             sys.exit(f"{reader}: only {compared[kind]} of {kind} compared; seen {seen}")
     print(f"{reader}: {sum(seen.values())} messages decoded, as on the wire: {dict(compared)}")
 
 
-def foreign_readers(cairn, out, prefix):
-    listener = record(cairn, out)
-    file = out / "out.mcap"
+def readers(file):
+    """How either program decodes the file: its name, the clocks' offset, and (topic, message) for all."""
     with file.open("rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()], validate_crcs=True)
         metadata = {m.name: m.metadata for m in reader.iter_metadata()}["cairn"]
         offset = int(metadata["realtime_minus_monotonic_ns"])
-        messages = [(channel.topic, m) for _, channel, _, m in reader.iter_decoded_messages()]
-    check(messages, listener, offset, prefix, "mcap-ros2-support")
+        yield "mcap-ros2-support", offset, [(channel.topic, m) for _, channel, _, m in reader.iter_decoded_messages()]
     store = get_typestore(Stores.ROS2_JAZZY)
     with file.open("rb") as stream:
         for schema in make_reader(stream).get_summary().schemas.values():
             if schema.name.startswith("cairn_msgs/"):
                 store.register(get_types_from_msg(schema.data.decode(), schema.name))
     with AnyReader([file], default_typestore=store) as reader:
-        messages = [(c.topic, store.deserialize_cdr(raw, c.msgtype)) for c, _, raw in reader.messages()]
-    check(messages, listener, offset, prefix, "rosbags")
+        yield "rosbags", offset, [(c.topic, store.deserialize_cdr(raw, c.msgtype)) for c, _, raw in reader.messages()]
+
+
+def foreign_readers(cairn, out, prefix):
+    listener = record(cairn, out / "out.mcap", SECONDS)
+    for reader, offset, messages in readers(out / "out.mcap"):
+        check(messages, listener, offset, prefix, reader)
+    config = out / "floor.toml"
+    config.write_text("[simulator]\nwidth = 320\nheight = 240\n[scale]\ncamera_height_m = 0.5\n")
+    listener = record(cairn, out / "floor.mcap", METRIC_SECONDS, config)
+    for reader, offset, messages in readers(out / "floor.mcap"):
+        check_scans(messages, listener, offset, prefix, reader)
 
 
 def pictures(folder):

@@ -1,0 +1,208 @@
+//! Messages of the wire as ROS 2's own, field by field as WIRE.md has it. Pure: no frame, time or topic is chosen here.
+
+use crate::messages::{
+    self, EncodedHeader, Health, Landmark, LensModel, OBSTACLE_BEARINGS, Obstacles, Pose, State, Transform,
+    WheelOdometry,
+};
+use crate::ros::standard::{self as ros, Header};
+use crate::ros::{Byte, Bytes};
+
+pub fn is_finite(t: &Transform) -> bool {
+    t.position.iter().chain(&t.orientation).all(|v| v.is_finite())
+}
+
+/// Bytes of a landmark, on the wire and in a cloud.
+const LANDMARK_BYTES: u32 = size_of::<Landmark>() as u32;
+
+pub fn landmark_bytes(landmarks: &[Landmark]) -> Vec<u8> {
+    let mut bytes = Vec::with_capacity(size_of_val(landmarks));
+    for l in landmarks {
+        let [x, y, z] = l.position;
+        bytes.extend_from_slice(&l.id.to_le_bytes());
+        bytes.extend_from_slice(&l.observations.to_le_bytes());
+        [x, y, z, l.sigma].iter().for_each(|v| bytes.extend_from_slice(&v.to_le_bytes()));
+    }
+    bytes
+}
+
+/// `data`: what [`landmark_bytes`] makes of so many landmarks.
+pub fn point_cloud<'a>(data: &'a [u8], landmarks: usize, header: Header<'a>) -> ros::PointCloud2<'a> {
+    let field = |name, offset, datatype| ros::PointField { name, offset, datatype, count: 1 };
+    let width = u32::try_from(landmarks).unwrap_or(u32::MAX);
+    ros::PointCloud2 {
+        header,
+        height: 1,
+        width,
+        fields: vec![
+            field("id", 0, ros::POINT_UINT32),
+            field("observations", 4, ros::POINT_UINT32),
+            field("x", 8, ros::POINT_FLOAT32),
+            field("y", 12, ros::POINT_FLOAT32),
+            field("z", 16, ros::POINT_FLOAT32),
+            field("sigma", 20, ros::POINT_FLOAT32),
+        ],
+        is_bigendian: false,
+        point_step: LANDMARK_BYTES,
+        row_step: width.saturating_mul(LANDMARK_BYTES),
+        data: Bytes(data),
+        is_dense: true,
+    }
+}
+
+/// Not known, as nav_msgs says it.
+const UNKNOWN: f64 = -1.0;
+
+pub fn odometry<'a>(
+    pose: &Pose,
+    odom_from_body: &Transform,
+    header: Header<'a>,
+    child_frame_id: &'a str,
+) -> ros::Odometry<'a> {
+    // The method turns into the axes of whatever the orientation leads to.
+    let turned = Pose { orientation: pose.odom_orientation, ..*pose }.covariance_in_map_axes();
+    let mut covariance = [0.0; 36];
+    covariance.iter_mut().zip(turned.iter().flatten()).for_each(|(to, from)| *to = *from);
+    let mut unknown = [0.0; 36];
+    unknown[0] = UNKNOWN;
+    if covariance.iter().any(|v| !v.is_finite()) {
+        covariance = unknown;
+    }
+    let known = |v: [f64; 3]| v.map(|v| if v.is_finite() { v } else { 0.0 });
+    ros::Odometry {
+        header,
+        child_frame_id,
+        pose: ros::PoseWithCovariance {
+            pose: ros::Pose {
+                position: odom_from_body.position.into(),
+                orientation: odom_from_body.orientation.into(),
+            },
+            covariance,
+        },
+        twist: ros::TwistWithCovariance {
+            twist: ros::Twist {
+                linear: known(pose.linear_velocity).into(),
+                angular: known(pose.angular_velocity).into(),
+            },
+            covariance: unknown,
+        },
+    }
+}
+
+/// `None` before anything is known of the lens. One that is only a guess is not told as a calibration: `k` is zero then, as ROS has it.
+pub fn camera_info<'a>(header: &EncodedHeader, ros_header: Header<'a>) -> Option<ros::CameraInfo<'a>> {
+    let ([fx, fy], [cx, cy]) = (header.focal_px, header.centre_px);
+    if ![fx, fy, cx, cy].iter().chain(&header.distortion).all(|v| v.is_finite()) {
+        return None;
+    }
+    let is_known = header.intrinsics != messages::INTRINSICS_GUESSED;
+    let (distortion_model, d) = match LensModel::from_wire(header.lens_model) {
+        LensModel::RadialTangential => ("plumb_bob", header.distortion.to_vec()),
+        LensModel::KannalaBrandt => ("equidistant", header.distortion[..4].to_vec()),
+        LensModel::Unknown(_) => return None,
+    };
+    let k = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0];
+    let p = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0];
+    Some(ros::CameraInfo {
+        header: ros_header,
+        height: header.height,
+        width: header.width,
+        distortion_model,
+        d: if is_known { d } else { Vec::new() },
+        k: if is_known { k } else { [0.0; 9] },
+        r: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        p: if is_known { p } else { [0.0; 12] },
+        binning_x: 0,
+        binning_y: 0,
+        roi: ros::RegionOfInterest { x_offset: 0, y_offset: 0, height: 0, width: 0, do_rectify: false },
+    })
+}
+
+/// `diagnostic_msgs/DiagnosticStatus`: levels.
+const OK: u8 = 0;
+const WARN: u8 = 1;
+const ERROR: u8 = 2;
+
+pub fn diagnostics<'a>(health: &Health, prefix: &'a str) -> ros::DiagnosticStatus<'a> {
+    let state = State::from_wire(health.state);
+    let faults: Vec<&str> = messages::error::names(health.errors).collect();
+    use messages::error::{BAD_CALIBRATION, LOST, NO_CAMERA, NO_FRAMES, STALLED_STAGE};
+    let level = match health.errors {
+        0 => OK,
+        e if e & (NO_CAMERA | NO_FRAMES | BAD_CALIBRATION | STALLED_STAGE | LOST) != 0 => ERROR,
+        _ => WARN,
+    };
+    let message =
+        if faults.is_empty() { state.name().into() } else { format!("{}: {}", state.name(), faults.join(" ")) };
+    let end_to_end = &health.stages[messages::stage::END_TO_END];
+    let value = |key, value: String| ros::KeyValue { key, value };
+    ros::DiagnosticStatus {
+        level: Byte(level),
+        name: "cairn: pose and map",
+        message,
+        hardware_id: prefix,
+        values: vec![
+            value("state", state.name().into()),
+            value("faults", faults.join(" ")),
+            value("frames_captured", health.frames_captured.to_string()),
+            value("frames_tracked", health.frames_tracked.to_string()),
+            value("frames_dropped", health.frames_dropped.to_string()),
+            value("landmarks", health.landmarks.to_string()),
+            value("keyframes", health.keyframes.to_string()),
+            value("resets", health.resets.to_string()),
+            value("latency_p95_ms", format!("{:.1}", end_to_end.p95_ms)),
+        ],
+    }
+}
+
+/// Unknown is NaN there as here.
+pub fn laser_scan<'a>(obstacles: &Obstacles, header: Header<'a>) -> ros::LaserScan<'a> {
+    ros::LaserScan {
+        header,
+        angle_min: obstacles.angle_min,
+        angle_max: obstacles.angle(OBSTACLE_BEARINGS - 1),
+        angle_increment: obstacles.angle_increment,
+        time_increment: 0.0,
+        scan_time: 0.0,
+        range_min: obstacles.range_min,
+        range_max: obstacles.range_max,
+        ranges: obstacles.range.to_vec(),
+        intensities: Vec::new(),
+    }
+}
+
+/// `None` where a reading is not finite. A variance of zero is not known, as drivers have it; what a base on a floor does not do is zero.
+pub fn wheel_twist(wheel: &WheelOdometry) -> Option<ros::TwistWithCovariance> {
+    let [x, y, yaw] = [wheel.linear_x_mps, wheel.linear_y_mps, wheel.angular_z_radps];
+    if ![x, y, yaw].iter().all(|v| v.is_finite()) {
+        return None;
+    }
+    let mut covariance = [0.0; 36];
+    for (i, variance) in [0, 7, 35].into_iter().zip(wheel.variance) {
+        covariance[i] = if variance.is_finite() { variance } else { 0.0 };
+    }
+    let twist = ros::Twist { linear: [x, y, 0.0].into(), angular: [0.0, 0.0, yaw].into() };
+    Some(ros::TwistWithCovariance { twist, covariance })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages::{INTRINSICS_CALIBRATED, INTRINSICS_GUESSED, LENS_KANNALA_BRANDT};
+
+    #[test]
+    fn a_guessed_lens_is_no_calibration() {
+        let known = EncodedHeader {
+            focal_px: [500.0; 2],
+            centre_px: [320.0, 240.0],
+            distortion: [0.1, 0.2, 0.3, 0.4, 0.0],
+            intrinsics: INTRINSICS_CALIBRATED,
+            lens_model: LENS_KANNALA_BRANDT,
+            ..EncodedHeader::default()
+        };
+        let header = || Header { stamp: ros::Time::from_ns(0), frame_id: "camera" };
+        let info = camera_info(&known, header()).expect("a camera");
+        assert_eq!((info.distortion_model, info.d.len(), info.k[0]), ("equidistant", 4, 500.0));
+        let guess = camera_info(&EncodedHeader { intrinsics: INTRINSICS_GUESSED, ..known }, header()).expect("told");
+        assert_eq!((guess.d.len(), guess.k), (0, [0.0; 9]));
+    }
+}
