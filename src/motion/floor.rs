@@ -7,8 +7,10 @@
 //!
 //! Cost: at keyframes only, after the pose was published: 2 to 4 ms. Bounded: the newest `KEYFRAMES` keyframes and `LANDMARKS` landmarks.
 //!
-//! Not here: what becomes of the word; obstacles on the floor; parts of the map behind turns on the spot whose lengths are those of an
-//! assumption (there the floor is not asked).
+//! Behind a turn on the spot whose next step had an assumed length a part of the map begins with a unit of its own: the floor is asked anew there, among
+//! that part's keyframes alone, and its word is that part's.
+//!
+//! Not here: what becomes of the word; obstacles on the floor.
 
 pub mod plane;
 pub mod seen;
@@ -21,7 +23,7 @@ use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::ros_from_optical;
 use crate::map::scale::ScaleSource;
-use crate::map::{Keyframe, KeyframeId, LandmarkId, Map, MapId};
+use crate::map::{Keyframe, KeyframeId, LandmarkId, Map, MapId, TurnId};
 pub use plane::{FloorPoint, NoFloor, Plane, UpPrior};
 
 /// Keyframes whose landmarks are asked, and landmarks at the most: the newest.
@@ -82,13 +84,21 @@ pub fn roll_pitch(up_camera: &Unit<Vector3<f64>>) -> (f64, f64) {
     (up.y.atan2(up.z), -up.x.clamp(-1.0, 1.0).asin())
 }
 
+/// A word on the scale of a part of the map: behind a turn on the spot whose next step had an assumed length, or before any (`None`).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FloorWord {
+    pub part: Option<TurnId>,
+    pub measurement: ScaleMeasurement,
+}
+
 /// What is known of the floor.
 #[derive(Debug, Clone)]
 pub struct Floor {
     config: ScaleConfig,
     prior: UpPrior,
-    /// Of this map are the rest.
+    /// Of this map are the rest, and of this part of it.
     map: MapId,
+    part: Option<TurnId>,
     /// What the newest keyframes told, in the present unit; at most `ASKED`.
     told: Vec<Plane>,
     /// The last that was believed.
@@ -111,6 +121,7 @@ impl Floor {
             config: *config,
             prior: UpPrior { up_camera, sigma_rad },
             map: MapId::default(),
+            part: None,
             told: Vec::with_capacity(ASKED + 1),
             believed: None,
             refused: None,
@@ -120,10 +131,11 @@ impl Floor {
     }
 
     /// Asks a new keyframe; a word on the map's scale, if there is a new one.
-    pub fn see(&mut self, map: &Map, id: MapId, newest: KeyframeId) -> Option<ScaleMeasurement> {
-        if self.map != id {
+    pub fn see(&mut self, map: &Map, id: MapId, newest: KeyframeId) -> Option<FloorWord> {
+        let part = map.keyframe(newest)?.scale_from;
+        if (self.map, self.part) != (id, part) {
             self.forget();
-            self.map = id;
+            (self.map, self.part) = (id, part);
         }
         self.since_word = self.since_word.map(|n| n + 1);
         let found = self.look(map, newest);
@@ -150,11 +162,9 @@ impl Floor {
             return None;
         }
         self.since_word = Some(0);
-        Some(ScaleMeasurement {
-            source: ScaleSource::Height,
-            log_metres_per_unit: (self.config.camera_height_m / plane.height).ln(),
-            sigma: plane.sigma,
-        })
+        let log_metres_per_unit = (self.config.camera_height_m / plane.height).ln();
+        let measurement = ScaleMeasurement { source: ScaleSource::Height, log_metres_per_unit, sigma: plane.sigma };
+        Some(FloorWord { part, measurement })
     }
 
     /// What all words share: the measured height's own standard deviation, as a share.
@@ -172,6 +182,11 @@ impl Floor {
         self.refused
     }
 
+    /// The part that was asked last has the unit of the map's beginning now: what is known of it holds on.
+    pub fn unify(&mut self) {
+        self.part = None;
+    }
+
     /// Lengths of the map were multiplied by `factor`, and it has this number now.
     pub fn rescale(&mut self, factor: f64, map: MapId) {
         self.told.iter_mut().chain(&mut self.believed).for_each(|plane| plane.rescale(factor));
@@ -186,11 +201,8 @@ impl Floor {
 
     fn look(&mut self, map: &Map, newest: KeyframeId) -> Result<Plane, NoFloor> {
         let Some(last) = map.keyframe(newest) else { return Err(NoFloor::FewMetres) };
-        // Behind a turn on the spot lengths may be those of an assumption.
-        if last.scale_from.is_some() {
-            return Err(NoFloor::FewMetres);
-        }
-        let recent = |id: &u32| map.keyframe(KeyframeId(*id)).filter(|k| k.scale_from.is_none());
+        // Behind a turn on the spot lengths may be those of an assumption: other ones than before it.
+        let recent = |id: &u32| map.keyframe(KeyframeId(*id)).filter(|k| k.scale_from == last.scale_from);
         let first = newest.0.saturating_sub(4 * KEYFRAMES as u32);
         let mut keyframes: Vec<&Keyframe> =
             (first..=newest.0).rev().filter_map(|id| recent(&id)).take(KEYFRAMES).collect();

@@ -147,6 +147,13 @@ impl ScaleFusion {
         due.then(|| log.exp())
     }
 
+    /// Where the robot is, lengths are known by heights anew, to this standard deviation: what was said of another part of the map does not make it surer.
+    pub fn heard_behind_turn(&mut self, sigma: f64) {
+        if let Some(word) = &mut self.words[ScaleSource::Height as usize] {
+            word.variance = word.variance.max(sigma * sigma);
+        }
+    }
+
     /// The map's lengths are `factor` times as long from now on; they are metres.
     pub fn rescale(&mut self, factor: f64) {
         self.words.iter_mut().flatten().for_each(|word| word.log -= factor.ln());

@@ -23,6 +23,7 @@ use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::geometry::sim3::Sim3;
 use crate::map::scale::MapScale;
 use crate::map::{Correction, KeyframeId, MapId, TurnId};
+use crate::motion::floor::FloorWord;
 use crate::motion::hand_eye::Robot;
 use crate::motion::scale::ScaleMeasurement;
 use crate::motion::wheel::WheelReading;
@@ -46,9 +47,61 @@ impl Reconstruction {
         self.active.fusion.add(word)
     }
 
-    /// What the present map's lengths are.
+    /// What the present map's lengths are, where the last frame was placed: behind a turn on the spot whose next step had an assumed length they are
+    /// metres to that assumption only.
     pub fn scale(&self) -> MapScale {
-        self.active.fusion.scale()
+        let active = &self.active;
+        let behind = active.map.keyframe(active.reference).and_then(|k| k.scale_from);
+        match (active.fusion.scale(), behind) {
+            (MapScale::Metric { sigma, sources }, Some(turn)) if active.scale.is_assumed(turn) => {
+                MapScale::Metric { sigma: sigma.hypot(active.scale.sigma_behind(turn)), sources }
+            }
+            (scale, _) => scale,
+        }
+    }
+
+    /// What the camera's height says, and the standard deviation of an error that all its words share. Of a part of a metric map behind a turn on the
+    /// spot it tells how long the unit there is, and both become one: wheels do the same by themselves, where there are any.
+    pub(super) fn hear_floor(&mut self, word: &FloorWord, common_sigma: f64) {
+        let measurement = word.measurement;
+        match word.part {
+            None => {
+                self.active.fusion.add_sharing(&measurement, common_sigma);
+            }
+            Some(turn) if self.active.fusion.is_metric() && self.wheels.scale.is_silent() && !self.localise_only => {
+                self.told_behind = Some((turn, measurement));
+            }
+            Some(_) => {}
+        }
+    }
+
+    /// The part of the map behind `turn` becomes metric, by what the camera's height says there; what lies before is metric already.
+    fn unify_by_floor(&mut self, turn: TurnId, word: &ScaleMeasurement) {
+        let Some((before_log, ..)) = self.active.fusion.fused() else { return };
+        let newest = self.active.map.keyframe(self.active.reference).and_then(|k| k.scale_from);
+        // The robot has gone back meanwhile, or on behind another turn: it will be asked again.
+        if newest != Some(turn) {
+            return;
+        }
+        self.discard_job();
+        let before = self.active.odometry.last.map(|last| last.camera_from_world);
+        let log = word.log_metres_per_unit;
+        let ratio = |part: Option<TurnId>| part.is_none().then_some(before_log - log);
+        let parts = self.active.scale.parts_in_one_unit(&self.active.map, newest, ratio);
+        self.move_parts(&parts, |part| part.is_none() || part == newest);
+        self.scale_lengths(log.exp());
+        self.active.fusion.rescale(before_log.exp());
+        self.active.fusion.heard_behind_turn(word.sigma);
+        let keyframes = self.active.map.keyframes.iter().map(|(id, _)| KeyframeId(id));
+        self.events.extend(keyframes.map(|keyframe| TrajectoryEvent::KeyframeScaled { keyframe, scale: log.exp() }));
+        let now = self.active.odometry.last.map(|last| last.camera_from_world);
+        if let Some((old, new)) = before.zip(now) {
+            self.corrections.moved(&old, &new);
+        }
+        if let Some(floor) = &mut self.floor {
+            floor.rescale(log.exp(), self.active.id);
+            floor.unify();
+        }
     }
 
     /// What is known of camera and base, and how often the wheels slipped, in segments of half a second and more; `None` without readings.
@@ -74,6 +127,9 @@ impl Reconstruction {
         });
         if let Some(factor) = due.filter(|_| !self.localise_only) {
             self.rescale(factor);
+        }
+        if let Some((turn, word)) = self.told_behind.take() {
+            self.unify_by_floor(turn, &word);
         }
     }
 
@@ -110,9 +166,16 @@ impl Reconstruction {
         let active = &mut self.active;
         let newest = active.map.keyframe(active.reference).and_then(|k| k.scale_from);
         let parts = active.scale.parts_in_one_unit(&active.map, newest, |part| self.wheels.log_ratio(part));
+        let told: Vec<_> = parts.iter().map(|(part, _)| *part).filter(|part| self.wheels.tells(*part)).collect();
+        self.move_parts(&parts, |part| told.contains(&part));
+    }
+
+    /// Parts of the map take one unit by these motions; those that are `told` have the scale of the map's beginning from then on.
+    fn move_parts(&mut self, parts: &[(Option<TurnId>, Sim3<World, World>)], told: impl Fn(Option<TurnId>) -> bool) {
         if parts.len() < 2 {
             return;
         }
+        let active = &mut self.active;
         let of = |part: Option<TurnId>| parts.iter().find(|(id, _)| *id == part).map_or_else(Sim3::identity, |p| p.1);
         let keyframes = active.map.keyframes.iter().map(|(id, k)| (KeyframeId(id), k.scale_from));
         let marked: Vec<(KeyframeId, Option<TurnId>)> = keyframes.collect();
@@ -123,11 +186,26 @@ impl Reconstruction {
         }
         active.map.correct(&correction);
         active.odometry.correct_scaled(&correction.of(active.reference));
-        for (id, _) in marked.iter().filter(|(_, part)| self.wheels.tells(*part)) {
+        for (id, _) in marked.iter().filter(|(_, part)| told(*part)) {
             active.map.set_scale_origin(*id, None);
         }
         self.wheels.unify_units(|keyframe| correction.of(keyframe).scale);
         active.scale.follow(&active.map);
+    }
+
+    /// All that has a length of the present map becomes `factor` times as long.
+    fn scale_lengths(&mut self, factor: f64) {
+        let active = &mut self.active;
+        active.map.transform(&Sim3::new(factor, UnitQuaternion::identity(), Vector3::zeros()));
+        active.odometry.rescale(factor);
+        active.scale.rescale(factor);
+        active.unadjusted = active.map.keyframes.iter().last().map(|(id, _)| KeyframeId(id));
+        self.wheels.rescale(factor);
+        self.blind.rescale(factor);
+        if let Some(tags) = &mut self.tags {
+            tags.rescale(factor);
+        }
+        self.tracker.rescale(factor);
     }
 
     /// The present map's lengths become `factor` times as long; they are metres from now on.
@@ -136,18 +214,9 @@ impl Reconstruction {
         self.discard_job();
         let before = self.active.odometry.last.map(|last| last.camera_from_world);
         self.unify_units();
+        self.scale_lengths(factor);
         let active = &mut self.active;
-        active.map.transform(&Sim3::new(factor, UnitQuaternion::identity(), Vector3::zeros()));
-        active.odometry.rescale(factor);
-        active.scale.rescale(factor);
         active.fusion.rescale(factor);
-        active.unadjusted = active.map.keyframes.iter().last().map(|(id, _)| KeyframeId(id));
-        self.wheels.rescale(factor);
-        self.blind.rescale(factor);
-        if let Some(tags) = &mut self.tags {
-            tags.rescale(factor);
-        }
-        self.tracker.rescale(factor);
         let after = active.odometry.last.map(|last| last.camera_from_world);
         if first {
             active.odometry.odom_from_camera.translation *= factor;

@@ -62,7 +62,7 @@ use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::image::pyramid::PyramidPool;
 use crate::map::saved::Taken;
-use crate::map::{KeyframeId, KeyframeView, LandmarkId, MapId, Sought};
+use crate::map::{KeyframeId, KeyframeView, LandmarkId, MapId, Sought, TurnId};
 use crate::motion::floor::{Floor, NoFloor, Plane, ScaleConfig};
 use crate::motion::hand_eye::Robot;
 use crate::motion::scale::ScaleMeasurement;
@@ -102,6 +102,8 @@ pub struct Reconstruction {
     tags: Option<Tags>,
     /// Where the camera's height above the floor is known.
     floor: Option<Floor>,
+    /// What the camera's height says of the part of the map behind a turn on the spot, until the frame's end.
+    told_behind: Option<(TurnId, ScaleMeasurement)>,
     surroundings: Surroundings,
     /// Of the newest keyframes and their neighbours: when one is reduced the next takes its place, which keeps the heap in one piece.
     pictures: PyramidPool,
@@ -154,6 +156,7 @@ impl Reconstruction {
             epipolar: EpipolarMatcher::default(),
             tags: None,
             floor: None,
+            told_behind: None,
             surroundings: Surroundings::default(),
             pictures: PyramidPool::new(WHOLE_PICTURES, 1),
             mapper: Mapper::new(worker, lockstep),
@@ -420,7 +423,8 @@ impl Reconstruction {
         if let Some(floor) = &mut self.floor
             && let Some(word) = floor.see(&self.active.map, self.active.id, id)
         {
-            self.active.fusion.add_sharing(&word, floor.common_sigma());
+            let common_sigma = floor.common_sigma();
+            self.hear_floor(&word, common_sigma);
         }
         self.note_floor(id);
     }

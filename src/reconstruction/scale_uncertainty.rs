@@ -164,6 +164,17 @@ impl ScaleUncertainty {
         self.turns.iter_mut().for_each(|turn| turn.centre *= factor);
     }
 
+    /// Standard deviation of the scale that came through `last`, as a share, beside that of the map's beginning.
+    pub fn sigma_behind(&self, last: TurnId) -> f64 {
+        let (mut variance, mut next) = (0.0, Some(last));
+        for _ in 0..=MAX_TURNS {
+            let Some(turn) = next.and_then(|id| self.turns.get(usize::from(id.0))) else { break };
+            variance += turn.variance;
+            next = turn.before;
+        }
+        variance.sqrt()
+    }
+
     /// What to add to the translation's covariance (left perturbation, camera's axes, map units^2) of a pose that rests on scale
     /// that came through `last`.
     pub fn covariance(&self, map: &Map, last: TurnId, pose: &Se3<Camera, World>) -> Matrix3<f64> {
@@ -244,6 +255,7 @@ mod tests {
         assert_eq!(other.keyframe(behind).and_then(|k| k.scale_from), Some(TurnId(1)));
         // The present map's turn lies 2 from the camera, the other's, carried over to z = 5, 3.
         let pose = Se3::new(UnitQuaternion::identity(), Vector3::new(0.0, 0.0, -2.0));
+        assert!((doubt.sigma_behind(TurnId(1)) - (2.0 * SCALE_SIGMA.powi(2)).sqrt()).abs() < 1e-12, "of both turns");
         let variance = |id| doubt.covariance(&Map::default(), TurnId(id), &pose)[(2, 2)];
         assert!((variance(0) - 4.0 * SCALE_SIGMA.powi(2)).abs() < 1e-12);
         assert!((variance(1) - (9.0 + 4.0) * SCALE_SIGMA.powi(2)).abs() < 1e-12);

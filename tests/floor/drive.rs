@@ -1,6 +1,6 @@
 //! One drive in lock-step, and its figures.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 
 use cairn::camera::Pacing;
 use cairn::camera::simulator::{Scenario, Simulator, SimulatorConfig};
@@ -9,6 +9,7 @@ use cairn::geometry::alignment::align;
 use cairn::geometry::frames::{Camera, World};
 use cairn::geometry::{Se3, ros_from_optical};
 use cairn::image::GreyImage;
+use cairn::map::MapId;
 use cairn::map::scale::MapScale;
 use cairn::motion::floor::{ScaleConfig, roll_pitch};
 use cairn::motion::hand_eye::Robot;
@@ -31,6 +32,9 @@ const FREE_TOLD_M: f64 = 1.0;
 const WITHIN_M: f64 = 0.2;
 const WITHIN_SHARE: f64 = 0.1;
 const FREE_WITHIN_M: f64 = 0.05;
+
+/// Way over which a published length is compared with the truth, m: long beside what a pose has wrong.
+const LATELY_M: f64 = 0.5;
 
 /// Of bearings, summed over scans.
 #[derive(Debug, Default, Clone, Copy)]
@@ -60,6 +64,11 @@ pub struct Driven {
     /// The same without frames whose scale health calls assumed, and how many of all these are such.
     pub scale_error_known: f64,
     pub assumed: (usize, usize),
+    /// Published lengths over the last metre or more, ln of how many times too long, worst after way of the robot was known again; frames in which that was within
+    /// 1.96 of the published standard deviations, and all with a metric metre behind them.
+    pub inside: (usize, usize),
+    /// Of the newest such frame, a share.
+    pub last_error: f64,
     /// As found at the end, degrees.
     pub roll_pitch_deg: Option<(f64, f64)>,
     /// Keyframes that told a floor, and that told none, by reason.
@@ -87,6 +96,7 @@ pub fn drive(config: &SimulatorConfig, seconds: f64, height_m: f64, scans: Optio
     let (mut events, mut from, mut to) = (Vec::new(), Vec::new(), Vec::new());
     let (mut known_from, mut known_to) = (Vec::new(), Vec::new());
     let mut last: Option<Vector3<f64>> = None;
+    let mut lately = Lately::default();
     let mut driven = Driven {
         until_metric_m: None,
         way_m: 0.0,
@@ -94,6 +104,8 @@ pub fn drive(config: &SimulatorConfig, seconds: f64, height_m: f64, scans: Optio
         scale_error: f64::NAN,
         scale_error_known: f64::NAN,
         assumed: (0, 0),
+        inside: (0, 0),
+        last_error: f64::NAN,
         roll_pitch_deg: None,
         told: 0,
         refused: BTreeMap::new(),
@@ -118,6 +130,18 @@ pub fn drive(config: &SimulatorConfig, seconds: f64, height_m: f64, scans: Optio
             if !reconstruction.scale_is_assumed() {
                 known_from.push(pose.translation);
                 known_to.push(place);
+            }
+        }
+        let odom = estimate.odom_from_camera.filter(|_| tracking && estimate.scale.is_metric());
+        if let (MapScale::Metric { sigma, .. }, Some(error)) =
+            (estimate.scale, lately.error((estimate.map, odom.map(|odom| odom.translation)), place))
+        {
+            driven.inside.0 += usize::from(error.abs() <= 1.96 * sigma);
+            driven.inside.1 += 1;
+            driven.last_error = error.exp() - 1.0;
+            if verbose {
+                let (assumed, way) = (reconstruction.scale_is_assumed(), driven.way_m);
+                println!("{sequence}: {way:.2} m, ln error {error:.3}, sigma {sigma:.3}, assumed {assumed}");
             }
         }
         let begun = std::time::Instant::now();
@@ -166,6 +190,33 @@ pub fn drive(config: &SimulatorConfig, seconds: f64, height_m: f64, scans: Optio
         (roll.to_degrees(), pitch.to_degrees())
     });
     driven
+}
+
+/// Way of the newest frames of one map, published and true.
+#[derive(Default)]
+struct Lately {
+    map: Option<MapId>,
+    steps: VecDeque<(f64, f64)>,
+    last: Option<(Vector3<f64>, Vector3<f64>)>,
+}
+
+impl Lately {
+    /// ln of how many times too long the way of the last `LATELY_M` was published.
+    fn error(&mut self, (map, published): (MapId, Option<Vector3<f64>>), truth: Vector3<f64>) -> Option<f64> {
+        let Some(published) = published.filter(|_| self.map == Some(map)) else {
+            *self = Self { map: Some(map), ..Self::default() };
+            return None;
+        };
+        if let Some((before, true_before)) = self.last.replace((published, truth)) {
+            self.steps.push_back(((published - before).norm(), (truth - true_before).norm()));
+        }
+        let mut way = self.steps.iter().rev().scan((0.0, 0.0), |sum, step| {
+            *sum = (sum.0 + step.0, sum.1 + step.1);
+            Some(*sum)
+        });
+        let (long, true_m) = way.find(|(_, true_m)| *true_m >= LATELY_M)?;
+        Some((long / true_m).ln())
+    }
 }
 
 fn judge_scan(
@@ -233,6 +284,11 @@ pub fn judge(config: &SimulatorConfig, seconds: f64, height_m: f64, scans: Optio
         let known = 100.0 * driven.scale_error_known;
         println!("    scale assumed in {assumed} of {metric} metric frames; {known:.2} % off in the others");
     }
+    let (inside, lengths) = driven.inside;
+    println!(
+        "    last {LATELY_M} m {:.2} % off; within 1.96 sigma in {inside} of {lengths} frames",
+        100.0 * driven.last_error
+    );
     let b = &driven.bearings;
     if scans.is_some() {
         println!(
