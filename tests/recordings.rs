@@ -379,14 +379,23 @@ fn wheels_on_the_wire_come_back_in_a_replay_of_the_recording() {
     let endpoint = cairn::messages::Endpoint::new(&prefix).unwrap();
     let mut wheels = cairn::client::Client::with_endpoint(endpoint).unwrap().wheels();
     let running = daemon("driven", &config);
-    let mut recorder = recorder("driven", &file, &["--seconds", "4"]);
+    let mut recorder = recorder("driven", &file, &[]);
     let begin = Instant::now();
-    while recorder.0.try_wait().unwrap().is_none() {
-        assert!(begin.elapsed() < Duration::from_secs(60), "the recorder does not end");
-        wheels.send(0.25, 0.0, 0.125).unwrap();
-        std::thread::sleep(Duration::from_millis(20));
-    }
+    let mut drive = |until: &dyn Fn(bool) -> bool| {
+        while !until(wheels.is_connected()) {
+            assert!(begin.elapsed() < Duration::from_secs(60), "the driver hears of nobody's coming or going");
+            wheels.send(0.25, 0.0, 0.125).unwrap();
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    };
+    let recorded = || fs::metadata(&file).map_or(0, |m| m.len());
+    drive(&|_| recorded() > 3 << 20);
+    // The daemon is killed. A recorder that goes on listening must not pass for one with the driver.
     drop(running);
+    drive(&|is_connected| !is_connected);
+    assert!(recorder.0.try_wait().unwrap().is_none(), "the recorder waits for the next daemon");
+    recorder.signal("-INT");
+    assert_eq!(recorder.ends(), Some(0));
     let counts = counts(&file);
     let readings = counts.get("wheel").copied().unwrap_or_default();
     assert!(readings > 50 && counts["wheel/twist"] == readings, "{counts:?}");
@@ -396,9 +405,9 @@ fn wheels_on_the_wire_come_back_in_a_replay_of_the_recording() {
     let told = String::from_utf8_lossy(&output.stderr).into_owned();
     let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap_or_else(|e| panic!("{e}: {told}"));
     let wheels = &summary["wheels"];
-    // Readings before the first picture and after the last are nobody's: two seconds of them at the most.
+    // Readings before the first picture and after the last, until the daemon's death was noticed, are nobody's.
     let believed = wheels["readings"].as_u64().unwrap_or_default();
-    assert!(believed > 50 && believed + 100 > readings as u64, "{readings} recorded: {wheels} {told}");
+    assert!(believed > 50 && 2 * believed > readings as u64, "{readings} recorded: {wheels} {told}");
     assert_eq!((wheels["absurd"].as_u64(), wheels["out_of_order"].as_u64()), (Some(0), Some(0)), "{wheels} {told}");
 }
 

@@ -30,7 +30,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 ROOT = Path(__file__).resolve().parents[2]
 SECONDS = 8
-METRIC_SECONDS = 20  # the tour drives the 3 m that the floor asks for in half of that
+METRIC_SECONDS = 28  # at twice its speed the tour has driven the 3 m that the floor asks for in less than half of that
 
 
 def run(*words, **options):
@@ -230,7 +230,7 @@ def foreign_readers(cairn, out, prefix):
     for reader, offset, messages in readers(out / "out.mcap"):
         check(messages, listener, offset, prefix, reader)
     config = out / "floor.toml"
-    config.write_text("[simulator]\nwidth = 320\nheight = 240\n[scale]\ncamera_height_m = 0.5\n")
+    config.write_text("[simulator]\nwidth = 320\nheight = 240\nspeed = 2.0\n[scale]\ncamera_height_m = 0.5\n")
     listener = record(cairn, out / "floor.mcap", METRIC_SECONDS, config)
     for reader, offset, messages in readers(out / "floor.mcap"):
         check_scans(messages, listener, offset, prefix, reader)
