@@ -64,10 +64,10 @@ pub struct Driven {
     /// The same without frames whose scale health calls assumed, and how many of all these are such.
     pub scale_error_known: f64,
     pub assumed: (usize, usize),
-    /// Published lengths over the last metre or more, ln of how many times too long, worst after way of the robot was known again; frames in which that was within
-    /// 1.96 of the published standard deviations, and all with a metric metre behind them.
+    /// Frames in which the way of the last half metre was published within 1.96 of the published standard deviations, and all that have such a way
+    /// behind them in one metric map.
     pub inside: (usize, usize),
-    /// Of the newest such frame, a share.
+    /// What was wrong with it in the newest of these, a share.
     pub last_error: f64,
     /// As found at the end, degrees.
     pub roll_pitch_deg: Option<(f64, f64)>,

@@ -15,6 +15,17 @@ fn a_room_is_metric_by_the_height_of_the_camera_within_two_percent() {
     assert!(roll.abs() < 1.5 && (pitch - PITCH_DEG).abs() < 1.5, "roll {roll} pitch {pitch}");
 }
 
+/// Turns on the spot leave everything mapped behind: until the floor was driven over anew the scale's standard deviation says so, then lengths are
+/// metres again.
+#[test]
+fn behind_a_turn_on_the_spot_lengths_are_as_sure_as_is_said() {
+    let driven = judge(&room(Scenario::Square, 312), 25.0, HEIGHT_M, None);
+    assert!(driven.until_metric_m.is_some() && driven.assumed.0 > 0, "metric, then a turn: {:?}", driven.assumed);
+    let (inside, lengths) = driven.inside;
+    assert!(10 * inside >= 9 * lengths, "within what is said in {inside} of {lengths} frames");
+    assert!(driven.assumed.0 < driven.assumed.1 * 3 / 4, "known again: assumed in {:?}", driven.assumed);
+}
+
 #[test]
 fn where_no_floor_is_driven_over_nothing_is_told() {
     // A desk before a hand that sways.
