@@ -147,10 +147,12 @@ impl ScaleFusion {
         due.then(|| log.exp())
     }
 
-    /// Where the robot is, lengths are known by heights anew, to this standard deviation: what was said of another part of the map does not make it surer.
+    /// Where the robot is, lengths are known anew by its height, to this standard deviation: what was said of another part of the map does not make
+    /// them surer.
     pub fn heard_behind_turn(&mut self, sigma: f64) {
-        if let Some(word) = &mut self.words[ScaleSource::Height as usize] {
-            word.variance = word.variance.max(sigma * sigma);
+        let variance = sigma * sigma + COMMON_SIGMA[ScaleSource::Height as usize].powi(2);
+        for word in self.words.iter_mut().flatten() {
+            word.variance = word.variance.max(variance - word.common_variance);
         }
     }
 
@@ -211,6 +213,19 @@ mod tests {
         assert!((fusion.due().expect("a refinement").ln() - 0.008).abs() < 1e-12);
         let MapScale::Metric { sigma, sources } = fusion.scale() else { panic!("it is metric") };
         assert!((sigma - 0.011).abs() < 1e-12 && sources == ScaleSources::default().with(ScaleSource::Wheels));
+    }
+
+    #[test]
+    fn behind_a_turn_a_map_is_no_surer_than_what_was_heard_there() {
+        let mut fusion = ScaleFusion::default();
+        (0..20).for_each(|_| assert!(fusion.add_sharing(&word(ScaleSource::Height, 0.0, 0.01), 0.006)));
+        fusion.rescale(1.0);
+        let sigma = |fusion: &ScaleFusion| fusion.fused().expect("a word").1;
+        let before = sigma(&fusion);
+        fusion.heard_behind_turn(0.03);
+        assert!(before < 0.013 && (sigma(&fusion) - 0.03_f64.hypot(0.012)).abs() < 1e-9, "{before} {}", sigma(&fusion));
+        fusion.heard_behind_turn(0.01);
+        assert!(sigma(&fusion) > 0.03, "what was less sure before stays so");
     }
 
     #[test]

@@ -90,6 +90,10 @@ impl Reconstruction {
         let parts = self.active.scale.parts_in_one_unit(&self.active.map, newest, ratio);
         self.move_parts(&parts, |part| part.is_none() || part == newest);
         self.scale_lengths(log.exp());
+        // Tags that told the scale hang before the turn.
+        if let Some(tags) = &mut self.tags {
+            tags.rescale(before_log.exp());
+        }
         self.active.fusion.rescale(before_log.exp());
         self.active.fusion.heard_behind_turn(word.sigma);
         let keyframes = self.active.map.keyframes.iter().map(|(id, _)| KeyframeId(id));
@@ -202,9 +206,6 @@ impl Reconstruction {
         active.unadjusted = active.map.keyframes.iter().last().map(|(id, _)| KeyframeId(id));
         self.wheels.rescale(factor);
         self.blind.rescale(factor);
-        if let Some(tags) = &mut self.tags {
-            tags.rescale(factor);
-        }
         self.tracker.rescale(factor);
     }
 
@@ -215,6 +216,9 @@ impl Reconstruction {
         let before = self.active.odometry.last.map(|last| last.camera_from_world);
         self.unify_units();
         self.scale_lengths(factor);
+        if let Some(tags) = &mut self.tags {
+            tags.rescale(factor);
+        }
         let active = &mut self.active;
         active.fusion.rescale(factor);
         let after = active.odometry.last.map(|last| last.camera_from_world);
