@@ -5,13 +5,10 @@ pub mod initialiser;
 pub mod orientation;
 pub mod turn;
 
-use std::sync::Arc;
-
 use nalgebra::{Matrix3, Vector3};
 
 use super::Reconstruction;
 use super::adjust::job::Adjustment;
-use super::keyframe::bind_new;
 use super::keyframe::point::refine_point;
 use super::measurement::PosePair;
 use super::odometry::Odometry;
@@ -27,11 +24,10 @@ use crate::features::thumbnail::thumbnail_of;
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::geometry::{CameraModel, Se3};
-use crate::image::Pyramid;
 use crate::map::picture::KeyframePicture;
 use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, Observation};
 use consensus::agreeing_share;
-use initialiser::{FIRST_UNTRACKED, PendingFrame, Start};
+use initialiser::{PendingFrame, Start, View};
 
 /// Standard deviation of the direction of the first motion that a start may have, rad; the longer the camera moves and nothing
 /// better comes the more is allowed: so much more after so many seconds, and at most so many times.
@@ -81,8 +77,6 @@ impl Reconstruction {
             }
             begun
         })?;
-        // What follows a corner that was known again without a track is bound to it.
-        bind_new(&self.active.map, &mut self.active.bindings, features, self.active.reference, 0);
         // What the start could not place waits for parallax from here on.
         let newest = self.active.reference;
         for track in &features.tracks {
@@ -129,7 +123,7 @@ impl Reconstruction {
         let second: Se3<Camera, World> =
             Se3::new(start.second_from_first.rotation, start.second_from_first.translation * scale);
         let first = &start.first;
-        let a = self.add_view(&first.frame, &first.pyramid, Se3::identity());
+        let a = self.add_view(first, Se3::identity());
         // Ascending track id, for the views in between.
         let mut points: Vec<(u64, Vector3<f64>)> = start.points.iter().map(|p| (p.track, p.point * scale)).collect();
         points.sort_unstable_by_key(|p| p.0);
@@ -138,12 +132,12 @@ impl Reconstruction {
         for view in &start.between {
             if let Some(pose) = self.solve_view(&view.frame, &points, &guess) {
                 guess = pose;
-                views.push((self.add_view(&view.frame, &view.pyramid, pose), &view.frame));
+                views.push((self.add_view(view, pose), &view.frame));
             }
         }
-        let newest = &start.newest;
-        let b = self.add_view(newest, &features.pyramid, second);
-        views.push((b, newest));
+        let newest = PendingFrame::of(features);
+        let b = self.add_view(&View { frame: newest.clone(), pyramid: features.pyramid.clone() }, second);
+        views.push((b, &newest));
         let inv_sigma = 1.0 / self.config.sigma_px;
         for &(track, point) in &points {
             let seen: Vec<_> = views
@@ -164,9 +158,7 @@ impl Reconstruction {
             };
             if seen.len() >= 2 {
                 let id = self.active.map.add_landmark(landmark, &seen);
-                if track < FIRST_UNTRACKED {
-                    self.active.bindings.set(track, Target::Landmark(id));
-                }
+                self.active.bindings.set(track, Target::Landmark(id));
             }
         }
         self.adjust_whole()?;
@@ -201,21 +193,16 @@ impl Reconstruction {
         agreeing_share(&posed, &self.optics.camera).is_some_and(|share| share >= needed)
     }
 
-    fn add_view(
-        &mut self,
-        frame: &PendingFrame,
-        pyramid: &Arc<Pyramid>,
-        camera_from_world: Se3<Camera, World>,
-    ) -> KeyframeId {
+    fn add_view(&mut self, view: &View, camera_from_world: Se3<Camera, World>) -> KeyframeId {
         self.active.map.add_keyframe(Keyframe {
-            sequence: frame.sequence,
-            timestamp_ns: frame.timestamp_ns,
+            sequence: view.frame.sequence,
+            timestamp_ns: view.frame.timestamp_ns,
             map: self.active.id,
             camera_from_world,
             motion: None,
-            thumbnail: thumbnail_of(pyramid),
+            thumbnail: thumbnail_of(&view.pyramid),
             scale_from: None,
-            picture: KeyframePicture::new(pyramid.clone()),
+            picture: KeyframePicture::new(view.pyramid.clone()),
             observations: Vec::new(),
             covisible: Vec::new(),
             corners: Vec::new(),

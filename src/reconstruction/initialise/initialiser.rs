@@ -5,8 +5,7 @@
 //! oldest view, which has the longest baseline, and from the oldest that shares half of today's tracks, which has more points.
 //! Standing still and turning on the spot never pass: their rotation-compensated flow stays at the noise. What a rotation seen through
 //! another lens than the supposed one explains is taken out as well, as far as the lens is uncertain (`turn`). All frames in between
-//! are remembered by their tracks, so that their poses can be solved once there is a map. At a low rate, in blur or noise tracks are cut
-//! before there is parallax: then corners that look alike in both views are asked as well ([`CornerFinder`]).
+//! are remembered by their tracks, so that their poses can be solved once there is a map.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -14,8 +13,6 @@ use std::sync::Arc;
 use nalgebra::{Vector2, Vector3};
 
 use super::turn::{Pair, SupposedLens, unexplained_px};
-use crate::features::descriptor::Descriptor;
-use crate::features::matching::{DescriptorMatcher, DescriptorMatching};
 use crate::features::{FrameFeatures, Track};
 use crate::geometry::frames::{First, Second};
 use crate::geometry::two_view::{TwoViewOptions, reconstruct_two_views};
@@ -23,8 +20,6 @@ use crate::geometry::{CameraModel, Se3};
 use crate::image::Pyramid;
 use crate::reconstruction::adjust::intrinsics::LensFreedom;
 use crate::reconstruction::config::ReconstructionConfig;
-use crate::reconstruction::keyframe::corners::{CornerFinder, SAME_CORNER_PX};
-use crate::reconstruction::keyframe::epipolar::FED;
 
 /// A frame before the map exists.
 #[derive(Debug, Clone)]
@@ -42,13 +37,6 @@ impl PendingFrame {
             timestamp_ns: features.timestamp_ns,
             tracks: features.tracks.iter().map(|t| (t.id, t.position)).collect(),
         }
-    }
-
-    /// The same with corners that no track joins.
-    fn with(&self, corners: &[MatchedCorner], of: impl Fn(&MatchedCorner) -> Vector2<f32>) -> Self {
-        let mut frame = self.clone();
-        frame.tracks.extend(corners.iter().map(|c| (c.id, of(c))));
-        frame
     }
 
     /// Pixel of a track.
@@ -71,41 +59,12 @@ pub struct StartPoint {
 pub struct View {
     pub frame: PendingFrame,
     pub pyramid: Arc<Pyramid>,
-    corners: Described,
 }
 
 impl View {
     /// The picture is a copy of its own: the frame's goes back to the pool.
-    fn of(newest: &Newest<'_>) -> Self {
-        Self {
-            frame: newest.frame.clone(),
-            pyramid: Arc::new(Pyramid::clone(&newest.features.pyramid)),
-            corners: newest.corners.clone(),
-        }
-    }
-}
-
-/// Corners of a picture that may be known again without a track between.
-#[derive(Debug, Clone, Default)]
-struct Described {
-    pixels: Vec<Vector2<f32>>,
-    descriptors: Vec<Descriptor>,
-}
-
-/// The newest frame and its corners.
-struct Newest<'a> {
-    features: &'a FrameFeatures,
-    frame: PendingFrame,
-    corners: Described,
-    /// Tracks alone have given no start for so long that corners are asked as well.
-    ask_corners: bool,
-}
-
-impl<'a> Newest<'a> {
-    fn of(features: &'a FrameFeatures, camera: &CameraModel, finder: &mut CornerFinder, ask_corners: bool) -> Self {
-        let found = finder.find(&features.pyramid, camera, std::iter::empty());
-        let (pixels, descriptors) = found.into_iter().map(|c| (c.pixel, c.descriptor)).unzip();
-        Self { features, frame: PendingFrame::of(features), corners: Described { pixels, descriptors }, ask_corners }
+    fn of(features: &FrameFeatures) -> Self {
+        Self { frame: PendingFrame::of(features), pyramid: Arc::new(Pyramid::clone(&features.pyramid)) }
     }
 }
 
@@ -117,8 +76,6 @@ pub struct Start {
     pub trying_s: f64,
     /// In order of time; neither the first nor the newest frame is among them.
     pub between: Vec<View>,
-    /// The newest frame. It and the first one have corners among their tracks that no track joins, under ids of no track.
-    pub newest: PendingFrame,
     pub second_from_first: Se3<Second, First>,
     pub points: Vec<StartPoint>,
 }
@@ -131,13 +88,6 @@ const START_SIGMA_PX: f64 = 1.0;
 const MAX_BETWEEN: usize = 8;
 /// A view is given up below this many tracks in common with the newest frame, or a quarter of its own, and the next one takes over.
 const MIN_COMMON: usize = 60;
-/// So long after the camera began to move, s, corners that look alike are asked as well as tracks: where frames are many tracks alone
-/// have given a start by then, and a later one (with more parallax) is the better one; where they are few, or poor, tracks do not last.
-/// Over 86 recordings (at several rates, with noise, gaps and changing light) the share of frames with a pose rises from 95.0 to 97.0 % by
-/// this, the patience of `initialise` and `lost_s` together.
-const CORNERS_AFTER_S: f64 = 0.25;
-/// Ids of corners without a track begin here: no camera has shown so many tracks.
-pub const FIRST_UNTRACKED: u64 = 1 << 63;
 /// Further times that a start must agree with the picture, at the most.
 const MAX_DOUBT: u32 = 5;
 /// Rotation-compensated flow since the reference at which the camera counts as moving, px.
@@ -162,7 +112,6 @@ pub struct Initialiser {
     trying_s: f64,
     last_ns: Option<i64>,
     lengths: Vec<f64>,
-    finder: CornerFinder,
     /// All frames since the last reset, or since the map before was lost, that may still get a pose, the reference among them.
     pub pending: VecDeque<PendingFrame>,
 }
@@ -229,8 +178,7 @@ impl Initialiser {
         freedom: &LensFreedom,
         config: &ReconstructionConfig,
     ) -> Vec<Start> {
-        let newest = Newest::of(features, camera, &mut self.finder, self.trying_s >= CORNERS_AFTER_S);
-        let Some(pairs) = self.follow(&newest, camera) else { return Vec::new() };
+        let Some(pairs) = self.follow(features, camera) else { return Vec::new() };
         let lens = SupposedLens { focal_px: camera.focal_px(), freedom: *freedom };
         let flow = unexplained_px(&pairs.places, lens, &mut self.lengths);
         self.spend_patience(features.timestamp_ns, flow);
@@ -238,39 +186,38 @@ impl Initialiser {
         let second = if richer(&pairs) {
             None
         } else {
-            let pairs = |v: &View| pairs_with(v, &newest, camera).filter(richer);
+            let pairs = |v: &View| pairs_with(v, features, camera).filter(richer);
             self.views.iter().enumerate().skip(1).find_map(|(i, v)| Some((i, pairs(v)?)))
         };
         let second = second.map(|(i, pairs)| (i, unexplained_px(&pairs.places, lens, &mut self.lengths), pairs));
         let starts = std::iter::once((0, flow, pairs)).chain(second).filter_map(|(i, flow, pairs)| {
-            (flow >= config.start_flow_px).then(|| self.attempt(i, &pairs, &newest.frame, camera, config))?
+            (flow >= config.start_flow_px).then(|| self.attempt(i, &pairs, features, camera, config))?
         });
         let starts = starts.collect();
-        self.keep(|| View::of(&newest));
+        self.keep(|| View::of(features));
         starts
     }
 
     /// Remembers a frame without asking for a start: while there is still hope for another map.
     pub fn watch(&mut self, features: &FrameFeatures, camera: &CameraModel) {
-        let newest = Newest::of(features, camera, &mut self.finder, self.trying_s >= CORNERS_AFTER_S);
-        if self.follow(&newest, camera).is_some() {
-            self.keep(|| View::of(&newest));
+        if self.follow(features, camera).is_some() {
+            self.keep(|| View::of(features));
         }
     }
 
     /// Follows the tracks into a frame: those that the reference shares with it. `None` if no view does; then this frame becomes the
     /// reference.
-    fn follow(&mut self, newest: &Newest<'_>, camera: &CameraModel) -> Option<Pairs> {
+    fn follow(&mut self, features: &FrameFeatures, camera: &CameraModel) -> Option<Pairs> {
         self.voted = false;
-        self.pending.push_back(newest.frame.clone());
+        self.pending.push_back(PendingFrame::of(features));
         if self.pending.len() > MAX_PENDING {
             self.pending.pop_front();
         }
         // Views that have lost their tracks make room for the next ones, which have some of the way behind them, too.
-        let pairs = |v: &View| pairs_with(v, newest, camera);
+        let pairs = |v: &View| pairs_with(v, features, camera);
         let alive = self.views.iter().enumerate().find_map(|(i, v)| Some((i, pairs(v)?)));
         let Some((dead, pairs)) = alive else {
-            self.begin_at((newest.frame.tracks.len() >= MIN_COMMON).then(|| View::of(newest)));
+            self.begin_at((features.tracks.len() >= MIN_COMMON).then(|| View::of(features)));
             return None;
         };
         self.views.drain(..dead);
@@ -299,7 +246,7 @@ impl Initialiser {
         &self,
         index: usize,
         pairs: &Pairs,
-        newest: &PendingFrame,
+        features: &FrameFeatures,
         camera: &CameraModel,
         config: &ReconstructionConfig,
     ) -> Option<Start> {
@@ -307,7 +254,7 @@ impl Initialiser {
         let first: Vec<Vector2<f64>> = pairs.places.iter().map(|p| p.first).collect();
         let second: Vec<Vector2<f64>> = pairs.places.iter().map(|p| p.second).collect();
         let options =
-            TwoViewOptions { seed: newest.sequence, ..TwoViewOptions::new(START_SIGMA_PX, camera.focal_px()) };
+            TwoViewOptions { seed: features.sequence, ..TwoViewOptions::new(START_SIGMA_PX, camera.focal_px()) };
         let solution = reconstruct_two_views(&first, &second, &options).ok()?;
         let points: Vec<StartPoint> = pairs
             .tracks
@@ -319,8 +266,7 @@ impl Initialiser {
             return None;
         }
         Some(Start {
-            first: View { frame: reference.frame.with(&pairs.corners, |c| c.first), ..reference.clone() },
-            newest: newest.with(&pairs.corners, |c| c.second),
+            first: reference.clone(),
             trying_s: self.trying_s,
             between: between.to_vec(),
             second_from_first: solution.second_from_first,
@@ -329,54 +275,21 @@ impl Initialiser {
     }
 }
 
-/// What two frames share, and where both see it.
+/// Tracks that two frames share, and where both see them.
 struct Pairs {
-    /// Tracks, then matched corners.
     tracks: Vec<u64>,
     places: Vec<Pair>,
-    corners: Vec<MatchedCorner>,
 }
 
-/// A corner that two frames share without a track between.
-#[derive(Debug, Clone, Copy)]
-struct MatchedCorner {
-    /// Beyond those of tracks, ascending.
-    id: u64,
-    first: Vector2<f32>,
-    second: Vector2<f32>,
-}
-
-/// What a view shares with a frame, if it is enough: tracks, and where few lasted, corners that look alike. Of a wide-angle lens where
-/// the plane z = 1 is even, as two-view geometry weighs all alike.
-fn pairs_with(view: &View, newest: &Newest<'_>, camera: &CameraModel) -> Option<Pairs> {
-    let pair = |first: Vector2<f32>, second: Vector2<f32>| {
-        let first = camera.undistort(&first.cast()).filter(|n| camera.is_central(n))?;
-        Pair::of(first, &second, camera)
+/// Tracks that a view shares with a frame, if they are enough; of a wide-angle lens where the plane z = 1 is even, as two-view geometry
+/// weighs all alike.
+fn pairs_with(view: &View, features: &FrameFeatures, camera: &CameraModel) -> Option<Pairs> {
+    let pair = |t: &Track| {
+        let first = camera.undistort(&view.frame.track(t.id)?.cast()).filter(|n| camera.is_central(n))?;
+        Some((t.id, Pair::of(first, &t.position, camera)?))
     };
-    let by_track = |t: &Track| Some((t.id, pair(view.frame.track(t.id)?, t.position)?));
-    let (mut tracks, mut places): (Vec<_>, Vec<_>) = newest.features.tracks.iter().filter_map(by_track).unzip();
-    let mut corners = Vec::new();
-    if tracks.len() < FED && newest.ask_corners {
-        let mut matches = Vec::new();
-        let rule = DescriptorMatching::default();
-        let (then, now) = (&view.corners, &newest.corners);
-        DescriptorMatcher::default().match_all(&then.descriptors, &now.descriptors, &rule, &mut matches);
-        let seen: Vec<_> =
-            tracks.iter().filter_map(|&id| Some((view.frame.track(id)?, newest.frame.track(id)?))).collect();
-        for m in &matches {
-            let (first, second) = (then.pixels[m.first as usize], now.pixels[m.second as usize]);
-            let near = |a: Vector2<f32>, b: Vector2<f32>| (a - b).norm() < SAME_CORNER_PX;
-            if seen.iter().any(|s| near(s.0, first) || near(s.1, second)) {
-                continue;
-            }
-            let Some(pair) = pair(first, second) else { continue };
-            let id = FIRST_UNTRACKED + corners.len() as u64;
-            corners.push(MatchedCorner { id, first, second });
-            tracks.push(id);
-            places.push(pair);
-        }
-    }
-    (tracks.len() >= MIN_COMMON.max(view.frame.tracks.len() / 4)).then_some(Pairs { tracks, places, corners })
+    let (tracks, places): (Vec<_>, Vec<_>) = features.tracks.iter().filter_map(pair).unzip();
+    (tracks.len() >= MIN_COMMON.max(view.frame.tracks.len() / 4)).then_some(Pairs { tracks, places })
 }
 
 #[cfg(test)]
@@ -450,43 +363,6 @@ mod tests {
         }
         let held: Vec<u64> = initialiser.views.iter().map(|v| v.frame.sequence).collect();
         assert_eq!(held, [1, 2, 3, 4, 5]);
-    }
-
-    /// A frame that looks at a wall of speckles `shift` px further to the right; none of its tracks is another frame's.
-    fn before_wall(sequence: u64, shift: usize) -> FrameFeatures {
-        let mut picture = crate::image::GreyImage::new(320, 240);
-        for (i, pixel) in picture.data.iter_mut().enumerate() {
-            let (x, y) = ((i % 320 + shift) as u32 / 5, (i / 320) as u32 / 5);
-            let mixed = (x.wrapping_mul(0x9E37_79B9) ^ y.wrapping_mul(0x85EB_CA6B)).wrapping_mul(0xC2B2_AE35);
-            *pixel = 40 + ((mixed >> 15).wrapping_mul(0x27D4_EB2F) >> 24) as u8 / 2;
-        }
-        let mut pyramid = Pyramid::new(4);
-        pyramid.build(&picture);
-        let tracks = (0..80).map(|i| Track {
-            id: 1000 * sequence + i,
-            position: Vector2::new(20.0 + 3.0 * i as f32, 20.0),
-            age: 1,
-        });
-        FrameFeatures { sequence, pyramid: Arc::new(pyramid), tracks: tracks.collect(), ..FrameFeatures::default() }
-    }
-
-    #[test]
-    fn corners_that_no_track_joins_are_known_again_by_what_they_look_like() {
-        let camera = CameraModel::new(320, 240, 400.0, 400.0, 159.5, 119.5, [0.0; 5]).unwrap();
-        let finder = &mut CornerFinder::default();
-        let (then, now) = (before_wall(0, 0), before_wall(1, 15));
-        let view = View::of(&Newest::of(&then, &camera, finder, false));
-        assert!(pairs_with(&view, &Newest::of(&now, &camera, finder, false), &camera).is_none(), "no track in common");
-        let newest = Newest::of(&now, &camera, finder, true);
-        let pairs = pairs_with(&view, &newest, &camera).expect("corners in common");
-        assert!(pairs.tracks.len() >= 100 && pairs.corners.len() == pairs.tracks.len(), "{}", pairs.tracks.len());
-        let wrong = pairs.corners.iter().filter(|c| (c.first - c.second - Vector2::new(15.0, 0.0)).norm() > 1.5);
-        assert!(20 * wrong.count() <= pairs.corners.len());
-        // Both frames of a start have them, after their tracks.
-        let first = view.frame.with(&pairs.corners, |c| c.first);
-        let corner = &pairs.corners[0];
-        assert_eq!(first.track(corner.id), Some(corner.first));
-        assert!(first.tracks.is_sorted_by_key(|t| t.0));
     }
 
     #[test]
