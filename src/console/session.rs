@@ -264,9 +264,6 @@ fn obey(word: Word, hub: &Hub, page: &Arc<Outbox>, order: &Order) {
             if begun & demand::COVISIBLE != 0 {
                 hub.replay(page, &[Kind::Covisible]);
             }
-            if begun & demand::OBSTACLES != 0 {
-                hub.replay(page, &[Kind::Obstacles]);
-            }
             if begun & demand::CALIBRATION != 0 {
                 hub.replay(page, &[Kind::Calibration]);
             }

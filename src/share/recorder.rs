@@ -11,7 +11,7 @@ use super::ShareError;
 use super::records::{Converter, Record};
 use super::sink::{Queue, Queued};
 use crate::client::{
-    Client, Encodeds, Healths, Keyframes, Map, ObstacleScans, Poses, Subscription, Topic, WheelReports,
+    Client, Encodeds, Healths, Keyframes, Map, ObstacleScans, Poses, Subscription, Topic, WheelReports, monotonic_ns,
 };
 use crate::messages::{
     ENCODED_GREY, ENCODED_JPEG, ENCODED_PNG, ENCODED_YUYV, EncodedHeader, Endpoint, Health, Pose, State,
@@ -21,6 +21,8 @@ use crate::messages::{
 pub const TURN: Duration = Duration::from_millis(50);
 /// Both clocks may come apart so far, by a time server's nudges, before it is worth a word, ns.
 const CLOCK_STEP_NS: i64 = 500_000_000;
+/// Readings of the wheels taken in one turn: as many as its queue holds, of each driver that there may be.
+const WHEEL_READINGS_A_TURN: usize = 2 * 64;
 /// Pictures that are taken in a row, before everything else is looked after: making a PNG may take as long as the camera for a picture.
 const PICTURES_A_TURN: usize = 4;
 /// What repeats is said once in so long.
@@ -143,7 +145,12 @@ impl Recorder {
         }
         let wheels = self.wheels.get_or_insert_with(|| self.client.wheel_reports(TURN));
         let Self { converter, records, .. } = self;
-        drain(wheels, |wheel| converter.wheel(&wheel, records))
+        // A driver that sends without end holds nobody here.
+        for _ in 0..WHEEL_READINGS_A_TURN {
+            let Some(wheel) = wheels.try_next()? else { break };
+            converter.wheel(&wheel, monotonic_ns(), records);
+        }
+        Ok(())
     }
 
     fn picture(&mut self, header: &EncodedHeader, data: &[u8]) {

@@ -250,11 +250,12 @@ impl Converter {
     }
 
     /// What the base's driver tells; as a twist only what is finite, and only beside a camera: beside a recording it is of another time than the pictures.
-    pub fn wheel(&self, wheel: &WheelOdometry, out: &mut Vec<Record>) {
-        let time_ns = self.unix_ns(wheel.timestamp_ns);
+    /// Its log time is when it was heard (`heard_ns`, monotonic), by which a replay knows stamps of another clock.
+    pub fn wheel(&self, wheel: &WheelOdometry, heard_ns: i64, out: &mut Vec<Record>) {
+        let time_ns = self.unix_ns(heard_ns);
         out.push(Record { topic: Topic::Wheel, time_ns, data: wheel.to_cdr() });
         let Some(twist) = wheel_twist(wheel).filter(|_| self.clock == CLOCK_MONOTONIC) else { return };
-        let header = Header { stamp: Time::from_ns(time_ns), frame_id: METRIC.body };
+        let header = Header { stamp: Time::from_ns(self.unix_ns(wheel.timestamp_ns)), frame_id: METRIC.body };
         let message = ros::TwistWithCovarianceStamped { header, twist };
         out.push(Record { topic: Topic::WheelTwist, time_ns, data: message.to_cdr() });
     }
@@ -423,14 +424,16 @@ mod tests {
             variance: [0.01, f64::NAN, 0.04],
             ..WheelOdometry::default()
         };
-        converter.wheel(&known, &mut out);
+        converter.wheel(&known, 9, &mut out);
         assert_eq!(topics(&out), [Topic::Wheel, Topic::WheelTwist]);
-        assert!(out.iter().all(|record| record.time_ns == 1_000_000_000_005) && holds(&out[1], "base_link"));
+        assert!(out.iter().all(|record| record.time_ns == 1_000_000_000_009) && holds(&out[1], "base_link"));
+        let mut twist = Reader::new(&out[1].data).expect("CDR");
+        assert_eq!((twist.i32(), twist.u32()), (Ok(1000), Ok(5)), "its stamp is the driver's");
         assert!(!out[1].data.chunks(4).any(|w| w == f32::NAN.to_le_bytes()));
         out.clear();
-        converter.wheel(&WheelOdometry { linear_x_mps: f64::NAN, ..known }, &mut out);
+        converter.wheel(&WheelOdometry { linear_x_mps: f64::NAN, ..known }, 9, &mut out);
         converter.pose(&Pose { clock: messages::CLOCK_RECORDING, ..Pose::default() }, &mut out);
-        converter.wheel(&known, &mut out);
+        converter.wheel(&known, 9, &mut out);
         assert_eq!(topics(&out), [Topic::Wheel, Topic::Pose, Topic::Wheel]);
     }
 

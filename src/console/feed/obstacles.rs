@@ -1,7 +1,7 @@
 //! What stands around the robot, and where the floor is free: the daemon makes it while a page asks for it.
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use super::source::{LOOK, Source, pause, wait};
 use crate::client::ClientError;
@@ -10,6 +10,8 @@ use crate::console::wire::{self, Kind};
 
 /// How soon the end of a demand is noticed.
 const NAP: Duration = Duration::from_millis(100);
+/// How often it is said why there is nothing: a page takes what it was told longer ago for old.
+const AGAIN: Duration = Duration::from_secs(1);
 
 /// Until `stop`.
 pub fn run(hub: &Hub, source: &Source, stop: &AtomicBool) {
@@ -31,12 +33,13 @@ fn follow(hub: &Hub, source: &Source, stop: &AtomicBool) -> Result<(), ClientErr
     while !stop.load(Ordering::Relaxed) && hub.wants(demand::OBSTACLES) {
         let Some(scan) = scans.wait(NAP)? else { continue };
         let epoch = lock(&hub.history).epoch(scan.run_id, scan.map_id, scan.reset_counter, scan.map_revision);
-        // Why there is nothing is said once, not seven times a second.
+        // Why there is nothing is said once a second, not seven times.
         let why = (!scan.is_told()).then_some((scan.told, epoch));
-        if why.is_none() || why != silent {
-            hub.tell(Kind::Obstacles, demand::OBSTACLES, &wire::obstacles(&scan, epoch));
+        if why.is_some() && silent.is_some_and(|(said, at): (_, Instant)| why == Some(said) && at.elapsed() < AGAIN) {
+            continue;
         }
-        silent = why;
+        silent = why.map(|why| (why, Instant::now()));
+        hub.tell(Kind::Obstacles, demand::OBSTACLES, &wire::obstacles(&scan, epoch));
     }
     Ok(())
 }

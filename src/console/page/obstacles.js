@@ -3,6 +3,7 @@ import { BufferAttribute, BufferGeometry, Color, DynamicDrawUsage, Mesh, Points,
 import { set } from "/state.js";
 
 const $ = (id) => document.getElementById(id);
+const OLD_MS = 5000;
 const MOST_POINTS = 500, MOST_BEARINGS = 360; // of the wire: 500 and 180
 const POINT_PX = 5;
 const LIFT_M = 0.01; // the free floor above the grid
@@ -76,6 +77,9 @@ export class ObstacleView {
   scan(message) {
     this.message = message;
     this.show();
+    // Scans come several times a second; without a camera there are none, and what stood there then may have moved.
+    clearTimeout(this.ageing);
+    this.ageing = setTimeout(() => this.forget(), OLD_MS);
   }
 
   /** Another start of the daemon, or none that is heard: what stood there then may have moved. */
