@@ -16,14 +16,16 @@ fn a_room_is_metric_by_the_height_of_the_camera_within_two_percent() {
 }
 
 /// Turns on the spot leave everything mapped behind: until the floor was driven over anew the scale's standard deviation says so, then lengths are
-/// metres again.
+/// metres again. (Without asking anew they are 51 % off here where nothing is said to be assumed.)
 #[test]
-fn behind_a_turn_on_the_spot_lengths_are_as_sure_as_is_said() {
+fn behind_a_turn_on_the_spot_the_height_tells_lengths_anew() {
     let driven = judge(&room(Scenario::Square, 312), 25.0, HEIGHT_M, None);
     assert!(driven.until_metric_m.is_some() && driven.assumed.0 > 0, "metric, then a turn: {:?}", driven.assumed);
-    let (inside, lengths) = driven.inside;
-    assert!(10 * inside >= 9 * lengths, "within what is said in {inside} of {lengths} frames");
+    assert!(driven.scale_error.abs() < 0.05, "scale {} off", driven.scale_error);
+    assert!(driven.scale_error_known.abs() < 0.05, "{} off where nothing is assumed", driven.scale_error_known);
     assert!(driven.assumed.0 < driven.assumed.1 * 3 / 4, "known again: assumed in {:?}", driven.assumed);
+    // It ends behind another turn, and says so.
+    assert!(driven.sigma > 0.3, "sigma {}", driven.sigma);
 }
 
 #[test]
