@@ -132,10 +132,11 @@ pub fn drive(config: &SimulatorConfig, seconds: f64, height_m: f64, scans: Optio
                 known_to.push(place);
             }
         }
-        let odom = estimate.odom_from_camera.filter(|_| tracking && estimate.scale.is_metric());
-        if let (MapScale::Metric { sigma, .. }, Some(error)) =
-            (estimate.scale, lately.error((estimate.map, odom.map(|odom| odom.translation)), place))
-        {
+        let published = match (estimate.scale, estimate.odom_from_camera.filter(|_| tracking)) {
+            (MapScale::Metric { sigma, .. }, Some(odom)) => Some((odom.translation, sigma)),
+            _ => None,
+        };
+        if let Some((error, sigma)) = lately.error(estimate.map, published, place) {
             driven.inside.0 += usize::from(error.abs() <= 1.96 * sigma);
             driven.inside.1 += 1;
             driven.last_error = error.exp() - 1.0;
@@ -192,30 +193,27 @@ pub fn drive(config: &SimulatorConfig, seconds: f64, height_m: f64, scans: Optio
     driven
 }
 
-/// Way of the newest frames of one map, published and true.
+/// The newest frames of one map: published place, true one, and standard deviation of the scale.
 #[derive(Default)]
 struct Lately {
     map: Option<MapId>,
-    steps: VecDeque<(f64, f64)>,
-    last: Option<(Vector3<f64>, Vector3<f64>)>,
+    frames: VecDeque<(Vector3<f64>, Vector3<f64>, f64)>,
 }
 
 impl Lately {
-    /// ln of how many times too long the way of the last `LATELY_M` was published.
-    fn error(&mut self, (map, published): (MapId, Option<Vector3<f64>>), truth: Vector3<f64>) -> Option<f64> {
-        let Some(published) = published.filter(|_| self.map == Some(map)) else {
+    /// ln of how many times too long the chord of the last `LATELY_M` was published, and the largest standard deviation since. A chord, because a
+    /// published place trembles while the robot stands.
+    fn error(&mut self, map: MapId, published: Option<(Vector3<f64>, f64)>, truth: Vector3<f64>) -> Option<(f64, f64)> {
+        let Some((published, sigma)) = published.filter(|_| self.map == Some(map)) else {
             *self = Self { map: Some(map), ..Self::default() };
             return None;
         };
-        if let Some((before, true_before)) = self.last.replace((published, truth)) {
-            self.steps.push_back(((published - before).norm(), (truth - true_before).norm()));
-        }
-        let mut way = self.steps.iter().rev().scan((0.0, 0.0), |sum, step| {
-            *sum = (sum.0 + step.0, sum.1 + step.1);
-            Some(*sum)
-        });
-        let (long, true_m) = way.find(|(_, true_m)| *true_m >= LATELY_M)?;
-        Some((long / true_m).ln())
+        self.frames.push_back((published, truth, sigma));
+        let far = |frame: &(Vector3<f64>, Vector3<f64>, f64)| (truth - frame.1).norm() >= LATELY_M;
+        let from = self.frames.iter().rposition(far)?;
+        let sigma = self.frames.range(from..).map(|frame| frame.2).fold(0.0, f64::max);
+        let (place, true_place, _) = self.frames[from];
+        Some((((published - place).norm() / (truth - true_place).norm()).ln(), sigma))
     }
 }
 
