@@ -36,6 +36,9 @@ const FREE_WITHIN_M: f64 = 0.05;
 /// Way over which a published length is compared with the truth, m: long beside what a pose has wrong.
 const LATELY_M: f64 = 0.5;
 
+/// A scale that is of use, one sigma.
+const SURE: f64 = 0.1;
+
 /// Of bearings, summed over scans.
 #[derive(Debug, Default, Clone, Copy)]
 pub struct Bearings {
@@ -67,6 +70,8 @@ pub struct Driven {
     /// Frames in which the way of the last half metre was published within 1.96 of the published standard deviations, and all that have such a way
     /// behind them in one metric map.
     pub inside: (usize, usize),
+    /// Of these, where no frame of that way was published less sure than [`SURE`].
+    pub sure: (usize, usize),
     /// What was wrong with it in the newest of these, a share.
     pub last_error: f64,
     /// As found at the end, degrees.
@@ -105,6 +110,7 @@ pub fn drive(config: &SimulatorConfig, seconds: f64, height_m: f64, scans: Optio
         scale_error_known: f64::NAN,
         assumed: (0, 0),
         inside: (0, 0),
+        sure: (0, 0),
         last_error: f64::NAN,
         roll_pitch_deg: None,
         told: 0,
@@ -139,6 +145,10 @@ pub fn drive(config: &SimulatorConfig, seconds: f64, height_m: f64, scans: Optio
         if let Some((error, sigma)) = lately.error(estimate.map, published, place) {
             driven.inside.0 += usize::from(error.abs() <= 1.96 * sigma);
             driven.inside.1 += 1;
+            if sigma < SURE {
+                driven.sure.0 += usize::from(error.abs() <= 1.96 * sigma);
+                driven.sure.1 += 1;
+            }
             driven.last_error = error.exp() - 1.0;
             if verbose {
                 let (assumed, way) = (reconstruction.scale_is_assumed(), driven.way_m);
@@ -282,9 +292,9 @@ pub fn judge(config: &SimulatorConfig, seconds: f64, height_m: f64, scans: Optio
         let known = 100.0 * driven.scale_error_known;
         println!("    scale assumed in {assumed} of {metric} metric frames; {known:.2} % off in the others");
     }
-    let (inside, lengths) = driven.inside;
+    let ((inside, lengths), (right, sure)) = (driven.inside, driven.sure);
     println!(
-        "    last {LATELY_M} m {:.2} % off; within 1.96 sigma in {inside} of {lengths} frames",
+        "    last {LATELY_M} m {:.2} % off; within 1.96 sigma in {inside} of {lengths} frames, in {right} of {sure} with a sigma below {SURE}",
         100.0 * driven.last_error
     );
     let b = &driven.bearings;
