@@ -7,6 +7,9 @@ use super::error::{CliError, exit_code};
 /// Commands that only the whole build has; the robot's answers them with where they are.
 pub const TOOLS_COMMANDS: [&str; 6] = ["compare", "console", "demo", "evaluate", "simulate", "twoview"];
 
+/// Commands that only the build with Zenoh has.
+pub const BRIDGE_COMMANDS: [&str; 1] = ["bridge"];
+
 /// The sentence for something that this build leaves out.
 pub fn not_in_this_build(what: &str) -> String {
     format!("{what} is not in this build, the robot's; cairn-tools has it")
@@ -17,9 +20,13 @@ pub fn needs_tools(what: &str) -> Result<(), CliError> {
     if cfg!(feature = "tools") { Ok(()) } else { Err(CliError::new(exit_code::USAGE, not_in_this_build(what))) }
 }
 
-/// The sentence for a command line that asks for a command of the other build; `None` if it is wrong in another way.
+/// The sentence for a command line that asks for a command of another build; `None` if it is wrong in another way.
 pub fn elsewhere(error: &clap::Error) -> Option<String> {
     let ContextValue::String(asked) = error.get(ContextKind::InvalidSubcommand)? else { return None };
-    let known = !cfg!(feature = "tools") && TOOLS_COMMANDS.contains(&asked.as_str());
-    known.then(|| format!("{}: `cairn-tools {asked}`", not_in_this_build(&format!("`cairn {asked}`"))))
+    let what = format!("`cairn {asked}`");
+    if !cfg!(feature = "tools") && TOOLS_COMMANDS.contains(&asked.as_str()) {
+        return Some(format!("{}: `cairn-tools {asked}`", not_in_this_build(&what)));
+    }
+    let bridge = !cfg!(feature = "bridge") && BRIDGE_COMMANDS.contains(&asked.as_str());
+    bridge.then(|| format!("{what} is not in this build; the package cairn-bridge has it: `cairn-bridge {asked}`"))
 }

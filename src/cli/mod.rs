@@ -1,5 +1,7 @@
 //! One file a subcommand: `Args` (clap) and `run(&Args) -> Result<ExitCode, CliError>`. Results on stdout, all else on stderr.
 
+#[cfg(feature = "bridge")]
+pub mod bridge;
 mod builds;
 pub mod calibrate;
 mod camera_calibration;
@@ -34,16 +36,17 @@ pub mod watch;
 
 use std::process::ExitCode;
 
-pub use builds::{TOOLS_COMMANDS, elsewhere};
+pub use builds::{BRIDGE_COMMANDS, TOOLS_COMMANDS, elsewhere};
 pub use error::{CliError, exit_code};
 
 /// Monocular SLAM for small robots: one webcam in, pose and sparse map out, in shared memory
 #[derive(Debug, clap::Parser)]
 #[command(name = "cairn", version)]
 #[cfg_attr(
-    not(feature = "tools"),
+    all(not(feature = "tools"), not(feature = "bridge")),
     command(
-        after_help = "In the package cairn-tools, as commands of `cairn-tools`: compare, console, demo, evaluate, simulate, twoview."
+        after_help = "In the package cairn-tools, as commands of `cairn-tools`: compare, console, demo, evaluate, simulate, twoview.\n\
+        In the package cairn-bridge, as a command of `cairn-bridge`: bridge."
     )
 )]
 pub struct Arguments {
@@ -58,6 +61,8 @@ enum Command {
     Demo(demo::DemoArgs),
     Replay(replay::ReplayArgs),
     Record(record::RecordArgs),
+    #[cfg(feature = "bridge")]
+    Bridge(bridge::BridgeArgs),
     Watch(watch::WatchArgs),
     Calibrate(calibrate::CalibrateArgs),
     Doctor(doctor::DoctorArgs),
@@ -86,6 +91,8 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode, CliError> {
         Command::Demo(args) => demo::run(args),
         Command::Replay(args) => replay::run(args),
         Command::Record(args) => record::run(args),
+        #[cfg(feature = "bridge")]
+        Command::Bridge(args) => bridge::run(args),
         Command::Watch(args) => watch::run(args),
         Command::Calibrate(args) => calibrate::run(args),
         Command::Doctor(args) => doctor::run(args),
@@ -124,6 +131,9 @@ mod tests {
         if cfg!(feature = "tools") {
             promised.extend(TOOLS_COMMANDS);
         }
+        if cfg!(feature = "bridge") {
+            promised.extend(BRIDGE_COMMANDS);
+        }
         promised.sort_unstable();
         assert_eq!(have, promised);
     }
@@ -135,6 +145,11 @@ mod tests {
             let text = answer(&["cairn", name, "--seconds", "3"]).unwrap_or_default();
             let sentence = text.contains("not in this build") && text.ends_with(&format!(": `cairn-tools {name}`"));
             assert_eq!(sentence, !cfg!(feature = "tools"), "{name}: {text}");
+        }
+        for name in BRIDGE_COMMANDS {
+            let text = answer(&["cairn", name, "--robot", "r"]).unwrap_or_default();
+            let sentence = text.contains("not in this build") && text.ends_with(&format!(": `cairn-bridge {name}`"));
+            assert_eq!(sentence, !cfg!(feature = "bridge"), "{name}: {text}");
         }
         assert_eq!(answer(&["cairn", "dmeo"]), None);
         assert_eq!(needs_tools("`--overview`").is_err(), !cfg!(feature = "tools"));

@@ -5,14 +5,13 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 use serde::Serialize;
 
 use super::session::{self, ResultArgs, SessionArgs, StatusLine};
 use super::{CliError, exit_code};
 use crate::daemon;
-use crate::frame::monotonic_ns;
 use crate::messages::Endpoint;
 use crate::share::{self, Heard, Origin, Plan, Queue, Recorder, ShareError, Topic, Written};
 use crate::telemetry;
@@ -83,7 +82,8 @@ pub fn run(args: &RecordArgs) -> Result<ExitCode, CliError> {
         return Err(CliError::new(exit_code::USAGE, message));
     }
     let endpoint = Endpoint::new(&config.prefix).and_then(Endpoint::with_environment)?;
-    let origin = Origin { prefix: config.prefix.clone(), realtime_minus_monotonic_ns: realtime_minus_monotonic_ns() };
+    let origin =
+        Origin { prefix: config.prefix.clone(), realtime_minus_monotonic_ns: session::realtime_minus_monotonic_ns() };
     let plan = Plan {
         out: args.out.clone(),
         origin,
@@ -176,12 +176,6 @@ fn listen(
 
 fn end(writer: JoinHandle<Result<Written, ShareError>>) -> Result<Written, ShareError> {
     writer.join().map_err(|_| ShareError::Panicked)?
-}
-
-/// Now; both clocks are read within a microsecond of one another as a rule.
-fn realtime_minus_monotonic_ns() -> i64 {
-    let realtime = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |t| i64::try_from(t.as_nanos()).unwrap_or(0));
-    realtime.saturating_sub(monotonic_ns())
 }
 
 fn summarise(plan: &Plan, heard: Heard, written: &Written, ended: &'static str, time: Duration) -> Summary {

@@ -4,6 +4,7 @@ use std::io::{self, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde::Serialize;
 use signal_hook::consts::{SIGINT, SIGTERM};
@@ -11,7 +12,7 @@ use signal_hook::consts::{SIGINT, SIGTERM};
 use super::{CliError, exit_code};
 use crate::config::{self, Config, ConfigError};
 use crate::daemon::{Desk, End, EndCause, Outlet, Status};
-use crate::frame::{Clock, process_cpu_ns};
+use crate::frame::{Clock, monotonic_ns, process_cpu_ns};
 use crate::messages::Endpoint;
 use crate::publish::{PublishError, Publisher};
 use crate::telemetry::{self, LogFormat, Percentiles};
@@ -110,6 +111,12 @@ pub fn stop_flag() -> Result<Arc<AtomicBool>, CliError> {
             .map_err(|e| CliError::new(exit_code::FAILURE, format!("cannot handle signals: {e}")))?;
     }
     Ok(stop)
+}
+
+/// CLOCK_REALTIME minus CLOCK_MONOTONIC now; both clocks are read within a microsecond of one another as a rule.
+pub fn realtime_minus_monotonic_ns() -> i64 {
+    let realtime = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |t| i64::try_from(t.as_nanos()).unwrap_or(0));
+    realtime.saturating_sub(monotonic_ns())
 }
 
 /// The services of this run, one part for each thread that publishes.

@@ -56,6 +56,11 @@ message!(
     /// Covariance row by row, in the axes of the header's frame.
     PoseWithCovariance, "geometry_msgs/msg/PoseWithCovariance", { pose: Pose, covariance: [f64; 36] }
 );
+message!(
+    /// In the header's frame.
+    PoseWithCovarianceStamped<'a>, "geometry_msgs/msg/PoseWithCovarianceStamped",
+    { header: Header<'a>, pose: PoseWithCovariance }
+);
 message!(Twist, "geometry_msgs/msg/Twist", { linear: Vector3, angular: Vector3 });
 message!(TwistWithCovariance, "geometry_msgs/msg/TwistWithCovariance", { twist: Twist, covariance: [f64; 36] });
 message!(

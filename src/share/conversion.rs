@@ -52,32 +52,37 @@ pub fn point_cloud<'a>(data: &'a [u8], landmarks: usize, header: Header<'a>) -> 
 /// Not known, as nav_msgs says it.
 const UNKNOWN: f64 = -1.0;
 
+fn unknown_covariance() -> [f64; 36] {
+    let mut unknown = [0.0; 36];
+    unknown[0] = UNKNOWN;
+    unknown
+}
+
+/// `place`: the pose's in the map or in odom, in whose axes its covariance is then.
+pub fn pose_with_covariance(pose: &Pose, place: &Transform) -> ros::PoseWithCovariance {
+    // The method turns into the axes of whatever the orientation leads to.
+    let turned = Pose { orientation: place.orientation, ..*pose }.covariance_in_map_axes();
+    let mut covariance = [0.0; 36];
+    covariance.iter_mut().zip(turned.iter().flatten()).for_each(|(to, from)| *to = *from);
+    if covariance.iter().any(|v| !v.is_finite()) {
+        covariance = unknown_covariance();
+    }
+    let pose = ros::Pose { position: place.position.into(), orientation: place.orientation.into() };
+    ros::PoseWithCovariance { pose, covariance }
+}
+
 pub fn odometry<'a>(
     pose: &Pose,
     odom_from_body: &Transform,
     header: Header<'a>,
     child_frame_id: &'a str,
 ) -> ros::Odometry<'a> {
-    // The method turns into the axes of whatever the orientation leads to.
-    let turned = Pose { orientation: pose.odom_orientation, ..*pose }.covariance_in_map_axes();
-    let mut covariance = [0.0; 36];
-    covariance.iter_mut().zip(turned.iter().flatten()).for_each(|(to, from)| *to = *from);
-    let mut unknown = [0.0; 36];
-    unknown[0] = UNKNOWN;
-    if covariance.iter().any(|v| !v.is_finite()) {
-        covariance = unknown;
-    }
+    let (pose_in_odom, unknown) = (pose_with_covariance(pose, odom_from_body), unknown_covariance());
     let known = |v: [f64; 3]| v.map(|v| if v.is_finite() { v } else { 0.0 });
     ros::Odometry {
         header,
         child_frame_id,
-        pose: ros::PoseWithCovariance {
-            pose: ros::Pose {
-                position: odom_from_body.position.into(),
-                orientation: odom_from_body.orientation.into(),
-            },
-            covariance,
-        },
+        pose: pose_in_odom,
         twist: ros::TwistWithCovariance {
             twist: ros::Twist {
                 linear: known(pose.linear_velocity).into(),

@@ -7,10 +7,15 @@
 //! Each half is a plain step or loop; `cli` puts the second into a thread of the daemon's making. Does not: open sockets, follow pixels, know the daemon.
 //! Users' page: `docs/recordings.md`.
 
+#[cfg(feature = "bridge")]
+pub mod bridge;
 mod conversion;
 mod copy;
 mod error;
 mod file;
+mod frames;
+mod news;
+mod picture;
 mod recorder;
 mod records;
 mod ring;

@@ -8,14 +8,13 @@ use std::time::{Duration, Instant};
 use tracing::{info, warn};
 
 use super::ShareError;
+use super::picture::compressed;
 use super::records::{Converter, Record};
 use super::sink::{Queue, Queued};
 use crate::client::{
     Client, Encodeds, Healths, Keyframes, Map, ObstacleScans, Poses, Subscription, Topic, WheelReports, monotonic_ns,
 };
-use crate::messages::{
-    ENCODED_GREY, ENCODED_JPEG, ENCODED_PNG, ENCODED_YUYV, EncodedHeader, Endpoint, Health, Pose, State,
-};
+use crate::messages::{EncodedHeader, Endpoint, Health, Pose, State};
 
 /// Longest sleep: how late a signal is noticed while nothing comes.
 pub const TURN: Duration = Duration::from_millis(50);
@@ -170,18 +169,13 @@ impl Recorder {
             }
         }
         self.last_picture = Some((header.run_id, header.sequence));
-        match header.format {
-            ENCODED_JPEG => self.converter.picture(header, "jpeg", data, &mut self.records),
-            ENCODED_PNG => self.converter.picture(header, "png", data, &mut self.records),
-            ENCODED_GREY | ENCODED_YUYV if png(header, data, &mut self.png).is_some() => {
-                self.converter.picture(header, "png", &self.png, &mut self.records);
-            }
-            format => {
-                self.heard.unusable += 1;
-                if self.is_news() {
-                    warn!(format, sequence = header.sequence, "picture of an unknown kind, not recorded");
-                }
-            }
+        if let Some((format, data)) = compressed(header, data, &mut self.png) {
+            self.converter.picture(header, format, data, &mut self.records);
+            return;
+        }
+        self.heard.unusable += 1;
+        if self.is_news() {
+            warn!(format = header.format, sequence = header.sequence, "picture of an unknown kind, not recorded");
         }
     }
 
@@ -238,59 +232,4 @@ fn drain<T: Topic>(subscription: &mut Subscription<T>, mut take: impl FnMut(T::I
         take(item);
     }
     Ok(())
-}
-
-/// Rows of grey, or the luma of YUYV, as a PNG file; `None` if they are not there.
-fn png(header: &EncodedHeader, data: &[u8], out: &mut Vec<u8>) -> Option<()> {
-    let (width, height, stride) = (header.width as usize, header.height as usize, header.stride as usize);
-    let bytes_a_pixel = if header.format == ENCODED_YUYV { 2 } else { 1 };
-    let row = bytes_a_pixel * width;
-    if width == 0 || stride < row || data.len() < stride.checked_mul(height.checked_sub(1)?)?.checked_add(row)? {
-        return None;
-    }
-    out.clear();
-    let mut encoder = ::png::Encoder::new(&mut *out, header.width, header.height);
-    encoder.set_color(::png::ColorType::Grayscale);
-    encoder.set_depth(::png::BitDepth::Eight);
-    encoder.set_compression(::png::Compression::Fast);
-    let mut writer = encoder.write_header().ok()?;
-    if bytes_a_pixel == 1 && stride == width {
-        writer.write_image_data(&data[..width * height]).ok()?;
-    } else {
-        let rows = data.chunks(stride).take(height).flat_map(|line| line[..row].iter().step_by(bytes_a_pixel));
-        let rows: Vec<u8> = rows.copied().collect();
-        writer.write_image_data(&rows).ok()?;
-    }
-    writer.finish().ok()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn rows_of_grey_come_back_from_their_png() {
-        let header = EncodedHeader { width: 5, height: 3, stride: 8, ..EncodedHeader::default() };
-        let data: Vec<u8> = (0..3 * 8 - 3).collect();
-        let mut file = Vec::new();
-        assert_eq!(png(&header, &data, &mut file), Some(()));
-        let raw =
-            crate::frame::RawFrame { format: crate::frame::PixelFormat::Png, data: file.clone(), ..Default::default() };
-        let mut grey = crate::image::GreyImage::default();
-        crate::image::decode::Decoder::default().decode(&raw, &mut grey).expect("PNG");
-        assert_eq!(grey.data, [0, 1, 2, 3, 4, 8, 9, 10, 11, 12, 16, 17, 18, 19, 20]);
-        let yuyv = EncodedHeader { width: 4, height: 2, stride: 8, format: ENCODED_YUYV, ..header };
-        assert_eq!(png(&yuyv, &data[..16], &mut file), Some(()));
-        let raw = crate::frame::RawFrame { data: file.clone(), ..raw };
-        crate::image::decode::Decoder::default().decode(&raw, &mut grey).expect("PNG");
-        assert_eq!(grey.data, [0, 2, 4, 6, 8, 10, 12, 14]);
-        for wrong in [
-            EncodedHeader { height: 4, ..header },
-            EncodedHeader { stride: 4, ..header },
-            EncodedHeader { width: 0, ..header },
-            EncodedHeader { height: 0, ..header },
-        ] {
-            assert_eq!(png(&wrong, &data, &mut file), None);
-        }
-    }
 }

@@ -2,20 +2,17 @@
 //!
 //! Input: a message of the wire. Output: [`Record`]s, complete ROS 2 messages in CDR. No clock is read and nothing is written here.
 //!
-//! Times: a header's stamp is the capture time as Unix time by WIRE.md's rule, `timestamp_ns` plus the offset of both clocks, or `timestamp_ns`
-//! itself where the source is a recording. One offset holds for a whole recording, so that times of two messages differ in it by as much as they
-//! did on the wire, whatever sets the time of day meanwhile. A record's time is the one at which its message was sent (a picture's: arrived).
-//!
-//! Lengths of a map without a metric scale are no metres, so its frames have names of their own that no metric tree has: `map_unscaled`,
-//! `odom_unscaled`, `base_link_unscaled`, `camera_unscaled`. A message of ROS's own with a position is written only where there is one.
+//! Times and frames are as [`super::frames`] has them. One offset of both clocks holds for a whole recording, so that times of two messages differ in
+//! it by as much as they did on the wire, whatever sets the time of day meanwhile. A record's time is the one at which its message was sent (a
+//! picture's: arrived). A message of ROS's own with a position is written only where there is one.
 
-use super::conversion::{
-    camera_info, diagnostics, is_finite, landmark_bytes, laser_scan, odometry, point_cloud, wheel_twist,
-};
+use super::conversion::{camera_info, diagnostics, landmark_bytes, laser_scan, odometry, point_cloud, wheel_twist};
+use super::frames::{METRIC, Place, SCAN_FRAME, UnixTime, frames, mount, ros_name, scan_place, transform};
+use super::news::{Diagnosed, Told, content_of_keyframes, content_of_map};
 use super::wire::Keyframes;
 use crate::messages::{
     CLOCK_MONOTONIC, EncodedHeader, Health, Keyframe, KeyframesHeader, Landmark, MapHeader, Obstacles, Pose, Scale,
-    State, Transform, WheelOdometry,
+    Transform, WheelOdometry,
 };
 use crate::ros::standard::{self as ros, Header, Time};
 use crate::ros::{Bytes, Message};
@@ -61,11 +58,7 @@ impl Topic {
 
     /// Below the daemon's prefix; what belongs to a whole robot is at the root, as ROS 2 has it.
     pub fn name(self, prefix: &str) -> String {
-        let own = |name: &str| {
-            // ROS 2 allows letters, digits and _ between slashes.
-            let allowed = |c: char| if c.is_ascii_alphanumeric() || c == '/' { c } else { '_' };
-            format!("/{}/{name}", prefix.chars().map(allowed).collect::<String>())
-        };
+        let own = |name: &str| format!("/{}/{name}", ros_name(prefix));
         match self {
             Self::Image => own("image/compressed"),
             Self::CameraInfo => own("camera_info"),
@@ -120,71 +113,42 @@ pub struct Record {
     pub data: Vec<u8>,
 }
 
-/// Frames' names.
-struct Frames {
-    map: &'static str,
-    odom: &'static str,
-    body: &'static str,
-    camera: &'static str,
-}
-
-const METRIC: Frames = Frames { map: "map", odom: "odom", body: "base_link", camera: "camera" };
-const UNSCALED: Frames =
-    Frames { map: "map_unscaled", odom: "odom_unscaled", body: "base_link_unscaled", camera: "camera_unscaled" };
-
-/// The robot's foot point, level with the floor: a scan's, in the map.
-const SCAN_FRAME: &str = "scan";
-
-fn frames(is_metric: bool) -> &'static Frames {
-    if is_metric { &METRIC } else { &UNSCALED }
-}
-
 /// Turns messages into records; remembers what one message must know of others.
 #[derive(Debug)]
 pub struct Converter {
     prefix: String,
-    realtime_minus_monotonic_ns: i64,
+    time: UnixTime,
     is_metric: bool,
     /// Of the last pose: [`CLOCK_MONOTONIC`], or a recording's.
     clock: u8,
     /// `body_from_camera`, of the last picture.
     mount: Option<Transform>,
-    /// What the last diagnostics said, and when.
-    diagnosed: Option<(u64, u8, i64)>,
-    /// Of the last map and keyframes that were written.
-    written: [Option<(u64, u64, u32, u32)>; 2],
+    diagnosed: Diagnosed,
+    /// Of the last map that was written.
+    map: Told,
+    /// Of the last keyframes that were written.
+    keyframes: Told,
 }
-
-/// Diagnostics that say the same are written once in so many ns.
-const DIAGNOSTICS_EVERY_NS: i64 = 1_000_000_000;
 
 impl Converter {
     pub fn new(prefix: &str, realtime_minus_monotonic_ns: i64) -> Self {
         Self {
             prefix: prefix.into(),
-            realtime_minus_monotonic_ns,
+            time: UnixTime { realtime_minus_monotonic_ns },
             is_metric: false,
             clock: CLOCK_MONOTONIC,
             mount: None,
-            diagnosed: None,
-            written: [None; 2],
+            diagnosed: Diagnosed::default(),
+            map: Told::default(),
+            keyframes: Told::default(),
         }
-    }
-
-    fn unix_ns(&self, monotonic_ns: i64) -> i64 {
-        monotonic_ns.saturating_add(self.realtime_minus_monotonic_ns)
-    }
-
-    fn stamp(&self, timestamp_ns: i64, clock: u8) -> Time {
-        Time::from_ns(if clock == CLOCK_MONOTONIC { self.unix_ns(timestamp_ns) } else { timestamp_ns })
     }
 
     /// A picture: `format` and `data` as in a CompressedImage.
     pub fn picture(&mut self, header: &EncodedHeader, format: &str, data: &[u8], out: &mut Vec<Record>) {
-        let mount = Transform { position: header.camera_position, orientation: header.camera_orientation };
-        self.mount = is_finite(&mount).then_some(mount);
-        let time_ns = self.unix_ns(header.arrival_ns);
-        let stamp = self.stamp(header.timestamp_ns, header.clock);
+        self.mount = mount(header);
+        let time_ns = self.time.ns(header.arrival_ns);
+        let stamp = self.time.stamp(header.timestamp_ns, header.clock);
         let ros_header = || Header { stamp: stamp.clone(), frame_id: frames(self.is_metric).camera };
         let image = ros::CompressedImage { header: ros_header(), format, data: Bytes(data) };
         out.push(Record { topic: Topic::Image, time_ns, data: image.to_cdr() });
@@ -196,107 +160,78 @@ impl Converter {
 
     /// A pose; odometry and transforms only where it has a position.
     pub fn pose(&mut self, pose: &Pose, out: &mut Vec<Record>) {
-        let time_ns = self.unix_ns(pose.published_ns);
+        let time_ns = self.time.ns(pose.published_ns);
         out.push(Record { topic: Topic::Pose, time_ns, data: pose.to_cdr() });
         (self.is_metric, self.clock) = (pose.scale() == Scale::Metric, pose.clock);
-        let map_from_body = Transform { position: pose.position, orientation: pose.orientation };
-        let odom_from_body = Transform { position: pose.odom_position, orientation: pose.odom_orientation };
-        let has_place = matches!(pose.state(), State::Tracking | State::DeadReckoning);
-        if !has_place || !is_finite(&map_from_body) || !is_finite(&odom_from_body) {
-            return;
-        }
+        let Some(place) = Place::of(pose) else { return };
         let frames = frames(self.is_metric);
-        let header = |frame_id| Header { stamp: self.stamp(pose.timestamp_ns, pose.clock), frame_id };
-        let odometry = odometry(pose, &odom_from_body, header(frames.odom), frames.body);
+        let stamp = self.time.stamp(pose.timestamp_ns, pose.clock);
+        let header = Header { stamp: stamp.clone(), frame_id: frames.odom };
+        let odometry = odometry(pose, &place.odom_from_body, header, frames.body);
         out.push(Record { topic: Topic::Odometry, time_ns, data: odometry.to_cdr() });
-        let map_from_odom = map_from_body * odom_from_body.inverse();
-        let transform = |parent, child, t: &Transform| ros::TransformStamped {
-            header: header(parent),
-            child_frame_id: child,
-            transform: ros::Transform { translation: t.position.into(), rotation: t.orientation.into() },
-        };
-        let mut transforms = vec![
-            transform(frames.map, frames.odom, &map_from_odom),
-            transform(frames.odom, frames.body, &odom_from_body),
-        ];
+        let mut transforms = place.transforms(&stamp, frames);
         if let Some(mount) = self.mount {
             // In a map without metres the body's origin is the camera's centre.
             let position = if self.is_metric { mount.position } else { [0.0; 3] };
-            transforms.push(transform(frames.body, frames.camera, &Transform { position, ..mount }));
+            transforms.push(transform(&stamp, frames.body, frames.camera, &Transform { position, ..mount }));
         }
         out.push(Record { topic: Topic::Tf, time_ns, data: ros::TfMessage { transforms }.to_cdr() });
     }
 
     /// What stands around the robot; as a scan, with the transform to its frame, where anything is known.
     pub fn obstacles(&self, obstacles: &Obstacles, out: &mut Vec<Record>) {
-        let time_ns = self.unix_ns(obstacles.published_ns);
+        let time_ns = self.time.ns(obstacles.published_ns);
         out.push(Record { topic: Topic::Obstacles, time_ns, data: obstacles.to_cdr() });
-        let map_from_scan = Transform { position: obstacles.position, orientation: obstacles.orientation };
-        if !obstacles.is_told() || !is_finite(&map_from_scan) {
-            return;
-        }
-        let header = |frame_id| Header { stamp: self.stamp(obstacles.timestamp_ns, obstacles.clock), frame_id };
-        let transforms = vec![ros::TransformStamped {
-            header: header(METRIC.map),
-            child_frame_id: SCAN_FRAME,
-            transform: ros::Transform {
-                translation: map_from_scan.position.into(),
-                rotation: map_from_scan.orientation.into(),
-            },
-        }];
+        let Some(map_from_scan) = scan_place(obstacles) else { return };
+        let stamp = self.time.stamp(obstacles.timestamp_ns, obstacles.clock);
+        let transforms = vec![transform(&stamp, METRIC.map, SCAN_FRAME, &map_from_scan)];
         out.push(Record { topic: Topic::Tf, time_ns, data: ros::TfMessage { transforms }.to_cdr() });
-        let scan = laser_scan(obstacles, header(SCAN_FRAME));
+        let scan = laser_scan(obstacles, Header { stamp, frame_id: SCAN_FRAME });
         out.push(Record { topic: Topic::Scan, time_ns, data: scan.to_cdr() });
     }
 
     /// What the base's driver tells; as a twist only what is finite, and only beside a camera: beside a recording it is of another time than the pictures.
     /// Its log time is when it was heard (`heard_ns`, monotonic), by which a replay knows stamps of another clock.
     pub fn wheel(&self, wheel: &WheelOdometry, heard_ns: i64, out: &mut Vec<Record>) {
-        let time_ns = self.unix_ns(heard_ns);
+        let time_ns = self.time.ns(heard_ns);
         out.push(Record { topic: Topic::Wheel, time_ns, data: wheel.to_cdr() });
         let Some(twist) = wheel_twist(wheel).filter(|_| self.clock == CLOCK_MONOTONIC) else { return };
-        let header = Header { stamp: Time::from_ns(self.unix_ns(wheel.timestamp_ns)), frame_id: METRIC.body };
+        let header = Header { stamp: Time::from_ns(self.time.ns(wheel.timestamp_ns)), frame_id: METRIC.body };
         let message = ros::TwistWithCovarianceStamped { header, twist };
         out.push(Record { topic: Topic::WheelTwist, time_ns, data: message.to_cdr() });
     }
 
     /// The map, unless it is the one that was written last.
     pub fn map(&mut self, header: &MapHeader, landmarks: &[Landmark], out: &mut Vec<Record>) {
-        let content = (header.run_id, header.content_revision, header.map_revision, header.reset_counter);
-        if self.written[0].replace(content) == Some(content) {
+        if !self.map.is_news(content_of_map(header)) {
             return;
         }
-        let time_ns = self.unix_ns(header.published_ns);
+        let time_ns = self.time.ns(header.published_ns);
         out.push(Record { topic: Topic::MapHeader, time_ns, data: header.to_cdr() });
         let frame_id = frames(Scale::from_wire(header.scale) == Scale::Metric).map;
         let data = landmark_bytes(landmarks);
-        let header = Header { stamp: self.stamp(header.timestamp_ns, header.clock), frame_id };
+        let header = Header { stamp: self.time.stamp(header.timestamp_ns, header.clock), frame_id };
         let cloud = point_cloud(&data, landmarks.len(), header);
         out.push(Record { topic: Topic::Points, time_ns, data: cloud.to_cdr() });
     }
 
     /// Keyframes, unless they are those that were written last.
     pub fn keyframes(&mut self, header: &KeyframesHeader, keyframes: &[Keyframe], out: &mut Vec<Record>) {
-        let content = (header.run_id, header.content_revision, header.map_revision, header.reset_counter);
-        if self.written[1].replace(content) == Some(content) {
+        if !self.keyframes.is_news(content_of_keyframes(header)) {
             return;
         }
-        let time_ns = self.unix_ns(header.published_ns);
+        let time_ns = self.time.ns(header.published_ns);
         let message = Keyframes { header: *header, keyframes };
         out.push(Record { topic: Topic::Keyframes, time_ns, data: message.to_cdr() });
     }
 
     /// Health; as diagnostics when something else is to be said, and once a second.
     pub fn health(&mut self, health: &Health, out: &mut Vec<Record>) {
-        let time_ns = self.unix_ns(health.published_ns);
+        let time_ns = self.time.ns(health.published_ns);
         out.push(Record { topic: Topic::Health, time_ns, data: health.to_cdr() });
-        let said = self.diagnosed.is_some_and(|(errors, state, at_ns)| {
-            (errors, state) == (health.errors, health.state) && health.published_ns - at_ns < DIAGNOSTICS_EVERY_NS
-        });
-        if said {
+        if !self.diagnosed.is_news(health) {
             return;
         }
-        self.diagnosed = Some((health.errors, health.state, health.published_ns));
         let status = diagnostics(health, &self.prefix);
         let message = ros::DiagnosticArray {
             header: Header { stamp: Time::from_ns(time_ns), frame_id: "" },

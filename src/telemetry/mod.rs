@@ -70,8 +70,8 @@ impl LogConfig {
             }
         }
         // iceoryx2 speaks of its shared-memory segments at info: of use to its own developers only. A directive given
-        // by the user comes later and wins.
-        EnvFilter::try_new(format!("iceoryx2=warn,{}", self.level)).map_err(|e| e.to_string())
+        // by the user comes later and wins. Zenoh warns at each attempt to connect, of which the bridge says the first.
+        EnvFilter::try_new(format!("iceoryx2=warn,zenoh=error,{}", self.level)).map_err(|e| e.to_string())
     }
 }
 

@@ -1,0 +1,107 @@
+//! `cairn bridge`: a running daemon's poses, map and pictures to ROS 2, over Zenoh.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::atomic::Ordering;
+
+use super::session::{self, SessionArgs};
+use super::{CliError, exit_code};
+use crate::daemon;
+use crate::messages::Endpoint;
+use crate::share::bridge::{Bridge, BridgeError, Network, Rate, Rates, Robot};
+use crate::telemetry;
+
+/// Bridge a running daemon to ROS 2 over Zenoh, as a node of rmw_zenoh's, until interrupted
+#[derive(Debug, clap::Args)]
+pub struct BridgeArgs {
+    /// Namespace of its topics; / for none [default: the prefix]
+    #[arg(long, value_name = "NAME")]
+    pub robot: Option<String>,
+    /// Send a topic at most so often, such as odom=10; 0 leaves it out; may be given several times
+    #[arg(long, value_name = "TOPIC=HZ")]
+    pub rate: Vec<String>,
+    /// tf and tf_static in the robot's namespace, as Nav2's launch files for several robots have them
+    #[arg(long)]
+    pub namespaced_tf: bool,
+    /// Zenoh's own configuration file [default: ZENOH_SESSION_CONFIG_URI, else a peer that connects to tcp/localhost:7447]
+    #[arg(long, value_name = "FILE")]
+    pub zenoh: Option<PathBuf>,
+    /// ROS 2's domain
+    #[arg(long, env = "ROS_DOMAIN_ID", value_name = "N", default_value = "0", value_parser = domain)]
+    pub domain: u32,
+    #[command(flatten)]
+    pub session: SessionArgs,
+}
+
+/// The highest domain of ROS 2: higher ones have no ports in DDS.
+const HIGHEST_DOMAIN: u32 = 232;
+
+/// ROS_DOMAIN_ID may be set and empty, which is the same as not set.
+fn domain(text: &str) -> Result<u32, String> {
+    let domain = if text.is_empty() { Ok(0) } else { text.parse::<u32>() };
+    let domain = domain.ok().filter(|domain| *domain <= HIGHEST_DOMAIN);
+    domain.ok_or_else(|| format!("a domain of ROS 2 is a number from 0 to {HIGHEST_DOMAIN}"))
+}
+
+impl From<BridgeError> for CliError {
+    fn from(error: BridgeError) -> Self {
+        let code = match error {
+            BridgeError::Client(error) => return error.into(),
+            BridgeError::Name { .. } | BridgeError::Rate { .. } => exit_code::USAGE,
+            BridgeError::Configuration { .. } => exit_code::CONFIG,
+            BridgeError::Open { .. } => exit_code::UNAVAILABLE,
+            BridgeError::Declare { .. } => exit_code::FAILURE,
+        };
+        Self::new(code, error.to_string())
+    }
+}
+
+pub fn run(args: &BridgeArgs) -> Result<ExitCode, CliError> {
+    let config = args.session.open()?;
+    let stop = session::stop_flag()?;
+    let robot = match &args.robot {
+        Some(name) => Robot::new(name)?,
+        None => Robot::of_prefix(&config.prefix)?,
+    };
+    let rates: Vec<Rate> = args.rate.iter().map(|text| text.parse()).collect::<Result<_, BridgeError>>()?;
+    let from_environment = || std::env::var_os("ZENOH_SESSION_CONFIG_URI").filter(|path| !path.is_empty());
+    let network = Network {
+        domain: args.domain,
+        robot,
+        own_tf: args.namespaced_tf,
+        file: args.zenoh.clone().or_else(|| from_environment().map(PathBuf::from)),
+    };
+    let endpoint = Endpoint::new(&config.prefix).and_then(Endpoint::with_environment)?;
+    let offset_ns = session::realtime_minus_monotonic_ns();
+    let (mut bridge, commands) = Bridge::open(endpoint, &network, Rates::new(&rates), offset_ns)?;
+    let over = stop.clone();
+    let commander = daemon::spawn("cairn-bridge", move || commands.serve(&over))
+        .map_err(|e| CliError::new(exit_code::FAILURE, e.to_string()))?;
+    let outcome = loop {
+        if stop.load(Ordering::Relaxed) {
+            break Ok(());
+        }
+        if let Err(error) = bridge.step() {
+            break Err(error);
+        }
+    };
+    // Whatever ended it: the node leaves the network at once, and a command that is under way is waited for.
+    bridge.close();
+    stop.store(true, Ordering::Relaxed);
+    let commanded = commander.join();
+    telemetry::report_suppressed(true);
+    outcome?;
+    commanded.map_err(|_| CliError::new(exit_code::FAILURE, "the thread for commands panicked"))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_domain_is_a_number_that_ros_takes() {
+        assert_eq!((domain(""), domain("7"), domain("232")), (Ok(0), Ok(7), Ok(232)));
+        assert!(["233", "-1", "x"].iter().all(|text| domain(text).is_err()));
+    }
+}

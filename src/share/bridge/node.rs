@@ -1,0 +1,272 @@
+//! A node of ROS 2 on a Zenoh session: publishers, services and a subscription, each with its key, its liveliness token and its attachments.
+//!
+//! Input: messages as CDR. Output: the same on the network, numbered. What must be kept for late joiners ("transient local") is in a cache of Zenoh's own
+//! that rmw_zenoh's subscribers ask. Zenoh connects, and connects again, by itself; a message that nobody takes is gone.
+
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use zenoh::liveliness::LivelinessToken;
+use zenoh::pubsub::{Publisher, Subscriber};
+use zenoh::qos::Reliability;
+use zenoh::query::Queryable;
+use zenoh::sample::SampleKind;
+use zenoh::{Config, Session, Wait};
+use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig, MissDetectionConfig};
+
+use super::attachment::{Attachment, GID_BYTES, gid};
+use super::commands::{Inbox, Request, Service, unix_ns};
+use super::error::BridgeError;
+use super::names::{INITIAL_POSE, Identity, Kind, Qos, Robot, TRIGGER, Type, key, subscribers};
+use super::topic::Topic;
+
+/// rmw_zenoh's session where no file says otherwise: Zenoh's defaults, and these.
+const DEFAULT: &str = r#"{
+    mode: "peer",
+    connect: { endpoints: ["tcp/localhost:7447"], timeout_ms: -1, exit_on_failure: false,
+               retry: { period_init_ms: 1000, period_max_ms: 1000, period_increase_factor: 1 } },
+    listen: { endpoints: ["tcp/localhost:0"] },
+    scouting: { multicast: { enabled: false }, gossip: { enabled: true } },
+    timestamping: { enabled: { router: true, peer: true, client: true } },
+}"#;
+
+/// How often a cache says up to which number it goes, if that has changed: rmw_zenoh's own period.
+const HEARTBEAT: Duration = Duration::from_secs(5);
+/// Subscribers of one topic that are told apart; of more, one that goes may be forgotten too early.
+const MOST_SUBSCRIBERS: usize = 256;
+/// Of services, as rmw has it.
+const SERVICE_QOS: Qos = Qos::reliable(10);
+
+/// Where the node is.
+#[derive(Debug, Clone)]
+pub struct Network {
+    /// ROS_DOMAIN_ID.
+    pub domain: u32,
+    pub robot: Robot,
+    /// Transforms in the robot's namespace.
+    pub own_tf: bool,
+    /// Zenoh's own configuration file.
+    pub file: Option<PathBuf>,
+}
+
+impl Network {
+    fn configuration(&self) -> Result<Config, BridgeError> {
+        let Some(file) = &self.file else {
+            return Config::from_json5(DEFAULT).map_err(|e| BridgeError::Open { reason: e.to_string() });
+        };
+        let path = file.display().to_string();
+        Config::from_file(file).map_err(|e| BridgeError::Configuration { path, reason: e.to_string() })
+    }
+}
+
+enum Port {
+    Plain(Publisher<'static>),
+    Cached(AdvancedPublisher<'static>),
+}
+
+struct Output {
+    port: Port,
+    gid: [u8; GID_BYTES],
+    /// Of the last message.
+    sequence: i64,
+}
+
+/// Tokens of a topic's subscribers.
+type Subscribers = Arc<Mutex<BTreeSet<String>>>;
+
+/// See module. What is held only to be there is behind `_`.
+pub struct Node {
+    /// In [`Topic::ALL`]'s order.
+    outputs: Vec<Output>,
+    wanted: Vec<(Topic, Subscribers)>,
+    endpoints: String,
+    _services: Vec<Queryable<()>>,
+    _subscribers: Vec<Subscriber<()>>,
+    _tokens: Vec<LivelinessToken>,
+    session: Session,
+}
+
+impl Node {
+    /// Opens the session, which need not find anybody yet, and declares everything.
+    pub(super) fn open(network: &Network, inbox: &Inbox) -> Result<Self, BridgeError> {
+        let configuration = network.configuration()?;
+        let endpoints = configuration.get_json("connect/endpoints").unwrap_or_default();
+        let failed = |e: zenoh::Error| BridgeError::Open { reason: e.to_string() };
+        let session = zenoh::open(configuration).wait().map_err(failed)?;
+        let identity =
+            Identity { domain: network.domain, session: session.zid().to_string(), robot: network.robot.clone() };
+        let mut making = Making { session: &session, identity: &identity, tokens: Vec::new() };
+        making.token(&identity.node_token())?;
+        let (mut outputs, mut wanted) = (Vec::new(), Vec::new());
+        let mut watchers = Vec::new();
+        for topic in Topic::ALL {
+            let name = topic.name(&network.robot, network.own_tf);
+            outputs.push(making.output(&name, topic.of(), topic.qos())?);
+            if topic.is_on_demand() {
+                let (known, watcher) = making.watch(&name)?;
+                watchers.push(watcher);
+                wanted.push((topic, known));
+            }
+        }
+        let services =
+            Service::ALL.map(|service| making.service(service, inbox)).into_iter().collect::<Result<_, _>>()?;
+        watchers.push(making.initial_pose(inbox)?);
+        let tokens = making.tokens;
+        let (_services, _subscribers, _tokens) = (services, watchers, tokens);
+        Ok(Self { outputs, wanted, endpoints, _services, _subscribers, _tokens, session })
+    }
+
+    /// Sends a message of this topic.
+    pub(super) fn put(&mut self, topic: Topic, message: Vec<u8>) -> Result<(), String> {
+        let output = &mut self.outputs[topic.index()];
+        output.sequence += 1;
+        let attachment = Attachment { sequence: output.sequence, time_ns: unix_ns(), gid: output.gid }.to_bytes();
+        let sent = match &output.port {
+            Port::Plain(port) => port.put(message).attachment(attachment).wait(),
+            Port::Cached(port) => port.put(message).attachment(attachment).wait(),
+        };
+        sent.map_err(|e| e.to_string())
+    }
+
+    /// Somebody subscribes to it; of a topic that is sent in any case this is not asked.
+    pub(super) fn is_wanted(&self, topic: Topic) -> bool {
+        let known = self.wanted.iter().find(|(wanted, _)| *wanted == topic);
+        known.is_none_or(|(_, known)| !lock(known).is_empty())
+    }
+
+    /// A router or another peer is there.
+    pub(super) fn is_connected(&self) -> bool {
+        let info = self.session.info();
+        info.routers_zid().wait().next().is_some() || info.peers_zid().wait().next().is_some()
+    }
+
+    /// Where it connects to, as configured.
+    pub(super) fn endpoints(&self) -> &str {
+        &self.endpoints
+    }
+
+    /// Takes leave of the network, so that the node's tokens are gone at once.
+    pub(super) fn close(self) {
+        // Whoever closes does not need to know that the network has gone before.
+        let _ = self.session.close().wait();
+    }
+}
+
+fn lock(known: &Subscribers) -> std::sync::MutexGuard<'_, BTreeSet<String>> {
+    // A set is whole at any time.
+    known.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A node that is being made.
+struct Making<'a> {
+    session: &'a Session,
+    identity: &'a Identity,
+    tokens: Vec<LivelinessToken>,
+}
+
+impl Making<'_> {
+    fn failed(what: &str) -> impl FnOnce(zenoh::Error) -> BridgeError {
+        move |e| BridgeError::Declare { what: what.into(), reason: e.to_string() }
+    }
+
+    fn token(&mut self, token: &str) -> Result<(), BridgeError> {
+        let declared = self.session.liveliness().declare_token(token.to_owned()).wait();
+        self.tokens.push(declared.map_err(Self::failed(token))?);
+        Ok(())
+    }
+
+    /// Declares the token of an entity and gives its id. There is one token before: the node's, with the number 0.
+    fn entity(&mut self, kind: Kind, topic: &str, of: Type, qos: Qos) -> Result<[u8; GID_BYTES], BridgeError> {
+        let number = u32::try_from(self.tokens.len()).unwrap_or(u32::MAX);
+        let token = self.identity.token(number, kind, topic, of, qos);
+        self.token(&token)?;
+        Ok(gid(&token))
+    }
+
+    fn output(&mut self, topic: &str, of: Type, qos: Qos) -> Result<Output, BridgeError> {
+        let key = key(self.identity.domain, topic, of);
+        let reliability = if qos.is_reliable { Reliability::Reliable } else { Reliability::BestEffort };
+        let builder = self.session.declare_publisher(key.clone()).reliability(reliability);
+        let port = if qos.is_transient_local {
+            let cached = builder
+                .cache(CacheConfig::default().max_samples(qos.depth))
+                .publisher_detection()
+                .sample_miss_detection(MissDetectionConfig::default().sporadic_heartbeat(HEARTBEAT));
+            Port::Cached(cached.wait().map_err(Self::failed(&key))?)
+        } else {
+            Port::Plain(builder.wait().map_err(Self::failed(&key))?)
+        };
+        // The token comes last: who sees it finds the publisher.
+        let gid = self.entity(Kind::Publisher, topic, of, qos)?;
+        Ok(Output { port, gid, sequence: 0 })
+    }
+
+    /// Who subscribes to a topic, from now on.
+    fn watch(&self, topic: &str) -> Result<(Subscribers, Subscriber<()>), BridgeError> {
+        let known = Subscribers::default();
+        let pattern = subscribers(self.identity.domain, topic);
+        let seen = known.clone();
+        let watcher = self.session.liveliness().declare_subscriber(pattern.clone()).history(true);
+        let watcher = watcher.callback(move |sample| {
+            let token = sample.key_expr().as_str();
+            let mut seen = lock(&seen);
+            match sample.kind() {
+                SampleKind::Put if seen.len() < MOST_SUBSCRIBERS => {
+                    seen.insert(token.to_owned());
+                }
+                SampleKind::Put => {}
+                SampleKind::Delete => {
+                    seen.remove(token);
+                }
+            }
+        });
+        Ok((known, watcher.wait().map_err(Self::failed(&pattern))?))
+    }
+
+    fn service(&mut self, service: Service, inbox: &Inbox) -> Result<Queryable<()>, BridgeError> {
+        let topic = self.identity.robot.topic(service.word());
+        let key = key(self.identity.domain, &topic, TRIGGER);
+        let inbox = inbox.clone();
+        let queryable = self.session.declare_queryable(key.clone()).complete(true);
+        let queryable = queryable.callback(move |query| inbox.push(Request::Service(service, query))).wait();
+        let queryable = queryable.map_err(Self::failed(&key))?;
+        self.entity(Kind::Service, &topic, TRIGGER, SERVICE_QOS)?;
+        Ok(queryable)
+    }
+
+    fn initial_pose(&mut self, inbox: &Inbox) -> Result<Subscriber<()>, BridgeError> {
+        let topic = self.identity.robot.topic("initialpose");
+        let key = key(self.identity.domain, &topic, INITIAL_POSE);
+        let inbox = inbox.clone();
+        let subscriber = self.session.declare_subscriber(key.clone());
+        let subscriber = subscriber
+            .callback(move |sample| inbox.push(Request::InitialPose(sample.payload().to_bytes().into_owned())))
+            .wait()
+            .map_err(Self::failed(&key))?;
+        self.entity(Kind::Subscription, &topic, INITIAL_POSE, Qos::reliable(10))?;
+        Ok(subscriber)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_default_is_a_configuration_and_a_file_that_is_none_is_named() {
+        let network = Network { domain: 0, robot: Robot::new("robot").expect("name"), own_tf: false, file: None };
+        let config = network.configuration().expect("configuration");
+        assert_eq!(config.get_json("connect/endpoints").expect("endpoints"), r#"["tcp/localhost:7447"]"#);
+        assert_eq!(config.get_json("mode").expect("mode"), r#""peer""#);
+        let folder = tempfile::tempdir().expect("folder");
+        let file = folder.path().join("zenoh.json5");
+        std::fs::write(&file, "{ mode: \"boss\" }").expect("file");
+        for file in [file, folder.path().join("none.json5")] {
+            let name = file.display().to_string();
+            let error = Network { file: Some(file), ..network.clone() }.configuration().expect_err("none");
+            assert!(error.to_string().starts_with(&name), "{error}");
+        }
+    }
+}
