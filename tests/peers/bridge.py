@@ -1,0 +1,421 @@
+"""`cairn bridge` beside programs that are not ours: PyPI's `eclipse-zenoh` is the router and a node of ROS 2, `rosbags` decodes what it gets, `xxhash`
+and the package `cairn` say what it should be.
+
+    python tests/peers/bridge.py [--cairn target/release/cairn] [--bridge target/release/cairn]
+
+1. A demo whose scale nobody knows: odometry in `odom_unscaled` and no transforms, pictures only while a subscriber's token stands, a reset by a service,
+   a router that goes away for five seconds and comes back.
+2. Under the same bridge a demo with its camera at a known height: transforms once lengths are metres, tf_static for who comes late, scans on demand, an
+   initial pose.
+3. SIGTERM ends it, and its tokens are gone.
+
+`--bridge` names a binary with the feature `bridge`, `--cairn` one with `demo`. Ports are free ones of this machine.
+"""
+
+import argparse
+import hashlib
+import json
+import math
+import os
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter, defaultdict
+from pathlib import Path
+
+import xxhash
+import zenoh
+import zenoh.ext
+from rosbags.typesys import Stores, get_typestore
+
+ROOT = Path(__file__).resolve().parents[2]
+DOMAIN = 7
+STORE = get_typestore(Stores.ROS2_JAZZY)
+METRIC_CONFIG = "[simulator]\nwidth = 320\nheight = 240\nspeed = 2.0\n[scale]\ncamera_height_m = 0.5\n"
+
+
+def type_hash(name):
+    return STORE.hash_rihs01(name)
+
+
+def service_hash(name, request, response):
+    """REP-2016's hash of a service, which `rosbags` does not have: of its request, its response and the event that is made of both."""
+
+    def field(name, type_id, nested="", capacity=0):
+        kind = {"type_id": type_id, "capacity": capacity, "string_capacity": 0, "nested_type_name": nested}
+        return {"name": name, "type": kind}
+
+    nested, int32, uint32, uint8, int64, uint8_array, bounded = 1, 6, 7, 3, 8, 51, 97
+    asked, answered, event = f"{name}_Request", f"{name}_Response", f"{name}_Event"
+    stamp, info = "builtin_interfaces/msg/Time", "service_msgs/msg/ServiceEventInfo"
+    types = {
+        asked: [field(*f) for f in request],
+        answered: [field(*f) for f in response],
+        stamp: [field("sec", int32), field("nanosec", uint32)],
+        info: [field("event_type", uint8), field("stamp", nested, stamp), field("client_gid", uint8_array, "", 16),
+               field("sequence_number", int64)],
+        event: [field("info", nested, info), field("request", bounded, asked, 1), field("response", bounded, answered, 1)],
+    }
+    own = [field("request_message", nested, asked), field("response_message", nested, answered),
+           field("event_message", nested, event)]
+    described = {
+        "type_description": {"type_name": name, "fields": own},
+        "referenced_type_descriptions": [{"type_name": n, "fields": types[n]} for n in sorted(types)],
+    }
+    return "RIHS01_" + hashlib.sha256(json.dumps(described).encode()).hexdigest()
+
+
+# The one that rmw_zenoh's design shows.
+assert service_hash("example_interfaces/srv/AddTwoInts", [("a", 8), ("b", 8)], [("sum", 8)]) == (
+    "RIHS01_e118de6bf5eeb66a2491b5bda11202e7b68f198d6f67922cf30364858239c81a")
+TRIGGER = service_hash("std_srvs/srv/Trigger", [("structure_needs_at_least_one_member", 3)], [("success", 15), ("message", 17)])
+
+# Topic below the namespace (or with / at the root), type, and the quality of service in its token.
+TOPICS = {
+    "odom": ("nav_msgs/msg/Odometry", "::,10:,:,:,,"),
+    "/tf": ("tf2_msgs/msg/TFMessage", "::,100:,:,:,,"),
+    "/tf_static": ("tf2_msgs/msg/TFMessage", ":1:,1:,:,:,,"),
+    "pose": ("geometry_msgs/msg/PoseWithCovarianceStamped", "::,10:,:,:,,"),
+    "points": ("sensor_msgs/msg/PointCloud2", ":1:,1:,:,:,,"),
+    "scan": ("sensor_msgs/msg/LaserScan", "2::,5:,:,:,,"),
+    "/diagnostics": ("diagnostic_msgs/msg/DiagnosticArray", "::,10:,:,:,,"),
+    "camera_info": ("sensor_msgs/msg/CameraInfo", "2::,5:,:,:,,"),
+    "image/compressed": ("sensor_msgs/msg/CompressedImage", "2::,5:,:,:,,"),
+}
+
+
+def dds(name):
+    package, kind, base = name.split("/")
+    return f"{package}::{kind}::dds_::{base}_"
+
+
+def key(topic, type_name, hashed):
+    return f"{DOMAIN}{topic}/{dds(type_name)}/{hashed}"
+
+
+def attachment(sequence, gid):
+    return struct.pack("<qqB16s", sequence, time.time_ns(), 16, gid)
+
+
+def stamp_ns(header):
+    return header.stamp.sec * 10**9 + header.stamp.nanosec
+
+
+def until(what, seconds, condition):
+    end = time.monotonic() + seconds
+    while not (found := condition()):
+        if time.monotonic() > end:
+            sys.exit(f"{what}: not within {seconds} s")
+        time.sleep(0.05)
+    return found
+
+
+class Network:
+    """The router, with a node of ROS 2 in it that hears everything."""
+
+    def __init__(self, robot):
+        self.robot, self.lock = robot, threading.Lock()
+        self.got, self.last = defaultdict(list), {}
+        self.names = {}
+        for word, (type_name, qos) in TOPICS.items():
+            topic = word if word.startswith("/") else f"/{robot}/{word}"
+            self.names[key(topic, type_name, type_hash(type_name))] = (word, topic, type_name, qos)
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            self.port = free.getsockname()[1]
+        self.open()
+
+    def open(self):
+        config = {"mode": "router", "listen": {"endpoints": [f"tcp/127.0.0.1:{self.port}"]}, "timestamping": {"enabled": True},
+                  "scouting": {"multicast": {"enabled": False}}}
+        self.session = zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
+        self.subscriber = self.session.declare_subscriber(f"{DOMAIN}/**", self.take)
+        self.zid = str(self.session.info.zid())
+
+    def close(self):
+        self.session.close()
+
+    def take(self, sample):
+        if "/initialpose/" in str(sample.key_expr):
+            return  # our own
+        with self.lock:
+            self.got["arrived"].append((str(sample.key_expr), sample.payload.to_bytes(), sample.attachment.to_bytes(), time.time_ns()))
+
+    def decode(self):
+        """Everything that has come since the last call is decoded and checked; messages by topic."""
+        with self.lock:
+            arrived, self.got["arrived"] = self.got["arrived"], []
+        for name, payload, attached, now in arrived:
+            if name not in self.names:
+                sys.exit(f"nobody should send {name}")
+            word, _, type_name, _ = self.names[name]
+            message = STORE.deserialize_cdr(payload, type_name)
+            assert len(attached) == 33, f"{word}: an attachment of {len(attached)} bytes"
+            sequence, sent, length, gid = struct.unpack("<qqB16s", attached)
+            assert length == 16 and abs(now - sent) < 2 * 10**9, f"{word}: sent at {sent}, come at {now}"
+            before, known = self.last.get(word, (None, gid))
+            assert known == gid, f"{word}: two senders"
+            # Numbers go on while the router is away.
+            assert before is None or sequence > before, f"{word}: {sequence} after {before}"
+            self.last[word] = (sequence, gid)
+            self.got[word].append(message)
+        return self.got
+
+    def seen(self, word):
+        return self.decode()[word]
+
+    def fresh(self, word):
+        """Messages of a topic from now on."""
+        known = len(self.decode()[word])
+        return lambda: self.decode()[word][known:]
+
+    def tokens(self):
+        return [str(reply.ok.key_expr) for reply in self.session.liveliness().get(f"@ros2_lv/{DOMAIN}/**", timeout=5) if reply.ok]
+
+    def subscribe(self, word, number):
+        """Declares what rmw_zenoh declares for a subscription: its token."""
+        _, topic, type_name, qos = next(entry for entry in self.names.values() if entry[0] == word)
+        token = (f"@ros2_lv/{DOMAIN}/{self.zid}/0/{number}/MS/%/%/listener/{topic.replace('/', '%')}/{dds(type_name)}/"
+                 f"{type_hash(type_name)}/{qos}")
+        return self.session.liveliness().declare_token(token)
+
+    def call(self, service, seconds=20):
+        name = key(f"/{self.robot}/{service}", "std_srvs/srv/Trigger", TRIGGER)
+        gid = bytes(range(16))
+        replies = list(self.session.get(name, target=zenoh.QueryTarget.ALL_COMPLETE, payload=b"\0\1\0\0\0", timeout=seconds,
+                                        consolidation=zenoh.ConsolidationMode.NONE, attachment=attachment(42, gid)))
+        if len(replies) != 1 or not replies[0].ok:
+            sys.exit(f"{service}: {len(replies)} answers")
+        payload, attached = replies[0].ok.payload.to_bytes(), replies[0].ok.attachment.to_bytes()
+        sequence, _, _, back = struct.unpack("<qqB16s", attached)
+        assert (sequence, back) == (42, gid), "the answer is for somebody else"
+        length = struct.unpack_from("<I", payload, 8)[0]
+        return bool(payload[4]), payload[12 : 12 + length - 1].decode()
+
+
+class Wire(threading.Thread):
+    """Poses as the Python client hears them, by their time."""
+
+    def __init__(self):
+        super().__init__(daemon=True)
+        self.stop, self.poses, self.offset = False, {}, None
+
+    def run(self):
+        import cairn
+
+        client = cairn.Client()
+        poses, health = client.poses(), client.health()
+        while not self.stop:
+            pose = poses.wait(0.05)
+            while pose is not None:
+                self.poses[pose.timestamp_ns] = pose
+                pose = poses.wait(0)
+            while (report := health.wait(0)) is not None:
+                self.offset = report.realtime_minus_monotonic_ns
+
+
+def check_poses(messages, wire, frame, child, fields):
+    """Each against the pose on the wire of the same time; the clocks' offset is measured anew with each health, so times agree to a millisecond."""
+    times = sorted(wire.poses)
+    compared = 0
+    for m in messages:
+        assert m.header.frame_id == frame, f"{m.header.frame_id} and not {frame}"
+        if child:
+            assert m.child_frame_id == child and m.twist.covariance[0] == -1
+        p, q = m.pose.pose.position, m.pose.pose.orientation
+        assert all(math.isfinite(v) for v in (p.x, p.y, p.z, q.x, q.y, q.z, q.w)), "a position that is none"
+        assert all(math.isfinite(v) for v in m.pose.covariance)
+        nearest = min(times, key=lambda t: abs(t + wire.offset - stamp_ns(m.header)), default=None)
+        if nearest is None or abs(nearest + wire.offset - stamp_ns(m.header)) > 10**6:
+            continue
+        pose = wire.poses[nearest]
+        position, orientation = (getattr(pose, name) for name in fields)
+        assert [p.x, p.y, p.z] == list(position) and [q.x, q.y, q.z, q.w] == list(orientation), f"{m} is not {pose}"
+        assert abs(stamp_ns(m.header) - time.time_ns()) < 120 * 10**9
+        compared += 1
+    if compared < 20:
+        sys.exit(f"{frame}: only {compared} of {len(messages)} compared")
+    return compared
+
+
+def check_tokens(network):
+    tokens = until("the bridge's tokens", 10, lambda: [t for t in network.tokens() if "/cairn_bridge" in t])
+    robot = network.robot
+    heads = {"/".join(t.split("/")[:3]) for t in tokens}
+    assert len(heads) == 1, heads
+    head = heads.pop()
+    want = {f"/NN/%/%{robot}/cairn_bridge"}
+    for _, topic, type_name, qos in network.names.values():
+        want.add(f"/MP/%/%{robot}/cairn_bridge/{topic.replace('/', '%')}/{dds(type_name)}/{type_hash(type_name)}/{qos}")
+    for service in ("reset", "save"):
+        want.add(f"/SS/%/%{robot}/cairn_bridge/%{robot}%{service}/{dds('std_srvs/srv/Trigger')}/{TRIGGER}/::,10:,:,:,,")
+    pose = "geometry_msgs/msg/PoseWithCovarianceStamped"
+    want.add(f"/MS/%/%{robot}/cairn_bridge/%{robot}%initialpose/{dds(pose)}/{type_hash(pose)}/::,10:,:,:,,")
+    got = {t[len(head) :].split("/", 3)[3] for t in tokens}
+    assert got == {w[1:] for w in want}, f"{sorted(got)}\n{sorted(want)}"
+    ids = [t.split("/")[4] for t in tokens]
+    assert len(set(ids)) == len(ids), "two entities with one number"
+    # Whoever sends has the id that belongs to its token.
+    for word, (_, gid) in network.last.items():
+        topic = next(entry[1] for entry in network.names.values() if entry[0] == word).replace("/", "%")
+        token = next(t for t in tokens if f"/MP/%/%{robot}/cairn_bridge/{topic}/" in t)
+        digest = xxhash.xxh3_128_intdigest(token.encode()).to_bytes(16, "little")
+        assert gid == digest, f"{word}: {gid.hex()} is not the id of {token}"
+    return len(tokens)
+
+
+def demo(cairn, folder, seconds, config=None):
+    words = [cairn, "demo", "--quiet", "--seconds", seconds, "--output", folder]
+    words += ["--config", config] if config else []
+    return subprocess.Popen([str(w) for w in words], stdout=subprocess.DEVNULL)
+
+
+def resets(network):
+    """As the last diagnostics tell them."""
+    values = {v.key: v.value for v in network.seen("/diagnostics")[-1].status[0].values}
+    return int(values["resets"])
+
+
+def unscaled(network, wire, cairn, out):
+    running = demo(cairn, out / "plain", 90)
+    odom = network.fresh("odom")
+    until("odometry", 20, lambda: len(odom()) > 60)
+    tokens = check_tokens(network)
+    compared = check_poses(odom(), wire, "odom_unscaled", "base_link_unscaled", ("odom_position", "odom_orientation"))
+    check_poses(network.seen("pose"), wire, "map_unscaled", None, ("position", "orientation"))
+    cloud = until("points", 10, lambda: network.seen("points"))[-1]
+    assert cloud.header.frame_id == "map_unscaled" and len(cloud.data) == cloud.row_step == cloud.width * cloud.point_step
+    status = network.seen("/diagnostics")[-1].status[0]
+    assert status.name == f"{network.robot}: pose and map" and status.hardware_id == os.environ["CAIRN_PREFIX"]
+    silent = [word for word in ("/tf", "/tf_static", "image/compressed", "camera_info", "scan") if network.seen(word)]
+    assert not silent, f"{silent} unasked"
+    print(f"unscaled: {tokens} tokens, {compared} odometries as on the wire, no transforms, nothing unasked")
+
+    token = network.subscribe("image/compressed", 10), network.subscribe("camera_info", 11)
+    image, info = network.fresh("image/compressed"), network.fresh("camera_info")
+    until("pictures", 10, lambda: len(image()) > 10 and len(info()) > 10)
+    assert image()[-1].format in ("png", "jpeg") and image()[-1].header.frame_id == "camera_unscaled"
+    assert info()[-1].width > 0 and info()[-1].distortion_model == "plumb_bob"
+    for one in token:
+        one.undeclare()
+    time.sleep(1)
+    image, info = network.fresh("image/compressed"), network.fresh("camera_info")
+    time.sleep(2)
+    assert not image() and not info(), "pictures that nobody wants any more"
+    print("pictures: while a subscriber's token stands, and not after")
+
+    before = resets(network)
+    success, message = network.call("reset")
+    assert success, message
+    until("the reset", 15, lambda: resets(network) > before)
+    success, message = network.call("save")
+    # A demo keeps no map: the daemon says so, and the answer comes through.
+    assert not success and message, f"save: {success} {message}"
+    print(f"services: reset done; save answered: {message}")
+
+    network.close()
+    time.sleep(5)
+    network.open()
+    odom = network.fresh("odom")
+    until("odometry behind the router's absence", 20, lambda: len(odom()) > 30)
+    check_tokens(network)
+    print("router: gone for 5 s and back, odometry and tokens with it")
+    running.send_signal(signal.SIGINT)
+    running.wait(timeout=20)
+
+
+def metric(network, wire, cairn, out):
+    config = out / "metric.toml"
+    config.write_text(METRIC_CONFIG)
+    running = demo(cairn, out / "metric", 60, config)
+    scan_token = network.subscribe("scan", 12)
+    static = network.fresh("/tf_static")
+    until("transforms", 50, lambda: network.seen("/tf"))
+    first = network.seen("/tf")[0].transforms
+    assert [(t.header.frame_id, t.child_frame_id) for t in first] == [("map", "odom"), ("odom", "base_link")], first
+    until("tf_static", 10, static)
+    late = []
+    held = zenoh.ext.declare_advanced_subscriber(
+        network.session, key("/tf_static", "tf2_msgs/msg/TFMessage", type_hash("tf2_msgs/msg/TFMessage")), late.append,
+        history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1))
+    until("tf_static for who comes late", 10, lambda: late)
+    mount = STORE.deserialize_cdr(late[0].payload.to_bytes(), "tf2_msgs/msg/TFMessage").transforms
+    assert [(t.header.frame_id, t.child_frame_id) for t in mount] == [("base_link", "camera")], mount
+    assert len(late[0].attachment.to_bytes()) == 33
+    held.undeclare()
+    odom = network.fresh("odom")
+    until("metric odometry", 10, lambda: len(odom()) > 60)
+    compared = check_poses(odom(), wire, "odom", "base_link", ("odom_position", "odom_orientation"))
+    scan = until("scans", 30, lambda: network.seen("scan"))[-1]
+    assert scan.header.frame_id == "scan" and not any(math.isinf(r) for r in scan.ranges) and scan.range_max > 0
+    frames = Counter(t.child_frame_id for m in network.seen("/tf") for t in m.transforms)
+    assert frames["scan"] >= 1 and frames["odom"] == frames["base_link"], frames
+    print(f"metric: {compared} odometries as on the wire, {len(network.seen('/tf'))} transforms, {len(network.seen('scan'))} scans, "
+          "tf_static for who comes late")
+
+    cdr, types = STORE.serialize_cdr, STORE.types
+    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](0, 0), "map")
+    place = types["geometry_msgs/msg/Pose"](types["geometry_msgs/msg/Point"](50.0, -20.0, 0.0),
+                                            types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0))
+    import numpy as np
+
+    name = "geometry_msgs/msg/PoseWithCovarianceStamped"
+    message = types[name](header, types["geometry_msgs/msg/PoseWithCovariance"](place, np.zeros(36)))
+    network.session.put(key(f"/{network.robot}/initialpose", name, type_hash(name)), bytes(cdr(message, name)),
+                        attachment=attachment(1, bytes(16)))
+    there = network.fresh("pose")
+    until("the initial pose", 15, lambda: any(abs(m.pose.pose.position.x - 50) < 5 for m in there()))
+    print("initial pose: the map was moved")
+    scan_token.undeclare()
+    running.send_signal(signal.SIGINT)
+    running.wait(timeout=20)
+
+
+def main():
+    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments.add_argument("--cairn", default=ROOT / "target/release/cairn", type=Path)
+    arguments.add_argument("--bridge", default=ROOT / "target/release/cairn", type=Path)
+    given = arguments.parse_args()
+    prefix = f"bridge{os.getpid()}"
+    os.environ["CAIRN_PREFIX"] = prefix
+    robot = "robot7"
+    wire = Wire()
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder)
+        network = Network(robot)
+        file = out / "zenoh.json5"
+        file.write_text(json.dumps({"mode": "peer", "connect": {"endpoints": [f"tcp/127.0.0.1:{network.port}"]},
+                                    "listen": {"endpoints": ["tcp/127.0.0.1:0"]}, "timestamping": {"enabled": True},
+                                    "scouting": {"multicast": {"enabled": False}}}))
+        environment = {**os.environ, "ROS_DOMAIN_ID": str(DOMAIN), "ZENOH_SESSION_CONFIG_URI": str(file)}
+        log = (out / "bridge.log").open("w+")
+        bridge = subprocess.Popen([given.bridge.resolve(), "bridge", "--robot", robot], env=environment, stderr=log)
+        try:
+            wire.start()
+            unscaled(network, wire, given.cairn.resolve(), out)
+            metric(network, wire, given.cairn.resolve(), out)
+            bridge.send_signal(signal.SIGTERM)
+            code = bridge.wait(timeout=10)
+            assert code == 0, f"SIGTERM: {code}"
+            until("the end of its tokens", 5, lambda: not [t for t in network.tokens() if "/cairn_bridge" in t])
+            said = Counter(json.loads(line)["message"] for line in (out / "bridge.log").read_text().splitlines())
+            # Two daemons, each missed once; a router that was there from the start, or not yet, and went once.
+            assert said["waiting for a daemon"] in (2, 3) and said["bridging a daemon"] == 2, said
+            assert said["waiting for a Zenoh router"] in (1, 2) and said["connected to Zenoh"] == 2, said
+            print(f"SIGTERM: an orderly end; {sum(said.values())} lines of log")
+        except SystemExit:
+            sys.stderr.write((out / "bridge.log").read_text())
+            raise
+        finally:
+            wire.stop = True
+            bridge.kill()
+            network.close()
+
+
+if __name__ == "__main__":
+    main()
