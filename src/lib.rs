@@ -75,7 +75,7 @@
 //!    iceoryx2. ([`map`] uses one thing of [`features`]: the thumbnail that a keyframe keeps for relocalisation.)
 //! 4. Of the daemon's process only [`daemon`] spawns threads; [`console`] is another process, with its own. Every stage is also a plain step that a test calls without threads.
 //! 5. Camera, recording and simulator come in by one door ([`camera::FrameSource`]).
-//! 6. The daemon opens no network socket. The one room that does is [`console`], which runs as another process.
+//! 6. The daemon opens no network socket. What does runs as another process: [`console`], and the bridge in [`share`].
 //! 7. Lock-step replay is deterministic, byte for byte: no clock in a decision, no iteration over hash maps, seeds from frame
 //!    numbers, sequential reductions.
 //! 8. Every queue and store is bounded and counts what it drops. A trajectory streams to disk as keyframe and relative pose.
@@ -94,7 +94,8 @@
 //!   is reduced to patches around its landmarks (`map/picture.rs`).
 //! - Two rooms more for recordings: [`share`] is `cairn record`, a process of its own that subscribes like a planner, and [`ros`] the messages of ROS 2 that it
 //!   writes and a replay reads, which knows nothing of ours. Both are in the robot's build: to record is what a robot's owner does on the robot.
-//!   `share` starts no thread; `cli` has the daemon's room start the one that writes to the disk.
+//!   `share` starts no thread; `cli` has the daemon's room start the one that writes to the disk. In `share/bridge`, `cairn bridge`: the same messages to ROS 2 over
+//!   Zenoh, in rmw_zenoh's format; Zenoh's own threads and sockets are in that process alone.
 //! - A room more, [`workbench`]: the method step by step on two pictures from files (`cairn twoview`) and on many pairs with known
 //!   truth (`cairn compare`). It is no stage of the daemon, needs single pictures, calibrations and truth of several kinds, and
 //!   would otherwise put files and clocks into `features` and `geometry`; it knows these two, and only `cli` knows it.
@@ -110,10 +111,10 @@
 //! | `client` | wire types and subscriptions, iceoryx2 only | |
 //! | `c` | the same as a C library, for `--crate-type cdylib` | |
 //! | `robot` | the daemon: camera, services, calibration, and the commands run, doctor, watch, command, calibrate, record, replay, tag | `cairn` |
+//! | `bridge` | that, with the command bridge and Zenoh | `cairn-bridge` |
 //! | `tools` (default) | the whole: also simulator, plot, workbench, evaluation, console, and the commands demo, console, simulate, evaluate, twoview, compare | `cairn-tools` |
 //!
-//! Each contains those above it but `c`. What a room of its own brings along that a robot may do without (a console, a bridge to share, a
-//! fleet) is a feature of its own, which `tools` contains. Rooms are left out whole: below `cli`, `cfg` stands at a room's door and hardly anywhere
+//! Each contains those above it but `c`, and `tools` not `bridge`: Zenoh alone builds as long as all the rest. Rooms are left out whole: below `cli`, `cfg` stands at a room's door and hardly anywhere
 //! else. The robot's build replays, because a recording gives the same bytes only from the same build on the same kind of processor;
 //! it reads and checks the configuration of what it leaves out, so that one file serves both, and answers what it cannot do with one sentence.
 //!

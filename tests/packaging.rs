@@ -112,6 +112,8 @@ fn the_robots_build_consists_of_what_a_robot_uses() {
     for name in ["v4l", "iceoryx2", "sd-notify", "roxmltree"] {
         assert!(robot.contains(name), "{name}");
     }
+    // What doubles a build is in none that nobody asked for it.
+    assert!(tools.iter().all(|name| !name.starts_with("zenoh") && name != "tokio"), "{tools:?}");
 }
 
 #[test]
@@ -155,10 +157,42 @@ fn the_console_runs_as_the_daemons_user_from_the_tools_and_serves_this_machine_o
 }
 
 #[test]
+fn the_bridge_runs_as_the_daemons_user_from_a_package_of_its_own_and_is_off() {
+    let metadata = metadata();
+    let variant = metadata["variants"]["bridge"].as_table().expect("variant");
+    assert_eq!((variant["name"].as_str(), variant["conf-files"].to_string().as_str()), (Some("cairn-bridge"), "[]"));
+    assert_eq!(variant["features"].to_string(), r#"["bridge"]"#);
+    let others = [assets(), assets_of(metadata["variants"]["tools"].as_table().expect("variant"))].concat();
+    let bridge = assets_of(variant);
+    for (source, to) in &bridge {
+        assert!(!others.iter().any(|(_, other)| other == to), "{to} is in two packages");
+        let is_there = Path::new(env!("CARGO_MANIFEST_DIR")).join(source).exists();
+        assert!(source.starts_with("target/") || is_there, "{source}");
+    }
+    let unit = |key: &str| unit_of("cairn-bridge", key);
+    let brought = |to: &str| bridge.iter().any(|(_, there)| there == to);
+    assert!(brought("usr/bin/cairn-bridge"));
+    assert_eq!(unit("ExecStart"), ["/usr/bin/cairn-bridge bridge"]);
+    let units = &variant["systemd-units"];
+    let is = |key: &str| units[key].as_bool();
+    assert_eq!(
+        (units["unit-name"].as_str(), is("enable"), is("start")),
+        (Some("cairn-bridge"), Some(false), Some(false))
+    );
+    for key in ["User", "Group", "BindPaths", "ReadWritePaths", "RemoveIPC"] {
+        assert_eq!(unit(key), unit_of("cairn", key), "{key}");
+    }
+    assert_eq!((unit("IPAddressDeny"), unit("IPAddressAllow")), (vec!["any".into()], vec!["localhost".into()]));
+    let documentation = unit("Documentation");
+    assert!(brought(documentation[0].trim_start_matches("file:///")), "{documentation:?}");
+}
+
+#[test]
 fn the_services_expose_little_and_every_relaxation_is_explained() {
-    // Of 10: the daemon has no network, the console listens.
+    // Of 10: the daemon has no network, the console and the bridge do.
     exposes_little("cairn", 2.0);
     exposes_little("cairn-console", 2.5);
+    exposes_little("cairn-bridge", 2.5);
 }
 
 fn exposes_little(name: &str, limit: f64) {

@@ -1,4 +1,5 @@
-//! Recordings that every tool opens: a process of its own, which subscribes to the daemon like a planner and writes MCAP.
+//! Recordings that every tool opens: a process of its own, which subscribes to the daemon like a planner and writes MCAP. Beside it, another one: the
+//! same messages of ROS 2 over Zenoh (`bridge`, a feature).
 //!
 //! ```text
 //! services ──► Recorder (messages into ROS 2's) ──► bounded queue ──► Sink (file or ring)

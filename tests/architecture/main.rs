@@ -46,7 +46,7 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
     ("publish", &["frame", "geometry", "image", "map", "messages", "motion", "reconstruction"]),
     // The web console: a process of its own, a subscriber like any planner. What it says of faults it is given.
     ("console", &["client", "messages", "telemetry"]),
-    // A recorder is a process of its own, and a subscriber like any other.
+    // Recorder and bridge are processes of their own, and subscribers like any other.
     ("share", &["client", "messages", "ros"]),
     // The method on two pictures: what `features` and `geometry` can do, on files, outside the daemon. Nobody but `cli` knows it.
     ("workbench", &["atomic_file", "calibration", "camera", "features", "frame", "geometry", "image", "trajectory"]),
@@ -196,10 +196,11 @@ fn only_the_daemon_and_processes_beside_it_start_threads() {
 
 #[test]
 fn no_room_of_the_daemon_opens_a_network_socket() {
-    let words = ["std::net", "TcpListener", "TcpStream", "UdpSocket", "AF_INET", "libc::socket", "tokio", "hyper"];
+    let words =
+        ["std::net", "TcpListener", "TcpStream", "UdpSocket", "AF_INET", "libc::socket", "tokio", "hyper", "zenoh::"];
     let found = places(&[], &words);
-    // `cli` passes on where the console listens.
-    let may = ["console/", "cli/console.rs"];
+    // `cli` passes on where the console listens. The bridge is another process, too.
+    let may = ["console/", "cli/console.rs", "share/bridge/"];
     let wrong: Vec<_> = found.iter().filter(|place| !may.iter().any(|room| place.starts_with(room))).collect();
     assert!(wrong.is_empty(), "{wrong:#?}");
     assert!(!found.is_empty(), "the console's own socket was not found: the test looks for the wrong thing");

@@ -33,8 +33,9 @@ const PLACEHOLDERS: [(&str, &str); 18] = [
     ("YAW", "-90"),
     ("LEVEL", "debug"),
 ];
-/// Both packages' names of the program.
-const PROGRAMS: [&str; 2] = ["cairn", "cairn-tools"];
+/// The packages' names of the program. What only another build takes is not tried in this one.
+const PROGRAMS: &[&str] =
+    if cfg!(feature = "bridge") { &["cairn", "cairn-tools", "cairn-bridge"] } else { &["cairn", "cairn-tools"] };
 
 /// The commands of a shell's text, each as its words: quotes are undone, comments left out, lines that end with a backslash joined.
 pub fn shell(text: &str) -> Vec<Vec<String>> {

@@ -250,7 +250,7 @@ impl Bridge {
 
     /// The daemon hands out pictures only while it is asked for them. Where the camera sits is told with them alone, so the first one of a run is.
     fn take_pictures(&mut self) -> Result<(), BridgeError> {
-        let needs_mount = self.is_metric() && self.mount.is_none();
+        let needs_mount = self.is_metric() && self.mount.is_none() && self.out.is_wanted(Topic::TfStatic);
         if !needs_mount && !self.out.is_wanted(Topic::Image) && !self.out.is_wanted(Topic::CameraInfo) {
             self.encoded = None;
             return Ok(());
@@ -287,7 +287,9 @@ fn take_scan(out: &mut Outputs, time: UnixTime, obstacles: &Obstacles) {
     }
     let stamp = time.stamp(obstacles.timestamp_ns, obstacles.clock);
     let transforms = vec![transform(&stamp, METRIC.map, SCAN_FRAME, &map_from_scan)];
-    // With its scan: a rate of the other transforms' is none of its own.
-    out.put(Topic::Tf, &ros::TfMessage { transforms });
+    // With its scan: the rate of the other transforms is none of its own.
+    if !out.rates.is_off(Topic::Tf) {
+        out.put(Topic::Tf, &ros::TfMessage { transforms });
+    }
     out.put(Topic::Scan, &laser_scan(obstacles, Header { stamp, frame_id: SCAN_FRAME }));
 }
