@@ -152,7 +152,8 @@ fn trigger_response(success: bool, message: &str) -> Vec<u8> {
 fn initial_pose(message: &[u8], is_metric: bool) -> Result<Transform, String> {
     let read = || -> Result<(String, [f64; 3], [f64; 4]), CdrError> {
         let mut reader = Reader::new(message)?;
-        (reader.i32()?, reader.u32()?);
+        // The stamp: where the robot is, it is now.
+        let _ = (reader.i32()?, reader.u32()?);
         Ok((reader.text()?.to_owned(), reader.f64_array()?, reader.f64_array()?))
     };
     let (frame, position, orientation) = read().map_err(|e| format!("the message {e}"))?;
@@ -162,7 +163,8 @@ fn initial_pose(message: &[u8], is_metric: bool) -> Result<Transform, String> {
     }
     let length = orientation.iter().map(|v| v * v).sum::<f64>().sqrt();
     // A quaternion that is all zero, as a message that was not filled in has it, is no orientation.
-    if !position.iter().all(|v| v.is_finite()) || !(length.is_finite() && length > 0.0) {
+    let is_place = position.iter().all(|v| v.is_finite()) && length.is_finite() && length > 0.0;
+    if !is_place {
         return Err(format!("position {position:?} or orientation {orientation:?} is not finite, or no orientation"));
     }
     Ok(Transform { position, orientation: orientation.map(|v| v / length) })
