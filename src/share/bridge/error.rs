@@ -20,3 +20,10 @@ pub enum BridgeError {
     #[error(transparent)]
     Client(#[from] ClientError),
 }
+
+/// Zenoh's reason without the place in its sources that it ends with (` at FILE.rs:LINE.`).
+pub(super) fn reason(error: &zenoh::Error) -> String {
+    let text = error.to_string();
+    let end = text.find(" at ").filter(|at| text[*at..].contains(".rs:")).unwrap_or(text.len());
+    text[..end].to_owned()
+}

@@ -18,7 +18,7 @@ use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig, Mis
 
 use super::attachment::{Attachment, GID_BYTES, gid};
 use super::commands::{Inbox, Request, Service, unix_ns};
-use super::error::BridgeError;
+use super::error::{BridgeError, reason};
 use super::names::{INITIAL_POSE, Identity, Kind, Qos, Robot, TRIGGER, Type, key, subscribers};
 use super::topic::Topic;
 
@@ -54,10 +54,10 @@ pub struct Network {
 impl Network {
     fn configuration(&self) -> Result<Config, BridgeError> {
         let Some(file) = &self.file else {
-            return Config::from_json5(DEFAULT).map_err(|e| BridgeError::Open { reason: e.to_string() });
+            return Config::from_json5(DEFAULT).map_err(|e| BridgeError::Open { reason: reason(&e) });
         };
         let path = file.display().to_string();
-        Config::from_file(file).map_err(|e| BridgeError::Configuration { path, reason: e.to_string() })
+        Config::from_file(file).map_err(|e| BridgeError::Configuration { path, reason: reason(&e) })
     }
 }
 
@@ -93,7 +93,7 @@ impl Node {
     pub(super) fn open(network: &Network, inbox: &Inbox) -> Result<Self, BridgeError> {
         let configuration = network.configuration()?;
         let endpoints = configuration.get_json("connect/endpoints").unwrap_or_default();
-        let failed = |e: zenoh::Error| BridgeError::Open { reason: e.to_string() };
+        let failed = |e: zenoh::Error| BridgeError::Open { reason: reason(&e) };
         let session = zenoh::open(configuration).wait().map_err(failed)?;
         let identity =
             Identity { domain: network.domain, session: session.zid().to_string(), robot: network.robot.clone() };
@@ -127,7 +127,7 @@ impl Node {
             Port::Plain(port) => port.put(message).attachment(attachment).wait(),
             Port::Cached(port) => port.put(message).attachment(attachment).wait(),
         };
-        sent.map_err(|e| e.to_string())
+        sent.map_err(|e| reason(&e))
     }
 
     /// Somebody subscribes to it; of a topic that is sent in any case this is not asked.
@@ -168,7 +168,7 @@ struct Making<'a> {
 
 impl Making<'_> {
     fn failed(what: &str) -> impl FnOnce(zenoh::Error) -> BridgeError {
-        move |e| BridgeError::Declare { what: what.into(), reason: e.to_string() }
+        move |e| BridgeError::Declare { what: what.into(), reason: reason(&e) }
     }
 
     fn token(&mut self, token: &str) -> Result<(), BridgeError> {
@@ -266,7 +266,8 @@ mod tests {
         for file in [file, folder.path().join("none.json5")] {
             let name = file.display().to_string();
             let error = Network { file: Some(file), ..network.clone() }.configuration().expect_err("none");
-            assert!(error.to_string().starts_with(&name), "{error}");
+            let text = error.to_string();
+            assert!(text.starts_with(&name) && !text.contains(".rs:"), "{text}");
         }
     }
 }
