@@ -77,22 +77,24 @@ async function large(page) {
   const cost = await within((c) => update(c) <= 4 && median(c.keyframes) <= 4, () => page.evaluate(async (count) => {
     const { stage } = window;
     const frame = () => new Promise((resolve) => setTimeout(resolve, 400));
+    const landmarks = () => stage.pictures.map((draws) => draws.filter((n) => n === count).length).filter((calls) => calls > 0);
     const told = { landmarks: [], keyframes: [], screen: [], calls: [] };
     for (let i = 0; i < 12; i++) {
       const [map, keyframes] = [stage.map(count), stage.keyframes(2000)];
       await frame();
-      [stage.draws.length, stage.work.length] = [0, 0];
+      [stage.work.length, stage.pictures.length] = [0, 0];
       told.keyframes.push(stage.say(keyframes));
       told.landmarks.push(stage.say(map));
-      await frame();
+      // On a busy machine the picture comes later, or a second one.
+      for (let waited = 0; waited < 10 && (waited === 0 || landmarks().length === 0); waited++) await frame();
       told.screen.push(Math.max(0, ...stage.work));
-      told.calls.push(stage.draws.filter((n) => n === count).length);
+      told.calls.push(Math.max(0, ...landmarks()));
     }
     return told;
   }, LANDMARKS));
   check((await page.locator("#map").getAttribute("data-landmarks")) === `${LANDMARKS}`, "100,000 landmarks are shown");
   check((await pixels(page.locator("#map"), isBlue)) > 5000, "and seen");
-  check(cost.calls.every((n) => n === 1), "in one draw call");
+  check(cost.calls.every((n) => n === 1), `in one draw call a picture ${cost.calls}`);
   const worst = { landmarks: median(cost.landmarks), keyframes: median(cost.keyframes), screen: median(cost.screen) };
   const sum = update(cost);
   check(sum <= 4, `an update takes ${sum.toFixed(1)} ms of the page's thread: the message ${worst.landmarks.toFixed(1)}, drawing ${worst.screen.toFixed(1)} (medians of 12)`);

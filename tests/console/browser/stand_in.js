@@ -20,7 +20,7 @@ export async function standIn(page, folder) {
 }
 
 function inPage() {
-  const stage = { sent: [], draws: [], work: [], cls: 0, shifts: [] };
+  const stage = { sent: [], draws: [], work: [], pictures: [], cls: 0, shifts: [] };
   window.stage = stage;
   // Also refuses to be opened again once it is `gone`.
   window.WebSocket = class {
@@ -49,9 +49,10 @@ function inPage() {
   // What a picture of the screen costs the page's thread, and what it draws.
   const ask = window.requestAnimationFrame.bind(window);
   window.requestAnimationFrame = (draw) => ask((time) => {
-    const began = performance.now();
+    const [began, drawn] = [performance.now(), stage.draws.length];
     draw(time);
     stage.work.push(performance.now() - began);
+    stage.pictures.push(stage.draws.slice(drawn));
   });
   // A graphics card, as far as the page can tell.
   const extension = WebGL2RenderingContext.prototype.getExtension;
