@@ -56,7 +56,8 @@
 //!   contradict are slip. Known to a few per cent, the map becomes metric at once (`reconstruction::metric`): another number, one reset. From then on
 //!   the wheels' way holds the distances of keyframes in adjustments, and the step behind a turn on the spot is as long as they say.
 //! - A camera that is driven at a known height ([`motion::floor`]) finds the floor among the landmarks: the plane that it moves parallel to, at one height,
-//!   with nothing beneath, and that it was driven over. While somebody asks what stands on it ([`motion::obstacles`]), keyframes note after their pose where
+//!   with nothing beneath, and that it was driven over. Behind a turn on the spot floor and tags are asked of that part of the map alone, and what they
+//!   say makes both parts one (`reconstruction::metric`). While somebody asks what stands on it ([`motion::obstacles`]), keyframes note after their pose where
 //!   their pictures show the floor itself, and scans are made of that and of the map; what is not known is never free.
 //! - In a metric map a frame that is not found where the last motion leads is looked for where the wheels say; one that the picture cannot place all the same (dark, covered, blurred) has the
 //!   pose that they carry on, `DEAD_RECKONING`, within limits of time, way and doubt (`reconstruction::blind`). When the picture is back the smooth pose goes on,

@@ -24,7 +24,7 @@ use crate::geometry::frames::{Camera, World};
 use crate::geometry::ros_from_optical;
 use crate::map::scale::ScaleSource;
 use crate::map::{Keyframe, KeyframeId, LandmarkId, Map, MapId, TurnId};
-pub use plane::{FloorPoint, NoFloor, Plane, UpPrior};
+pub use plane::{Driven, FloorPoint, NoFloor, Plane, UpPrior};
 
 /// Keyframes whose landmarks are asked, and landmarks at the most: the newest.
 const KEYFRAMES: usize = 40;
@@ -40,6 +40,8 @@ const BETWEEN_WORDS: usize = KEYFRAMES / 2;
 /// or down by some degrees.
 const GIVEN_TILT_RAD: f64 = 0.05;
 const UNSAID_TILT_RAD: f64 = 0.15;
+/// The same of one above a floor that was found: it is so to 0.3 degrees in the simulator, and a robot nods.
+const FOUND_TILT_RAD: f64 = 0.02;
 
 /// `[scale]`: what a person has measured of the robot that tells the map's scale.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Deserialize, serde::Serialize)]
@@ -84,13 +86,6 @@ pub fn roll_pitch(up_camera: &Unit<Vector3<f64>>) -> (f64, f64) {
     (up.y.atan2(up.z), -up.x.clamp(-1.0, 1.0).asin())
 }
 
-/// A word on the scale of a part of the map: behind a turn on the spot whose next step had an assumed length, or before any (`None`).
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct FloorWord {
-    pub part: Option<TurnId>,
-    pub measurement: ScaleMeasurement,
-}
-
 /// What is known of the floor.
 #[derive(Debug, Clone)]
 pub struct Floor {
@@ -103,6 +98,8 @@ pub struct Floor {
     told: Vec<Plane>,
     /// The last that was believed.
     believed: Option<Plane>,
+    /// The floor's normal in the camera's axes, as it was found in this map.
+    up_found: Option<Unit<Vector3<f64>>>,
     /// Why the newest keyframe told none.
     refused: Option<NoFloor>,
     /// Keyframes since the last word; `None`: there was none.
@@ -124,6 +121,7 @@ impl Floor {
             part: None,
             told: Vec::with_capacity(ASKED + 1),
             believed: None,
+            up_found: None,
             refused: None,
             since_word: None,
             points: Vec::new(),
@@ -131,11 +129,13 @@ impl Floor {
     }
 
     /// Asks a new keyframe; a word on the map's scale, if there is a new one.
-    pub fn see(&mut self, map: &Map, id: MapId, newest: KeyframeId) -> Option<FloorWord> {
+    pub fn see(&mut self, map: &Map, id: MapId, newest: KeyframeId) -> Option<ScaleMeasurement> {
         let part = map.keyframe(newest)?.scale_from;
         if (self.map, self.part) != (id, part) {
+            // The robot has not left the floor by turning on it.
+            let up_found = self.up_found.filter(|_| self.map == id);
             self.forget();
-            (self.map, self.part) = (id, part);
+            (self.map, self.part, self.up_found) = (id, part, up_found);
         }
         self.since_word = self.since_word.map(|n| n + 1);
         let found = self.look(map, newest);
@@ -158,13 +158,13 @@ impl Floor {
             return None;
         }
         self.believed = Some(plane);
+        self.up_found = Some(plane.up_camera);
         if self.since_word.is_some_and(|n| n < BETWEEN_WORDS) {
             return None;
         }
         self.since_word = Some(0);
         let log_metres_per_unit = (self.config.camera_height_m / plane.height).ln();
-        let measurement = ScaleMeasurement { source: ScaleSource::Height, log_metres_per_unit, sigma: plane.sigma };
-        Some(FloorWord { part, measurement })
+        Some(ScaleMeasurement { source: ScaleSource::Height, log_metres_per_unit, sigma: plane.sigma })
     }
 
     /// What all words share: the measured height's own standard deviation, as a share.
@@ -196,7 +196,7 @@ impl Floor {
     /// Nothing is known, as of a map that begins.
     pub fn forget(&mut self) {
         self.told.clear();
-        (self.believed, self.refused, self.since_word) = (None, None, None);
+        (self.believed, self.up_found, self.refused, self.since_word) = (None, None, None, None);
     }
 
     fn look(&mut self, map: &Map, newest: KeyframeId) -> Result<Plane, NoFloor> {
@@ -220,7 +220,12 @@ impl Floor {
         self.points.clear();
         self.points.extend(seen.iter().rev().filter_map(tells).take(LANDMARKS));
         let cameras: Vec<Se3<Camera, World>> = keyframes.iter().map(|k| k.camera_from_world).collect();
-        plane::find_floor(&self.points, &cameras, &self.prior, u64::from(newest.0))
+        // Behind a turn a floor that was found is still there, and the camera sits as it did.
+        let (prior, least) = match self.up_found.filter(|_| last.scale_from.is_some()) {
+            Some(up_camera) => (UpPrior { up_camera, sigma_rad: FOUND_TILT_RAD }, Driven::AGAIN),
+            None => (self.prior, Driven::FIRST),
+        };
+        plane::find_floor(&self.points, &cameras, &prior, &least, u64::from(newest.0))
     }
 }
 

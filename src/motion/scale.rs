@@ -13,7 +13,7 @@ pub struct ScaleMeasurement {
 }
 
 /// A map becomes metric once its scale is known to this, and stays so.
-const METRIC_SIGMA: f64 = 0.05;
+pub const METRIC_SIGMA: f64 = 0.05;
 /// A metric map is scaled again where the fused word differs by more than this share of its standard deviation, and by more than this at all.
 const REFINE_SHARE: f64 = 0.3;
 const REFINE_LEAST: f64 = 0.001;
@@ -147,10 +147,10 @@ impl ScaleFusion {
         due.then(|| log.exp())
     }
 
-    /// Where the robot is, lengths are known anew by its height, to this standard deviation: what was said of another part of the map does not make
+    /// Where the robot is, lengths are known anew by this word: what was said of another part of the map does not make
     /// them surer.
-    pub fn heard_behind_turn(&mut self, sigma: f64) {
-        let variance = sigma * sigma + COMMON_SIGMA[ScaleSource::Height as usize].powi(2);
+    pub fn heard_behind_turn(&mut self, word: &ScaleMeasurement) {
+        let variance = word.sigma.powi(2) + COMMON_SIGMA[word.source as usize].powi(2);
         for word in self.words.iter_mut().flatten() {
             word.variance = word.variance.max(variance - word.common_variance);
         }
@@ -222,9 +222,9 @@ mod tests {
         fusion.rescale(1.0);
         let sigma = |fusion: &ScaleFusion| fusion.fused().expect("a word").1;
         let before = sigma(&fusion);
-        fusion.heard_behind_turn(0.03);
+        fusion.heard_behind_turn(&word(ScaleSource::Height, 0.0, 0.03));
         assert!(before < 0.013 && (sigma(&fusion) - 0.03_f64.hypot(0.012)).abs() < 1e-9, "{before} {}", sigma(&fusion));
-        fusion.heard_behind_turn(0.01);
+        fusion.heard_behind_turn(&word(ScaleSource::Height, 0.0, 0.01));
         assert!(sigma(&fusion) > 0.03, "what was less sure before stays so");
     }
 

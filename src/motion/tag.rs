@@ -9,6 +9,7 @@
 //!    What the size itself has wrong (`size_sigma_m`) is common to all of one printer and comes on top.
 //!
 //! Everything that was seen is in every measurement: the newest replaces the one before, and two are not independent.
+//! Keyframes of a part of the map with another unit, behind a turn on the spot or before it, say nothing of this one's.
 //! A keyframe that is culled takes its sightings along; a map that is joined to another is found by its keyframes' numbers.
 //!
 //! Cost: at keyframes only, after the pose was published: 3 ms to look (640 x 480), and 0.2 to 0.3 ms for each tag. Bounded: 16 tags of 24 sightings.
@@ -26,7 +27,7 @@ use crate::features::tags::{FAMILY_SIZE, KNOWN_INSET_PX, Tag, TagDetector, UNKNO
 use crate::geometry::CameraModel;
 use crate::image::GreyImage;
 use crate::map::scale::ScaleSource;
-use crate::map::{KeyframeId, Map, MapId};
+use crate::map::{KeyframeId, Map, MapId, TurnId};
 use edge_length::{LEAST_VIEWS, NoLength, PlacedTag, View, edge_length};
 
 /// Sides of a black square that are believed, m: a stamp, and a wall.
@@ -112,13 +113,13 @@ struct Known {
 impl Known {
     /// From its sightings. One that does not fit the others is dropped for good; where that would be more than a third of them, the tag was moved, and only
     /// the newest are kept.
-    fn place(&mut self, map: &Map, optics: &Optics<'_>) {
+    fn place(&mut self, map: &Map, part: Option<TurnId>, optics: &Optics<'_>) {
         self.placed = None;
-        // Others are of keyframes that are gone, or of another map.
+        // Others are of keyframes that are gone, of another map, or of a part of it that has another unit.
         let mut used: Vec<usize> = Vec::new();
         let mut views: Vec<View> = Vec::new();
         for (i, sighting) in self.sightings.iter().enumerate() {
-            if let Some(view) = view(map, sighting, optics) {
+            if let Some(view) = view(map, part, sighting, optics) {
                 used.push(i);
                 views.push(view);
             }
@@ -202,13 +203,14 @@ impl Tags {
         }
         self.found = found;
         if seen {
-            self.measure(map, optics);
+            let part = map.keyframe(keyframe).and_then(|k| k.scale_from);
+            self.measure(map, part, optics);
             self.measured = map_id;
         }
         seen
     }
 
-    /// The scale of this map, as of the last keyframe that showed a tag. Replaces what was told before.
+    /// The scale of this map, or of its part behind a turn on the spot that keyframe is in, as of the last keyframe that showed a tag. Replaces what was told before.
     pub fn measurement(&self, map: MapId) -> Option<ScaleMeasurement> {
         self.measurement.filter(|_| self.measured == map)
     }
@@ -258,9 +260,9 @@ impl Tags {
         self.known.push(known);
     }
 
-    fn measure(&mut self, map: &Map, optics: &Optics<'_>) {
+    fn measure(&mut self, map: &Map, part: Option<TurnId>, optics: &Optics<'_>) {
         for known in &mut self.known {
-            known.place(map, optics);
+            known.place(map, part, optics);
         }
         self.measurement = combine(self.known.iter().filter_map(|known| known.placed.as_ref()), &self.config);
     }
@@ -283,9 +285,9 @@ fn straight_corners(tag: &Tag, camera: &CameraModel) -> Option<[Vector2<f64>; 4]
     Some(pixels)
 }
 
-/// A sighting with the present pose of its keyframe; `None` where that is not in this map (any more).
-fn view(map: &Map, sighting: &Sighting, optics: &Optics<'_>) -> Option<View> {
-    let keyframe = map.keyframe(sighting.keyframe)?;
+/// A sighting with the present pose of its keyframe; `None` where that is not in this part of the map (any more).
+fn view(map: &Map, part: Option<TurnId>, sighting: &Sighting, optics: &Optics<'_>) -> Option<View> {
+    let keyframe = map.keyframe(sighting.keyframe).filter(|k| k.scale_from == part)?;
     let mut corners = [Vector2::zeros(); 4];
     let mut late_s = [0.0; 4];
     for ((corner, late_s), pixel) in corners.iter_mut().zip(&mut late_s).zip(&sighting.corners) {

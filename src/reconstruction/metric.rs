@@ -21,11 +21,10 @@ use crate::features::FrameFeatures;
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::geometry::sim3::Sim3;
-use crate::map::scale::MapScale;
+use crate::map::scale::{MapScale, ScaleSource};
 use crate::map::{Correction, KeyframeId, MapId, TurnId};
-use crate::motion::floor::FloorWord;
 use crate::motion::hand_eye::Robot;
-use crate::motion::scale::ScaleMeasurement;
+use crate::motion::scale::{METRIC_SIGMA, ScaleMeasurement};
 use crate::motion::wheel::WheelReading;
 
 impl Reconstruction {
@@ -47,36 +46,47 @@ impl Reconstruction {
         self.active.fusion.add(word)
     }
 
-    /// What the present map's lengths are, where the last frame was placed: behind a turn on the spot whose next step had an assumed length they are
+    /// What the present map's lengths are, where the last frame was placed: in and behind a turn on the spot whose next step has an assumed length they are
     /// metres to that assumption only.
     pub fn scale(&self) -> MapScale {
         let active = &self.active;
-        let behind = active.map.keyframe(active.reference).and_then(|k| k.scale_from);
-        match (active.fusion.scale(), behind) {
-            (MapScale::Metric { sigma, sources }, Some(turn)) if active.scale.is_assumed(turn) => {
-                MapScale::Metric { sigma: sigma.hypot(active.scale.sigma_behind(turn)), sources }
+        match active.fusion.scale() {
+            MapScale::Metric { sigma, sources } if self.scale_is_assumed() => {
+                let behind = active.map.keyframe(active.reference).and_then(|k| k.scale_from);
+                MapScale::Metric {
+                    sigma: sigma.hypot(active.scale.sigma_behind(behind, self.rests_on_assumed())),
+                    sources,
+                }
             }
-            (scale, _) => scale,
+            scale => scale,
         }
     }
 
-    /// What the camera's height says, and the standard deviation of an error that all its words share. Of a part of a metric map behind a turn on the
-    /// spot it tells how long the unit there is, and both become one: wheels do the same by themselves, where there are any.
-    pub(super) fn hear_floor(&mut self, word: &FloorWord, common_sigma: f64) {
-        let measurement = word.measurement;
-        match word.part {
+    /// Most of what the last frame saw lies at assumed distances: it is in a turn on the spot, or comes out of one and its way since is not told yet.
+    pub(super) fn rests_on_assumed(&self) -> bool {
+        self.state == TrackingState::Tracking && self.pending.turned.is_some()
+    }
+
+    /// What the camera's height or tags say of the part of the map that keyframe `at` is in, and the standard deviation of an error that all words of the source
+    /// share. Of a part of a metric map behind a turn on the spot it tells how long the unit there is, and both become one: wheels do the same by
+    /// themselves, where there are any.
+    pub(super) fn hear_at(&mut self, at: KeyframeId, word: &ScaleMeasurement, common_sigma: f64) {
+        match self.active.map.keyframe(at).and_then(|k| k.scale_from) {
             None => {
-                self.active.fusion.add_sharing(&measurement, common_sigma);
+                self.active.fusion.add_sharing(word, common_sigma);
             }
             Some(turn) if self.active.fusion.is_metric() && self.wheels.scale.is_silent() && !self.localise_only => {
-                self.told_behind = Some((turn, measurement));
+                // Tags say something long before they are as sure as a map's scale has to be.
+                if word.sigma <= METRIC_SIGMA {
+                    self.told_behind = Some((turn, *word));
+                }
             }
             Some(_) => {}
         }
     }
 
-    /// The part of the map behind `turn` becomes metric, by what the camera's height says there; what lies before is metric already.
-    fn unify_by_floor(&mut self, turn: TurnId, word: &ScaleMeasurement) {
+    /// The part of the map behind `turn` becomes metric, by what the camera's height or tags say there; what lies before is metric already.
+    fn unify_by_word(&mut self, turn: TurnId, word: &ScaleMeasurement) {
         let Some((before_log, ..)) = self.active.fusion.fused() else { return };
         let newest = self.active.map.keyframe(self.active.reference).and_then(|k| k.scale_from);
         // The robot has gone back meanwhile, or on behind another turn: it will be asked again.
@@ -90,12 +100,12 @@ impl Reconstruction {
         let parts = self.active.scale.parts_in_one_unit(&self.active.map, newest, ratio);
         self.move_parts(&parts, |part| part.is_none() || part == newest);
         self.scale_lengths(log.exp());
-        // Tags that told the scale hang before the turn.
         if let Some(tags) = &mut self.tags {
-            tags.rescale(before_log.exp());
+            // Others that told the scale hang before the turn.
+            tags.rescale(if word.source == ScaleSource::Tag { log } else { before_log }.exp());
         }
         self.active.fusion.rescale(before_log.exp());
-        self.active.fusion.heard_behind_turn(word.sigma);
+        self.active.fusion.heard_behind_turn(word);
         let keyframes = self.active.map.keyframes.iter().map(|(id, _)| KeyframeId(id));
         self.events.extend(keyframes.map(|keyframe| TrajectoryEvent::KeyframeScaled { keyframe, scale: log.exp() }));
         let now = self.active.odometry.last.map(|last| last.camera_from_world);
@@ -133,7 +143,7 @@ impl Reconstruction {
             self.rescale(factor);
         }
         if let Some((turn, word)) = self.told_behind.take() {
-            self.unify_by_floor(turn, &word);
+            self.unify_by_word(turn, &word);
         }
     }
 

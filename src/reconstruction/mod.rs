@@ -417,14 +417,14 @@ impl Reconstruction {
             if tags.see((&self.active.map, self.active.id), id, picture, &optics)
                 && let Some(word) = tags.measurement(self.active.id)
             {
-                self.active.fusion.add(&word);
+                self.hear_at(id, &word, 0.0);
             }
         }
         if let Some(floor) = &mut self.floor
             && let Some(word) = floor.see(&self.active.map, self.active.id, id)
         {
             let common_sigma = floor.common_sigma();
-            self.hear_floor(&word, common_sigma);
+            self.hear_at(id, &word, common_sigma);
         }
         self.note_floor(id);
     }
@@ -517,15 +517,11 @@ impl Reconstruction {
         })
     }
 
-    /// The last frame's pose lies behind a turn on the spot, and its distance from there is that of an assumption.
+    /// The last frame's pose lies in or behind a turn on the spot, and its distance from there is that of an assumption.
     pub fn scale_is_assumed(&self) -> bool {
-        self.state == TrackingState::Tracking
-            && self
-                .active
-                .map
-                .keyframe(self.active.reference)
-                .and_then(|k| k.scale_from)
-                .is_some_and(|turn| self.active.scale.is_assumed(turn))
+        let through = self.active.map.keyframe(self.active.reference).and_then(|k| k.scale_from);
+        let behind = through.is_some_and(|turn| self.active.scale.is_assumed(turn));
+        self.state == TrackingState::Tracking && (behind || self.rests_on_assumed())
     }
 
     /// What tags of a known size say of the present map's scale; the newest measurement contains those before.

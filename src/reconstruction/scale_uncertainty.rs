@@ -164,9 +164,10 @@ impl ScaleUncertainty {
         self.turns.iter_mut().for_each(|turn| turn.centre *= factor);
     }
 
-    /// Standard deviation of the scale that came through `last`, as a share, beside that of the map's beginning.
-    pub fn sigma_behind(&self, last: TurnId) -> f64 {
-        let (mut variance, mut next) = (0.0, Some(last));
+    /// Standard deviation of the scale that came through `last`, as a share, beside that of the map's beginning; `assuming`: of a step whose length is
+    /// being assumed now.
+    pub fn sigma_behind(&self, last: Option<TurnId>, assuming: bool) -> f64 {
+        let (mut variance, mut next) = (if assuming { SCALE_SIGMA.powi(2) } else { 0.0 }, last);
         for _ in 0..=MAX_TURNS {
             let Some(turn) = next.and_then(|id| self.turns.get(usize::from(id.0))) else { break };
             variance += turn.variance;
@@ -255,7 +256,10 @@ mod tests {
         assert_eq!(other.keyframe(behind).and_then(|k| k.scale_from), Some(TurnId(1)));
         // The present map's turn lies 2 from the camera, the other's, carried over to z = 5, 3.
         let pose = Se3::new(UnitQuaternion::identity(), Vector3::new(0.0, 0.0, -2.0));
-        assert!((doubt.sigma_behind(TurnId(1)) - (2.0 * SCALE_SIGMA.powi(2)).sqrt()).abs() < 1e-12, "of both turns");
+        let sigma = |last, assuming| doubt.sigma_behind(last, assuming) / SCALE_SIGMA;
+        assert!((sigma(Some(TurnId(1)), false) - 2.0_f64.sqrt()).abs() < 1e-12, "of both turns");
+        assert!((sigma(Some(TurnId(1)), true) - 3.0_f64.sqrt()).abs() < 1e-12, "and in a third");
+        assert!(sigma(None, false) == 0.0 && sigma(None, true) == 1.0);
         let variance = |id| doubt.covariance(&Map::default(), TurnId(id), &pose)[(2, 2)];
         assert!((variance(0) - 4.0 * SCALE_SIGMA.powi(2)).abs() < 1e-12);
         assert!((variance(1) - (9.0 + 4.0) * SCALE_SIGMA.powi(2)).abs() < 1e-12);

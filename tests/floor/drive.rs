@@ -36,6 +36,9 @@ const FREE_WITHIN_M: f64 = 0.05;
 /// Way over which a published length is compared with the truth, m: long beside what a pose has wrong.
 const LATELY_M: f64 = 0.5;
 
+/// A scale that is of use, one sigma.
+const SURE: f64 = 0.1;
+
 /// Of bearings, summed over scans.
 #[derive(Debug, Default, Clone, Copy)]
 pub struct Bearings {
@@ -67,6 +70,8 @@ pub struct Driven {
     /// Frames in which the way of the last half metre was published within 1.96 of the published standard deviations, and all that have such a way
     /// behind them in one metric map.
     pub inside: (usize, usize),
+    /// Of these, where no frame of that way was published less sure than [`SURE`].
+    pub sure: (usize, usize),
     /// What was wrong with it in the newest of these, a share.
     pub last_error: f64,
     /// As found at the end, degrees.
@@ -105,6 +110,7 @@ pub fn drive(config: &SimulatorConfig, seconds: f64, height_m: f64, scans: Optio
         scale_error_known: f64::NAN,
         assumed: (0, 0),
         inside: (0, 0),
+        sure: (0, 0),
         last_error: f64::NAN,
         roll_pitch_deg: None,
         told: 0,
@@ -132,12 +138,17 @@ pub fn drive(config: &SimulatorConfig, seconds: f64, height_m: f64, scans: Optio
                 known_to.push(place);
             }
         }
-        let odom = estimate.odom_from_camera.filter(|_| tracking && estimate.scale.is_metric());
-        if let (MapScale::Metric { sigma, .. }, Some(error)) =
-            (estimate.scale, lately.error((estimate.map, odom.map(|odom| odom.translation)), place))
-        {
+        let published = match (estimate.scale, estimate.odom_from_camera.filter(|_| tracking)) {
+            (MapScale::Metric { sigma, .. }, Some(odom)) => Some((odom.translation, sigma)),
+            _ => None,
+        };
+        if let Some((error, sigma)) = lately.error(estimate.map, published, place) {
             driven.inside.0 += usize::from(error.abs() <= 1.96 * sigma);
             driven.inside.1 += 1;
+            if sigma < SURE {
+                driven.sure.0 += usize::from(error.abs() <= 1.96 * sigma);
+                driven.sure.1 += 1;
+            }
             driven.last_error = error.exp() - 1.0;
             if verbose {
                 let (assumed, way) = (reconstruction.scale_is_assumed(), driven.way_m);
@@ -192,30 +203,27 @@ pub fn drive(config: &SimulatorConfig, seconds: f64, height_m: f64, scans: Optio
     driven
 }
 
-/// Way of the newest frames of one map, published and true.
+/// The newest frames of one map: published place, true one, and standard deviation of the scale.
 #[derive(Default)]
 struct Lately {
     map: Option<MapId>,
-    steps: VecDeque<(f64, f64)>,
-    last: Option<(Vector3<f64>, Vector3<f64>)>,
+    frames: VecDeque<(Vector3<f64>, Vector3<f64>, f64)>,
 }
 
 impl Lately {
-    /// ln of how many times too long the way of the last `LATELY_M` was published.
-    fn error(&mut self, (map, published): (MapId, Option<Vector3<f64>>), truth: Vector3<f64>) -> Option<f64> {
-        let Some(published) = published.filter(|_| self.map == Some(map)) else {
+    /// ln of how many times too long the chord of the last `LATELY_M` was published, and the largest standard deviation since. A chord, because a
+    /// published place trembles while the robot stands.
+    fn error(&mut self, map: MapId, published: Option<(Vector3<f64>, f64)>, truth: Vector3<f64>) -> Option<(f64, f64)> {
+        let Some((published, sigma)) = published.filter(|_| self.map == Some(map)) else {
             *self = Self { map: Some(map), ..Self::default() };
             return None;
         };
-        if let Some((before, true_before)) = self.last.replace((published, truth)) {
-            self.steps.push_back(((published - before).norm(), (truth - true_before).norm()));
-        }
-        let mut way = self.steps.iter().rev().scan((0.0, 0.0), |sum, step| {
-            *sum = (sum.0 + step.0, sum.1 + step.1);
-            Some(*sum)
-        });
-        let (long, true_m) = way.find(|(_, true_m)| *true_m >= LATELY_M)?;
-        Some((long / true_m).ln())
+        self.frames.push_back((published, truth, sigma));
+        let far = |frame: &(Vector3<f64>, Vector3<f64>, f64)| (truth - frame.1).norm() >= LATELY_M;
+        let from = self.frames.iter().rposition(far)?;
+        let sigma = self.frames.range(from..).map(|frame| frame.2).fold(0.0, f64::max);
+        let (place, true_place, _) = self.frames[from];
+        Some((((published - place).norm() / (truth - true_place).norm()).ln(), sigma))
     }
 }
 
@@ -284,9 +292,9 @@ pub fn judge(config: &SimulatorConfig, seconds: f64, height_m: f64, scans: Optio
         let known = 100.0 * driven.scale_error_known;
         println!("    scale assumed in {assumed} of {metric} metric frames; {known:.2} % off in the others");
     }
-    let (inside, lengths) = driven.inside;
+    let ((inside, lengths), (right, sure)) = (driven.inside, driven.sure);
     println!(
-        "    last {LATELY_M} m {:.2} % off; within 1.96 sigma in {inside} of {lengths} frames",
+        "    last {LATELY_M} m {:.2} % off; within 1.96 sigma in {inside} of {lengths} frames, in {right} of {sure} with a sigma below {SURE}",
         100.0 * driven.last_error
     );
     let b = &driven.bearings;

@@ -195,6 +195,60 @@ def drives(data, short):
     ]
 
 
+def metres(data, short):
+    need(data, "visp_rbt")
+    test = "test --locked --release --test floor"
+    # Nothing was chosen on these seeds.
+    seeds = "331" if short else ",".join(map(str, range(331, 351)))
+    floor = f"SCENARIOS=room_tour,corridor,square SEEDS={seeds} SECONDS={25 if short else 60} cargo {test} -- --ignored --nocapture scale::table"
+    config = r"[tag]\nsize_m = 0.0945\nsize_sigma_m = 0.0005\n"
+    board = "$CAIRN_DATA/visp_rbt"
+    replay = with_config(config, "visp_rbt-tags", f"cairn replay --lockstep --quiet --trajectory {OUT}/visp_rbt-metres.txt {board} >&2")
+    return [
+        Step("By the camera's height", floor,
+             "Rooms of the simulator, camera at 0.5 m, told exactly. Way: the chord of the last half metre of the smooth pose, in each metric frame.",
+             build=f"{test} --no-run", read=heights),
+        Step("By tags: a recording with a board of them", f"{replay}\ncairn evaluate --metric {OUT}/visp_rbt-metres.txt {board}/groundtruth.txt",
+             "One rigid motion, no scale, between estimate and truth; the edges of the tags as the ground truth has them.", read=tags),
+    ]
+
+
+HEIGHT = re.compile(r"^(\w+) (\d+): ([\d.]+) m, metric after (?:Some\()?([\d.]+|None)\)?(?: m)?, scale (-?[\d.]+|NaN) % off")
+ASSUMED = re.compile(r"scale assumed in (\d+) of (\d+) metric frames; (-?[\d.]+|NaN) % off in the others")
+WAY = re.compile(r"in (\d+) of (\d+) frames, in (\d+) of (\d+) with a sigma below")
+
+
+def heights(text):
+    """The floor test's lines, a row a scene."""
+    scenes = {}
+    for line in text.splitlines():
+        if found := HEIGHT.match(line):
+            scene = scenes.setdefault(found[1], [])
+            scene.append({"metric": found[4], "off": float(found[5]), "assumed": 0, "way": [0] * 4})
+        elif found := ASSUMED.search(line):
+            scene[-1].update(assumed=int(found[1]), off=float(found[3]))
+        elif found := WAY.search(line):
+            scene[-1]["way"] = [int(n) for n in found.groups()]
+    if not scenes:
+        raise ValueError("the test printed no drive")
+    rows = []
+    for name, runs in scenes.items():
+        offs = [abs(run["off"]) for run in runs if not math.isnan(run["off"])]
+        inside, lengths, right, sure = (sum(run["way"][i] for run in runs) for i in range(4))
+        rows.append([f"`{name}`", len(runs), sum(run["metric"] != "None" for run in runs), f"{statistics.median(offs):.2f}, {max(offs):.2f}" if offs else "–",
+                     sum(off < 2 for off in offs), f"{inside} of {lengths}", f"{right} of {sure}"])
+    return table(["scene", "seeds", "metric", "scale off where not assumed, % (median, most)", "below 2 %", "way within 1.96 sigma",
+                  "where sigma is below 0.1"], rows)
+
+
+def tags(text):
+    """What the evaluation says of metres."""
+    rows = [line.split(None, 2) for line in text.splitlines() if line.startswith("metric ")]
+    if not rows:
+        raise ValueError("the evaluation says nothing of metres")
+    return table(["figure", "visp_rbt"], [[" ".join(row[:2]), row[2]] for row in rows])
+
+
 def wire(data, short):
     bench = "bench --locked --bench wire"
     return [Step("Between processes", f"cargo {bench}{' -- maps' if short else ''}", build=f"{bench} --no-run")]
@@ -358,6 +412,7 @@ KINDS = {
     "simulator": Kind("Hard cases in the simulator", "6 min", simulator),
     "simulator_long": Kind("Hard cases in the simulator, long form", "3 h", simulator_long),
     "drives": Kind("Simulated drives", "5 min", drives),
+    "metres": Kind("Metres", "10 min", metres),
     "uncalibrated": Kind("Without a calibration", "2 min", uncalibrated),
     "calibration": Kind("Calibration", "3 min", calibration),
     "calibration_live": Kind("Live calibration", "15 min", calibration_live),

@@ -70,6 +70,22 @@ impl Plane {
     }
 }
 
+/// How much driving over it makes a plane the floor.
+#[derive(Debug, Clone, Copy)]
+pub struct Driven {
+    /// The way that must be driven, in heights.
+    way: f64,
+    /// Stations of it that must have a landmark of the plane on the strip.
+    stations: usize,
+}
+
+impl Driven {
+    /// The first time in a map, with nothing but a mount that tells which way is up.
+    pub const FIRST: Self = Self { way: 4.0, stations: 4 };
+    /// Where the floor was found before: the robot still stands on it, and its camera is tilted as it was.
+    pub const AGAIN: Self = Self { way: 1.5, stations: 2 };
+}
+
 /// Why no floor is told.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum NoFloor {
@@ -108,15 +124,11 @@ const MOST_OFF: f64 = 0.1;
 /// mistaken matches.
 const BENEATH: f64 = 0.15;
 const MOST_BENEATH: f64 = 0.15;
-/// Half width of the driven strip and length of a station, in heights: a robot is about as wide as its camera is high. Stations that must have
-/// a landmark on the strip.
+/// Half width of the driven strip and length of a station, in heights: a robot is about as wide as its camera is high.
 const STRIP: f64 = 0.5;
 const STATION: f64 = 0.5;
-const LEAST_STATIONS: usize = 4;
 /// A step between keyframes longer than this, in heights, is no way that is known to be driven straight.
 const LONGEST_STEP: f64 = 2.0;
-/// The way that must be driven, in heights.
-const LEAST_WAY: f64 = 4.0;
 /// Standard deviation of the height beyond which nothing is told.
 const MOST_SIGMA: f64 = 0.05;
 /// What landmarks share of their keyframes' errors does not shrink with their number: as measured in the simulator's rooms.
@@ -167,6 +179,7 @@ pub fn find_floor(
     points: &[FloorPoint],
     cameras: &[Se3<Camera, World>],
     prior: &UpPrior,
+    least: &Driven,
     seed: u64,
 ) -> Result<Plane, NoFloor> {
     let centres: Vec<Vector3<f64>> = cameras.iter().map(|c| c.inverse().translation).collect();
@@ -183,7 +196,7 @@ pub fn find_floor(
     if on.len() < LEAST_LANDMARKS {
         return Err(NoFloor::FewLandmarks);
     }
-    is_floor(&fitted, points, &on, &centres)?;
+    is_floor(&fitted, points, &on, &centres, least)?;
     sigma = sigma.hypot(COMMON_SIGMA);
     if sigma > MOST_SIGMA {
         return Err(NoFloor::Unsure(sigma));
@@ -297,7 +310,13 @@ fn basis(normal: &Unit<Vector3<f64>>) -> (Vector3<f64>, Vector3<f64>) {
     (e1, normal.cross(&e1))
 }
 
-fn is_floor(plane: &Candidate, points: &[FloorPoint], on: &[usize], centres: &[Vector3<f64>]) -> Result<(), NoFloor> {
+fn is_floor(
+    plane: &Candidate,
+    points: &[FloorPoint],
+    on: &[usize],
+    centres: &[Vector3<f64>],
+    least: &Driven,
+) -> Result<(), NoFloor> {
     let height = plane.height();
     let stray = centres.iter().map(|c| (plane.normal.dot(c) - plane.cameras).powi(2)).sum::<f64>();
     let stray = (stray / centres.len() as f64).sqrt() / height;
@@ -309,11 +328,11 @@ fn is_floor(plane: &Candidate, points: &[FloorPoint], on: &[usize], centres: &[V
         return Err(NoFloor::SomethingBeneath(beneath));
     }
     let way: f64 = steps(centres, height).map(|(a, b)| (b - a).norm()).sum();
-    if way < LEAST_WAY * height {
+    if way < least.way * height {
         return Err(NoFloor::FewMetres);
     }
     let stations = driven_stations(plane, points, on, centres);
-    if stations < LEAST_STATIONS { Err(NoFloor::NotDrivenOver(stations)) } else { Ok(()) }
+    if stations < least.stations { Err(NoFloor::NotDrivenOver(stations)) } else { Ok(()) }
 }
 
 fn steps(centres: &[Vector3<f64>], height: f64) -> impl Iterator<Item = (Vector3<f64>, Vector3<f64>)> {

@@ -1,6 +1,6 @@
 use nalgebra::{Matrix3, Unit, UnitQuaternion, Vector3};
 
-use super::plane::{FloorPoint, NoFloor, UpPrior, find_floor};
+use super::plane::{Driven, FloorPoint, NoFloor, UpPrior, find_floor};
 use super::*;
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
@@ -55,7 +55,8 @@ fn a_floor_that_is_driven_over_tells_height_and_tilt_within_what_it_says() {
         let mut random = Random::new(seed);
         let mut points = sheet(&mut random, [1.0, 6.0], [-1.0, 1.0], 0.0, 150, 0.01);
         points.extend(walls(&mut random));
-        let plane = find_floor(&points, &driven(), &prior(), seed).unwrap_or_else(|e| panic!("seed {seed}: {e:?}"));
+        let plane = find_floor(&points, &driven(), &prior(), &Driven::FIRST, seed)
+            .unwrap_or_else(|e| panic!("seed {seed}: {e:?}"));
         let error = (plane.height / HEIGHT).ln();
         assert!(error.abs() < 0.015, "seed {seed}: {error}");
         assert!(plane.sigma > 0.001 && plane.sigma < 0.02, "seed {seed}: sigma {}", plane.sigma);
@@ -72,28 +73,28 @@ fn what_is_no_floor_is_refused_for_its_reason() {
     let floor = sheet(&mut random, [1.0, 6.0], [-1.0, 1.0], 0.0, 150, 0.01);
     // Beside the way, half as high as the camera, with no floor in sight.
     let table = sheet(&mut random, [1.0, 6.0], [0.8, 2.0], 0.35, 150, 0.01);
-    let found = find_floor(&table, &driven(), &prior(), 1);
+    let found = find_floor(&table, &driven(), &prior(), &Driven::FIRST, 1);
     assert!(matches!(found, Err(NoFloor::NotDrivenOver(_))), "a table: {found:?}");
     // Two benches, one on either side: the way is between them.
     let mut benches = table.clone();
     benches.extend(sheet(&mut random, [1.0, 6.0], [-2.0, -0.8], 0.35, 150, 0.01));
-    let found = find_floor(&benches, &driven(), &prior(), 1);
+    let found = find_floor(&benches, &driven(), &prior(), &Driven::FIRST, 1);
     assert!(matches!(found, Err(NoFloor::NotDrivenOver(_))), "benches: {found:?}");
     // Flown over a table, with the floor below it.
     let mut over = sheet(&mut random, [1.0, 6.0], [-1.0, 1.0], 0.35, 150, 0.01);
     over.extend(sheet(&mut random, [1.0, 6.0], [-2.0, 2.0], 0.0, 60, 0.01));
-    let found = find_floor(&over, &driven(), &prior(), 1);
+    let found = find_floor(&over, &driven(), &prior(), &Driven::FIRST, 1);
     assert!(!found.as_ref().is_ok_and(|p| (p.height / 0.35 - 1.0).abs() < 0.2), "a table above a floor: {found:?}");
     let carried: Vec<_> =
         (0..20).map(|i| camera([0.2 * f64::from(i), 0.0, HEIGHT + 0.15 * (f64::from(i)).sin()])).collect();
-    let found = find_floor(&floor, &carried, &prior(), 1);
+    let found = find_floor(&floor, &carried, &prior(), &Driven::FIRST, 1);
     assert!(matches!(found, Err(NoFloor::NotParallel(_))), "carried: {found:?}");
     let standing = vec![camera([0.0, 0.0, HEIGHT]); 20];
-    let found = find_floor(&floor, &standing, &prior(), 1);
+    let found = find_floor(&floor, &standing, &prior(), &Driven::FIRST, 1);
     assert!(matches!(found, Err(NoFloor::FewMetres)), "standing: {found:?}");
-    let found = find_floor(&walls(&mut random), &driven(), &prior(), 1);
+    let found = find_floor(&walls(&mut random), &driven(), &prior(), &Driven::FIRST, 1);
     assert!(found.is_err(), "a wall: {found:?}");
-    let found = find_floor(&floor[..10], &driven(), &prior(), 1);
+    let found = find_floor(&floor[..10], &driven(), &prior(), &Driven::FIRST, 1);
     assert!(matches!(found, Err(NoFloor::FewLandmarks)), "{found:?}");
 }
 
@@ -101,7 +102,7 @@ fn what_is_no_floor_is_refused_for_its_reason() {
 fn a_floor_carries_who_stands_on_it() {
     let mut random = Random::new(3);
     let points = sheet(&mut random, [1.0, 6.0], [-1.0, 1.0], 0.0, 150, 0.01);
-    let plane = find_floor(&points, &driven(), &prior(), 5).expect("a floor");
+    let plane = find_floor(&points, &driven(), &prior(), &Driven::FIRST, 5).expect("a floor");
     assert!(plane.carries(&Vector3::new(2.0, 1.0, HEIGHT)));
     // Lifted over a sofa, driven up a step, nowhere.
     for z in [2.0 * HEIGHT, 1.15 * HEIGHT, 0.8 * HEIGHT, f64::NAN] {
@@ -113,7 +114,10 @@ fn a_floor_carries_who_stands_on_it() {
 fn the_same_question_has_the_same_answer() {
     let mut random = Random::new(3);
     let points = sheet(&mut random, [1.0, 6.0], [-1.0, 1.0], 0.0, 150, 0.01);
-    assert_eq!(find_floor(&points, &driven(), &prior(), 5), find_floor(&points, &driven(), &prior(), 5));
+    assert_eq!(
+        find_floor(&points, &driven(), &prior(), &Driven::FIRST, 5),
+        find_floor(&points, &driven(), &prior(), &Driven::FIRST, 5)
+    );
 }
 
 #[test]

@@ -5,7 +5,8 @@ use crate::features::tags::{CELLS, is_white};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::random::Random;
-use crate::map::Keyframe;
+use crate::geometry::sim3::Sim3;
+use crate::map::{Correction, Keyframe};
 
 fn placed(edge: f64, corner_sigma: f64, view_sigma: f64) -> PlacedTag {
     PlacedTag {
@@ -241,4 +242,25 @@ fn tags_that_are_not_named_and_keyframes_that_are_gone_say_nothing() {
     }
     tags.see((&map, MapId(3)), *last, picture, &optics);
     assert_eq!(tags.measurement(MapId(3)), None, "two views are left");
+}
+
+#[test]
+fn keyframes_behind_a_turn_with_another_unit_tell_of_that_alone() {
+    let (camera, mut map, pictures) = map_before_a_tag();
+    let optics = Optics { camera: &camera, readout_s: 0.0 };
+    // The last three are of a part whose unit is 5 m: the same places are half as far.
+    let motion = |i: usize| if i < 2 { Sim3::identity() } else { Sim3::new(0.5, Default::default(), Vector3::zeros()) };
+    let keyframes = pictures.iter().enumerate().map(|(i, (keyframe, _))| (*keyframe, motion(i))).collect();
+    map.correct(&Correction { keyframes, younger: None });
+    for (keyframe, _) in &pictures[2..] {
+        map.set_scale_origin(*keyframe, Some(TurnId(0)));
+    }
+    let mut tags = Tags::new(&config(0.0003)).expect("on");
+    for (i, (keyframe, picture)) in pictures.iter().enumerate() {
+        tags.see((&map, MapId(3)), *keyframe, picture, &optics);
+        assert_eq!(tags.measurement(MapId(3)).is_some(), i == 4, "three views of one part, at view {i}");
+    }
+    let found = tags.measurement(MapId(3)).expect("told");
+    let error = found.log_metres_per_unit - 5f64.ln();
+    assert!(error.abs() < 0.01 && error.abs() < 2.0 * found.sigma, "off by {error}: {found:?}");
 }
