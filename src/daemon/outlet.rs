@@ -12,10 +12,11 @@ use crate::messages::Pose;
 use crate::messages::services::MAX_EDGES;
 use crate::motion::hand_eye::Robot;
 use crate::motion::obstacles::Scan;
+use crate::motion::tag::TagView;
 use crate::publish::convert::{self, Map};
 use crate::publish::{
     Conversion, EncodedPublisher, FeaturesPublisher, FramePublisher, FrameStamp, GraphPublisher, MapContext,
-    MapPublisher, ObstaclesPublisher, PosePublisher, PublishError, ScaleEstimate, ScanContext, WheelInbox,
+    MapPublisher, ObstaclesPublisher, PosePublisher, PublishError, ScaleEstimate, ScanContext, TagsPublisher, WheelInbox,
 };
 use crate::reconstruction::{PoseEstimate, Reconstruction};
 
@@ -42,6 +43,9 @@ pub struct Outlet {
     graph: Option<GraphPublisher>,
     /// As sent last.
     edges: MapGraph,
+    tags: Option<TagsPublisher>,
+    /// As sent last.
+    told: Vec<TagView>,
     features: Option<FeaturesPublisher>,
     obstacles: Option<ObstaclesPublisher>,
     /// For the capture stage, which takes it.
@@ -75,6 +79,8 @@ impl Outlet {
             frames,
             graph: None,
             edges: MapGraph::default(),
+            tags: None,
+            told: Vec::new(),
             features: None,
             obstacles: None,
             encoded: None,
@@ -88,6 +94,12 @@ impl Outlet {
     /// Tells what holds the map together, too.
     pub fn with_graph(mut self, graph: GraphPublisher) -> Self {
         self.graph = Some(graph);
+        self
+    }
+
+    /// Tells where tags are, too.
+    pub fn with_tags(mut self, tags: TagsPublisher) -> Self {
+        self.tags = Some(tags);
         self
     }
 
@@ -231,12 +243,14 @@ impl Outlet {
         self.map.is_due(now_ns)
     }
 
-    /// What ties the map together, if anybody subscribes to it; then the map and its keyframes. `map` is of this reconstruction.
+    /// What ties the map together and where its tags of `size_m` are, if anybody subscribes to these; then the map and its keyframes. `map` is of this
+    /// reconstruction.
     pub fn map(
         &mut self,
         reconstruction: &Reconstruction,
         map: &MapSnapshot,
         context: &MapContext,
+        size_m: f64,
     ) -> Result<(), PublishError> {
         self.turn_to(map.map);
         self.conversion.scale = map.scale.into();
@@ -245,6 +259,11 @@ impl Outlet {
             reconstruction.graph(&mut self.edges, MAX_EDGES);
             graph = publisher.publish(&self.edges, map, &self.conversion, context);
         }
-        self.map.publish(map, &self.conversion, context).and(graph.map(|_| ()))
+        let mut tags = Ok(());
+        if let Some(publisher) = self.tags.as_mut().filter(|tags| tags.is_wanted()) {
+            reconstruction.tags(&mut self.told);
+            tags = publisher.publish(&self.told, size_m, map, &self.conversion, context);
+        }
+        self.map.publish(map, &self.conversion, context).and(graph.map(|_| ())).and(tags)
     }
 }

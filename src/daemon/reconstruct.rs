@@ -521,7 +521,7 @@ impl ReconstructStep {
         reconstruction.snapshot(&mut self.snapshot);
         self.status.set_map(&self.snapshot);
         let context = context(reconstruction, self.placements, self.last_frame_ns, self.status.map_mode());
-        match outlet.map(reconstruction, &self.snapshot, &context) {
+        match outlet.map(reconstruction, &self.snapshot, &context, self.tag.size_m) {
             Ok(()) => self.status.maps_published.add(1),
             Err(error) => self.publish_failed(&error),
         }

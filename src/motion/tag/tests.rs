@@ -14,6 +14,8 @@ fn placed(edge: f64, corner_sigma: f64, view_sigma: f64) -> PlacedTag {
         log_edge: edge.ln(),
         corner_variance: corner_sigma * corner_sigma,
         view_variance: view_sigma * view_sigma,
+        place_sigma: 0.01,
+        turn_sigma: 0.01,
         residual_px: 0.2,
         views: 10,
     }
