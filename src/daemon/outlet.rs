@@ -16,7 +16,8 @@ use crate::motion::tag::TagView;
 use crate::publish::convert::{self, Map};
 use crate::publish::{
     Conversion, EncodedPublisher, FeaturesPublisher, FramePublisher, FrameStamp, GraphPublisher, MapContext,
-    MapPublisher, ObstaclesPublisher, PosePublisher, PublishError, ScaleEstimate, ScanContext, TagsPublisher, WheelInbox,
+    MapPublisher, ObstaclesPublisher, PosePublisher, PublishError, ScaleEstimate, ScanContext, TagsPublisher,
+    WheelInbox,
 };
 use crate::reconstruction::{PoseEstimate, Reconstruction};
 

@@ -116,7 +116,10 @@ mod tests {
         let told = message(&[straight, aside, waits], 0.15, &Conversion { scale, ..Conversion::default() });
         let close = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-12);
         let [first, second, third] = told.seen() else { panic!("three tags") };
-        assert!(close(&first.position, &[3.0, -0.5, 0.2]) && close(&first.orientation, &[0.0, 0.0, 0.0, 1.0]), "{first:?}");
+        assert!(
+            close(&first.position, &[3.0, -0.5, 0.2]) && close(&first.orientation, &[0.0, 0.0, 0.0, 1.0]),
+            "{first:?}"
+        );
         let half = std::f64::consts::FRAC_1_SQRT_2;
         assert!(close(&second.position, &[1.0, -2.0, 0.0]) && close(&second.orientation, &[0.0, 0.0, -half, half]));
         assert_eq!((first.size, first.edge, first.sightings), (0.15, 0.149, 9));

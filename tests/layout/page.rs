@@ -11,7 +11,9 @@ const PAGE: &str = "src/messages/WIRE.md";
 /// Type and documentation of every field, by struct and field, out of the sources.
 fn documented() -> BTreeMap<(String, String), (String, String)> {
     let mut found = BTreeMap::new();
-    for file in ["pose", "map", "graph", "frame", "encoded", "features", "health", "command", "wheel", "obstacles", "tags"] {
+    for file in
+        ["pose", "map", "graph", "frame", "encoded", "features", "health", "command", "wheel", "obstacles", "tags"]
+    {
         let text = std::fs::read_to_string(root().join(format!("src/messages/{file}.rs"))).expect("source");
         let (mut inside, mut words) = (None::<String>, Vec::new());
         for line in text.lines() {

@@ -266,3 +266,44 @@ fn keyframes_behind_a_turn_with_another_unit_tell_of_that_alone() {
     let error = found.log_metres_per_unit - 5f64.ln();
     assert!(error.abs() < 0.01 && error.abs() < 2.0 * found.sigma, "off by {error}: {found:?}");
 }
+
+#[test]
+fn tags_are_told_where_the_keyframes_of_now_see_them() {
+    let (camera, mut map, pictures) = map_before_a_tag();
+    let optics = Optics { camera: &camera, readout_s: 0.0 };
+    let mut tags = Tags::new(&config(0.0003)).expect("on");
+    let (mut told, mut seen) = (Vec::new(), Vec::new());
+    for (keyframe, picture) in &pictures {
+        tags.see((&map, MapId(3)), *keyframe, picture, &optics);
+        tags.tell(&map, &optics, &mut told);
+        let [tag] = told[..] else { panic!("tag 9 alone: {told:?}") };
+        seen.push((tag.id, tag.sightings, tag.placed.is_some()));
+    }
+    assert_eq!(seen, [(9, 1, false), (9, 2, false), (9, 3, true), (9, 4, true), (9, 5, true)]);
+    // In map units of 2.5 m: the tag's middle is the origin.
+    let placed = told[0].placed.expect("placed");
+    let off = placed.world_from_tag.translation.norm();
+    assert!(off < 0.005 && off < 3.0 * placed.place_sigma && placed.place_sigma < 0.01, "{placed:?}");
+    let turned = placed.world_from_tag.rotation.angle();
+    assert!(turned < 3.0 * placed.turn_sigma && placed.turn_sigma < 0.03, "off by {turned}: {placed:?}");
+
+    // A loop moves the keyframes: the tag goes with them, without being seen again.
+    let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.1, -0.3, 0.2));
+    let motion = Sim3::new(1.02, turn, Vector3::new(0.4, 0.0, -0.7));
+    let keyframes = pictures.iter().map(|(keyframe, _)| (*keyframe, motion)).collect();
+    map.correct(&Correction { keyframes, younger: None });
+    tags.tell(&map, &optics, &mut told);
+    let moved = told[0].placed.expect("placed");
+    let want = motion.transform(&placed.world_from_tag.translation);
+    assert!((moved.world_from_tag.translation - want).norm() < 1e-4, "{moved:?}");
+    assert!(moved.world_from_tag.rotation.angle_to(&(turn * placed.world_from_tag.rotation)) < 1e-3);
+    assert!((moved.log_edge - placed.log_edge - 1.02f64.ln()).abs() < 1e-4);
+
+    for (keyframe, _) in &pictures[..3] {
+        map.remove_keyframe(*keyframe);
+    }
+    tags.tell(&map, &optics, &mut told);
+    assert!(told[0].sightings == 2 && told[0].placed.is_none(), "two views are left");
+    tags.tell(&Map::default(), &optics, &mut told);
+    assert!(told.is_empty(), "another map has no such keyframes");
+}
