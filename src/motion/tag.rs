@@ -14,8 +14,9 @@
 //!
 //! Cost: at keyframes only, after the pose was published: 3 ms to look (640 x 480), and 0.2 to 0.3 ms for each tag. Bounded: 16 tags of 24 sightings.
 //!
-//! Not here: what becomes of the measurement; tags as landmarks of the adjustment; a tag as the origin of the map.
+//! Not here: what becomes of the measurement; tags as landmarks of the adjustment; how the dock's place moves the published map ([`dock`] is what is said of it).
 
+pub mod dock;
 pub mod edge_length;
 pub mod sheet;
 
@@ -28,7 +29,11 @@ use crate::geometry::CameraModel;
 use crate::image::GreyImage;
 use crate::map::scale::ScaleSource;
 use crate::map::{KeyframeId, Map, MapId, TurnId};
+use dock::DockConfig;
 use edge_length::{LEAST_VIEWS, NoLength, PlacedTag, View, edge_length};
+
+/// What a tag looks like, for who makes one.
+pub use crate::features::tags::{CELLS, is_white};
 
 /// Sides of a black square that are believed, m: a stamp, and a wall.
 pub const LEAST_SIZE_M: f64 = 0.01;
@@ -53,11 +58,13 @@ pub struct TagConfig {
     pub size_sigma_m: f64,
     /// Numbers of the tags that have this size; empty: all of the family.
     pub ids: Vec<u16>,
+    /// The tag that says where the map is.
+    pub dock: DockConfig,
 }
 
 impl Default for TagConfig {
     fn default() -> Self {
-        Self { size_m: 0.0, size_sigma_m: 0.0003, ids: Vec::new() }
+        Self { size_m: 0.0, size_sigma_m: 0.0003, ids: Vec::new(), dock: DockConfig::default() }
     }
 }
 
@@ -79,7 +86,7 @@ impl TagConfig {
         }
         match self.ids.iter().find(|id| **id >= FAMILY_SIZE) {
             Some(id) => Err(("ids", format!("the family 36h11 has the tags 0 to {}, not {id}", FAMILY_SIZE - 1))),
-            None => Ok(()),
+            None => self.dock.validate(self),
         }
     }
 }
@@ -259,6 +266,11 @@ impl Tags {
         out.clear();
         out.extend(self.known.iter().filter_map(|known| known.told(map, optics)));
         out.sort_unstable_by_key(|tag| tag.id);
+    }
+
+    /// The same of one tag's place alone.
+    pub fn placed_now(&self, id: u16, map: &Map, optics: &Optics<'_>) -> Option<PlacedTag> {
+        self.known.iter().find(|known| known.id == id)?.told(map, optics)?.placed
     }
 
     /// Lengths of the map were multiplied by `scale`: what was told before is told in the new unit.

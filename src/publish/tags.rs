@@ -5,8 +5,8 @@ use crate::geometry::frames::Body;
 use crate::geometry::{Se3, ros_from_optical};
 use crate::map::MapSnapshot;
 use crate::messages::{MAX_TAGS, Tag, Tags};
-use crate::motion::tag::TagView;
 use crate::motion::tag::edge_length::PlacedTag;
+use crate::motion::tag::{TagConfig, TagView};
 
 use super::convert::{self, Map};
 use super::ports::Port;
@@ -25,17 +25,17 @@ impl TagsPublisher {
         self.port.subscribers() > 0
     }
 
-    /// Sends the tags of the map that `snapshot` is of, at most [`MAX_TAGS`]. `size_m`: of all of them. To be called before that snapshot is sent: who
+    /// Sends the tags of the map that `snapshot` is of, at most [`MAX_TAGS`]. To be called before that snapshot is sent: who
     /// wakes by the map finds its tags.
     pub fn publish(
         &mut self,
         tags: &[TagView],
-        size_m: f64,
+        config: &TagConfig,
         snapshot: &MapSnapshot,
         conversion: &Conversion,
         context: &MapContext,
     ) -> Result<(), PublishError> {
-        let message = message(tags, size_m, conversion);
+        let message = message(tags, config, conversion);
         self.port
             .send(Tags {
                 run_id: self.run_id,
@@ -59,7 +59,7 @@ pub fn map_from_tag(placed: &PlacedTag, conversion: &Conversion) -> Se3<Map, Bod
 }
 
 /// Without what only the sender and the map know.
-fn message(tags: &[TagView], size_m: f64, conversion: &Conversion) -> Tags {
+fn message(tags: &[TagView], config: &TagConfig, conversion: &Conversion) -> Tags {
     let (scale, scale_sigma, scale_source) = conversion.scale.to_wire();
     let mut message = Tags {
         count: count(tags.len().min(MAX_TAGS)),
@@ -70,7 +70,13 @@ fn message(tags: &[TagView], size_m: f64, conversion: &Conversion) -> Tags {
         ..Tags::default()
     };
     for (place, tag) in message.tags.iter_mut().zip(tags) {
-        *place = Tag { id: tag.id.into(), sightings: count(tag.sightings), size: size_m as f32, ..Tag::default() };
+        *place = Tag {
+            id: tag.id.into(),
+            sightings: count(tag.sightings),
+            size: config.size_m as f32,
+            is_dock: u8::from(config.dock.enabled && config.dock.id == tag.id),
+            ..Tag::default()
+        };
         if let Some(placed) = &tag.placed {
             (place.position, place.orientation) = convert::to_wire(&map_from_tag(placed, conversion));
             place.edge = placed.log_edge.exp() as f32;
@@ -86,6 +92,7 @@ mod tests {
 
     use super::*;
     use crate::geometry::frames::{Camera, World};
+    use crate::motion::tag::dock::DockConfig;
     use crate::publish::ScaleEstimate;
 
     fn placed(world_from_tag: Se3<World, Camera>) -> PlacedTag {
@@ -113,7 +120,9 @@ mod tests {
         let aside = TagView { id: 8, placed: Some(placed(Se3::new(right, Vector3::new(2.0, 0.0, 1.0)))), ..straight };
         let waits = TagView { id: 9, sightings: 1, placed: None };
         let scale = ScaleEstimate::Metric { sigma: 0.01, source: 4 };
-        let told = message(&[straight, aside, waits], 0.15, &Conversion { scale, ..Conversion::default() });
+        let dock = DockConfig { enabled: true, id: 8, ..DockConfig::default() };
+        let config = TagConfig { size_m: 0.15, dock, ..TagConfig::default() };
+        let told = message(&[straight, aside, waits], &config, &Conversion { scale, ..Conversion::default() });
         let close = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-12);
         let [first, second, third] = told.seen() else { panic!("three tags") };
         assert!(
@@ -123,6 +132,7 @@ mod tests {
         let half = std::f64::consts::FRAC_1_SQRT_2;
         assert!(close(&second.position, &[1.0, -2.0, 0.0]) && close(&second.orientation, &[0.0, 0.0, -half, half]));
         assert_eq!((first.size, first.edge, first.sightings), (0.15, 0.149, 9));
+        assert_eq!(told.seen().iter().map(|t| t.is_dock).collect::<Vec<_>>(), [0, 1, 0]);
         assert_eq!((first.position_sigma, first.orientation_sigma), (0.004, 0.02));
         assert!(third.id == 9 && third.sightings == 1 && third.size == 0.15 && !third.is_placed());
         assert!(third.edge.is_nan() && third.position_sigma.is_nan() && third.orientation_sigma.is_nan());

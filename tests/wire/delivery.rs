@@ -10,7 +10,7 @@ use cairn::messages::{
     Clock, Command, CommandReply, EDGE_COVISIBLE, EDGE_JOIN, EDGE_LOOP, Health, MAX_TAGS, NO_MAP, Pose, State,
     Transform, command_kind, error, reply_code,
 };
-use cairn::motion::tag::TagView;
+use cairn::motion::tag::{TagConfig, TagView};
 use cairn::publish::{Conversion, FrameStamp, MapContext, PublishError, Publisher};
 use iceoryx2::prelude::*;
 
@@ -212,7 +212,8 @@ fn tags_are_told_only_while_somebody_wants_them() {
     let mut tags = place.client().tags();
     connect(&mut tags);
     assert!(publisher.tags.is_wanted());
-    publisher.tags.publish(&all, 0.15, &snapshot(5, 0), &Conversion::default(), &context).unwrap();
+    let config = TagConfig { size_m: 0.15, ..TagConfig::default() };
+    publisher.tags.publish(&all, &config, &snapshot(5, 0), &Conversion::default(), &context).unwrap();
     let got = next(&mut tags);
     assert_eq!((got.content_revision, got.map_revision, got.reset_counter, got.timestamp_ns), (5, 2, 3, 6));
     assert_eq!((got.seen().len(), got.map_mode, got.run_id), (MAX_TAGS, 2, publisher.health.run_id()));

@@ -22,7 +22,7 @@ fn placed(edge: f64, corner_sigma: f64, view_sigma: f64) -> PlacedTag {
 }
 
 fn config(size_sigma_m: f64) -> TagConfig {
-    TagConfig { size_m: 0.15, size_sigma_m, ids: Vec::new() }
+    TagConfig { size_m: 0.15, size_sigma_m, ..TagConfig::default() }
 }
 
 fn combined(tags: &[PlacedTag], config: &TagConfig) -> ScaleMeasurement {
@@ -87,7 +87,7 @@ fn several_tags_with_common_errors_of_the_keyframes_keep_the_truth_in_the_interv
 #[test]
 fn wrong_values_of_the_configuration_are_named() {
     let key = |size_m, size_sigma_m, ids: &[u16]| {
-        TagConfig { size_m, size_sigma_m, ids: ids.to_vec() }.validate().map_err(|(key, _)| key)
+        TagConfig { size_m, size_sigma_m, ids: ids.to_vec(), ..TagConfig::default() }.validate().map_err(|(key, _)| key)
     };
     assert_eq!(key(0.0, 0.0003, &[]), Ok(()));
     assert_eq!(key(0.15, 0.0003, &[0, 586]), Ok(()));
