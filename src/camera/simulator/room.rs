@@ -215,7 +215,7 @@ pub(super) fn furnished(plan: &Plan) -> Furnisher {
         let [by, bx] = [0.5 * ly - 0.01, 0.5 * lx - 0.01];
         // On the free parts of the walls: above the desk, above the sideboard, on the door, right of the pictures.
         let places = [
-            (Vector3::from(CHESSBOARD_MIDDLE), -y),
+            (Vector3::new(CHESSBOARD_MIDDLE[0], 0.05, 1.35), -y),
             (Vector3::new(-1.5, by, 1.35), x),
             (Vector3::new(-bx, 1.6, 1.2), y),
             (Vector3::new(1.95, -by, 1.1), -x),
