@@ -58,6 +58,8 @@
 //! - A camera that is driven at a known height ([`motion::floor`]) finds the floor among the landmarks: the plane that it moves parallel to, at one height,
 //!   with nothing beneath, and that it was driven over. While somebody asks what stands on it ([`motion::obstacles`]), keyframes note after their pose where
 //!   their pictures show the floor itself, and scans are made of that and of the map; what is not known is never free.
+//! - A tag's place is made anew from the keyframes that saw it whenever it is told. With a dock the daemon moves the frame in which the map is *published*, by one
+//!   rigid motion (`daemon::dock`); reconstruction's coordinates and all files stay as they are.
 //! - In a metric map a frame that is not found where the last motion leads is looked for where the wheels say; one that the picture cannot place all the same (dark, covered, blurred) has the
 //!   pose that they carry on, `DEAD_RECKONING`, within limits of time, way and doubt (`reconstruction::blind`). When the picture is back the smooth pose goes on,
 //!   and where nothing of the map is in view the same map does, by a start that is brought in at the dead-reckoned place.

@@ -9,7 +9,7 @@ use tracing::info;
 
 use super::outlet::Outlet;
 use crate::geometry::Se3;
-use crate::geometry::frames::Body;
+use crate::geometry::frames::{Body, World};
 use crate::map::MapId;
 use crate::motion::tag::TagConfig;
 use crate::motion::tag::edge_length::PlacedTag;
@@ -66,14 +66,15 @@ impl Dock {
         }
         let (distance, angle_rad) = outlet.put(map, &was, &self.map_from_dock);
         reconstruction.note_moved_frame(distance, angle_rad);
-        let is_first = !self.holds(map);
         let revision = reconstruction.corrections().revision;
         self.put = Some(Put { map, revision, turn_sigma: placed.turn_sigma });
+        let map_from_file = in_words(&outlet.map_from_optical(map));
         let (sequence, timestamp_ns, map, tag) = (e.sequence, e.timestamp_ns, map.0, self.id);
         let (sigma_m, sigma_rad) = (placed.place_sigma, placed.turn_sigma);
-        if is_first {
-            info!(sequence, timestamp_ns, map, tag, distance, angle_rad, sigma_m, sigma_rad, "map put by the dock");
-        }
+        info!(
+            sequence,
+            timestamp_ns, map, tag, distance, angle_rad, sigma_m, sigma_rad, map_from_file, "map put by the dock"
+        );
     }
 
     fn is_due(&self, placed: &PlacedTag, was: &Se3<Map, Body>, map: MapId, revision: u32) -> bool {
@@ -84,4 +85,10 @@ impl Dock {
             || off.translation.norm() > MOVED_SIGMAS * placed.place_sigma
             || off.rotation.angle() > MOVED_SIGMAS * placed.turn_sigma
     }
+}
+
+/// `tx ty tz qx qy qz qw`, as in a trajectory.
+fn in_words(map_from_file: &Se3<Map, World>) -> String {
+    let (t, q) = (&map_from_file.translation, &map_from_file.rotation.coords);
+    format!("{:.4} {:.4} {:.4} {:.5} {:.5} {:.5} {:.5}", t.x, t.y, t.z, q.x, q.y, q.z, q.w)
 }

@@ -185,6 +185,12 @@ impl Outlet {
         map_from_tag(placed, &self.conversion)
     }
 
+    /// From the coordinates that files have to those that this map is published in.
+    pub fn map_from_optical(&mut self, map: MapId) -> Se3<Map, World> {
+        self.turn_to(map);
+        self.conversion.map_from_optical()
+    }
+
     /// From the next pose on this map is published such that what was at `was` is at `now`. Returns how far that moves the robot and turns it, rad; 0 where it
     /// has no pose.
     pub fn put(&mut self, map: MapId, was: &Se3<Map, Body>, now: &Se3<Map, Body>) -> (f64, f64) {
