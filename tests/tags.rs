@@ -189,8 +189,10 @@ fn with_a_dock_the_map_is_told_in_its_frame_and_odom_does_not_jump() {
         let off = (told.translation - truth.translation).norm();
         worst = (worst.0.max(off), worst.1.max(told.rotation.angle_to(&truth.rotation)));
     }
+    let mut revisions: Vec<u32> = tracked.iter().map(|pose| pose.map_revision).collect();
+    revisions.dedup();
     println!(
-        "{put} of {} poses in the dock's frame, revision {}: at most {:.3} m and {:.2} degrees off",
+        "{put} of {} poses in the dock's frame as last put, revision {} of {revisions:?}: at most {:.3} m and {:.2} degrees off",
         heard.poses.len(),
         last.map_revision,
         worst.0,

@@ -359,6 +359,11 @@
 #define CAIRN_MAP_MODE_STORED (1 << 1)
 
 /**
+ * The map is told in the frame of the configuration's dock, a tag that has been seen.
+ */
+#define CAIRN_MAP_MODE_DOCK_FRAME (1 << 2)
+
+/**
  * Frames from the source into the ring.
  */
 #define CAIRN_STAGE_CAPTURE 0

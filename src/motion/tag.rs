@@ -32,9 +32,6 @@ use crate::map::{KeyframeId, Map, MapId, TurnId};
 use dock::DockConfig;
 use edge_length::{LEAST_VIEWS, NoLength, PlacedTag, View, edge_length};
 
-/// What a tag looks like, for who makes one.
-pub use crate::features::tags::{CELLS, is_white};
-
 /// Sides of a black square that are believed, m: a stamp, and a wall.
 pub const LEAST_SIZE_M: f64 = 0.01;
 pub const MOST_SIZE_M: f64 = 2.0;
@@ -86,7 +83,7 @@ impl TagConfig {
         }
         match self.ids.iter().find(|id| **id >= FAMILY_SIZE) {
             Some(id) => Err(("ids", format!("the family 36h11 has the tags 0 to {}, not {id}", FAMILY_SIZE - 1))),
-            None => self.dock.validate(self),
+            None => self.dock.validate(self.is_on() && (self.ids.is_empty() || self.ids.contains(&self.dock.id))),
         }
     }
 }
@@ -188,7 +185,7 @@ impl Known {
     /// As the keyframes of now see it, in the part of the map where it was seen last; `None`: no keyframe that is left has seen it.
     fn told(&self, map: &Map, optics: &Optics<'_>) -> Option<TagView> {
         let seen = || self.sightings.iter().filter_map(|s| map.keyframe(s.keyframe));
-        let part = seen().last()?.scale_from;
+        let part = seen().next_back()?.scale_from;
         Some(TagView { id: self.id, sightings: seen().count(), placed: self.fit(map, part, optics).found.ok() })
     }
 }

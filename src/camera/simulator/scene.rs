@@ -14,7 +14,7 @@ use super::paint::{Canvas, Noise, Shape};
 use super::random::Random;
 use super::styles::{Painter, Style};
 use super::texture::Texture;
-use crate::motion::tag::{CELLS, is_white};
+use crate::motion::tag::sheet::{SIDE_CELLS, is_white_cell};
 
 /// A textured rectangle.
 #[derive(Debug, Clone)]
@@ -441,8 +441,8 @@ impl Builder {
     pub(super) fn tag(&mut self, tag: WallTag) {
         /// Texels a cell, as of the chessboard's squares; cells of the paper's side.
         const CELL: usize = 32;
-        const PAPER: usize = CELLS + 2;
-        let side_m = tag.size_m * PAPER as f64 / CELLS as f64;
+        const PAPER: usize = SIDE_CELLS + 2;
+        let side_m = tag.size_m * PAPER as f64 / SIDE_CELLS as f64;
         let mut canvas = Canvas::new([1.0, 1.0], 1.0, 0.0);
         (canvas.width, canvas.height) = (PAPER * CELL, PAPER * CELL);
         canvas.size = [side_m as f32; 2];
@@ -451,8 +451,8 @@ impl Builder {
         canvas.texels = (0..canvas.width * canvas.height)
             .map(|i| {
                 let (u, v) = ((i % canvas.width) / CELL, (i / canvas.width) / CELL);
-                let inside = (1..=CELLS).contains(&u) && (1..=CELLS).contains(&v);
-                if !inside || is_white(tag.id, u - 1, v - 1) { 205 } else { 28 }
+                let inside = (1..=SIDE_CELLS).contains(&u) && (1..=SIDE_CELLS).contains(&v);
+                if !inside || is_white_cell(tag.id, u - 1, v - 1) { 205 } else { 28 }
             })
             .collect();
         let origin = tag.middle - (tag.right + tag.down) * (0.5 * side_m);

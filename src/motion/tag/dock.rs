@@ -2,7 +2,6 @@
 
 use nalgebra::{UnitQuaternion, Vector3};
 
-use super::TagConfig;
 use crate::features::tags::FAMILY_SIZE;
 use crate::geometry::Se3;
 use crate::geometry::frames::{Body, World};
@@ -32,8 +31,8 @@ impl Default for DockConfig {
 }
 
 impl DockConfig {
-    /// First value out of its range: key, and what is allowed.
-    pub(super) fn validate(&self, tags: &TagConfig) -> Result<(), (&'static str, String)> {
+    /// First value out of its range: key, and what is allowed. `is_looked_for`: tags of this number are.
+    pub(super) fn validate(&self, is_looked_for: bool) -> Result<(), (&'static str, String)> {
         // Written so that NaN fails.
         if !self.translation_m.iter().all(|v| v.abs() <= MOST_M) {
             return Err(("dock.translation_m", format!("must be three finite numbers within {MOST_M} m")));
@@ -47,7 +46,6 @@ impl DockConfig {
                 format!("the family 36h11 has the tags 0 to {}, not {}", FAMILY_SIZE - 1, self.id),
             ));
         }
-        let is_looked_for = tags.is_on() && (tags.ids.is_empty() || tags.ids.contains(&self.id));
         if self.enabled && !is_looked_for {
             return Err(("dock.id", format!("tag {} is not looked for: give size_m, and the number in ids", self.id)));
         }
@@ -67,13 +65,11 @@ mod tests {
 
     #[test]
     fn a_dock_that_cannot_be_is_named() {
-        let tags = |dock, ids: &[u16], size_m| TagConfig { size_m, ids: ids.to_vec(), dock, ..TagConfig::default() };
-        let key = |dock: DockConfig| tags(dock, &[7], 0.15).validate().map_err(|(key, _)| key);
+        let key = |dock: DockConfig| dock.validate(true).map_err(|(key, _)| key);
         let dock = DockConfig { enabled: true, id: 7, ..DockConfig::default() };
-        assert_eq!((key(dock), tags(dock, &[], 0.15).validate().is_ok()), (Ok(()), true));
-        assert_eq!(key(DockConfig { id: 8, ..dock }), Err("dock.id"), "not among ids");
+        assert_eq!(key(dock), Ok(()));
         assert_eq!(key(DockConfig { id: 587, enabled: false, ..dock }), Err("dock.id"));
-        assert_eq!(tags(dock, &[], 0.0).validate().map_err(|(key, _)| key), Err("dock.id"), "none are looked for");
+        assert_eq!(dock.validate(false).map_err(|(key, _)| key), Err("dock.id"), "nobody looks for it");
         for wrong in [f64::NAN, f64::INFINITY, 2000.0] {
             assert_eq!(key(DockConfig { translation_m: [0.0, wrong, 0.0], ..dock }), Err("dock.translation_m"));
             assert_eq!(key(DockConfig { rpy_deg: [0.0, 0.0, wrong], ..dock }), Err("dock.rpy_deg"));

@@ -99,6 +99,10 @@ fn wrong_values_of_the_configuration_are_named() {
     }
     assert_eq!(key(0.15, 0.0003, &[587]), Err("ids"));
     assert!(Tags::new(&TagConfig::default()).is_none());
+    let dock = DockConfig { enabled: true, id: 7, ..DockConfig::default() };
+    let docked = |size_m, ids: &[u16]| TagConfig { size_m, ids: ids.to_vec(), dock, ..TagConfig::default() }.validate();
+    assert!(docked(0.15, &[]).is_ok() && docked(0.15, &[3, 7]).is_ok());
+    assert!(docked(0.15, &[3]).is_err() && docked(0.0, &[]).is_err(), "it is not looked for");
 }
 
 /// What a camera with a lens sees of tag `id` on the plane z = 0 (x right, y down, side `size_m`, its middle in the origin).
