@@ -87,8 +87,8 @@ fn look(dock: DockConfig) -> Heard {
         ..SimulatorConfig::default()
     };
     simulation.tags.enabled = true;
-    let mut config = Config::default();
-    config.tag = TagConfig { size_m: simulation.tags.size_m, dock, ..TagConfig::default() };
+    let tag = TagConfig { size_m: simulation.tags.size_m, dock, ..TagConfig::default() };
+    let config = Config { tag, ..Config::default() };
     config.validate().expect("valid");
     let simulator = Simulator::new(&simulation, Pacing::LockStep).expect("simulator");
     let truth = Simulator::new(&simulation, Pacing::LockStep).expect("simulator");
