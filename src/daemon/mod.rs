@@ -22,6 +22,7 @@ mod base;
 mod blind;
 mod camera_commands;
 mod capture;
+mod dock;
 mod feature;
 mod floor;
 mod health;

@@ -10,6 +10,7 @@ use tracing::{debug, error, info, warn};
 
 use super::base;
 use super::blind::BlindLog;
+use super::dock::Dock;
 use super::floor::FloorLog;
 use super::map_file::MapDesk;
 use super::map_keeper::Keeper;
@@ -25,6 +26,7 @@ use crate::frame::monotonic_ns;
 use crate::geometry::CameraModel;
 use crate::map::MapSnapshot;
 use crate::map::scale::MapScale;
+use crate::messages::map_mode;
 use crate::motion::floor::ScaleConfig;
 use crate::motion::hand_eye::Robot;
 use crate::motion::obstacles::ObstaclesConfig;
@@ -89,6 +91,7 @@ pub struct ReconstructStep {
     config: ReconstructionConfig,
     pub(super) calibration: Calibration,
     tag: TagConfig,
+    dock: Option<Dock>,
     scale: ScaleConfig,
     obstacles: ObstaclesConfig,
     lockstep: bool,
@@ -146,6 +149,7 @@ impl ReconstructStep {
             config: config.clone(),
             calibration,
             tag: TagConfig::default(),
+            dock: None,
             scale: ScaleConfig::default(),
             obstacles: ObstaclesConfig::default(),
             lockstep,
@@ -214,7 +218,7 @@ impl ReconstructStep {
 
     /// Tags of a known size and the floor are looked for, where the configuration names that size, and how high the camera is above it.
     pub fn looking_for(self, tag: &TagConfig, scale: &ScaleConfig) -> Self {
-        Self { tag: tag.clone(), scale: *scale, ..self }
+        Self { tag: tag.clone(), dock: Dock::new(tag), scale: *scale, ..self }
     }
 
     /// Scans of what stands around the robot are made as this says.
@@ -255,12 +259,15 @@ impl ReconstructStep {
         self.log_changes(&estimate);
         self.note_lens(KEEP_AGAIN);
         self.drain_events();
+        self.follow_dock(&estimate);
         self.recorder.record(Record::Published(estimate));
+        let mut mode = if self.is_docked() { map_mode::DOCK_FRAME } else { 0 };
         if let (Some(desk), Some(reconstruction)) = (self.map_file.as_mut(), self.reconstruction.as_mut()) {
             desk.turn(reconstruction, features.timestamp_ns);
-            self.status.set_map_mode(desk.mode(reconstruction.map_id()));
+            mode |= desk.mode(reconstruction.map_id());
             self.status.set_map_not_stored(desk.fails());
         }
+        self.status.set_map_mode(mode);
         self.publish_map();
         self.publish_obstacles(sequence);
         if let Some(outlet) = self.outlet.as_mut() {
@@ -371,6 +378,19 @@ impl ReconstructStep {
         }
         status.set_frame(estimate, features.tracks.len());
         status.set_scale_is_assumed(self.reconstruction.as_ref().is_some_and(Reconstruction::scale_is_assumed));
+    }
+
+    /// Where the dock hangs decides where the published map is.
+    fn follow_dock(&mut self, e: &PoseEstimate) {
+        let (Some(dock), Some(outlet)) = (self.dock.as_mut(), self.outlet.as_mut()) else { return };
+        let Some(reconstruction) = self.reconstruction.as_mut() else { return };
+        dock.follow(reconstruction, outlet, e);
+    }
+
+    /// The map is published in the dock's frame.
+    fn is_docked(&self) -> bool {
+        let map = self.reconstruction.as_ref().map(Reconstruction::map_id);
+        self.dock.as_ref().zip(map).is_some_and(|(dock, map)| dock.holds(map))
     }
 
     /// The scale that tags tell, when it is told first, has become surer by a fifth or has moved by two sigmas.
@@ -521,7 +541,7 @@ impl ReconstructStep {
         reconstruction.snapshot(&mut self.snapshot);
         self.status.set_map(&self.snapshot);
         let context = context(reconstruction, self.placements, self.last_frame_ns, self.status.map_mode());
-        match outlet.map(reconstruction, &self.snapshot, &context) {
+        match outlet.map(reconstruction, &self.snapshot, &context, &self.tag) {
             Ok(()) => self.status.maps_published.add(1),
             Err(error) => self.publish_failed(&error),
         }
@@ -560,7 +580,9 @@ impl ReconstructStep {
             Request::TakeMap { loaded, reply } => self.take_map(*loaded, &reply),
             Request::BeginMap { path, reply } => self.begin_map(path, &reply),
             Request::SetPose { map_from_body, reply } => {
+                let docked = self.is_docked();
                 let moved = match self.outlet.as_mut() {
+                    Some(_) if docked => Err("the map is in the frame of the dock".into()),
                     Some(outlet) => outlet.set_pose(&map_from_body).map_err(String::from),
                     None => Err("nothing is published".into()),
                 };
@@ -619,7 +641,7 @@ fn context(reconstruction: &Reconstruction, placements: u32, timestamp_ns: i64, 
 
 /// Its maps outlive a reset: nothing is written to them that would have to be kept from the file.
 fn is_localisation_only(desk: &MapDesk) -> bool {
-    desk.mode(crate::map::MapId::default()) & crate::messages::map_mode::LOCALISATION_ONLY != 0
+    desk.mode(crate::map::MapId::default()) & map_mode::LOCALISATION_ONLY != 0
 }
 
 #[cfg(test)]

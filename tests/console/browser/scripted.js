@@ -198,6 +198,44 @@ async function ties(page) {
   check((await news.count()) === 2, "each of them once");
 }
 
+/** Tags are where they hang, as large as they are, with their numbers. */
+async function tags(page) {
+  const map = page.locator("#map");
+  const tell = (list, waiting, epoch) => page.evaluate(([l, w, e]) => window.stage.tags(l, w, e), [list, waiting, epoch]);
+  const isTeal = (r, g, b) => b > r + 40 && g > r + 30 && b > g - 5 && b < g + 60 && r < 140;
+  const names = page.locator("#tag-names span");
+  await tell([], 0, 1);
+  check((await text(page, "tag-count")) === "" && (await names.count()) === 0, "without tags nothing is said of them");
+  await page.getByRole("button", { name: "Orbit", exact: true }).click();
+  await page.getByRole("button", { name: "Fit", exact: true }).click();
+  await drawn(page);
+  const before = await pixels(map, isTeal);
+  // On the wall ahead, seen from inside the room and from outside.
+  await tell([[7, 3.9, 0, 0, 1.5, true]], 1, 1);
+  await drawn(page);
+  const large = await pixels(map, isTeal);
+  check((await map.getAttribute("data-tags")) === "1" && large > before + 300, `a tag is drawn (${large - before} pixels)`);
+  check((await names.allInnerTexts()).join() === "7 dock" && (await text(page, "tag-count")) === "2 tags, 1 not placed yet", "named, the dock as such, and one that is not placed is counted");
+  const [box, name] = [await map.boundingBox(), await names.first().boundingBox()];
+  check(name.x > box.x && name.x < box.x + box.width && name.y > box.y && name.y < box.y + box.height, "the name is in the map");
+  await page.screenshot({ path: join(pictures, "scripted-tags.png") });
+  await page.getByRole("button", { name: "Top", exact: true }).click();
+  await drawn(page);
+  const turned = await names.first().boundingBox();
+  check(Math.hypot(turned.x - name.x, turned.y - name.y) > 20, "the name goes with it when the eye moves");
+  await page.getByRole("button", { name: "Orbit", exact: true }).click();
+  await tell([[7, 3.9, 0, 0, 0.5, false], [8, -3.9, 1, Math.PI, 0.5, false]], 0, 1);
+  await drawn(page);
+  const small = await pixels(map, isTeal);
+  check((await names.allInnerTexts()).join() === "7,8" && small < large && small > before, `two of a third of the size are smaller (${small - before} pixels)`);
+  await tell([[7, 3.9, 0, 0, 0.5, false]], 0, 2);
+  check((await map.getAttribute("data-tags")) === "0" && (await names.count()) === 0, "those of a map that was corrected since are not drawn out of place");
+  await tell([[7, 3.9, 0, 0, 0.5, false]], 0, 1);
+  await page.evaluate(() => window.stage.state("waiting", "No daemon.", null));
+  check((await map.getAttribute("data-tags")) === "0" && (await text(page, "tag-count")) === "", "without a daemon there are none");
+  await busy(page);
+}
+
 /** A finished calibration: with its camera known, and without. */
 async function calibrated(page) {
   await page.evaluate(() => { location.hash = "calibrate"; });
@@ -326,6 +364,7 @@ try {
   const surroundings = await begin(browser, DESKTOP);
   await busy(surroundings);
   await ties(surroundings);
+  await tags(surroundings);
   await obstacles(surroundings);
   await calibrated(surroundings);
   await surroundings.context().close();

@@ -141,6 +141,16 @@ function inPage() {
     ties.forEach(([from, to, joined, kind], i) => new Uint32Array(buffer, 24 + 20 * i, 5).set([from, to, 30, joined, kind]));
     return stage.say(buffer);
   };
+  /** Tags: [id, x, y, yaw of who looks at it, side, whether it is the dock] each; `waiting` more are not placed. */
+  stage.tags = (tags, waiting = 0, epoch = 1) => {
+    const buffer = list(14, 40, tags.length, epoch);
+    new Uint32Array(buffer, 12, 1)[0] = tags.length + waiting;
+    tags.forEach(([id, x, y, yaw, side, isDock], i) => {
+      new Float32Array(buffer, 24 + 40 * i, 8).set([x, y, 0.3, 0, 0, Math.sin(yaw / 2), Math.cos(yaw / 2), side]);
+      new Uint32Array(buffer, 56 + 40 * i, 2).set([id, isDock ? 1 : 0]);
+    });
+    return stage.say(buffer);
+  };
   /** Things on an arc before the robot, and the floor free up to half a metre before them; nothing is known behind it. `told` as on the wire. */
   stage.obstacles = (told = 0, epoch = 1) => {
     const [bearings, count] = [180, told === 0 ? 60 : 0];
