@@ -5,6 +5,7 @@ pub mod initialiser;
 pub mod orientation;
 pub mod turn;
 mod untracked;
+mod views;
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -29,8 +30,9 @@ use crate::geometry::{CameraModel, Se3};
 use crate::map::picture::KeyframePicture;
 use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, Observation};
 use consensus::agreeing_share;
-use initialiser::{PendingFrame, Start, View};
+use initialiser::Start;
 use untracked::is_untracked;
+use views::{PendingFrame, View};
 
 /// Standard deviation of the direction of the first motion that a start may have, rad; the longer the camera moves and nothing
 /// better comes the more is allowed: so much more after so many seconds, and at most so many times.

@@ -9,45 +9,19 @@
 //! are asked as well ([`untracked`](super::untracked)).
 
 use std::collections::VecDeque;
-use std::sync::Arc;
 
 use nalgebra::{Vector2, Vector3};
 
 use super::turn::{Pair, SupposedLens, unexplained_px};
-use super::untracked::{UntrackedViews, Views};
+use super::untracked::UntrackedViews;
+use super::views::{MIN_COMMON, Pairs, PendingFrame, View, Views};
 use crate::features::{FrameFeatures, Track};
 use crate::geometry::frames::{First, Second};
 use crate::geometry::two_view::{TwoViewOptions, reconstruct_two_views};
 use crate::geometry::{CameraModel, Se3};
-use crate::image::Pyramid;
 use crate::reconstruction::adjust::intrinsics::LensFreedom;
 use crate::reconstruction::config::ReconstructionConfig;
 use crate::reconstruction::keyframe::epipolar::FED;
-
-/// A frame before the map exists.
-#[derive(Debug, Clone)]
-pub struct PendingFrame {
-    pub sequence: u64,
-    pub timestamp_ns: i64,
-    /// Track id and level-0 pixel, ascending id.
-    pub tracks: Vec<(u64, Vector2<f32>)>,
-}
-
-impl PendingFrame {
-    pub fn of(features: &FrameFeatures) -> Self {
-        Self {
-            sequence: features.sequence,
-            timestamp_ns: features.timestamp_ns,
-            tracks: features.tracks.iter().map(|t| (t.id, t.position)).collect(),
-        }
-    }
-
-    /// Pixel of a track.
-    pub fn track(&self, id: u64) -> Option<Vector2<f32>> {
-        let i = self.tracks.binary_search_by_key(&id, |t| t.0).ok()?;
-        Some(self.tracks[i].1)
-    }
-}
 
 /// One corner of a first map.
 #[derive(Debug, Clone, Copy)]
@@ -55,20 +29,6 @@ pub struct StartPoint {
     pub track: u64,
     /// In the first camera's coordinates.
     pub point: Vector3<f64>,
-}
-
-/// A frame before the map that is kept with its picture.
-#[derive(Debug, Clone)]
-pub struct View {
-    pub frame: PendingFrame,
-    pub pyramid: Arc<Pyramid>,
-}
-
-impl View {
-    /// The picture is a copy of its own: the frame's goes back to the pool.
-    pub fn of(features: &FrameFeatures) -> Self {
-        Self { frame: PendingFrame::of(features), pyramid: Arc::new(Pyramid::clone(&features.pyramid)) }
-    }
 }
 
 /// A first map: the motion between two frames, points, and views in between to hold them together.
@@ -93,8 +53,6 @@ const MAX_PENDING: usize = 900;
 const START_SIGMA_PX: f64 = 1.0;
 /// Views kept between the reference and the newest frame; when there would be more every other one is dropped.
 const MAX_BETWEEN: usize = 8;
-/// A view is given up below this many tracks in common with the newest frame, or a quarter of its own, and the next one takes over.
-pub const MIN_COMMON: usize = 60;
 /// So long after the camera began to move, s, corners that look alike are asked as well as tracks: where frames are many tracks alone
 /// have given a start by then, and a later one (with more parallax) is the better one.
 const CORNERS_AFTER_S: f64 = 0.25;
@@ -345,12 +303,6 @@ impl Initialiser {
             points,
         })
     }
-}
-
-/// Tracks that two frames share, and where both see them.
-pub struct Pairs {
-    pub tracks: Vec<u64>,
-    pub places: Vec<Pair>,
 }
 
 /// Tracks that a view shares with a frame, if they are enough; of a wide-angle lens where the plane z = 1 is even, as two-view geometry

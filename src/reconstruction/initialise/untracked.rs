@@ -16,8 +16,8 @@ use std::collections::VecDeque;
 
 use nalgebra::Vector2;
 
-use super::initialiser::{MIN_COMMON, Pairs, PendingFrame, View};
 use super::turn::Pair;
+use super::views::{MIN_COMMON, Pairs, PendingFrame, View, Views};
 use crate::features::FrameFeatures;
 use crate::features::descriptor::Descriptor;
 use crate::features::matching::{DescriptorMatcher, DescriptorMatching};
@@ -57,13 +57,6 @@ pub struct Shared {
     pub pairs: Pairs,
     /// Corners without a track, by the index that the held view has of each, and where the newest frame sees them.
     corners: Vec<(usize, Vector2<f32>)>,
-}
-
-/// The views of a start, the corners that no track follows among their tracks: first, in between, newest.
-pub struct Views {
-    pub first: View,
-    pub between: Vec<View>,
-    pub newest: PendingFrame,
 }
 
 /// See the module.
