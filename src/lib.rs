@@ -32,7 +32,8 @@
 //! - A keyframe that sees fewer than 120 landmarks is completed: corners of its neighbours that never became landmarks, as their tracks were
 //!   cut, are looked for in it along their epipolar lines (`keyframe::epipolar`).
 //! - In a blurred picture what is not found at its own level is measured on coarser ones, as exactly as these are.
-//! - A start is a reference view (once its tracks are gone a later one), the newest one and up to eight in between, adjusted together;
+//! - A start is a reference view (once its tracks are gone a later one), the newest one and up to eight in between, adjusted together; where
+//!   tracks are few, views joined by corners that look alike are tried after those of the tracks (`initialise::untracked`);
 //!   it is accepted once the direction of
 //!   the first motion is sure enough for how long the camera has moved, and most of the picture agrees with it, so neither standing
 //!   nor turning on the spot starts a map, nor (with a calibrated lens) something large that moves past.
