@@ -5,7 +5,7 @@
 //! when the dock is placed at first, when the map was corrected, when the dock's orientation is twice as sure as when it moved last, or where the dock has moved by
 //! two sigmas; each is a correction of the map to whoever reads it, with another `map_revision`.
 
-use tracing::info;
+use tracing::{info, warn};
 
 use super::outlet::Outlet;
 use crate::geometry::Se3;
@@ -28,6 +28,8 @@ pub struct Dock {
     id: u16,
     map_from_dock: Se3<Map, Body>,
     put: Option<Put>,
+    /// It was said that localisation only looks for none.
+    told: bool,
 }
 
 /// When the frame was moved last.
@@ -42,7 +44,12 @@ impl Dock {
     /// `None`: the configuration names none.
     pub fn new(config: &TagConfig) -> Option<Self> {
         let dock = &config.dock;
-        dock.enabled.then(|| Self { id: dock.id, map_from_dock: dock.map_from_dock().relabel(), put: None })
+        dock.enabled.then(|| Self {
+            id: dock.id,
+            map_from_dock: dock.map_from_dock().relabel(),
+            put: None,
+            told: false,
+        })
     }
 
     /// This map is published in the dock's frame.
@@ -51,7 +58,17 @@ impl Dock {
     }
 
     /// After a frame was tracked and mapped: moves the published map, if that is due.
-    pub fn follow(&mut self, reconstruction: &mut Reconstruction, outlet: &mut Outlet, e: &PoseEstimate) {
+    pub fn follow(
+        &mut self,
+        reconstruction: &mut Reconstruction,
+        localise_only: bool,
+        outlet: &mut Outlet,
+        e: &PoseEstimate,
+    ) {
+        // Tags are read in new keyframes, and there are none.
+        if localise_only && !self.holds(reconstruction.map_id()) && !std::mem::replace(&mut self.told, true) {
+            warn!(tag = self.id, "dock not looked for in localisation only");
+        }
         let (map, revision) = (reconstruction.map_id(), reconstruction.corrections().revision);
         let is_corrected = self.put.is_some_and(|put| put.map != map || put.revision != revision);
         if !(e.keyframe || is_corrected) || !reconstruction.scale().is_metric() {

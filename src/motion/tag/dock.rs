@@ -35,10 +35,16 @@ impl DockConfig {
     pub(super) fn validate(&self, is_looked_for: bool) -> Result<(), (&'static str, String)> {
         // Written so that NaN fails.
         if !self.translation_m.iter().all(|v| v.abs() <= MOST_M) {
-            return Err(("dock.translation_m", format!("must be three finite numbers within {MOST_M} m")));
+            return Err((
+                "dock.translation_m",
+                format!("must be three finite numbers within {MOST_M} m, not {:?}", self.translation_m),
+            ));
         }
         if !self.rpy_deg.iter().all(|v| v.abs() <= 360.0) {
-            return Err(("dock.rpy_deg", "must be three finite numbers within 360 degrees".into()));
+            return Err((
+                "dock.rpy_deg",
+                format!("must be three finite numbers within 360 degrees, not {:?}", self.rpy_deg),
+            ));
         }
         if self.id >= FAMILY_SIZE {
             return Err((

@@ -14,7 +14,7 @@ use nalgebra::{Vector2, Vector3};
 
 use super::turn::{Pair, SupposedLens, unexplained_px};
 use super::untracked::UntrackedViews;
-use super::views::{MIN_COMMON, Pairs, PendingFrame, View, Views};
+use super::views::{MAX_BETWEEN, MIN_COMMON, Pairs, PendingFrame, View, Views};
 use crate::features::{FrameFeatures, Track};
 use crate::geometry::frames::{First, Second};
 use crate::geometry::two_view::{TwoViewOptions, reconstruct_two_views};
@@ -51,8 +51,6 @@ pub struct Start {
 const MAX_PENDING: usize = 900;
 /// Standard deviation of a track over the frames of a start, px.
 const START_SIGMA_PX: f64 = 1.0;
-/// Views kept between the reference and the newest frame; when there would be more every other one is dropped.
-const MAX_BETWEEN: usize = 8;
 /// So long after the camera began to move, s, corners that look alike are asked as well as tracks: where frames are many tracks alone
 /// have given a start by then, and a later one (with more parallax) is the better one.
 const CORNERS_AFTER_S: f64 = 0.25;
@@ -160,7 +158,7 @@ impl Initialiser {
         if few {
             starts.extend(self.starts_by_corners(features, camera, lens, config));
         }
-        self.remember(features, camera);
+        self.remember(features);
         starts
     }
 
@@ -226,11 +224,11 @@ impl Initialiser {
     /// Remembers a frame without asking for a start: while there is still hope for another map.
     pub fn watch(&mut self, features: &FrameFeatures, camera: &CameraModel) {
         self.follow(features, camera);
-        self.remember(features, camera);
+        self.remember(features);
     }
 
-    fn remember(&mut self, features: &FrameFeatures, camera: &CameraModel) {
-        self.untracked.hold(features, camera);
+    fn remember(&mut self, features: &FrameFeatures) {
+        self.untracked.hold(features);
         // A reference that this frame has become is there already.
         if self.views.last().is_some_and(|v| v.frame.sequence != features.sequence) {
             self.keep(|| View::of(features));

@@ -1,23 +1,23 @@
 //! Starts between views that few tracks join, or none: corners that look alike in both.
 //!
 //! At a low rate, in blur or in noise tracks are cut before there is parallax, but most corners of the first picture are still in the
-//! newest one. So a view is held every [`HELD_EVERY_S`] with its corners and their binary descriptors, whether or not its tracks live; the
-//! newest frame's corners are matched with those of the oldest views first (mutual and unambiguous matches), and what two views share,
-//! tracks and corners, is tried as any start is. The views in between have the same corners by the same descriptors, so that chance, which
+//! newest one. So a view is held every [`HELD_EVERY_S`], whether or not its tracks live. Once tracks are few the views' corners get binary
+//! descriptors, the newest frame's are matched with those of the oldest views first (mutual and unambiguous matches), and what two views
+//! share, tracks and corners, is tried as any start is. The views in between have the same corners by the same descriptors, so that chance, which
 //! fits two views, must fit all of them.
 //!
 //! These are further starts beside those of the tracks alone, and touch nothing of theirs: look-alikes may not keep a reference alive whose
 //! tracks are gone, nor raise the doubt in a start that the tracks give.
 //!
-//! Input: frames, as the initialiser gets them. Output: starts, best first. Cost: 0.7 ms a view held and about 1 ms a view compared, only
-//! while there is no map and tracks are few.
+//! Input: frames, as the initialiser gets them. Output: starts, best first. Cost: 0.7 ms a view described and about 1 ms a view compared,
+//! only while there is no map and tracks are few; of many tracks a copy of the picture every [`HELD_EVERY_S`].
 
 use std::collections::VecDeque;
 
 use nalgebra::Vector2;
 
 use super::turn::Pair;
-use super::views::{MIN_COMMON, Pairs, PendingFrame, View, Views};
+use super::views::{MAX_BETWEEN, MIN_COMMON, Pairs, PendingFrame, View, Views};
 use crate::features::FrameFeatures;
 use crate::features::descriptor::Descriptor;
 use crate::features::matching::{DescriptorMatcher, DescriptorMatching};
@@ -25,9 +25,9 @@ use crate::geometry::CameraModel;
 use crate::image::Pyramid;
 use crate::reconstruction::keyframe::corners::{CornerFinder, SAME_CORNER_PX};
 
-/// Views are held so far apart, s, and so many of them: 1.6 s, in which a hand has turned most cameras to something else.
+/// Views are held so far apart, s, or as far as frames come; as many as a start has in between: 1.6 s at 5 Hz and more, in which a hand has
+/// turned most cameras to something else.
 const HELD_EVERY_S: f64 = 0.2;
-const MAX_HELD: usize = 8;
 /// Ids of corners without a track begin here: no camera has shown so many tracks.
 const FIRST_UNTRACKED: u64 = 1 << 63;
 
@@ -43,11 +43,19 @@ struct Described {
     descriptors: Vec<Descriptor>,
 }
 
-/// A view of which corners are known.
+impl Described {
+    fn of(pyramid: &Pyramid, camera: &CameraModel, finder: &mut CornerFinder) -> Self {
+        let found = finder.find(pyramid, camera, std::iter::empty());
+        let (pixels, descriptors) = found.into_iter().map(|c| (c.pixel, c.descriptor)).unzip();
+        Self { pixels, descriptors }
+    }
+}
+
+/// A view and its corners, once they were asked for.
 #[derive(Debug)]
 struct Held {
     view: View,
-    corners: Described,
+    corners: Option<Described>,
 }
 
 /// What a held view shares with the newest frame.
@@ -66,6 +74,8 @@ pub struct UntrackedViews {
     matcher: DescriptorMatcher,
     /// Oldest first.
     held: VecDeque<Held>,
+    /// Corners of the frame that was asked for last, by its number.
+    newest: Option<(u64, Described)>,
 }
 
 impl UntrackedViews {
@@ -74,77 +84,75 @@ impl UntrackedViews {
     }
 
     /// Holds this frame if the last one that is held is old enough.
-    pub fn hold(&mut self, features: &FrameFeatures, camera: &CameraModel) {
+    pub fn hold(&mut self, features: &FrameFeatures) {
         let age_s = |h: &Held| (features.timestamp_ns - h.view.frame.timestamp_ns) as f64 * 1e-9;
         if self.held.back().is_some_and(|last| (0.0..HELD_EVERY_S).contains(&age_s(last))) {
             return;
         }
-        if self.held.len() >= MAX_HELD {
+        if self.held.len() >= MAX_BETWEEN {
             self.held.pop_front();
         }
-        let corners = self.describe(&features.pyramid, camera);
+        let corners = self.newest.take().filter(|(sequence, _)| *sequence == features.sequence).map(|newest| newest.1);
         self.held.push_back(Held { view: View::of(features), corners });
     }
 
     /// What the held views share with a frame, the oldest first, of those that share enough.
     pub fn shared_with(&mut self, features: &FrameFeatures, camera: &CameraModel) -> Vec<Shared> {
-        let corners = self.describe(&features.pyramid, camera);
+        let Self { finder, matcher, held, .. } = self;
+        let corners = Described::of(&features.pyramid, camera, finder);
         let frame = PendingFrame::of(features);
-        let shared = |(index, held): (usize, &Held)| {
-            let corners = known_again(&mut self.matcher, held, (&frame, &corners));
-            let pairs = pairs_of(held, &frame, &corners, camera)?;
-            Some(Shared { index, pairs, corners })
-        };
-        self.held.iter().enumerate().filter_map(shared).collect()
+        let mut all = Vec::new();
+        for (index, Held { view, corners: own }) in held.iter_mut().enumerate() {
+            let own = own.get_or_insert_with(|| Described::of(&view.pyramid, camera, finder));
+            let known = known_again(matcher, (&view.frame, own), (&frame, &corners));
+            let pairs = pairs_of((&view.frame, own), &frame, &known, camera);
+            all.extend(pairs.map(|pairs| Shared { index, pairs, corners: known }));
+        }
+        self.newest = Some((features.sequence, corners));
+        all
     }
 
     /// The views of a start between a held one and the newest frame.
     pub fn views(&mut self, shared: &Shared, newest: &FrameFeatures) -> Option<Views> {
-        let held = self.held.get(shared.index)?;
-        let own = shared.corners.iter().map(|&(i, _)| (i, held.corners.pixels[i]));
-        let first = View { frame: with_corners(&held.view.frame, own), pyramid: held.view.pyramid.clone() };
+        let mut held = self.held.iter().skip(shared.index).filter_map(|h| Some((&h.view, h.corners.as_ref()?)));
+        let (view, own) = held.next()?;
+        let places = shared.corners.iter().map(|&(i, _)| (i, own.pixels[i]));
+        let first = View { frame: with_corners(&view.frame, places), pyramid: view.pyramid.clone() };
         let matcher = &mut self.matcher;
-        let between = self.held.iter().skip(shared.index + 1).map(|other| {
-            let corners = known_again(matcher, held, (&other.view.frame, &other.corners)).into_iter();
-            let corners = corners.filter(|c| shared.corners.binary_search_by_key(&c.0, |s| s.0).is_ok());
-            View { frame: with_corners(&other.view.frame, corners), pyramid: other.view.pyramid.clone() }
+        let between = held.map(|(other, corners)| {
+            let known = known_again(matcher, (&view.frame, own), (&other.frame, corners)).into_iter();
+            let known = known.filter(|c| shared.corners.binary_search_by_key(&c.0, |s| s.0).is_ok());
+            View { frame: with_corners(&other.frame, known), pyramid: other.pyramid.clone() }
         });
         let between = between.collect();
         Some(Views { first, between, newest: with_corners(&PendingFrame::of(newest), shared.corners.iter().copied()) })
-    }
-
-    fn describe(&mut self, pyramid: &Pyramid, camera: &CameraModel) -> Described {
-        let found = self.finder.find(pyramid, camera, std::iter::empty());
-        let (pixels, descriptors) = found.into_iter().map(|c| (c.pixel, c.descriptor)).unzip();
-        Described { pixels, descriptors }
     }
 }
 
 /// Corners of a held view that another frame shows too, ascending, and where; none that a track has in both.
 fn known_again(
     matcher: &mut DescriptorMatcher,
-    held: &Held,
+    (first, own): (&PendingFrame, &Described),
     (frame, corners): (&PendingFrame, &Described),
 ) -> Vec<(usize, Vector2<f32>)> {
     let mut matches = Vec::new();
     let rule = DescriptorMatching::default();
-    matcher.match_all(&held.corners.descriptors, &corners.descriptors, &rule, &mut matches);
-    let tracked: Vec<_> =
-        frame.tracks.iter().filter_map(|&(id, now)| Some((held.view.frame.track(id)?, now))).collect();
+    matcher.match_all(&own.descriptors, &corners.descriptors, &rule, &mut matches);
+    let tracked: Vec<_> = frame.tracks.iter().filter_map(|&(id, now)| Some((first.track(id)?, now))).collect();
     let near = |a: Vector2<f32>, b: Vector2<f32>| (a - b).norm() < SAME_CORNER_PX;
     let places = matches.iter().map(|m| (m.first as usize, corners.pixels[m.second as usize]));
-    places.filter(|&(i, now)| !tracked.iter().any(|t| near(t.0, held.corners.pixels[i]) || near(t.1, now))).collect()
+    places.filter(|&(i, now)| !tracked.iter().any(|t| near(t.0, own.pixels[i]) || near(t.1, now))).collect()
 }
 
 /// Tracks and corners that a held view shares with a frame, if they are enough.
 fn pairs_of(
-    held: &Held,
+    (first, own): (&PendingFrame, &Described),
     frame: &PendingFrame,
     corners: &[(usize, Vector2<f32>)],
     camera: &CameraModel,
 ) -> Option<Pairs> {
-    let tracked = frame.tracks.iter().filter_map(|&(id, now)| Some((id, held.view.frame.track(id)?, now)));
-    let untracked = corners.iter().map(|&(i, now)| (FIRST_UNTRACKED + i as u64, held.corners.pixels[i], now));
+    let tracked = frame.tracks.iter().filter_map(|&(id, now)| Some((id, first.track(id)?, now)));
+    let untracked = corners.iter().map(|&(i, now)| (FIRST_UNTRACKED + i as u64, own.pixels[i], now));
     let pair = |(id, then, now): (u64, Vector2<f32>, Vector2<f32>)| Some((id, Pair::between(&then, &now, camera)?));
     let (tracks, places): (Vec<_>, Vec<_>) = tracked.chain(untracked).filter_map(pair).unzip();
     (tracks.len() >= MIN_COMMON).then_some(Pairs { tracks, places })
@@ -190,7 +198,7 @@ mod tests {
         let camera = CameraModel::new(320, 240, 400.0, 400.0, 159.5, 119.5, [0.0; 5]).unwrap();
         let mut views = UntrackedViews::default();
         for (n, shift) in [0, 7].into_iter().enumerate() {
-            views.hold(&before_wall(n as u64, shift), &camera);
+            views.hold(&before_wall(n as u64, shift));
         }
         let newest = before_wall(2, 15);
         let shared = views.shared_with(&newest, &camera);
@@ -216,11 +224,10 @@ mod tests {
 
     #[test]
     fn views_are_held_for_a_while_and_forgotten() {
-        let camera = CameraModel::new(320, 240, 400.0, 400.0, 159.5, 119.5, [0.0; 5]).unwrap();
         let mut views = UntrackedViews::default();
         for n in 0..12 {
-            views.hold(&before_wall(n, 0), &camera);
-            views.hold(&FrameFeatures { timestamp_ns: n as i64 * 200_000_000 + 1, ..before_wall(n, 0) }, &camera);
+            views.hold(&before_wall(n, 0));
+            views.hold(&FrameFeatures { timestamp_ns: n as i64 * 200_000_000 + 1, ..before_wall(n, 0) });
         }
         let held: Vec<u64> = views.held.iter().map(|h| h.view.frame.sequence).collect();
         assert_eq!(held, (4..12).collect::<Vec<u64>>());

@@ -8,6 +8,8 @@ use super::turn::Pair;
 use crate::features::FrameFeatures;
 use crate::image::Pyramid;
 
+/// Views kept between the reference and the newest frame; when there would be more every other one is dropped.
+pub const MAX_BETWEEN: usize = 8;
 /// A view is given up below this many tracks in common with the newest frame, or a quarter of its own, and the next one takes over.
 pub const MIN_COMMON: usize = 60;
 
