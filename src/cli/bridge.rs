@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::atomic::Ordering;
+use std::thread::JoinHandle;
 
 use super::session::{self, SessionArgs};
 use super::{CliError, exit_code};
@@ -23,6 +24,9 @@ pub struct BridgeArgs {
     /// tf and tf_static in the robot's namespace, as Nav2's launch files for several robots have them
     #[arg(long)]
     pub namespaced_tf: bool,
+    /// Only send: no reset, no save, no initial pose from the network
+    #[arg(long)]
+    pub no_commands: bool,
     /// Zenoh's own configuration file [default: ZENOH_SESSION_CONFIG_URI, else a peer that connects to tcp/localhost:7447]
     #[arg(long, value_name = "FILE")]
     pub zenoh: Option<PathBuf>,
@@ -69,13 +73,16 @@ pub fn run(args: &BridgeArgs) -> Result<ExitCode, CliError> {
         domain: args.domain,
         robot,
         own_tf: args.namespaced_tf,
+        takes_commands: !args.no_commands,
         file: args.zenoh.clone().or_else(|| from_environment().map(PathBuf::from)),
     };
     let endpoint = Endpoint::new(&config.prefix).and_then(Endpoint::with_environment)?;
     let offset_ns = session::realtime_minus_monotonic_ns();
     let (mut bridge, commands) = Bridge::open(endpoint, &network, Rates::new(&rates), offset_ns)?;
     let over = stop.clone();
-    let commander = daemon::spawn("cairn-bridge", move || commands.serve(&over))
+    let commander = commands
+        .map(|commands| daemon::spawn("cairn-bridge", move || commands.serve(&over)))
+        .transpose()
         .map_err(|e| CliError::new(exit_code::FAILURE, e.to_string()))?;
     let outcome = loop {
         if stop.load(Ordering::Relaxed) {
@@ -88,7 +95,7 @@ pub fn run(args: &BridgeArgs) -> Result<ExitCode, CliError> {
     // Whatever ended it: the node leaves the network at once, and a command that is under way is waited for.
     bridge.close();
     stop.store(true, Ordering::Relaxed);
-    let commanded = commander.join();
+    let commanded = commander.map_or(Ok(()), JoinHandle::join);
     telemetry::report_suppressed(true);
     outcome?;
     commanded.map_err(|_| CliError::new(exit_code::FAILURE, "the thread for commands panicked"))?;

@@ -10,6 +10,19 @@ pub const TOOLS_COMMANDS: [&str; 6] = ["compare", "console", "demo", "evaluate",
 /// Commands that only the build with Zenoh has.
 pub const BRIDGE_COMMANDS: [&str; 1] = ["bridge"];
 
+/// Below the help: what other packages have.
+pub const OTHER_BUILDS: &str = match (cfg!(feature = "tools"), cfg!(feature = "bridge")) {
+    (false, false) => {
+        "In the package cairn-tools, as commands of `cairn-tools`: compare, console, demo, evaluate, simulate, twoview.\n\
+         In the package cairn-bridge, as a command of `cairn-bridge`: bridge."
+    }
+    (true, false) => "In the package cairn-bridge, as a command of `cairn-bridge`: bridge.",
+    (false, true) => {
+        "In the package cairn-tools, as commands of `cairn-tools`: compare, console, demo, evaluate, simulate, twoview."
+    }
+    (true, true) => "",
+};
+
 /// The sentence for something that this build leaves out.
 pub fn not_in_this_build(what: &str) -> String {
     format!("{what} is not in this build, the robot's; cairn-tools has it")

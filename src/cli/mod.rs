@@ -42,13 +42,7 @@ pub use error::{CliError, exit_code};
 /// Monocular SLAM for small robots: one webcam in, pose and sparse map out, in shared memory
 #[derive(Debug, clap::Parser)]
 #[command(name = "cairn", version)]
-#[cfg_attr(
-    all(not(feature = "tools"), not(feature = "bridge")),
-    command(
-        after_help = "In the package cairn-tools, as commands of `cairn-tools`: compare, console, demo, evaluate, simulate, twoview.\n\
-        In the package cairn-bridge, as a command of `cairn-bridge`: bridge."
-    )
-)]
+#[command(after_help = builds::OTHER_BUILDS)]
 pub struct Arguments {
     #[command(subcommand)]
     command: Command,

@@ -222,6 +222,9 @@ impl CaptureStep {
     /// The frame as it came, if anybody records.
     fn share(&mut self, frame: &RawFrame) {
         let Some(encoded) = self.encoded.as_mut().filter(|encoded| encoded.is_wanted()) else { return };
+        if let Some(mount) = self.status.found_mount() {
+            encoded.describe_mount(&mount);
+        }
         let (pinhole_px, distortion) = self.status.exact_lens();
         let camera = CameraView {
             pinhole_px,

@@ -168,8 +168,8 @@ impl Outlet {
     }
 
     /// Where the configuration does not say how the camera sits on the base, its motion has: from the next pose on that is the mount, as far as it
-    /// is known well. A height above the base does not show in it.
-    pub fn found_mount(&mut self, robot: &Robot) {
+    /// is known well. A height above the base does not show in it. Returns the mount.
+    pub fn found_mount(&mut self, robot: &Robot) -> Se3<Body, Camera> {
         let mount = &mut self.conversion.body_from_camera;
         if robot.sigma[..3].iter().all(|s| *s < FOUND_RAD) {
             mount.rotation = robot.base_from_camera;
@@ -177,6 +177,7 @@ impl Outlet {
         if robot.sigma[3..5].iter().all(|s| *s < FOUND_M) {
             (mount.translation.x, mount.translation.y) = (robot.lever_m.x, robot.lever_m.y);
         }
+        *mount
     }
 
     /// A tag of this map as it is published now.

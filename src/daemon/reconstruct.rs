@@ -338,7 +338,7 @@ impl ReconstructStep {
         if became_metric && let Some((robot, _)) = reconstruction.base() {
             base::tell(&robot);
             if let Some(outlet) = self.outlet.as_mut() {
-                outlet.found_mount(&robot);
+                self.status.set_found_mount(&outlet.found_mount(&robot));
             }
         }
         self.status.set_counters(&reconstruction.counters());

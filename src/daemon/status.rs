@@ -4,6 +4,10 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU32, AtomicU64, Ordering};
 
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+
+use crate::geometry::Se3;
+use crate::geometry::frames::{Body, Camera};
 use crate::map::MapSnapshot;
 use crate::motion::wheel::WheelCounts;
 use crate::reconstruction::{Corrections, Counters, LensEstimate, LensKnowledge, PoseEstimate, TrackingState};
@@ -107,6 +111,8 @@ pub struct Status {
     lens: [AtomicU32; 6],
     /// The same lens with all digits, for recorders: fx fy cx cy (px), and its coefficients.
     exact_lens: [AtomicU64; 9],
+    /// Where the camera sits, if the robot's motion has shown it, for recorders: position (m) and quaternion of `body_from_camera`; NaN before.
+    found_mount: [AtomicU64; 7],
     stop: AtomicBool,
 }
 
@@ -172,6 +178,7 @@ impl Default for Status {
             lens_is_wide_angle: AtomicBool::new(false),
             lens: [const { AtomicU32::new(f32::NAN.to_bits()) }; 6],
             exact_lens: [const { AtomicU64::new(f64::NAN.to_bits()) }; 9],
+            found_mount: [const { AtomicU64::new(f64::NAN.to_bits()) }; 7],
             stop: AtomicBool::new(false),
         }
     }
@@ -320,6 +327,21 @@ impl Status {
     pub fn exact_lens(&self) -> ([f64; 4], [f64; 5]) {
         let number = |i: usize| f64::from_bits(self.exact_lens[i].load(Ordering::Relaxed));
         (std::array::from_fn(number), std::array::from_fn(|i| number(4 + i)))
+    }
+
+    /// Where the camera sits as poses are published, once the robot's motion has shown it; `None` while that is the configuration's word.
+    pub fn found_mount(&self) -> Option<Se3<Body, Camera>> {
+        let [x, y, z, i, j, k, w] =
+            std::array::from_fn(|at| f64::from_bits(self.found_mount[at].load(Ordering::Relaxed)));
+        let is_there = [x, y, z, i, j, k, w].iter().all(|v| v.is_finite());
+        is_there.then(|| Se3::new(UnitQuaternion::new_normalize(Quaternion::new(w, i, j, k)), Vector3::new(x, y, z)))
+    }
+
+    pub fn set_found_mount(&self, body_from_camera: &Se3<Body, Camera>) {
+        let (t, q) = (&body_from_camera.translation, &body_from_camera.rotation);
+        for (slot, number) in self.found_mount.iter().zip([t.x, t.y, t.z, q.i, q.j, q.k, q.w]) {
+            slot.store(number.to_bits(), Ordering::Relaxed);
+        }
     }
 
     /// Landmarks and keyframes of the map, as of its last snapshot.

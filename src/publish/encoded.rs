@@ -37,10 +37,15 @@ impl EncodedPublisher {
 
     /// Where the camera sits and what its times count from: part of every message from now on.
     pub fn describe(&mut self, body_from_camera: &Se3<Body, Camera>, clock: Clock) {
+        self.describe_mount(body_from_camera);
+        self.common.clock = convert::clock(clock);
+    }
+
+    /// Where the camera sits, once more is known of it.
+    pub fn describe_mount(&mut self, body_from_camera: &Se3<Body, Camera>) {
         let q = &body_from_camera.rotation;
         self.common.camera_position = body_from_camera.translation.into();
         self.common.camera_orientation = [q.i, q.j, q.k, q.w];
-        self.common.clock = convert::clock(clock);
     }
 
     /// Somebody records.

@@ -130,6 +130,7 @@ const ERROR: u8 = 2;
 pub fn diagnostics<'a>(health: &Health, prefix: &'a str) -> ros::DiagnosticStatus<'a> {
     let state = State::from_wire(health.state);
     let faults: Vec<&str> = messages::error::names(health.errors).collect();
+    let modes: Vec<&str> = messages::map_mode::names(health.map_mode).collect();
     use messages::error::{BAD_CALIBRATION, LOST, NO_CAMERA, NO_FRAMES, STALLED_STAGE};
     let level = match health.errors {
         0 => OK,
@@ -148,6 +149,7 @@ pub fn diagnostics<'a>(health: &Health, prefix: &'a str) -> ros::DiagnosticStatu
         values: vec![
             value("state", state.name().into()),
             value("faults", faults.join(" ")),
+            value("map_mode", modes.join(" ")),
             value("frames_captured", health.frames_captured.to_string()),
             value("frames_tracked", health.frames_tracked.to_string()),
             value("frames_dropped", health.frames_dropped.to_string()),

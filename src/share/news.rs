@@ -12,15 +12,27 @@ pub struct Diagnosed {
     last: Option<(u64, u8, i64)>,
 }
 
+/// What health has to say.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum News {
+    /// Another state or other faults than before: whoever holds messages back does not hold this one.
+    Changed,
+    /// The same again.
+    Again,
+}
+
 impl Diagnosed {
-    pub fn is_news(&mut self, health: &Health) -> bool {
-        let said = self.last.is_some_and(|(errors, state, at_ns)| {
-            (errors, state) == (health.errors, health.state) && health.published_ns - at_ns < DIAGNOSTICS_EVERY_NS
-        });
-        if !said {
+    pub fn news(&mut self, health: &Health) -> Option<News> {
+        let news = match self.last {
+            Some((errors, state, at_ns)) if (errors, state) == (health.errors, health.state) => {
+                (health.published_ns - at_ns >= DIAGNOSTICS_EVERY_NS).then_some(News::Again)
+            }
+            _ => Some(News::Changed),
+        };
+        if news.is_some() {
             self.last = Some((health.errors, health.state, health.published_ns));
         }
-        !said
+        news
     }
 }
 
@@ -42,5 +54,22 @@ pub struct Told(Option<Content>);
 impl Told {
     pub fn is_news(&mut self, content: Content) -> bool {
         self.0.replace(content) != Some(content)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn another_state_or_fault_is_told_at_once_and_the_same_once_a_second() {
+        let mut diagnosed = Diagnosed::default();
+        let mut at = |ms: i64, state, errors| {
+            diagnosed.news(&Health { published_ns: ms * 1_000_000, state, errors, ..Health::default() })
+        };
+        let told =
+            [at(0, 1, 0), at(100, 1, 0), at(200, 1, 4), at(300, 2, 4), at(400, 2, 4), at(1300, 2, 4), at(1400, 2, 0)];
+        let (changed, again) = (Some(News::Changed), Some(News::Again));
+        assert_eq!(told, [changed, None, changed, changed, None, again, changed]);
     }
 }

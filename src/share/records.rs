@@ -234,7 +234,7 @@ impl Converter {
     pub fn health(&mut self, health: &Health, out: &mut Vec<Record>) {
         let time_ns = self.time.ns(health.published_ns);
         out.push(Record { topic: Topic::Health, time_ns, data: health.to_cdr() });
-        if !self.diagnosed.is_news(health) {
+        if self.diagnosed.news(health).is_none() {
             return;
         }
         let status = diagnostics(health, &self.prefix);

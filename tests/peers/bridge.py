@@ -3,16 +3,19 @@ and the package `cairn` say what it should be.
 
     python tests/peers/bridge.py [--cairn target/release/cairn] [--bridge target/release/cairn]
 
-1. A demo whose scale nobody knows: odometry in `odom_unscaled` and no transforms, pictures only while a subscriber's token stands, a reset by a service,
-   a router that goes away for five seconds and comes back.
-2. Under the same bridge a demo with its camera at a known height: transforms once lengths are metres, tf_static for who comes late, scans on demand, an
-   initial pose.
-3. SIGTERM ends it, and its tokens are gone.
+1. A demo whose scale nobody knows: odometry in `odom_unscaled` and no transforms, pictures only while a subscriber's token stands (none while two other
+   readers have them), a reset by a service and none by a pattern of keys, no command that has waited too long, a router that goes away and comes back.
+2. Under the same bridge a demo with its camera at a known height: transforms once lengths are metres, tf_static for who comes late, scans on demand,
+   placed by their own pose, an initial pose.
+3. A bridge with `--no-commands` declares nothing that could be asked.
+4. SIGTERM ends it, and its tokens are gone.
 
-`--bridge` names a binary with the feature `bridge`, `--cairn` one with `demo`. Ports are free ones of this machine.
+`--bridge` names a binary with the feature `bridge`, `--cairn` one with `demo`. Ports are free ones of this machine. Every wait is bounded, and whatever
+fails, the logs of all processes are shown.
 """
 
 import argparse
+import faulthandler
 import hashlib
 import json
 import math
@@ -28,6 +31,8 @@ import time
 from collections import Counter, defaultdict
 from pathlib import Path
 
+import cairn
+import numpy as np
 import xxhash
 import zenoh
 import zenoh.ext
@@ -36,6 +41,8 @@ from rosbags.typesys import Stores, get_typestore
 ROOT = Path(__file__).resolve().parents[2]
 DOMAIN = 7
 STORE = get_typestore(Stores.ROS2_JAZZY)
+# Of a demo, which is ended earlier; and of all of this, after which it has hung.
+DEMO_SECONDS, ALL_SECONDS = 180, 270
 METRIC_CONFIG = "[simulator]\nwidth = 320\nheight = 240\nspeed = 2.0\n[scale]\ncamera_height_m = 0.5\n"
 
 
@@ -115,6 +122,58 @@ def until(what, seconds, condition):
     return found
 
 
+class Program:
+    """One of ours: what it says goes into a file, which is shown if the test fails."""
+
+    all = []
+
+    def __init__(self, name, words, folder, environment=None):
+        self.name, self.log = name, folder / f"{name}.log"
+        with self.log.open("w") as out:
+            self.process = subprocess.Popen([str(w) for w in words], env=environment, stdin=subprocess.DEVNULL, stdout=out, stderr=out)
+        Program.all.append(self)
+
+    def said(self):
+        """How often it said what."""
+        lines = (line for line in self.log.read_text().splitlines() if line.startswith("{") and line.endswith("}"))
+        return Counter(json.loads(line).get("message") for line in lines)
+
+    def says(self, message, times, seconds):
+        def found():
+            if self.process.poll() is not None:
+                sys.exit(f"{self.name} has ended with {self.process.returncode}")
+            return self.said()[message] >= times
+
+        until(f"{self.name}: {message}", seconds, found)
+
+    def end(self, sent, seconds=20):
+        self.process.send_signal(sent)
+        return self.process.wait(timeout=seconds)
+
+    @classmethod
+    def kill_all(cls):
+        for program in cls.all:
+            if program.process.poll() is None:
+                program.process.kill()
+                program.process.wait(timeout=10)
+
+    @classmethod
+    def show_all(cls):
+        for program in cls.all:
+            lines = program.log.read_text(errors="replace").splitlines()
+            sys.stderr.write(f"--- {program.name} ({program.process.poll()}), {len(lines)} lines\n")
+            sys.stderr.write("".join(f"{line}\n" for line in lines[-60:]))
+        sys.stderr.flush()
+
+
+def hung():
+    sys.stderr.write(f"not done within {ALL_SECONDS} s\n")
+    faulthandler.dump_traceback()
+    Program.show_all()
+    Program.kill_all()
+    os._exit(1)
+
+
 class Network:
     """The router, with a node of ROS 2 in it that hears everything."""
 
@@ -141,7 +200,7 @@ class Network:
         self.session.close()
 
     def take(self, sample):
-        if "/initialpose/" in str(sample.key_expr):
+        if "/initialpose/" in str(sample.key_expr) or "*" in str(sample.key_expr):
             return  # our own
         with self.lock:
             self.got["arrived"].append((str(sample.key_expr), sample.payload.to_bytes(), sample.attachment.to_bytes(), time.time_ns()))
@@ -174,8 +233,8 @@ class Network:
         known = len(self.decode()[word])
         return lambda: self.decode()[word][known:]
 
-    def tokens(self):
-        return [str(reply.ok.key_expr) for reply in self.session.liveliness().get(f"@ros2_lv/{DOMAIN}/**", timeout=5) if reply.ok]
+    def tokens(self, domain=DOMAIN):
+        return [str(reply.ok.key_expr) for reply in self.session.liveliness().get(f"@ros2_lv/{domain}/**", timeout=5) if reply.ok]
 
     def subscribe(self, word, number):
         """Declares what rmw_zenoh declares for a subscription: its token."""
@@ -184,8 +243,26 @@ class Network:
                  f"{type_hash(type_name)}/{qos}")
         return self.session.liveliness().declare_token(token)
 
+    def service(self, name):
+        return key(f"/{self.robot}/{name}", "std_srvs/srv/Trigger", TRIGGER)
+
+    def ask(self, name, **given):
+        """What services answer to a query; of all that a pattern meets."""
+        replies = self.session.get(name, target=zenoh.QueryTarget.ALL, timeout=2, consolidation=zenoh.ConsolidationMode.NONE, **given)
+        return [reply for reply in replies if not reply.ok or dds("std_srvs/srv/Trigger") in str(reply.ok.key_expr)]
+
+    def place(self, x, y):
+        """Sends an initial pose."""
+        types, name = STORE.types, "geometry_msgs/msg/PoseWithCovarianceStamped"
+        header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](0, 0), "map")
+        there = types["geometry_msgs/msg/Pose"](types["geometry_msgs/msg/Point"](x, y, 0.0),
+                                                types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0))
+        message = types[name](header, types["geometry_msgs/msg/PoseWithCovariance"](there, np.zeros(36)))
+        self.session.put(key(f"/{self.robot}/initialpose", name, type_hash(name)), bytes(STORE.serialize_cdr(message, name)),
+                         attachment=attachment(1, bytes(16)))
+
     def call(self, service, seconds=20):
-        name = key(f"/{self.robot}/{service}", "std_srvs/srv/Trigger", TRIGGER)
+        name = self.service(service)
         gid = bytes(range(16))
         replies = list(self.session.get(name, target=zenoh.QueryTarget.ALL_COMPLETE, payload=b"\0\1\0\0\0", timeout=seconds,
                                         consolidation=zenoh.ConsolidationMode.NONE, attachment=attachment(42, gid)))
@@ -203,13 +280,17 @@ class Wire(threading.Thread):
 
     def __init__(self):
         super().__init__(daemon=True)
-        self.stop, self.poses, self.offset = False, {}, None
+        self.stop, self.poses, self.scans, self.offset, self.fault = False, {}, {}, None, None
 
     def run(self):
-        import cairn
+        try:
+            self.listen()
+        except Exception as error:  # it would be lost with the thread
+            self.fault = error
 
+    def listen(self):
         client = cairn.Client()
-        poses, health = client.poses(), client.health()
+        poses, health, obstacles = client.poses(), client.health(), client.obstacles()
         while not self.stop:
             pose = poses.wait(0.05)
             while pose is not None:
@@ -217,11 +298,41 @@ class Wire(threading.Thread):
                 pose = poses.wait(0)
             while (report := health.wait(0)) is not None:
                 self.offset = report.realtime_minus_monotonic_ns
+            while (scan := obstacles.wait(0)) is not None:
+                if scan.told:
+                    self.scans[scan.timestamp_ns] = scan
+
+
+def rotation(q):
+    x, y, z, w = q
+    return np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ])
+
+
+def check_scans(network, wire):
+    """Each scan's transform takes it from the body of its own pose to where the wire has it in the map."""
+    compared = 0
+    for message in network.seen("/tf"):
+        for transform in (t for t in message.transforms if t.child_frame_id == "scan"):
+            assert transform.header.frame_id == "base_link", transform.header.frame_id
+            near = [t for t in wire.scans if abs(t + wire.offset - stamp_ns(transform.header)) < 10**6 and t in wire.poses]
+            for scan, pose in ((wire.scans[t], wire.poses[t]) for t in near):
+                assert (pose.sequence, pose.map_revision) == (scan.sequence, scan.map_revision), "a scan of another map"
+                shift, turn = transform.transform.translation, transform.transform.rotation
+                there = rotation(pose.orientation) @ np.array([shift.x, shift.y, shift.z]) + np.array(pose.position)
+                turned = rotation(pose.orientation) @ rotation((turn.x, turn.y, turn.z, turn.w))
+                assert np.allclose(there, scan.position, atol=1e-9), f"{there} is not {list(scan.position)}"
+                assert np.allclose(turned, rotation(scan.orientation), atol=1e-9)
+                compared += 1
+    return compared
 
 
 def check_poses(messages, wire, frame, child, fields):
     """Each against the pose on the wire of the same time; the clocks' offset is measured anew with each health, so times agree to a millisecond."""
-    times = sorted(wire.poses)
+    times = sorted(dict(wire.poses))
     compared = 0
     for m in messages:
         assert m.header.frame_id == frame, f"{m.header.frame_id} and not {frame}"
@@ -269,10 +380,9 @@ def check_tokens(network):
     return len(tokens)
 
 
-def demo(cairn, folder, seconds, config=None):
-    words = [cairn, "demo", "--quiet", "--seconds", seconds, "--output", folder]
-    words += ["--config", config] if config else []
-    return subprocess.Popen([str(w) for w in words], stdout=subprocess.DEVNULL)
+def demo(program, name, folder, config=None):
+    words = [program, "demo", "--quiet", "--seconds", DEMO_SECONDS, "--output", folder / name]
+    return Program(name, words + (["--config", config] if config else []), folder)
 
 
 def resets(network):
@@ -281,10 +391,89 @@ def resets(network):
     return int(values["resets"])
 
 
-def unscaled(network, wire, cairn, out):
-    running = demo(cairn, out / "plain", 90)
+def health_of(bridge, network, seconds):
+    """So many seconds in which it lives, and tells of the daemon's health."""
+    diagnostics = network.fresh("/diagnostics")
+    time.sleep(seconds)
+    assert bridge.process.poll() is None, f"the bridge has ended: {bridge.process.returncode}"
+    until("diagnostics", 5, diagnostics)
+
+
+def check_patterns(bridge, network):
+    """Whoever looks around, or knows no ROS, resets and moves nothing."""
+    before, name = resets(network), network.service("reset")
+    node, empty = {"attachment": attachment(1, bytes(16))}, b"\0\1\0\0\0"
+    answered = [
+        network.ask("**"),
+        network.ask("**", payload=empty, **node),
+        network.ask(f"{DOMAIN}/{network.robot}/**", payload=empty, **node),
+        network.ask(name.replace("/reset/", "/*/"), payload=empty, **node),
+        network.ask(name, payload=empty),
+        network.ask(name, **node),
+        network.ask(name, payload=b"please", **node),
+    ]
+    assert not any(answered), answered
+    network.session.put(f"{DOMAIN}/**", b"\0\1\0\0", **node)
+    health_of(bridge, network, 1.5)
+    assert resets(network) == before, "a pattern of keys has reset the map"
+    bridge.says("request over Zenoh refused", 1, 5)
+    assert bridge.said()["asked by ROS 2"] == 0, "something was carried out"
+    print(f"patterns: {len(answered)} queries of no node of ROS 2's, nothing carried out")
+
+
+def check_stale(bridge, network, running):
+    """A daemon that stands still for some seconds holds the queue: what waited meanwhile is refused, and only the newest initial pose is looked at."""
+    before, answers = resets(network), {}
+    refused = bridge.said()["initial pose of ROS 2 refused"]
+    running.process.send_signal(signal.SIGSTOP)
+
+    def ask(name):
+        answers[name] = network.call("reset")
+
+    threads = [threading.Thread(target=ask, args=(name,), daemon=True) for name in ("first", "second")]
+    try:
+        threads[0].start()
+        time.sleep(0.5)
+        threads[1].start()
+        for x in (10.0, 20.0, 30.0):
+            network.place(x, 0.0)
+        time.sleep(3)
+    finally:
+        running.process.send_signal(signal.SIGCONT)
+    for thread in threads:
+        thread.join(20)
+    assert answers.get("first", (False,))[0], answers
+    success, message = answers.get("second", (True, ""))
+    assert not success and message.startswith("too late"), answers
+    bridge.says("initial pose of ROS 2 refused", refused + 1, 5)
+    until("the reset", 15, lambda: resets(network) > before)
+    health_of(bridge, network, 1.5)
+    assert resets(network) == before + 1, "a reset that had waited too long was carried out"
+    assert bridge.said()["initial pose of ROS 2 refused"] == refused + 1, "more than the newest initial pose"
+    print(f"a held queue: {message}")
+
+
+def check_places(bridge, network):
+    """Two other readers have the pictures: the bridge goes on, and has them once one of the two is gone."""
+    client = cairn.Client()
+    readers = [client.encoded(), client.encoded()]
+    until("both readers", 10, lambda: all(reader.wait(0.2) is not None for reader in readers))
+    image, tokens = network.fresh("image/compressed"), [network.subscribe("image/compressed", 10)]
+    bridge.says("all places at a service are taken, tried again", 1, 10)
+    health_of(bridge, network, 6)
+    assert not image() and bridge.said()["all places at a service are taken, tried again"] == 1
+    for reader in readers:
+        reader.close()
+    until("pictures", 15, lambda: len(image()) > 3)
+    tokens[0].undeclare()
+    print("pictures: not while two others read them, and the bridge lives on")
+
+
+def unscaled(network, wire, bridge, program, out):
+    running = demo(program, "plain", out)
     odom = network.fresh("odom")
-    until("odometry", 20, lambda: len(odom()) > 60)
+    until("odometry", 30, lambda: len(odom()) > 60)
+    until("health on the wire", 5, lambda: wire.offset is not None)
     tokens = check_tokens(network)
     compared = check_poses(odom(), wire, "odom_unscaled", "base_link_unscaled", ("odom_position", "odom_orientation"))
     check_poses(network.seen("pose"), wire, "map_unscaled", None, ("position", "orientation"))
@@ -309,6 +498,8 @@ def unscaled(network, wire, cairn, out):
     assert not image() and not info(), "pictures that nobody wants any more"
     print("pictures: while a subscriber's token stands, and not after")
 
+    check_places(bridge, network)
+    check_patterns(bridge, network)
     before = resets(network)
     success, message = network.call("reset")
     assert success, message
@@ -318,21 +509,24 @@ def unscaled(network, wire, cairn, out):
     assert not success and message, f"save: {success} {message}"
     print(f"services: reset done; save answered: {message}")
 
+    check_stale(bridge, network, running)
+
+    waited = bridge.said()["waiting for a Zenoh router"]
     network.close()
-    time.sleep(5)
+    bridge.says("waiting for a Zenoh router", waited + 1, 15)
+    time.sleep(3)
     network.open()
     odom = network.fresh("odom")
-    until("odometry behind the router's absence", 20, lambda: len(odom()) > 30)
+    until("odometry behind the router's absence", 30, lambda: len(odom()) > 30)
     check_tokens(network)
-    print("router: gone for 5 s and back, odometry and tokens with it")
-    running.send_signal(signal.SIGINT)
-    running.wait(timeout=20)
+    print("router: gone and back, odometry and tokens with it")
+    running.end(signal.SIGINT)
 
 
-def metric(network, wire, cairn, out):
+def metric(network, wire, bridge, program, out):
     config = out / "metric.toml"
     config.write_text(METRIC_CONFIG)
-    running = demo(cairn, out / "metric", 60, config)
+    running = demo(program, "metric", out, config)
     scan_token = network.subscribe("scan", 12)
     static = network.fresh("/tf_static")
     until("transforms", 50, lambda: network.seen("/tf"))
@@ -355,25 +549,28 @@ def metric(network, wire, cairn, out):
     assert scan.header.frame_id == "scan" and not any(math.isinf(r) for r in scan.ranges) and scan.range_max > 0
     frames = Counter(t.child_frame_id for m in network.seen("/tf") for t in m.transforms)
     assert frames["scan"] >= 1 and frames["odom"] == frames["base_link"], frames
+    placed = until("scans as on the wire", 20, lambda: check_scans(network, wire))
     print(f"metric: {compared} odometries as on the wire, {len(network.seen('/tf'))} transforms, {len(network.seen('scan'))} scans, "
-          "tf_static for who comes late")
+          f"{placed} placed as on the wire, tf_static for who comes late")
 
-    cdr, types = STORE.serialize_cdr, STORE.types
-    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](0, 0), "map")
-    place = types["geometry_msgs/msg/Pose"](types["geometry_msgs/msg/Point"](50.0, -20.0, 0.0),
-                                            types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0))
-    import numpy as np
-
-    name = "geometry_msgs/msg/PoseWithCovarianceStamped"
-    message = types[name](header, types["geometry_msgs/msg/PoseWithCovariance"](place, np.zeros(36)))
-    network.session.put(key(f"/{network.robot}/initialpose", name, type_hash(name)), bytes(cdr(message, name)),
-                        attachment=attachment(1, bytes(16)))
+    network.place(50.0, -20.0)
     there = network.fresh("pose")
     until("the initial pose", 15, lambda: any(abs(m.pose.pose.position.x - 50) < 5 for m in there()))
     print("initial pose: the map was moved")
     scan_token.undeclare()
-    running.send_signal(signal.SIGINT)
-    running.wait(timeout=20)
+    return running
+
+
+def listener(program, network, out, environment):
+    """With --no-commands there is nothing in the graph that could be asked."""
+    other = DOMAIN + 1
+    words = [program, "bridge", "--robot", "quiet", "--no-commands"]
+    quiet = Program("quiet", words, out, {**environment, "ROS_DOMAIN_ID": str(other)})
+    until("its tokens", 15, lambda: len(network.tokens(other)) == 1 + len(TOPICS))
+    kinds = Counter(token.split("/")[5] for token in network.tokens(other))
+    assert kinds == {"NN": 1, "MP": len(TOPICS)}, kinds
+    assert quiet.end(signal.SIGTERM) == 0
+    print("--no-commands: a node and its topics, no service and no subscription")
 
 
 def main():
@@ -381,10 +578,13 @@ def main():
     arguments.add_argument("--cairn", default=ROOT / "target/release/cairn", type=Path)
     arguments.add_argument("--bridge", default=ROOT / "target/release/cairn", type=Path)
     given = arguments.parse_args()
-    prefix = f"bridge{os.getpid()}"
-    os.environ["CAIRN_PREFIX"] = prefix
+    program, with_zenoh = given.cairn.resolve(), given.bridge.resolve()
+    os.environ["CAIRN_PREFIX"] = f"bridge{os.getpid()}"
     robot = "robot7"
     wire = Wire()
+    watch = threading.Timer(ALL_SECONDS, hung)
+    watch.daemon = True
+    watch.start()
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder)
         network = Network(robot)
@@ -393,28 +593,33 @@ def main():
                                     "listen": {"endpoints": ["tcp/127.0.0.1:0"]}, "timestamping": {"enabled": True},
                                     "scouting": {"multicast": {"enabled": False}}}))
         environment = {**os.environ, "ROS_DOMAIN_ID": str(DOMAIN), "ZENOH_SESSION_CONFIG_URI": str(file)}
-        log = (out / "bridge.log").open("w+")
-        bridge = subprocess.Popen([given.bridge.resolve(), "bridge", "--robot", robot], env=environment, stderr=log)
+        bridge = Program("bridge", [with_zenoh, "bridge", "--robot", robot], out, environment)
         try:
+            bridge.says("waiting for a daemon", 1, 20)
             wire.start()
-            unscaled(network, wire, given.cairn.resolve(), out)
-            metric(network, wire, given.cairn.resolve(), out)
-            bridge.send_signal(signal.SIGTERM)
-            code = bridge.wait(timeout=10)
+            unscaled(network, wire, bridge, program, out)
+            bridge.says("waiting for a daemon", 2, 20)
+            running = metric(network, wire, bridge, program, out)
+            listener(with_zenoh, network, out, environment)
+            running.end(signal.SIGINT)
+            bridge.says("waiting for a daemon", 3, 20)
+            code = bridge.end(signal.SIGTERM, 10)
             assert code == 0, f"SIGTERM: {code}"
             until("the end of its tokens", 5, lambda: not [t for t in network.tokens() if "/cairn_bridge" in t])
-            said = Counter(json.loads(line)["message"] for line in (out / "bridge.log").read_text().splitlines())
+            said = bridge.said()
             # Two daemons, each missed once; a router that was there from the start, or not yet, and went once.
-            assert said["waiting for a daemon"] in (2, 3) and said["bridging a daemon"] == 2, said
+            assert said["waiting for a daemon"] == 3 and said["bridging a daemon"] == 2, said
             assert said["waiting for a Zenoh router"] in (1, 2) and said["connected to Zenoh"] == 2, said
+            assert wire.fault is None, wire.fault
             print(f"SIGTERM: an orderly end; {sum(said.values())} lines of log")
-        except SystemExit:
-            sys.stderr.write((out / "bridge.log").read_text())
+        except BaseException:
+            Program.show_all()
             raise
         finally:
             wire.stop = True
-            bridge.kill()
+            Program.kill_all()
             network.close()
+            watch.cancel()
 
 
 if __name__ == "__main__":

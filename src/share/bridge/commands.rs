@@ -1,25 +1,23 @@
 //! What ROS 2 asks of the daemon: services and the initial pose, as commands like any client's.
 //!
-//! Input: requests, as Zenoh's threads put them into a bounded queue. One that finds the queue full is dropped, and its client hears nothing but
-//! the end of its request. Output: commands to the daemon and their answers. A map may take seconds to be stored, so this is a thread of its own.
+//! Input: requests, as Zenoh's threads put them into the [`Inbox`]. One that has waited too long there is refused and not carried out late. Output:
+//! commands to the daemon and their answers. A map may take seconds to be stored, so this is a thread of its own.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use tracing::{info, warn};
 use zenoh::Wait;
 use zenoh::query::Query;
 
 use super::attachment::Attachment;
+use super::inbox::{Inbox, OLDEST, Request};
 use crate::client::{Client, ClientError};
 use crate::messages::{CommandReply, Transform};
 use crate::ros::{CdrError, Field, Reader, Writer};
 use crate::share::frames::frames;
 
-/// Requests that wait.
-const QUEUE: usize = 8;
 /// The daemon's answer comes between two frames; a large map takes a slow disk seconds.
 const TIMEOUT: Duration = Duration::from_secs(30);
 /// How late the end is noticed.
@@ -47,74 +45,51 @@ impl Service {
 }
 
 /// See module.
-pub enum Request {
-    Service(Service, Query),
-    /// A PoseWithCovarianceStamped's bytes.
-    InitialPose(Vec<u8>),
-}
-
-/// The end of the queue that Zenoh's threads have.
-#[derive(Clone)]
-pub struct Inbox {
-    requests: Sender<Request>,
-}
-
-impl Inbox {
-    pub fn push(&self, request: Request) {
-        if self.requests.try_send(request).is_err() {
-            warn!("too many requests from ROS 2 at once, one is not answered");
-        }
-    }
-}
-
-/// See module.
 pub struct Commands {
-    requests: Receiver<Request>,
+    inbox: Inbox,
     client: Client,
     is_metric: Arc<AtomicBool>,
 }
 
 impl Commands {
     /// `is_metric`: whether lengths of the map are metres, as the other half hears it.
-    pub(super) fn new(client: Client, is_metric: Arc<AtomicBool>) -> (Inbox, Self) {
-        let (sender, requests) = bounded(QUEUE);
-        (Inbox { requests: sender }, Self { requests, client, is_metric })
+    pub(super) fn new(inbox: Inbox, client: Client, is_metric: Arc<AtomicBool>) -> Self {
+        Self { inbox, client, is_metric }
     }
 
-    /// Until it is told to stop, or nobody can ask any more.
+    /// Until it is told to stop.
     pub fn serve(self, stop: &AtomicBool) {
         while !stop.load(Ordering::Relaxed) {
-            match self.requests.recv_timeout(TURN) {
-                Ok(Request::Service(service, query)) => self.answer(service, &query),
-                Ok(Request::InitialPose(message)) => self.set_pose(&message),
-                Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) => return,
+            let Some(taken) = self.inbox.pop(TURN) else { continue };
+            let late = taken.is_stale().then(|| {
+                format!("too late: it waited {:.1} s, {} s at most", taken.age.as_secs_f64(), OLDEST.as_secs())
+            });
+            match taken.request {
+                Request::Service { service, asked, query } => self.answer(service, asked, &query, late),
+                Request::InitialPose(message) => self.set_pose(&message, late),
             }
         }
     }
 
-    fn answer(&self, service: Service, query: &Query) {
-        let outcome = match service {
-            Service::Reset => self.client.reset(TIMEOUT),
-            Service::Save => self.client.store_map(None, TIMEOUT),
+    /// `late`: why it is refused.
+    fn answer(&self, service: Service, asked: Attachment, query: &Query, late: Option<String>) {
+        let (success, message) = match (late, service) {
+            (Some(late), _) => (false, late),
+            (None, Service::Reset) => told(self.client.reset(TIMEOUT)),
+            (None, Service::Save) => told(self.client.store_map(None, TIMEOUT)),
         };
-        let (success, message) = told(outcome);
         info!(service = service.word(), success, answer = message, "asked by ROS 2");
-        let asked = query.attachment().and_then(|bytes| Attachment::from_bytes(&bytes.to_bytes()));
-        let reply = query.reply(query.key_expr().clone(), trigger_response(success, &message));
-        // Whoever asks without ROS 2 has no number and no id.
-        let reply = match asked {
-            Some(asked) => reply.attachment(Attachment { time_ns: unix_ns(), ..asked }.to_bytes()),
-            None => reply,
-        };
+        let attachment = Attachment { time_ns: unix_ns(), ..asked }.to_bytes();
+        let reply = query.reply(query.key_expr().clone(), trigger_response(success, &message)).attachment(attachment);
         if let Err(error) = reply.wait() {
             warn!(service = service.word(), %error, "answer to ROS 2 not sent");
         }
     }
 
-    fn set_pose(&self, message: &[u8]) {
+    fn set_pose(&self, message: &[u8], late: Option<String>) {
         let is_metric = self.is_metric.load(Ordering::Relaxed);
-        let (success, answer) = match initial_pose(message, is_metric) {
+        let asked = late.map_or_else(|| initial_pose(message, is_metric), Err);
+        let (success, answer) = match asked {
             Ok(map_from_body) => told(self.client.set_pose(&map_from_body, TIMEOUT)),
             Err(reason) => (false, reason),
         };
@@ -147,6 +122,36 @@ fn trigger_response(success: bool, message: &str) -> Vec<u8> {
     message.write(&mut out);
     out.into_bytes()
 }
+
+/// What came over Zenoh, as far as it tells who asks for what.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Asked<'a> {
+    /// To which it was sent: it may be a pattern, such as `**`.
+    pub key: &'a str,
+    pub attachment: Option<&'a [u8]>,
+    pub payload: Option<&'a [u8]>,
+}
+
+impl Asked<'_> {
+    /// Sent to `key` itself by one of rmw_zenoh's nodes; else why it is nothing that a node sends. Whoever looks around by `**` wants nothing done.
+    pub fn of_a_node(&self, key: &str) -> Result<Attachment, &'static str> {
+        if self.key != key {
+            return Err("it was sent to a pattern of keys and not to this one");
+        }
+        self.attachment.and_then(Attachment::from_bytes).ok_or("it has no attachment of rmw_zenoh's")
+    }
+
+    /// A request to a service that is a `std_srvs/srv/Trigger`.
+    pub fn trigger(&self, key: &str) -> Result<Attachment, &'static str> {
+        let attachment = self.of_a_node(key)?;
+        let is_empty =
+            self.payload.is_some_and(|payload| payload.len() <= MOST_OF_EMPTY && Reader::new(payload).is_ok());
+        if is_empty { Ok(attachment) } else { Err("it holds no Trigger_Request in CDR") }
+    }
+}
+
+/// `std_srvs/srv/Trigger_Request` is empty, which is a byte (`structure_needs_at_least_one_member`) behind CDR's header of four; some pad it to four.
+const MOST_OF_EMPTY: usize = 8;
 
 /// `map_from_body` of a PoseWithCovarianceStamped in the map's frame; what it says of its covariance has no meaning for a map that is moved.
 fn initial_pose(message: &[u8], is_metric: bool) -> Result<Transform, String> {
@@ -194,6 +199,25 @@ mod tests {
         }
         for end in 0..bytes.len() - 8 * 36 {
             assert!(initial_pose(&bytes[..end], true).is_err(), "{end}");
+        }
+    }
+
+    #[test]
+    fn a_request_is_sent_to_its_service_by_a_node() {
+        let bytes = Attachment { sequence: 3, time_ns: 4, gid: [5; 16] }.to_bytes();
+        let right = Asked { key: "7/r/reset/T", attachment: Some(&bytes), payload: Some(&[0, 1, 0, 0, 0]) };
+        assert_eq!(right.trigger("7/r/reset/T").map(|asked| asked.sequence), Ok(3));
+        for payload in [&[0, 1, 0, 0][..], &[0, 1, 0, 0, 0, 0, 0, 0]] {
+            assert!(Asked { payload: Some(payload), ..right }.trigger(right.key).is_ok(), "{payload:?}");
+        }
+        for key in ["**", "7/**", "7/r/*/T", "7/r/save/T"] {
+            assert!(Asked { key, ..right }.trigger(right.key).is_err_and(|e| e.contains("pattern")), "{key}");
+        }
+        for attachment in [None, Some(&bytes[..32])] {
+            assert!(Asked { attachment, ..right }.trigger(right.key).is_err_and(|e| e.contains("attachment")));
+        }
+        for payload in [None, Some(&[][..]), Some(b"{}"), Some(&[9, 9, 0, 0, 0]), Some(&[0, 1, 0, 0, 0, 0, 0, 0, 0])] {
+            assert!(Asked { payload, ..right }.trigger(right.key).is_err_and(|e| e.contains("Trigger")), "{payload:?}");
         }
     }
 

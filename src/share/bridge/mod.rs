@@ -13,10 +13,13 @@
 mod attachment;
 mod commands;
 mod error;
+mod inbox;
 mod names;
 mod node;
+mod on_demand;
 mod rates;
 mod relay;
+mod scans;
 mod topic;
 
 pub use commands::Commands;

@@ -8,17 +8,19 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use zenoh::bytes::ZBytes;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::{Publisher, Subscriber};
 use zenoh::qos::Reliability;
-use zenoh::query::Queryable;
-use zenoh::sample::SampleKind;
+use zenoh::query::{Query, Queryable};
+use zenoh::sample::{Sample, SampleKind};
 use zenoh::{Config, Session, Wait};
 use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig, MissDetectionConfig};
 
 use super::attachment::{Attachment, GID_BYTES, gid};
-use super::commands::{Inbox, Request, Service, unix_ns};
+use super::commands::{Asked, Service, unix_ns};
 use super::error::{BridgeError, reason};
+use super::inbox::{Inbox, Request};
 use super::names::{INITIAL_POSE, Identity, Kind, Qos, Robot, TRIGGER, Type, key, subscribers};
 use super::topic::Topic;
 
@@ -47,6 +49,8 @@ pub struct Network {
     pub robot: Robot,
     /// Transforms in the robot's namespace.
     pub own_tf: bool,
+    /// Whether it takes anything from the network: services and the initial pose.
+    pub takes_commands: bool,
     /// Zenoh's own configuration file.
     pub file: Option<PathBuf>,
 }
@@ -110,9 +114,13 @@ impl Node {
                 wanted.push((topic, known));
             }
         }
-        let services =
-            Service::ALL.map(|service| making.service(service, inbox)).into_iter().collect::<Result<_, _>>()?;
-        watchers.push(making.initial_pose(inbox)?);
+        let mut services = Vec::new();
+        if network.takes_commands {
+            for service in Service::ALL {
+                services.push(making.service(service, inbox)?);
+            }
+            watchers.push(making.initial_pose(inbox)?);
+        }
         let tokens = making.tokens;
         let (_services, _subscribers, _tokens) = (services, watchers, tokens);
         Ok(Self { outputs, wanted, endpoints, _services, _subscribers, _tokens, session })
@@ -230,8 +238,22 @@ impl Making<'_> {
         let key = key(self.identity.domain, &topic, TRIGGER);
         let inbox = inbox.clone();
         let queryable = self.session.declare_queryable(key.clone()).complete(true);
-        let queryable = queryable.callback(move |query| inbox.push(Request::Service(service, query))).wait();
-        let queryable = queryable.map_err(Self::failed(&key))?;
+        let own = key.clone();
+        let answer = move |query: Query| {
+            let (attachment, payload) =
+                (query.attachment().map(ZBytes::to_bytes), query.payload().map(ZBytes::to_bytes));
+            let asked = Asked {
+                key: query.key_expr().as_str(),
+                attachment: attachment.as_deref(),
+                payload: payload.as_deref(),
+            };
+            match asked.trigger(&own) {
+                Ok(asked) => inbox.push(Request::Service { service, asked, query: query.clone() }),
+                // Without an answer: it is the end of the query.
+                Err(reason) => inbox.refuse(asked.key, reason),
+            }
+        };
+        let queryable = queryable.callback(answer).wait().map_err(Self::failed(&key))?;
         self.entity(Kind::Service, &topic, TRIGGER, SERVICE_QOS)?;
         Ok(queryable)
     }
@@ -241,10 +263,19 @@ impl Making<'_> {
         let key = key(self.identity.domain, &topic, INITIAL_POSE);
         let inbox = inbox.clone();
         let subscriber = self.session.declare_subscriber(key.clone());
-        let subscriber = subscriber
-            .callback(move |sample| inbox.push(Request::InitialPose(sample.payload().to_bytes().into_owned())))
-            .wait()
-            .map_err(Self::failed(&key))?;
+        let own = key.clone();
+        let take = move |sample: Sample| {
+            let attachment = sample.attachment().map(ZBytes::to_bytes);
+            let asked = Asked { key: sample.key_expr().as_str(), attachment: attachment.as_deref(), payload: None };
+            match (asked.of_a_node(&own), sample.kind()) {
+                (Ok(_), SampleKind::Put) => {
+                    inbox.push(Request::InitialPose(sample.payload().to_bytes().into_owned()));
+                }
+                (Ok(_), SampleKind::Delete) => inbox.refuse(asked.key, "it deletes and says nothing"),
+                (Err(reason), _) => inbox.refuse(asked.key, reason),
+            }
+        };
+        let subscriber = subscriber.callback(take).wait().map_err(Self::failed(&key))?;
         self.entity(Kind::Subscription, &topic, INITIAL_POSE, Qos::reliable(10))?;
         Ok(subscriber)
     }
@@ -256,7 +287,8 @@ mod tests {
 
     #[test]
     fn the_default_is_a_configuration_and_a_file_that_is_none_is_named() {
-        let network = Network { domain: 0, robot: Robot::new("robot").expect("name"), own_tf: false, file: None };
+        let robot = Robot::new("robot").expect("name");
+        let network = Network { domain: 0, robot, own_tf: false, takes_commands: true, file: None };
         let config = network.configuration().expect("configuration");
         assert_eq!(config.get_json("connect/endpoints").expect("endpoints"), r#"["tcp/localhost:7447"]"#);
         assert_eq!(config.get_json("mode").expect("mode"), r#""peer""#);

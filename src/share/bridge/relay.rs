@@ -11,8 +11,11 @@ use tracing::{info, warn};
 
 use super::commands::Commands;
 use super::error::BridgeError;
+use super::inbox::Inbox;
 use super::node::{Network, Node};
+use super::on_demand::OnDemand;
 use super::rates::Rates;
+use super::scans::LastPoses;
 use super::topic::Topic;
 use crate::client::{Client, Encodeds, Healths, Map, ObstacleScans, Poses};
 use crate::messages::{EncodedHeader, Endpoint, Health, Landmark, MapHeader, Obstacles, Pose, Scale, Transform};
@@ -21,14 +24,16 @@ use crate::ros::{Bytes, Message};
 use crate::share::conversion::{
     camera_info, diagnostics, landmark_bytes, laser_scan, odometry, point_cloud, pose_with_covariance,
 };
-use crate::share::frames::{METRIC, Place, SCAN_FRAME, UnixTime, frames, mount, scan_place, transform};
-use crate::share::news::{Diagnosed, Told, content_of_map};
+use crate::share::frames::{METRIC, Place, SCAN_FRAME, UnixTime, frames, mount, transform};
+use crate::share::news::{Diagnosed, News, Told, content_of_map};
 use crate::share::picture::compressed;
 
 /// Longest sleep: how late a signal is noticed while nothing comes, and all but poses and pictures.
 const TURN: Duration = Duration::from_millis(50);
 /// How often it is looked after the network.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
+/// How often the mount is asked for again while wheels are heard: where the configuration does not say it the robot's motion shows it, once in a map.
+const MOUNT_EVERY: Duration = Duration::from_secs(10);
 /// What repeats is said once in so long.
 const SAY_EVERY: Duration = Duration::from_secs(10);
 
@@ -38,17 +43,19 @@ pub struct Bridge {
     poses: Poses,
     map: Map,
     health: Healths,
-    /// While somebody wants them.
-    obstacles: Option<ObstacleScans>,
-    encoded: Option<Encodeds>,
+    obstacles: OnDemand<ObstacleScans>,
+    encoded: OnDemand<Encodeds>,
     client: Client,
     prefix: String,
     name: String,
     time: UnixTime,
     is_metric: Arc<AtomicBool>,
+    last_poses: LastPoses,
     run: Option<u64>,
-    /// `body_from_camera` of this run.
-    mount: Option<Transform>,
+    /// `body_from_camera` of this run, and when it was told.
+    mount: Option<(Transform, Instant)>,
+    /// The daemon believes what wheels tell.
+    has_wheels: bool,
     /// What was sent of it.
     told_mount: Option<Transform>,
     diagnosed: Diagnosed,
@@ -89,33 +96,36 @@ impl Outputs {
 
 impl Bridge {
     /// Opens the Zenoh session and subscribes; neither router nor daemon need be there yet. `realtime_minus_monotonic_ns`: until health tells it. The
-    /// second half is for a thread of its own.
+    /// second half, if the network may ask for anything, is for a thread of its own.
     pub fn open(
         endpoint: Endpoint,
         network: &Network,
         rates: Rates,
         realtime_minus_monotonic_ns: i64,
-    ) -> Result<(Self, Commands), BridgeError> {
+    ) -> Result<(Self, Option<Commands>), BridgeError> {
         let prefix = endpoint.prefix().to_owned();
         let client = Client::with_endpoint(endpoint)?;
         let is_metric = Arc::new(AtomicBool::new(false));
-        let (inbox, commands) = Commands::new(client.clone(), is_metric.clone());
+        let inbox = Inbox::default();
         let node = Node::open(network, &inbox)?;
+        let commands = network.takes_commands.then(|| Commands::new(inbox, client.clone(), is_metric.clone()));
         let name = network.robot.name();
         let bridge = Self {
             out: Outputs { node, rates, said: None },
             poses: client.poses(),
             map: client.map().polled(TURN),
             health: client.health().polled(TURN),
-            obstacles: None,
-            encoded: None,
+            obstacles: OnDemand::default(),
+            encoded: OnDemand::default(),
             client,
             name: if name.is_empty() { "cairn: pose and map".into() } else { format!("{name}: pose and map") },
             prefix,
             time: UnixTime { realtime_minus_monotonic_ns },
             is_metric,
+            last_poses: LastPoses::default(),
             run: None,
             mount: None,
+            has_wheels: false,
             told_mount: None,
             diagnosed: Diagnosed::default(),
             told_map: Told::default(),
@@ -130,6 +140,8 @@ impl Bridge {
     /// Waits for the next pose for 50 ms at most, and sends everything that has come.
     pub fn step(&mut self) -> Result<(), BridgeError> {
         let mut pose = self.poses.wait(TURN)?;
+        // Before the poses: that of a scan's frame was sent before the scan.
+        let scan = self.next_obstacles()?;
         while let Some(health) = self.health.try_next()? {
             self.take_health(&health);
         }
@@ -140,7 +152,9 @@ impl Bridge {
         while let Some(map) = self.map.try_next()? {
             self.take_map(map.header(), &map);
         }
-        self.take_obstacles()?;
+        if let Some(obstacles) = scan {
+            self.take_obstacles(&obstacles);
+        }
         self.take_pictures()?;
         self.look_around();
         Ok(())
@@ -184,13 +198,16 @@ impl Bridge {
         let stamp = self.time.stamp(pose.timestamp_ns, pose.clock);
         let header = |frame_id| Header { stamp: stamp.clone(), frame_id };
         let now_ns = pose.published_ns;
+        if is_metric {
+            self.last_poses.add(pose, &place, &stamp);
+        }
         // First what others need to make use of the rest.
         if is_metric {
             if self.out.allow(Topic::Tf, now_ns) {
                 let transforms = place.transforms(&stamp, frames);
                 self.out.put(Topic::Tf, &ros::TfMessage { transforms });
             }
-            if let Some(mount) = self.mount
+            if let Some((mount, _)) = self.mount
                 && self.told_mount != Some(mount)
                 && self.out.allow(Topic::TfStatic, now_ns)
             {
@@ -211,7 +228,13 @@ impl Bridge {
 
     fn take_health(&mut self, health: &Health) {
         self.time = UnixTime { realtime_minus_monotonic_ns: health.realtime_minus_monotonic_ns };
-        if !self.diagnosed.is_news(health) || !self.out.allow(Topic::Diagnostics, health.published_ns) {
+        self.has_wheels = health.wheel_messages > 0;
+        let is_sent = match self.diagnosed.news(health) {
+            Some(News::Changed) => !self.out.rates.is_off(Topic::Diagnostics),
+            Some(News::Again) => self.out.allow(Topic::Diagnostics, health.published_ns),
+            None => false,
+        };
+        if !is_sent {
             return;
         }
         let stamp = Time::from_ns(self.time.ns(health.published_ns));
@@ -235,32 +258,47 @@ impl Bridge {
         self.out.put(Topic::Points, &point_cloud(&data, landmarks.len(), Header { stamp, frame_id }));
     }
 
-    /// The daemon looks for obstacles only while it is asked for them.
-    fn take_obstacles(&mut self) -> Result<(), BridgeError> {
+    /// The daemon looks for obstacles only while it is asked for them. The newest scan.
+    fn next_obstacles(&mut self) -> Result<Option<Obstacles>, BridgeError> {
         if !self.out.is_wanted(Topic::Scan) {
-            self.obstacles = None;
-            return Ok(());
+            self.obstacles.leave();
+            return Ok(None);
         }
-        let subscription = self.obstacles.get_or_insert_with(|| self.client.obstacles().polled(TURN));
-        while let Some(obstacles) = subscription.try_next()? {
-            take_scan(&mut self.out, self.time, &obstacles);
-        }
-        Ok(())
+        let client = &self.client;
+        Ok(self.obstacles.try_next(|| client.obstacles().polled(TURN), ObstacleScans::try_next)?)
     }
 
-    /// The daemon hands out pictures only while it is asked for them. Where the camera sits is told with them alone, so the first one of a run is.
+    fn take_obstacles(&mut self, obstacles: &Obstacles) {
+        let Some((body_from_scan, stamp)) = self.last_poses.body_from_scan(obstacles) else { return };
+        if !self.out.allow(Topic::Scan, obstacles.published_ns) {
+            return;
+        }
+        // With its scan: the rate of the other transforms is none of its own.
+        if !self.out.rates.is_off(Topic::Tf) {
+            let transforms = vec![transform(&stamp, METRIC.body, SCAN_FRAME, &body_from_scan)];
+            self.out.put(Topic::Tf, &ros::TfMessage { transforms });
+        }
+        self.out.put(Topic::Scan, &laser_scan(obstacles, Header { stamp, frame_id: SCAN_FRAME }));
+    }
+
+    /// Where the camera sits is to be told, and not known or not for long.
+    fn needs_mount(&self) -> bool {
+        let is_known = self.mount.is_some_and(|(_, at)| !self.has_wheels || at.elapsed() < MOUNT_EVERY);
+        self.is_metric() && !is_known && self.out.is_wanted(Topic::TfStatic)
+    }
+
+    /// The daemon hands out pictures only while it is asked for them. Where the camera sits is told with them alone, so one is asked for now and then.
     fn take_pictures(&mut self) -> Result<(), BridgeError> {
-        let needs_mount = self.is_metric() && self.mount.is_none() && self.out.is_wanted(Topic::TfStatic);
-        if !needs_mount && !self.out.is_wanted(Topic::Image) && !self.out.is_wanted(Topic::CameraInfo) {
-            self.encoded = None;
+        if !self.needs_mount() && !self.out.is_wanted(Topic::Image) && !self.out.is_wanted(Topic::CameraInfo) {
+            self.encoded.leave();
             return Ok(());
         }
-        let subscription = self.encoded.get_or_insert_with(|| self.client.encoded().polled(TURN));
         let is_metric = self.is_metric.load(Ordering::Relaxed);
-        while let Some(picture) = subscription.try_next()? {
+        let client = self.client.clone();
+        while let Some(picture) = self.encoded.try_next(|| client.encoded().polled(TURN), Encodeds::try_next)? {
             let header: &EncodedHeader = picture.header();
             if self.run == Some(header.run_id) {
-                self.mount = mount(header).or(self.mount);
+                self.mount = mount(header).map(|mount| (mount, Instant::now())).or(self.mount);
             }
             let stamp = self.time.stamp(header.timestamp_ns, header.clock);
             let ros_header = || Header { stamp: stamp.clone(), frame_id: frames(is_metric).camera };
@@ -278,18 +316,4 @@ impl Bridge {
         }
         Ok(())
     }
-}
-
-fn take_scan(out: &mut Outputs, time: UnixTime, obstacles: &Obstacles) {
-    let Some(map_from_scan) = scan_place(obstacles) else { return };
-    if !out.allow(Topic::Scan, obstacles.published_ns) {
-        return;
-    }
-    let stamp = time.stamp(obstacles.timestamp_ns, obstacles.clock);
-    let transforms = vec![transform(&stamp, METRIC.map, SCAN_FRAME, &map_from_scan)];
-    // With its scan: the rate of the other transforms is none of its own.
-    if !out.rates.is_off(Topic::Tf) {
-        out.put(Topic::Tf, &ros::TfMessage { transforms });
-    }
-    out.put(Topic::Scan, &laser_scan(obstacles, Header { stamp, frame_id: SCAN_FRAME }));
 }
