@@ -34,6 +34,9 @@ const TURN: Duration = Duration::from_millis(50);
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 /// How often the mount is asked for again while wheels are heard: where the configuration does not say it the robot's motion shows it, once in a map.
 const MOUNT_EVERY: Duration = Duration::from_secs(10);
+/// A step comes with every pose, so this keeps up with the camera. Where a picture takes longer to compress than the next to come, pictures are lost and
+/// not odometry.
+const PICTURES_A_STEP: usize = 2;
 /// What repeats is said once in so long.
 const SAY_EVERY: Duration = Duration::from_secs(10);
 
@@ -295,7 +298,9 @@ impl Bridge {
         }
         let is_metric = self.is_metric.load(Ordering::Relaxed);
         let client = self.client.clone();
-        while let Some(picture) = self.encoded.try_next(|| client.encoded().polled(TURN), Encodeds::try_next)? {
+        for _ in 0..PICTURES_A_STEP {
+            let next = self.encoded.try_next(|| client.encoded().polled(TURN), Encodeds::try_next)?;
+            let Some(picture) = next else { break };
             let header: &EncodedHeader = picture.header();
             if self.run == Some(header.run_id) {
                 self.mount = mount(header).map(|mount| (mount, Instant::now())).or(self.mount);
