@@ -171,6 +171,12 @@ class Client {
     cairn_command_reply set_camera(const std::string &control, std::optional<double> value, Duration timeout) {
         return text_command(CAIRN_COMMAND_SET_CAMERA, control + " " + (value ? number(*value) : "auto"), timeout);
     }
+    // Which camera it is: its identity, as calibrations are found by, a space, and its device file.
+    cairn_command_reply camera_identity(Duration timeout) { return text_command(CAIRN_COMMAND_CAMERA_IDENTITY, "", timeout); }
+    // Has the daemon keep a calibration file, which it must be able to read, for its camera; it is used from the daemon's next start on.
+    cairn_command_reply keep_calibration(std::string_view path, Duration timeout) {
+        return text_command(CAIRN_COMMAND_KEEP_CALIBRATION, path, timeout);
+    }
 
     cairn_command_reply reset(Duration timeout) {
         cairn_command what{};

@@ -159,6 +159,35 @@ pub fn find(
     (best.map(|(_, found)| found), faults)
 }
 
+/// Keeps the calibration in a file for a camera, in the first folder that can be written; where it lies then. `size`: of the camera's pictures. A file that
+/// says of which camera it is must be of this one; one that does not is whoever's that hands it in.
+pub fn adopt(
+    folders: &[PathBuf],
+    identity: &CameraIdentity,
+    size: Option<(u32, u32)>,
+    path: &Path,
+) -> Result<PathBuf, CalibrationError> {
+    let mut file = CalibrationFile::load(path)?;
+    let refuse = |reason: String| Err(CalibrationError::File { path: path.display().to_string(), reason });
+    let owner = file.other.get("camera").and_then(toml::Value::as_str).map(str::to_owned);
+    if let Some(owner) = owner.filter(|owner| CameraIdentity::parse(owner).as_ref() != Some(identity)) {
+        return refuse(format!("camera = {owner:?}: the daemon's is {identity}"));
+    }
+    if is_estimate(&file) {
+        return refuse("estimated = true: it is what a daemon supposed of a lens, no calibration".into());
+    }
+    if let Some((width, height)) = size
+        && let Err(why) = file.camera.scaled(width, height)
+    {
+        let (from_width, from_height) = (file.camera.width, file.camera.height);
+        return refuse(format!(
+            "it is for {from_width}x{from_height} px, the pictures have {width}x{height} px: {why}"
+        ));
+    }
+    file.other.insert("camera".into(), identity.to_string().into());
+    save(folders, identity, &file)
+}
+
 /// What motion has shown about a lens that nobody calibrated.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Estimate {
@@ -268,6 +297,40 @@ mod tests {
         let mut other = toml::Table::new();
         other.insert("camera".into(), camera.into());
         CalibrationFile { camera: camera_model, other, assumed: None }
+    }
+
+    #[test]
+    fn a_calibration_that_is_handed_in_is_the_cameras_own_unless_it_says_otherwise() {
+        let dir = tempfile::tempdir().expect("folder");
+        let (kept, handed) = (dir.path().join("kept"), dir.path().join("handed.toml"));
+        let folders = [dir.path().join("handed.toml/no folder"), kept];
+        let me = CameraIdentity::parse("046d:0825:ABC").expect("valid");
+        let put = |mut file: CalibrationFile, key: &str, value: toml::Value| {
+            file.other.insert(key.into(), value);
+            file.save(&handed).expect("saved");
+        };
+        let adopt = |size| adopt(&folders, &me, size, &handed);
+        let mut nobodys = file("", (640, 480), 500.0);
+        nobodys.other.clear();
+        put(nobodys.clone(), "rms_px", 0.2.into());
+        let path = adopt(Some((320, 240))).expect("kept");
+        assert_eq!(path, folders[1].join("046d_0825_ABC-640x480.toml"));
+        let (found, faults) = find(&folders, &me, (640, 480));
+        assert_eq!((found.expect("found").camera.fx, faults.len()), (500.0, 0));
+        assert_eq!(CalibrationFile::load(&path).expect("whole").other["rms_px"].as_float(), Some(0.2));
+
+        let refused = |size, reason: &str| {
+            let why = adopt(size).expect_err("refused").to_string();
+            assert!(why.contains("handed.toml") && why.contains(reason), "{why}");
+        };
+        refused(Some((640, 360)), "it is for 640x480 px, the pictures have 640x360 px");
+        put(nobodys.clone(), "camera", "046d:0825:XYZ".into());
+        refused(None, "the daemon's is 046d:0825:ABC");
+        put(nobodys, "estimated", true.into());
+        refused(None, "estimated = true");
+        std::fs::write(&handed, "fx_px = -3").expect("written");
+        refused(None, "fx_px");
+        assert_eq!(find(&folders, &me, (640, 480)).0.expect("as before").path, path);
     }
 
     #[test]

@@ -12,6 +12,9 @@ pub mod v4l2;
 pub use bag::{Asked, Bag};
 pub use recording::{Pacing, Recording};
 
+use std::path::PathBuf;
+
+use crate::calibration::store::CameraIdentity;
 use crate::frame::{Clock, RawFrame};
 use crate::geometry::CameraModel;
 use crate::motion::wheel::{WheelFault, WheelMessage};
@@ -32,6 +35,14 @@ pub struct SourceDescription {
     pub camera: Option<CameraModel>,
     /// Number of frames, if finite and known.
     pub frames: Option<u64>,
+}
+
+/// A camera that is plugged in.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Device {
+    /// As its calibrations are found by.
+    pub identity: CameraIdentity,
+    pub path: PathBuf,
 }
 
 /// Outcome of one [`FrameSource::grab`].
@@ -68,6 +79,11 @@ pub trait FrameSource: Send {
     /// Wheel odometry that the source brings with its frames, up to a frame's timestamp, each message once; with it what the source itself knows to
     /// be wrong with it. A camera has none.
     fn wheels(&mut self, _until_ns: i64, _to: &mut dyn FnMut(&WheelMessage, Option<WheelFault>)) {}
+
+    /// Which camera it is; `None`: it is none, but a recording or a simulator.
+    fn device(&self) -> Option<Device> {
+        None
+    }
 
     /// What of exposure, gain and focus can be set. A recording and a simulator have nothing of it.
     fn controls(&mut self) -> Result<Vec<ControlState>, ControlError> {

@@ -277,6 +277,10 @@ impl FrameSource for V4l2Camera {
         &self.description
     }
 
+    fn device(&self) -> Option<super::Device> {
+        Some(super::Device { identity: self.identity(), path: self.path.clone() })
+    }
+
     fn grab(&mut self, slot: &mut RawFrame, timeout: Duration) -> Result<Grab, SourceError> {
         let grab = self.capture.grab(slot, timeout)?;
         if grab == Grab::Frame {

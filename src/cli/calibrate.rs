@@ -17,7 +17,6 @@ pub use args::CalibrateArgs;
 pub(super) use live::before_board;
 pub(super) use output::encode;
 #[cfg(feature = "tools")]
-pub(super) use output::keep;
 use output::{format_of, write_text};
 
 use super::builds::needs_tools;

@@ -74,7 +74,10 @@ fn show(client: &Client, timeout: Duration, as_json: bool) -> Result<Option<Comm
     let text = if as_json {
         session::json(&controls.iter().map(object).collect::<Vec<_>>())?
     } else {
-        controls.iter().map(line).collect()
+        // An older daemon does not tell it.
+        let named =
+            client.camera_identity(timeout)?.map(|(identity, device)| format!("camera {identity} at {device}\n"));
+        named.unwrap_or_default() + &controls.iter().map(line).collect::<String>()
     };
     session::print(&text)?;
     Ok(None)

@@ -7,10 +7,11 @@ use std::time::Duration;
 
 use super::endpoint_args::EndpointArgs;
 use super::{CliError, camera_command, exit_code};
+use crate::calibration::CalibrationFile;
 use crate::client::Client;
 use crate::messages::{CommandReply, Transform, reply_code};
 
-/// Tell a running daemon to reset, to save its trajectory or map, where the robot is, or how its camera is to expose and focus
+/// Tell a running daemon to reset, to save its trajectory or map, where the robot is, how its camera is to expose and focus, or its calibration
 #[derive(Debug, Clone, clap::Args)]
 pub struct CommandArgs {
     #[command(flatten)]
@@ -51,6 +52,11 @@ pub enum Action {
     },
     /// Show or set exposure, gain and focus of its camera
     Camera(camera_command::CameraArgs),
+    /// Have it keep a calibration for its camera, from its next start on
+    KeepCalibration {
+        /// Calibration file of any format that `[calibration] file` takes
+        path: PathBuf,
+    },
 }
 
 /// Runs the subcommand.
@@ -61,6 +67,12 @@ pub fn run(args: &CommandArgs) -> Result<ExitCode, CliError> {
         Action::Reset => client.reset(timeout)?,
         Action::SaveTrajectory { path } => client.save_trajectory(&absolute(path)?, timeout)?,
         Action::SaveMap { path } => client.save_map(&absolute(path)?, timeout)?,
+        Action::KeepCalibration { path } => {
+            let file = CalibrationFile::load(path).map_err(|e| CliError::new(exit_code::DATA, e.to_string()))?;
+            let text =
+                file.to_toml().map_err(|e| CliError::new(exit_code::DATA, format!("{}: {e}", path.display())))?;
+            client.keep_calibration(&text, timeout)?
+        }
         Action::Camera(camera) => match camera_command::run(camera, &client, timeout)? {
             Some(reply) => reply,
             None => return Ok(ExitCode::SUCCESS),

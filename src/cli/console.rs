@@ -53,7 +53,7 @@ pub fn run(args: &ConsoleArgs) -> Result<ExitCode, CliError> {
         endpoint: args.endpoint.endpoint()?,
         log: args.log_file.clone().map_or_else(|| LogChoice::Unit(args.unit.clone()), LogChoice::File),
         advice,
-        calibrator: Arc::new(calibration::Chessboards::default()),
+        calibrator: Arc::new(calibration::Chessboards),
     })?;
     telemetry::say(&format!("the console is at http://{}/", console.address()));
     console.run(&stop);

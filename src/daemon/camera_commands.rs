@@ -1,16 +1,18 @@
-//! What commands ask of the camera: exposure, gain and focus.
+//! What commands ask of the camera: which it is, exposure, gain and focus, and that a calibration of it is kept.
 //!
 //! The supervisor hands a command to the capture stage and answers it when that has ([`CameraDesk`]); the stage carries it out between two frames
 //! ([`CameraOrder::carry_out`]). A control transfer takes a millisecond. A camera that hangs over it delays its own frames by the driver's 5 s, which
 //! is half of what the watchdog allows, and no pose of a frame that has come.
 
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use crossbeam::channel::{Receiver, Sender, TryRecvError, TrySendError, bounded};
 use tracing::{info, warn};
 
-use crate::camera::FrameSource;
+use crate::calibration::store;
 use crate::camera::controls::{Control, ControlError, ControlState, Decides, Setting};
+use crate::camera::{Device, FrameSource};
 use crate::messages::{Automatic, CameraControl, Command, CommandReply, command_kind, reply_code};
 use crate::publish;
 
@@ -19,10 +21,13 @@ pub const CAMERA_QUEUE: usize = 4;
 /// A driver gives a control transfer up after 5 s, and with it its order: time for this one and one before it.
 const PATIENCE: Duration = Duration::from_secs(12);
 
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 enum Wish {
     Tell,
     Set(Control, Setting),
+    Identify,
+    /// The calibration in a file.
+    Keep(PathBuf),
 }
 
 /// What the capture stage is asked for.
@@ -35,22 +40,65 @@ pub struct CameraOrder {
 impl CameraOrder {
     /// Between two frames; `source`: `None` while there is no camera.
     pub fn carry_out(self, source: Option<&mut (dyn FrameSource + 'static)>) {
-        let answer = match source {
-            Some(source) => answer(source, self.wish),
-            None => CommandReply::new(reply_code::FAILED, "there is no camera at the moment"),
+        let answer = match (source, self.wish) {
+            (None, _) => CommandReply::new(reply_code::FAILED, "there is no camera at the moment"),
+            (Some(source), Wish::Keep(path)) => match source.device() {
+                Some(camera) => return keep(camera, source.description().size, path, self.reply),
+                None => no_camera(source),
+            },
+            (Some(source), Wish::Identify) => match source.device() {
+                Some(camera) => {
+                    let text = format!("{} {}", camera.identity, camera.path.display());
+                    CommandReply::new(reply_code::OK, &text)
+                }
+                None => no_camera(source),
+            },
+            (Some(source), Wish::Tell) => answer(source, None),
+            (Some(source), Wish::Set(control, to)) => answer(source, Some((control, to))),
         };
         // Whoever asked may have gone.
         let _ = self.reply.try_send(answer);
     }
 }
 
-fn answer(source: &mut dyn FrameSource, wish: Wish) -> CommandReply {
-    let done = match wish {
-        Wish::Tell => source.controls().map(|controls| {
+fn no_camera(source: &dyn FrameSource) -> CommandReply {
+    let text = format!("{} is no camera, so nothing is kept of one", source.description().name);
+    CommandReply::new(reply_code::UNSUPPORTED, &text)
+}
+
+/// In a thread of its own: frames do not wait for a disk. Of the files that it writes none is ever half there, however it ends.
+fn keep(camera: Device, size: Option<(u32, u32)>, path: PathBuf, reply: Sender<CommandReply>) {
+    let work = move || {
+        let answer = match store::adopt(&store::state_folders(), &camera.identity, size, &path) {
+            Ok(kept) => {
+                let kept = kept.display().to_string();
+                info!(camera = %camera.identity, path = kept, "calibration kept");
+                let text =
+                    format!("kept as {kept} for camera {}, which has it from the next start on", camera.identity);
+                CommandReply::new(reply_code::OK, &text)
+            }
+            Err(error) => {
+                let reason = error.to_string();
+                warn!(reason, "command not carried out");
+                CommandReply::new(reply_code::FAILED, &reason)
+            }
+        };
+        let _ = reply.try_send(answer);
+    };
+    // Without a thread nobody answers, which the sender is told.
+    if let Err(error) = std::thread::Builder::new().name("cairn-calibration".into()).spawn(work) {
+        warn!(%error, "command not carried out");
+    }
+}
+
+/// Tells of the controls, or sets one.
+fn answer(source: &mut dyn FrameSource, set: Option<(Control, Setting)>) -> CommandReply {
+    let done = match set {
+        None => source.controls().map(|controls| {
             let lines: Vec<String> = controls.iter().map(|c| wire(c).to_string()).collect();
             lines.join("\n")
         }),
-        Wish::Set(control, to) => source.set_control(control, to).map(|state| {
+        Some((control, to)) => source.set_control(control, to).map(|state| {
             let automatic = state.decides == Decides::Camera;
             info!(control = control.name(), value = state.value, automatic, "camera control set");
             sentence(&state)
@@ -67,7 +115,7 @@ fn answer(source: &mut dyn FrameSource, wish: Wish) -> CommandReply {
                 ControlError::Refused { .. } => reply_code::FAILED,
             };
             let reason = error.to_string();
-            if let Wish::Set(..) = wish {
+            if set.is_some() {
                 warn!(reason, "command not carried out");
             }
             CommandReply::new(code, &reason)
@@ -106,8 +154,14 @@ fn sentence(state: &ControlState) -> String {
 /// What a command asks for; the error says how it should be.
 fn wish(command: &Command) -> Result<Wish, &'static str> {
     const FORM: &str = "exposure, gain or focus, a space, and a number or auto";
-    if command.kind == command_kind::CAMERA_CONTROLS {
-        return Ok(Wish::Tell);
+    match command.kind {
+        command_kind::CAMERA_CONTROLS => return Ok(Wish::Tell),
+        command_kind::CAMERA_IDENTITY => return Ok(Wish::Identify),
+        command_kind::KEEP_CALIBRATION => {
+            let path = command.path().map(PathBuf::from).filter(|path| path.is_absolute());
+            return path.map(Wish::Keep).ok_or("the path must be absolute and UTF-8");
+        }
+        _ => {}
     }
     let (name, to) = command.path().and_then(|text| text.split_once(' ')).ok_or(FORM)?;
     let control = Control::ALL.into_iter().find(|control| control.name() == name).ok_or(FORM)?;
@@ -219,6 +273,10 @@ mod tests {
         fn grab(&mut self, _: &mut RawFrame, _: Duration) -> Result<Grab, SourceError> {
             Ok(Grab::End)
         }
+        fn device(&self) -> Option<Device> {
+            let identity = store::CameraIdentity::parse("046d:0825")?;
+            Some(Device { identity, path: "/dev/video3".into() })
+        }
         fn controls(&mut self) -> Result<Vec<ControlState>, ControlError> {
             let value = self.gain.ok_or(ControlError::Missing(Control::Gain))?;
             let (low, high, step, default, decides) = (0.0, 255.0, 1.0, 64.0, Decides::OnlyUs);
@@ -251,6 +309,32 @@ mod tests {
         CameraOrder { wish, reply }.carry_out(source);
         let answer = outcome.try_recv().expect("answered");
         (answer.code, answer.message().into())
+    }
+
+    #[test]
+    fn a_calibration_is_kept_of_a_camera_only_and_what_is_wrong_with_it_is_said() {
+        let order = |source: Option<&mut (dyn FrameSource + 'static)>, command: &Command| {
+            let wish = match wish(command) {
+                Ok(wish) => wish,
+                Err(why) => return (reply_code::INVALID, why.to_owned()),
+            };
+            let (reply, outcome) = bounded(1);
+            CameraOrder { wish, reply }.carry_out(source);
+            let answer = outcome.recv_timeout(Duration::from_secs(10)).expect("answered");
+            (answer.code, answer.message().to_owned())
+        };
+        let keep = |path| Command::with_path(command_kind::KEEP_CALIBRATION, path).expect("short");
+        let identify = Command::new(command_kind::CAMERA_IDENTITY);
+        let mut camera = Source::new(Some(64.0));
+        assert_eq!(order(Some(&mut camera), &identify), (reply_code::OK, "046d:0825 /dev/video3".into()));
+        assert_eq!(order(Some(&mut camera), &keep("camera.toml")).0, reply_code::INVALID, "whose folder?");
+        let (code, text) = order(Some(&mut camera), &keep("/not/there.toml"));
+        assert!(code == reply_code::FAILED && text.starts_with("/not/there.toml: "), "{code} {text}");
+        assert_eq!(order(None, &keep("/not/there.toml")).0, reply_code::FAILED);
+        for command in [identify, keep("/not/there.toml")] {
+            let (code, text) = order(Some(&mut Plain(Source::new(None))), &command);
+            assert!(code == reply_code::UNSUPPORTED && text.contains("simulator hall seed 1"), "{code} {text}");
+        }
     }
 
     #[test]

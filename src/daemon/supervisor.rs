@@ -262,7 +262,10 @@ impl Bench {
             | command_kind::LOCALISE
             | command_kind::LIST_MAPS
             | command_kind::COPY_MAP => return self.map_command(request),
-            command_kind::CAMERA_CONTROLS | command_kind::SET_CAMERA => return self.camera.take(request),
+            command_kind::CAMERA_CONTROLS
+            | command_kind::SET_CAMERA
+            | command_kind::CAMERA_IDENTITY
+            | command_kind::KEEP_CALIBRATION => return self.camera.take(request),
             _ => {
                 request.refuse();
                 return;

@@ -35,6 +35,10 @@ pub mod command_kind {
     /// Set a control of the camera to a value in its unit, or have the camera decide: `path` is its name, a space, and a number or `auto`. It holds
     /// until the camera is opened anew.
     pub const SET_CAMERA: u32 = 12;
+    /// Name the camera: the message is its identity, as calibrations are found by, a space, and its device file.
+    pub const CAMERA_IDENTITY: u32 = 13;
+    /// Keep the calibration in the file `path` for the camera, which has it from the daemon's next start on. The message says where it lies.
+    pub const KEEP_CALIBRATION: u32 = 14;
 }
 
 /// Values of [`CommandReply::code`].

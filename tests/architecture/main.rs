@@ -55,6 +55,8 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
     (
         "daemon",
         &[
+            // A calibration that is handed in is kept where the camera's is looked for.
+            "calibration",
             "camera",
             "config",
             "features",

@@ -183,6 +183,15 @@ class Client:
         """Sets the control of this name to a value in its unit, or has the camera decide ("auto"). It holds until the camera is opened anew."""
         return self.command("SET_CAMERA", f"{control} {value}", timeout=timeout)
 
+    def camera_identity(self, timeout=15.0):
+        """Which camera it is: (identity, as calibrations are found by, device file); Refused where it is no camera: a recording, the simulator."""
+        identity, _, device = self.command("CAMERA_IDENTITY", timeout=timeout).partition(" ")
+        return identity, device
+
+    def keep_calibration(self, path, timeout=15.0):
+        """Has the daemon keep a calibration file, which it must be able to read, for its camera; it is used from the daemon's next start on."""
+        return self.command("KEEP_CALIBRATION", os.path.abspath(path), timeout=timeout)
+
     def set_pose(self, x, y, yaw=0.0, z=0.0, timeout=10.0):
         """Says where the robot is now (map units, rad): poses and map are published accordingly from then on."""
         return self.command(

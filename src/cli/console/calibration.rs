@@ -1,21 +1,16 @@
 //! The calibrations of the console: what `cairn calibrate` does with a camera, with the pictures that the console gets.
 
-use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use crate::calibration::chessboard::{Board, BoardCorner, Pattern};
 use crate::calibration::export::Format;
 use crate::calibration::guide::{ENOUGH_VIEWS, Guide, MAX_VIEWS, Seen};
-use crate::calibration::store::{self, CameraIdentity};
 use crate::calibration::verdict::{
     self, COVERAGE, MAX_CENTRE_SIGMA, MAX_FOCAL_SIGMA, MIN_COVERED, TILT_DEG, coverage, precision,
 };
-use crate::camera::v4l2::{V4l2Config, list_cameras};
-use crate::cli::calibrate::{encode, keep};
-use crate::cli::camera_calibration::identify;
-use crate::cli::doctor::processes;
+use crate::cli::calibrate::encode;
 use crate::console::calibration::{
-    Board as Asked, Calibrator, Camera, Gauge, Glance, Guidance, Guided, Lens, Look, Need, Outcome, Picture, Value,
+    Board as Asked, Calibrator, Gauge, Glance, Guidance, Guided, Lens, Look, Need, Outcome, Picture, Value,
 };
 use crate::geometry::plane_calibration::Distortion;
 use crate::image::GreyImage;
@@ -25,16 +20,7 @@ const SUPPOSED_SQUARE_M: f64 = 0.025;
 
 /// Calibrates with chessboards.
 #[derive(Debug)]
-pub struct Chessboards {
-    /// Where calibrations are kept, the first choice first.
-    folders: Vec<PathBuf>,
-}
-
-impl Default for Chessboards {
-    fn default() -> Self {
-        Self { folders: store::state_folders() }
-    }
-}
+pub struct Chessboards;
 
 impl Calibrator for Chessboards {
     fn begin(&self, board: &Asked) -> Result<Box<dyn Guided>, String> {
@@ -48,26 +34,17 @@ impl Calibrator for Chessboards {
             pattern,
             has_square: board.square_m.is_some(),
             size: (0, 0),
-            folders: self.folders.clone(),
         }))
-    }
-
-    fn camera_of(&self, pid: u32) -> Option<Camera> {
-        let holds = |path: &Path| processes::holders(Path::new("/proc"), path).0.iter().any(|p| p.pid == pid);
-        let cameras = list_cameras(&V4l2Config::default());
-        let info = cameras.into_iter().flatten().find(|info| holds(&info.path))?;
-        Some(Camera { identity: identify(&info).to_string(), device: info.path.display().to_string() })
     }
 }
 
-/// A [`Guide`] and whom it is for.
+/// A [`Guide`] and what it was asked for.
 #[derive(Debug)]
 struct Sitting {
     guide: Guide,
     pattern: Pattern,
     has_square: bool,
     size: (u32, u32),
-    folders: Vec<PathBuf>,
 }
 
 impl Guided for Sitting {
@@ -130,13 +107,6 @@ impl Guided for Sitting {
             file: encode(&calibrated.file(None, now_unix_s()), Format::Cairn, &file_name).ok()?,
             file_name,
         })
-    }
-
-    fn save(&self, camera: &Camera) -> Result<String, String> {
-        let calibrated = self.guide.solution().ok_or("nothing is calibrated")?;
-        let identity = CameraIdentity::parse(&camera.identity).ok_or("the camera has no identity")?;
-        let file = calibrated.file(Some(&identity), now_unix_s());
-        keep(&self.folders, &identity, &file).map(|lines| lines.join("; ")).map_err(|e| e.to_string())
     }
 }
 

@@ -158,9 +158,6 @@ pub struct Camera {
 pub trait Calibrator: Debug + Send + Sync {
     /// The error says what is wrong with the board.
     fn begin(&self, board: &Board) -> Result<Box<dyn Guided>, String>;
-
-    /// The camera of a daemon that is this process; `None` if it has none or does not let itself be looked into.
-    fn camera_of(&self, pid: u32) -> Option<Camera>;
 }
 
 /// A calibration under way.
@@ -175,7 +172,4 @@ pub trait Guided: Debug + Send {
 
     /// The camera as far as it is known; `None` if the views are too few.
     fn outcome(&self) -> Option<Outcome>;
-
-    /// Keeps it where the daemon finds it at its next start; the sentence says where.
-    fn save(&self, camera: &Camera) -> Result<String, String>;
 }

@@ -25,11 +25,14 @@ pub enum Action {
     },
     /// Takes what there is.
     Finish {},
-    /// Keeps the outcome for the camera.
+    /// Has the daemon keep the outcome for its camera.
     Save {},
     /// Gives it up, or puts its outcome away.
     Cancel {},
 }
+
+/// Has the daemon keep a calibration, the text of its file, for its camera; the sentence says where.
+pub type Keep<'a> = dyn Fn(&str) -> Result<String, String> + 'a;
 
 #[derive(Debug)]
 enum State {
@@ -56,7 +59,6 @@ struct Running {
 #[derive(Debug)]
 struct Done {
     board: Board,
-    guided: Box<dyn Guided>,
     guidance: Guidance,
     outcome: Outcome,
     why: &'static str,
@@ -112,8 +114,8 @@ impl Session {
         })
     }
 
-    /// An order of a page; the sentence says what became of it. `id`: the order's.
-    pub fn obey(&mut self, action: Action, id: u32, now: Instant) -> Result<String, String> {
+    /// An order of a page; the sentence says what became of it. `id`: the order's; `keep` has the daemon keep the text of a calibration.
+    pub fn obey(&mut self, action: Action, id: u32, now: Instant, keep: &Keep<'_>) -> Result<String, String> {
         match action {
             Action::Start { board } => self.start(board, id, now),
             Action::Finish {} => match &self.state {
@@ -126,7 +128,7 @@ impl Session {
                 }
                 _ => Err("no calibration is under way".into()),
             },
-            Action::Save {} => self.save(),
+            Action::Save {} => self.save(keep),
             Action::Cancel {} => match std::mem::replace(&mut self.state, State::Idle) {
                 State::Idle => Err("no calibration is under way".into()),
                 State::Running(_) => Ok("the calibration is cancelled, and nothing is kept of it".into()),
@@ -159,12 +161,12 @@ impl Session {
         Ok(said)
     }
 
-    fn save(&mut self) -> Result<String, String> {
+    fn save(&mut self, keep: &Keep<'_>) -> Result<String, String> {
         let State::Done(done) = &mut self.state else { return Err("no calibration is finished".into()) };
-        let Some(camera) = &done.camera else {
-            return Err("which camera it is is not known: download the file instead".into());
-        };
-        let said = done.guided.save(camera)?;
+        if done.camera.is_none() {
+            return Err("the daemon has no camera that it could be kept for: download the file instead".into());
+        }
+        let said = keep(&done.outcome.file)?;
         done.saved = Some(said.clone());
         Ok(said)
     }
@@ -234,11 +236,9 @@ impl Session {
         // While it is running still: what panics here is that calibration's end.
         let outcome = running.guided.outcome();
         let State::Running(running) = std::mem::replace(&mut self.state, State::Idle) else { return };
-        let Running { board, guided, guidance, camera, .. } = running;
+        let Running { board, guidance, camera, .. } = running;
         self.state = match outcome {
-            Some(outcome) => {
-                State::Done(Done { board, guided, guidance, outcome, why, camera: camera.flatten(), saved: None })
-            }
+            Some(outcome) => State::Done(Done { board, guidance, outcome, why, camera: camera.flatten(), saved: None }),
             None => {
                 State::Failed { board, why: format!("{why}: {} views are too few to calibrate from", guidance.views) }
             }

@@ -24,8 +24,10 @@ const LONGEST_REST: Duration = Duration::from_millis(250);
 const NAP: Duration = Duration::from_millis(200);
 /// Orders that wait.
 const WAITING: usize = 4;
-/// Health comes ten times a second.
-const HEALTH_TIME: Duration = Duration::from_secs(1);
+/// Health comes ten times a second, and a camera's name in the next turn of the daemon.
+const DAEMON_TIME: Duration = Duration::from_secs(1);
+/// A slow disk takes seconds to have a file.
+const KEEPING_TIME: Duration = Duration::from_secs(10);
 
 /// An order of a page, with its number.
 pub type Asked = (Arc<Outbox>, u32, Action);
@@ -77,7 +79,7 @@ pub fn run(
         select! {
             recv(desk.received) -> asked => {
                 let Ok((page, id, action)) = asked else { return };
-                let done = session.guarded(|s| s.obey(action, id, Instant::now())).unwrap_or_else(Err);
+                let done = session.guarded(|s| s.obey(action, id, Instant::now(), &|file| keep(source, file))).unwrap_or_else(Err);
                 info!(ok = done.is_ok(), said = done.as_ref().unwrap_or_else(|e| e), "console: calibration");
                 tell(&session);
                 answer(&page, id, &session.told(Instant::now()).terminal, done);
@@ -88,7 +90,7 @@ pub fn run(
                 let _ = session.guarded(|session| {
                     session.look(picture);
                     if let Some(run_id) = session.nameless() {
-                        session.name(camera(source, run_id, calibrator.as_ref()));
+                        session.name(camera(source, run_id));
                     }
                 });
                 session.wait(Instant::now());
@@ -108,8 +110,17 @@ pub fn run(
     desk.tray.set_open(false);
 }
 
-/// The camera of the daemon whose pictures they are.
-fn camera(source: &Source, run_id: u64, calibrator: &dyn Calibrator) -> Option<Camera> {
-    let health = source.client().ok()?.health().wait(HEALTH_TIME).ok()??;
-    (health.run_id == run_id).then(|| calibrator.camera_of(health.pid))?
+/// The camera of the daemon whose pictures they are; `None`: it has none, but a recording or a simulator.
+fn camera(source: &Source, run_id: u64) -> Option<Camera> {
+    let client = source.client().ok()?;
+    let health = client.health().wait(DAEMON_TIME).ok()??;
+    let (identity, device) = client.camera_identity(DAEMON_TIME).ok()?.ok().filter(|_| health.run_id == run_id)?;
+    Some(Camera { identity, device })
+}
+
+/// Has the daemon keep a calibration for its camera.
+fn keep(source: &Source, file: &str) -> Result<String, String> {
+    let client = source.client().map_err(|e| e.to_string())?;
+    let reply = client.keep_calibration(file, KEEPING_TIME).map_err(|e| e.to_string())?;
+    if reply.is_ok() { Ok(reply.message().into()) } else { Err(reply.message().into()) }
 }

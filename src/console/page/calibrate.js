@@ -172,16 +172,7 @@ export class Calibration {
     }));
     const words = outcome.words.map((text) => element("li", { textContent: capital(text).replace(" +- ", " ± ") }));
     if (saved) words.push(element("li", { className: "saved", textContent: `${capital(saved)}. The daemon takes it at its next start.` }));
-    if (!camera) {
-      // A daemon that is a service may not be looked into, so nobody here knows where it looks for this camera's.
-      const file = outcome.file_name, kept = `/etc/cairn/${file}`;
-      words.push(element("li", {}, [
-        element("span", { textContent: "Which camera this is cannot be known here. Download the file, copy it to the robot, and run there what follows; the service takes it then:" }),
-        element("code", { className: "shell", textContent: `sudo install -m 644 ${file} ${kept}` }),
-        element("code", { className: "shell", textContent: `under [calibration] in /etc/cairn/cairn.toml: file = "${kept}"` }),
-        element("code", { className: "shell", textContent: "sudo systemctl restart cairn" }),
-      ]));
-    }
+    if (!camera) words.push(element("li", { textContent: "This daemon has no camera that it could be kept for (a recording or the simulator): Download has the file." }));
     $("board-words").replaceChildren(...words);
   }
 

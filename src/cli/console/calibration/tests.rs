@@ -5,9 +5,10 @@ use std::time::{Duration, Instant};
 
 use super::*;
 use crate::calibration::CalibrationFile;
+use crate::calibration::store::{self, CameraIdentity};
 use crate::camera::simulator::{Scenario, Simulator, SimulatorConfig};
 use crate::camera::{FrameSource, Grab, Pacing};
-use crate::console::calibration::{Action, Session};
+use crate::console::calibration::{Action, Camera, Session};
 use crate::frame::RawFrame;
 use crate::geometry::CameraModel;
 use crate::image::decode::Decoder;
@@ -51,16 +52,21 @@ fn board(columns: u32, rows: u32, square_m: Option<f64>) -> Asked {
     Asked { columns, rows, square_m, lens: Lens::Full }
 }
 
-fn session(folder: &Path) -> Session {
-    Session::new(Arc::new(Chessboards { folders: vec![folder.to_path_buf()] }))
+fn session() -> Session {
+    Session::new(Arc::new(Chessboards))
+}
+
+/// Nobody asks for it.
+fn unasked(_: &str) -> Result<String, String> {
+    panic!("nothing is to be kept")
 }
 
 #[test]
 fn a_guided_calibration_ends_with_the_true_camera_and_is_kept_for_it() {
     let dir = tempfile::tempdir().expect("folder");
     let mut sweep = Sweep::new();
-    let mut session = session(dir.path());
-    session.obey(Action::Start { board: board(9, 6, Some(0.03)) }, 5, sweep.now).expect("started");
+    let mut session = session();
+    session.obey(Action::Start { board: board(9, 6, Some(0.03)) }, 5, sweep.now, &unasked).expect("started");
     let camera = Camera { identity: "046d:0825:ABC".into(), device: "/dev/video3".into() };
     let (mut most_views, mut drawn, mut needs) = (0, 0, Vec::new());
     for n in 0..900 {
@@ -101,10 +107,16 @@ fn a_guided_calibration_ends_with_the_true_camera_and_is_kept_for_it() {
     std::fs::write(&file, &outcome.file).expect("written");
     let read = CalibrationFile::load(&file).expect("what is downloaded is a calibration");
     assert!((read.camera.fx - outcome.values[0].value).abs() < 1e-6);
-    std::fs::remove_file(file).expect("removed");
 
-    let said = session.obey(Action::Save {}, 6, sweep.now).expect("saved");
     let identity = CameraIdentity::parse("046d:0825:ABC").expect("identity");
+    // What the daemon does with what is handed over.
+    let keep = |text: &str| {
+        std::fs::write(&file, text).map_err(|e| e.to_string())?;
+        let kept = store::adopt(&[dir.path().to_path_buf()], &identity, Some((480, 360)), &file);
+        std::fs::remove_file(&file).expect("removed");
+        kept.map(|path| format!("kept as {}", path.display())).map_err(|e| e.to_string())
+    };
+    let said = session.obey(Action::Save {}, 6, sweep.now, &keep).expect("saved");
     let (found, faults) = store::find(&[dir.path().to_path_buf()], &identity, (480, 360));
     let found = found.unwrap_or_else(|| panic!("not found: {faults:?}"));
     assert!(said.contains(&found.path.display().to_string()), "{said}");
@@ -114,13 +126,12 @@ fn a_guided_calibration_ends_with_the_true_camera_and_is_kept_for_it() {
 
 #[test]
 fn what_there_is_can_be_taken_once_it_is_a_camera_and_is_no_good_one() {
-    let dir = tempfile::tempdir().expect("folder");
     let mut sweep = Sweep::new();
-    let mut session = session(dir.path());
-    session.obey(Action::Start { board: board(9, 6, None) }, 1, sweep.now).expect("started");
+    let mut session = session();
+    session.obey(Action::Start { board: board(9, 6, None) }, 1, sweep.now, &unasked).expect("started");
     let (picture, now) = sweep.next();
     session.look(picture);
-    let error = session.obey(Action::Finish {}, 2, now).expect_err("nothing to calibrate from");
+    let error = session.obey(Action::Finish {}, 2, now, &unasked).expect_err("nothing to calibrate from");
     assert!(error.contains("too few"), "{error}");
     for _ in 0..400 {
         let (picture, now) = sweep.next();
@@ -129,7 +140,7 @@ fn what_there_is_can_be_taken_once_it_is_a_camera_and_is_no_good_one() {
             break;
         }
     }
-    session.obey(Action::Finish {}, 3, sweep.now).expect("taken");
+    session.obey(Action::Finish {}, 3, sweep.now, &unasked).expect("taken");
     let told = session.told(sweep.now);
     let outcome = told.outcome.expect("outcome");
     assert!(!outcome.good && outcome.words.iter().any(|w| w.starts_with("missing: ")), "{:?}", outcome.words);
@@ -137,17 +148,16 @@ fn what_there_is_can_be_taken_once_it_is_a_camera_and_is_no_good_one() {
         !told.guidance.expect("guidance").gauges.iter().any(|g| g.name == "distance"),
         "nobody said how long a square is"
     );
-    let error = session.obey(Action::Save {}, 4, sweep.now).expect_err("whose camera?");
+    let error = session.obey(Action::Save {}, 4, sweep.now, &unasked).expect_err("whose camera?");
     assert!(error.contains("download"), "{error}");
-    session.obey(Action::Cancel {}, 5, sweep.now).expect("put away");
+    session.obey(Action::Cancel {}, 5, sweep.now, &unasked).expect("put away");
     assert_eq!(session.told(sweep.now).phase, "idle");
 }
 
 #[test]
 fn another_board_is_told_apart_and_impossible_ones_are_refused() {
-    let dir = tempfile::tempdir().expect("folder");
     let mut sweep = Sweep::new();
-    let mut session = session(dir.path());
+    let mut session = session();
     for (asked, reason) in [
         (board(2, 6, None), "pattern 2x6"),
         (board(9, 31, None), "3 to 30"),
@@ -156,11 +166,12 @@ fn another_board_is_told_apart_and_impossible_ones_are_refused() {
         (board(9, 6, Some(-0.025)), "square -0.025 m"),
         (board(9, 6, Some(f64::NAN)), "0.0001 and 10 m"),
     ] {
-        let error = session.obey(Action::Start { board: asked.clone() }, 1, sweep.now).expect_err("impossible");
+        let error =
+            session.obey(Action::Start { board: asked.clone() }, 1, sweep.now, &unasked).expect_err("impossible");
         assert!(error.contains(reason), "{asked:?}: {error}");
         assert_eq!(session.told(sweep.now).phase, "idle");
     }
-    session.obey(Action::Start { board: board(8, 5, None) }, 2, sweep.now).expect("started");
+    session.obey(Action::Start { board: board(8, 5, None) }, 2, sweep.now, &unasked).expect("started");
     let (picture, now) = sweep.next();
     session.look(picture);
     let told = session.told(now);

@@ -14,9 +14,6 @@ impl Calibrator for Counter {
     fn begin(&self, board: &Board) -> Result<Box<dyn Guided>, String> {
         if board.columns < 3 { Err("too small".into()) } else { Ok(Box::new(Counting(0))) }
     }
-    fn camera_of(&self, _: u32) -> Option<Camera> {
-        None
-    }
 }
 
 impl Guided for Counting {
@@ -33,11 +30,8 @@ impl Guided for Counting {
         self.0 >= 5
     }
     fn outcome(&self) -> Option<Outcome> {
-        let (file, file_name) = (String::new(), "camera.toml".to_owned());
+        let (file, file_name) = ("fx_px = 500".to_owned(), "camera.toml".to_owned());
         (self.0 >= 3).then_some(Outcome { values: Vec::new(), good: true, words: Vec::new(), file, file_name })
-    }
-    fn save(&self, camera: &Camera) -> Result<String, String> {
-        Ok(camera.identity.clone())
     }
 }
 
@@ -53,7 +47,11 @@ impl Table {
 
     fn start(&mut self, id: u32) -> Result<String, String> {
         let board = Board { columns: 9, rows: 6, square_m: None, lens: Lens::Full };
-        self.session.obey(Action::Start { board }, id, self.now)
+        self.obey(Action::Start { board }, id)
+    }
+
+    fn obey(&mut self, action: Action, id: u32) -> Result<String, String> {
+        self.session.obey(action, id, self.now, &|file| Ok(format!("kept: {file}")))
     }
 
     fn look(&mut self, run_id: u64) {
@@ -77,7 +75,7 @@ fn one_runs_at_a_time_whichever_page_began_it_and_any_page_may_end_it() {
     let error = table.start(20).expect_err("the second page's");
     assert!(error.contains("under way (1 views of a board of 9x6)"), "{error}");
     assert_eq!((table.session.told(table.now).by, table.session.told(table.now).run), (10, 1));
-    table.session.obey(Action::Cancel {}, 21, table.now).expect("cancelled");
+    table.obey(Action::Cancel {}, 21).expect("cancelled");
     assert_eq!(table.phase(), "idle");
     table.look(1);
     assert_eq!(table.phase(), "idle", "a late picture begins nothing");
@@ -96,20 +94,20 @@ fn it_ends_with_the_last_view_or_with_what_there_is_and_another_can_begin() {
         table.look(1);
     }
     assert_eq!(table.phase(), "done");
-    assert!(table.session.obey(Action::Finish {}, 2, table.now).is_err(), "it is over");
-    assert!(table.session.obey(Action::Save {}, 2, table.now).is_err(), "nobody knows the camera");
+    assert!(table.obey(Action::Finish {}, 2).is_err(), "it is over");
+    assert!(table.obey(Action::Save {}, 2).is_err(), "nobody knows the camera");
     table.start(3).expect("an outcome holds nobody up");
     assert_eq!(table.session.nameless(), None, "no picture, no daemon");
     table.look(1);
     assert_eq!(table.session.nameless(), Some(1));
     table.session.name(Some(Camera { identity: "046d:0825".into(), device: "/dev/video0".into() }));
     assert_eq!(table.session.nameless(), None);
-    assert!(table.session.obey(Action::Finish {}, 4, table.now).is_err_and(|e| e.contains("too few")));
+    assert!(table.obey(Action::Finish {}, 4).is_err_and(|e| e.contains("too few")));
     table.look(1);
     table.look(1);
-    table.session.obey(Action::Finish {}, 5, table.now).expect("three are enough");
-    assert_eq!(table.session.obey(Action::Save {}, 6, table.now).as_deref(), Ok("046d:0825"));
-    assert_eq!(table.session.told(table.now).saved, Some("046d:0825"));
+    table.obey(Action::Finish {}, 5).expect("three are enough");
+    assert_eq!(table.obey(Action::Save {}, 6).as_deref(), Ok("kept: fx_px = 500"));
+    assert_eq!(table.session.told(table.now).saved, Some("kept: fx_px = 500"));
 }
 
 #[test]

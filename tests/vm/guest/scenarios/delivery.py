@@ -1,5 +1,6 @@
 """A camera that is there and delivers badly: nothing, half, garbage, another format."""
 
+import pathlib
 import time
 
 from robot import CAIRN, CAMERA_GONE, check, now, row, sh, summary
@@ -159,7 +160,8 @@ def controls(stage):
                  "control 1 0x2 = 1", "control 1 0x4 = 80", "control 2 0x4 = 200", "control 2 0xb = 0"]:
         check(line in said, f"the camera was not told {line!r}: {said}")
     return [row(health, began, "focus 30, 50 Hz, lock after 2 s with exposure of at most 8 ms",
-                note="autofocus off, exposure 25 ms to 8 ms, gain 64 to 200"), by_hand(camera, health)]
+                note="autofocus off, exposure 25 ms to 8 ms, gain 64 to 200"), by_hand(camera, health),
+            handed_in(stage, camera, daemon, health)]
 
 
 def by_hand(camera, health):
@@ -186,6 +188,31 @@ def by_hand(camera, health):
     health.flowing(now(), 5, frames=5)
     return row(health, began, "exposure 12.5 ms, gain 90, focus 60 by command while it streams, and exposure given back",
                note="beyond the range: refused with range and unit")
+
+
+def handed_in(stage, camera, daemon, health):
+    """A calibration that is handed in while it streams is kept for this camera, and is what the daemon's next start begins with."""
+    began = now()
+    handed = pathlib.Path("/home/cairn-handed.toml")
+    handed.write_text("width_px = 320\nheight_px = 240\nfx_px = 251.5\nfy_px = 251.0\ncx_px = 160.0\ncy_px = 120.0\n"
+                      "distortion = [0.0, 0.0, 0.0, 0.0, 0.0]\nrms_px = 0.2\n")
+    handed.chmod(0o644)
+    command = f"{CAIRN} command keep-calibration {handed}"
+    status, text = sh(f"{CAIRN} command camera", 20, "cairn")
+    identity = text.split()[1] if text.startswith("camera ") else ""
+    check(status == 0 and identity.endswith(":A1") and camera.node in text, f"which camera it is: {status}: {text}")
+    status, text = sh(command, 20, "cairn")
+    check(status == 0 and "/var/lib/cairn/cameras/" in text and identity in text, f"keep-calibration: {status}: {text}")
+    check(not list(pathlib.Path("/dev/shm").glob("cairn-calibration-*")), "what was handed over is left behind")
+    handed.write_text(handed.read_text() + f'camera = "{identity[:-3]}:B7"\n')
+    status, text = sh(command, 20, "cairn")
+    check(status == 1 and f"the daemon's is {identity}" in text, f"of another camera: {status}: {text}")
+    health.flowing(now(), 5, frames=5)
+    daemon.close()
+    daemon = stage.daemon(calibration="")
+    daemon.wait_said("stored calibration used.*/var/lib/cairn/cameras/", 10)
+    handed.unlink()
+    return row(health, began, "a calibration handed in while it streams", note="kept for this camera, refused for another, used from the next start on")
 
 
 SCENARIOS = {"stops_delivering": stops_delivering, "half_rate": half_rate, "bad_frames": bad_frames,
