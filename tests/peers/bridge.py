@@ -5,8 +5,8 @@ and the package `cairn` say what it should be.
 
 1. A demo whose scale nobody knows: odometry in `odom_unscaled` and no transforms, pictures only while a subscriber's token stands (none while two other
    readers have them), a reset by a service and none by a pattern of keys, no command that has waited too long, a router that goes away and comes back.
-2. Under the same bridge a demo with its camera at a known height: transforms once lengths are metres, tf_static for who comes late, scans on demand,
-   placed by their own pose, an initial pose.
+2. Under the same bridge a demo that drives with its camera at a known height: transforms once lengths are metres, tf_static for who comes late and with
+   the mount that the wheels have shown, scans on demand, placed by their own pose, an initial pose.
 3. A bridge with `--no-commands` declares nothing that could be asked.
 4. SIGTERM ends it, and its tokens are gone.
 
@@ -43,7 +43,17 @@ DOMAIN = 7
 STORE = get_typestore(Stores.ROS2_JAZZY)
 # Of a demo, which is ended earlier; and of all of this, after which it has hung.
 DEMO_SECONDS, ALL_SECONDS = 180, 270
-METRIC_CONFIG = "[simulator]\nwidth = 320\nheight = 240\nspeed = 2.0\n[scale]\ncamera_height_m = 0.5\n"
+# A base that drives, whose wheels show where the camera sits: nobody has told that.
+METRIC_CONFIG = """
+[simulator]
+width = 320
+height = 240
+scenario = "square"
+[simulator.wheels]
+enabled = true
+[scale]
+camera_height_m = 0.5
+"""
 
 
 def type_hash(name):
@@ -330,6 +340,20 @@ def check_scans(network, wire):
     return compared
 
 
+def check_mount(static, wire_client):
+    """What is sent last is what the daemon uses, which the motion of the base has shown."""
+    reader = wire_client.encoded()
+    try:
+        picture = until("a picture on the wire", 10, lambda: reader.wait(0.5))
+        place, turn = [float(v) for v in picture.camera_position], [float(v) for v in picture.camera_orientation]
+    finally:
+        reader.close()
+    transform = static()[-1].transforms[0].transform
+    shift, turned = transform.translation, transform.rotation
+    assert any(place), "the wheels have shown nothing"
+    return [shift.x, shift.y, shift.z] == place and [turned.x, turned.y, turned.z, turned.w] == turn and place
+
+
 def check_poses(messages, wire, frame, child, fields):
     """Each against the pose on the wire of the same time; the clocks' offset is measured anew with each health, so times agree to a millisecond."""
     times = sorted(dict(wire.poses))
@@ -542,6 +566,8 @@ def metric(network, wire, bridge, program, out):
     assert [(t.header.frame_id, t.child_frame_id) for t in mount] == [("base_link", "camera")], mount
     assert len(late[0].attachment.to_bytes()) == 33
     held.undeclare()
+    shown = until("the mount that the wheels have shown", 20, lambda: check_mount(static, cairn.Client()))
+    print(f"tf_static: the camera at ({shown[0]:.3f}, {shown[1]:.3f}) m, as the wheels have shown it")
     odom = network.fresh("odom")
     until("metric odometry", 10, lambda: len(odom()) > 60)
     compared = check_poses(odom(), wire, "odom", "base_link", ("odom_position", "odom_orientation"))
