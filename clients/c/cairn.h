@@ -208,6 +208,16 @@
 #define CAIRN_COMMAND_SET_CAMERA 12
 
 /**
+ * Name the camera: the message is its identity, as calibrations are found by, a space, and its device file.
+ */
+#define CAIRN_COMMAND_CAMERA_IDENTITY 13
+
+/**
+ * Keep the calibration in the file `path` for the camera, which has it from the daemon's next start on. The message says where it lies.
+ */
+#define CAIRN_COMMAND_KEEP_CALIBRATION 14
+
+/**
  * Done.
  */
 #define CAIRN_REPLY_OK 0

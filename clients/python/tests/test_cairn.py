@@ -309,6 +309,10 @@ def test_a_simulated_camera_says_that_nothing_can_be_set_on_it(daemon):
         client.set_camera("exposure", "auto")
     with pytest.raises(cairn.Refused, match="INVALID.*a number or auto"):
         client.set_camera("zoom", 2)
+    with pytest.raises(cairn.Refused, match="UNSUPPORTED.*simulator .* is no camera"):
+        client.camera_identity()
+    with pytest.raises(cairn.Refused, match="UNSUPPORTED.*is no camera"):
+        client.keep_calibration("camera.toml")
 
 
 def test_a_cameras_answer_is_read_line_by_line():
