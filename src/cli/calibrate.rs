@@ -16,7 +16,6 @@ pub use args::CalibrateArgs;
 #[cfg(feature = "tools")]
 pub(super) use live::before_board;
 pub(super) use output::encode;
-#[cfg(feature = "tools")]
 use output::{format_of, write_text};
 
 use super::builds::needs_tools;
