@@ -12,7 +12,7 @@ use zenoh::Wait;
 use zenoh::query::Query;
 
 use super::attachment::Attachment;
-use super::inbox::{Inbox, OLDEST, Request};
+use super::inbox::{Inbox, OLDEST, Request, Service};
 use crate::client::{Client, ClientError};
 use crate::messages::{CommandReply, Transform};
 use crate::ros::{CdrError, Field, Reader, Writer};
@@ -22,27 +22,6 @@ use crate::share::frames::frames;
 const TIMEOUT: Duration = Duration::from_secs(30);
 /// How late the end is noticed.
 const TURN: Duration = Duration::from_millis(100);
-
-/// Services, each a `std_srvs/srv/Trigger`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Service {
-    /// Drops the map and starts over.
-    Reset,
-    /// Stores the map in its file.
-    Save,
-}
-
-impl Service {
-    pub const ALL: [Self; 2] = [Self::Reset, Self::Save];
-
-    /// Below the robot's namespace.
-    pub fn word(self) -> &'static str {
-        match self {
-            Self::Reset => "reset",
-            Self::Save => "save",
-        }
-    }
-}
 
 /// See module.
 pub struct Commands {

@@ -11,7 +11,6 @@ use tracing::warn;
 use zenoh::query::Query;
 
 use super::attachment::Attachment;
-use super::commands::Service;
 
 /// Requests that wait.
 const QUEUE: usize = 8;
@@ -19,6 +18,27 @@ const QUEUE: usize = 8;
 pub const OLDEST: Duration = Duration::from_secs(2);
 /// What repeats is said once in so long.
 const SAY_EVERY: Duration = Duration::from_secs(10);
+
+/// Services, each a `std_srvs/srv/Trigger`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Service {
+    /// Drops the map and starts over.
+    Reset,
+    /// Stores the map in its file.
+    Save,
+}
+
+impl Service {
+    pub const ALL: [Self; 2] = [Self::Reset, Self::Save];
+
+    /// Below the robot's namespace.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Reset => "reset",
+            Self::Save => "save",
+        }
+    }
+}
 
 /// `Q`: what is answered.
 pub enum Request<Q = Query> {

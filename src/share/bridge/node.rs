@@ -18,9 +18,9 @@ use zenoh::{Config, Session, Wait};
 use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig, MissDetectionConfig};
 
 use super::attachment::{Attachment, GID_BYTES, gid};
-use super::commands::{Asked, Service, unix_ns};
+use super::commands::{Asked, unix_ns};
 use super::error::{BridgeError, reason};
-use super::inbox::{Inbox, Request};
+use super::inbox::{Inbox, Request, Service};
 use super::names::{INITIAL_POSE, Identity, Kind, Qos, Robot, TRIGGER, Type, key, subscribers};
 use super::topic::Topic;
 
