@@ -9,11 +9,14 @@ pub mod export;
 pub mod graph;
 mod part;
 pub mod picture;
-mod reduction;
+pub mod reduction;
 pub mod saved;
 pub mod scale;
 mod snapshot;
 pub mod store;
+pub mod view;
+
+use std::collections::BTreeSet;
 
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
@@ -99,7 +102,7 @@ pub struct Keyframe {
     pub motion: Option<CameraMotion>,
     /// Templates of its observations are cut from here.
     pub picture: KeyframePicture,
-    /// For relocalisation.
+    /// For relocalisation; of a condensed keyframe it is made from the picture when it is needed.
     pub thumbnail: Thumbnail,
     /// The last turn that its scale came through; `None`: its scale is that of the map's start.
     pub scale_from: Option<TurnId>,
@@ -159,6 +162,8 @@ pub struct Map {
     pub landmarks: Store<Landmark>,
     /// Grows with every change that is worth publishing.
     pub revision: u64,
+    /// Keyframes whose pictures are not condensed.
+    detailed: BTreeSet<KeyframeId>,
 }
 
 impl Map {
@@ -179,6 +184,7 @@ impl Map {
         keyframe.covisible.clear();
         let observations = keyframe.observations.clone();
         let id = KeyframeId(self.keyframes.insert(keyframe));
+        self.detailed.insert(id);
         for observation in &observations {
             self.link(id, observation.landmark);
         }
@@ -279,6 +285,7 @@ impl Map {
             self.remove_observation(id, landmark);
         }
         self.revision += 1;
+        self.detailed.remove(&id);
         self.keyframes.remove(id.0)
     }
 
@@ -376,6 +383,7 @@ impl Map {
             keyframes: self.keyframes.successor(),
             landmarks: self.landmarks.successor(),
             revision: self.revision + 1,
+            detailed: BTreeSet::new(),
         }
     }
 
@@ -411,6 +419,7 @@ impl Map {
     pub fn absorb(&mut self, other: Self) {
         self.keyframes.absorb(other.keyframes);
         self.landmarks.absorb(other.landmarks);
+        self.detailed.extend(other.detailed);
         self.revision = self.revision.max(other.revision) + 1;
     }
 
@@ -450,6 +459,7 @@ impl Map {
     pub fn clear(&mut self) {
         self.keyframes.clear();
         self.landmarks.clear();
+        self.detailed.clear();
         self.revision += 1;
     }
 

@@ -259,6 +259,9 @@ impl Map {
                 return Err(format!("keyframe {id}: its landmarks are in no order"));
             }
             keyframe.picture.keep_only(&observed);
+            if !keyframe.picture.is_condensed() {
+                map.detailed.insert(KeyframeId(id));
+            }
             map.keyframes.restore(id, keyframe);
             for landmark in observed {
                 let Some(entry) = map.landmarks.get_mut(landmark) else {

@@ -8,7 +8,7 @@
 //!
 //! The same finds a frame of one map in another (`other_maps`).
 
-mod descriptors;
+pub mod descriptors;
 pub mod joining;
 pub mod other_maps;
 
@@ -44,6 +44,8 @@ pub struct Relocaliser {
     /// Of its own, so that what the usual one has found is there still if this finds nothing better.
     pub tracker: Tracker,
     current: Thumbnail,
+    /// A condensed keyframe's.
+    remade: Thumbnail,
     aligner: ThumbnailAligner,
     around: Vec<(KeyframeId, u32)>,
     chosen: Vec<KeyframeId>,
@@ -114,7 +116,14 @@ impl Relocaliser {
     fn rank_chosen(&mut self, map: &Map, camera: &CameraModel) {
         for &id in &self.chosen {
             let Some(keyframe) = map.keyframe(id) else { continue };
-            let Some(motion) = self.aligner.align(&keyframe.thumbnail, &self.current) else { continue };
+            let thumbnail = match keyframe.picture.is_condensed() {
+                true => {
+                    self.remade.build(keyframe.picture.pyramid());
+                    &self.remade
+                }
+                false => &keyframe.thumbnail,
+            };
+            let Some(motion) = self.aligner.align(thumbnail, &self.current) else { continue };
             if motion.ncc < MIN_NCC {
                 continue;
             }

@@ -73,7 +73,7 @@ impl MapFile {
         let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
         // New, locked, and cleared away at a later start should this process be killed.
         let (file, temporary) = create_unique(folder, &format!(".{name}"), false).map_err(Fault::Write)?;
-        let front = Front { id, created_ns: now_ns() };
+        let front = Front { format: FORMAT, id, created_ns: now_ns() };
         let filled = || {
             lock(file.try_lock())?;
             file.write_all_at(&front.page(), 0).map_err(Fault::Write)?;
@@ -129,6 +129,7 @@ impl MapFile {
 
     fn put(&mut self, changes: &MapChanges) -> Result<u64, Fault> {
         if let Some(file) = self.verified.take() {
+            let file = renewed(file, &self.path)?;
             self.records = Some(Records::open(file, Access::Write)?);
         }
         let records = self.records.as_mut().ok_or_else(|| Fault::GivenUp("an earlier write failed".into()))?;
@@ -143,12 +144,16 @@ impl MapFile {
             new.push((Kind::Keyframe, *id, encode_keyframe(keyframe, camera).ok_or_else(senseless)?));
             let revision = keyframe.picture.revision();
             if self.keyframes.get(id) != Some(&revision) {
+                let (kind, record) = match keyframe.picture.is_condensed() {
+                    true => (Kind::Condensed, picture::encode_condensed(&keyframe.picture)),
+                    false => (Kind::Picture, picture::encode(&keyframe.picture)),
+                };
                 match keyframe.picture.kept() {
-                    Some(_) => {
-                        new.push((Kind::Picture, *id, picture::encode(&keyframe.picture).ok_or_else(senseless)?))
-                    }
+                    Some(_) => new.push((kind, *id, record.ok_or_else(senseless)?)),
                     None => bare.push((Kind::Picture, *id)),
                 }
+                // It is of one kind only.
+                bare.push((if kind == Kind::Picture { Kind::Condensed } else { Kind::Picture }, *id));
             }
             revisions.push((*id, revision));
         }
@@ -162,7 +167,7 @@ impl MapFile {
         let emptied = emptied.into_iter().map(|(page, _)| *page).filter(|page| self.pages.contains(page));
         let left = |page: &&u32| changes.is_everything && !changes.landmarks.contains_key(page);
         let emptied: Vec<u32> = emptied.chain(self.pages.iter().filter(left).copied()).collect();
-        let removed = gone.iter().flat_map(|id| [(Kind::Keyframe, *id), (Kind::Picture, *id)]);
+        let removed = gone.iter().flat_map(|id| [Kind::Keyframe, Kind::Picture, Kind::Condensed].map(|kind| (kind, *id)));
         let removed: Vec<_> = removed.chain(bare).chain(emptied.iter().map(|page| (Kind::Landmarks, *page))).collect();
 
         let MapChanges { frame_ns, optics, maps, next_keyframe, next_landmark, .. } = changes;
@@ -188,6 +193,38 @@ impl MapFile {
         let path = self.path.clone();
         self.records.take().map_or(Ok(()), Records::close).map_err(|fault| fault.of(&path))
     }
+}
+
+/// The file itself, or where it is of an older format a copy of the present one that has taken its place.
+fn renewed(file: File, path: &Path) -> Result<File, Fault> {
+    let front = Front::read(&file)?;
+    if front.format == FORMAT {
+        return Ok(file);
+    }
+    let folder = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    let (copy, temporary) = create_unique(folder, &format!(".{name}"), false).map_err(Fault::Write)?;
+    let filled = || {
+        lock(copy.try_lock())?;
+        let mut piece = vec![0; 1 << 20];
+        let mut at = 0;
+        loop {
+            let read = file.read_at(&mut piece, at).map_err(Fault::Read)?;
+            if read == 0 {
+                break;
+            }
+            copy.write_all_at(&piece[..read], at).map_err(Fault::Write)?;
+            at += read as u64;
+        }
+        copy.write_all_at(&front.page(), 0).and_then(|()| copy.sync_all()).map_err(Fault::Write)?;
+        std::fs::rename(&temporary, path).map_err(Fault::Write)?;
+        let _ = File::open(folder).and_then(|f| f.sync_all());
+        Ok(())
+    };
+    filled().inspect_err(|_: &Fault| {
+        let _ = std::fs::remove_file(&temporary);
+    })?;
+    Ok(copy)
 }
 
 /// What came of renaming without replacing; network file systems that cannot do that can link a second name.
@@ -227,7 +264,8 @@ fn look_inside(file: &File) -> Result<(Contents, Tally, BTreeSet<u32>), Fault> {
     let (mut raw, mut pages) = (Raw::default(), BTreeSet::new());
     let mut record_bytes = [0; 3];
     let tally = records.read_all(|kind, number, bytes| {
-        if let Some(sum) = usize::from(kind).checked_sub(1).and_then(|i| record_bytes.get_mut(i)) {
+        let like = if kind == Kind::Condensed as u8 { Kind::Picture as u8 } else { kind };
+        if let Some(sum) = usize::from(like).checked_sub(1).and_then(|i| record_bytes.get_mut(i)) {
             *sum += bytes.len() as u64;
         }
         let sense = match kind {
@@ -239,8 +277,9 @@ fn look_inside(file: &File) -> Result<(Contents, Tally, BTreeSet<u32>), Fault> {
                 raw.keyframes.insert(number, bytes.to_vec());
                 true
             }
-            k if k == Kind::Picture as u8 => {
-                let picture = picture::decode(bytes);
+            k if k == Kind::Picture as u8 || k == Kind::Condensed as u8 => {
+                let picture =
+                    if k == Kind::Picture as u8 { picture::decode(bytes) } else { picture::decode_condensed(bytes) };
                 let sense = picture.is_some();
                 raw.pictures.extend(picture.map(|picture| (number, picture)));
                 sense
@@ -261,7 +300,7 @@ fn look_inside(file: &File) -> Result<(Contents, Tally, BTreeSet<u32>), Fault> {
         return Err(Fault::Broken(format!("{told} records were written, {there} are there or others than those")));
     }
     let contents = Contents {
-        format: FORMAT,
+        format: front.format,
         id: front.id,
         created_ns: front.created_ns,
         written_ns: header.written_ns,

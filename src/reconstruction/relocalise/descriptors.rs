@@ -8,7 +8,8 @@
 //! with all: so a blurred picture still answers on the coarse levels, and a view from half or twice the distance on another one. By
 //! histograms of gradients ([`gradients`](crate::features::gradients)): of some twenty views of a desk that came back after up to two seconds
 //! had been cut out, binary descriptors knew 8 and these 20. Keyframes are described when they are first asked for and remembered, the least
-//! recently used of [`REMEMBERED`] giving way: nothing is paid while tracking works.
+//! recently used of [`REMEMBERED`] giving way: nothing is paid while tracking works. A condensed keyframe's are those that were kept with its
+//! landmarks' views ([`View`](crate::map::view::View)), in it and in others.
 //!
 //! Cost: some ten milliseconds for the frame, and as much for each keyframe that is new; a few for each comparison, 0.2 to 1 ms for the
 //! pose where enough corners match. Not here: an index over thousands of keyframes (loop closing's).
@@ -25,11 +26,12 @@ use crate::geometry::pnp::estimate_pose;
 use crate::geometry::ransac::RansacOptions;
 use crate::image::Pyramid;
 use crate::image::pyramid::{base_from_level, level_from_base};
+use crate::map::view::{CoarseDescriptor, DESCRIBED_LEVELS, Described as LandmarkDescriptors};
 use crate::map::{Keyframe, KeyframeId, LandmarkId, Map};
 use crate::reconstruction::track::Guess;
 
 /// Pyramid levels that corners are described on.
-const LEVELS: usize = 3;
+const LEVELS: usize = DESCRIBED_LEVELS;
 /// Corners of a frame that are described, by level.
 const CORNERS: [usize; LEVELS] = [500, 250, 100];
 /// Side of the cells over which they are spread, in the level's pixels.
@@ -181,7 +183,7 @@ impl DescriptorSearch {
         };
         let entry = &mut self.remembered[place];
         (entry.keyframe, entry.landmarks, entry.last_used) = (id, landmarks, self.uses);
-        describe_keyframe(keyframe, &mut entry.described);
+        describe_keyframe(map, keyframe, &mut entry.described);
         Some(place)
     }
 
@@ -201,8 +203,11 @@ impl DescriptorSearch {
     }
 }
 
-fn describe_keyframe(keyframe: &Keyframe, out: &mut Described<LandmarkId>) {
+fn describe_keyframe(map: &Map, keyframe: &Keyframe, out: &mut Described<LandmarkId>) {
     out.clear();
+    if keyframe.picture.is_condensed() {
+        return describe_by_views(map, keyframe, out);
+    }
     for level in 0..LEVELS {
         let Some(image) = keyframe.picture.level(level) else { break };
         let gradients = GradientMap::new(&image);
@@ -210,4 +215,44 @@ fn describe_keyframe(keyframe: &Keyframe, out: &mut Described<LandmarkId>) {
             out.push(&gradients, level, o.pixel, o.landmark);
         }
     }
+}
+
+/// A condensed keyframe has no picture to describe: its landmarks look as some keyframe that sees them keeps it, itself before others, and of these the
+/// one that looks at them most alike.
+fn describe_by_views(map: &Map, keyframe: &Keyframe, out: &mut Described<LandmarkId>) {
+    let centre = keyframe.centre();
+    for o in &keyframe.observations {
+        let Some(landmark) = map.landmark(o.landmark) else { continue };
+        let ray = landmark.position - centre;
+        let view = |id: &KeyframeId| {
+            let other = map.keyframe(*id)?;
+            let view = other.picture.view(o.landmark.0)?;
+            let there = landmark.position - other.centre();
+            Some((ray.dot(&there) / (ray.norm() * there.norm()).max(1e-12), there.norm(), view))
+        };
+        let views = landmark.observers.iter().filter_map(view);
+        let Some((_, distance, view)) = views.max_by(|a, b| a.0.total_cmp(&b.0)) else { continue };
+        // A pixel of the view's level covers more of the scene from farther away.
+        let size = (distance / ray.norm().max(1e-12)) as f32;
+        for (level, descriptor) in view.described.iter().enumerate().filter_map(|(l, d)| Some((l, d.as_ref()?))) {
+            out.descriptors.push(descriptor.restored());
+            out.places.push(Place { at: [o.pixel.x, o.pixel.y], size_px: (1 << level) as f32 * size });
+            out.of.push(o.landmark);
+        }
+    }
+}
+
+/// What a condensed keyframe keeps to know these landmarks by: the strongest direction on each level.
+pub fn describe_kept(keyframe: &Keyframe, landmarks: &[LandmarkId]) -> Vec<LandmarkDescriptors> {
+    let mut out = vec![[None; DESCRIBED_LEVELS]; landmarks.len()];
+    for level in 0..DESCRIBED_LEVELS {
+        let Some(image) = keyframe.picture.level(level) else { break };
+        let gradients = GradientMap::new(&image);
+        for (described, landmark) in out.iter_mut().zip(landmarks) {
+            let Some(o) = keyframe.observation(*landmark) else { continue };
+            let at = level_from_base(level, o.pixel);
+            described[level] = gradients.describe(at.x, at.y).first().map(|d| CoarseDescriptor::of(&d.descriptor));
+        }
+    }
+    out
 }

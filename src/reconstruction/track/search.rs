@@ -13,6 +13,8 @@ use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::image::Pyramid;
 use crate::image::pyramid::{base_from_level, level_from_base};
+use crate::map::picture::Detail;
+use crate::map::view::ROOM;
 use crate::map::{Keyframe, LandmarkId, Map, Observation};
 use crate::reconstruction::measurement::PosePair;
 
@@ -288,12 +290,13 @@ pub fn align_template(
     let coarse_levels = options.coarse_levels.max(options.blurred_levels);
     for level in (own..=(own + coarse_levels).min(top)).rev() {
         let source_level = ((level as f64 - log_scale).round().max(0.0) as usize).min(top);
-        let cut = |source_level: usize| {
+        let mut room = ROOM;
+        let mut cut = |source_level: usize| {
             let scale = (1u32 << level) as f64 / (1u32 << source_level) as f64;
             let source_from_patch = (inverse * scale).cast::<f32>();
             let mut pixels = [0.0f32; 100];
             let source = level_from_base(source_level, observation.pixel);
-            let crop = keyframe.picture.around(source_level, observation.landmark.0)?;
+            let crop = keyframe.picture.around(source_level, observation.landmark.0, &mut room)?;
             warp_patch(&crop, source, &source_from_patch, &mut pixels).then_some(pixels)
         };
         // Of a picture that was reduced there may be no patch, or too small a one: half the resolution is better than nothing.
@@ -327,7 +330,7 @@ fn closest_view<'a>(
     let ray = candidate.point - centre;
     let depth = ray.norm();
     let mut best = None;
-    let mut best_score = (false, f64::NEG_INFINITY);
+    let mut best_score = (Detail::None, f64::NEG_INFINITY);
     for &id in &landmark.observers {
         let keyframe = map.keyframe(id)?;
         let other = candidate.point - keyframe.centre();
@@ -335,7 +338,7 @@ fn closest_view<'a>(
         let cosine = ray.dot(&other) / (depth * other_depth).max(1e-12);
         // Angle first; a scale change of two costs as much as a turn by 25 degrees.
         let closeness = cosine - 0.1 * (depth / other_depth.max(1e-12)).log2().abs();
-        let score = (keyframe.picture.shows(candidate.landmark.0), closeness);
+        let score = (keyframe.picture.detail(candidate.landmark.0), closeness);
         if cosine >= MIN_VIEW_COSINE && score > best_score {
             best_score = score;
             best = Some(keyframe);
