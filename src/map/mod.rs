@@ -377,6 +377,25 @@ impl Map {
         }
     }
 
+    /// Landmarks that may have changed in any way since the last call, sightings among them, ascending; those for which `again` holds are told the
+    /// next time, too.
+    pub fn take_touched_landmarks(&mut self, again: impl Fn(&Landmark) -> bool) -> Vec<LandmarkId> {
+        let touched = self.landmarks.take_touched();
+        touched
+            .iter()
+            .filter(|id| self.landmarks.get(**id).is_some_and(&again))
+            .copied()
+            .collect::<Vec<_>>()
+            .into_iter()
+            .for_each(|id| self.landmarks.touch(id));
+        touched.into_iter().map(LandmarkId).collect()
+    }
+
+    /// The newest keyframe.
+    pub fn newest(&self) -> Option<KeyframeId> {
+        self.keyframes.last_before(self.keyframes.next_id()).map(KeyframeId)
+    }
+
     /// An empty map whose ids go on after this one's, so that both can be joined later.
     pub fn successor(&self) -> Self {
         Self {

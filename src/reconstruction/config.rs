@@ -35,7 +35,7 @@ pub struct ReconstructionConfig {
     /// Lock-step replay merges a mapping result this many frames after its keyframe, waiting for it, or before a frame that comes 0.11 s or
     /// more after the one before. 1..=30.
     pub merge_after_frames: u64,
-    /// Keyframes a map holds at the most; beyond it the most redundant goes. 20..=2000.
+    /// Keyframes a map holds at the most; beyond it redundant ones go, none near the robot. 20..=10000.
     pub max_keyframes: usize,
     /// Keyframes that keep pictures of half the resolution or more, at the most: the newest, their neighbours, and those before; older ones are
     /// condensed to patches of their landmarks. 20..=2000.
@@ -110,7 +110,7 @@ impl ReconstructionConfig {
         within("fixed_keyframes", self.fixed_keyframes, 0, 80, "")?;
         within("adjustment_steps", self.adjustment_steps, 1, 50, "")?;
         within("merge_after_frames", self.merge_after_frames, 1, 30, "frames")?;
-        within("max_keyframes", self.max_keyframes, 20, 2000, "")?;
+        within("max_keyframes", self.max_keyframes, 20, 10_000, "")?;
         within("detailed_keyframes", self.detailed_keyframes, 20, 2000, "")?;
         within("redundant_share", self.redundant_share, 0.5, 1.0, "")?;
         within("start_flow_px", self.start_flow_px, 3.0, 100.0, "px")?;

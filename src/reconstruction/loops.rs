@@ -79,7 +79,7 @@ impl Loops {
     /// Takes out of the index what is in no map any more.
     fn follow(&mut self, map: &Map, others: &OtherMaps) {
         let is_alive =
-            |id: &KeyframeId| map.keyframe(*id).is_some() || others.maps().any(|m| m.keyframe(*id).is_some());
+            |id: &KeyframeId| map.keyframes.contains(id.0) || others.maps().any(|m| m.keyframes.contains(id.0));
         let gone: Vec<KeyframeId> = self.index.keyframes().filter(|id| !is_alive(id)).collect();
         gone.iter().for_each(|id| self.index.remove(*id));
         self.closed.retain(|(a, b)| is_alive(a) && is_alive(b));
@@ -89,10 +89,12 @@ impl Loops {
     fn likeliest(&mut self, map: &Map, id: KeyframeId) -> Vec<KeyframeId> {
         let Self { index, seen, ranked, near, around, .. } = self;
         note_near(map, id, near, around);
-        index.query(seen, usize::MAX, |k| map.keyframe(k).is_some(), ranked);
+        index.query(seen, usize::MAX, |k| map.keyframes.contains(k.0), ranked);
         let is_old = |c: &Candidate| c.keyframe.0 + RECENT <= id.0 && near.binary_search(&c.keyframe).is_err();
         let familiar = ranked.iter().find(|c| !is_old(c)).map_or(0.0, |c| c.score);
-        let score_of = |k: KeyframeId| ranked.iter().find(|c| c.keyframe == k).map_or(0.0, |c| c.score);
+        let mut scores: Vec<(KeyframeId, f32)> = ranked.iter().map(|c| (c.keyframe, c.score)).collect();
+        scores.sort_unstable_by_key(|s| s.0);
+        let score_of = |k: KeyframeId| scores.binary_search_by_key(&k, |s| s.0).map_or(0.0, |i| scores[i].1);
         let likely = |c: &&Candidate| c.votes >= MIN_VOTES && c.score >= MIN_LIKENESS * familiar;
         let mut best: Option<(f32, KeyframeId)> = None;
         for c in ranked.iter().filter(|c| is_old(c)).filter(likely).take(WEIGHED) {

@@ -409,6 +409,8 @@ impl Reconstruction {
         active.scale.follow(map);
         counters.landmarks_culled += keyframe::cull_landmarks(map, id);
         counters.keyframes_culled += keyframe::cull_keyframes((map, active.id), id, config, &mut self.events);
+        let (most, next) = (config.max_keyframes, &mut active.next_thinned);
+        counters.keyframes_culled += keyframe::thin_out((map, active.id), id, most, next, &mut self.events);
         reduce_pictures(map, id);
         counters.landmarks_culled += condense_pictures(map, id, config.detailed_keyframes, describe_kept);
         active.unadjusted = Some(id);

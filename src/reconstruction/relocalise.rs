@@ -184,8 +184,8 @@ fn in_turn(map: &Map, next: &mut usize, count: usize, out: &mut Vec<KeyframeId>)
     if total == 0 {
         return;
     }
-    let round = map.keyframes.iter().chain(map.keyframes.iter()).skip(*next % total).take(count);
-    out.extend(round.map(|(id, _)| KeyframeId(id)));
+    let round = map.keyframes.ids().chain(map.keyframes.ids()).skip(*next % total).take(count);
+    out.extend(round.map(KeyframeId));
     *next = (*next + count) % total;
 }
 

@@ -26,7 +26,9 @@ pub enum Fault {
     #[error("is no map of Cairn's; it is left as it is")]
     Foreign,
     /// Of another version of this program; untouched.
-    #[error("has version {0} of the map format, and this program reads versions {OLDEST_FORMAT} to {FORMAT} only; it is left as it is")]
+    #[error(
+        "has version {0} of the map format, and this program reads versions {OLDEST_FORMAT} to {FORMAT} only; it is left as it is"
+    )]
     Version(u32),
     /// Untouched.
     #[error("is broken: {0}; it is left as it is")]

@@ -167,7 +167,8 @@ impl MapFile {
         let emptied = emptied.into_iter().map(|(page, _)| *page).filter(|page| self.pages.contains(page));
         let left = |page: &&u32| changes.is_everything && !changes.landmarks.contains_key(page);
         let emptied: Vec<u32> = emptied.chain(self.pages.iter().filter(left).copied()).collect();
-        let removed = gone.iter().flat_map(|id| [Kind::Keyframe, Kind::Picture, Kind::Condensed].map(|kind| (kind, *id)));
+        let removed =
+            gone.iter().flat_map(|id| [Kind::Keyframe, Kind::Picture, Kind::Condensed].map(|kind| (kind, *id)));
         let removed: Vec<_> = removed.chain(bare).chain(emptied.iter().map(|page| (Kind::Landmarks, *page))).collect();
 
         let MapChanges { frame_ns, optics, maps, next_keyframe, next_landmark, .. } = changes;
@@ -201,7 +202,9 @@ fn renewed(file: File, path: &Path) -> Result<File, Fault> {
     if front.format == FORMAT {
         return Ok(file);
     }
-    let folder = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    // A link to it stays one.
+    let path = path.canonicalize().map_err(Fault::Read)?;
+    let folder = path.parent().unwrap_or(Path::new("/"));
     let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
     let (copy, temporary) = create_unique(folder, &format!(".{name}"), false).map_err(Fault::Write)?;
     let filled = || {
@@ -217,7 +220,7 @@ fn renewed(file: File, path: &Path) -> Result<File, Fault> {
             at += read as u64;
         }
         copy.write_all_at(&front.page(), 0).and_then(|()| copy.sync_all()).map_err(Fault::Write)?;
-        std::fs::rename(&temporary, path).map_err(Fault::Write)?;
+        std::fs::rename(&temporary, &path).map_err(Fault::Write)?;
         let _ = File::open(folder).and_then(|f| f.sync_all());
         Ok(())
     };

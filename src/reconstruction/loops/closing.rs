@@ -195,7 +195,7 @@ impl Reconstruction {
             let seen: Vec<Observation> = own.unwrap_or_default();
             add_found(map, sighting, &seen, &self.optics.camera);
         }
-        self.active.unadjusted = map.keyframes.iter().last().map(|(id, _)| KeyframeId(id));
+        self.active.unadjusted = map.newest();
     }
 }
 
