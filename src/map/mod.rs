@@ -537,4 +537,6 @@ fn change_covisibility(keyframes: &mut Store<Keyframe>, a: KeyframeId, b: Keyfra
 }
 
 #[cfg(test)]
+mod condensing_tests;
+#[cfg(test)]
 mod tests;

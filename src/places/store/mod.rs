@@ -24,6 +24,8 @@
 //! (the room `map` has those).
 
 mod backend;
+#[cfg(test)]
+mod condensed_tests;
 mod error;
 mod file;
 mod front;

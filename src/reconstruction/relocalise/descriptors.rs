@@ -256,3 +256,109 @@ pub fn describe_kept(keyframe: &Keyframe, landmarks: &[LandmarkId]) -> Vec<Landm
     }
     out
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::geometry::Se3;
+    use crate::geometry::random::Random;
+    use crate::image::GreyImage;
+    use crate::map::picture::KeyframePicture;
+    use crate::map::{Landmark, MapId, Observation};
+    use crate::reconstruction::track::search::observe;
+    use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+
+    /// A wall of rectangles at distance 1, as the camera sees it from `x` px to the right of its middle.
+    fn picture(x: usize) -> Pyramid {
+        let mut random = Random::new(7);
+        let mut wall = GreyImage::new(480, 240);
+        for _ in 0..900 {
+            let (left, top) = (random.below(470), random.below(232));
+            let (width, height, grey) = (4 + random.below(16), 4 + random.below(16), random.below(256) as u8);
+            for y in top..(top + height).min(240) {
+                wall.data[y * 480..][left..(left + width).min(480)].fill(grey);
+            }
+        }
+        let mut image = GreyImage::new(320, 240);
+        for (y, row) in image.data.chunks_exact_mut(320).enumerate() {
+            row.copy_from_slice(&wall.row(y)[x..x + 320]);
+        }
+        let mut noise = Random::new(x as u64);
+        image.data.iter_mut().for_each(|v| *v = (f64::from(*v) + 2.0 * noise.normal()).clamp(0.0, 255.0) as u8);
+        let mut pyramid = Pyramid::new(5);
+        pyramid.build(&image);
+        pyramid
+    }
+
+    #[test]
+    fn a_frame_is_known_by_condensed_keyframes_as_by_whole_ones() {
+        let camera = CameraModel::new(320, 240, 300.0, 300.0, 159.5, 119.5, [0.0; 5]).expect("a camera");
+        let mut map = Map::default();
+        let shifts = [0, 20, 40, 60];
+        let ids = shifts.map(|x| {
+            let moved = Se3::new(UnitQuaternion::identity(), Vector3::x() * -(x as f64 / 300.0));
+            map.add_keyframe(Keyframe {
+                sequence: 0,
+                timestamp_ns: 0,
+                map: MapId(0),
+                camera_from_world: moved,
+                motion: None,
+                picture: KeyframePicture::new(Arc::new(picture(x))),
+                thumbnail: Default::default(),
+                scale_from: None,
+                observations: Vec::new(),
+                covisible: Vec::new(),
+                corners: Vec::new(),
+            })
+        });
+        let (mut detector, mut corners) = (FastDetector::default(), Vec::new());
+        detector.detect_all(&picture(40).levels[0], 30, &mut corners);
+        let mut spread = Spread::default();
+        let spread: Vec<Corner> = spread.over_cells((320, 240), 24, &mut corners).take(90).copied().collect();
+        for corner in spread {
+            let seen: Vec<(KeyframeId, Observation)> = ids
+                .iter()
+                .zip(shifts)
+                .filter_map(|(id, x)| {
+                    let pixel = Vector2::new(corner.x + 40.0 - x as f32, corner.y);
+                    let inside = (20.0..300.0).contains(&pixel.x);
+                    inside.then(|| Some((*id, observe(&camera, LandmarkId(0), pixel, 1.0)?))).flatten()
+                })
+                .collect();
+            let at = camera.undistort(&Vector2::new(f64::from(corner.x) + 40.0, f64::from(corner.y))).expect("a ray");
+            let landmark = Landmark {
+                position: at.push(1.0),
+                covariance: Matrix3::identity(),
+                observers: Vec::new(),
+                created_by: ids[0],
+                assumed: None,
+                sought: 1,
+                found: 1,
+                disagreed: 0,
+            };
+            map.add_landmark(landmark, &seen);
+        }
+        let known = |map: &Map| {
+            ids.map(|id| {
+                let mut search = DescriptorSearch::default();
+                assert!(search.describe_frame(&picture(51)));
+                let (inliers, guess) = search.pose_from(map, &camera, id, 1).expect("known");
+                let off = (guess.camera_from_world.translation.x + 51.0 / 300.0).abs();
+                assert!(off < 0.02, "{off}");
+                inliers
+            })
+        };
+        let by_whole = known(&map);
+        let gone: usize = ids.iter().map(|id| map.condense_picture(*id, describe_kept)).sum();
+        assert!(ids.iter().all(|id| map.keyframe(*id).is_some_and(|k| k.picture.is_condensed())));
+        let (left, by_views) = (map.landmarks.len(), known(&map));
+        println!("{left} landmarks left, {gone} gone; inliers {by_whole:?}, condensed {by_views:?}");
+        // As many of those that are left; landmarks are fewer, each in fewer views.
+        assert!(
+            by_views.iter().zip(by_whole).all(|(views, whole)| 10 * views >= 7 * whole),
+            "{by_whole:?} {by_views:?}"
+        );
+    }
+}

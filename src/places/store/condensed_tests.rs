@@ -1,0 +1,164 @@
+//! Condensed pictures in a file, and files of the format before there were any.
+
+use std::os::unix::fs::FileExt;
+use std::sync::Arc;
+
+use nalgebra::{Matrix3, Vector2, Vector3};
+
+use super::error::FORMAT;
+use super::*;
+use crate::features::gradients::{GradientDescriptor, NUMBERS};
+use crate::geometry::random::Random;
+use crate::geometry::{CameraModel, LensModel, Se3};
+use crate::image::{GreyImage, Pyramid};
+use crate::map::picture::KeyframePicture;
+use crate::map::saved::{MapChanges, MapHead, SavedOptics};
+use crate::map::scale::MapScale;
+use crate::map::view::{CoarseDescriptor, View};
+use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, MapId, Observation};
+
+fn camera() -> CameraModel {
+    CameraModel::new(320, 240, 300.0, 300.0, 159.5, 119.5, LensModel::PINHOLE).expect("a camera")
+}
+
+fn optics() -> SavedOptics {
+    SavedOptics {
+        calibration: camera(),
+        is_guessed: false,
+        camera: camera(),
+        expected: camera(),
+        sigma: [0.0; 7],
+        refined_sigma: [0.0; 7],
+        begun_with_px: 300.0,
+        restarts: 0,
+        found_before: Vec::new(),
+        unsettled: 0.0,
+        readout_s: 0.0,
+        readout_information: 0.0,
+    }
+}
+
+/// Three keyframes with 40 landmarks that all of them see.
+fn map(random: &mut Random) -> Map {
+    let mut image = GreyImage::new(320, 240);
+    image.data.iter_mut().for_each(|v| *v = random.below(256) as u8);
+    let mut pyramid = Pyramid::new(5);
+    pyramid.build(&image);
+    let pyramid = Arc::new(pyramid);
+    let mut map = Map::default();
+    let ids = [0, 1, 2].map(|sequence| {
+        map.add_keyframe(Keyframe {
+            sequence,
+            timestamp_ns: 0,
+            map: MapId(0),
+            camera_from_world: Se3::identity(),
+            motion: None,
+            picture: KeyframePicture::new(pyramid.clone()),
+            thumbnail: Default::default(),
+            scale_from: None,
+            observations: Vec::new(),
+            covisible: Vec::new(),
+            corners: Vec::new(),
+        })
+    });
+    for _ in 0..40 {
+        let pixel = Vector2::new(random.uniform(3.0, 317.0) as f32, random.uniform(3.0, 237.0) as f32);
+        let (normalised, normalised_from_pixel) = camera().undistort_jacobian(&pixel.cast()).expect("in the picture");
+        let seen = Observation {
+            landmark: LandmarkId(0),
+            pixel,
+            normalised,
+            displacement: Vector2::zeros(),
+            inv_sigma_px: 1.0,
+            normalised_from_pixel,
+        };
+        let landmark = Landmark {
+            position: Vector3::z(),
+            covariance: Matrix3::identity(),
+            observers: Vec::new(),
+            created_by: ids[0],
+            assumed: None,
+            sought: 1,
+            found: 1,
+            disagreed: 0,
+        };
+        map.add_landmark(landmark, &ids.map(|id| (id, seen)));
+    }
+    map
+}
+
+fn condense(map: &mut Map, id: u32, random: &mut Random) {
+    map.condense_picture(KeyframeId(id), |_, landmarks| {
+        let mut described = || {
+            let of = GradientDescriptor(std::array::from_fn::<u8, NUMBERS, _>(|_| random.below(166) as u8));
+            (random.below(4) > 0).then(|| CoarseDescriptor::of(&of))
+        };
+        landmarks.iter().map(|_| std::array::from_fn(|_| described())).collect()
+    });
+}
+
+fn changes(map: &mut Map, everything: bool) -> MapChanges {
+    let turns = Vec::new();
+    let head = MapHead { id: MapId(0), reference: KeyframeId(0), frames: 9, scale: MapScale::Unknown, turns };
+    MapChanges::take(optics(), 5, vec![(head, map)], everything)
+}
+
+fn views(map: &Map) -> Vec<(u32, Vec<View>, Vec<GreyImage>)> {
+    let of = |(id, k): (u32, &Keyframe)| (id, k.picture.views().to_vec(), k.picture.pyramid().levels.clone());
+    map.keyframes.iter().map(of).collect()
+}
+
+#[test]
+fn a_condensed_keyframe_comes_back_whenever_it_was_condensed() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let path = dir.path().join("a.map");
+    let mut random = Random::new(71);
+    let mut map = map(&mut random);
+    condense(&mut map, 0, &mut random);
+    let mut file = MapFile::create(&path, &changes(&mut map, true)).expect("made");
+    condense(&mut map, 1, &mut random);
+    file.write(&changes(&mut map, false)).expect("written");
+    file.close().expect("closed");
+    let contents = read(&path).expect("whole");
+    let saved = &contents.saved.maps[0].map;
+    assert!(views(saved) == views(&map));
+    assert!(saved.detailed().eq(map.detailed()) && saved.detailed().eq([KeyframeId(2)]));
+    saved.check_consistency().expect("consistent");
+    map.remove_keyframe(KeyframeId(0));
+    let (mut file, _) = MapFile::open(&path).expect("opened");
+    file.write(&changes(&mut map, false)).expect("written");
+    drop(file);
+    assert!(views(&read(&path).expect("nothing of it is left").saved.maps[0].map) == views(&map));
+}
+
+#[test]
+fn a_file_of_the_format_before_is_read_and_gone_on_with_as_one_of_this() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let path = dir.path().join("a.map");
+    let mut random = Random::new(72);
+    let mut map = map(&mut random);
+    MapFile::create(&path, &changes(&mut map, true)).expect("made").close().expect("closed");
+    // The older format is this one without condensed pictures.
+    let raw = std::fs::OpenOptions::new().read(true).write(true).open(&path).expect("there");
+    let mut page = [0; 4096];
+    raw.read_exact_at(&mut page, 0).expect("a front page");
+    page[8..12].copy_from_slice(&1_u32.to_le_bytes());
+    let checksum = crc32fast::hash(&page[..4092]);
+    page[4092..].copy_from_slice(&checksum.to_le_bytes());
+    raw.write_all_at(&page, 0).expect("written");
+    drop(raw);
+    let old = std::fs::read(&path).expect("bytes");
+    assert_eq!(read(&path).expect("read").format, 1);
+    let link = dir.path().join("link.map");
+    std::os::unix::fs::symlink(&path, &link).expect("a link");
+    let (mut file, contents) = MapFile::open(&link).expect("opened");
+    assert!(std::fs::read(&path).expect("bytes") == old, "it stays as it is until something is written");
+    condense(&mut map, 2, &mut random);
+    file.write(&changes(&mut map, false)).expect("written");
+    assert!(matches!(MapFile::open(&path), Err(StoreError { fault: Fault::Busy, .. })), "it is locked");
+    drop(file);
+    let renewed = read(&path).expect("whole");
+    assert_eq!((renewed.format, renewed.id, renewed.created_ns), (FORMAT, contents.id, contents.created_ns));
+    assert!(views(&renewed.saved.maps[0].map) == views(&map));
+    assert!(link.is_symlink() && std::fs::read_dir(dir.path()).expect("a folder").count() == 2, "nothing else is left");
+}
