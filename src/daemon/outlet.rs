@@ -231,6 +231,11 @@ impl Outlet {
         self.map.is_due(now_ns)
     }
 
+    /// Landmarks and keyframes that a map message takes, at the most.
+    pub fn most_of_map(&self) -> [usize; 2] {
+        self.map.most()
+    }
+
     /// What ties the map together, if anybody subscribes to it; then the map and its keyframes. `map` is of this reconstruction.
     pub fn map(
         &mut self,

@@ -21,6 +21,7 @@ use recognition::Recogniser;
 
 use super::relocalise::other_maps::{ATTEMPT_GAP, LONGEST_GAP, OtherMaps, REMEMBERED, Sighting, Similarity};
 use crate::features::descriptor::Descriptor;
+use crate::image::Pyramid;
 use crate::map::{KeyframeId, Map};
 use crate::places::describe::PlaceDescriber;
 use crate::places::index::{Candidate, PlaceIndex};
@@ -74,6 +75,14 @@ impl Loops {
         self.recogniser.discard();
         self.sightings.clear();
         (self.waiting, self.under_way) = (None, None);
+    }
+
+    /// Keyframes of the map that a picture may show the place of, the likeliest first.
+    pub fn likely(&mut self, map: &Map, pyramid: &Pyramid, limit: usize) -> Vec<KeyframeId> {
+        let Self { index, describer, seen, ranked, .. } = self;
+        describer.describe(pyramid, seen);
+        index.query(seen, limit, |k| map.keyframes.contains(k.0), ranked);
+        ranked.iter().filter(|c| c.votes >= MIN_VOTES).map(|c| c.keyframe).collect()
     }
 
     /// Takes out of the index what is in no map any more.

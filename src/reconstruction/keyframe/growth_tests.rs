@@ -1,0 +1,182 @@
+//! What a map of a building takes: memory, and time at a keyframe, as the map grows to 10,000 keyframes.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use nalgebra::{Matrix2, Matrix3, UnitQuaternion, Vector2, Vector3};
+
+use super::cull::{cull_keyframes, cull_landmarks, thin_out};
+use super::pictures::{condense_pictures, reduce_pictures};
+use crate::features::descriptor::Descriptor;
+use crate::features::gradients::{GradientDescriptor, NUMBERS};
+use crate::geometry::Se3;
+use crate::geometry::random::Random;
+use crate::image::{GreyImage, Pyramid};
+use crate::map::picture::KeyframePicture;
+use crate::map::view::{CoarseDescriptor, DESCRIBED_LEVELS};
+use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, MapId, Observation, Sought};
+use crate::places::index::{DESCRIPTORS, PlaceIndex};
+use crate::reconstruction::ReconstructionConfig;
+
+/// Landmarks that a keyframe adds, and how many keyframes see one on average: as in `tum_fr1_desk` (37 and 5.6).
+const NEW: usize = 37;
+const SEEN_BY: f64 = 5.6;
+
+/// A robot that drives along a corridor and sees ever new landmarks.
+struct Drive {
+    map: Map,
+    index: PlaceIndex,
+    random: Random,
+    pyramid: Arc<Pyramid>,
+    config: ReconstructionConfig,
+    /// Landmarks in view, and for how many keyframes yet.
+    in_view: Vec<(LandmarkId, u32)>,
+    next_thinned: u32,
+    gone: u64,
+}
+
+impl Drive {
+    fn new(config: ReconstructionConfig) -> Self {
+        let mut random = Random::new(61);
+        let mut image = GreyImage::new(640, 480);
+        image.data.iter_mut().for_each(|v| *v = random.below(256) as u8);
+        let mut pyramid = Pyramid::new(5);
+        pyramid.build(&image);
+        let (map, index, pyramid) = (Map::default(), PlaceIndex::default(), Arc::new(pyramid));
+        Self { map, index, random, pyramid, config, in_view: Vec::new(), next_thinned: 0, gone: 0 }
+    }
+
+    fn observation(&mut self, landmark: LandmarkId) -> Observation {
+        let mut at = |size: f64| self.random.uniform(20.0, size - 20.0) as f32;
+        Observation {
+            landmark,
+            pixel: Vector2::new(at(640.0), at(480.0)),
+            normalised: Vector2::zeros(),
+            displacement: Vector2::zeros(),
+            inv_sigma_px: 1.0,
+            normalised_from_pixel: Matrix2::identity(),
+        }
+    }
+
+    /// One keyframe more; seconds that the work took which the map's size could matter to.
+    fn step(&mut self) -> f64 {
+        let before = self.map.newest();
+        let along = f64::from(self.map.keyframes.next_id());
+        let living = |(id, left): (LandmarkId, u32)| Some((id, left.checked_sub(1)?));
+        self.in_view = std::mem::take(&mut self.in_view).into_iter().filter_map(living).collect();
+        let seen: Vec<LandmarkId> = self.in_view.iter().map(|l| l.0).collect();
+        let observations = seen.iter().map(|id| self.observation(*id)).collect();
+        let began = Instant::now();
+        let id = self.map.add_keyframe(Keyframe {
+            sequence: 0,
+            timestamp_ns: 0,
+            map: MapId(0),
+            camera_from_world: Se3::new(UnitQuaternion::identity(), Vector3::x() * -0.3 * along),
+            motion: None,
+            picture: KeyframePicture::new(self.pyramid.clone()),
+            thumbnail: Default::default(),
+            scale_from: None,
+            observations,
+            covisible: Vec::new(),
+            corners: Vec::new(),
+        });
+        let mut took = began.elapsed().as_secs_f64();
+        for _ in 0..NEW * usize::from(before.is_some()) {
+            let ends = [before.unwrap_or_default(), id].map(|k| (k, self.observation(LandmarkId(0))));
+            let landmark = Landmark {
+                position: Vector3::new(0.3 * along, 0.0, self.random.uniform(1.0, 6.0)),
+                covariance: Matrix3::identity(),
+                observers: Vec::new(),
+                created_by: id,
+                assumed: None,
+                sought: 1,
+                found: 1,
+                disagreed: 0,
+            };
+            let landmark = self.map.add_landmark(landmark, &ends);
+            // As many more as it takes to the average, in the mean: exponential.
+            let more = -(SEEN_BY - 2.0) * self.random.uniform(1e-9, 1.0).ln();
+            self.in_view.push((landmark, more.round() as u32));
+        }
+        seen.iter().for_each(|l| self.map.count_sighting(*l, Sought::Found));
+        let whole = Descriptor(std::array::from_fn(|_| 0));
+        let mut word = || self.random.below(1 << 32) as u64 | (self.random.below(1 << 32) as u64) << 32;
+        let described: Vec<Descriptor> = (0..DESCRIPTORS).map(|_| Descriptor(whole.0.map(|_| word()))).collect();
+
+        let began = Instant::now();
+        let (map, config) = (&mut self.map, &self.config);
+        let mut events = Vec::new();
+        cull_landmarks(map, id);
+        let culled = cull_keyframes((map, MapId(0)), id, config, &mut events)
+            + thin_out((map, MapId(0)), id, config.max_keyframes, &mut self.next_thinned, &mut events);
+        reduce_pictures(map, id);
+        let kept = CoarseDescriptor::of(&GradientDescriptor([40; NUMBERS]));
+        condense_pictures(map, id, config.detailed_keyframes, |_, l| vec![[Some(kept); DESCRIBED_LEVELS]; l.len()]);
+        self.index.add(id, &described);
+        took += began.elapsed().as_secs_f64();
+        self.gone += culled;
+        took
+    }
+
+    /// Bytes: pictures, observations and links, landmarks, index.
+    fn bytes(&self) -> [usize; 4] {
+        let mut sums = [0, 0, 0, self.index.bytes()];
+        // Of whole pictures all are one here, as in the program's pool they are not.
+        for (_, k) in self.map.keyframes.iter() {
+            sums[0] += k.picture.bytes();
+            sums[1] += size_of::<Keyframe>()
+                + k.observations.capacity() * size_of::<Observation>()
+                + k.covisible.capacity() * size_of::<(KeyframeId, u32)>();
+        }
+        for (_, l) in self.map.landmarks.iter() {
+            sums[2] += size_of::<Landmark>() + l.observers.capacity() * size_of::<KeyframeId>();
+        }
+        sums
+    }
+}
+
+fn median(mut seconds: Vec<f64>) -> f64 {
+    seconds.sort_unstable_by(f64::total_cmp);
+    seconds[seconds.len() / 2]
+}
+
+#[test]
+fn a_building_of_ten_thousand_keyframes_costs_no_more_time_a_keyframe_and_bounded_memory() {
+    let mut drive = Drive::new(ReconstructionConfig { max_keyframes: 10_000, ..Default::default() });
+    let mut took = Vec::new();
+    for _ in 0..10_000 {
+        took.push(drive.step());
+    }
+    drive.map.check_consistency().expect("consistent");
+    assert_eq!((drive.map.keyframes.len(), drive.gone), (10_000, 0), "a drive forgets nothing");
+    let (early, late) = (median(took[210..400].to_vec()), median(took[9_800..].to_vec()));
+    let bytes = drive.bytes();
+    let landmarks = drive.map.landmarks.len();
+    println!(
+        "at a keyframe {early:.6} s, in the end {late:.6} s; pictures, observations, landmarks ({landmarks}), index: {bytes:?}"
+    );
+    assert!(late < 3.0 * early, "{early} s at 300 keyframes, {late} s at 10,000");
+    let total: usize = bytes.iter().sum();
+    assert!(total < 10_000 * MOST_BYTES, "{total} bytes");
+}
+
+/// Of a condensed keyframe with all that belongs to it. 200 detailed keyframes (26 MB) are among the 10,000.
+const MOST_BYTES: usize = 48_000;
+
+#[test]
+fn a_map_at_its_limit_is_thinned_evenly_and_never_where_the_robot_is() {
+    let config = ReconstructionConfig { max_keyframes: 400, detailed_keyframes: 40, ..Default::default() };
+    let mut drive = Drive::new(config);
+    for _ in 0..800 {
+        drive.step();
+        assert!(drive.map.keyframes.len() <= 400);
+    }
+    drive.map.check_consistency().expect("consistent");
+    let left: Vec<u32> = drive.map.keyframes.ids().collect();
+    assert!((780..800).all(|id| left.contains(&id)), "the newest stay");
+    let in_part = |part: u32| left.iter().filter(|id| **id / 200 == part).count();
+    let parts = [0, 1, 2, 3].map(in_part);
+    println!("left of each 200: {parts:?}");
+    assert!(parts.iter().all(|n| *n >= 40), "{parts:?}");
+    assert!(drive.map.detailed().len() <= 40 + 24);
+}
