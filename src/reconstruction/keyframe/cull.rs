@@ -48,7 +48,9 @@ pub fn cull_keyframes(
         if id.0 + YOUNG_KEYFRAMES > newest.0 {
             continue;
         }
-        if redundant_of(map, id).is_some_and(|(redundant, total)| redundant > config.redundant_share * total)
+        let is_redundant = |(redundant, total): (f64, f64)| redundant > config.redundant_share * total;
+        if redundant_of(map, id).is_some_and(is_redundant)
+            && redundant_with_views(map, id).is_some_and(is_redundant)
             && remove((map, map_id), id, events)
         {
             culled += 1;
@@ -63,6 +65,13 @@ fn redundant_of(map: &Map, id: KeyframeId) -> Option<(f64, f64)> {
     let seen_enough = |o: &&Observation| map.landmark(o.landmark).is_some_and(|l| l.observers.len() >= 4);
     let redundant = observations.iter().filter(seen_enough).count();
     (!observations.is_empty()).then_some((redundant as f64, observations.len() as f64))
+}
+
+/// The same where what a condensed keyframe alone shows is needed: with it the landmark could not be found again, however many see it.
+fn redundant_with_views(map: &Map, id: KeyframeId) -> Option<(f64, f64)> {
+    let (redundant, total) = redundant_of(map, id)?;
+    let is_condensed = map.keyframe(id)?.picture.is_condensed();
+    Some((if is_condensed { redundant - only_shown(map, id) } else { redundant }, total))
 }
 
 /// Where a map holds more than `max_keyframes`, removes of the next few keyframes of a round over the map, from `next` on, those that are needed
@@ -89,8 +98,8 @@ pub fn thin_out(
     }
     *next = looked.last().map_or(0, |id| id.0 + 1);
     let needed = |id: KeyframeId| {
-        let (redundant, total) = redundant_of(map, id)?;
-        Some(((total - redundant + only_shown(map, id)) / total, id))
+        let (redundant, total) = redundant_with_views(map, id)?;
+        Some(((total - redundant) / total, id))
     };
     let mut ranked: Vec<(f64, KeyframeId)> = looked.into_iter().filter(is_far).filter_map(needed).collect();
     ranked.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
