@@ -8,7 +8,7 @@ use crate::features::patch_sampling::warp_patch;
 use crate::geometry::random::Random;
 use crate::image::pyramid::level_from_base;
 use crate::image::{GreyImage, Pyramid};
-use crate::map::view::{DESCRIBED_LEVELS, ROOM};
+use crate::map::view::{DESCRIBED_LEVELS, Description, ROOM};
 
 /// Blobs of several sizes with a camera's noise.
 fn pyramid(random: &mut Random) -> Arc<Pyramid> {
@@ -75,7 +75,10 @@ fn map(random: &mut Random, landmarks: usize, seen_by: impl Fn(usize) -> Vec<usi
 }
 
 fn condense(map: &mut Map, id: KeyframeId) -> usize {
-    map.condense_picture(id, |_, landmarks| vec![[None; DESCRIBED_LEVELS]; landmarks.len()])
+    map.condense_picture(id, |_, landmarks| Description {
+        landmarks: vec![[None; DESCRIBED_LEVELS]; landmarks.len()],
+        place: Vec::new(),
+    })
 }
 
 #[test]

@@ -9,14 +9,15 @@
 //! `condense` gives up the two levels after it as well, for [`View`]s of the landmarks that
 //! [`Map::condense_picture`](super::Map::condense_picture) chooses. Thumbnails, and coarse searches, have the levels that are left.
 //!
-//! Memory, 640 x 480: 410 kB whole; reduced 102 kB and 0.6 kB a patch; condensed 6 kB and 0.5 kB a view. Readers sample any through a
+//! Memory, 640 x 480: 410 kB whole; reduced 102 kB and 0.6 kB a patch; condensed 8 kB and 0.5 kB a view. Readers sample any through a
 //! [`Crop`] and need not know which it is.
 
 use std::sync::Arc;
 
 use nalgebra::Vector2;
 
-use super::view::{PATCH_LEVELS, ROOM, Room, SmallPatch, View};
+use super::view::{PATCH_LEVELS, PLACE_DESCRIPTORS, ROOM, Room, SmallPatch, View};
+use crate::features::descriptor::Descriptor;
 use crate::image::pyramid::{double, level_from_base};
 use crate::image::{Crop, GreyImage, Pyramid};
 
@@ -58,6 +59,8 @@ pub struct KeyframePicture {
     patches: Arc<Vec<Patch>>,
     /// What is left of a condensed one, ascending landmark.
     views: Arc<Vec<View>>,
+    /// What the index over places is told of a condensed one when another run goes on in the map.
+    place: Arc<Vec<Descriptor>>,
     /// Grows with what a copy elsewhere must be told; patches of landmarks that are no longer observed go untold.
     revision: u32,
 }
@@ -108,15 +111,26 @@ impl KeyframePicture {
     }
 
     /// A condensed picture from what a file kept of it; `views` in any order.
-    pub fn restored_condensed(finest: GreyImage, levels: usize, mut views: Vec<View>) -> Self {
+    pub fn restored_condensed(
+        finest: GreyImage,
+        levels: usize,
+        mut views: Vec<View>,
+        mut place: Vec<Descriptor>,
+    ) -> Self {
+        place.truncate(PLACE_DESCRIPTORS);
         views.sort_by_key(|v| v.landmark);
         let pyramid = Pyramid::from_level(finest, CONDENSED_LEVEL, levels);
-        Self { pyramid: Arc::new(pyramid), views: Arc::new(views), ..Self::default() }
+        Self { pyramid: Arc::new(pyramid), views: Arc::new(views), place: Arc::new(place), ..Self::default() }
     }
 
     /// The views of a condensed picture, ascending landmark.
     pub fn views(&self) -> &[View] {
         &self.views
+    }
+
+    /// Descriptors of a condensed picture for the index over places.
+    pub fn place_descriptors(&self) -> &[Descriptor] {
+        &self.place
     }
 
     /// How a landmark looked, if that is what the picture keeps.
@@ -134,6 +148,7 @@ impl KeyframePicture {
             + self.patches.capacity() * size_of::<Patch>()
             + self.patches.len() * PATCH_PX * PATCH_PX
             + self.views.capacity() * size_of::<View>()
+            + self.place.capacity() * size_of::<Descriptor>()
     }
 
     /// See [`KeyframePicture`]: as long as this stays, a copy elsewhere needs no more than the landmarks that are observed.
@@ -174,7 +189,7 @@ impl KeyframePicture {
     }
 
     fn patch(&self, landmark: u32) -> Option<Crop<'_>> {
-        let patch = &self.patches[self.place(landmark).ok()?];
+        let patch = &self.patches[self.patch_of(landmark).ok()?];
         Some(Crop {
             left: usize::from(patch.left),
             top: usize::from(patch.top),
@@ -187,7 +202,7 @@ impl KeyframePicture {
     /// From which level on a template of `landmark` can be cut.
     #[inline]
     pub fn detail(&self, landmark: u32) -> Detail {
-        if self.whole().is_some() || self.place(landmark).is_ok() {
+        if self.whole().is_some() || self.patch_of(landmark).is_ok() {
             return Detail::Full;
         }
         if !self.is_condensed() {
@@ -233,11 +248,13 @@ impl KeyframePicture {
     }
 
     /// Gives up all levels finer than [`CONDENSED_LEVEL`] for these views.
-    pub(super) fn condense(&mut self, mut views: Vec<View>) {
+    pub(super) fn condense(&mut self, mut views: Vec<View>, mut place: Vec<Descriptor>) {
+        place.truncate(PLACE_DESCRIPTORS);
+        place.shrink_to_fit();
         views.sort_by_key(|v| v.landmark);
         views.shrink_to_fit();
         self.pyramid = Arc::new(self.pyramid.without_finest(CONDENSED_LEVEL));
-        (self.patches, self.views) = (Arc::default(), Arc::new(views));
+        (self.patches, self.views, self.place) = (Arc::default(), Arc::new(views), Arc::new(place));
         self.revision += 1;
     }
 
@@ -254,7 +271,7 @@ impl KeyframePicture {
 
     /// One landmark turned out to be another.
     pub(super) fn rename(&mut self, landmark: u32, to: u32) {
-        if let (Ok(from), Err(_)) = (self.place(landmark), self.place(to)) {
+        if let (Ok(from), Err(_)) = (self.patch_of(landmark), self.patch_of(to)) {
             let patches = Arc::make_mut(&mut self.patches);
             patches[from].landmark = to;
             patches.sort_by_key(|p| p.landmark);
@@ -277,7 +294,7 @@ impl KeyframePicture {
 
     /// The landmark is not observed any more.
     pub(super) fn forget(&mut self, landmark: u32) {
-        if let Ok(i) = self.place(landmark) {
+        if let Ok(i) = self.patch_of(landmark) {
             Arc::make_mut(&mut self.patches).remove(i);
         }
         if self.view(landmark).is_some() {
@@ -291,7 +308,7 @@ impl KeyframePicture {
         Arc::make_mut(&mut self.patches).retain(|p| landmarks.binary_search(&p.landmark).is_ok());
     }
 
-    fn place(&self, landmark: u32) -> Result<usize, usize> {
+    fn patch_of(&self, landmark: u32) -> Result<usize, usize> {
         self.patches.binary_search_by_key(&landmark, |p| p.landmark)
     }
 }

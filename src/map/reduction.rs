@@ -6,7 +6,7 @@
 use nalgebra::Vector3;
 
 use super::picture::Detail;
-use super::view::{Described, View};
+use super::view::{Description, View};
 use super::{Keyframe, KeyframeId, Landmark, LandmarkId, Map};
 use crate::features::thumbnail::Thumbnail;
 
@@ -44,12 +44,12 @@ impl Map {
     }
 
     /// Condenses a keyframe's picture to the views of at most [`MOST_VIEWS`] landmarks, those of the most keyframes first; `describe` gives the
-    /// descriptors of what it is told of the keyframe's landmarks, in the same order. Landmarks that nothing shows any more are taken out of
+    /// descriptors of the picture, and of what it is told of the keyframe's landmarks, in the same order. Landmarks that nothing shows any more are taken out of
     /// the map; how many. Of a picture that is too small nothing is given up.
     pub fn condense_picture(
         &mut self,
         id: KeyframeId,
-        describe: impl FnOnce(&Keyframe, &[LandmarkId]) -> Vec<Described>,
+        describe: impl FnOnce(&Keyframe, &[LandmarkId]) -> Description,
     ) -> usize {
         self.reduce_picture(id);
         self.detailed.remove(&id);
@@ -67,7 +67,7 @@ impl Map {
         ranked.truncate(MOST_VIEWS);
         let mut kept: Vec<LandmarkId> = ranked.into_iter().map(|(_, landmark)| landmark).collect();
         kept.sort_unstable();
-        let described = describe(keyframe, &kept);
+        let Description { landmarks: described, place } = describe(keyframe, &kept);
         let mut views = Vec::with_capacity(kept.len());
         for (&landmark, described) in kept.iter().zip(described) {
             let Some(o) = keyframe.observation(landmark) else { continue };
@@ -78,7 +78,7 @@ impl Map {
         }
         let seen: Vec<LandmarkId> = keyframe.observations.iter().map(|o| o.landmark).collect();
         if let Some(k) = self.keyframes.get_mut(id.0) {
-            k.picture.condense(views);
+            k.picture.condense(views, place);
             // It follows from the picture.
             k.thumbnail = Thumbnail::default();
             k.observations.shrink_to_fit();

@@ -8,6 +8,7 @@
 
 use nalgebra::Vector2;
 
+use crate::features::descriptor::Descriptor;
 use crate::features::gradients::{GradientDescriptor, NUMBERS};
 use crate::image::Crop;
 
@@ -101,6 +102,18 @@ impl CoarseDescriptor {
 
 /// By level.
 pub type Described = [Option<CoarseDescriptor>; DESCRIBED_LEVELS];
+
+/// Descriptors of a condensed keyframe's picture that are kept for the index over places: half of what the index has of it, the strongest.
+pub const PLACE_DESCRIPTORS: usize = 64;
+
+/// What a keyframe is to be known by once its picture is gone.
+#[derive(Debug, Clone, Default)]
+pub struct Description {
+    /// Of the landmarks that were asked for, in their order.
+    pub landmarks: Vec<Described>,
+    /// Of the picture; at most [`PLACE_DESCRIPTORS`].
+    pub place: Vec<Descriptor>,
+}
 
 /// See the module.
 #[derive(Debug, Clone, PartialEq)]

@@ -85,6 +85,21 @@ impl Loops {
         ranked.iter().filter(|c| c.votes >= MIN_VOTES).map(|c| c.keyframe).collect()
     }
 
+    /// Enters the keyframes of a map of another run.
+    pub fn enter(&mut self, map: &Map) {
+        let Self { index, describer, seen, .. } = self;
+        for (id, keyframe) in map.keyframes.iter() {
+            match keyframe.picture.is_condensed() {
+                true => index.add(KeyframeId(id), keyframe.picture.place_descriptors()),
+                false => {
+                    // Reduced pictures have the levels that this takes.
+                    describer.describe(keyframe.picture.pyramid(), seen);
+                    index.add(KeyframeId(id), seen);
+                }
+            }
+        }
+    }
+
     /// Takes out of the index what is in no map any more.
     fn follow(&mut self, map: &Map, others: &OtherMaps) {
         let is_alive =

@@ -7,6 +7,7 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 
 use super::error::FORMAT;
 use super::*;
+use crate::features::descriptor::Descriptor;
 use crate::features::gradients::{GradientDescriptor, NUMBERS};
 use crate::geometry::random::Random;
 use crate::geometry::{CameraModel, LensModel, Se3};
@@ -14,7 +15,7 @@ use crate::image::{GreyImage, Pyramid};
 use crate::map::picture::KeyframePicture;
 use crate::map::saved::{MapChanges, MapHead, SavedOptics};
 use crate::map::scale::MapScale;
-use crate::map::view::{CoarseDescriptor, View};
+use crate::map::view::{CoarseDescriptor, Description, View};
 use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, MapId, Observation};
 
 fn camera() -> CameraModel {
@@ -93,7 +94,9 @@ fn condense(map: &mut Map, id: u32, random: &mut Random) {
             let of = GradientDescriptor(std::array::from_fn::<u8, NUMBERS, _>(|_| random.below(166) as u8));
             (random.below(4) > 0).then(|| CoarseDescriptor::of(&of))
         };
-        landmarks.iter().map(|_| std::array::from_fn(|_| described())).collect()
+        let landmarks = landmarks.iter().map(|_| std::array::from_fn(|_| described())).collect();
+        let place = (0..9).map(|i| Descriptor(std::array::from_fn(|k| u64::MAX / (i + k as u64 + 1)))).collect();
+        Description { landmarks, place }
     });
 }
 
@@ -122,6 +125,8 @@ fn a_condensed_keyframe_comes_back_whenever_it_was_condensed() {
     let contents = read(&path).expect("whole");
     let saved = &contents.saved.maps[0].map;
     assert!(views(saved) == views(&map));
+    let place = |map: &Map| map.keyframe(KeyframeId(1)).expect("there").picture.place_descriptors().to_vec();
+    assert!(place(saved) == place(&map) && place(saved).len() == 9);
     assert!(saved.detailed().eq(map.detailed()) && saved.detailed().eq([KeyframeId(2)]));
     saved.check_consistency().expect("consistent");
     map.remove_keyframe(KeyframeId(0));

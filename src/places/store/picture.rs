@@ -7,6 +7,7 @@
 use ::png::{BitDepth, ColorType, Compression, Decoder, Encoder, Limits};
 use serde::{Deserialize, Serialize};
 
+use crate::features::descriptor::Descriptor;
 use crate::image::GreyImage;
 use crate::map::picture::{CONDENSED_LEVEL, KeptPatch, KeyframePicture, PATCH_PX};
 use crate::map::view::{CoarseDescriptor, SmallPatch, View};
@@ -69,13 +70,23 @@ struct CondensedRecord {
     levels: u8,
     finest: Vec<u8>,
     views: Vec<ViewRecord>,
+    place: Vec<[[u8; 8]; 4]>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct PatchRecord {
+    left: u16,
+    top: u16,
+    darkest: u8,
+    brightest: u8,
+    packed: Vec<u8>,
 }
 
 #[derive(Serialize, Deserialize)]
 struct ViewRecord {
     landmark: u32,
-    /// By level: left, top, darkest, brightest, pixels.
-    patches: [Option<(u16, u16, u8, u8, Vec<u8>)>; 2],
+    /// By level.
+    patches: [Option<PatchRecord>; 2],
     /// By level.
     described: [Option<Vec<u8>>; 3],
 }
@@ -83,20 +94,36 @@ struct ViewRecord {
 /// The record of a condensed picture; `None` where it is another.
 pub fn encode_condensed(picture: &KeyframePicture) -> Option<Vec<u8>> {
     let kept = picture.kept().filter(|kept| picture.is_condensed() && kept.level == CONDENSED_LEVEL)?;
+    let patch = |p: &SmallPatch| {
+        let SmallPatch { left, top, darkest, brightest, packed } = p;
+        let (left, top, darkest, brightest) = (*left, *top, *darkest, *brightest);
+        PatchRecord { left, top, darkest, brightest, packed: packed.to_vec() }
+    };
     let view = |view: &View| ViewRecord {
         landmark: view.landmark,
-        patches: view
-            .patches
-            .each_ref()
-            .map(|p| p.as_ref().map(|p| (p.left, p.top, p.darkest, p.brightest, p.packed.to_vec()))),
+        patches: view.patches.each_ref().map(|p| p.as_ref().map(patch)),
         described: view.described.each_ref().map(|d| d.as_ref().map(|d| d.0.to_vec())),
     };
     let record = CondensedRecord {
         levels: u8::try_from(kept.levels).ok()?,
         finest: png(kept.finest)?,
         views: picture.views().iter().map(view).collect(),
+        place: picture.place_descriptors().iter().map(|d| d.0.map(u64::to_le_bytes)).collect(),
     };
     postcard::to_stdvec(&record).ok()
+}
+
+/// `None` if it makes no sense.
+fn patch(record: Option<PatchRecord>) -> Option<Option<SmallPatch>> {
+    let Some(PatchRecord { left, top, darkest, brightest, packed }) = record else { return Some(None) };
+    let packed = packed.try_into().ok()?;
+    (darkest <= brightest).then_some(Some(SmallPatch { left, top, darkest, brightest, packed }))
+}
+
+/// `None` if it makes no sense.
+fn descriptor(record: Option<Vec<u8>>) -> Option<Option<CoarseDescriptor>> {
+    let Some(packed) = record else { return Some(None) };
+    Some(Some(CoarseDescriptor(packed.try_into().ok()?)))
 }
 
 /// The condensed picture of a record; `None` if it is not one.
@@ -105,26 +132,15 @@ pub fn decode_condensed(record: &[u8]) -> Option<KeyframePicture> {
     let finest = grey(&record.finest)?;
     let mut views = Vec::with_capacity(record.views.len());
     for v in record.views {
-        let [zero, one] = v.patches.map(|patch| {
-            patch.map(|(left, top, darkest, brightest, packed)| {
-                let packed = packed.try_into().ok()?;
-                (darkest <= brightest).then_some(SmallPatch { left, top, darkest, brightest, packed })
-            })
-        });
-        let [fine, middle, coarse] = v.described.map(|d| d.map(|d| Some(CoarseDescriptor(d.try_into().ok()?))));
-        // What is there must make sense; what is not there is none.
-        let (patches, described) = (
-            [zero.map_or(Some(None), |p| p.map(Some))?, one.map_or(Some(None), |p| p.map(Some))?],
-            [
-                fine.map_or(Some(None), |d| d.map(Some))?,
-                middle.map_or(Some(None), |d| d.map(Some))?,
-                coarse.map_or(Some(None), |d| d.map(Some))?,
-            ],
-        );
+        let [fine, half] = v.patches;
+        let patches = [patch(fine)?, patch(half)?];
+        let [fine, half, quarter] = v.described;
+        let described = [descriptor(fine)?, descriptor(half)?, descriptor(quarter)?];
         views.push(View { landmark: v.landmark, patches, described });
     }
     let is_one = usize::from(record.levels) > CONDENSED_LEVEL && !finest.data.is_empty();
-    is_one.then(|| KeyframePicture::restored_condensed(finest, usize::from(record.levels), views))
+    let place = record.place.into_iter().map(|d| Descriptor(d.map(u64::from_le_bytes))).collect();
+    is_one.then(|| KeyframePicture::restored_condensed(finest, usize::from(record.levels), views, place))
 }
 
 fn png(image: &GreyImage) -> Option<Vec<u8>> {

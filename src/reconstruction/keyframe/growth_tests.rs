@@ -13,7 +13,7 @@ use crate::geometry::Se3;
 use crate::geometry::random::Random;
 use crate::image::{GreyImage, Pyramid};
 use crate::map::picture::KeyframePicture;
-use crate::map::view::{CoarseDescriptor, DESCRIBED_LEVELS};
+use crate::map::view::{CoarseDescriptor, DESCRIBED_LEVELS, Description, PLACE_DESCRIPTORS};
 use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, MapId, Observation, Sought};
 use crate::places::index::{DESCRIPTORS, PlaceIndex};
 use crate::reconstruction::ReconstructionConfig;
@@ -111,7 +111,10 @@ impl Drive {
             + thin_out((map, MapId(0)), id, config.max_keyframes, &mut self.next_thinned, &mut events);
         reduce_pictures(map, id);
         let kept = CoarseDescriptor::of(&GradientDescriptor([40; NUMBERS]));
-        condense_pictures(map, id, config.detailed_keyframes, |_, l| vec![[Some(kept); DESCRIBED_LEVELS]; l.len()]);
+        condense_pictures(map, id, config.detailed_keyframes, |_, l| Description {
+            landmarks: vec![[Some(kept); DESCRIBED_LEVELS]; l.len()],
+            place: described[..PLACE_DESCRIPTORS].to_vec(),
+        });
         self.index.add(id, &described);
         took += began.elapsed().as_secs_f64();
         self.gone += culled;

@@ -2,7 +2,7 @@
 
 use super::YOUNG_KEYFRAMES;
 use super::epipolar::{MIN_SHARED, NEIGHBOURS};
-use crate::map::view::Described;
+use crate::map::view::Description;
 use crate::map::{Keyframe, KeyframeId, LandmarkId, Map};
 
 /// Whole pictures of keyframes: those of [`reduce_pictures`], and the newest's while the oldest of them is not yet reduced.
@@ -28,7 +28,7 @@ pub fn condense_pictures(
     map: &mut Map,
     newest: KeyframeId,
     most: usize,
-    mut describe: impl FnMut(&Keyframe, &[LandmarkId]) -> Vec<Described>,
+    mut describe: impl FnMut(&Keyframe, &[LandmarkId]) -> Description,
 ) -> u64 {
     let over = map.detailed().len().saturating_sub(most).min(CONDENSED_AT_ONCE);
     if over == 0 {

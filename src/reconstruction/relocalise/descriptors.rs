@@ -26,8 +26,11 @@ use crate::geometry::pnp::estimate_pose;
 use crate::geometry::ransac::RansacOptions;
 use crate::image::Pyramid;
 use crate::image::pyramid::{base_from_level, level_from_base};
-use crate::map::view::{CoarseDescriptor, DESCRIBED_LEVELS, Described as LandmarkDescriptors};
+use crate::map::view::{
+    CoarseDescriptor, DESCRIBED_LEVELS, Described as LandmarkDescriptors, Description, PLACE_DESCRIPTORS,
+};
 use crate::map::{Keyframe, KeyframeId, LandmarkId, Map};
+use crate::places::describe::PlaceDescriber;
 use crate::reconstruction::track::Guess;
 
 /// Pyramid levels that corners are described on.
@@ -242,8 +245,18 @@ fn describe_by_views(map: &Map, keyframe: &Keyframe, out: &mut Described<Landmar
     }
 }
 
-/// What a condensed keyframe keeps to know these landmarks by: the strongest direction on each level.
-pub fn describe_kept(keyframe: &Keyframe, landmarks: &[LandmarkId]) -> Vec<LandmarkDescriptors> {
+/// What a keyframe that is condensed keeps to be known by, and these landmarks of it.
+pub fn describe_kept(keyframe: &Keyframe, landmarks: &[LandmarkId]) -> Description {
+    let mut place = Vec::new();
+    PlaceDescriber::default().describe(keyframe.picture.pyramid(), &mut place);
+    // The strongest of either level come first of it.
+    let [fine, coarse] = [place.len() * 3 / 4, place.len() / 4].map(|n| n.min(PLACE_DESCRIPTORS));
+    let kept = place[..fine / 2].iter().chain(&place[place.len() - coarse..][..coarse / 2]).copied().collect();
+    Description { landmarks: describe_landmarks(keyframe, landmarks), place: kept }
+}
+
+/// The strongest direction on each level.
+fn describe_landmarks(keyframe: &Keyframe, landmarks: &[LandmarkId]) -> Vec<LandmarkDescriptors> {
     let mut out = vec![[None; DESCRIBED_LEVELS]; landmarks.len()];
     for level in 0..DESCRIBED_LEVELS {
         let Some(image) = keyframe.picture.level(level) else { break };
