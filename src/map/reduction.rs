@@ -43,9 +43,9 @@ impl Map {
         self.detailed.iter().copied()
     }
 
-    /// Condenses a keyframe's picture to the views of at most [`MOST_VIEWS`] landmarks, those of the most keyframes first; `describe` gives the
-    /// descriptors of the picture, and of what it is told of the keyframe's landmarks, in the same order. Landmarks that nothing shows any more are taken out of
-    /// the map; how many. Of a picture that is too small nothing is given up.
+    /// Condenses a keyframe's picture to the views of at most [`MOST_VIEWS`] landmarks, those of the most keyframes first; `describe` gives
+    /// the descriptors of the picture, and of what it is told of the keyframe's landmarks, in the same order. Landmarks that nothing shows any
+    /// more are taken out of the map; how many. Of a picture that is too small nothing is given up.
     pub fn condense_picture(
         &mut self,
         id: KeyframeId,
