@@ -414,8 +414,8 @@ impl Reconstruction {
         active.scale.follow(map);
         counters.landmarks_culled += cull::cull_landmarks(map, id);
         counters.keyframes_culled += cull::cull_keyframes((map, active.id), id, config, &mut self.events);
-        let (most, next) = (config.max_keyframes, &mut active.next_thinned);
-        counters.keyframes_culled += cull::thin_out((map, active.id), id, most, next, &mut self.events);
+        let (most, turn) = (config.max_keyframes, &mut active.thinned);
+        counters.keyframes_culled += cull::thin_out((map, active.id), id, most, turn, &mut self.events);
         reduce_pictures(map, id);
         counters.landmarks_culled += condense_pictures(map, id, config.detailed_keyframes, describe_kept);
         active.unadjusted = Some(id);

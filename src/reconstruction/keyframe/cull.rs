@@ -1,7 +1,7 @@
 //! What a map loses at a keyframe: landmarks that did not prove themselves, keyframes that say what others say, and where it is too large those
 //! that are needed least.
 //!
-//! Cost: what was touched since the last keyframe, what the newest shares landmarks with, and a few keyframes of a round over the map: it
+//! Cost: what was touched since the last keyframe, what the newest shares landmarks with, and a few keyframes here and there: it
 //! does not grow with the map.
 
 use super::YOUNG_KEYFRAMES;
@@ -14,7 +14,7 @@ use crate::reconstruction::types::TrajectoryEvent;
 
 /// Of a map that is too large, as one that was joined may be, so many keyframes go with each new one: what it was joined by is needed yet.
 const MOST_AT_ONCE: usize = 2;
-/// Keyframes that are looked at for one to go: of a full map each round takes one in so many. Half a millisecond.
+/// Keyframes that are looked at for one to go. Half a millisecond.
 const LOOKED_AT: usize = 48;
 
 /// Landmarks that were made lately and did not prove themselves, and those that disagree all the time, go.
@@ -74,14 +74,14 @@ fn redundant_with_views(map: &Map, id: KeyframeId) -> Option<(f64, f64)> {
     Some((if is_condensed { redundant - only_shown(map, id) } else { redundant }, total))
 }
 
-/// Where a map holds more than `max_keyframes`, removes of the next few keyframes of a round over the map, from `next` on, those that are needed
-/// least; none that is young or shares a landmark with `newest`. So a large map is thinned evenly, where it is densest first, and never where
-/// the robot is.
+/// Where a map holds more than `max_keyframes`, removes of a few keyframes, one here and one there all over the map and others each time (`turn`
+/// counts), those that are needed least; none that is young or shares a landmark with `newest`. So a large map is thinned where it is densest, and
+/// never where the robot is.
 pub fn thin_out(
     (map, map_id): (&mut Map, MapId),
     newest: KeyframeId,
     max_keyframes: usize,
-    next: &mut u32,
+    turn: &mut u32,
     events: &mut Vec<TrajectoryEvent>,
 ) -> u64 {
     let over = map.keyframes.len().saturating_sub(max_keyframes).min(MOST_AT_ONCE);
@@ -91,12 +91,10 @@ pub fn thin_out(
     let near: Vec<KeyframeId> =
         map.keyframe(newest).into_iter().flat_map(|k| k.covisible.iter().map(|c| c.0)).collect();
     let is_far = |id: &KeyframeId| id.0 + YOUNG_KEYFRAMES <= newest.0 && near.binary_search(id).is_err();
-    let mut looked: Vec<KeyframeId> = map.keyframes.ids_from(*next).take(LOOKED_AT).map(KeyframeId).collect();
-    if looked.len() < LOOKED_AT {
-        let first = map.keyframes.ids().take(LOOKED_AT - looked.len()).map(KeyframeId);
-        looked.extend(first.filter(|id| id.0 < *next));
-    }
-    *next = looked.last().map_or(0, |id| id.0 + 1);
+    let apart = map.keyframes.len().div_ceil(LOOKED_AT).max(1);
+    let looked: Vec<KeyframeId> =
+        map.keyframes.ids().skip(*turn as usize % apart).step_by(apart).map(KeyframeId).collect();
+    *turn = turn.wrapping_add(1);
     let needed = |id: KeyframeId| {
         let (redundant, total) = redundant_with_views(map, id)?;
         Some(((total - redundant) / total, id))

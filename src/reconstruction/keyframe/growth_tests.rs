@@ -31,7 +31,7 @@ struct Drive {
     config: ReconstructionConfig,
     /// Landmarks in view, and for how many keyframes yet.
     in_view: Vec<(LandmarkId, u32)>,
-    next_thinned: u32,
+    thinned: u32,
     gone: u64,
 }
 
@@ -43,7 +43,7 @@ impl Drive {
         let mut pyramid = Pyramid::new(5);
         pyramid.build(&image);
         let (map, index, pyramid) = (Map::default(), PlaceIndex::default(), Arc::new(pyramid));
-        Self { map, index, random, pyramid, config, in_view: Vec::new(), next_thinned: 0, gone: 0 }
+        Self { map, index, random, pyramid, config, in_view: Vec::new(), thinned: 0, gone: 0 }
     }
 
     fn observation(&mut self, landmark: LandmarkId) -> Observation {
@@ -108,7 +108,7 @@ impl Drive {
         let mut events = Vec::new();
         cull_landmarks(map, id);
         let culled = cull_keyframes((map, MapId(0)), id, config, &mut events)
-            + thin_out((map, MapId(0)), id, config.max_keyframes, &mut self.next_thinned, &mut events);
+            + thin_out((map, MapId(0)), id, config.max_keyframes, &mut self.thinned, &mut events);
         reduce_pictures(map, id);
         let kept = CoarseDescriptor::of(&GradientDescriptor([40; NUMBERS]));
         condense_pictures(map, id, config.detailed_keyframes, |_, l| Description {
@@ -145,7 +145,8 @@ fn median(mut seconds: Vec<f64>) -> f64 {
 
 #[test]
 fn a_building_of_ten_thousand_keyframes_costs_no_more_time_a_keyframe_and_bounded_memory() {
-    let mut drive = Drive::new(ReconstructionConfig { max_keyframes: 10_000, ..Default::default() });
+    let mut drive =
+        Drive::new(ReconstructionConfig { max_keyframes: 10_000, redundant_share: 1.0, ..Default::default() });
     let mut took = Vec::new();
     for _ in 0..10_000 {
         took.push(drive.step());
@@ -164,7 +165,7 @@ fn a_building_of_ten_thousand_keyframes_costs_no_more_time_a_keyframe_and_bounde
 }
 
 /// Of a condensed keyframe with all that belongs to it. 200 detailed keyframes (26 MB) are among the 10,000.
-const MOST_BYTES: usize = 48_000;
+const MOST_BYTES: usize = 60_000;
 
 #[test]
 fn a_map_at_its_limit_is_thinned_evenly_and_never_where_the_robot_is() {
@@ -180,6 +181,6 @@ fn a_map_at_its_limit_is_thinned_evenly_and_never_where_the_robot_is() {
     let in_part = |part: u32| left.iter().filter(|id| **id / 200 == part).count();
     let parts = [0, 1, 2, 3].map(in_part);
     println!("left of each 200: {parts:?}");
-    assert!(parts.iter().all(|n| *n >= 40), "{parts:?}");
+    assert!(parts.iter().all(|n| *n >= 60), "{parts:?}");
     assert!(drive.map.detailed().len() <= 40 + 24);
 }
