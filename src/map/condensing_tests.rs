@@ -56,8 +56,8 @@ fn map(random: &mut Random, landmarks: usize, seen_by: impl Fn(usize) -> Vec<usi
     let mut corners =
         Spread::default().over_cells((320, 240), 20, &mut corners).copied().collect::<Vec<_>>().into_iter();
     for n in 0..landmarks {
-        let Some(corner) = corners.next() else { break };
-        let pixel = Vector2::new(corner.x, corner.y);
+        let anywhere = Vector2::new(random.uniform(25.0, 295.0) as f32, random.uniform(25.0, 215.0) as f32);
+        let pixel = corners.next().map_or(anywhere, |corner| Vector2::new(corner.x, corner.y));
         let observation = Observation {
             landmark: LandmarkId(0),
             pixel,
@@ -154,7 +154,8 @@ fn a_landmark_is_found_by_its_condensed_view_where_the_whole_picture_finds_it() 
             apart.push(f64::from((by_whole.position - by_view.position).norm()));
             let (a, b) = (place(&whole, &turned), place(condensed, &turned).expect("it reaches"));
             let off = a.expect("there").iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
-            assert!(off < 8.0, "a template is off by {off} grey levels");
+            // Half a step of the largest contrast there is, and rounding.
+            assert!(off < 9.5, "a template is off by {off} grey levels");
         }
         apart.sort_unstable_by(f64::total_cmp);
         assert!(found >= MOST_VIEWS / 2, "{found}");
