@@ -32,7 +32,8 @@
 //! - A keyframe that sees fewer than 120 landmarks is completed: corners of its neighbours that never became landmarks, as their tracks were
 //!   cut, are looked for in it along their epipolar lines (`keyframe::epipolar`).
 //! - In a blurred picture what is not found at its own level is measured on coarser ones, as exactly as these are.
-//! - A start is a reference view (once its tracks are gone a later one), the newest one and up to eight in between, adjusted together;
+//! - A start is a reference view (once its tracks are gone a later one), the newest one and up to eight in between, adjusted together; where
+//!   tracks are few, views joined by corners that look alike are tried after those of the tracks (`initialise::untracked`);
 //!   it is accepted once the direction of
 //!   the first motion is sure enough for how long the camera has moved, and most of the picture agrees with it, so neither standing
 //!   nor turning on the spot starts a map, nor (with a calibrated lens) something large that moves past.
@@ -56,8 +57,11 @@
 //!   contradict are slip. Known to a few per cent, the map becomes metric at once (`reconstruction::metric`): another number, one reset. From then on
 //!   the wheels' way holds the distances of keyframes in adjustments, and the step behind a turn on the spot is as long as they say.
 //! - A camera that is driven at a known height ([`motion::floor`]) finds the floor among the landmarks: the plane that it moves parallel to, at one height,
-//!   with nothing beneath, and that it was driven over. While somebody asks what stands on it ([`motion::obstacles`]), keyframes note after their pose where
+//!   with nothing beneath, and that it was driven over. Behind a turn on the spot floor and tags are asked of that part of the map alone, and what they
+//!   say makes both parts one (`reconstruction::metric`). While somebody asks what stands on it ([`motion::obstacles`]), keyframes note after their pose where
 //!   their pictures show the floor itself, and scans are made of that and of the map; what is not known is never free.
+//! - A tag's place is made anew from the keyframes that saw it whenever it is told. With a dock the daemon moves the frame in which the map is *published*, by one
+//!   rigid motion (`daemon::dock`); reconstruction's coordinates and all files stay as they are.
 //! - In a metric map a frame that is not found where the last motion leads is looked for where the wheels say; one that the picture cannot place all the same (dark, covered, blurred) has the
 //!   pose that they carry on, `DEAD_RECKONING`, within limits of time, way and doubt (`reconstruction::blind`). When the picture is back the smooth pose goes on,
 //!   and where nothing of the map is in view the same map does, by a start that is brought in at the dead-reckoned place.

@@ -359,6 +359,11 @@
 #define CAIRN_MAP_MODE_STORED (1 << 1)
 
 /**
+ * The map is told in the frame of the configuration's dock, a tag that has been seen.
+ */
+#define CAIRN_MAP_MODE_DOCK_FRAME (1 << 2)
+
+/**
  * Frames from the source into the ring.
  */
 #define CAIRN_STAGE_CAPTURE 0
@@ -452,6 +457,16 @@
  * Processes that can send commands at once.
  */
 #define CAIRN_MAX_COMMANDERS 8
+
+/**
+ * Tags of a message at the most.
+ */
+#define CAIRN_MAX_TAGS 16
+
+/**
+ * `family` of a tag: AprilTag 36h11.
+ */
+#define CAIRN_TAG_36H11 0
 
 /**
  * Wheel odometry.
@@ -1552,6 +1567,122 @@ typedef struct cairn_obstacles {
 } cairn_obstacles;
 
 /**
+ * A tag. Its axes are those of a robot that looks straight at it: x into the tag, y to the left, z up; its origin is the middle of its black square.
+ */
+typedef struct cairn_tag {
+  /**
+   * Its middle in the map, map units; NaN: seen, but from too few directions to be placed.
+   */
+  double position[3];
+  /**
+   * `map_from_tag`, quaternion (x, y, z, w); NaN as there.
+   */
+  double orientation[4];
+  /**
+   * Side of its black square as the configuration has it, m.
+   */
+  float size;
+  /**
+   * The same as the keyframes see it, map units: in a metric map another size than `size` is another tag, or a wrong `size`. NaN as above.
+   */
+  float edge;
+  /**
+   * Standard deviation of `position` in its worst direction, relative to the keyframes that saw it, map units; NaN as above.
+   */
+  float position_sigma;
+  /**
+   * Standard deviation of `orientation` about its worst axis, relative to the same, rad; NaN as above.
+   */
+  float orientation_sigma;
+  /**
+   * Its number in the family.
+   */
+  uint32_t id;
+  /**
+   * Keyframes of the map, as far as they are kept for it, that saw it.
+   */
+  uint32_t sightings;
+  /**
+   * TAG_36H11.
+   */
+  uint8_t family;
+  /**
+   * 1: it is the dock of the configuration, whose place the map may be told in; else 0.
+   */
+  uint8_t is_dock;
+  /**
+   * Zero.
+   */
+  uint8_t reserved[6];
+} cairn_tag;
+
+/**
+ * The tags of the map, at their places by the keyframes of now; the same `content_revision` as the map that was sent with it.
+ */
+typedef struct cairn_tags {
+  /**
+   * Another value at every start of the daemon.
+   */
+  uint64_t run_id;
+  /**
+   * Grows with every change of what the map holds: another picture of it.
+   */
+  uint64_t content_revision;
+  /**
+   * Capture time of the newest frame that the map knows of, in the source's clock (`clock`), ns.
+   */
+  int64_t timestamp_ns;
+  /**
+   * CLOCK_MONOTONIC when this message was sent, ns.
+   */
+  int64_t published_ns;
+  /**
+   * Tags in this message.
+   */
+  uint32_t count;
+  /**
+   * As in cairn_pose.map_id.
+   */
+  uint32_t map_id;
+  /**
+   * As in cairn_pose.reset_counter.
+   */
+  uint32_t reset_counter;
+  /**
+   * As in cairn_pose.map_revision: what was kept of messages with another one is out of place.
+   */
+  uint32_t map_revision;
+  /**
+   * Relative standard deviation of the scale; NaN unless it is estimated.
+   */
+  float scale_sigma;
+  /**
+   * SCALE_UNKNOWN, SCALE_ESTIMATED, SCALE_METRIC.
+   */
+  uint8_t scale;
+  /**
+   * As in cairn_pose.scale_source.
+   */
+  uint8_t scale_source;
+  /**
+   * CAIRN_CLOCK_MONOTONIC, CAIRN_CLOCK_RECORDING.
+   */
+  uint8_t clock;
+  /**
+   * Bits of map_mode.
+   */
+  uint8_t map_mode;
+  /**
+   * Zero.
+   */
+  uint8_t reserved[8];
+  /**
+   * By number, ascending; beyond `count` nothing.
+   */
+  struct cairn_tag tags[CAIRN_MAX_TAGS];
+} cairn_tags;
+
+/**
  * Describes the bytes of a `PREFIX/encoded` message: the picture as it came from the camera, before it is decoded or looked at, with what is
  * believed of its lens and mount at that moment.
  */
@@ -1625,6 +1756,8 @@ typedef struct cairn_encoded_header {
    */
   uint8_t reserved[16];
 } cairn_encoded_header;
+
+
 
 
 
@@ -1914,6 +2047,25 @@ int32_t cairn_obstacles_wait(struct cairn_client *client,
  */
 void cairn_obstacles_stop(struct cairn_client *client);
 
+/**
+ * The newest word on where the map's tags are, waiting for it if need be. From the first call until `cairn_close` or `cairn_tags_stop` the
+ * daemon tells it with every map.
+ *
+ * # Safety
+ * `client` comes from `cairn_connect`; `tags` may be written.
+ */
+int32_t cairn_tags_wait(struct cairn_client *client,
+                        uint64_t timeout_ns,
+                        struct cairn_tags *tags);
+
+/**
+ * No more tags are wanted.
+ *
+ * # Safety
+ * `client` is null or comes from `cairn_connect`.
+ */
+void cairn_tags_stop(struct cairn_client *client);
+
 #ifdef __cplusplus
 }  // extern "C"
 #endif  // __cplusplus
@@ -1938,6 +2090,8 @@ void cairn_obstacles_stop(struct cairn_client *client);
 #define CAIRN_COMMAND_REPLY_TYPE "cairn.CommandReply.v1"
 #define CAIRN_WHEEL_ODOMETRY_TYPE "cairn.WheelOdometry.v1"
 #define CAIRN_OBSTACLES_TYPE "cairn.Obstacles.v1"
+#define CAIRN_TAG_TYPE "cairn.Tag.v1"
+#define CAIRN_TAGS_TYPE "cairn.Tags.v1"
 
 /* The layout, checked wherever this file is included. */
 #ifdef __cplusplus
@@ -2182,4 +2336,32 @@ CAIRN_ASSERT(offsetof(cairn_obstacles, sigma) == 856 && sizeof(((cairn_obstacles
 CAIRN_ASSERT(offsetof(cairn_obstacles, free_from) == 1576 && sizeof(((cairn_obstacles *)0)->free_from) == 720);
 CAIRN_ASSERT(offsetof(cairn_obstacles, free) == 2296 && sizeof(((cairn_obstacles *)0)->free) == 720);
 CAIRN_ASSERT(offsetof(cairn_obstacles, points) == 3016 && sizeof(((cairn_obstacles *)0)->points) == 8000);
+CAIRN_ASSERT(sizeof(cairn_tag) == 88);
+CAIRN_ASSERT(offsetof(cairn_tag, position) == 0 && sizeof(((cairn_tag *)0)->position) == 24);
+CAIRN_ASSERT(offsetof(cairn_tag, orientation) == 24 && sizeof(((cairn_tag *)0)->orientation) == 32);
+CAIRN_ASSERT(offsetof(cairn_tag, size) == 56 && sizeof(((cairn_tag *)0)->size) == 4);
+CAIRN_ASSERT(offsetof(cairn_tag, edge) == 60 && sizeof(((cairn_tag *)0)->edge) == 4);
+CAIRN_ASSERT(offsetof(cairn_tag, position_sigma) == 64 && sizeof(((cairn_tag *)0)->position_sigma) == 4);
+CAIRN_ASSERT(offsetof(cairn_tag, orientation_sigma) == 68 && sizeof(((cairn_tag *)0)->orientation_sigma) == 4);
+CAIRN_ASSERT(offsetof(cairn_tag, id) == 72 && sizeof(((cairn_tag *)0)->id) == 4);
+CAIRN_ASSERT(offsetof(cairn_tag, sightings) == 76 && sizeof(((cairn_tag *)0)->sightings) == 4);
+CAIRN_ASSERT(offsetof(cairn_tag, family) == 80 && sizeof(((cairn_tag *)0)->family) == 1);
+CAIRN_ASSERT(offsetof(cairn_tag, is_dock) == 81 && sizeof(((cairn_tag *)0)->is_dock) == 1);
+CAIRN_ASSERT(offsetof(cairn_tag, reserved) == 82 && sizeof(((cairn_tag *)0)->reserved) == 6);
+CAIRN_ASSERT(sizeof(cairn_tags) == 1472);
+CAIRN_ASSERT(offsetof(cairn_tags, run_id) == 0 && sizeof(((cairn_tags *)0)->run_id) == 8);
+CAIRN_ASSERT(offsetof(cairn_tags, content_revision) == 8 && sizeof(((cairn_tags *)0)->content_revision) == 8);
+CAIRN_ASSERT(offsetof(cairn_tags, timestamp_ns) == 16 && sizeof(((cairn_tags *)0)->timestamp_ns) == 8);
+CAIRN_ASSERT(offsetof(cairn_tags, published_ns) == 24 && sizeof(((cairn_tags *)0)->published_ns) == 8);
+CAIRN_ASSERT(offsetof(cairn_tags, count) == 32 && sizeof(((cairn_tags *)0)->count) == 4);
+CAIRN_ASSERT(offsetof(cairn_tags, map_id) == 36 && sizeof(((cairn_tags *)0)->map_id) == 4);
+CAIRN_ASSERT(offsetof(cairn_tags, reset_counter) == 40 && sizeof(((cairn_tags *)0)->reset_counter) == 4);
+CAIRN_ASSERT(offsetof(cairn_tags, map_revision) == 44 && sizeof(((cairn_tags *)0)->map_revision) == 4);
+CAIRN_ASSERT(offsetof(cairn_tags, scale_sigma) == 48 && sizeof(((cairn_tags *)0)->scale_sigma) == 4);
+CAIRN_ASSERT(offsetof(cairn_tags, scale) == 52 && sizeof(((cairn_tags *)0)->scale) == 1);
+CAIRN_ASSERT(offsetof(cairn_tags, scale_source) == 53 && sizeof(((cairn_tags *)0)->scale_source) == 1);
+CAIRN_ASSERT(offsetof(cairn_tags, clock) == 54 && sizeof(((cairn_tags *)0)->clock) == 1);
+CAIRN_ASSERT(offsetof(cairn_tags, map_mode) == 55 && sizeof(((cairn_tags *)0)->map_mode) == 1);
+CAIRN_ASSERT(offsetof(cairn_tags, reserved) == 56 && sizeof(((cairn_tags *)0)->reserved) == 8);
+CAIRN_ASSERT(offsetof(cairn_tags, tags) == 64 && sizeof(((cairn_tags *)0)->tags) == 1408);
 #undef CAIRN_ASSERT

@@ -22,6 +22,7 @@ using Pose = cairn_pose;
 using Health = cairn_health;
 using Landmark = cairn_landmark;
 using Obstacles = cairn_obstacles;
+using Tags = cairn_tags;
 
 // Waiting would not cure it; what() names reason and cure.
 struct Error : std::runtime_error {
@@ -134,6 +135,12 @@ class Client {
         Obstacles scan;
         return detail::came(cairn_obstacles_wait(client_.get(), detail::ns(timeout), &scan)) ? std::optional(scan)
                                                                                             : std::nullopt;
+    }
+
+    // Where the map's tags are (`count` of `tags`); told with every map, only while it is asked for. NaN is not placed yet.
+    std::optional<Tags> tags(Duration timeout) {
+        Tags tags;
+        return detail::came(cairn_tags_wait(client_.get(), detail::ns(timeout), &tags)) ? std::optional(tags) : std::nullopt;
     }
 
     // For the driver of the robot's base: its mean twist since the last call, up to now (forward, to the left, turn to the left), 20 to 100

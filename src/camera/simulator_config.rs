@@ -104,7 +104,9 @@ macro_rules! config {
     };
 }
 
+mod tags;
 mod wheels;
+pub use tags::TagsConfig;
 pub use wheels::WheelsConfig;
 
 config! {
@@ -147,6 +149,8 @@ config! {
         blackout: BlackoutConfig = BlackoutConfig::default(),
         /// A chessboard on the wall above the desk of the room.
         chessboard: ChessboardConfig = ChessboardConfig::default(),
+        /// Tags on the walls of the room.
+        tags: TagsConfig = TagsConfig::default(),
         /// Jerks of the hand that holds the camera.
         jerks: JerksConfig = JerksConfig::default(),
         /// Lamps seen in polished surfaces.
@@ -433,6 +437,7 @@ impl SimulatorConfig {
         within("people.start_s", self.people.start_s, "s", 0.0, 1e7)?;
         within("people.walk_m_s", self.people.walk_m_s, "m/s", 0.2, 2.0)?;
         self.wheels.validate()?;
+        self.tags.validate()?;
         let board = &self.chessboard;
         within("chessboard.columns", f64::from(board.columns), "inner corners", 3.0, 20.0)?;
         within("chessboard.rows", f64::from(board.rows), "inner corners", 3.0, 20.0)?;

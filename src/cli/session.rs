@@ -120,6 +120,7 @@ pub fn open_wire(config: &Config, clock: Clock, size: Option<(u32, u32)>) -> Res
         .with_graph(publisher.graph)
         .with_features(publisher.features)
         .with_obstacles(publisher.obstacles)
+        .with_tags(publisher.tags)
         .with_encoded(publisher.encoded)
         .with_wheels(publisher.wheels);
     Ok((outlet, Desk { health: publisher.health, commands: publisher.commands }))

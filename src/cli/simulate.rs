@@ -38,6 +38,8 @@ pub enum Effect {
     LowTexture,
     /// A chessboard on the wall above the desk.
     Chessboard,
+    /// Tags (AprilTag 36h11, 16 cm, numbers 1 to 4) on the walls of the room.
+    Tags,
     /// Exposure that swings about what it should be.
     ExposureHunts,
     /// Exposure by time: brighter pictures are blurred more.
@@ -69,6 +71,7 @@ impl Effect {
             Self::Blackout => &mut config.blackout.enabled,
             Self::LowTexture => &mut config.low_texture,
             Self::Chessboard => &mut config.chessboard.enabled,
+            Self::Tags => &mut config.tags.enabled,
             Self::ExposureHunts => &mut config.exposure.hunts,
             Self::ExposureTime => &mut config.exposure.sets_time,
             Self::Jerks => &mut config.jerks.enabled,

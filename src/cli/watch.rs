@@ -2,6 +2,7 @@
 
 mod obstacles;
 mod render;
+mod tags;
 
 use std::io::{ErrorKind, Write};
 use std::process::ExitCode;
@@ -40,6 +41,9 @@ pub struct WatchArgs {
     /// What stands around the robot, and where the floor is seen free, instead of poses
     #[arg(long, conflicts_with_all = ["map", "health"])]
     pub obstacles: bool,
+    /// Where the map's tags are, with every map, instead of poses
+    #[arg(long, conflicts_with_all = ["map", "health", "obstacles"])]
+    pub tags: bool,
 }
 
 fn seconds(text: &str) -> Result<Duration, String> {
@@ -68,6 +72,8 @@ fn watch(args: &WatchArgs, out: &mut dyn Write, stop: &AtomicBool) -> Result<(),
         follow(client.health(), args, out, stop)
     } else if args.obstacles {
         follow(client.obstacles(), args, out, stop)
+    } else if args.tags {
+        follow(client.tags(), args, out, stop)
     } else if args.map {
         follow(client.map(), args, out, stop)
     } else {

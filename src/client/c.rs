@@ -16,7 +16,7 @@ use std::time::Duration;
 
 use super::{
     Client, ClientError, FeatureLists, Features, Frame, Frames, Graphs, Healths, Keyframes, KeyframesSnapshot, Map,
-    MapSnapshot, ObstacleScans, Poses, Subscription, Topic, WheelPublisher, monotonic_ns,
+    MapSnapshot, ObstacleScans, Poses, Subscription, TagLists, Topic, WheelPublisher, monotonic_ns,
 };
 use crate::messages::{
     Command, CommandReply, Feature, FeaturesHeader, FrameHeader, Health, Keyframe, KeyframesHeader, Landmark,
@@ -55,6 +55,7 @@ pub struct Handle {
     features: Option<FeatureLists>,
     graphs: Option<Graphs>,
     obstacles: Option<ObstacleScans>,
+    tags: Option<TagLists>,
     wheels: Option<WheelPublisher>,
 }
 
@@ -158,9 +159,20 @@ pub unsafe extern "C" fn cairn_connect(prefix: *const c_char) -> *mut Handle {
     match client {
         Ok(client) => {
             let (poses, health, map, keyframes) = (client.poses(), client.health(), client.map(), client.keyframes());
-            let (frames, features, graphs, obstacles, wheels) = (None, None, None, None, None);
-            let handle = Handle { client, poses, health, map, keyframes, frames, features, graphs, obstacles, wheels };
-            Box::into_raw(Box::new(handle))
+            // What costs the daemon something is asked for first.
+            Box::into_raw(Box::new(Handle {
+                client,
+                poses,
+                health,
+                map,
+                keyframes,
+                frames: None,
+                features: None,
+                graphs: None,
+                obstacles: None,
+                tags: None,
+                wheels: None,
+            }))
         }
         Err(error) => {
             failed(&error.to_string());
@@ -225,6 +237,7 @@ macro_rules! handle {
 
 mod graph;
 mod obstacles;
+mod tags;
 mod wheels;
 
 /// The newest pose, without waiting; the same one again while no newer has come (look at `cairn_pose_is_usable`). A client that

@@ -50,7 +50,8 @@ use iceoryx2_bb_posix::clock::{ClockType, Time};
 pub use commander::{MapList, StoredMap};
 pub use error::ClientError;
 pub use subscription::{
-    Encodeds, FeatureLists, Frames, Graphs, Healths, Keyframes, Map, ObstacleScans, Poses, Subscription, WheelReports,
+    Encodeds, FeatureLists, Frames, Graphs, Healths, Keyframes, Map, ObstacleScans, Poses, Subscription, TagLists,
+    WheelReports,
 };
 pub use topics::{Encoded, Features, Frame, Graph, KeyframesSnapshot, MapSnapshot, Slice, Topic};
 pub use wheel::WheelPublisher;
@@ -147,6 +148,11 @@ impl Client {
     /// What stands around the robot and where the floor is free, about six times a second. The daemon makes scans only while somebody holds such a
     /// subscription.
     pub fn obstacles(&self) -> ObstacleScans {
+        Subscription::new(self.link.clone())
+    }
+
+    /// The tags that the map's keyframes have seen, before each map. The daemon tells them only while somebody holds such a subscription.
+    pub fn tags(&self) -> TagLists {
         Subscription::new(self.link.clone())
     }
 

@@ -13,7 +13,7 @@ use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
 use super::link::{Ipc, Link};
 use super::topics::{
     EncodedTopic, FeaturesTopic, FrameTopic, GraphTopic, HealthTopic, KeyframesTopic, MapTopic, ObstaclesTopic,
-    OpenFailure, PoseTopic, Topic, WheelTopic,
+    OpenFailure, PoseTopic, TagsTopic, Topic, WheelTopic,
 };
 use super::{ClientError, LOOK_EVERY};
 
@@ -63,6 +63,8 @@ pub type Graphs = Subscription<GraphTopic>;
 pub type FeatureLists = Subscription<FeaturesTopic>;
 /// Subscription to what stands around the robot.
 pub type ObstacleScans = Subscription<ObstaclesTopic>;
+/// Subscription to the tags of the map; its items are copies.
+pub type TagLists = Subscription<TagsTopic>;
 /// Subscription to what the base's driver tells; its items are copies.
 pub type WheelReports = Subscription<WheelTopic>;
 /// Subscription to the camera's own bytes.

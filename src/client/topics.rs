@@ -16,7 +16,7 @@ use super::link::Ipc;
 use crate::messages::services::topic;
 use crate::messages::{
     EncodedHeader, Feature, FeaturesHeader, FrameHeader, GraphEdge, GraphHeader, Health, Keyframe, KeyframesHeader,
-    Landmark, MapHeader, Obstacles, Pose, WheelOdometry,
+    Landmark, MapHeader, Obstacles, Pose, Tags, WheelOdometry,
 };
 
 /// The map as it was at one moment: a slice of [`Landmark`] in shared memory.
@@ -189,6 +189,9 @@ impl WireName for Feature {
 impl WireName for Obstacles {
     const WIRE_NAME: &'static str = Obstacles::TYPE_NAME;
 }
+impl WireName for Tags {
+    const WIRE_NAME: &'static str = Tags::TYPE_NAME;
+}
 impl WireName for WheelOdometry {
     const WIRE_NAME: &'static str = WheelOdometry::TYPE_NAME;
 }
@@ -231,6 +234,10 @@ topic!(
 topic!(
     /// [`Obstacles`], while somebody subscribes.
     ObstaclesTopic, topic::OBSTACLES, Obstacles, Obstacles, (), false, Obstacles, copied
+);
+topic!(
+    /// [`Tags`], just before the map, while somebody subscribes.
+    TagsTopic, topic::TAGS, Tags, Tags, (), false, Tags, copied
 );
 topic!(
     /// [`WheelOdometry`], as the base's driver tells the daemon. No event goes with it: read it polled.

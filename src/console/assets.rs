@@ -49,6 +49,7 @@ impl Assets {
             "/map.js" "map.js" JS,
             "/graph.js" "graph.js" JS,
             "/obstacles.js" "obstacles.js" JS,
+            "/tags.js" "tags.js" JS,
             "/charts.js" "charts.js" JS,
             "/controls.js" "controls.js" JS,
             "/camera.js" "camera.js" JS,

@@ -1,6 +1,7 @@
 //! What pages ask for that takes its time: commands to the daemon, the two-picture chain, and calibrations; one at a time of each.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use crossbeam::channel::{Sender, TrySendError, bounded};
 use serde_json::json;
@@ -18,6 +19,9 @@ use super::wire::{self, Kind};
 const WAITING: usize = 4;
 /// Where more wait.
 const BUSY: &str = "others are under way: try again";
+/// A page takes the next picture of a chain within this, or is given up, so that it does not hold up others' chains.
+const READ_WITHIN: Duration = Duration::from_secs(10);
+const SLOW: &str = "this page did not take the pictures in time: run the chain again";
 
 type Queue = Sender<(Arc<Outbox>, u32, Job)>;
 
@@ -82,10 +86,11 @@ fn take(source: &Source, page: &Outbox, id: u32, which: Which, pair: &Pair) {
 fn chain(page: &Outbox, id: u32, method: Method, pair: &Pair) {
     match pair.reconstruct(method) {
         Ok(done) => {
-            for (name, png) in &done.pictures {
-                page.put(Kind::Picture, wire::picture(name, png));
-            }
-            answer(page, id, &done.terminal, Ok(done.text), true);
+            let mut pictures = done.pictures.iter();
+            let is_read =
+                pictures.all(|(name, png)| page.put_in_turn(Kind::Picture, wire::picture(name, png), READ_WITHIN));
+            let outcome = if is_read { Ok(done.text) } else { Err(SLOW.into()) };
+            answer(page, id, &done.terminal, outcome, true);
         }
         Err(reason) => answer(page, id, "", Err(reason), true),
     }

@@ -62,7 +62,21 @@ impl Outbox {
                 waiting.queue.pop_front();
             }
         }
-        self.changed.notify_one();
+        self.changed.notify_all();
+    }
+
+    /// Queues it once there is room, so that it displaces nothing and nothing soon displaces it: the pictures of one chain are more than the queue holds.
+    /// False where the page has not read for so long, or has gone.
+    pub fn put_in_turn(&self, kind: Kind, message: Bytes, patience: Duration) -> bool {
+        let is_full = |w: &mut Waiting| !w.closed && !w.queue.is_empty() && w.bytes() + message.len() > QUEUE_BYTES / 2;
+        let waited = self.changed.wait_timeout_while(self.lock(), patience, is_full);
+        let (waiting, waited) = waited.unwrap_or_else(PoisonError::into_inner);
+        if waited.timed_out() || waiting.closed {
+            return false;
+        }
+        drop(waiting);
+        self.put(kind, message);
+        true
     }
 
     /// Queues it in place of all that waits of this kind.
@@ -74,7 +88,7 @@ impl Outbox {
     /// The newest ping is answered.
     pub fn pong(&self, payload: Vec<u8>) {
         self.lock().pong = Some(payload);
-        self.changed.notify_one();
+        self.changed.notify_all();
     }
 
     /// The page has dealt with a message of this kind.
@@ -82,7 +96,7 @@ impl Outbox {
         let mut waiting = self.lock();
         let count = &mut waiting.in_flight[kind as usize];
         *count = count.saturating_sub(1);
-        self.changed.notify_one();
+        self.changed.notify_all();
     }
 
     pub fn close(&self) {
@@ -101,6 +115,7 @@ impl Outbox {
                 return Next::Pong(payload);
             }
             if let Some(message) = waiting.take() {
+                self.changed.notify_all();
                 return Next::Send(message);
             }
             if !last {
@@ -213,5 +228,26 @@ mod tests {
         assert!(outbox.lock().bytes() <= QUEUE_BYTES);
         outbox.close();
         assert!(matches!(outbox.next(SOON), Next::Closed));
+    }
+
+    #[test]
+    fn a_page_that_reads_slowly_gets_all_that_is_put_in_turn_and_one_that_does_not_is_given_up() {
+        let picture = |n: u8| Bytes::from(vec![n; QUEUE_BYTES / 3]);
+        let outbox = Outbox::default();
+        std::thread::scope(|scope| {
+            let putting =
+                scope.spawn(|| (0..8).all(|n| outbox.put_in_turn(Kind::Picture, picture(n), Duration::from_secs(20))));
+            for n in 0..8 {
+                std::thread::sleep(Duration::from_millis(5));
+                let Next::Send(message) = outbox.next(Duration::from_secs(20)) else { panic!("nothing was sent") };
+                assert_eq!(message[0], n);
+            }
+            assert!(putting.join().expect("no panic"));
+        });
+        assert!(outbox.put_in_turn(Kind::Picture, picture(1), SOON), "into an empty queue");
+        assert!(!outbox.put_in_turn(Kind::Picture, picture(2), SOON), "nobody reads");
+        assert_eq!(outbox.lock().queue.len(), 1);
+        outbox.close();
+        assert!(!outbox.put_in_turn(Kind::Picture, picture(3), Duration::from_secs(20)), "the page has gone");
     }
 }

@@ -12,7 +12,7 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use tracing::warn;
 
 use super::calibration::{self, Calibrator, Desk};
-use super::feed::{Source, graph, obstacles, pictures, robot};
+use super::feed::{Source, graph, obstacles, pictures, robot, tags};
 use super::guard::{Access, Token};
 use super::hub::{Hub, lock};
 use super::journal::{self, LogSource};
@@ -94,6 +94,7 @@ impl Console {
             scope.spawn(|| robot::run_map(&hub, &source, stop));
             scope.spawn(|| graph::run(&hub, &source, stop));
             scope.spawn(|| obstacles::run(&hub, &source, stop));
+            scope.spawn(|| tags::run(&hub, &source, stop));
             scope.spawn(|| journal::run(&hub, &log, stop));
             scope.spawn(|| {
                 calibration::run(&hub, &source, &desk, &self.options.calibrator, jobs::calibration, stop);

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::messages::{Feature, GraphEdge, Keyframe, Landmark, NO_LANDMARK, NO_TRACK, Obstacles};
+use crate::messages::{Feature, GraphEdge, Keyframe, Landmark, NO_LANDMARK, NO_TRACK, Obstacles, SCALE_METRIC, Tags};
 
 /// A message as it goes on the wire; its copies share the memory.
 pub type Bytes = tungstenite::Bytes;
@@ -27,10 +27,11 @@ pub enum Kind {
     Calibration = 12,
     /// What stands around the robot, and where the floor is free.
     Obstacles = 13,
+    Tags = 14,
 }
 
 /// One more than the last kind.
-pub const KINDS: usize = 14;
+pub const KINDS: usize = 15;
 
 impl Kind {
     /// Kinds that a page acknowledges: they are large.
@@ -48,6 +49,7 @@ impl Kind {
                 | Self::Covisible
                 | Self::Calibration
                 | Self::Obstacles
+                | Self::Tags
         )
     }
 
@@ -152,6 +154,21 @@ pub fn edges(kind: Kind, edges: &[GraphEdge], h: &MapHead) -> Bytes {
     out.into()
 }
 
+/// x, y, z, quaternion (x, y, z, w), side, id and whether it is the dock, of each tag whose place is known, 40 bytes; the others are in the total only.
+pub fn tags(tags: &Tags, epoch: u32) -> Bytes {
+    let placed: Vec<_> = tags.seen().iter().filter(|tag| tag.is_placed()).collect();
+    let head = MapHead { epoch, total: tags.count, scale: tags.scale, revision: tags.content_revision };
+    let mut out = map_head(Kind::Tags, placed.len(), &head, 40);
+    for tag in placed {
+        floats(&mut out, &tag.position.map(|v| v as f32));
+        floats(&mut out, &tag.orientation.map(|v| v as f32));
+        // Without metres there is only what the map has of it.
+        floats(&mut out, &[if tags.scale == SCALE_METRIC { tag.size } else { tag.edge }]);
+        words(&mut out, &[tag.id, u32::from(tag.is_dock)]);
+    }
+    out.into()
+}
+
 /// A scan: what it tells, its place in the map, then range, `free_from` and `free` of each bearing, 12 bytes, then the points in the robot's axes,
 /// 16 bytes each.
 pub fn obstacles(scan: &Obstacles, epoch: u32) -> Bytes {
@@ -215,7 +232,7 @@ pub fn picture(name: &str, png: &[u8]) -> Bytes {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::messages::OBSTACLES_TOLD;
+    use crate::messages::{OBSTACLES_TOLD, Tag};
 
     #[test]
     fn sizes_are_those_of_the_page() {
@@ -251,6 +268,17 @@ mod tests {
         assert_eq!((bytes.len(), bytes[0], &bytes[4..12]), (72 + 180 * 12 + 16, 13, &[1, 0, 0, 0, 7, 0, 0, 0][..]));
         assert_eq!(bytes[72 + 179 * 12 + 8..][..4], 1.5f32.to_le_bytes());
         assert_eq!(bytes[72 + 180 * 12 + 12..], 0.25f32.to_le_bytes());
+        let mut told = Tags { count: 2, scale: SCALE_METRIC, ..Tags::default() };
+        let (position, orientation) = ([1.0, 2.0, 3.0], [0.0, 0.0, 0.0, 1.0]);
+        told.tags[1] = Tag { id: 7, is_dock: 1, position, orientation, size: 0.5, edge: 0.25, ..Tag::default() };
+        let bytes = tags(&told, 7);
+        assert_eq!((bytes.len(), bytes[0], bytes[4], bytes[12]), (24 + 40, 14, 1, 2), "one of two is placed");
+        assert_eq!(
+            (&bytes[24 + 28..24 + 32], &bytes[24 + 32..]),
+            (&0.5f32.to_le_bytes()[..], &[7, 0, 0, 0, 1, 0, 0, 0][..])
+        );
+        told.scale = 0;
+        assert_eq!(tags(&told, 7)[24 + 28..24 + 32], 0.25f32.to_le_bytes());
         let found = Feature { track: NO_TRACK, position: [1.0, 2.0], age: 70_000, landmark: 3 };
         let bytes = frame(1, 2.0, (640, 480), &[found, Feature { landmark: NO_LANDMARK, ..found }], &[1, 2, 3]);
         assert_eq!(bytes.len(), 32 + 2 * FEATURE + 3);

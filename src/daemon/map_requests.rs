@@ -10,6 +10,9 @@ use tracing::info;
 
 use super::reconstruct::ReconstructStep;
 use super::request::{Loaded, MapRequest, Reply};
+use crate::geometry::Se3;
+use crate::geometry::frames::Body;
+use crate::publish::convert::Map;
 
 const NO_PICTURE: &str = "no picture has come yet, so it is not known what camera this is";
 const NO_MAPS: &str = "this run keeps no maps";
@@ -86,5 +89,21 @@ impl ReconstructStep {
         };
         self.drain_events();
         drop(reply.try_send(begun));
+    }
+
+    /// The map is published such that the robot is where a planner says.
+    pub(super) fn set_pose(&mut self, map_from_body: &Se3<Map, Body>, reply: &Reply) {
+        let docked = self.is_docked();
+        let moved = match self.outlet.as_mut() {
+            Some(_) if docked => Err("the map is in the frame of the dock".into()),
+            Some(outlet) => outlet.set_pose(map_from_body).map_err(String::from),
+            None => Err("nothing is published".into()),
+        };
+        if moved.is_ok() {
+            self.placements = self.placements.wrapping_add(1);
+            info!("map put where a planner wants it");
+        }
+        let done = "poses, map and keyframes are published there from now on; files keep the map's own origin";
+        drop(reply.try_send(moved.map(|()| done.into())));
     }
 }

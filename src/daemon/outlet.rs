@@ -12,10 +12,13 @@ use crate::messages::Pose;
 use crate::messages::services::MAX_EDGES;
 use crate::motion::hand_eye::Robot;
 use crate::motion::obstacles::Scan;
+use crate::motion::tag::edge_length::PlacedTag;
+use crate::motion::tag::{TagConfig, TagView};
 use crate::publish::convert::{self, Map};
 use crate::publish::{
     Conversion, EncodedPublisher, FeaturesPublisher, FramePublisher, FrameStamp, GraphPublisher, MapContext,
-    MapPublisher, ObstaclesPublisher, PosePublisher, PublishError, ScaleEstimate, ScanContext, WheelInbox,
+    MapPublisher, ObstaclesPublisher, PosePublisher, PublishError, ScaleEstimate, ScanContext, TagsPublisher,
+    WheelInbox, map_from_tag,
 };
 use crate::reconstruction::{PoseEstimate, Reconstruction};
 
@@ -26,7 +29,7 @@ const NOW_NS: i64 = 1_000_000_000;
 const FOUND_RAD: f64 = 0.03;
 const FOUND_M: f64 = 0.05;
 
-/// Where a planner has put a map.
+/// Where a planner or the dock has put a map.
 #[derive(Debug, Clone, Copy)]
 struct Placement {
     map: MapId,
@@ -42,6 +45,9 @@ pub struct Outlet {
     graph: Option<GraphPublisher>,
     /// As sent last.
     edges: MapGraph,
+    tags: Option<TagsPublisher>,
+    /// As sent last.
+    told: Vec<TagView>,
     features: Option<FeaturesPublisher>,
     obstacles: Option<ObstaclesPublisher>,
     /// For the capture stage, which takes it.
@@ -75,6 +81,8 @@ impl Outlet {
             frames,
             graph: None,
             edges: MapGraph::default(),
+            tags: None,
+            told: Vec::new(),
             features: None,
             obstacles: None,
             encoded: None,
@@ -88,6 +96,12 @@ impl Outlet {
     /// Tells what holds the map together, too.
     pub fn with_graph(mut self, graph: GraphPublisher) -> Self {
         self.graph = Some(graph);
+        self
+    }
+
+    /// Tells where tags are, too.
+    pub fn with_tags(mut self, tags: TagsPublisher) -> Self {
+        self.tags = Some(tags);
         self
     }
 
@@ -165,6 +179,33 @@ impl Outlet {
         }
     }
 
+    /// A tag of this map as it is published now.
+    pub fn map_from_tag(&mut self, map: MapId, placed: &PlacedTag) -> Se3<Map, Body> {
+        self.turn_to(map);
+        map_from_tag(placed, &self.conversion)
+    }
+
+    /// From the coordinates that files have to those that this map is published in.
+    pub fn map_from_optical(&mut self, map: MapId) -> Se3<Map, World> {
+        self.turn_to(map);
+        self.conversion.map_from_optical()
+    }
+
+    /// From the next pose on this map is published such that what was at `was` is at `now`. Returns how far that moves the robot and turns it, rad; 0 where it
+    /// has no pose.
+    pub fn put(&mut self, map: MapId, was: &Se3<Map, Body>, now: &Se3<Map, Body>) -> (f64, f64) {
+        self.turn_to(map);
+        let new_from_old: Se3<Map, Map> = *now * was.inverse();
+        let map_from_world = convert::place(now, was, self.conversion.map_from_world);
+        self.placement = Some(Placement { map, map_from_world });
+        self.turn_to(map);
+        let last = self.last.as_ref().filter(|pose| pose.map_id == map.0 && pose.is_tracking());
+        let body = last.and_then(|pose| convert::from_wire(&pose.position, &pose.orientation));
+        body.map_or((0.0, 0.0), |body| {
+            ((new_from_old.transform(&body.translation) - body.translation).norm(), new_from_old.rotation.angle())
+        })
+    }
+
     /// Takes the next pose's memory in advance, so that publishing it allocates nothing.
     pub fn prepare(&mut self) {
         self.poses.prepare();
@@ -236,12 +277,14 @@ impl Outlet {
         self.map.most()
     }
 
-    /// What ties the map together, if anybody subscribes to it; then the map and its keyframes. `map` is of this reconstruction.
+    /// What ties the map together and where its tags are, if anybody subscribes to these; then the map and its keyframes. `map` is of this
+    /// reconstruction.
     pub fn map(
         &mut self,
         reconstruction: &Reconstruction,
         map: &MapSnapshot,
         context: &MapContext,
+        tags_of: &TagConfig,
     ) -> Result<(), PublishError> {
         self.turn_to(map.map);
         self.conversion.scale = map.scale.into();
@@ -250,6 +293,11 @@ impl Outlet {
             reconstruction.graph(&mut self.edges, MAX_EDGES);
             graph = publisher.publish(&self.edges, map, &self.conversion, context);
         }
-        self.map.publish(map, &self.conversion, context).and(graph.map(|_| ()))
+        let mut tags = Ok(());
+        if let Some(publisher) = self.tags.as_mut().filter(|tags| tags.is_wanted()) {
+            reconstruction.tags(&mut self.told);
+            tags = publisher.publish(&self.told, tags_of, map, &self.conversion, context);
+        }
+        self.map.publish(map, &self.conversion, context).and(graph.map(|_| ())).and(tags)
     }
 }

@@ -6,80 +6,37 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use tracing::{debug, error, info, warn};
+use tracing::{error, info, warn};
 
 use super::base;
-use super::blind::BlindLog;
-use super::floor::FloorLog;
+use super::calibration::Calibration;
+use super::changes::ChangeLog;
+use super::dock::Dock;
 use super::map_file::MapDesk;
 use super::map_keeper::Keeper;
 use super::obstacles;
 use super::outlet::Outlet;
 use super::recorder::{FinalMap, Record, RecorderLink};
 use super::request::Request;
-use super::status::{Status, state_name};
+use super::status::Status;
 use super::wheels::WheelListener;
 use crate::config::MountConfig;
 use crate::features::{Feedback, FrameFeatures};
 use crate::frame::monotonic_ns;
 use crate::geometry::CameraModel;
 use crate::map::MapSnapshot;
-use crate::map::scale::MapScale;
+use crate::messages::map_mode;
 use crate::motion::floor::ScaleConfig;
 use crate::motion::hand_eye::Robot;
 use crate::motion::obstacles::ObstaclesConfig;
-use crate::motion::scale::ScaleMeasurement;
 use crate::motion::tag::TagConfig;
 use crate::motion::wheel::WheelQueue;
 use crate::publish::{MapContext, PublishError};
 use crate::reconstruction::{
     LensKnowledge, LensPrior, MappingWorker, PlaceWorker, PoseEstimate, Reconstruction, ReconstructionConfig,
-    TrackingState, TrajectoryEvent, guessed_camera,
+    TrackingState, TrajectoryEvent,
 };
 use crate::telemetry::RateLimiter;
-
-/// A camera model and where it came from, for messages.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Calibration {
-    pub model: CameraModel,
-    pub origin: String,
-    /// How well it is known.
-    pub prior: LensPrior,
-}
-
-impl Calibration {
-    /// Of somebody who measured it or says so.
-    pub fn known(model: CameraModel, origin: String) -> Self {
-        Self { model, origin, prior: LensPrior::Calibrated }
-    }
-
-    /// Nobody knows: an angle of view, degrees, to begin with.
-    pub fn guessed((width, height): (u32, u32), view_deg: f64) -> Option<Self> {
-        let model = guessed_camera(width, height, view_deg)?;
-        Some(Self { model, origin: format!("none: {view_deg} degrees are supposed"), prior: LensPrior::UNKNOWN })
-    }
-
-    /// The model for pictures of this size: the same, or scaled if only the resolution differs.
-    pub fn fit(&self, width: u32, height: u32) -> Result<CameraModel, String> {
-        let (from_width, from_height) = (self.model.width, self.model.height);
-        if (from_width, from_height) == (width, height) {
-            return Ok(self.model.clone());
-        }
-        if self.prior == LensPrior::UNKNOWN {
-            let longer = f64::from(from_width.max(from_height));
-            let view_deg = 2.0 * (0.5 * longer / self.model.fx).atan().to_degrees();
-            return guessed_camera(width, height, view_deg).ok_or_else(|| format!("no camera has {width}x{height} px"));
-        }
-        let scaled = self.model.scaled(width, height).map_err(|e| {
-            format!(
-                "{}: the calibration is for {from_width}x{from_height} px, the pictures have {width}x{height} px: {e}",
-                self.origin
-            )
-        })?;
-        warn!(from_width, from_height, width, height, "calibration scaled to the size of the pictures");
-        Ok(scaled)
-    }
-}
 
 /// A lens is kept again when its focal length is known this much better than what was kept, as a share of the standard deviation.
 const KEEP_AGAIN: f64 = 0.8;
@@ -89,6 +46,7 @@ pub struct ReconstructStep {
     config: ReconstructionConfig,
     pub(super) calibration: Calibration,
     tag: TagConfig,
+    dock: Option<Dock>,
     scale: ScaleConfig,
     obstacles: ObstaclesConfig,
     lockstep: bool,
@@ -99,7 +57,7 @@ pub struct ReconstructStep {
     pub(super) reconstruction: Option<Reconstruction>,
     /// Of the pictures that the camera model is for; 0, 0 before the first.
     pub(super) size: (u32, u32),
-    outlet: Option<Outlet>,
+    pub(super) outlet: Option<Outlet>,
     recorder: RecorderLink,
     pub(super) map_file: Option<MapDesk>,
     status: Arc<Status>,
@@ -110,19 +68,10 @@ pub struct ReconstructStep {
     publish_faults: RateLimiter,
     events: Vec<TrajectoryEvent>,
     snapshot: MapSnapshot,
-    last_state: Option<TrackingState>,
-    last_resets: u32,
-    last_blind_turns: u64,
     base: Option<(Robot, f64)>,
-    last_scale: MapScale,
-    last_slipping: bool,
-    blind: BlindLog,
-    last_maps_joined: u64,
-    last_tag_scale: Option<ScaleMeasurement>,
-    floor: FloorLog,
-    last_loops_closed: u64,
+    changes: ChangeLog,
     /// Times that a planner has put the map elsewhere: to its readers each is a reset.
-    placements: u32,
+    pub(super) placements: u32,
     last_frame_ns: i64,
     /// What is said of the lens, and how surely it was known when it was last handed over to be kept.
     lens: Option<LensKnowledge>,
@@ -146,6 +95,7 @@ impl ReconstructStep {
             config: config.clone(),
             calibration,
             tag: TagConfig::default(),
+            dock: None,
             scale: ScaleConfig::default(),
             obstacles: ObstaclesConfig::default(),
             lockstep,
@@ -162,17 +112,8 @@ impl ReconstructStep {
             publish_faults: RateLimiter::default(),
             events: Vec::new(),
             snapshot: MapSnapshot::default(),
-            last_state: None,
-            last_resets: 0,
-            last_blind_turns: 0,
             base: None,
-            last_scale: MapScale::Unknown,
-            last_slipping: false,
-            blind: BlindLog::default(),
-            last_maps_joined: 0,
-            last_tag_scale: None,
-            floor: FloorLog::default(),
-            last_loops_closed: 0,
+            changes: ChangeLog::default(),
             placements: 0,
             last_frame_ns: 0,
             lens: None,
@@ -214,7 +155,7 @@ impl ReconstructStep {
 
     /// Tags of a known size and the floor are looked for, where the configuration names that size, and how high the camera is above it.
     pub fn looking_for(self, tag: &TagConfig, scale: &ScaleConfig) -> Self {
-        Self { tag: tag.clone(), scale: *scale, ..self }
+        Self { tag: tag.clone(), dock: Dock::new(tag), scale: *scale, ..self }
     }
 
     /// Scans of what stands around the robot are made as this says.
@@ -252,15 +193,18 @@ impl ReconstructStep {
         self.status.mapping.record(begin.elapsed());
         self.last_frame_ns = estimate.timestamp_ns;
         let sequence = estimate.sequence;
-        self.log_changes(&estimate);
+        self.note_changes(&estimate);
         self.note_lens(KEEP_AGAIN);
         self.drain_events();
+        self.follow_dock(&estimate);
         self.recorder.record(Record::Published(estimate));
+        let mut mode = if self.is_docked() { map_mode::DOCK_FRAME } else { 0 };
         if let (Some(desk), Some(reconstruction)) = (self.map_file.as_mut(), self.reconstruction.as_mut()) {
             desk.turn(reconstruction, features.timestamp_ns);
-            self.status.set_map_mode(desk.mode(reconstruction.map_id()));
+            mode |= desk.mode(reconstruction.map_id());
             self.status.set_map_not_stored(desk.fails());
         }
+        self.status.set_map_mode(mode);
         self.publish_map();
         self.publish_obstacles(sequence);
         if let Some(outlet) = self.outlet.as_mut() {
@@ -373,107 +317,32 @@ impl ReconstructStep {
         status.set_scale_is_assumed(self.reconstruction.as_ref().is_some_and(Reconstruction::scale_is_assumed));
     }
 
-    /// The scale that tags tell, when it is told first, has become surer by a fifth or has moved by two sigmas.
-    fn log_tag_scale(&mut self, e: &PoseEstimate) {
-        let told = self.reconstruction.as_ref().and_then(Reconstruction::scale_by_tags);
-        let news = match (told, self.last_tag_scale) {
-            (Some(now), Some(last)) => {
-                let moved = (now.log_metres_per_unit - last.log_metres_per_unit).abs();
-                now.sigma < 0.8 * last.sigma || moved > 2.0 * last.sigma
-            }
-            (now, _) => now.is_some(),
-        };
-        if let Some(now) = told.filter(|_| news) {
-            let (sequence, timestamp_ns, map) = (e.sequence, e.timestamp_ns, e.map.0);
-            let metres_per_unit = now.log_metres_per_unit.exp();
-            info!(sequence, timestamp_ns, map, metres_per_unit, sigma = now.sigma, "scale by tags");
-        }
-        if news || told.is_none() {
-            self.last_tag_scale = told;
-        }
+    /// Where the dock hangs decides where the published map is.
+    fn follow_dock(&mut self, e: &PoseEstimate) {
+        let (Some(dock), Some(outlet)) = (self.dock.as_mut(), self.outlet.as_mut()) else { return };
+        let Some(reconstruction) = self.reconstruction.as_mut() else { return };
+        let localise_only = self.map_file.as_ref().is_some_and(is_localisation_only);
+        dock.follow(reconstruction, localise_only, outlet, e);
     }
 
-    fn log_loops(&mut self, e: &PoseEstimate) {
-        let Some(reconstruction) = &self.reconstruction else { return };
-        let loops_closed = reconstruction.counters().loops_closed;
-        if loops_closed != self.last_loops_closed {
-            let (sequence, timestamp_ns, map) = (e.sequence, e.timestamp_ns, e.map.0);
-            let (distance, angle_rad) = (reconstruction.corrections().distance, reconstruction.corrections().angle_rad);
-            info!(sequence, timestamp_ns, map, loops_closed, distance, angle_rad, "loop closed");
-            self.last_loops_closed = loops_closed;
-        }
+    /// The map is published in the dock's frame.
+    pub(super) fn is_docked(&self) -> bool {
+        let map = self.reconstruction.as_ref().map(Reconstruction::map_id);
+        self.dock.as_ref().zip(map).is_some_and(|(dock, map)| dock.holds(map))
     }
 
-    fn log_changes(&mut self, e: &PoseEstimate) {
-        self.log_tag_scale(e);
-        let (sequence, timestamp_ns, map) = (e.sequence, e.timestamp_ns, e.map.0);
-        if e.reset_counter != self.last_resets {
-            info!(sequence, timestamp_ns, map, reset_counter = e.reset_counter, "reset");
-            self.last_resets = e.reset_counter;
-        }
-        let maps_joined = self.reconstruction.as_ref().map_or(0, |r| r.counters().maps_joined);
-        if maps_joined != self.last_maps_joined {
-            info!(sequence, timestamp_ns, map, maps_joined, "map joined");
-            self.last_maps_joined = maps_joined;
-        }
-        self.log_scale(e);
-        self.log_loops(e);
-        if let Some(reconstruction) = &self.reconstruction {
-            self.blind.follow(reconstruction, e, state_name(e.state));
-            if self.scale.is_on() {
-                self.floor.follow(&self.scale, reconstruction, e);
-            }
-        }
-        let blind_turns = self.reconstruction.as_ref().map_or(0, |r| r.counters().blind_turns);
-        if blind_turns != self.last_blind_turns {
-            warn!(sequence, timestamp_ns, map, blind_turns, "scale assumed after a turn on the spot");
-            self.last_blind_turns = blind_turns;
-        }
-        if self.last_state != Some(e.state) {
-            let from = self.last_state.map_or("none", state_name);
-            let (state, landmarks) = (state_name(e.state), e.landmarks);
-            // In dim light an orientation may come and go with each frame, which would fill a journal.
-            let before_a_map = |s: TrackingState| matches!(s, TrackingState::Initializing | TrackingState::Orientation);
-            if before_a_map(e.state) && self.last_state.is_some_and(before_a_map) {
-                debug!(sequence, timestamp_ns, map, from, state, landmarks, "state");
-            } else {
-                info!(sequence, timestamp_ns, map, from, state, landmarks, "state");
-            }
-            self.last_state = Some(e.state);
-        }
+    /// What is different since the last frame, for log and health.
+    fn note_changes(&mut self, e: &PoseEstimate) {
         let Some(reconstruction) = &self.reconstruction else { return };
-        let counters = reconstruction.counters();
-        self.status.set_counters(&counters);
+        let became_metric = self.changes.follow(reconstruction, &self.scale, e);
+        if became_metric && let Some((robot, _)) = reconstruction.base() {
+            base::tell(&robot);
+            if let Some(outlet) = self.outlet.as_mut() {
+                outlet.found_mount(&robot);
+            }
+        }
+        self.status.set_counters(&reconstruction.counters());
         self.status.set_corrections(&reconstruction.corrections(), reconstruction.maps());
-        if e.keyframe {
-            let (keyframes, landmarks_made) = (counters.keyframes_made, counters.landmarks_made);
-            // Where much is new there is one a second, which would fill a journal in a night.
-            debug!(sequence, timestamp_ns, map, keyframes, landmarks_made, landmarks = e.landmarks, "keyframe");
-        } else {
-            debug!(sequence, landmarks = e.landmarks, sought = e.landmarks_sought, quality = e.quality, "frame");
-        }
-    }
-
-    /// The map has become metric, or another one has begun that is not; the wheels slip.
-    fn log_scale(&mut self, e: &PoseEstimate) {
-        let Some(reconstruction) = &self.reconstruction else { return };
-        let (sequence, timestamp_ns, scale) = (e.sequence, e.timestamp_ns, reconstruction.scale());
-        let slipping = reconstruction.wheels_slip();
-        let (robot, slips) = reconstruction.base().unzip();
-        if let (MapScale::Metric { sigma, sources }, false) = (scale, self.last_scale.is_metric()) {
-            let sources = format!("{sources}");
-            info!(sequence, timestamp_ns, sigma, sources, "map is metric");
-            if let Some(robot) = robot {
-                base::tell(&robot);
-                if let Some(outlet) = self.outlet.as_mut() {
-                    outlet.found_mount(&robot);
-                }
-            }
-        }
-        if slipping && !self.last_slipping {
-            warn!(sequence, timestamp_ns, slips, "wheels slip");
-        }
-        (self.last_scale, self.last_slipping) = (scale, slipping);
     }
 
     /// What is believed of the lens, for health and log; and for the next start, if it is found and less than `share` as uncertain as
@@ -521,7 +390,7 @@ impl ReconstructStep {
         reconstruction.snapshot_newest(&mut self.snapshot, outlet.most_of_map());
         self.status.set_map(&self.snapshot);
         let context = context(reconstruction, self.placements, self.last_frame_ns, self.status.map_mode());
-        match outlet.map(reconstruction, &self.snapshot, &context) {
+        match outlet.map(reconstruction, &self.snapshot, &context, &self.tag) {
             Ok(()) => self.status.maps_published.add(1),
             Err(error) => self.publish_failed(&error),
         }
@@ -559,19 +428,7 @@ impl ReconstructStep {
             Request::Map { request, reply } => self.map_request(request, reply),
             Request::TakeMap { loaded, reply } => self.take_map(*loaded, &reply),
             Request::BeginMap { path, reply } => self.begin_map(path, &reply),
-            Request::SetPose { map_from_body, reply } => {
-                let moved = match self.outlet.as_mut() {
-                    Some(outlet) => outlet.set_pose(&map_from_body).map_err(String::from),
-                    None => Err("nothing is published".into()),
-                };
-                if moved.is_ok() {
-                    self.placements = self.placements.wrapping_add(1);
-                    info!("map put where a planner wants it");
-                }
-                let done = "poses, map and keyframes are published there from now on; files keep the map's own origin";
-                // Whoever asked may have gone.
-                let _ = reply.try_send(moved.map(|()| done.into()));
-            }
+            Request::SetPose { map_from_body, reply } => self.set_pose(&map_from_body, &reply),
         }
     }
 
@@ -619,13 +476,13 @@ fn context(reconstruction: &Reconstruction, placements: u32, timestamp_ns: i64, 
 
 /// Its maps outlive a reset: nothing is written to them that would have to be kept from the file.
 fn is_localisation_only(desk: &MapDesk) -> bool {
-    desk.mode(crate::map::MapId::default()) & crate::messages::map_mode::LOCALISATION_ONLY != 0
+    desk.mode(crate::map::MapId::default()) & map_mode::LOCALISATION_ONLY != 0
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reconstruction::InlineWorker;
+    use crate::reconstruction::{InlineWorker, guessed_camera};
 
     #[test]
     fn a_map_message_counts_the_reset_that_made_its_map() {

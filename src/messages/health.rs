@@ -85,7 +85,11 @@ pub mod map_mode {
     /// The current map is that of the map file, or has been joined to it: places in it are those of earlier runs.
     pub const STORED: u8 = 1 << 1;
 
-    const NAMES: [(u8, &str); 2] = [(LOCALISATION_ONLY, "LOCALISATION_ONLY"), (STORED, "STORED")];
+    /// The map is told in the frame of the configuration's dock, a tag that has been seen.
+    pub const DOCK_FRAME: u8 = 1 << 2;
+
+    const NAMES: [(u8, &str); 3] =
+        [(LOCALISATION_ONLY, "LOCALISATION_ONLY"), (STORED, "STORED"), (DOCK_FRAME, "DOCK_FRAME")];
 
     /// Names of the bits that are set; bits of a newer daemon together are `UNKNOWN`.
     pub fn names(mode: u8) -> impl Iterator<Item = &'static str> {

@@ -43,6 +43,7 @@ mod map;
 mod obstacles;
 mod pose;
 pub mod services;
+mod tags;
 mod transform;
 mod unfilled;
 mod wheel;
@@ -62,6 +63,7 @@ pub use obstacles::{
     Obstacles,
 };
 pub use pose::Pose;
+pub use tags::{MAX_TAGS, TAG_36H11, Tag, Tags};
 pub use transform::Transform;
 pub use wheel::WheelOdometry;
 
@@ -366,7 +368,9 @@ mod tests {
             Command,
             CommandReply,
             WheelOdometry,
-            Obstacles
+            Obstacles,
+            Tag,
+            Tags
         );
     }
 

@@ -16,6 +16,7 @@ pub mod topic {
     pub const COMMAND: &str = "command";
     pub const WHEEL: &str = "wheel";
     pub const OBSTACLES: &str = "obstacles";
+    pub const TAGS: &str = "tags";
 }
 
 /// Event: a publisher has come.
@@ -99,6 +100,8 @@ pub const ENCODED: Qos = Qos { history: 0, buffer: 6, borrowed: 2, subscribers: 
 pub const FEATURES: Qos = Qos { history: 0, buffer: 4, borrowed: 2, subscribers: MAX_SUBSCRIBERS };
 /// Always the newest. No history, as frames: a scan of before is none of now.
 pub const OBSTACLES: Qos = Qos { history: 0, buffer: 1, borrowed: 2, subscribers: MAX_SUBSCRIBERS };
+/// Always the newest. No history, as the graph.
+pub const TAGS: Qos = Qos { history: 0, buffer: 1, borrowed: 2, subscribers: MAX_SUBSCRIBERS };
 /// What the base's driver sends and the daemon reads: half a second at 100 Hz, while the daemon is busy with a frame. No history: a twist of
 /// before is none of now.
 pub const WHEEL: Qos = Qos { history: 0, buffer: 64, borrowed: 2, subscribers: MAX_SUBSCRIBERS };

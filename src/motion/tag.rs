@@ -14,8 +14,9 @@
 //!
 //! Cost: at keyframes only, after the pose was published: 3 ms to look (640 x 480), and 0.2 to 0.3 ms for each tag. Bounded: 16 tags of 24 sightings.
 //!
-//! Not here: what becomes of the measurement; tags as landmarks of the adjustment; a tag as the origin of the map.
+//! Not here: what becomes of the measurement; tags as landmarks of the adjustment; how the dock's place moves the published map ([`dock`] is what is said of it).
 
+pub mod dock;
 pub mod edge_length;
 pub mod sheet;
 
@@ -28,6 +29,7 @@ use crate::geometry::CameraModel;
 use crate::image::GreyImage;
 use crate::map::scale::ScaleSource;
 use crate::map::{KeyframeId, Map, MapId, TurnId};
+use dock::DockConfig;
 use edge_length::{LEAST_VIEWS, NoLength, PlacedTag, View, edge_length};
 
 /// Sides of a black square that are believed, m: a stamp, and a wall.
@@ -53,11 +55,13 @@ pub struct TagConfig {
     pub size_sigma_m: f64,
     /// Numbers of the tags that have this size; empty: all of the family.
     pub ids: Vec<u16>,
+    /// The tag that says where the map is.
+    pub dock: DockConfig,
 }
 
 impl Default for TagConfig {
     fn default() -> Self {
-        Self { size_m: 0.0, size_sigma_m: 0.0003, ids: Vec::new() }
+        Self { size_m: 0.0, size_sigma_m: 0.0003, ids: Vec::new(), dock: DockConfig::default() }
     }
 }
 
@@ -79,7 +83,7 @@ impl TagConfig {
         }
         match self.ids.iter().find(|id| **id >= FAMILY_SIZE) {
             Some(id) => Err(("ids", format!("the family 36h11 has the tags 0 to {}, not {id}", FAMILY_SIZE - 1))),
-            None => Ok(()),
+            None => self.dock.validate(self.is_on() && (self.ids.is_empty() || self.ids.contains(&self.dock.id))),
         }
     }
 }
@@ -102,6 +106,25 @@ struct Sighting {
     size_sigma: f64,
 }
 
+/// A tag for who is told of it.
+#[derive(Debug, Clone, Copy)]
+pub struct TagView {
+    pub id: u16,
+    /// Keyframes of the map that saw it, as far as they are kept.
+    pub sightings: usize,
+    /// `None`: from too few directions so far.
+    pub placed: Option<PlacedTag>,
+}
+
+/// What the sightings of a tag say together.
+struct Fit {
+    found: Result<PlacedTag, NoLength>,
+    /// Sightings that were left out as they do not fit the others.
+    wrong: Vec<usize>,
+    /// Sightings of the part of the map that was asked for.
+    all: usize,
+}
+
 /// A tag and the keyframes that saw it.
 #[derive(Debug, Clone)]
 struct Known {
@@ -114,31 +137,10 @@ impl Known {
     /// From its sightings. One that does not fit the others is dropped for good; where that would be more than a third of them, the tag was moved, and only
     /// the newest are kept.
     fn place(&mut self, map: &Map, part: Option<TurnId>, optics: &Optics<'_>) {
-        self.placed = None;
-        // Others are of keyframes that are gone, of another map, or of a part of it that has another unit.
-        let mut used: Vec<usize> = Vec::new();
-        let mut views: Vec<View> = Vec::new();
-        for (i, sighting) in self.sightings.iter().enumerate() {
-            if let Some(view) = view(map, part, sighting, optics) {
-                used.push(i);
-                views.push(view);
-            }
-        }
-        let (all, mut wrong) = (views.len(), Vec::new());
-        let found = loop {
-            match edge_length(&views, optics.camera.focal_px()) {
-                Err(NoLength::Moved { worst }) if views.len() > LEAST_VIEWS && 3 * (wrong.len() + 1) <= all => {
-                    wrong.push(used.remove(worst));
-                    views.remove(worst);
-                }
-                found => break found,
-            }
-        };
+        let Fit { found, mut wrong, all } = self.fit(map, part, optics);
+        self.placed = found.ok();
         match found {
-            Ok(mut placed) => {
-                let sum: f64 = used.iter().map(|i| self.sightings[*i].size_sigma).sum();
-                placed.view_variance += (sum / used.len() as f64).powi(2);
-                self.placed = Some(placed);
+            Ok(_) => {
                 wrong.sort_unstable();
                 for i in wrong.into_iter().rev() {
                     self.sightings.remove(i);
@@ -151,6 +153,40 @@ impl Known {
             // Three that do not fit: the oldest is of before it was moved, or the newest is wrong and goes as soon as there are more.
             Err(_) => {}
         }
+    }
+
+    fn fit(&self, map: &Map, part: Option<TurnId>, optics: &Optics<'_>) -> Fit {
+        // Others are of keyframes that are gone, of another map, or of a part of it that has another unit.
+        let mut used: Vec<usize> = Vec::new();
+        let mut views: Vec<View> = Vec::new();
+        for (i, sighting) in self.sightings.iter().enumerate() {
+            if let Some(view) = view(map, part, sighting, optics) {
+                used.push(i);
+                views.push(view);
+            }
+        }
+        let (all, mut wrong) = (views.len(), Vec::new());
+        let mut found = loop {
+            match edge_length(&views, optics.camera.focal_px()) {
+                Err(NoLength::Moved { worst }) if views.len() > LEAST_VIEWS && 3 * (wrong.len() + 1) <= all => {
+                    wrong.push(used.remove(worst));
+                    views.remove(worst);
+                }
+                found => break found,
+            }
+        };
+        if let Ok(placed) = &mut found {
+            let sum: f64 = used.iter().map(|i| self.sightings[*i].size_sigma).sum();
+            placed.view_variance += (sum / used.len() as f64).powi(2);
+        }
+        Fit { found, wrong, all }
+    }
+
+    /// As the keyframes of now see it, in the part of the map where it was seen last; `None`: no keyframe that is left has seen it.
+    fn told(&self, map: &Map, optics: &Optics<'_>) -> Option<TagView> {
+        let seen = || self.sightings.iter().filter_map(|s| map.keyframe(s.keyframe));
+        let part = seen().next_back()?.scale_from;
+        Some(TagView { id: self.id, sightings: seen().count(), placed: self.fit(map, part, optics).found.ok() })
     }
 }
 
@@ -221,11 +257,25 @@ impl Tags {
         known.filter_map(|known| Some((known.id, known.placed.as_ref()?)))
     }
 
+    /// Fills `out` with the tags that keyframes of this map have seen, by number, each at its place by the keyframes' poses of now: those follow corrections
+    /// of the map, which [`placed`](Self::placed) does with the next sighting only. Changes nothing that is known.
+    pub fn tell(&self, map: &Map, optics: &Optics<'_>, out: &mut Vec<TagView>) {
+        out.clear();
+        out.extend(self.known.iter().filter_map(|known| known.told(map, optics)));
+        out.sort_unstable_by_key(|tag| tag.id);
+    }
+
+    /// The same of one tag's place alone.
+    pub fn placed_now(&self, id: u16, map: &Map, optics: &Optics<'_>) -> Option<PlacedTag> {
+        self.known.iter().find(|known| known.id == id)?.told(map, optics)?.placed
+    }
+
     /// Lengths of the map were multiplied by `scale`: what was told before is told in the new unit.
     pub fn rescale(&mut self, scale: f64) {
         for placed in self.known.iter_mut().filter_map(|known| known.placed.as_mut()) {
             placed.log_edge += scale.ln();
             placed.world_from_tag.translation *= scale;
+            placed.place_sigma *= scale;
         }
         if let Some(measurement) = &mut self.measurement {
             measurement.log_metres_per_unit -= scale.ln();

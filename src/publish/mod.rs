@@ -8,7 +8,7 @@
 //! - [`convert`] turns optical axes into REP-103 axes of the robot's body, covariance included.
 //! - One daemon a prefix: a second one gets [`PublishError::AlreadyRunning`]. What a killed one left behind is cleared away.
 //! - Shared memory, reserved though not touched before it is used, for 8 subscribers: poses 0.2 MB, health 0.03 MB, map
-//!   12.5 MB (20,000 landmarks), keyframes 3.8 MB (2,000), graph 5.2 MB, frames 8 MB (640x480), features 3.6 MB, encoded pictures 6 MB (as frames), obstacles 0.3 MB. A full `/dev/shm` kills a process by
+//!   12.5 MB (20,000 landmarks), keyframes 3.8 MB (2,000), graph 5.2 MB, frames 8 MB (640x480), features 3.6 MB, encoded pictures 6 MB (as frames), obstacles 0.3 MB, tags 0.05 MB. A full `/dev/shm` kills a process by
 //!   SIGBUS, so [`Publisher::open`] refuses to start where there is no room.
 //!
 //! Does not: log, read configuration, spawn threads, convert pictures.
@@ -22,6 +22,7 @@ mod graph;
 mod obstacles;
 mod opening;
 mod ports;
+mod tags;
 mod wheels;
 
 use std::sync::{Arc, Weak};
@@ -37,6 +38,7 @@ pub use error::PublishError;
 pub use features::FeaturesPublisher;
 pub use graph::GraphPublisher;
 pub use obstacles::{ObstaclesPublisher, ScanContext};
+pub use tags::{TagsPublisher, map_from_tag};
 pub use wheels::{WheelInbox, WheelNews};
 
 use crate::frame::{Clock, monotonic_ns};
@@ -45,7 +47,7 @@ use crate::map::MapSnapshot;
 use crate::messages::services::{self, topic};
 use crate::messages::{
     DAEMON_NODE, EncodedHeader, Endpoint, Feature, FeaturesHeader, FrameHeader, GraphEdge, GraphHeader, Health,
-    Keyframe, KeyframesHeader, Landmark, MapHeader, Obstacles, Pose, Presence,
+    Keyframe, KeyframesHeader, Landmark, MapHeader, Obstacles, Pose, Presence, Tags,
 };
 use crate::reconstruction::PoseEstimate;
 use opening::Ipc;
@@ -95,6 +97,7 @@ impl Limits {
             (services::FEATURES, services::MAX_FEATURES * size_of::<Feature>()),
             (services::ENCODED, self.frame_bytes),
             (services::OBSTACLES, size_of::<Obstacles>()),
+            (services::TAGS, size_of::<Tags>()),
         ];
         // 256: headers and rounding of a message.
         parts.iter().map(|(qos, bytes)| (qos.messages() * (bytes + 256)) as u64).sum()
@@ -111,6 +114,7 @@ pub struct Publisher {
     pub features: FeaturesPublisher,
     pub encoded: EncodedPublisher,
     pub obstacles: ObstaclesPublisher,
+    pub tags: TagsPublisher,
     pub health: HealthPublisher,
     pub commands: CommandServer,
     /// What the base's driver tells.
@@ -148,6 +152,7 @@ impl Publisher {
         let encoded: Port<[u8], EncodedHeader> =
             Port::open_slices(&node, endpoint, topic::ENCODED, services::ENCODED, limits.frame_bytes)?;
         let obstacles: Port<Obstacles, ()> = Port::open(&node, endpoint, topic::OBSTACLES, services::OBSTACLES)?;
+        let tags: Port<Tags, ()> = Port::open(&node, endpoint, topic::TAGS, services::TAGS)?;
         let commands = CommandServer::open(&node, endpoint)?;
         let wheels = WheelInbox::open(&node, endpoint)?;
         let health: Port<Health, ()> = Port::open(&node, endpoint, topic::HEALTH, services::HEALTH)?;
@@ -160,6 +165,7 @@ impl Publisher {
             updater(&features.publisher),
             updater(&encoded.publisher),
             updater(&obstacles.publisher),
+            updater(&tags.publisher),
         ];
         Ok(Self {
             poses: PosePublisher { next: None, port: poses, run_id },
@@ -169,6 +175,7 @@ impl Publisher {
             features: FeaturesPublisher::new(features, run_id),
             encoded: EncodedPublisher::new(encoded, limits.frame_bytes, run_id),
             obstacles: ObstaclesPublisher::new(obstacles, run_id),
+            tags: TagsPublisher { port: tags, run_id },
             health: HealthPublisher {
                 port: health,
                 node,

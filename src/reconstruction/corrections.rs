@@ -47,9 +47,14 @@ impl Corrections {
 
     /// The newest camera was placed anew, and what was seen since a turn with it.
     pub(super) fn moved(&mut self, old: &Se3<Camera, World>, new: &Se3<Camera, World>) {
+        let distance = (old.inverse().translation - new.inverse().translation).norm();
+        self.moved_by(distance, old.rotation.angle_to(&new.rotation));
+    }
+
+    /// The same by numbers.
+    pub(super) fn moved_by(&mut self, distance: f64, angle_rad: f64) {
         self.revision = self.revision.wrapping_add(1);
-        self.distance = (old.inverse().translation - new.inverse().translation).norm();
-        self.angle_rad = old.rotation.angle_to(&new.rotation);
+        (self.distance, self.angle_rad) = (distance, angle_rad);
     }
 
     /// Another map begins: what is adjusted next is that one.

@@ -4,11 +4,14 @@ mod consensus;
 pub mod initialiser;
 pub mod orientation;
 pub mod turn;
+mod untracked;
+mod views;
 
 use nalgebra::{Matrix3, Vector3};
 
 use super::Reconstruction;
 use super::adjust::job::Adjustment;
+use super::keyframe::bind_new;
 use super::keyframe::point::refine_point;
 use super::measurement::PosePair;
 use super::odometry::Odometry;
@@ -27,7 +30,9 @@ use crate::geometry::{CameraModel, Se3};
 use crate::map::picture::KeyframePicture;
 use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, Observation};
 use consensus::agreeing_share;
-use initialiser::{PendingFrame, Start, View};
+use initialiser::Start;
+use untracked::is_untracked;
+use views::{PendingFrame, View};
 
 /// Standard deviation of the direction of the first motion that a start may have, rad; the longer the camera moves and nothing
 /// better comes the more is allowed: so much more after so many seconds, and at most so many times.
@@ -77,6 +82,8 @@ impl Reconstruction {
             }
             begun
         })?;
+        // What follows a corner that was known again without a track is bound to it.
+        bind_new(&self.active.map, &mut self.active.bindings, features, self.active.reference, 0);
         // What the start could not place waits for parallax from here on.
         let newest = self.active.reference;
         for track in &features.tracks {
@@ -135,9 +142,9 @@ impl Reconstruction {
                 views.push((self.add_view(view, pose), &view.frame));
             }
         }
-        let newest = PendingFrame::of(features);
+        let newest = &start.newest;
         let b = self.add_view(&View { frame: newest.clone(), pyramid: features.pyramid.clone() }, second);
-        views.push((b, &newest));
+        views.push((b, newest));
         let inv_sigma = 1.0 / self.config.sigma_px;
         for &(track, point) in &points {
             let seen: Vec<_> = views
@@ -158,7 +165,9 @@ impl Reconstruction {
             };
             if seen.len() >= 2 {
                 let id = self.active.map.add_landmark(landmark, &seen);
-                self.active.bindings.set(track, Target::Landmark(id));
+                if !is_untracked(track) {
+                    self.active.bindings.set(track, Target::Landmark(id));
+                }
             }
         }
         self.adjust_whole()?;
@@ -171,7 +180,10 @@ impl Reconstruction {
         }
         if self.optics.intrinsics.is_calibrated() {
             if !self.most_agrees(&views, start.trying_s) {
-                self.initialiser.disagree();
+                // Look-alikes tell nothing against what the tracks say.
+                if !start.by_corners {
+                    self.initialiser.disagree();
+                }
                 return None;
             }
             if !self.initialiser.agree() {

@@ -5,6 +5,7 @@
 //! and it must reproject well into every keyframe that saw it.
 
 mod after_rotation;
+pub mod corners;
 pub mod cull;
 pub mod distance_prior;
 pub mod epipolar;

@@ -13,6 +13,7 @@ use super::sink::{Queue, Queued};
 use crate::client::{
     Client, Encodeds, Healths, Keyframes, Map, ObstacleScans, Poses, Subscription, Topic, WheelReports, monotonic_ns,
 };
+use crate::messages::services::{MAX_WHEEL_PUBLISHERS, WHEEL};
 use crate::messages::{
     ENCODED_GREY, ENCODED_JPEG, ENCODED_PNG, ENCODED_YUYV, EncodedHeader, Endpoint, Health, Pose, State,
 };
@@ -21,8 +22,8 @@ use crate::messages::{
 pub const TURN: Duration = Duration::from_millis(50);
 /// Both clocks may come apart so far, by a time server's nudges, before it is worth a word, ns.
 const CLOCK_STEP_NS: i64 = 500_000_000;
-/// Readings of the wheels taken in one turn: as many as its queue holds, of each driver that there may be.
-const WHEEL_READINGS_A_TURN: usize = 2 * 64;
+/// Readings of the wheels taken in one turn: as many as the queues of all drivers hold that there may be.
+const WHEEL_READINGS_A_TURN: usize = MAX_WHEEL_PUBLISHERS * WHEEL.buffer;
 /// Pictures that are taken in a row, before everything else is looked after: making a PNG may take as long as the camera for a picture.
 const PICTURES_A_TURN: usize = 4;
 /// What repeats is said once in so long.
@@ -139,7 +140,8 @@ impl Recorder {
     }
 
     fn take_wheels(&mut self) -> Result<(), ShareError> {
-        if !self.poses.is_connected() {
+        // Beside a replay nobody hears the driver, and it must not take this reader for somebody.
+        if !self.poses.is_connected() || !self.converter.is_live() {
             self.wheels = None;
             return Ok(());
         }

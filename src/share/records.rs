@@ -171,6 +171,11 @@ impl Converter {
         }
     }
 
+    /// The daemon has a camera, by its last pose, and does not replay a recording.
+    pub fn is_live(&self) -> bool {
+        self.clock == CLOCK_MONOTONIC
+    }
+
     fn unix_ns(&self, monotonic_ns: i64) -> i64 {
         monotonic_ns.saturating_add(self.realtime_minus_monotonic_ns)
     }
@@ -249,12 +254,12 @@ impl Converter {
         out.push(Record { topic: Topic::Scan, time_ns, data: scan.to_cdr() });
     }
 
-    /// What the base's driver tells; as a twist only what is finite, and only beside a camera: beside a recording it is of another time than the pictures.
+    /// What the base's driver tells beside a camera ([`is_live`](Self::is_live)); as a twist only what is finite.
     /// Its log time is when it was heard (`heard_ns`, monotonic), by which a replay knows stamps of another clock.
     pub fn wheel(&self, wheel: &WheelOdometry, heard_ns: i64, out: &mut Vec<Record>) {
         let time_ns = self.unix_ns(heard_ns);
         out.push(Record { topic: Topic::Wheel, time_ns, data: wheel.to_cdr() });
-        let Some(twist) = wheel_twist(wheel).filter(|_| self.clock == CLOCK_MONOTONIC) else { return };
+        let Some(twist) = wheel_twist(wheel) else { return };
         let header = Header { stamp: Time::from_ns(self.unix_ns(wheel.timestamp_ns)), frame_id: METRIC.body };
         let message = ros::TwistWithCovarianceStamped { header, twist };
         out.push(Record { topic: Topic::WheelTwist, time_ns, data: message.to_cdr() });
@@ -413,7 +418,7 @@ mod tests {
     }
 
     #[test]
-    fn wheels_are_a_twist_unless_they_are_nonsense_or_the_pictures_are_of_another_time() {
+    fn wheels_are_a_twist_unless_they_are_nonsense() {
         let mut converter = Converter::new("robot", 1_000_000_000_000);
         let mut out = Vec::new();
         let known = WheelOdometry {
@@ -432,9 +437,10 @@ mod tests {
         assert!(!out[1].data.chunks(4).any(|w| w == f32::NAN.to_le_bytes()));
         out.clear();
         converter.wheel(&WheelOdometry { linear_x_mps: f64::NAN, ..known }, 9, &mut out);
+        assert_eq!(topics(&out), [Topic::Wheel]);
+        assert!(converter.is_live());
         converter.pose(&Pose { clock: messages::CLOCK_RECORDING, ..Pose::default() }, &mut out);
-        converter.wheel(&known, 9, &mut out);
-        assert_eq!(topics(&out), [Topic::Wheel, Topic::Pose, Topic::Wheel]);
+        assert!(!converter.is_live(), "pictures of a recording are of another time than the wheels");
     }
 
     #[test]

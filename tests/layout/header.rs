@@ -9,7 +9,7 @@ use cairn::messages::Field;
 
 use crate::support::{compare, plain, renames, root, types};
 
-const SOURCES: [&str; 14] = [
+const SOURCES: [&str; 16] = [
     "src/messages/mod.rs",
     "src/messages/pose.rs",
     "src/messages/map.rs",
@@ -20,10 +20,12 @@ const SOURCES: [&str; 14] = [
     "src/messages/command.rs",
     "src/messages/wheel.rs",
     "src/messages/obstacles.rs",
+    "src/messages/tags.rs",
     "src/client/c.rs",
     "src/client/c/graph.rs",
     "src/client/c/wheels.rs",
     "src/client/c/obstacles.rs",
+    "src/client/c/tags.rs",
 ];
 
 /// What cbindgen does not see: names on the wire, and the layout, which every compilation checks.

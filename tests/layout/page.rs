@@ -11,7 +11,9 @@ const PAGE: &str = "src/messages/WIRE.md";
 /// Type and documentation of every field, by struct and field, out of the sources.
 fn documented() -> BTreeMap<(String, String), (String, String)> {
     let mut found = BTreeMap::new();
-    for file in ["pose", "map", "graph", "frame", "encoded", "features", "health", "command", "wheel", "obstacles"] {
+    for file in
+        ["pose", "map", "graph", "frame", "encoded", "features", "health", "command", "wheel", "obstacles", "tags"]
+    {
         let text = std::fs::read_to_string(root().join(format!("src/messages/{file}.rs"))).expect("source");
         let (mut inside, mut words) = (None::<String>, Vec::new());
         for line in text.lines() {
@@ -55,7 +57,7 @@ fn queues() -> String {
     let mut table = String::from(
         "| service | history for late joiners | queue of a reader | held by a reader | readers |\n|---|---:|---:|---:|---:|\n",
     );
-    let rows: [(&str, Qos); 10] = [
+    let rows: [(&str, Qos); 11] = [
         (services::topic::POSE, services::POSE),
         (services::topic::MAP, services::MAP),
         (services::topic::KEYFRAMES, services::KEYFRAMES),
@@ -65,6 +67,7 @@ fn queues() -> String {
         (services::topic::FEATURES, services::FEATURES),
         (services::topic::ENCODED, services::ENCODED),
         (services::topic::OBSTACLES, services::OBSTACLES),
+        (services::topic::TAGS, services::TAGS),
         (services::topic::WHEEL, services::WHEEL),
     ];
     for (name, qos) in rows {

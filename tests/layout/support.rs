@@ -20,7 +20,8 @@ pub fn types() -> Vec<(&'static str, usize, &'static str, &'static [Field])> {
         MapHeader "cairn_map_header", Keyframe "cairn_keyframe", KeyframesHeader "cairn_keyframes_header",
         GraphEdge "cairn_graph_edge", GraphHeader "cairn_graph_header",
         FrameHeader "cairn_frame_header", EncodedHeader "cairn_encoded_header", Feature "cairn_feature", FeaturesHeader "cairn_features_header",
-        Command "cairn_command", CommandReply "cairn_command_reply", WheelOdometry "cairn_wheel_odometry", Obstacles "cairn_obstacles"
+        Command "cairn_command", CommandReply "cairn_command_reply", WheelOdometry "cairn_wheel_odometry", Obstacles "cairn_obstacles",
+        Tag "cairn_tag", Tags "cairn_tags"
     )
 }
 

@@ -7,9 +7,10 @@ use cairn::image::GreyImage;
 use cairn::map::graph::{EdgeView, MapGraph, Tie};
 use cairn::map::{KeyframeId, MapId};
 use cairn::messages::{
-    Clock, Command, CommandReply, EDGE_COVISIBLE, EDGE_JOIN, EDGE_LOOP, Health, NO_MAP, Pose, State, Transform,
-    command_kind, error, reply_code,
+    Clock, Command, CommandReply, EDGE_COVISIBLE, EDGE_JOIN, EDGE_LOOP, Health, MAX_TAGS, NO_MAP, Pose, State,
+    Transform, command_kind, error, reply_code,
 };
+use cairn::motion::tag::{TagConfig, TagView};
 use cairn::publish::{Conversion, FrameStamp, MapContext, PublishError, Publisher};
 use iceoryx2::prelude::*;
 
@@ -198,6 +199,27 @@ fn the_graph_is_sent_only_while_somebody_wants_it() {
     );
     drop((got, graphs));
     assert!(!publish(&graph).unwrap(), "nobody subscribes any more");
+}
+
+#[test]
+fn tags_are_told_only_while_somebody_wants_them() {
+    let place = Place::new();
+    let mut publisher = place.publisher();
+    let tag = |id| TagView { id, sightings: 2, placed: None };
+    let all: Vec<TagView> = (0..20).map(tag).collect();
+    let context = MapContext { timestamp_ns: 6, reset_counter: 3, map_revision: 2, map_mode: 2 };
+    assert!(!publisher.tags.is_wanted());
+    let mut tags = place.client().tags();
+    connect(&mut tags);
+    assert!(publisher.tags.is_wanted());
+    let config = TagConfig { size_m: 0.15, ..TagConfig::default() };
+    publisher.tags.publish(&all, &config, &snapshot(5, 0), &Conversion::default(), &context).unwrap();
+    let got = next(&mut tags);
+    assert_eq!((got.content_revision, got.map_revision, got.reset_counter, got.timestamp_ns), (5, 2, 3, 6));
+    assert_eq!((got.seen().len(), got.map_mode, got.run_id), (MAX_TAGS, 2, publisher.health.run_id()));
+    assert!(got.seen().iter().zip(0..).all(|(t, id)| t.id == id && t.size == 0.15 && !t.is_placed()));
+    drop(tags);
+    assert!(!publisher.tags.is_wanted());
 }
 
 #[test]

@@ -23,7 +23,7 @@ from .errors import (
     VersionMismatch,
 )
 from .wheels import WheelPublisher
-from .values import Encoded, Features, Frame, Graph, Health, Keyframes, Map, Obstacles, Pose
+from .values import Encoded, Features, Frame, Graph, Health, Keyframes, Map, Obstacles, Pose, Tag, Tags
 
 __version__ = "0.1.0"
 __all__ = [
@@ -46,6 +46,8 @@ __all__ = [
     "Refused",
     "SecondPublisher",
     "Subscription",
+    "Tag",
+    "Tags",
     "TooManyHeld",
     "TooManySubscribers",
     "VersionMismatch",

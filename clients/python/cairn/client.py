@@ -110,6 +110,10 @@ class Client:
         """What stands around the robot and where the floor is free. The daemon makes scans only while somebody holds such a subscription."""
         return Subscription(self, "obstacles", m.Obstacles, None, lambda s, _: values.Obstacles(_copied(m.Obstacles, s)))
 
+    def tags(self):
+        """Where the map's tags are, before each map. The daemon tells it only while somebody holds such a subscription."""
+        return Subscription(self, "tags", m.Tags, None, lambda s, _: values.Tags(_copied(m.Tags, s)))
+
     def encoded(self):
         """Every picture as it came from the camera, for recorders; a queue of a fifth of a second, two readers at a time."""
         return Subscription(self, "encoded", iox2.Slice[ctypes.c_uint8], m.EncodedHeader, values.Encoded)

@@ -16,7 +16,7 @@ TEXT_LEN = 512
 STATES = ("INITIALIZING", "TRACKING", "LOST", "ORIENTATION", "DEAD_RECKONING")
 SCALES = ("UNKNOWN", "ESTIMATED", "METRIC")
 SCALE_SOURCES = ("WHEELS", "HEIGHT", "TAG", "STORED_MAP")
-MAP_MODES = ("LOCALISATION_ONLY", "STORED")
+MAP_MODES = ("LOCALISATION_ONLY", "STORED", "DOCK_FRAME")
 EDGES = ("COVISIBLE", "LOOP", "JOIN")
 CLOCKS = ("MONOTONIC", "RECORDING")
 INTRINSICS = ("CALIBRATED", "ESTIMATED", "GUESSED")
@@ -45,6 +45,8 @@ ERRORS = (
 OBSTACLES_TOLD = ("TOLD", "NO_POSE", "NOT_METRIC", "NO_FLOOR")
 OBSTACLE_BEARINGS = 180
 OBSTACLE_POINTS = 500
+MAX_TAGS = 16
+FAMILIES = ("36h11",)
 STAGES = ("capture", "features", "tracking", "mapping", "publishing", "end_to_end")
 
 COMMANDS = {
@@ -373,4 +375,40 @@ class Obstacles(_Message):
         ("free_from", c.c_float * OBSTACLE_BEARINGS),
         ("free", c.c_float * OBSTACLE_BEARINGS),
         ("points", (c.c_float * 4) * OBSTACLE_POINTS),
+    ]
+
+
+class Tag(_Message):
+    _fields_ = [
+        ("position", c.c_double * 3),
+        ("orientation", c.c_double * 4),
+        ("size", c.c_float),
+        ("edge", c.c_float),
+        ("position_sigma", c.c_float),
+        ("orientation_sigma", c.c_float),
+        ("id", c.c_uint32),
+        ("sightings", c.c_uint32),
+        ("family", c.c_uint8),
+        ("is_dock", c.c_uint8),
+        ("reserved", c.c_uint8 * 6),
+    ]
+
+
+class Tags(_Message):
+    _fields_ = [
+        ("run_id", c.c_uint64),
+        ("content_revision", c.c_uint64),
+        ("timestamp_ns", c.c_int64),
+        ("published_ns", c.c_int64),
+        ("count", c.c_uint32),
+        ("map_id", c.c_uint32),
+        ("reset_counter", c.c_uint32),
+        ("map_revision", c.c_uint32),
+        ("scale_sigma", c.c_float),
+        ("scale", c.c_uint8),
+        ("scale_source", c.c_uint8),
+        ("clock", c.c_uint8),
+        ("map_mode", c.c_uint8),
+        ("reserved", c.c_uint8 * 8),
+        ("tags", Tag * MAX_TAGS),
     ]

@@ -259,6 +259,50 @@ class Obstacles(Value):
         return f"<Obstacles {self.sequence} {self.why}: {self.count} of {self.total} points>"
 
 
+class Tag(Value):
+    """A tag: its number `id`, `sightings`, and where it is, once it was seen from enough directions."""
+
+    __slots__ = ()
+
+    @property
+    def placed(self):
+        """Its place in the map is known; else position, orientation, edge and sigmas are NaN."""
+        return bool(np.isfinite(self.raw.position).all() and np.isfinite(self.raw.orientation).all())
+
+    @property
+    def family(self):
+        """36h11, or UNKNOWN for one of a newer daemon."""
+        return m.word(m.FAMILIES, self.raw.family)
+
+    @property
+    def dock(self):
+        """It is the dock of the daemon's configuration."""
+        return self.raw.is_dock == 1
+
+    @property
+    def map_from_tag(self):
+        """4x4: the axes of a robot that looks straight at it (x into the tag, y left, z up) in the map."""
+        return _matrix(self.raw.position, self.raw.orientation)
+
+    def __repr__(self):
+        return f"<Tag {self.id}: {self.sightings} sightings, {'placed' if self.placed else 'not placed yet'}>"
+
+
+class Tags(Value):
+    """The tags that the map's keyframes have seen, as they were at one moment: a sequence of Tag, by number."""
+
+    __slots__ = ()
+
+    def __len__(self):
+        return min(self.raw.count, m.MAX_TAGS)
+
+    def __getitem__(self, index):
+        return Tag(self.raw.tags[range(len(self))[index]])
+
+    def __repr__(self):
+        return f"<Tags of map {self.map_id} content {self.content_revision}: {len(self)}>"
+
+
 class _Slice(Value):
     """Elements in shared memory, held as long as this object or an array of it lives. Never changes."""
 

@@ -265,6 +265,26 @@ def test_what_holds_the_map_together_is_an_array_over_keyframes(daemon):
     assert (graph.joined_maps[covisible] == messages.NO_MAP).all() and not graph.elements.flags.writeable
 
 
+def test_tags_say_where_they_are_and_what_is_not_known():
+    raw = messages.Tags(count=2, scale=2, scale_sigma=0.01, map_id=3)
+    raw.tags[0] = messages.Tag(id=7, sightings=2, position=(math.nan,) * 3, orientation=(math.nan,) * 4)
+    half = math.sqrt(0.5)
+    raw.tags[1] = messages.Tag(id=8, sightings=9, size=0.15, position=(1, -2, 0), orientation=(0, 0, -half, half), is_dock=1)
+    tags = cairn.Tags(raw)
+    assert len(tags) == 2 and [tag.id for tag in tags] == [7, 8] and tags.metric == pytest.approx(0.01)
+    assert not tags[0].placed and np.isnan(tags[0].position).all() and not tags[0].dock
+    assert tags[-1].placed and tags[1].dock and tags[1].family == "36h11"
+    # Who looks straight at it looks to the right, along -y.
+    assert np.allclose(tags[1].map_from_tag @ [1, 0, 0, 1], [1, -3, 0, 1])
+    with pytest.raises(IndexError):
+        tags[2]
+
+
+def test_tags_come_with_every_map(daemon):
+    tags = cairn.connect().tags().wait(10)
+    assert len(tags) == 0 and tags.live, "the demo looks for none"
+
+
 def test_commands_are_answered(daemon):
     client = cairn.connect()
     path = daemon.root / "map.ply"

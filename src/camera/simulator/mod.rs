@@ -68,7 +68,7 @@ use nalgebra::Vector3;
 
 pub use super::simulator_config::{Scenario, SimulatorConfig, SimulatorConfigError};
 pub use export::{ExportError, Recorded};
-pub use scene::Chessboard;
+pub use scene::{Chessboard, WallTag};
 pub use trajectory::Trajectory;
 pub use wheels::Odometer;
 
@@ -131,6 +131,7 @@ impl Simulator {
             texel_m: config.texel_mm * 1e-3,
             rich: !config.low_texture,
             chessboard: &config.chessboard,
+            tags: &config.tags,
             desk: &config.desk,
         };
         let scene = place(config.scenario, &plan);
@@ -190,6 +191,11 @@ impl Simulator {
     /// Geometry of the chessboard, if the scene has one.
     pub fn chessboard(&self) -> Option<&Chessboard> {
         self.scene.chessboard.as_ref()
+    }
+
+    /// Where the tags hang, if the scene has any.
+    pub fn tags(&self) -> &[WallTag] {
+        &self.scene.tags
     }
 
     /// What a ray from a place of the world meets first, in lengths of its direction: the truth of what stands where.

@@ -16,9 +16,9 @@
 use nalgebra::Vector3;
 
 use super::random::Random;
-use super::scene::{BoxPlan, Builder, Faces, Scene};
+use super::scene::{BoxPlan, Builder, Faces, Scene, WallTag};
 use super::styles::Style;
-use crate::camera::simulator_config::{ChessboardConfig, DeskConfig};
+use crate::camera::simulator_config::{ChessboardConfig, DeskConfig, TagsConfig};
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -38,6 +38,7 @@ pub(super) struct Plan<'a> {
     /// False: bare walls, pale furniture, nothing lying about.
     pub(super) rich: bool,
     pub(super) chessboard: &'a ChessboardConfig,
+    pub(super) tags: &'a TagsConfig,
     /// Of the long desk.
     pub(super) desk: &'a DeskConfig,
 }
@@ -208,6 +209,22 @@ pub(super) fn furnished(plan: &Plan) -> Furnisher {
         let [x, y, z] = CHESSBOARD_MIDDLE;
         let (right, down) = (-Vector3::y(), -Vector3::z());
         f.builder.chessboard(Vector3::new(x, y, z), right, down, board.columns, board.rows, board.square_m);
+    }
+    if plan.tags.enabled {
+        let (x, y, [lx, ly, _]) = (Vector3::x(), Vector3::y(), ROOM);
+        let [by, bx] = [0.5 * ly - 0.01, 0.5 * lx - 0.01];
+        // On the free parts of the walls: above the desk, above the sideboard, on the door, right of the pictures.
+        let places = [
+            (Vector3::new(CHESSBOARD_MIDDLE[0], 0.05, 1.35), -y),
+            (Vector3::new(-1.5, by, 1.35), x),
+            (Vector3::new(-bx, 1.6, 1.2), y),
+            (Vector3::new(1.95, -by, 1.1), -x),
+        ];
+        for (id, (middle, right)) in (1..).zip(places) {
+            if id != 1 || !plan.chessboard.enabled {
+                f.builder.tag(WallTag { id, size_m: plan.tags.size_m, middle, right, down: -Vector3::z() });
+            }
+        }
     }
     f
 }

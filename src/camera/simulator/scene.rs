@@ -14,6 +14,7 @@ use super::paint::{Canvas, Noise, Shape};
 use super::random::Random;
 use super::styles::{Painter, Style};
 use super::texture::Texture;
+use crate::motion::tag::sheet::{SIDE_CELLS, is_white_cell};
 
 /// A textured rectangle.
 #[derive(Debug, Clone)]
@@ -65,6 +66,19 @@ impl Chessboard {
     }
 }
 
+/// Where a tag hangs, exactly: for tests.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WallTag {
+    pub id: u16,
+    /// Side of its black square, m.
+    pub size_m: f64,
+    /// Middle of that, world, m.
+    pub middle: Vector3<f64>,
+    /// Unit vectors, as one looks at it, world.
+    pub right: Vector3<f64>,
+    pub down: Vector3<f64>,
+}
+
 /// Everything that stands still.
 #[derive(Debug)]
 pub(super) struct Scene {
@@ -73,6 +87,7 @@ pub(super) struct Scene {
     /// Axis-aligned bounds of solid things (low, high), m: where a camera must not be.
     pub(super) solids: Vec<(Vector3<f64>, Vector3<f64>)>,
     pub(super) chessboard: Option<Chessboard>,
+    pub(super) tags: Vec<WallTag>,
     /// World, m.
     pub(super) lamps: Vec<Vector3<f64>>,
 }
@@ -127,6 +142,7 @@ impl Scene {
         if let Some(board) = &mut self.chessboard {
             board.origin += shift;
         }
+        self.tags.iter_mut().for_each(|tag| tag.middle += shift);
         self
     }
 
@@ -205,7 +221,7 @@ impl Builder {
             }
         }
         let (quads, textures, solids) = (Vec::new(), Vec::new(), Vec::new());
-        let scene = Scene { quads, textures, solids, chessboard: None, lamps };
+        let scene = Scene { quads, textures, solids, chessboard: None, tags: Vec::new(), lamps };
         Self { scene, noise, random, room, rich, texel_m, shadows: Vec::new(), alike: None }
     }
 
@@ -419,6 +435,29 @@ impl Builder {
         self.painted(origin, right, down, size, density, canvas);
         let first = origin + (right + down) * (2.0 * square_m);
         self.scene.chessboard = Some(Chessboard { columns, rows, square_m, origin: first, right, down });
+    }
+
+    /// A tag on white paper, whose rim is one cell wide. The cells' edges lie exactly on texel edges.
+    pub(super) fn tag(&mut self, tag: WallTag) {
+        /// Texels a cell, as of the chessboard's squares; cells of the paper's side.
+        const CELL: usize = 32;
+        const PAPER: usize = SIDE_CELLS + 2;
+        let side_m = tag.size_m * PAPER as f64 / SIDE_CELLS as f64;
+        let mut canvas = Canvas::new([1.0, 1.0], 1.0, 0.0);
+        (canvas.width, canvas.height) = (PAPER * CELL, PAPER * CELL);
+        canvas.size = [side_m as f32; 2];
+        let density = canvas.width as f64 / side_m;
+        canvas.density = density as f32;
+        canvas.texels = (0..canvas.width * canvas.height)
+            .map(|i| {
+                let (u, v) = ((i % canvas.width) / CELL, (i / canvas.width) / CELL);
+                let inside = (1..=SIDE_CELLS).contains(&u) && (1..=SIDE_CELLS).contains(&v);
+                if !inside || is_white_cell(tag.id, u - 1, v - 1) { 205 } else { 28 }
+            })
+            .collect();
+        let origin = tag.middle - (tag.right + tag.down) * (0.5 * side_m);
+        self.painted(origin, tag.right, tag.down, [side_m; 2], density, canvas);
+        self.scene.tags.push(tag);
     }
 
     pub(super) fn finish(self) -> Scene {

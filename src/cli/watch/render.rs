@@ -116,7 +116,7 @@ impl Render for Pose {
 }
 
 /// Rotation about the vertical axis, counter-clockwise from above, of a quaternion (x, y, z, w).
-fn yaw_rad(&[x, y, z, w]: &[f64; 4]) -> f64 {
+pub(super) fn yaw_rad(&[x, y, z, w]: &[f64; 4]) -> f64 {
     (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z))
 }
 

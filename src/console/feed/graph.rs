@@ -1,33 +1,22 @@
 //! What holds the map together: loops and joins while a page shows the map, covisibility while one asks for it, too.
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
 
-use super::source::{Source, pause, wait};
+use super::source::{LOOK, NAP, Source, while_wanted};
 use crate::client::ClientError;
 use crate::console::hub::{Hub, demand, lock};
 use crate::console::wire::{self, Kind, MapHead};
 use crate::messages::{EDGE_COVISIBLE, SCALE_UNKNOWN};
 
-/// How soon the end of a demand is noticed.
-const NAP: Duration = Duration::from_millis(100);
-
 /// Until `stop`.
 pub fn run(hub: &Hub, source: &Source, stop: &AtomicBool) {
-    while !stop.load(Ordering::Relaxed) {
-        if !hub.wants(demand::MAP) {
-            wait(stop, NAP);
-        } else if follow(hub, source, stop).is_err() {
-            // Poses fail for the same reason, which is told there.
-            pause(stop);
-        }
-    }
+    while_wanted(stop, || hub.wants(demand::MAP), || follow(hub, source, stop));
 }
 
 /// While somebody looks.
 fn follow(hub: &Hub, source: &Source, stop: &AtomicBool) -> Result<(), ClientError> {
     let client = source.client()?;
-    let mut graphs = client.graph();
+    let mut graphs = client.graph().polled(LOOK);
     let (mut told, mut told_covisible) = (None, None);
     while !stop.load(Ordering::Relaxed) && hub.wants(demand::MAP) {
         let Some(graph) = graphs.wait(NAP)? else { continue };

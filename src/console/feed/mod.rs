@@ -5,5 +5,6 @@ pub mod obstacles;
 pub mod pictures;
 pub mod robot;
 mod source;
+pub mod tags;
 
 pub use source::{Source, wait};

@@ -3,26 +3,17 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use super::source::{LOOK, Source, pause, wait};
+use super::source::{LOOK, NAP, Source, while_wanted};
 use crate::client::ClientError;
 use crate::console::hub::{Hub, demand, lock};
 use crate::console::wire::{self, Kind};
 
-/// How soon the end of a demand is noticed.
-const NAP: Duration = Duration::from_millis(100);
 /// How often it is said why there is nothing: a page takes what it was told longer ago for old.
 const AGAIN: Duration = Duration::from_secs(1);
 
 /// Until `stop`.
 pub fn run(hub: &Hub, source: &Source, stop: &AtomicBool) {
-    while !stop.load(Ordering::Relaxed) {
-        if !hub.wants(demand::OBSTACLES) {
-            wait(stop, NAP);
-        } else if follow(hub, source, stop).is_err() {
-            // Poses fail for the same reason, which is told there.
-            pause(stop);
-        }
-    }
+    while_wanted(stop, || hub.wants(demand::OBSTACLES), || follow(hub, source, stop));
 }
 
 /// While somebody looks.

@@ -5,14 +5,12 @@ use std::time::{Duration, Instant};
 
 use serde::Serialize;
 
-use super::source::{LOOK, Source, pause, wait};
+use super::source::{LOOK, NAP, Source, pause, while_wanted};
 use crate::client::{ClientError, monotonic_ns};
 use crate::console::hub::{Hub, demand, lock};
 use crate::console::wire::{self, Kind, MapHead};
 use crate::messages::{Health, Pose, Scale, State, UNKNOWN_NS, error, scale_source, stage};
 
-/// How soon the end, and a daemon that has gone, are noticed.
-const NAP: Duration = Duration::from_millis(100);
 /// Messages of state a second at most.
 const STATE_EVERY: Duration = Duration::from_millis(200);
 /// Health comes ten times a second; a daemon that is silent for so long hangs or was stopped.
@@ -206,14 +204,7 @@ fn follow(hub: &Hub, source: &Source, advice: fn(&str) -> &'static str, stop: &A
 
 /// The map while a page shows it, until `stop`.
 pub fn run_map(hub: &Hub, source: &Source, stop: &AtomicBool) {
-    while !stop.load(Ordering::Relaxed) {
-        if !hub.wants(demand::MAP) {
-            wait(stop, NAP);
-        } else if follow_map(hub, source, stop).is_err() {
-            // Poses fail for the same reason, which is told there.
-            pause(stop);
-        }
-    }
+    while_wanted(stop, || hub.wants(demand::MAP), || follow_map(hub, source, stop));
 }
 
 fn follow_map(hub: &Hub, source: &Source, stop: &AtomicBool) -> Result<(), ClientError> {

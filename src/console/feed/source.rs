@@ -41,6 +41,20 @@ impl Source {
     }
 }
 
+/// How soon a demand, its end, and a daemon that has gone are noticed.
+pub const NAP: Duration = Duration::from_millis(100);
+
+/// Until `stop`: `follow` while it is `wanted`, and again after a pause where that fails. Why, the feed of poses tells: it fails for the same reason.
+pub fn while_wanted(stop: &AtomicBool, wanted: impl Fn() -> bool, mut follow: impl FnMut() -> Result<(), ClientError>) {
+    while !stop.load(Ordering::Relaxed) {
+        if !wanted() {
+            wait(stop, NAP);
+        } else if follow().is_err() {
+            pause(stop);
+        }
+    }
+}
+
 /// Waits, unless it is time to end.
 pub fn pause(stop: &AtomicBool) {
     wait(stop, PAUSE);

@@ -8,6 +8,7 @@ import { Chart } from "/charts.js";
 import { Controls } from "/controls.js";
 import { GraphView } from "/graph.js";
 import { ObstacleView } from "/obstacles.js";
+import { TagView } from "/tags.js";
 import { CameraView } from "/camera.js";
 import { Log } from "/log.js";
 import { PairView } from "/pair.js";
@@ -25,6 +26,7 @@ const video = new Video(() => link.seen(KIND.FRAME));
 const map = new MapView();
 const graph = new GraphView(map, () => turn());
 const obstacles = new ObstacleView(map, () => turn());
+const tags = new TagView(map);
 const camera = new CameraView((word) => link.say(word));
 const charts = [
   new Chart($("latency"), $("latency-now"), { value: (s) => s.latency, unit: " ms", digits: 1, colour: "--accent" }),
@@ -33,7 +35,10 @@ const charts = [
 
 function setAway(isAway, state) {
   map.setAway(isAway, state);
-  if (isAway) obstacles.forget();
+  if (isAway) {
+    obstacles.forget();
+    tags.forget();
+  }
   // What was last is not what is now.
   charts.forEach((chart) => { chart.isAway = isAway; });
 }
@@ -68,6 +73,7 @@ const receive = {
   [KIND.KEYFRAMES]: (message) => {
     map.keyframes(message);
     graph.keyframes(message);
+    tags.show();
   },
   [KIND.TIES]: (message) => graph.edges(message, false),
   [KIND.COVISIBLE]: (message) => {
@@ -75,6 +81,7 @@ const receive = {
     link.seen(KIND.COVISIBLE);
   },
   [KIND.OBSTACLES]: (message) => obstacles.scan(message),
+  [KIND.TAGS]: (message) => tags.tell(message),
   [KIND.REPLY]: ({ value }) => {
     controls.reply(value);
     camera.reply(value);

@@ -377,6 +377,7 @@ export class MapView {
       this.asked = null;
       this.renderer.render(this.scene, this.camera);
       this.drawScale();
+      this.afterDrawing?.();
     });
   }
 

@@ -1,6 +1,6 @@
 // Messages of the console as values; docs/console.md describes their bytes.
 export const KIND = {
-  STATE: 1, POSES: 2, KEYFRAMES: 3, MAP: 4, FRAME: 5, LOG: 6, REPLY: 7, PICTURE: 8, HISTORY: 9, TIES: 10, COVISIBLE: 11, CALIBRATION: 12, OBSTACLES: 13,
+  STATE: 1, POSES: 2, KEYFRAMES: 3, MAP: 4, FRAME: 5, LOG: 6, REPLY: 7, PICTURE: 8, HISTORY: 9, TIES: 10, COVISIBLE: 11, CALIBRATION: 12, OBSTACLES: 13, TAGS: 14,
 };
 export const EDGE = { COVISIBLE: 0, LOOP: 1, JOIN: 2 };
 export const STATES = ["INITIALIZING", "TRACKING", "LOST", "ORIENTATION", "DEAD_RECKONING"];
@@ -26,6 +26,8 @@ export function parse(buffer) {
       return { kind, ...head(view), edges: Array.from({ length: count }, (_, i) => edge(new Uint32Array(buffer, 24 + 20 * i, 5))) };
     case KIND.OBSTACLES:
       return { kind, count, ...obstacles(buffer, view, count) };
+    case KIND.TAGS:
+      return { kind, ...head(view), tags: Array.from({ length: count }, (_, i) => tag(buffer, 24 + 40 * i)) };
     case KIND.FRAME:
       return {
         kind, count, sequence: Number(view.getBigUint64(8, true)), time: view.getFloat64(16, true),
@@ -49,6 +51,12 @@ function obstacles(buffer, view, count) {
     epoch: view.getUint32(8, true), total: view.getUint32(12, true), told: view.getUint32(16, true), bearings, position: f(24, 3), orientation: f(36, 4),
     angleMin, angleStep, rangeMin, rangeMax, robotHeight, scan: f(72, 3 * bearings), points: f(72 + 12 * bearings, 4 * count),
   };
+}
+
+function tag(buffer, at) {
+  const [x, y, z, ...rest] = new Float32Array(buffer, at, 8);
+  const [id, isDock] = new Uint32Array(buffer, at + 32, 2);
+  return { place: { x, y, z }, orientation: rest.slice(0, 4), side: rest[4], id, isDock: isDock === 1 };
 }
 
 function edge([from, to, shared, joined, kind]) {

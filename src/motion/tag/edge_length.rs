@@ -67,6 +67,9 @@ pub struct PlacedTag {
     /// Its variance by what each corner has wrong, and by what each keyframe has wrong, which all tags that it sees share.
     pub corner_variance: f64,
     pub view_variance: f64,
+    /// Standard deviations of place (map units) and orientation (rad) in their worst directions, relative to the keyframes that saw it.
+    pub place_sigma: f64,
+    pub turn_sigma: f64,
     /// RMS of what is left of the corners, px.
     pub residual_px: f64,
     pub views: usize,
@@ -296,19 +299,23 @@ pub fn edge_length(views: &[View], focal_px: f64) -> Result<PlacedTag, NoLength>
     if !(residual_px <= MOST_PX) {
         return Err(moved());
     }
-    let variance = |noise: Noise| {
+    let covariance = |noise: Noise| {
         let mut hessian = Problem { views, noise }.linearise(&square).hessian;
         hessian.fill_upper_triangle_with_lower_triangle();
-        Some(nalgebra::Cholesky::new(hessian)?.inverse()[(6, 6)])
+        Some(nalgebra::Cholesky::new(hessian)?.inverse())
     };
-    let all = variance(noise).ok_or(NoLength::Waits)?;
+    let of_all = covariance(noise).ok_or(NoLength::Waits)?;
+    let all = of_all[(6, 6)];
     // What would be left if the keyframes' poses were exact.
-    let corner_variance = variance(Noise { view: 0.0, ..noise }).ok_or(NoLength::Waits)?.min(all);
+    let corner_variance = covariance(Noise { view: 0.0, ..noise }).ok_or(NoLength::Waits)?[(6, 6)].min(all);
+    let worst_sigma = |first| of_all.fixed_view::<3, 3>(first, first).symmetric_eigenvalues().max().sqrt();
     Ok(PlacedTag {
         world_from_tag: Se3::new(square.rotation, square.centre),
         log_edge: square.log_edge,
         corner_variance,
         view_variance: all - corner_variance,
+        place_sigma: worst_sigma(3),
+        turn_sigma: worst_sigma(0),
         residual_px,
         views: views.len(),
     })

@@ -6,6 +6,14 @@
 use super::{LEAST_SIZE_M, MOST_SIZE_M};
 use crate::features::tags::{CELLS, FAMILY_SIZE, is_white};
 
+/// Cells along a tag's black square, its border included; of what [`is_white_cell`] tells.
+pub const SIDE_CELLS: usize = CELLS;
+
+/// Whether a cell of a tag is white, as one looks at it: column and row from the top left.
+pub fn is_white_cell(id: u16, column: usize, row: usize) -> bool {
+    is_white(id, column, row)
+}
+
 /// The paper that most printers have, shorter and longer side, and what a printer leaves free on each side, mm.
 const A4_MM: [f64; 2] = [210.0, 297.0];
 const PRINTERS_MARGIN_MM: f64 = 5.0;

@@ -14,13 +14,15 @@ fn placed(edge: f64, corner_sigma: f64, view_sigma: f64) -> PlacedTag {
         log_edge: edge.ln(),
         corner_variance: corner_sigma * corner_sigma,
         view_variance: view_sigma * view_sigma,
+        place_sigma: 0.01,
+        turn_sigma: 0.01,
         residual_px: 0.2,
         views: 10,
     }
 }
 
 fn config(size_sigma_m: f64) -> TagConfig {
-    TagConfig { size_m: 0.15, size_sigma_m, ids: Vec::new() }
+    TagConfig { size_m: 0.15, size_sigma_m, ..TagConfig::default() }
 }
 
 fn combined(tags: &[PlacedTag], config: &TagConfig) -> ScaleMeasurement {
@@ -85,7 +87,7 @@ fn several_tags_with_common_errors_of_the_keyframes_keep_the_truth_in_the_interv
 #[test]
 fn wrong_values_of_the_configuration_are_named() {
     let key = |size_m, size_sigma_m, ids: &[u16]| {
-        TagConfig { size_m, size_sigma_m, ids: ids.to_vec() }.validate().map_err(|(key, _)| key)
+        TagConfig { size_m, size_sigma_m, ids: ids.to_vec(), ..TagConfig::default() }.validate().map_err(|(key, _)| key)
     };
     assert_eq!(key(0.0, 0.0003, &[]), Ok(()));
     assert_eq!(key(0.15, 0.0003, &[0, 586]), Ok(()));
@@ -97,6 +99,10 @@ fn wrong_values_of_the_configuration_are_named() {
     }
     assert_eq!(key(0.15, 0.0003, &[587]), Err("ids"));
     assert!(Tags::new(&TagConfig::default()).is_none());
+    let dock = DockConfig { enabled: true, id: 7, ..DockConfig::default() };
+    let docked = |size_m, ids: &[u16]| TagConfig { size_m, ids: ids.to_vec(), dock, ..TagConfig::default() }.validate();
+    assert!(docked(0.15, &[]).is_ok() && docked(0.15, &[3, 7]).is_ok());
+    assert!(docked(0.15, &[3]).is_err() && docked(0.0, &[]).is_err(), "it is not looked for");
 }
 
 /// What a camera with a lens sees of tag `id` on the plane z = 0 (x right, y down, side `size_m`, its middle in the origin).
@@ -263,4 +269,45 @@ fn keyframes_behind_a_turn_with_another_unit_tell_of_that_alone() {
     let found = tags.measurement(MapId(3)).expect("told");
     let error = found.log_metres_per_unit - 5f64.ln();
     assert!(error.abs() < 0.01 && error.abs() < 2.0 * found.sigma, "off by {error}: {found:?}");
+}
+
+#[test]
+fn tags_are_told_where_the_keyframes_of_now_see_them() {
+    let (camera, mut map, pictures) = map_before_a_tag();
+    let optics = Optics { camera: &camera, readout_s: 0.0 };
+    let mut tags = Tags::new(&config(0.0003)).expect("on");
+    let (mut told, mut seen) = (Vec::new(), Vec::new());
+    for (keyframe, picture) in &pictures {
+        tags.see((&map, MapId(3)), *keyframe, picture, &optics);
+        tags.tell(&map, &optics, &mut told);
+        let [tag] = told[..] else { panic!("tag 9 alone: {told:?}") };
+        seen.push((tag.id, tag.sightings, tag.placed.is_some()));
+    }
+    assert_eq!(seen, [(9, 1, false), (9, 2, false), (9, 3, true), (9, 4, true), (9, 5, true)]);
+    // In map units of 2.5 m: the tag's middle is the origin.
+    let placed = told[0].placed.expect("placed");
+    let off = placed.world_from_tag.translation.norm();
+    assert!(off < 0.005 && off < 3.0 * placed.place_sigma && placed.place_sigma < 0.01, "{placed:?}");
+    let turned = placed.world_from_tag.rotation.angle();
+    assert!(turned < 3.0 * placed.turn_sigma && placed.turn_sigma < 0.03, "off by {turned}: {placed:?}");
+
+    // A loop moves the keyframes: the tag goes with them, without being seen again.
+    let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.1, -0.3, 0.2));
+    let motion = Sim3::new(1.02, turn, Vector3::new(0.4, 0.0, -0.7));
+    let keyframes = pictures.iter().map(|(keyframe, _)| (*keyframe, motion)).collect();
+    map.correct(&Correction { keyframes, younger: None });
+    tags.tell(&map, &optics, &mut told);
+    let moved = told[0].placed.expect("placed");
+    let want = motion.transform(&placed.world_from_tag.translation);
+    assert!((moved.world_from_tag.translation - want).norm() < 1e-4, "{moved:?}");
+    assert!(moved.world_from_tag.rotation.angle_to(&(turn * placed.world_from_tag.rotation)) < 1e-3);
+    assert!((moved.log_edge - placed.log_edge - 1.02f64.ln()).abs() < 1e-4);
+
+    for (keyframe, _) in &pictures[..3] {
+        map.remove_keyframe(*keyframe);
+    }
+    tags.tell(&map, &optics, &mut told);
+    assert!(told[0].sightings == 2 && told[0].placed.is_none(), "two views are left");
+    tags.tell(&Map::default(), &optics, &mut told);
+    assert!(told.is_empty(), "another map has no such keyframes");
 }

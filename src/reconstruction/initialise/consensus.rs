@@ -10,7 +10,7 @@
 
 use nalgebra::Vector2;
 
-use super::initialiser::PendingFrame;
+use super::views::PendingFrame;
 use crate::geometry::epipolar::sampson_squared;
 use crate::geometry::essential::essential_of;
 use crate::geometry::frames::{Camera, World};

@@ -5,46 +5,23 @@
 //! oldest view, which has the longest baseline, and from the oldest that shares half of today's tracks, which has more points.
 //! Standing still and turning on the spot never pass: their rotation-compensated flow stays at the noise. What a rotation seen through
 //! another lens than the supposed one explains is taken out as well, as far as the lens is uncertain (`turn`). All frames in between
-//! are remembered by their tracks, so that their poses can be solved once there is a map.
+//! are remembered by their tracks, so that their poses can be solved once there is a map. Where tracks are few, views that they do not join
+//! are asked as well ([`untracked`](super::untracked)).
 
 use std::collections::VecDeque;
-use std::sync::Arc;
 
 use nalgebra::{Vector2, Vector3};
 
 use super::turn::{Pair, SupposedLens, unexplained_px};
+use super::untracked::UntrackedViews;
+use super::views::{MAX_BETWEEN, MIN_COMMON, Pairs, PendingFrame, View, Views};
 use crate::features::{FrameFeatures, Track};
 use crate::geometry::frames::{First, Second};
 use crate::geometry::two_view::{TwoViewOptions, reconstruct_two_views};
 use crate::geometry::{CameraModel, Se3};
-use crate::image::Pyramid;
 use crate::reconstruction::adjust::intrinsics::LensFreedom;
 use crate::reconstruction::config::ReconstructionConfig;
-
-/// A frame before the map exists.
-#[derive(Debug, Clone)]
-pub struct PendingFrame {
-    pub sequence: u64,
-    pub timestamp_ns: i64,
-    /// Track id and level-0 pixel, ascending id.
-    pub tracks: Vec<(u64, Vector2<f32>)>,
-}
-
-impl PendingFrame {
-    pub fn of(features: &FrameFeatures) -> Self {
-        Self {
-            sequence: features.sequence,
-            timestamp_ns: features.timestamp_ns,
-            tracks: features.tracks.iter().map(|t| (t.id, t.position)).collect(),
-        }
-    }
-
-    /// Pixel of a track.
-    pub fn track(&self, id: u64) -> Option<Vector2<f32>> {
-        let i = self.tracks.binary_search_by_key(&id, |t| t.0).ok()?;
-        Some(self.tracks[i].1)
-    }
-}
+use crate::reconstruction::keyframe::epipolar::FED;
 
 /// One corner of a first map.
 #[derive(Debug, Clone, Copy)]
@@ -52,20 +29,6 @@ pub struct StartPoint {
     pub track: u64,
     /// In the first camera's coordinates.
     pub point: Vector3<f64>,
-}
-
-/// A frame before the map that is kept with its picture.
-#[derive(Debug, Clone)]
-pub struct View {
-    pub frame: PendingFrame,
-    pub pyramid: Arc<Pyramid>,
-}
-
-impl View {
-    /// The picture is a copy of its own: the frame's goes back to the pool.
-    fn of(features: &FrameFeatures) -> Self {
-        Self { frame: PendingFrame::of(features), pyramid: Arc::new(Pyramid::clone(&features.pyramid)) }
-    }
 }
 
 /// A first map: the motion between two frames, points, and views in between to hold them together.
@@ -76,6 +39,10 @@ pub struct Start {
     pub trying_s: f64,
     /// In order of time; neither the first nor the newest frame is among them.
     pub between: Vec<View>,
+    /// The newest frame.
+    pub newest: PendingFrame,
+    /// Some of its points are corners that no track follows, known again by what they look like.
+    pub by_corners: bool,
     pub second_from_first: Se3<Second, First>,
     pub points: Vec<StartPoint>,
 }
@@ -84,10 +51,11 @@ pub struct Start {
 const MAX_PENDING: usize = 900;
 /// Standard deviation of a track over the frames of a start, px.
 const START_SIGMA_PX: f64 = 1.0;
-/// Views kept between the reference and the newest frame; when there would be more every other one is dropped.
-const MAX_BETWEEN: usize = 8;
-/// A view is given up below this many tracks in common with the newest frame, or a quarter of its own, and the next one takes over.
-const MIN_COMMON: usize = 60;
+/// So long after the camera began to move, s, corners that look alike are asked as well as tracks: where frames are many tracks alone
+/// have given a start by then, and a later one (with more parallax) is the better one.
+const CORNERS_AFTER_S: f64 = 0.25;
+/// Starts by corners tried in a frame, at the most: their views are different ones.
+const STARTS_BY_CORNERS: usize = 2;
 /// Further times that a start must agree with the picture, at the most.
 const MAX_DOUBT: u32 = 5;
 /// Rotation-compensated flow since the reference at which the camera counts as moving, px.
@@ -112,6 +80,7 @@ pub struct Initialiser {
     trying_s: f64,
     last_ns: Option<i64>,
     lengths: Vec<f64>,
+    untracked: UntrackedViews,
     /// All frames since the last reset, or since the map before was lost, that may still get a pose, the reference among them.
     pub pending: VecDeque<PendingFrame>,
 }
@@ -120,6 +89,7 @@ impl Initialiser {
     pub fn clear(&mut self) {
         self.begin_at(None);
         self.pending.clear();
+        self.untracked.clear();
         self.trying_s = 0.0;
         self.last_ns = None;
         self.doubt = 0;
@@ -178,8 +148,29 @@ impl Initialiser {
         freedom: &LensFreedom,
         config: &ReconstructionConfig,
     ) -> Vec<Start> {
-        let Some(pairs) = self.follow(features, camera) else { return Vec::new() };
         let lens = SupposedLens { focal_px: camera.focal_px(), freedom: *freedom };
+        let followed = self.follow(features, camera);
+        let few = followed.as_ref().is_none_or(|pairs| pairs.tracks.len() < FED);
+        let mut starts = match followed {
+            Some(pairs) => self.starts_by_tracks(features, pairs, camera, lens, config),
+            None => Vec::new(),
+        };
+        if few {
+            starts.extend(self.starts_by_corners(features, camera, lens, config));
+        }
+        self.remember(features);
+        starts
+    }
+
+    /// From the reference and, where tracks have come since, a later view.
+    fn starts_by_tracks(
+        &mut self,
+        features: &FrameFeatures,
+        pairs: Pairs,
+        camera: &CameraModel,
+        lens: SupposedLens,
+        config: &ReconstructionConfig,
+    ) -> Vec<Start> {
         let flow = unexplained_px(&pairs.places, lens, &mut self.lengths);
         self.spend_patience(features.timestamp_ns, flow);
         let richer = |pairs: &Pairs| 2 * pairs.tracks.len() >= features.tracks.len();
@@ -191,16 +182,55 @@ impl Initialiser {
         };
         let second = second.map(|(i, pairs)| (i, unexplained_px(&pairs.places, lens, &mut self.lengths), pairs));
         let starts = std::iter::once((0, flow, pairs)).chain(second).filter_map(|(i, flow, pairs)| {
-            (flow >= config.start_flow_px).then(|| self.attempt(i, &pairs, features, camera, config))?
+            if flow < config.start_flow_px {
+                return None;
+            }
+            let (first, between) = self.views.get(i..)?.split_first()?;
+            let views = Views { first: first.clone(), between: between.to_vec(), newest: PendingFrame::of(features) };
+            self.attempt(views, &pairs, camera, config)
         });
-        let starts = starts.collect();
-        self.keep(|| View::of(features));
+        starts.collect()
+    }
+
+    /// From views that tracks and corners join, the oldest first.
+    fn starts_by_corners(
+        &mut self,
+        features: &FrameFeatures,
+        camera: &CameraModel,
+        lens: SupposedLens,
+        config: &ReconstructionConfig,
+    ) -> Vec<Start> {
+        let mut starts = Vec::new();
+        let shared = self.untracked.shared_with(features, camera);
+        for (n, shared) in shared.iter().enumerate() {
+            let flow = unexplained_px(&shared.pairs.places, lens, &mut self.lengths);
+            if n == 0 && self.last_ns != Some(features.timestamp_ns) {
+                // No view's tracks are alive.
+                self.spend_patience(features.timestamp_ns, flow);
+            }
+            if self.trying_s < CORNERS_AFTER_S || starts.len() >= STARTS_BY_CORNERS {
+                break;
+            }
+            if flow < config.start_flow_px {
+                continue;
+            }
+            let Some(views) = self.untracked.views(shared, features) else { continue };
+            let start = self.attempt(views, &shared.pairs, camera, config);
+            starts.extend(start.map(|start| Start { by_corners: true, ..start }));
+        }
         starts
     }
 
     /// Remembers a frame without asking for a start: while there is still hope for another map.
     pub fn watch(&mut self, features: &FrameFeatures, camera: &CameraModel) {
-        if self.follow(features, camera).is_some() {
+        self.follow(features, camera);
+        self.remember(features);
+    }
+
+    fn remember(&mut self, features: &FrameFeatures) {
+        self.untracked.hold(features);
+        // A reference that this frame has become is there already.
+        if self.views.last().is_some_and(|v| v.frame.sequence != features.sequence) {
             self.keep(|| View::of(features));
         }
     }
@@ -241,53 +271,42 @@ impl Initialiser {
         }
     }
 
-    /// Two-view geometry between the view of this index and this frame.
+    /// Two-view geometry between the first and the newest of these views.
     fn attempt(
         &self,
-        index: usize,
+        views: Views,
         pairs: &Pairs,
-        features: &FrameFeatures,
         camera: &CameraModel,
         config: &ReconstructionConfig,
     ) -> Option<Start> {
-        let (reference, between) = self.views.get(index..)?.split_first()?;
-        let first: Vec<Vector2<f64>> = pairs.places.iter().map(|p| p.first).collect();
-        let second: Vec<Vector2<f64>> = pairs.places.iter().map(|p| p.second).collect();
+        let Views { first, between, newest } = views;
+        let seen_first: Vec<Vector2<f64>> = pairs.places.iter().map(|p| p.first).collect();
+        let seen_newest: Vec<Vector2<f64>> = pairs.places.iter().map(|p| p.second).collect();
         let options =
-            TwoViewOptions { seed: features.sequence, ..TwoViewOptions::new(START_SIGMA_PX, camera.focal_px()) };
-        let solution = reconstruct_two_views(&first, &second, &options).ok()?;
+            TwoViewOptions { seed: newest.sequence, ..TwoViewOptions::new(START_SIGMA_PX, camera.focal_px()) };
+        let solution = reconstruct_two_views(&seen_first, &seen_newest, &options).ok()?;
         let points: Vec<StartPoint> = pairs
             .tracks
             .iter()
             .zip(&solution.points)
             .filter_map(|(&track, point)| Some(StartPoint { track, point: (*point)? }))
             .collect();
-        if points.len() < config.start_landmarks {
-            return None;
-        }
-        Some(Start {
-            first: reference.clone(),
+        (points.len() >= config.start_landmarks).then_some(Start {
+            first,
             trying_s: self.trying_s,
-            between: between.to_vec(),
+            between,
+            newest,
+            by_corners: false,
             second_from_first: solution.second_from_first,
             points,
         })
     }
 }
 
-/// Tracks that two frames share, and where both see them.
-struct Pairs {
-    tracks: Vec<u64>,
-    places: Vec<Pair>,
-}
-
 /// Tracks that a view shares with a frame, if they are enough; of a wide-angle lens where the plane z = 1 is even, as two-view geometry
 /// weighs all alike.
 fn pairs_with(view: &View, features: &FrameFeatures, camera: &CameraModel) -> Option<Pairs> {
-    let pair = |t: &Track| {
-        let first = camera.undistort(&view.frame.track(t.id)?.cast()).filter(|n| camera.is_central(n))?;
-        Some((t.id, Pair::of(first, &t.position, camera)?))
-    };
+    let pair = |t: &Track| Some((t.id, Pair::between(&view.frame.track(t.id)?, &t.position, camera)?));
     let (tracks, places): (Vec<_>, Vec<_>) = features.tracks.iter().filter_map(pair).unzip();
     (tracks.len() >= MIN_COMMON.max(view.frame.tracks.len() / 4)).then_some(Pairs { tracks, places })
 }

@@ -77,6 +77,11 @@ pub struct Pair {
 }
 
 impl Pair {
+    /// Of two pixels; see [`of`](Self::of).
+    pub fn between(first: &Vector2<f32>, second: &Vector2<f32>, camera: &CameraModel) -> Option<Self> {
+        Self::of(camera.undistort(&first.cast()).filter(|n| camera.is_central(n))?, second, camera)
+    }
+
     /// Of a place on z = 1 and a pixel; `None` where the lens shows nothing, or its plane z = 1 is no longer even.
     pub fn of(first: Vector2<f64>, second: &Vector2<f32>, camera: &CameraModel) -> Option<Self> {
         let second = camera.undistort(&second.cast()).filter(|n| camera.is_central(n))?;

@@ -16,12 +16,8 @@
 
 use nalgebra::{Vector2, Vector3};
 
+use super::corners::CornerFinder;
 use super::{SEED_REFINE_PX, displaced, made_of, refine_in, triangulate};
-use crate::features::Corner;
-use crate::features::alignment::Template;
-use crate::features::descriptor::{Orientation, describe_at_level};
-use crate::features::fast::FastDetector;
-use crate::features::spread::Spread;
 use crate::geometry::frames::Camera;
 use crate::geometry::{CameraModel, Se3, median};
 use crate::map::{FreeCorner, Keyframe, KeyframeId, Landmark, LandmarkId, Map, Observation};
@@ -30,18 +26,8 @@ use crate::reconstruction::measurement::rolling_shutter::Shutter;
 use crate::reconstruction::track::search::{SearchOptions, observe};
 
 /// A frame with so many landmarks in view is safe from running out of them before new ones are made.
-const FED: usize = 120;
+pub const FED: usize = 120;
 
-/// Free corners that a keyframe keeps, at the most, spread over cells of this side (px).
-const CORNERS: usize = 500;
-const CELL_PX: usize = 24;
-/// Brightness difference of a corner, grey levels, and the smaller eigenvalue of its structure tensor, grey²/px²: an edge would be found
-/// anywhere along itself, and so also where a pose that is wrong puts it. (At 8, which tracks need, two of four walks at 5 Hz were bent by
-/// it in a turn; at 60 quick recordings run out of corners.)
-const THRESHOLD: u8 = 10;
-const MIN_EIGENVALUE: f32 = 30.0;
-/// A corner this close to a landmark's place is that landmark, px.
-const SAME_CORNER_PX: f32 = 4.0;
 /// Keyframes whose corners are looked for in the newest one, and landmarks that they must share with it.
 pub(super) const NEIGHBOURS: usize = 5;
 pub(super) const MIN_SHARED: u32 = 15;
@@ -66,9 +52,7 @@ pub struct Lens<'a> {
 /// Buffers, kept between keyframes.
 #[derive(Debug, Default)]
 pub struct EpipolarMatcher {
-    detector: FastDetector,
-    corners: Vec<Corner>,
-    spread: Spread,
+    finder: CornerFinder,
     around: Vec<(KeyframeId, u32)>,
 }
 
@@ -76,9 +60,8 @@ impl EpipolarMatcher {
     /// Finds the free corners of keyframe `newest`; where it sees few landmarks, makes some of those that its neighbours have too.
     pub fn complete(&mut self, map: &mut Map, newest: KeyframeId, lens: &Lens<'_>) {
         let Some(keyframe) = map.keyframe(newest) else { return };
-        let corners = self.free_corners(keyframe, lens.camera);
         let (seen, median) = (keyframe.observations.len(), median_distance(map, keyframe));
-        map.set_corners(newest, corners);
+        self.note_corners(map, newest, lens.camera);
         let Some(median) = median.filter(|_| seen < FED) else { return };
         map.covisible(newest, MIN_SHARED, NEIGHBOURS, &mut self.around);
         for i in 0..self.around.len() {
@@ -86,30 +69,13 @@ impl EpipolarMatcher {
         }
     }
 
-    /// Corners of a keyframe that are no landmark's place.
-    fn free_corners(&mut self, keyframe: &Keyframe, camera: &CameraModel) -> Vec<FreeCorner> {
-        let Some(pyramid) = keyframe.picture.whole() else { return Vec::new() };
-        let image = &pyramid.levels[0];
-        self.detector.detect_all(image, THRESHOLD, &mut self.corners);
-        let spread = self.spread.over_cells((image.width, image.height), CELL_PX, &mut self.corners);
-        // From top to bottom, so that few are compared with a corner.
-        let mut taken: Vec<Vector2<f32>> = keyframe.observations.iter().map(|o| o.pixel).collect();
-        taken.sort_by(|a, b| a.y.total_cmp(&b.y));
-        let is_taken = |pixel: &Vector2<f32>| {
-            let first = taken.partition_point(|t| t.y <= pixel.y - SAME_CORNER_PX);
-            let mut beside = taken[first..].iter().take_while(|t| t.y < pixel.y + SAME_CORNER_PX);
-            beside.any(|t| (t - pixel).norm() < SAME_CORNER_PX)
-        };
-        let free = spread.filter_map(|corner| {
-            let pixel = Vector2::new(corner.x, corner.y);
-            if is_taken(&pixel) || Template::min_eigenvalue_at(image, pixel)? < MIN_EIGENVALUE {
-                return None;
-            }
-            let normalised = camera.undistort(&pixel.cast())?;
-            let described = describe_at_level(pyramid, 0, pixel.x, pixel.y, Orientation::Upright)?;
-            Some(FreeCorner { pixel, normalised, descriptor: described.descriptor })
-        });
-        free.take(CORNERS).collect()
+    /// Finds the corners of a keyframe that are no landmark's place.
+    fn note_corners(&mut self, map: &mut Map, id: KeyframeId, camera: &CameraModel) {
+        let Some(keyframe) = map.keyframe(id) else { return };
+        let Some(pyramid) = keyframe.picture.whole() else { return map.set_corners(id, Vec::new()) };
+        let taken = keyframe.observations.iter().map(|o| o.pixel);
+        let corners = self.finder.find(pyramid, camera, taken);
+        map.set_corners(id, corners);
     }
 
     /// Makes landmarks of the free corners that keyframe `older` shares with the newest one, `median` map units away or so.
@@ -324,8 +290,7 @@ mod tests {
         let mut matcher = EpipolarMatcher::default();
         // The older ones have their corners since they were the newest.
         for id in [KeyframeId(0), KeyframeId(1)] {
-            let corners = matcher.free_corners(map.keyframe(id).unwrap(), &camera);
-            map.set_corners(id, corners);
+            matcher.note_corners(&mut map, id, &camera);
         }
         matcher.complete(&mut map, newest, &lens);
         map.check_consistency().unwrap();

@@ -77,22 +77,24 @@ async function large(page) {
   const cost = await within((c) => update(c) <= 4 && median(c.keyframes) <= 4, () => page.evaluate(async (count) => {
     const { stage } = window;
     const frame = () => new Promise((resolve) => setTimeout(resolve, 400));
+    const landmarks = () => stage.pictures.map((draws) => draws.filter((n) => n === count).length).filter((calls) => calls > 0);
     const told = { landmarks: [], keyframes: [], screen: [], calls: [] };
     for (let i = 0; i < 12; i++) {
       const [map, keyframes] = [stage.map(count), stage.keyframes(2000)];
       await frame();
-      [stage.draws.length, stage.work.length] = [0, 0];
+      [stage.work.length, stage.pictures.length] = [0, 0];
       told.keyframes.push(stage.say(keyframes));
       told.landmarks.push(stage.say(map));
-      await frame();
+      // On a busy machine the picture comes later, or a second one.
+      for (let waited = 0; waited < 10 && (waited === 0 || landmarks().length === 0); waited++) await frame();
       told.screen.push(Math.max(0, ...stage.work));
-      told.calls.push(stage.draws.filter((n) => n === count).length);
+      told.calls.push(Math.max(0, ...landmarks()));
     }
     return told;
   }, LANDMARKS));
   check((await page.locator("#map").getAttribute("data-landmarks")) === `${LANDMARKS}`, "100,000 landmarks are shown");
   check((await pixels(page.locator("#map"), isBlue)) > 5000, "and seen");
-  check(cost.calls.every((n) => n === 1), "in one draw call");
+  check(cost.calls.every((n) => n === 1), `in one draw call a picture ${cost.calls}`);
   const worst = { landmarks: median(cost.landmarks), keyframes: median(cost.keyframes), screen: median(cost.screen) };
   const sum = update(cost);
   check(sum <= 4, `an update takes ${sum.toFixed(1)} ms of the page's thread: the message ${worst.landmarks.toFixed(1)}, drawing ${worst.screen.toFixed(1)} (medians of 12)`);
@@ -194,6 +196,44 @@ async function ties(page) {
   check((await map.getAttribute("data-ties")) === "2" && /Map 1 joined: keyframe 30/.test(await news.last().innerText()), "a joined map is drawn and told");
   await tell([[9, 30, 1, 2], [3, 23, none, 1]]);
   check((await news.count()) === 2, "each of them once");
+}
+
+/** Tags are where they hang, as large as they are, with their numbers. */
+async function tags(page) {
+  const map = page.locator("#map");
+  const tell = (list, waiting, epoch) => page.evaluate(([l, w, e]) => window.stage.tags(l, w, e), [list, waiting, epoch]);
+  const isTeal = (r, g, b) => b > r + 40 && g > r + 30 && b > g - 5 && b < g + 60 && r < 140;
+  const names = page.locator("#tag-names span");
+  await tell([], 0, 1);
+  check((await text(page, "tag-count")) === "" && (await names.count()) === 0, "without tags nothing is said of them");
+  await page.getByRole("button", { name: "Orbit", exact: true }).click();
+  await page.getByRole("button", { name: "Fit", exact: true }).click();
+  await drawn(page);
+  const before = await pixels(map, isTeal);
+  // On the wall ahead, seen from inside the room and from outside.
+  await tell([[7, 3.9, 0, 0, 1.5, true]], 1, 1);
+  await drawn(page);
+  const large = await pixels(map, isTeal);
+  check((await map.getAttribute("data-tags")) === "1" && large > before + 300, `a tag is drawn (${large - before} pixels)`);
+  check((await names.allInnerTexts()).join() === "7 dock" && (await text(page, "tag-count")) === "2 tags, 1 not placed yet", "named, the dock as such, and one that is not placed is counted");
+  const [box, name] = [await map.boundingBox(), await names.first().boundingBox()];
+  check(name.x > box.x && name.x < box.x + box.width && name.y > box.y && name.y < box.y + box.height, "the name is in the map");
+  await page.screenshot({ path: join(pictures, "scripted-tags.png") });
+  await page.getByRole("button", { name: "Top", exact: true }).click();
+  await drawn(page);
+  const turned = await names.first().boundingBox();
+  check(Math.hypot(turned.x - name.x, turned.y - name.y) > 20, "the name goes with it when the eye moves");
+  await page.getByRole("button", { name: "Orbit", exact: true }).click();
+  await tell([[7, 3.9, 0, 0, 0.5, false], [8, -3.9, 1, Math.PI, 0.5, false]], 0, 1);
+  await drawn(page);
+  const small = await pixels(map, isTeal);
+  check((await names.allInnerTexts()).join() === "7,8" && small < large && small > before, `two of a third of the size are smaller (${small - before} pixels)`);
+  await tell([[7, 3.9, 0, 0, 0.5, false]], 0, 2);
+  check((await map.getAttribute("data-tags")) === "0" && (await names.count()) === 0, "those of a map that was corrected since are not drawn out of place");
+  await tell([[7, 3.9, 0, 0, 0.5, false]], 0, 1);
+  await page.evaluate(() => window.stage.state("waiting", "No daemon.", null));
+  check((await map.getAttribute("data-tags")) === "0" && (await text(page, "tag-count")) === "", "without a daemon there are none");
+  await busy(page);
 }
 
 /** A finished calibration: with its camera known, and without. */
@@ -324,6 +364,7 @@ try {
   const surroundings = await begin(browser, DESKTOP);
   await busy(surroundings);
   await ties(surroundings);
+  await tags(surroundings);
   await obstacles(surroundings);
   await calibrated(surroundings);
   await surroundings.context().close();

@@ -20,7 +20,7 @@ export async function standIn(page, folder) {
 }
 
 function inPage() {
-  const stage = { sent: [], draws: [], work: [], cls: 0, shifts: [] };
+  const stage = { sent: [], draws: [], work: [], pictures: [], cls: 0, shifts: [] };
   window.stage = stage;
   // Also refuses to be opened again once it is `gone`.
   window.WebSocket = class {
@@ -49,9 +49,10 @@ function inPage() {
   // What a picture of the screen costs the page's thread, and what it draws.
   const ask = window.requestAnimationFrame.bind(window);
   window.requestAnimationFrame = (draw) => ask((time) => {
-    const began = performance.now();
+    const [began, drawn] = [performance.now(), stage.draws.length];
     draw(time);
     stage.work.push(performance.now() - began);
+    stage.pictures.push(stage.draws.slice(drawn));
   });
   // A graphics card, as far as the page can tell.
   const extension = WebGL2RenderingContext.prototype.getExtension;
@@ -138,6 +139,16 @@ function inPage() {
   stage.ties = (ties, epoch = 1) => {
     const buffer = list(10, 20, ties.length, epoch);
     ties.forEach(([from, to, joined, kind], i) => new Uint32Array(buffer, 24 + 20 * i, 5).set([from, to, 30, joined, kind]));
+    return stage.say(buffer);
+  };
+  /** Tags: [id, x, y, yaw of who looks at it, side, whether it is the dock] each; `waiting` more are not placed. */
+  stage.tags = (tags, waiting = 0, epoch = 1) => {
+    const buffer = list(14, 40, tags.length, epoch);
+    new Uint32Array(buffer, 12, 1)[0] = tags.length + waiting;
+    tags.forEach(([id, x, y, yaw, side, isDock], i) => {
+      new Float32Array(buffer, 24 + 40 * i, 8).set([x, y, 0.3, 0, 0, Math.sin(yaw / 2), Math.cos(yaw / 2), side]);
+      new Uint32Array(buffer, 56 + 40 * i, 2).set([id, isDock ? 1 : 0]);
+    });
     return stage.say(buffer);
   };
   /** Things on an arc before the robot, and the floor free up to half a metre before them; nothing is known behind it. `told` as on the wire. */

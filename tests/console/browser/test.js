@@ -147,6 +147,8 @@ async function pair(page) {
   }
   check((await page.locator("#results article").count()) === 2, "the run before stays beside the last one");
   const article = page.locator("#results article").last();
+  // A picture that the page has is not drawn yet.
+  await article.evaluate((a) => Promise.all([...a.querySelectorAll("img")].map((image) => image.decode())));
   for (const [step, pictured, says] of [
     ["Corners", 2, /found by fast/], ["Attributes", 1, /salient degree 0\.\d+ to/], ["Matches", 1, /\d+ by gradients/],
     ["Fundamental matrix F", 1, /inliers of/], ["Essential matrix E", 0, /singular values 1, /], ["Four motions and their votes", 1, /P_D turned by.*t = /s],
@@ -154,7 +156,9 @@ async function pair(page) {
   ]) {
     const section = article.locator("section").filter({ has: page.getByRole("heading", { name: step, exact: true }) });
     const drawn = await section.locator("img").evaluateAll((images) => images.map((i) => i.complete && i.naturalWidth > 100));
-    check(drawn.length === pictured && drawn.every(Boolean) && says.test(await section.innerText()), `the step is shown: ${step}, ${pictured} pictures, numbers, a sentence`);
+    const told = await section.innerText();
+    if (!says.test(told)) throw new Error(`does not hold: ${step} says ${says}, but: ${told}`);
+    check(drawn.length === pictured && drawn.every(Boolean), `the step is shown: ${step}, ${pictured} pictures, numbers, a sentence`);
   }
   await page.screenshot({ path: join(pictures, "pair.png"), fullPage: true });
 }

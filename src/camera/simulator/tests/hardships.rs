@@ -101,7 +101,14 @@ fn lit_sheet(at: Vector3<f64>, lamp: Vector3<f64>, polished: bool) -> (GreyImage
         polished,
     };
     let textures = vec![Texture::new(1, 1, vec![0])];
-    let scene = Scene { quads: vec![quad], textures, solids: Vec::new(), chessboard: None, lamps: vec![lamp] };
+    let scene = Scene {
+        quads: vec![quad],
+        textures,
+        solids: Vec::new(),
+        chessboard: None,
+        tags: Vec::new(),
+        lamps: vec![lamp],
+    };
     let gloss = Gloss::new(&GlossConfig { enabled: true, strength: 0.9, ..GlossConfig::default() }, &scene.lamps);
     let rotation = crate::geometry::ros_from_optical().to_rotation_matrix().into_inner();
     let view = View { rotation, position: at };
@@ -161,6 +168,7 @@ fn people_walk_at_their_pace_and_keep_to_their_lanes() {
                 texel_m: 0.1,
                 rich: true,
                 chessboard: &config.chessboard,
+                tags: &config.tags,
                 desk: &config.desk,
             },
         );
@@ -233,7 +241,14 @@ fn beside_an_outline(
 fn long_desk(edit: impl Fn(&mut SimulatorConfig)) -> Scene {
     let mut config = quick(SimulatorConfig::ideal(Scenario::DeskSweep));
     edit(&mut config);
-    let plan = room::Plan { seed: 2, texel_m: 0.01, rich: true, chessboard: &config.chessboard, desk: &config.desk };
+    let plan = room::Plan {
+        seed: 2,
+        texel_m: 0.01,
+        rich: true,
+        chessboard: &config.chessboard,
+        tags: &config.tags,
+        desk: &config.desk,
+    };
     place(config.scenario, &plan)
 }
 

@@ -123,7 +123,14 @@ fn no_movement_runs_into_furniture() {
         let mut config = SimulatorConfig::ideal(Scenario::RoomTour);
         config.seed = seed;
         config.chessboard.enabled = true;
-        let plan = room::Plan { seed, texel_m: 0.1, rich: true, chessboard: &config.chessboard, desk: &config.desk };
+        let plan = room::Plan {
+            seed,
+            texel_m: 0.1,
+            rich: true,
+            chessboard: &config.chessboard,
+            tags: &config.tags,
+            desk: &config.desk,
+        };
         for scenario in Scenario::ALL {
             let scene = place(scenario, &plan);
             let mut config = config.clone();

@@ -30,8 +30,14 @@ fn another_seed_gives_another_room() {
 
 /// Every face in one grey of its own: then the picture names the face.
 fn painted_by_number(config: &SimulatorConfig) -> super::super::scene::Scene {
-    let plan =
-        room::Plan { seed: config.seed, texel_m: 0.02, rich: true, chessboard: &config.chessboard, desk: &config.desk };
+    let plan = room::Plan {
+        seed: config.seed,
+        texel_m: 0.02,
+        rich: true,
+        chessboard: &config.chessboard,
+        tags: &config.tags,
+        desk: &config.desk,
+    };
     let mut scene = place(config.scenario, &plan);
     for (i, texture) in scene.textures.iter_mut().enumerate() {
         *texture = Texture::new(1, 1, vec![grey(i)]);
