@@ -290,7 +290,9 @@ impl Outlet {
         self.conversion.scale = map.scale.into();
         let mut graph = Ok(false);
         if let Some(publisher) = self.graph.as_mut().filter(|graph| graph.is_wanted()) {
-            reconstruction.graph(&mut self.edges, MAX_EDGES);
+            // Who draws it has the keyframes of this message and no older ones.
+            let oldest = map.keyframes.first().map_or_else(Default::default, |k| k.id);
+            reconstruction.graph(&mut self.edges, oldest, MAX_EDGES);
             graph = publisher.publish(&self.edges, map, &self.conversion, context);
         }
         let mut tags = Ok(());

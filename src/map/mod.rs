@@ -242,7 +242,7 @@ impl Map {
         entry.observers.insert(i, keyframe);
     }
 
-    /// Takes one observation away; a landmark left with fewer than two observers goes as well.
+    /// Takes one observation away; a landmark left with fewer than two observers, or with none that shows it, goes as well.
     pub fn remove_observation(&mut self, keyframe: KeyframeId, landmark: LandmarkId) {
         let Some(entry) = self.landmarks.get_mut(landmark.0) else { return };
         let Ok(i) = entry.observers.binary_search(&keyframe) else { return };
@@ -256,7 +256,7 @@ impl Map {
             k.observations.remove(i);
             k.picture.forget(landmark.0);
         }
-        if self.landmarks.get(landmark.0).is_some_and(|l| l.observers.len() < 2) {
+        if self.landmarks.get(landmark.0).is_some_and(|l| l.observers.len() < 2 || self.is_hidden(landmark, l)) {
             self.remove_landmark(landmark);
         }
         self.revision += 1;
@@ -279,7 +279,7 @@ impl Map {
         self.revision += 1;
     }
 
-    /// Takes a keyframe away; landmarks left with fewer than two observers go as well.
+    /// Takes a keyframe away; landmarks left with fewer than two observers, or with none that shows them, go as well.
     pub fn remove_keyframe(&mut self, id: KeyframeId) -> Option<Keyframe> {
         let landmarks: Vec<LandmarkId> = self.keyframe(id)?.observations.iter().map(|o| o.landmark).collect();
         for landmark in landmarks {

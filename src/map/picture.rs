@@ -175,6 +175,12 @@ impl KeyframePicture {
         self.pyramid.levels.len()
     }
 
+    /// Whether all of a level is there.
+    #[inline]
+    pub fn has_level(&self, level: usize) -> bool {
+        self.pyramid.levels.get(level).is_some_and(|l| !l.data.is_empty())
+    }
+
     /// What there is of a level around the observation of `landmark`; `room` is for what has to be unpacked.
     #[inline]
     pub fn around<'a>(&'a self, level: usize, landmark: u32, room: &'a mut Room) -> Option<Crop<'a>> {
@@ -212,6 +218,19 @@ impl KeyframePicture {
             Some([true, _]) => Detail::Full,
             Some([false, true]) => Detail::Half,
             Some([false, false]) | None => Detail::None,
+        }
+    }
+
+    /// How finely a template of `landmark` is cut where this level is asked for. A condensed picture has no levels between its patches and
+    /// [`CONDENSED_LEVEL`], so from there it is the next coarser one.
+    #[inline]
+    pub fn detail_at(&self, level: usize, landmark: u32) -> Detail {
+        let patch = |view: &View| view.patches.get(level).is_some_and(Option::is_some);
+        match level {
+            _ if level == 0 || !self.is_condensed() => self.detail(landmark),
+            _ if level >= CONDENSED_LEVEL || self.view(landmark).is_some_and(patch) => Detail::Full,
+            _ if level + 1 == CONDENSED_LEVEL => Detail::Half,
+            _ => Detail::None,
         }
     }
 

@@ -84,11 +84,15 @@ impl Map {
             k.observations.shrink_to_fit();
             k.covisible.shrink_to_fit();
         }
-        let is_hidden = |l: &Landmark, id| l.observers.iter().all(|k| self.detail(*k, id) == Detail::None);
         let hidden: Vec<LandmarkId> =
-            seen.into_iter().filter(|id| self.landmark(*id).is_some_and(|l| is_hidden(l, *id))).collect();
+            seen.into_iter().filter(|id| self.landmark(*id).is_some_and(|l| self.is_hidden(*id, l))).collect();
         hidden.iter().for_each(|landmark| self.remove_landmark(*landmark));
         hidden.len()
+    }
+
+    /// Nothing shows it any more, so no frame could find it again.
+    pub(super) fn is_hidden(&self, id: LandmarkId, landmark: &Landmark) -> bool {
+        landmark.observers.iter().all(|k| self.detail(*k, id) == Detail::None)
     }
 
     fn detail(&self, keyframe: KeyframeId, landmark: LandmarkId) -> Detail {

@@ -1,6 +1,7 @@
 //! Loops: a place of the map that is seen again after a long way, and what follows from it.
 //!
-//! Every keyframe is entered into the index of [`places`](crate::places::index). What it shows is first asked for there; of the keyframes that are
+//! Every keyframe is entered into the index of [`places`](crate::places::index), also where no loops are looked for: frames that were lost in a large map
+//! ask it, too. Those of another run's map are entered in pieces, with the frames after it was loaded. What a keyframe shows is first asked for there; of the keyframes that are
 //! neither covisible with it nor covisible with one that is, and not recent, the likeliest place (a keyframe and what it shares landmarks with) is tried
 //! as for a lost frame ([`relocalise`](super::relocalise)): thumbnails, descriptors and P3P, then the search by projection, which must speak for
 //! itself; in a thread of its own ([`recognition`]). Keyframes recognised one soon after the other must tell the same similarity, by the depths that are known on both sides, as
@@ -16,6 +17,8 @@
 
 mod closing;
 pub mod recognition;
+
+use std::collections::VecDeque;
 
 use recognition::Recogniser;
 
@@ -39,6 +42,10 @@ const MIN_LIKENESS: f32 = 0.1;
 /// Keyframes of a place that are tried: the likeliest, and those that share most with it.
 const TRIED: usize = 3;
 
+/// Keyframes of another run's map that are entered into the index after one frame, and as how many of these one counts that has to be described: 4 ms.
+const ENTERED_AT_ONCE: usize = 32;
+const DESCRIBED_AS: usize = 8;
+
 /// A loop that two keyframes have told.
 struct FoundLoop {
     /// The newest last.
@@ -51,6 +58,8 @@ struct FoundLoop {
 #[derive(Default)]
 pub struct Loops {
     index: PlaceIndex,
+    /// Of other runs, not yet in it.
+    to_enter: VecDeque<KeyframeId>,
     describer: PlaceDescriber,
     seen: Vec<Descriptor>,
     ranked: Vec<Candidate>,
@@ -85,16 +94,43 @@ impl Loops {
         ranked.iter().filter(|c| c.votes >= MIN_VOTES).map(|c| c.keyframe).collect()
     }
 
-    /// Enters the keyframes of a map of another run.
-    pub fn enter(&mut self, map: &Map) {
-        let Self { index, describer, seen, .. } = self;
-        for (id, keyframe) in map.keyframes.iter() {
+    /// The maps are those of another run: their keyframes are entered with the next frames, the newest first, as the robot is likely to begin where it
+    /// ended.
+    pub fn expect(&mut self, map: &Map, others: &OtherMaps) {
+        self.follow(map, others);
+        self.to_enter.clear();
+        for map in std::iter::once(map).chain(others.maps()) {
+            let before = self.to_enter.len();
+            self.to_enter.extend(map.keyframes.ids().map(KeyframeId));
+            self.to_enter.make_contiguous()[before..].reverse();
+        }
+    }
+
+    /// Keyframes in the index.
+    #[cfg(test)]
+    pub fn entered(&self) -> usize {
+        self.index.len()
+    }
+
+    /// Enters some of those that wait and are in a map still.
+    pub fn enter_some(&mut self, map: &Map, others: &OtherMaps) {
+        let Self { index, describer, seen, to_enter, .. } = self;
+        let mut work = 0;
+        while work < ENTERED_AT_ONCE
+            && let Some(id) = to_enter.pop_front()
+        {
+            let keyframe = map.keyframe(id).or_else(|| others.maps().find_map(|map| map.keyframe(id)));
+            let Some(keyframe) = keyframe else { continue };
             match keyframe.picture.is_condensed() {
-                true => index.add(KeyframeId(id), keyframe.picture.place_descriptors()),
+                true => {
+                    index.add(id, keyframe.picture.place_descriptors());
+                    work += 1;
+                }
                 false => {
                     // Reduced pictures have the levels that this takes.
                     describer.describe(keyframe.picture.pyramid(), seen);
-                    index.add(KeyframeId(id), seen);
+                    index.add(id, seen);
+                    work += DESCRIBED_AS;
                 }
             }
         }

@@ -360,6 +360,7 @@ impl Reconstruction {
     pub fn map(&mut self, features: &FrameFeatures, feedback: &mut Feedback) {
         feedback.sequence = features.sequence;
         feedback.forget.clear();
+        self.enter_loaded();
         if self.localise_only {
             return self.bind_found(features);
         }
@@ -414,7 +415,8 @@ impl Reconstruction {
         active.scale.follow(map);
         counters.landmarks_culled += cull::cull_landmarks(map, id);
         counters.keyframes_culled += cull::cull_keyframes((map, active.id), id, config, &mut self.events);
-        let (most, turn) = (config.max_keyframes, &mut active.thinned);
+        let held = self.tags.as_ref().map_or_else(Vec::new, |tags| tags.rest_on(map));
+        let (most, turn) = ((config.max_keyframes, held.as_slice()), &mut active.thinned);
         counters.keyframes_culled += cull::thin_out((map, active.id), id, most, turn, &mut self.events);
         reduce_pictures(map, id);
         counters.landmarks_culled += condense_pictures(map, id, config.detailed_keyframes, describe_kept);

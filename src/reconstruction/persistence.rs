@@ -4,7 +4,7 @@
 //! the state is LOST until one is located, and unless the map is to stay as it is a second one begins beside it after as many
 //! frames as always, to be joined to it once it is recognised.
 //!
-//! Of a large map the index over places is made anew, a millisecond a keyframe with a picture and less for a condensed one.
+//! The index over places is made anew with the frames that follow, some keyframes at each.
 //!
 //! Cost: [`take_changes`](Reconstruction::take_changes) copies what has changed, 20 kB a keyframe (pictures are shared), so after an
 //! adjustment of a whole map of 240 keyframes 5 MB. It is called after a published pose.
@@ -12,7 +12,6 @@
 use super::Reconstruction;
 use super::active_map::ActiveMap;
 use super::keyframe::SAME_CORNER_PX;
-use super::relocalise::asks_index;
 use super::relocalise::other_maps::OtherMap;
 use super::scale_uncertainty::ScaleUncertainty;
 use super::track::association::Target;
@@ -85,9 +84,7 @@ impl Reconstruction {
             // All of them were kept before.
             self.others.keep(other, usize::MAX);
         }
-        // Small ones are looked through in turn.
-        let large = std::iter::once(&self.active.map).chain(self.others.maps()).filter(|map| asks_index(map));
-        large.for_each(|map| self.loops.enter(map));
+        self.loops.expect(&self.active.map, &self.others);
         let ids = std::iter::once(self.active.id).chain(self.others.kept.iter().map(|other| other.id)).collect();
         self.taken = Some(Taken { maps: ids, camera: self.optics.camera.clone() });
     }

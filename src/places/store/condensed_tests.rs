@@ -1,11 +1,14 @@
 //! Condensed pictures in a file, and files of the format before there were any.
 
 use std::os::unix::fs::FileExt;
+use std::path::Path;
 use std::sync::Arc;
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
+use super::backend::Access;
 use super::error::FORMAT;
+use super::records::{Kind, Records};
 use super::*;
 use crate::features::descriptor::Descriptor;
 use crate::features::gradients::{GradientDescriptor, NUMBERS};
@@ -136,22 +139,25 @@ fn a_condensed_keyframe_comes_back_whenever_it_was_condensed() {
     assert!(views(&read(&path).expect("nothing of it is left").saved.maps[0].map) == views(&map));
 }
 
-#[test]
-fn a_file_of_the_format_before_is_read_and_gone_on_with_as_one_of_this() {
-    let dir = tempfile::tempdir().expect("a folder");
-    let path = dir.path().join("a.map");
-    let mut random = Random::new(72);
-    let mut map = map(&mut random);
-    MapFile::create(&path, &changes(&mut map, true)).expect("made").close().expect("closed");
-    // The older format is this one without condensed pictures.
-    let raw = std::fs::OpenOptions::new().read(true).write(true).open(&path).expect("there");
+/// A file of the older format, which is this one without condensed pictures.
+fn make_older(path: &Path, map: &mut Map) {
+    MapFile::create(path, &changes(map, true)).expect("made").close().expect("closed");
+    let raw = std::fs::OpenOptions::new().read(true).write(true).open(path).expect("there");
     let mut page = [0; 4096];
     raw.read_exact_at(&mut page, 0).expect("a front page");
     page[8..12].copy_from_slice(&1_u32.to_le_bytes());
     let checksum = crc32fast::hash(&page[..4092]);
     page[4092..].copy_from_slice(&checksum.to_le_bytes());
     raw.write_all_at(&page, 0).expect("written");
-    drop(raw);
+}
+
+#[test]
+fn a_file_of_the_format_before_is_read_and_gone_on_with_as_one_of_this() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let path = dir.path().join("a.map");
+    let mut random = Random::new(72);
+    let mut map = map(&mut random);
+    make_older(&path, &mut map);
     let old = std::fs::read(&path).expect("bytes");
     assert_eq!(read(&path).expect("read").format, 1);
     let link = dir.path().join("link.map");
@@ -166,4 +172,77 @@ fn a_file_of_the_format_before_is_read_and_gone_on_with_as_one_of_this() {
     assert_eq!((renewed.format, renewed.id, renewed.created_ns), (FORMAT, contents.id, contents.created_ns));
     assert!(views(&renewed.saved.maps[0].map) == views(&map));
     assert!(link.is_symlink() && std::fs::read_dir(dir.path()).expect("a folder").count() == 2, "nothing else is left");
+}
+
+#[test]
+fn a_map_that_was_put_in_the_place_of_an_older_file_meanwhile_is_not_written_over() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let [path, aside, other] = ["a.map", "aside.map", "other.map"].map(|name| dir.path().join(name));
+    let mut random = Random::new(73);
+    let mut map = map(&mut random);
+    for taken_away in [false, true] {
+        make_older(&path, &mut map);
+        let old = std::fs::read(&path).expect("bytes");
+        let (mut file, _) = MapFile::open(&path).expect("opened");
+        std::fs::rename(&path, &aside).expect("moved");
+        if !taken_away {
+            std::fs::write(&path, "somebody else's").expect("written");
+        }
+        let refused = file.write(&changes(&mut map, true)).expect_err("not ours");
+        assert!(matches!(refused.fault, Fault::Replaced), "{refused}");
+        assert!(refused.to_string().contains("another file now"), "{refused}");
+        drop(file);
+        assert_eq!(std::fs::read(&path).ok(), (!taken_away).then(|| b"somebody else's".to_vec()));
+        assert!(std::fs::read(&aside).expect("bytes") == old, "what was opened is what it was");
+        let left = std::fs::read_dir(dir.path()).expect("a folder").count();
+        assert_eq!(left, if taken_away { 1 } else { 2 }, "no copy is left");
+        let _ = std::fs::remove_file(&path);
+        std::fs::rename(&aside, &other).expect("moved");
+        std::fs::remove_file(&other).expect("removed");
+    }
+}
+
+#[test]
+fn changes_that_cannot_be_written_leave_a_file_of_the_format_before_as_it_is() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let path = dir.path().join("a.map");
+    let mut map = map(&mut Random::new(74));
+    make_older(&path, &mut map);
+    let old = std::fs::read(&path).expect("bytes");
+    let (mut file, _) = MapFile::open(&path).expect("opened");
+    let too_many = MapChanges { next_landmark: MOST_IDS + 1, ..changes(&mut map, true) };
+    assert!(matches!(file.write(&too_many), Err(StoreError { fault: Fault::GivenUp(_), .. })));
+    assert!(std::fs::read(&path).expect("bytes") == old);
+    assert!(matches!(MapFile::open(&path), Err(StoreError { fault: Fault::Busy, .. })), "it is held yet");
+    file.write(&changes(&mut map, true)).expect("written");
+    assert_eq!(read(&path).map(|_| ()).expect_err("held").fault.to_string(), Fault::Busy.to_string());
+    drop(file);
+    assert_eq!(read(&path).expect("whole").format, FORMAT);
+}
+
+#[test]
+fn a_keyframe_with_two_pictures_is_refused() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let path = dir.path().join("a.map");
+    let mut random = Random::new(75);
+    let mut map = map(&mut random);
+    condense(&mut map, 1, &mut random);
+    MapFile::create(&path, &changes(&mut map, true)).expect("made").close().expect("closed");
+    assert_eq!(read(&path).expect("whole").saved.maps.len(), 1);
+    let raw = std::fs::OpenOptions::new().read(true).write(true).open(&path).expect("there");
+    let mut records = Records::open(raw, Access::Write).expect("opened");
+    let mut header = Vec::new();
+    let tally = records.read_all(|kind, _, bytes| {
+        if kind == Kind::Header as u8 {
+            header = bytes.to_vec();
+        }
+        Ok(())
+    });
+    let other =
+        map.keyframe(KeyframeId(1)).and_then(|k| super::picture::encode_condensed(&k.picture)).expect("a record");
+    records.write(tally.expect("sound"), &[(Kind::Condensed, 2, other)], &[], |_| Some(header)).expect("written");
+    records.close().expect("closed");
+    let refused = read(&path).map(|_| ()).expect_err("which is it?");
+    assert!(matches!(refused.fault, Fault::Broken(_)), "{refused}");
+    assert!(refused.to_string().contains("keyframe 2 has two pictures"), "{refused}");
 }

@@ -37,6 +37,9 @@ pub enum Fault {
     Busy,
     #[error("exists already")]
     Exists,
+    /// Somebody has put another file in its place meanwhile; both untouched.
+    #[error("is another file now than the one that was opened; it is left as it is")]
+    Replaced,
     /// It went wrong once, and nothing more is tried.
     #[error("is not written any more: {0}")]
     GivenUp(String),

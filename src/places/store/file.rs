@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io;
-use std::os::unix::fs::FileExt;
+use std::os::unix::fs::{FileExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -128,11 +128,6 @@ impl MapFile {
     }
 
     fn put(&mut self, changes: &MapChanges) -> Result<u64, Fault> {
-        if let Some(file) = self.verified.take() {
-            let file = renewed(file, &self.path)?;
-            self.records = Some(Records::open(file, Access::Write)?);
-        }
-        let records = self.records.as_mut().ok_or_else(|| Fault::GivenUp("an earlier write failed".into()))?;
         if changes.next_keyframe.max(changes.next_landmark) > MOST_IDS {
             // No reader would take it. What is in the file is whole, and gets small ids when a run begins with it.
             return Err(Fault::GivenUp("ids are used up; a restart makes room for others".into()));
@@ -174,6 +169,14 @@ impl MapFile {
         let MapChanges { frame_ns, optics, maps, next_keyframe, next_landmark, .. } = changes;
         let (frame_ns, next_keyframe, next_landmark) = (*frame_ns, *next_keyframe, *next_landmark);
         let header = HeaderOf { frame_ns, optics, maps, next_keyframe, next_landmark, written_ns: now_ns() };
+        // What cannot be written leaves a file of an older format what it is, too.
+        if let Some(verified) = &self.verified {
+            let renewed = renewed(verified, &self.path)?;
+            let own = self.verified.take();
+            let file = renewed.or(own).ok_or(Fault::Replaced)?;
+            self.records = Some(Records::open(file, Access::Write)?);
+        }
+        let records = self.records.as_mut().ok_or_else(|| Fault::GivenUp("an earlier write failed".into()))?;
         let outcome = records.write(self.tally, &new, &removed, |tally| HeaderRecord::encode(&header, tally));
         match outcome {
             Ok(tally) => self.tally = tally,
@@ -196,14 +199,16 @@ impl MapFile {
     }
 }
 
-/// The file itself, or where it is of an older format a copy of the present one that has taken its place.
-fn renewed(file: File, path: &Path) -> Result<File, Fault> {
-    let front = Front::read(&file)?;
+/// Where the file is of an older format: a copy of the present one that has taken its place.
+fn renewed(file: &File, path: &Path) -> Result<Option<File>, Fault> {
+    let front = Front::read(file)?;
     if front.format == FORMAT {
-        return Ok(file);
+        return Ok(None);
     }
     // A link to it stays one.
-    let path = path.canonicalize().map_err(Fault::Read)?;
+    let gone =
+        |error: io::Error| if error.kind() == io::ErrorKind::NotFound { Fault::Replaced } else { Fault::Read(error) };
+    let path = path.canonicalize().map_err(gone)?;
     let folder = path.parent().unwrap_or(Path::new("/"));
     let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
     let (copy, temporary) = create_unique(folder, &format!(".{name}"), false).map_err(Fault::Write)?;
@@ -220,6 +225,10 @@ fn renewed(file: File, path: &Path) -> Result<File, Fault> {
             at += read as u64;
         }
         copy.write_all_at(&front.page(), 0).and_then(|()| copy.sync_all()).map_err(Fault::Write)?;
+        // Somebody may have moved another map there since it was opened.
+        if !is_at(file, &path)? {
+            return Err(Fault::Replaced);
+        }
         std::fs::rename(&temporary, &path).map_err(Fault::Write)?;
         let _ = File::open(folder).and_then(|f| f.sync_all());
         Ok(())
@@ -227,7 +236,17 @@ fn renewed(file: File, path: &Path) -> Result<File, Fault> {
     filled().inspect_err(|_: &Fault| {
         let _ = std::fs::remove_file(&temporary);
     })?;
-    Ok(copy)
+    Ok(Some(copy))
+}
+
+/// Whether this is what the path holds.
+fn is_at(file: &File, path: &Path) -> Result<bool, Fault> {
+    let own = file.metadata().map_err(Fault::Read)?;
+    match std::fs::symlink_metadata(path) {
+        Ok(there) => Ok((there.dev(), there.ino()) == (own.dev(), own.ino())),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(false),
+        Err(error) => Err(Fault::Read(error)),
+    }
 }
 
 /// What came of renaming without replacing; network file systems that cannot do that can link a second name.
@@ -284,7 +303,9 @@ fn look_inside(file: &File) -> Result<(Contents, Tally, BTreeSet<u32>), Fault> {
                 let picture =
                     if k == Kind::Picture as u8 { picture::decode(bytes) } else { picture::decode_condensed(bytes) };
                 let sense = picture.is_some();
-                raw.pictures.extend(picture.map(|picture| (number, picture)));
+                if picture.is_some_and(|picture| raw.pictures.insert(number, picture).is_some()) {
+                    return Err(Fault::Broken(format!("keyframe {number} has two pictures")));
+                }
                 sense
             }
             k if k == Kind::Landmarks as u8 => {

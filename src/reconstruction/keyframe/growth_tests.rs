@@ -16,7 +16,7 @@ use crate::map::picture::KeyframePicture;
 use crate::map::view::{CoarseDescriptor, DESCRIBED_LEVELS, Description, PLACE_DESCRIPTORS};
 use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, MapId, Observation, Sought};
 use crate::places::index::{DESCRIPTORS, PlaceIndex};
-use crate::reconstruction::ReconstructionConfig;
+use crate::reconstruction::{ReconstructionConfig, TrajectoryEvent};
 
 /// Landmarks that a keyframe adds, and how many keyframes see one on average: as in `tum_fr1_desk` (37 and 5.6).
 const NEW: usize = 37;
@@ -33,6 +33,11 @@ struct Drive {
     in_view: Vec<(LandmarkId, u32)>,
     thinned: u32,
     gone: u64,
+    /// Of one room only: what may be in view at all.
+    room: Vec<LandmarkId>,
+    held: Vec<KeyframeId>,
+    /// Keyframes that went, and what the trajectory hangs on instead.
+    removed: Vec<(KeyframeId, KeyframeId)>,
 }
 
 impl Drive {
@@ -43,7 +48,19 @@ impl Drive {
         let mut pyramid = Pyramid::new(5);
         pyramid.build(&image);
         let (map, index, pyramid) = (Map::default(), PlaceIndex::default(), Arc::new(pyramid));
-        Self { map, index, random, pyramid, config, in_view: Vec::new(), thinned: 0, gone: 0 }
+        let (in_view, room, held, removed) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        Self { map, index, random, pyramid, config, in_view, thinned: 0, gone: 0, room, held, removed }
+    }
+
+    /// The same in a room of so many landmarks, of which every keyframe sees a quarter: all share some with all.
+    fn in_room(config: ReconstructionConfig, landmarks: usize) -> Self {
+        let mut drive = Self::new(config);
+        while drive.room.len() < landmarks {
+            drive.step();
+            let made = drive.map.landmarks.ids().map(LandmarkId).collect();
+            drive.room = made;
+        }
+        drive
     }
 
     fn observation(&mut self, landmark: LandmarkId) -> Observation {
@@ -64,7 +81,11 @@ impl Drive {
         let along = f64::from(self.map.keyframes.next_id());
         let living = |(id, left): (LandmarkId, u32)| Some((id, left.checked_sub(1)?));
         self.in_view = std::mem::take(&mut self.in_view).into_iter().filter_map(living).collect();
-        let seen: Vec<LandmarkId> = self.in_view.iter().map(|l| l.0).collect();
+        let mut seen: Vec<LandmarkId> = self.in_view.iter().map(|l| l.0).collect();
+        if !self.room.is_empty() {
+            let quarter = (0..self.room.len() / 4).map(|_| self.room[self.random.below(self.room.len())]);
+            seen = quarter.collect();
+        }
         let observations = seen.iter().map(|id| self.observation(*id)).collect();
         let began = Instant::now();
         let id = self.map.add_keyframe(Keyframe {
@@ -81,7 +102,7 @@ impl Drive {
             corners: Vec::new(),
         });
         let mut took = began.elapsed().as_secs_f64();
-        for _ in 0..NEW * usize::from(before.is_some()) {
+        for _ in 0..NEW * usize::from(before.is_some() && self.room.is_empty()) {
             let ends = [before.unwrap_or_default(), id].map(|k| (k, self.observation(LandmarkId(0))));
             let landmark = Landmark {
                 position: Vector3::new(0.3 * along, 0.0, self.random.uniform(1.0, 6.0)),
@@ -108,7 +129,11 @@ impl Drive {
         let mut events = Vec::new();
         cull_landmarks(map, id);
         let culled = cull_keyframes((map, MapId(0)), id, config, &mut events)
-            + thin_out((map, MapId(0)), id, config.max_keyframes, &mut self.thinned, &mut events);
+            + thin_out((map, MapId(0)), id, (config.max_keyframes, &self.held), &mut self.thinned, &mut events);
+        self.removed.extend(events.iter().filter_map(|event| match event {
+            TrajectoryEvent::KeyframeRemoved { keyframe, parent, .. } => Some((*keyframe, *parent)),
+            _ => None,
+        }));
         reduce_pictures(map, id);
         let kept = CoarseDescriptor::of(&GradientDescriptor([40; NUMBERS]));
         condense_pictures(map, id, config.detailed_keyframes, |_, l| Description {
@@ -183,4 +208,55 @@ fn a_map_at_its_limit_is_thinned_evenly_and_never_where_the_robot_is() {
     println!("left of each 200: {parts:?}");
     assert!(parts.iter().all(|n| *n >= 60), "{parts:?}");
     assert!(drive.map.detailed().len() <= 40 + 24);
+}
+
+/// Nothing of it is far from the robot, and nobody but the limit has anything go.
+#[test]
+fn where_all_of_a_map_is_one_room_its_limits_hold_as_well() {
+    let config = ReconstructionConfig {
+        max_keyframes: 60,
+        detailed_keyframes: 24,
+        redundant_share: 1.0,
+        ..ReconstructionConfig::default()
+    };
+    let mut drive = Drive::in_room(config, 400);
+    for _ in 0..400 {
+        let id = KeyframeId(drive.map.keyframes.next_id());
+        drive.step();
+        assert!(drive.map.keyframes.len() <= 60, "{} keyframes", drive.map.keyframes.len());
+        assert!(drive.map.detailed().len() <= 24, "{} with pictures", drive.map.detailed().len());
+        assert!((0..12).all(|age| drive.map.keyframe(KeyframeId(id.0 - age)).is_some()), "the young ones stay");
+    }
+    drive.map.check_consistency().expect("consistent");
+    let last = drive.map.newest().and_then(|id| drive.map.keyframe(id)).expect("there");
+    assert!(last.covisible.len() > 50, "it is one room");
+    assert!(last.observations.len() > 70, "{} of its landmarks are left", last.observations.len());
+}
+
+#[test]
+fn a_keyframe_that_sees_nothing_goes_first_and_what_something_rests_on_last() {
+    let config = ReconstructionConfig { max_keyframes: 40, redundant_share: 1.0, ..ReconstructionConfig::default() };
+    let mut drive = Drive::in_room(config, 400);
+    while drive.map.keyframes.len() < 40 {
+        drive.step();
+    }
+    let blank = KeyframeId(10);
+    let seen: Vec<LandmarkId> =
+        drive.map.keyframe(blank).expect("there").observations.iter().map(|o| o.landmark).collect();
+    seen.into_iter().for_each(|landmark| drive.map.remove_observation(blank, landmark));
+    drive.held = drive.map.keyframes.ids().take(10).map(KeyframeId).collect();
+    drive.step();
+    assert_eq!(drive.removed, [(blank, KeyframeId(9))], "its neighbour in time stands for it");
+    for _ in 0..200 {
+        drive.step();
+        assert!(drive.map.keyframes.len() <= 40);
+    }
+    assert!(drive.held.iter().all(|id| drive.map.keyframe(*id).is_some()), "tags were seen from these");
+    // More than there is room for: the limit holds.
+    drive.held = drive.map.keyframes.ids().map(KeyframeId).collect();
+    for _ in 0..30 {
+        drive.step();
+        drive.held = drive.map.keyframes.ids().map(KeyframeId).collect();
+        assert!(drive.map.keyframes.len() <= 40);
+    }
 }

@@ -248,11 +248,8 @@ fn describe_by_views(map: &Map, keyframe: &Keyframe, out: &mut Described<Landmar
 /// What a keyframe that is condensed keeps to be known by, and these landmarks of it.
 pub fn describe_kept(keyframe: &Keyframe, landmarks: &[LandmarkId]) -> Description {
     let mut place = Vec::new();
-    PlaceDescriber::default().describe(keyframe.picture.pyramid(), &mut place);
-    // The strongest of either level come first of it.
-    let [fine, coarse] = [place.len() * 3 / 4, place.len() / 4].map(|n| n.min(PLACE_DESCRIPTORS));
-    let kept = place[..fine / 2].iter().chain(&place[place.len() - coarse..][..coarse / 2]).copied().collect();
-    Description { landmarks: describe_landmarks(keyframe, landmarks), place: kept }
+    PlaceDescriber::default().describe_strongest(keyframe.picture.pyramid(), PLACE_DESCRIPTORS, &mut place);
+    Description { landmarks: describe_landmarks(keyframe, landmarks), place }
 }
 
 /// The strongest direction on each level.
@@ -373,5 +370,59 @@ mod tests {
             by_views.iter().zip(by_whole).all(|(views, whole)| 10 * views >= 7 * whole),
             "{by_whole:?} {by_views:?}"
         );
+    }
+
+    #[test]
+    fn a_condensed_keyframe_keeps_the_strongest_half_of_what_the_index_is_told_of_either_level() {
+        let described = |pyramid: &Pyramid| {
+            let mut out = Vec::new();
+            PlaceDescriber::default().describe(pyramid, &mut out);
+            out
+        };
+        let mut random = Random::new(5);
+        let mut rich = GreyImage::new(640, 480);
+        // Blocks of several sizes: corners on both levels.
+        for size in [16, 8] {
+            for (i, v) in rich.data.iter_mut().enumerate() {
+                let (x, y) = (i % 640 / size, i / 640 / size);
+                let mixed =
+                    (x as u32 ^ 77).wrapping_mul(0x9E37_79B9) ^ (y as u32 + size as u32).wrapping_mul(0x85EB_CA6B);
+                *v = (*v / 2).saturating_add((mixed.wrapping_mul(0xC2B2_AE35) >> 25) as u8);
+            }
+        }
+        let mut poor = rich.clone();
+        // Few corners on the finer level: most of it is even.
+        poor.data.iter_mut().enumerate().for_each(|(i, v)| {
+            if i % 640 > 200 {
+                *v = 90 + random.below(2) as u8
+            }
+        });
+        for (image, is_rich) in [(rich, true), (poor, false)] {
+            let mut pyramid = Pyramid::new(5);
+            pyramid.build(&image);
+            let all = described(&pyramid);
+            let mut finer = pyramid.clone();
+            finer.levels.truncate(2);
+            let split = described(&finer).len();
+            let kept = describe_kept(
+                &Keyframe {
+                    sequence: 0,
+                    timestamp_ns: 0,
+                    map: MapId(0),
+                    camera_from_world: Se3::identity(),
+                    motion: None,
+                    picture: KeyframePicture::new(Arc::new(pyramid)),
+                    thumbnail: Default::default(),
+                    scale_from: None,
+                    observations: Vec::new(),
+                    covisible: Vec::new(),
+                    corners: Vec::new(),
+                },
+                &[],
+            );
+            let [fine, coarse] = [(&all[..split], 48), (&all[split..], 16)].map(|(of, most)| &of[..of.len().min(most)]);
+            assert!(kept.place == [fine, coarse].concat());
+            assert_eq!((kept.place.len() == PLACE_DESCRIPTORS, split < 48), (is_rich, !is_rich), "{split}");
+        }
     }
 }
