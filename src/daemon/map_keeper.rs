@@ -85,7 +85,8 @@ impl Keeper {
     /// Writes changes; everything, if the file is to be made or opened anew.
     pub fn keep(&mut self, changes: &MapChanges) {
         if matches!(&self.failed, Some(StoreError { fault: Fault::Replaced, .. })) {
-            // It is somebody else's now, however whole.
+            // It is somebody else's now, however whole; everything handed over again would not change that.
+            self.word.wants_everything.store(false, Ordering::Release);
             return;
         }
         if self.failed.is_some() && !changes.is_everything {

@@ -35,7 +35,7 @@ pub struct ReconstructionConfig {
     /// Lock-step replay merges a mapping result this many frames after its keyframe, waiting for it, or before a frame that comes 0.11 s or
     /// more after the one before. 1..=30.
     pub merge_after_frames: u64,
-    /// Keyframes a map holds at the most; beyond it redundant ones go, none near the robot. 20..=10000.
+    /// Keyframes a map holds at the most; beyond it those go that others make up for. 20..=10000.
     pub max_keyframes: usize,
     /// Keyframes that keep pictures of half the resolution or more, at the most: the newest, their neighbours, and those before; older ones are
     /// condensed to patches of their landmarks. 20..=2000.
