@@ -141,6 +141,10 @@ impl Loops {
         let is_alive =
             |id: &KeyframeId| map.keyframes.contains(id.0) || others.maps().any(|m| m.keyframes.contains(id.0));
         let gone: Vec<KeyframeId> = self.index.keyframes().filter(|id| !is_alive(id)).collect();
+        if gone.len() == self.index.len() {
+            // After a reset: to take each out by itself would take long.
+            self.index = PlaceIndex::default();
+        }
         gone.iter().for_each(|id| self.index.remove(*id));
         self.closed.retain(|(a, b)| is_alive(a) && is_alive(b));
     }

@@ -55,11 +55,10 @@ impl Drive {
     /// The same in a room of so many landmarks, of which every keyframe sees a quarter: all share some with all.
     fn in_room(config: ReconstructionConfig, landmarks: usize) -> Self {
         let mut drive = Self::new(config);
-        while drive.room.len() < landmarks {
+        while drive.map.landmarks.len() < landmarks {
             drive.step();
-            let made = drive.map.landmarks.ids().map(LandmarkId).collect();
-            drive.room = made;
         }
+        drive.room = drive.map.landmarks.ids().map(LandmarkId).collect();
         drive
     }
 

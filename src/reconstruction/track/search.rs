@@ -523,7 +523,7 @@ mod tests {
         assert!((chosen(&map) - aside).norm() < 1e-9, "it has no level for this distance");
 
         // Where there is no other, the next coarser level finds it all the same.
-        let mut far = Pyramid::new(3);
+        let mut far = Pyramid::new(4);
         far.build(&picture(0).levels[2]);
         let keyframe = map.keyframe(near).expect("there");
         let there = level_from_base(2, pixel);
