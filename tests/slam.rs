@@ -21,6 +21,8 @@ struct Run {
     truth: Vec<(i64, Se3<World, Camera>)>,
     counters: Counters,
     readout_s: f64,
+    /// Keyframes in all maps, at the most.
+    most_keyframes: usize,
 }
 
 /// Lock-step over `frames` pictures; `edit` may spoil each one.
@@ -51,6 +53,7 @@ fn run_configured(
     let (mut features, mut feedback, mut picture) =
         (FrameFeatures::default(), Feedback::default(), GreyImage::new(0, 0));
     let (mut estimates, mut events, mut truth) = (Vec::new(), Vec::new(), Vec::new());
+    let mut most_keyframes = 0;
     for (sequence, shown) in (0..).zip(order) {
         simulator.render(shown, &mut picture);
         edit(sequence, &mut picture);
@@ -60,6 +63,7 @@ fn run_configured(
         truth.push((features.timestamp_ns, simulator.trajectory().pose_at(simulator.timestamp_ns(shown))));
         estimates.push(reconstruction.track(&features));
         reconstruction.map(&features, &mut feedback);
+        most_keyframes = most_keyframes.max(reconstruction.total_keyframes());
         stage.feedback(&feedback);
         reconstruction.take_trajectory_events(&mut events);
     }
@@ -72,7 +76,8 @@ fn run_configured(
     let written = spool.write_tum(&path, &reconstruction.keyframe_poses()).unwrap();
     let poses = if written.poses_written > 0 { read_tum(&path).unwrap() } else { Vec::new() };
     let trajectory = poses.iter().map(|p| (p.timestamp_ns, p.world_from_camera)).collect();
-    Run { estimates, trajectory, truth, counters: reconstruction.counters(), readout_s: reconstruction.readout_s() }
+    let (counters, readout_s) = (reconstruction.counters(), reconstruction.readout_s());
+    Run { estimates, trajectory, truth, counters, readout_s, most_keyframes }
 }
 
 /// Coverage (0..=1), and error after Sim(3), RMSE, as a share of the path.
@@ -229,6 +234,33 @@ fn a_covered_lens_is_told_as_lost_and_found_again_in_the_same_map() {
     assert!(back.is_some_and(|frames| frames < 30), "found again after {back:?} frames");
     assert_eq!((run.counters.resets, run.estimates[199].reset_counter), (0, 0));
     let (_, error) = judge(&run);
+    assert!(error < 0.02, "error {error} of the path");
+}
+
+/// Every keyframe shares landmarks with every other one there, so none is far.
+#[test]
+fn a_map_at_its_limits_in_one_room_tracks_on_and_is_found_again() {
+    let config = ReconstructionConfig {
+        max_keyframes: 30,
+        detailed_keyframes: 20,
+        // None is redundant: whatever goes, goes for the limit.
+        redundant_share: 1.0,
+        keyframe_parallax_deg: 1.0,
+        ..ReconstructionConfig::default()
+    };
+    let dark = 260..270;
+    let run = run_configured(&webcam(Scenario::HandHeld), &config, 0..320, |sequence, picture| {
+        if dark.contains(&sequence) {
+            picture.data.fill(3);
+        }
+    });
+    let Counters { keyframes_made, keyframes_culled, resets, .. } = run.counters;
+    let (coverage, error) = judge(&run);
+    println!("{keyframes_made} keyframes made, {keyframes_culled} gone; coverage {coverage}, error {error}");
+    assert!(run.most_keyframes <= 30 && keyframes_made > 60, "{} at once of {keyframes_made}", run.most_keyframes);
+    assert!(run.estimates[40..260].iter().all(|e| e.state == TrackingState::Tracking));
+    let back = run.estimates[270..].iter().position(|e| e.state == TrackingState::Tracking);
+    assert!(back.is_some_and(|frames| frames < 10) && resets == 0, "found again after {back:?} frames");
     assert!(error < 0.02, "error {error} of the path");
 }
 

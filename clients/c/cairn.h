@@ -1352,7 +1352,7 @@ typedef struct cairn_graph_header {
    */
   uint32_t count;
   /**
-   * Edges of the map; if larger than `count`, the weakest covisible ones were left out.
+   * Edges of the map; if larger than `count`, those of keyframes that were left out and the weakest covisible ones are not here.
    */
   uint32_t total;
   /**

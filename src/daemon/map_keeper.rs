@@ -16,7 +16,7 @@ use super::map_folder::MapFolder;
 use super::request::{CopyTo, Loaded, Reply, Request};
 use crate::map::saved::{Ids, MapChanges};
 use crate::messages::TEXT_LEN;
-use crate::places::store::{MOST_IDS, MapFile, StoreError, read};
+use crate::places::store::{Fault, MOST_IDS, MapFile, StoreError, read};
 
 /// Ids that a run may give while a file is read: half a minute of keyframes and landmarks at the utmost.
 const MEANWHILE: Ids = Ids { maps: 16, keyframes: 1 << 10, landmarks: 1 << 17 };
@@ -84,6 +84,11 @@ impl Keeper {
 
     /// Writes changes; everything, if the file is to be made or opened anew.
     pub fn keep(&mut self, changes: &MapChanges) {
+        if matches!(&self.failed, Some(StoreError { fault: Fault::Replaced, .. })) {
+            // It is somebody else's now, however whole; everything handed over again would not change that.
+            self.word.wants_everything.store(false, Ordering::Release);
+            return;
+        }
         if self.failed.is_some() && !changes.is_everything {
             // They were on their way when the ones before were lost, and make no map without those.
             self.word.wants_everything.store(true, Ordering::Release);

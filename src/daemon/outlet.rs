@@ -273,6 +273,11 @@ impl Outlet {
         self.map.is_due(now_ns)
     }
 
+    /// Landmarks and keyframes that a map message takes, at the most.
+    pub fn most_of_map(&self) -> [usize; 2] {
+        self.map.most()
+    }
+
     /// What ties the map together and where its tags are, if anybody subscribes to these; then the map and its keyframes. `map` is of this
     /// reconstruction.
     pub fn map(
@@ -286,7 +291,9 @@ impl Outlet {
         self.conversion.scale = map.scale.into();
         let mut graph = Ok(false);
         if let Some(publisher) = self.graph.as_mut().filter(|graph| graph.is_wanted()) {
-            reconstruction.graph(&mut self.edges, MAX_EDGES);
+            // Who draws it has the keyframes of this message and no older ones.
+            let oldest = map.keyframes.first().map_or_else(Default::default, |k| k.id);
+            reconstruction.graph(&mut self.edges, oldest, MAX_EDGES);
             graph = publisher.publish(&self.edges, map, &self.conversion, context);
         }
         let mut tags = Ok(());

@@ -387,7 +387,7 @@ impl ReconstructStep {
         if !outlet.map_is_due(monotonic_ns()) {
             return;
         }
-        reconstruction.snapshot(&mut self.snapshot);
+        reconstruction.snapshot_newest(&mut self.snapshot, outlet.most_of_map());
         self.status.set_map(&self.snapshot);
         let context = context(reconstruction, self.placements, self.last_frame_ns, self.status.map_mode());
         match outlet.map(reconstruction, &self.snapshot, &context, &self.tag) {

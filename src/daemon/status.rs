@@ -351,8 +351,8 @@ impl Status {
 
     /// Takes over the map's size.
     pub fn set_map(&self, map: &MapSnapshot) {
-        self.map_landmarks.store(u32::try_from(map.landmarks.len()).unwrap_or(u32::MAX), Ordering::Relaxed);
-        self.map_keyframes.store(u32::try_from(map.keyframes.len()).unwrap_or(u32::MAX), Ordering::Relaxed);
+        self.map_landmarks.store(u32::try_from(map.totals()[0]).unwrap_or(u32::MAX), Ordering::Relaxed);
+        self.map_keyframes.store(u32::try_from(map.totals()[1]).unwrap_or(u32::MAX), Ordering::Relaxed);
     }
 
     /// The current map, and how often poses became unrelated to earlier ones.

@@ -80,8 +80,9 @@ impl Thumbnail {
     /// Becomes the thumbnail of `pyramid`; false when the picture is too small for one.
     pub fn build(&mut self, pyramid: &Pyramid) -> bool {
         self.width = 0;
+        // The coarsest that is wide enough; finer ones may have been given up.
         let wide_enough = |(l, image): &(usize, &GreyImage)| *l == 0 || image.width >= MIN_WIDTH;
-        let Some((level, image)) = pyramid.levels.iter().enumerate().take_while(wide_enough).last() else {
+        let Some((level, image)) = pyramid.levels.iter().enumerate().rev().find(wide_enough) else {
             return false;
         };
         // The largest power of two that leaves the minimum width.

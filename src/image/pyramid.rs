@@ -91,19 +91,20 @@ impl Pyramid {
         }
     }
 
-    /// A copy whose level 0 is empty.
-    pub fn without_base(&self) -> Self {
-        let coarser = self.levels.iter().skip(1).cloned();
-        Self { levels: std::iter::once(GreyImage::default()).chain(coarser).collect(), wanted: self.wanted }
+    /// A copy whose `count` finest levels are empty.
+    pub fn without_finest(&self, count: usize) -> Self {
+        let coarser = self.levels.iter().skip(count).cloned();
+        let levels = (0..count.min(self.levels.len())).map(|_| GreyImage::default()).chain(coarser).collect();
+        Self { levels, wanted: self.wanted }
     }
 
-    /// The pyramid of `levels` levels, or as many as there can be, whose level 1 is `half` and whose level 0 is empty.
-    pub fn from_half(half: GreyImage, levels: usize) -> Self {
-        let mut coarser = Self::new(levels.saturating_sub(1));
-        *coarser.base_mut() = half;
+    /// The pyramid of `levels` levels, or as many as there can be, whose level number `level` is `image` and whose finer ones are empty.
+    pub fn from_level(image: GreyImage, level: usize, levels: usize) -> Self {
+        let mut coarser = Self::new(levels.saturating_sub(level));
+        *coarser.base_mut() = image;
         coarser.rebuild();
-        let levels = std::iter::once(GreyImage::default()).chain(coarser.levels).collect();
-        Self { levels, wanted: coarser.wanted + 1 }
+        let levels = (0..level).map(|_| GreyImage::default()).chain(coarser.levels).collect();
+        Self { levels, wanted: coarser.wanted + level }
     }
 
     /// Size of level 0, pixels; (0, 0) before the first build.
@@ -322,9 +323,9 @@ mod tests {
             copy.rebuild();
             assert_eq!(copy.levels.len(), pyramid.levels.len(), "as many levels are wanted");
         }
-        let coarser = copy.without_base();
+        let coarser = copy.without_finest(1);
         assert!(coarser.levels[0].data.is_empty() && coarser.levels[1..] == copy.levels[1..]);
-        let again = Pyramid::from_half(coarser.levels[1].clone(), coarser.levels.len());
+        let again = Pyramid::from_level(coarser.levels[1].clone(), 1, coarser.levels.len());
         assert_eq!(again.levels, coarser.levels, "coarser levels follow from level 1");
     }
 

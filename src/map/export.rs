@@ -102,6 +102,7 @@ mod tests {
             landmarks: vec![landmark(7, 1.25, 0.5, 1), landmark(8, f64::NAN, 0.5, 2), landmark(9, 4.0, f32::NAN, 40)],
             keyframes: vec![keyframe(1, 2.0), keyframe(2, f64::INFINITY)],
             around: Default::default(),
+            left_out: [0; 2],
         };
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("map.ply");

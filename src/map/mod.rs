@@ -4,16 +4,20 @@
 //! optical axes of the map's first keyframe; lengths are map units.
 
 pub mod colmap;
+mod consistency;
 mod correction;
 pub mod export;
 pub mod graph;
 mod part;
 pub mod picture;
-mod reduction;
+pub mod reduction;
 pub mod saved;
 pub mod scale;
 mod snapshot;
 pub mod store;
+pub mod view;
+
+use std::collections::BTreeSet;
 
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
@@ -99,7 +103,7 @@ pub struct Keyframe {
     pub motion: Option<CameraMotion>,
     /// Templates of its observations are cut from here.
     pub picture: KeyframePicture,
-    /// For relocalisation.
+    /// For relocalisation; of a condensed keyframe it is made from the picture when it is needed.
     pub thumbnail: Thumbnail,
     /// The last turn that its scale came through; `None`: its scale is that of the map's start.
     pub scale_from: Option<TurnId>,
@@ -159,6 +163,8 @@ pub struct Map {
     pub landmarks: Store<Landmark>,
     /// Grows with every change that is worth publishing.
     pub revision: u64,
+    /// Keyframes whose pictures are not condensed.
+    detailed: BTreeSet<KeyframeId>,
 }
 
 impl Map {
@@ -179,6 +185,7 @@ impl Map {
         keyframe.covisible.clear();
         let observations = keyframe.observations.clone();
         let id = KeyframeId(self.keyframes.insert(keyframe));
+        self.detailed.insert(id);
         for observation in &observations {
             self.link(id, observation.landmark);
         }
@@ -235,7 +242,7 @@ impl Map {
         entry.observers.insert(i, keyframe);
     }
 
-    /// Takes one observation away; a landmark left with fewer than two observers goes as well.
+    /// Takes one observation away; a landmark left with fewer than two observers, or with none that shows it, goes as well.
     pub fn remove_observation(&mut self, keyframe: KeyframeId, landmark: LandmarkId) {
         let Some(entry) = self.landmarks.get_mut(landmark.0) else { return };
         let Ok(i) = entry.observers.binary_search(&keyframe) else { return };
@@ -249,7 +256,7 @@ impl Map {
             k.observations.remove(i);
             k.picture.forget(landmark.0);
         }
-        if self.landmarks.get(landmark.0).is_some_and(|l| l.observers.len() < 2) {
+        if self.landmarks.get(landmark.0).is_some_and(|l| l.observers.len() < 2 || self.is_hidden(landmark, l)) {
             self.remove_landmark(landmark);
         }
         self.revision += 1;
@@ -272,13 +279,14 @@ impl Map {
         self.revision += 1;
     }
 
-    /// Takes a keyframe away; landmarks left with fewer than two observers go as well.
+    /// Takes a keyframe away; landmarks left with fewer than two observers, or with none that shows them, go as well.
     pub fn remove_keyframe(&mut self, id: KeyframeId) -> Option<Keyframe> {
         let landmarks: Vec<LandmarkId> = self.keyframe(id)?.observations.iter().map(|o| o.landmark).collect();
         for landmark in landmarks {
             self.remove_observation(id, landmark);
         }
         self.revision += 1;
+        self.detailed.remove(&id);
         self.keyframes.remove(id.0)
     }
 
@@ -370,12 +378,32 @@ impl Map {
         }
     }
 
+    /// Landmarks that may have changed in any way since the last call, sightings among them, ascending; those for which `again` holds are told the
+    /// next time, too.
+    pub fn take_touched_landmarks(&mut self, again: impl Fn(&Landmark) -> bool) -> Vec<LandmarkId> {
+        let touched = self.landmarks.take_touched();
+        touched
+            .iter()
+            .filter(|id| self.landmarks.get(**id).is_some_and(&again))
+            .copied()
+            .collect::<Vec<_>>()
+            .into_iter()
+            .for_each(|id| self.landmarks.touch(id));
+        touched.into_iter().map(LandmarkId).collect()
+    }
+
+    /// The newest keyframe.
+    pub fn newest(&self) -> Option<KeyframeId> {
+        self.keyframes.last_before(self.keyframes.next_id()).map(KeyframeId)
+    }
+
     /// An empty map whose ids go on after this one's, so that both can be joined later.
     pub fn successor(&self) -> Self {
         Self {
             keyframes: self.keyframes.successor(),
             landmarks: self.landmarks.successor(),
             revision: self.revision + 1,
+            detailed: BTreeSet::new(),
         }
     }
 
@@ -411,6 +439,7 @@ impl Map {
     pub fn absorb(&mut self, other: Self) {
         self.keyframes.absorb(other.keyframes);
         self.landmarks.absorb(other.landmarks);
+        self.detailed.extend(other.detailed);
         self.revision = self.revision.max(other.revision) + 1;
     }
 
@@ -450,36 +479,8 @@ impl Map {
     pub fn clear(&mut self) {
         self.keyframes.clear();
         self.landmarks.clear();
+        self.detailed.clear();
         self.revision += 1;
-    }
-
-    /// Every link is mutual and counted right (tests call it after random edits).
-    pub fn check_consistency(&self) -> Result<(), String> {
-        for (id, landmark) in self.landmarks.iter() {
-            for &k in &landmark.observers {
-                if self.keyframe(k).and_then(|k| k.observation(LandmarkId(id))).is_none() {
-                    return Err(format!("landmark {id} names keyframe {} which does not observe it", k.0));
-                }
-            }
-        }
-        for (id, keyframe) in self.keyframes.iter() {
-            let mut counts = std::collections::BTreeMap::new();
-            for o in &keyframe.observations {
-                let landmark =
-                    self.landmark(o.landmark).ok_or(format!("keyframe {id}: no landmark {}", o.landmark.0))?;
-                for &k in landmark.observers.iter().filter(|k| k.0 != id) {
-                    *counts.entry(k).or_insert(0u32) += 1;
-                }
-                if landmark.observers.binary_search(&KeyframeId(id)).is_err() {
-                    return Err(format!("keyframe {id} observes landmark {} which does not know", o.landmark.0));
-                }
-            }
-            let counted: Vec<_> = counts.into_iter().collect();
-            if counted != keyframe.covisible {
-                return Err(format!("keyframe {id}: covisibility {:?}, counted {counted:?}", keyframe.covisible));
-            }
-        }
-        Ok(())
     }
 }
 
@@ -507,5 +508,7 @@ fn change_covisibility(keyframes: &mut Store<Keyframe>, a: KeyframeId, b: Keyfra
     }
 }
 
+#[cfg(test)]
+mod condensing_tests;
 #[cfg(test)]
 mod tests;

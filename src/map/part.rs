@@ -1,6 +1,5 @@
 //! A copy of a part of a map: what a search for a place of old reads, so that it can run anywhere.
 
-use super::store::Store;
 use super::{Keyframe, KeyframeId, Landmark, LandmarkId, Map};
 
 impl Map {
@@ -23,7 +22,7 @@ impl Map {
         let mut landmarks: Vec<LandmarkId> = seen.map(|o| o.landmark).collect();
         landmarks.sort_unstable();
         landmarks.dedup();
-        let mut part = Self { keyframes: Store::default(), landmarks: Store::default(), revision };
+        let mut part = Self { revision, ..Self::default() };
         for id in landmarks {
             let Some(landmark) = self.landmark(id).filter(|l| l.assumed.is_none()) else { continue };
             let observers = landmark.observers.iter().copied().filter(is_chosen).collect();

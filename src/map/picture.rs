@@ -1,23 +1,44 @@
-//! What a keyframe keeps of its picture: all of it while it is among the newest or their neighbours, later what templates are cut from.
+//! What a keyframe keeps of its picture: all of it while it is among the newest or their neighbours, later what templates are cut from, in the end
+//! how some landmarks looked.
 //!
 //! Level 0 is three quarters of a pyramid, and of an old keyframe little of it is read again: the surroundings of its landmarks. So
 //! `reduce` replaces level 0 by patches of [`PATCH_PX`] x [`PATCH_PX`] pixels around some of its
 //! observations ([`Map::reduce_picture`](super::Map::reduce_picture) says which) and keeps the coarser levels whole: relocalisation
 //! describes landmarks there, and coarse searches start there.
 //!
-//! Memory, 640 x 480: 410 kB whole; reduced 102 kB and 0.6 kB a patch. Readers sample either through a [`Crop`] and need not know which
-//! it is.
+//! `condense` gives up the two levels after it as well, for [`View`]s of the landmarks that
+//! [`Map::condense_picture`](super::Map::condense_picture) chooses. Thumbnails, and coarse searches, have the levels that are left.
+//!
+//! Memory, 640 x 480: 410 kB whole; reduced 102 kB and 0.6 kB a patch; condensed 8 kB and 0.5 kB a view. Readers sample any through a
+//! [`Crop`] and need not know which it is.
 
 use std::sync::Arc;
 
 use nalgebra::Vector2;
 
-use crate::image::pyramid::double;
+use super::view::{PATCH_LEVELS, PLACE_DESCRIPTORS, ROOM, Room, SmallPatch, View};
+use crate::features::descriptor::Descriptor;
+use crate::image::pyramid::{double, level_from_base};
 use crate::image::{Crop, GreyImage, Pyramid};
 
 /// Side of a patch, level-0 px: an 8 x 8 template with its border and the pixels that interpolation needs, turned by 45 degrees and
 /// magnified or minified by half a level, reaches 11 px from its middle.
 pub const PATCH_PX: usize = 24;
+/// Finest level that is whole in a condensed picture: 80 x 60 pixels of 640 x 480.
+pub const CONDENSED_LEVEL: usize = 3;
+/// Where it is narrower than this a thumbnail needs a finer one, and the picture is small anyway, px.
+const CONDENSED_WIDTH: usize = 32;
+
+/// How finely a picture shows a landmark.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Detail {
+    /// No template can be cut, but from the coarsest levels.
+    None,
+    /// From level 1 on.
+    Half,
+    /// From level 0 on.
+    Full,
+}
 
 /// The pixels of level 0 around one observation.
 #[derive(Debug, Clone)]
@@ -36,15 +57,19 @@ pub struct KeyframePicture {
     pyramid: Arc<Pyramid>,
     /// What is left of level 0, ascending landmark.
     patches: Arc<Vec<Patch>>,
+    /// What is left of a condensed one, ascending landmark.
+    views: Arc<Vec<View>>,
+    /// What the index over places is told of a condensed one when another run goes on in the map.
+    place: Arc<Vec<Descriptor>>,
     /// Grows with what a copy elsewhere must be told; patches of landmarks that are no longer observed go untold.
     revision: u32,
 }
 
 /// What a file keeps of a picture: everything else follows from it.
 pub struct Kept<'a> {
-    /// Level 0, or of a reduced picture level 1.
+    /// The finest level there is whole, and its number: 0; 1 of a reduced picture; [`CONDENSED_LEVEL`] of a condensed one.
     pub finest: &'a GreyImage,
-    pub is_whole: bool,
+    pub level: usize,
     /// Levels of the pyramid, the one that was given up among them.
     pub levels: usize,
 }
@@ -67,9 +92,8 @@ impl KeyframePicture {
 
     /// What a file is to keep of it; `None` where there is no picture.
     pub fn kept(&self) -> Option<Kept<'_>> {
-        let is_whole = self.whole().is_some();
-        let finest = self.pyramid.levels.get(usize::from(!is_whole))?;
-        Some(Kept { finest, is_whole, levels: self.pyramid.levels.len() })
+        let level = self.pyramid.levels.iter().position(|l| !l.data.is_empty())?;
+        Some(Kept { finest: &self.pyramid.levels[level], level, levels: self.pyramid.levels.len() })
     }
 
     /// The patches of a reduced picture, ascending landmark.
@@ -79,19 +103,52 @@ impl KeyframePicture {
 
     /// A picture from what a file kept of it; `patches` in any order.
     pub fn restored(finest: GreyImage, is_whole: bool, levels: usize, patches: Vec<KeptPatch>) -> Self {
-        let pyramid = match is_whole {
-            true => {
-                let mut pyramid = Pyramid::new(levels);
-                *pyramid.base_mut() = finest;
-                pyramid.rebuild();
-                pyramid
-            }
-            false => Pyramid::from_half(finest, levels),
-        };
+        let pyramid = Pyramid::from_level(finest, usize::from(!is_whole), levels);
         let own = |p: KeptPatch| Patch { landmark: p.landmark, left: p.left, top: p.top, pixels: p.pixels };
         let mut patches: Vec<Patch> = patches.into_iter().map(own).collect();
         patches.sort_by_key(|p| p.landmark);
-        Self { pyramid: Arc::new(pyramid), patches: Arc::new(patches), revision: 0 }
+        Self { pyramid: Arc::new(pyramid), patches: Arc::new(patches), ..Self::default() }
+    }
+
+    /// A condensed picture from what a file kept of it; `views` in any order.
+    pub fn restored_condensed(
+        finest: GreyImage,
+        levels: usize,
+        mut views: Vec<View>,
+        mut place: Vec<Descriptor>,
+    ) -> Self {
+        place.truncate(PLACE_DESCRIPTORS);
+        views.sort_by_key(|v| v.landmark);
+        let pyramid = Pyramid::from_level(finest, CONDENSED_LEVEL, levels);
+        Self { pyramid: Arc::new(pyramid), views: Arc::new(views), place: Arc::new(place), ..Self::default() }
+    }
+
+    /// The views of a condensed picture, ascending landmark.
+    pub fn views(&self) -> &[View] {
+        &self.views
+    }
+
+    /// Descriptors of a condensed picture for the index over places.
+    pub fn place_descriptors(&self) -> &[Descriptor] {
+        &self.place
+    }
+
+    /// How a landmark looked, if that is what the picture keeps.
+    pub fn view(&self, landmark: u32) -> Option<&View> {
+        self.views.binary_search_by_key(&landmark, |v| v.landmark).ok().map(|i| &self.views[i])
+    }
+
+    pub fn is_condensed(&self) -> bool {
+        self.pyramid.levels.get(1).is_some_and(|level| level.data.is_empty())
+    }
+
+    /// Memory on the heap, bytes, without what the allocator adds; a picture that is shared counts here.
+    pub fn bytes(&self) -> usize {
+        self.pyramid.levels.iter().map(|l| l.data.capacity() + size_of::<GreyImage>()).sum::<usize>()
+            + self.patches.capacity() * size_of::<Patch>()
+            + self.patches.len() * PATCH_PX * PATCH_PX
+            + self.views.capacity() * size_of::<View>()
+            + self.place.capacity() * size_of::<Descriptor>()
     }
 
     /// See [`KeyframePicture`]: as long as this stays, a copy elsewhere needs no more than the landmarks that are observed.
@@ -118,14 +175,27 @@ impl KeyframePicture {
         self.pyramid.levels.len()
     }
 
-    /// What there is of a level around the observation of `landmark`.
+    /// Whether all of a level is there.
     #[inline]
-    pub fn around(&self, level: usize, landmark: u32) -> Option<Crop<'_>> {
+    pub fn has_level(&self, level: usize) -> bool {
+        self.pyramid.levels.get(level).is_some_and(|l| !l.data.is_empty())
+    }
+
+    /// What there is of a level around the observation of `landmark`; `room` is for what has to be unpacked.
+    #[inline]
+    pub fn around<'a>(&'a self, level: usize, landmark: u32, room: &'a mut Room) -> Option<Crop<'a>> {
         let image = self.pyramid.levels.get(level)?;
-        if level > 0 || !image.data.is_empty() {
+        if !image.data.is_empty() {
             return Some(image.whole());
         }
-        let patch = &self.patches[self.place(landmark).ok()?];
+        if self.is_condensed() {
+            return Some(self.view(landmark)?.patches.get(level)?.as_ref()?.show(room));
+        }
+        self.patch(landmark)
+    }
+
+    fn patch(&self, landmark: u32) -> Option<Crop<'_>> {
+        let patch = &self.patches[self.patch_of(landmark).ok()?];
         Some(Crop {
             left: usize::from(patch.left),
             top: usize::from(patch.top),
@@ -135,19 +205,76 @@ impl KeyframePicture {
         })
     }
 
+    /// From which level on a template of `landmark` can be cut.
+    #[inline]
+    pub fn detail(&self, landmark: u32) -> Detail {
+        if self.whole().is_some() || self.patch_of(landmark).is_ok() {
+            return Detail::Full;
+        }
+        if !self.is_condensed() {
+            return Detail::Half;
+        }
+        match self.view(landmark).map(|view| view.patches.each_ref().map(Option::is_some)) {
+            Some([true, _]) => Detail::Full,
+            Some([false, true]) => Detail::Half,
+            Some([false, false]) | None => Detail::None,
+        }
+    }
+
+    /// How finely a template of `landmark` is cut where this level is asked for. A condensed picture has no levels between its patches and
+    /// [`CONDENSED_LEVEL`], so from there it is the next coarser one.
+    #[inline]
+    pub fn detail_at(&self, level: usize, landmark: u32) -> Detail {
+        let patch = |view: &View| view.patches.get(level).is_some_and(Option::is_some);
+        match level {
+            _ if level == 0 || !self.is_condensed() => self.detail(landmark),
+            _ if level >= CONDENSED_LEVEL || self.view(landmark).is_some_and(patch) => Detail::Full,
+            _ if level + 1 == CONDENSED_LEVEL => Detail::Half,
+            _ => Detail::None,
+        }
+    }
+
     /// Whether a template of `landmark` can be cut from level 0.
     #[inline]
     pub fn shows(&self, landmark: u32) -> bool {
-        self.whole().is_some() || self.place(landmark).is_ok()
+        self.detail(landmark) == Detail::Full
     }
 
-    /// All of a level; of a reduced picture level 0 is level 1 doubled, which under the smoothing of a descriptor looks the same.
+    /// All of a level; of a reduced picture level 0 is level 1 doubled, which under the smoothing of a descriptor looks the same. Of a
+    /// condensed one there are coarse levels only.
     pub fn level(&self, level: usize) -> Option<std::borrow::Cow<'_, GreyImage>> {
         use std::borrow::Cow;
+        let there = |level: usize| self.pyramid.levels.get(level).filter(|l| !l.data.is_empty());
         match level {
-            0 if self.whole().is_none() => self.pyramid.levels.get(1).map(|half| Cow::Owned(double(half))),
-            _ => self.pyramid.levels.get(level).map(Cow::Borrowed),
+            0 if self.whole().is_none() => there(1).map(|half| Cow::Owned(double(half))),
+            _ => there(level).map(Cow::Borrowed),
         }
+    }
+
+    /// Whether enough levels are there for [`condense`](Self::condense), and it was not done yet.
+    pub fn can_be_condensed(&self) -> bool {
+        let wide = self.pyramid.levels.get(CONDENSED_LEVEL).is_some_and(|l| l.width >= CONDENSED_WIDTH);
+        wide && !self.is_condensed()
+    }
+
+    /// Both patches of an observation (level-0 px), as far as there is something to cut them from.
+    pub(super) fn small_patches(&self, landmark: u32, pixel: Vector2<f32>) -> [Option<SmallPatch>; PATCH_LEVELS] {
+        std::array::from_fn(|level| {
+            let mut room = ROOM;
+            let crop = self.around(level, landmark, &mut room)?;
+            SmallPatch::cut(&crop, level_from_base(level, pixel))
+        })
+    }
+
+    /// Gives up all levels finer than [`CONDENSED_LEVEL`] for these views.
+    pub(super) fn condense(&mut self, mut views: Vec<View>, mut place: Vec<Descriptor>) {
+        place.truncate(PLACE_DESCRIPTORS);
+        place.shrink_to_fit();
+        views.sort_by_key(|v| v.landmark);
+        views.shrink_to_fit();
+        self.pyramid = Arc::new(self.pyramid.without_finest(CONDENSED_LEVEL));
+        (self.patches, self.views, self.place) = (Arc::default(), Arc::new(views), Arc::new(place));
+        self.revision += 1;
     }
 
     /// Gives up level 0 but for patches around these observations (level-0 px); does nothing where there is no coarser level.
@@ -156,17 +283,23 @@ impl KeyframePicture {
         let mut patches: Vec<Patch> =
             kept.filter_map(|(landmark, pixel)| Patch::cut(&whole.levels[0], landmark, pixel)).collect();
         patches.sort_by_key(|p| p.landmark);
-        let coarser = whole.without_base();
+        let coarser = whole.without_finest(1);
         (self.patches, self.pyramid) = (Arc::new(patches), Arc::new(coarser));
         self.revision += 1;
     }
 
     /// One landmark turned out to be another.
     pub(super) fn rename(&mut self, landmark: u32, to: u32) {
-        if let (Ok(from), Err(_)) = (self.place(landmark), self.place(to)) {
+        if let (Ok(from), Err(_)) = (self.patch_of(landmark), self.patch_of(to)) {
             let patches = Arc::make_mut(&mut self.patches);
             patches[from].landmark = to;
             patches.sort_by_key(|p| p.landmark);
+            self.revision += 1;
+        }
+        if let (Some(_), None) = (self.view(landmark), self.view(to)) {
+            let views = Arc::make_mut(&mut self.views);
+            views.iter_mut().filter(|v| v.landmark == landmark).for_each(|v| v.landmark = to);
+            views.sort_by_key(|v| v.landmark);
             self.revision += 1;
         }
     }
@@ -174,22 +307,27 @@ impl KeyframePicture {
     /// All landmarks have other ids now, in the same order, and so has the keyframe: whoever has kept a picture under its new one has another.
     pub(super) fn rename_all(&mut self, new: impl Fn(u32) -> u32) {
         Arc::make_mut(&mut self.patches).iter_mut().for_each(|p| p.landmark = new(p.landmark));
+        Arc::make_mut(&mut self.views).iter_mut().for_each(|v| v.landmark = new(v.landmark));
         self.revision += 1;
     }
 
     /// The landmark is not observed any more.
     pub(super) fn forget(&mut self, landmark: u32) {
-        if let Ok(i) = self.place(landmark) {
+        if let Ok(i) = self.patch_of(landmark) {
             Arc::make_mut(&mut self.patches).remove(i);
+        }
+        if self.view(landmark).is_some() {
+            Arc::make_mut(&mut self.views).retain(|v| v.landmark != landmark);
         }
     }
 
-    /// Forgets the patches of all landmarks but these (ascending).
+    /// Forgets the patches and views of all landmarks but these (ascending).
     pub(super) fn keep_only(&mut self, landmarks: &[u32]) {
+        Arc::make_mut(&mut self.views).retain(|v| landmarks.binary_search(&v.landmark).is_ok());
         Arc::make_mut(&mut self.patches).retain(|p| landmarks.binary_search(&p.landmark).is_ok());
     }
 
-    fn place(&self, landmark: u32) -> Result<usize, usize> {
+    fn patch_of(&self, landmark: u32) -> Result<usize, usize> {
         self.patches.binary_search_by_key(&landmark, |p| p.landmark)
     }
 }
@@ -243,7 +381,8 @@ mod tests {
                 let warped = |picture: &KeyframePicture, level| {
                     let mut out = [0.0; 100];
                     let at = crate::image::pyramid::level_from_base(level, pixel);
-                    warp_patch(&picture.around(level, landmark)?, at, &map, &mut out).then_some(out)
+                    let mut room = ROOM;
+                    warp_patch(&picture.around(level, landmark, &mut room)?, at, &map, &mut out).then_some(out)
                 };
                 assert_eq!(warped(&whole, 0), warped(&reduced, 0), "{landmark:?} {map}");
                 assert_eq!(warped(&whole, 1), warped(&reduced, 1));
@@ -251,8 +390,9 @@ mod tests {
         }
         assert!(reduced.shows(7) && !reduced.shows(8));
         reduced.forget(7);
-        assert!(!reduced.shows(7) && reduced.around(0, 7).is_none());
-        assert!(reduced.around(1, 7).is_some());
+        let mut room = ROOM;
+        assert!(!reduced.shows(7) && reduced.around(0, 7, &mut room).is_none());
+        assert!(reduced.around(1, 7, &mut room).is_some());
     }
 
     #[test]

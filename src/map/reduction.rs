@@ -1,8 +1,18 @@
 //! Which patches remain of an old keyframe's picture: of each landmark the views that differ, not every one that there was.
+//!
+//! And which views remain of it when it is condensed: those of the landmarks that most keyframes see. A landmark that no keyframe shows any more,
+//! as all that see it are condensed and had better ones to keep, could never be found again and goes.
 
 use nalgebra::Vector3;
 
-use super::{KeyframeId, Landmark, LandmarkId, Map};
+use super::picture::Detail;
+use super::view::{Description, View};
+use super::{Keyframe, KeyframeId, Landmark, LandmarkId, Map};
+use crate::features::thumbnail::Thumbnail;
+
+/// Views that a condensed keyframe keeps, at the most. A new keyframe has some 37 landmarks that are new (of 200): a quarter of these, which few
+/// others see, are not kept for ever.
+pub const MOST_VIEWS: usize = 28;
 
 /// Views of a landmark within this cosine (10 degrees) and this share of each other's distance show it alike.
 const ALIKE_COSINE: f64 = 0.985;
@@ -26,6 +36,67 @@ impl Map {
                 k.corners = Vec::new();
             }
         }
+    }
+
+    /// Keyframes whose pictures are not condensed, ascending.
+    pub fn detailed(&self) -> impl ExactSizeIterator<Item = KeyframeId> {
+        self.detailed.iter().copied()
+    }
+
+    /// Condenses a keyframe's picture to the views of at most [`MOST_VIEWS`] landmarks, those of the most keyframes first; `describe` gives
+    /// the descriptors of the picture, and of what it is told of the keyframe's landmarks, in the same order. Landmarks that nothing shows any
+    /// more are taken out of the map; how many. Of a picture that is too small nothing is given up.
+    pub fn condense_picture(
+        &mut self,
+        id: KeyframeId,
+        describe: impl FnOnce(&Keyframe, &[LandmarkId]) -> Description,
+    ) -> usize {
+        self.reduce_picture(id);
+        self.detailed.remove(&id);
+        let Some(keyframe) = self.keyframe(id).filter(|k| k.picture.can_be_condensed()) else { return 0 };
+        // Where a patch of level 0 is there it is the only one of this view; without one another keyframe has it, or level 1 must do.
+        let mut ranked = Vec::with_capacity(keyframe.observations.len());
+        for o in &keyframe.observations {
+            let Some(landmark) = self.landmark(o.landmark) else { continue };
+            let shown = |other: &KeyframeId| *other != id && self.detail(*other, o.landmark) > Detail::None;
+            if keyframe.picture.shows(o.landmark.0) || !landmark.observers.iter().any(shown) {
+                ranked.push((std::cmp::Reverse(landmark.observers.len()), o.landmark));
+            }
+        }
+        ranked.sort_unstable();
+        ranked.truncate(MOST_VIEWS);
+        let mut kept: Vec<LandmarkId> = ranked.into_iter().map(|(_, landmark)| landmark).collect();
+        kept.sort_unstable();
+        let Description { landmarks: described, place } = describe(keyframe, &kept);
+        let mut views = Vec::with_capacity(kept.len());
+        for (&landmark, described) in kept.iter().zip(described) {
+            let Some(o) = keyframe.observation(landmark) else { continue };
+            let patches = keyframe.picture.small_patches(landmark.0, o.pixel);
+            if patches.iter().any(Option::is_some) {
+                views.push(View { landmark: landmark.0, patches, described });
+            }
+        }
+        let seen: Vec<LandmarkId> = keyframe.observations.iter().map(|o| o.landmark).collect();
+        if let Some(k) = self.keyframes.get_mut(id.0) {
+            k.picture.condense(views, place);
+            // It follows from the picture.
+            k.thumbnail = Thumbnail::default();
+            k.observations.shrink_to_fit();
+            k.covisible.shrink_to_fit();
+        }
+        let hidden: Vec<LandmarkId> =
+            seen.into_iter().filter(|id| self.landmark(*id).is_some_and(|l| self.is_hidden(*id, l))).collect();
+        hidden.iter().for_each(|landmark| self.remove_landmark(*landmark));
+        hidden.len()
+    }
+
+    /// Nothing shows it any more, so no frame could find it again.
+    pub(super) fn is_hidden(&self, id: LandmarkId, landmark: &Landmark) -> bool {
+        landmark.observers.iter().all(|k| self.detail(*k, id) == Detail::None)
+    }
+
+    fn detail(&self, keyframe: KeyframeId, landmark: LandmarkId) -> Detail {
+        self.keyframe(keyframe).map_or(Detail::None, |k| k.picture.detail(landmark.0))
     }
 
     /// Whether a patch shows the landmark as it is seen from `centre`.

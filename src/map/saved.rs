@@ -131,7 +131,7 @@ impl MapChanges {
         let ids = |page: u32| page * PAGE as u32..(page + 1) * PAGE as u32;
         let landmarks = pages.into_iter().map(|page| (page, ids(page).filter_map(landmark).collect())).collect();
         let heads = maps.into_iter().filter(|(_, map)| !map.keyframes.is_empty());
-        let maps = heads.map(|(head, map)| (head, map.keyframes.iter().map(|(id, _)| id).collect())).collect();
+        let maps = heads.map(|(head, map)| (head, map.keyframes.ids().collect())).collect();
         Self { frame_ns, optics, maps, next_keyframe, next_landmark, keyframes, landmarks, is_everything }
     }
 }
@@ -259,6 +259,9 @@ impl Map {
                 return Err(format!("keyframe {id}: its landmarks are in no order"));
             }
             keyframe.picture.keep_only(&observed);
+            if !keyframe.picture.is_condensed() {
+                map.detailed.insert(KeyframeId(id));
+            }
             map.keyframes.restore(id, keyframe);
             for landmark in observed {
                 let Some(entry) = map.landmarks.get_mut(landmark) else {

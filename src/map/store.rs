@@ -3,13 +3,15 @@
 //! Lookup is O(1), iteration is in ascending id (deterministic), and a page whose entries are all removed is freed, so that
 //! memory follows what is alive and not what ever was: 16 bytes remain of each 64 removed ids.
 //!
-//! It also knows which entries have changed since that was asked last, for who keeps a copy elsewhere (a file): one bit an entry.
+//! It also knows which entries have changed since that was asked last, for who keeps a copy elsewhere (a file), and which were touched at all, for
+//! who judges them: a bit an entry each.
 
 /// Entries of a page: as many as a word has bits.
 pub const PAGE: usize = 64;
 
 struct Page<T> {
-    live: usize,
+    /// Slots that are alive, a bit each: who asks which ids there are need not look at the entries.
+    alive: u64,
     slots: [Option<T>; PAGE],
 }
 
@@ -18,13 +20,15 @@ pub struct Store<T> {
     pages: Vec<Option<Box<Page<T>>>>,
     /// A bit for each entry of a page that was put, changed or removed; may be shorter than `pages`.
     changed: Vec<u64>,
+    /// The same, for every change at all; as long as `changed`.
+    touched: Vec<u64>,
     next: u32,
     live: usize,
 }
 
 impl<T> Default for Store<T> {
     fn default() -> Self {
-        Self { pages: Vec::new(), changed: Vec::new(), next: 0, live: 0 }
+        Self { pages: Vec::new(), changed: Vec::new(), touched: Vec::new(), next: 0, live: 0 }
     }
 }
 
@@ -82,12 +86,49 @@ impl<T> Store<T> {
 
     /// Ids of the entries that were put, changed or removed since the last call, ascending.
     pub fn take_changed(&mut self) -> Vec<u32> {
-        let mut ids = Vec::new();
-        for (page, word) in self.changed.iter_mut().enumerate() {
-            let word = std::mem::take(word);
-            ids.extend((0..PAGE).filter(|slot| word >> slot & 1 == 1).map(|slot| (page * PAGE + slot) as u32));
+        taken(&mut self.changed)
+    }
+
+    /// Ids of the entries that were put, removed, or handed out to be changed in any way since the last call, ascending.
+    pub(super) fn take_touched(&mut self) -> Vec<u32> {
+        taken(&mut self.touched)
+    }
+
+    /// It is told by the next [`take_touched`](Self::take_touched) again.
+    pub(super) fn touch(&mut self, id: u32) {
+        if let Some(word) = self.touched.get_mut(id as usize / PAGE) {
+            *word |= 1 << (id as usize % PAGE);
         }
-        ids
+    }
+
+    /// Whether the entry is alive.
+    pub fn contains(&self, id: u32) -> bool {
+        let page = self.pages.get(id as usize / PAGE).and_then(Option::as_ref);
+        page.is_some_and(|page| page.alive >> (id as usize % PAGE) & 1 == 1)
+    }
+
+    /// Ids of the entries that are alive, ascending.
+    pub fn ids(&self) -> impl Iterator<Item = u32> {
+        self.ids_from(0)
+    }
+
+    /// The same from this one on.
+    pub fn ids_from(&self, first: u32) -> impl Iterator<Item = u32> {
+        let (page, slot) = (first as usize / PAGE, first as usize % PAGE);
+        let alive = |p: usize| self.pages[p].as_ref().map_or(0, |page| page.alive);
+        let words =
+            (page..self.pages.len()).map(move |p| (p, if p == page { alive(p) & u64::MAX << slot } else { alive(p) }));
+        words.flat_map(|(p, word)| bits(word).map(move |slot| (p * PAGE + slot) as u32))
+    }
+
+    /// The entry alive whose id is the largest below this one.
+    pub fn last_before(&self, id: u32) -> Option<u32> {
+        let (page, slot) = (id as usize / PAGE, id as usize % PAGE);
+        (0..self.pages.len().min(page + 1)).rev().find_map(|p| {
+            let alive = self.pages[p].as_ref()?.alive;
+            let below = if p == page { alive & !(u64::MAX << slot) } else { alive };
+            (below != 0).then(|| (p * PAGE) as u32 + below.ilog2())
+        })
     }
 
     /// Whether there are any.
@@ -99,16 +140,17 @@ impl<T> Store<T> {
         let page = id as usize / PAGE;
         if page >= self.changed.len() {
             self.changed.resize(page + 1, 0);
+            self.touched.resize(page + 1, 0);
         }
         self.changed[page] |= 1 << (id as usize % PAGE);
+        self.touched[page] |= 1 << (id as usize % PAGE);
     }
 
     /// Those alive; what was removed before stays marked.
     fn mark_all(&mut self) {
-        self.changed.resize(self.changed.len().max(self.pages.len()), 0);
-        for (word, page) in self.changed.iter_mut().zip(&self.pages) {
-            let slots = page.iter().flat_map(|page| page.slots.iter().enumerate());
-            *word = slots.filter(|(_, v)| v.is_some()).fold(*word, |word, (s, _)| word | 1 << s);
+        for marks in [&mut self.changed, &mut self.touched] {
+            marks.resize(marks.len().max(self.pages.len()), 0);
+            marks.iter_mut().zip(&self.pages).for_each(|(word, page)| *word |= page.as_ref().map_or(0, |p| p.alive));
         }
     }
 
@@ -118,9 +160,9 @@ impl<T> Store<T> {
         if page >= self.pages.len() {
             self.pages.resize_with(page + 1, || None);
         }
-        let page = self.pages[page].get_or_insert_with(|| Box::new(Page { live: 0, slots: [const { None }; PAGE] }));
+        let page = self.pages[page].get_or_insert_with(|| Box::new(Page { alive: 0, slots: [const { None }; PAGE] }));
         if page.slots[slot].replace(value).is_none() {
-            page.live += 1;
+            page.alive |= 1 << slot;
             self.live += 1;
         }
     }
@@ -139,6 +181,7 @@ impl<T> Store<T> {
 
     /// The entry, if it is alive, for a change that is worth no copy by itself.
     pub(super) fn get_mut_unnoticed(&mut self, id: u32) -> Option<&mut T> {
+        self.touch(id);
         self.pages.get_mut(id as usize / PAGE)?.as_mut()?.slots[id as usize % PAGE].as_mut()
     }
 
@@ -149,9 +192,9 @@ impl<T> Store<T> {
         let page = self.pages.get_mut(id as usize / PAGE)?;
         let inner = page.as_mut()?;
         let value = inner.slots[id as usize % PAGE].take()?;
-        inner.live -= 1;
+        inner.alive &= !(1 << (id as usize % PAGE));
         self.live -= 1;
-        if inner.live == 0 {
+        if inner.alive == 0 {
             *page = None;
         }
         Some(value)
@@ -189,6 +232,22 @@ impl<T> Store<T> {
     }
 }
 
+/// Numbers of the bits that are set, ascending.
+fn bits(word: u64) -> impl Iterator<Item = usize> {
+    let mut left = word;
+    std::iter::from_fn(move || {
+        let bit = (left != 0).then(|| left.trailing_zeros() as usize)?;
+        left &= left - 1;
+        Some(bit)
+    })
+}
+
+/// Ids that are marked, which they are no more.
+fn taken(marks: &mut [u64]) -> Vec<u32> {
+    let words = marks.iter_mut().enumerate().map(|(page, word)| (page, std::mem::take(word)));
+    words.flat_map(|(page, word)| bits(word).map(move |slot| (page * PAGE + slot) as u32)).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -223,6 +282,10 @@ mod tests {
         store.remove(64);
         store.restore(200, 7);
         assert_eq!(store.take_changed(), [64, 70, 129, 200]);
+        assert_eq!(store.take_touched(), (0..130).chain([200]).collect::<Vec<_>>());
+        store.get_mut_unnoticed(5);
+        store.touch(9);
+        assert_eq!((store.take_touched(), store.take_changed()), (vec![5, 9], vec![]));
         assert_eq!(store.next_id(), 201);
         assert_eq!(store.iter_mut().count(), 130);
         let alive: Vec<u32> = store.iter().map(|(id, _)| id).collect();
@@ -249,6 +312,13 @@ mod tests {
             })
             .collect();
         assert_eq!(ids, (0..64).chain(192..300).collect::<Vec<_>>());
+        assert_eq!(store.ids().collect::<Vec<_>>(), ids);
+        for from in [0, 5, 63, 64, 100, 192, 299, 300, 5000] {
+            let after: Vec<u32> = ids.iter().copied().filter(|id| *id >= from).collect();
+            assert_eq!(store.ids_from(from).collect::<Vec<_>>(), after);
+            assert_eq!(store.last_before(from), ids.iter().copied().rfind(|id| *id < from));
+            assert_eq!(store.contains(from), ids.contains(&from));
+        }
         assert!(store.pages[1].is_none() && store.pages[2].is_none());
         store.clear();
         assert!(store.is_empty());

@@ -220,11 +220,12 @@ fn the_graph_is_what_ties_the_map_then_the_strongest_of_what_is_covisible() {
     }
     let ties = [(keyframes[1], keyframes[28], Tie::Loop), (keyframes[0], keyframes[1], Tie::Join(MapId(7)))];
     let gone = (KeyframeId(99), keyframes[3], Tie::Loop);
-    let filled = |limit: usize| {
+    let filled_from = |oldest: KeyframeId, limit: usize| {
         let mut graph = MapGraph::default();
-        graph.fill(&map, ties.into_iter().chain([gone]), limit);
+        graph.fill(&map, ties.into_iter().chain([gone]), oldest, limit);
         graph
     };
+    let filled = |limit: usize| filled_from(KeyframeId(0), limit);
     let whole = filled(usize::MAX);
     assert_eq!(whole.total, whole.edges.len());
     let shared = |a: KeyframeId, b: KeyframeId| {
@@ -242,6 +243,12 @@ fn the_graph_is_what_ties_the_map_then_the_strongest_of_what_is_covisible() {
     for limit in [0, 1, 2, 3, 40, covisible + 1, covisible + 2] {
         let part = filled(limit);
         assert_eq!((part.edges.as_slice(), part.total), (&whole.edges[..limit], whole.total), "{limit}");
+    }
+    // Of a map whose older keyframes are not told no edge leads to one of these.
+    for oldest in [1, 2, 17, 29, 30].map(KeyframeId) {
+        let newer = filled_from(oldest, usize::MAX);
+        let both: Vec<_> = whole.edges.iter().filter(|e| e.from >= oldest && e.to >= oldest).copied().collect();
+        assert_eq!((newer.edges, newer.total), (both, whole.total), "{oldest:?}");
     }
     let first: &EdgeView = &whole.edges[2];
     assert!(first.from < first.to && first.tie == Tie::Covisible);

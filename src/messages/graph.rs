@@ -48,7 +48,7 @@ pub struct GraphHeader {
     pub published_ns: i64,
     /// Edges in this message.
     pub count: u32,
-    /// Edges of the map; if larger than `count`, the weakest covisible ones were left out.
+    /// Edges of the map; if larger than `count`, those of keyframes that were left out and the weakest covisible ones are not here.
     pub total: u32,
     /// As in [`super::Pose::map_id`].
     pub map_id: u32,

@@ -270,6 +270,15 @@ impl Tags {
         self.known.iter().find(|known| known.id == id)?.told(map, optics)?.placed
     }
 
+    /// Keyframes of this map that tags were seen from, ascending: without these nothing would tell where they are.
+    pub fn rest_on(&self, map: &Map) -> Vec<KeyframeId> {
+        let seen = self.known.iter().flat_map(|known| known.sightings.iter().map(|s| s.keyframe));
+        let mut seen: Vec<KeyframeId> = seen.filter(|id| map.keyframe(*id).is_some()).collect();
+        seen.sort_unstable();
+        seen.dedup();
+        seen
+    }
+
     /// Lengths of the map were multiplied by `scale`: what was told before is told in the new unit.
     pub fn rescale(&mut self, scale: f64) {
         for placed in self.known.iter_mut().filter_map(|known| known.placed.as_mut()) {

@@ -12,8 +12,8 @@ use crate::image::Pyramid;
 
 use super::index::DESCRIPTORS;
 
-/// Levels and how many corners of each, together as many as the index keeps.
-const CORNERS: [(usize, usize); 2] = [(1, DESCRIPTORS * 3 / 4), (2, DESCRIPTORS / 4)];
+/// Levels, and how many quarters of the corners are of each.
+const QUARTERS: [(usize, usize); 2] = [(1, 3), (2, 1)];
 /// Side of the cells over which they are spread, in the level's pixels.
 const CELL_PX: usize = 32;
 /// Brightness difference of a corner, grey levels; the strongest of each cell come first.
@@ -28,15 +28,20 @@ pub struct PlaceDescriber {
 }
 
 impl PlaceDescriber {
-    /// Clears `out`. Of a covered or even picture there is nothing to tell.
+    /// As many as the index keeps. Clears `out`. Of a covered or even picture there is nothing to tell.
     pub fn describe(&mut self, pyramid: &Pyramid, out: &mut Vec<Descriptor>) {
+        self.describe_strongest(pyramid, DESCRIPTORS, out);
+    }
+
+    /// At most so many of these: the strongest of each level.
+    pub fn describe_strongest(&mut self, pyramid: &Pyramid, most: usize, out: &mut Vec<Descriptor>) {
         out.clear();
-        for (level, count) in CORNERS {
+        for (level, quarters) in QUARTERS {
             let Some(image) = pyramid.levels.get(level) else { continue };
             self.detector.detect_all(image, THRESHOLD, &mut self.corners);
             let spread = self.spread.over_cells((image.width, image.height), CELL_PX, &mut self.corners);
             let described = spread.filter_map(|c| describe(image, c.x, c.y, Orientation::IntensityCentroid));
-            out.extend(described.take(count).map(|d| d.descriptor));
+            out.extend(described.take(most * quarters / 4).map(|d| d.descriptor));
         }
     }
 }

@@ -66,6 +66,7 @@ fn room() -> (MapSnapshot, Vec<TumPose>) {
         landmarks: (0..3000).map(landmark).collect(),
         keyframes: trajectory.iter().step_by(25).enumerate().map(keyframe).collect(),
         around: Default::default(),
+        left_out: [0; 2],
     };
     (map, trajectory)
 }

@@ -321,6 +321,11 @@ impl MapPublisher {
         self.sent_ns.is_none_or(|sent| now_ns.saturating_sub(sent) >= pause_ns)
     }
 
+    /// Landmarks and keyframes of a message, at the most.
+    pub fn most(&self) -> [usize; 2] {
+        [self.limits.landmarks, self.limits.keyframes]
+    }
+
     /// Sends landmarks and keyframes, written straight into shared memory; of too many, the newest.
     ///
     /// Both are written before either is sent, and the map is the last: a reader that it wakes often gets this thread's core, and
@@ -345,7 +350,7 @@ impl MapPublisher {
             timestamp_ns: context.timestamp_ns,
             published_ns: monotonic_ns(),
             count: count(keyframes.len()),
-            total: count(snapshot.keyframes.len()),
+            total: count(snapshot.totals()[1]),
             map_id: snapshot.map.0,
             reset_counter: context.reset_counter,
             map_revision: context.map_revision,
@@ -363,7 +368,7 @@ impl MapPublisher {
             timestamp_ns: context.timestamp_ns,
             published_ns: monotonic_ns(),
             count: count(landmarks.len()),
-            total: count(snapshot.landmarks.len()),
+            total: count(snapshot.totals()[0]),
             map_id: snapshot.map.0,
             reset_counter: context.reset_counter,
             map_revision: context.map_revision,

@@ -25,6 +25,8 @@ pub struct ActiveMap {
     pub unadjusted: Option<KeyframeId>,
     /// Keyframes at which the whole map is adjusted next.
     pub next_whole: usize,
+    /// How often it was thinned out, as it is too large.
+    pub thinned: u32,
     /// Id of the map that begins next.
     pub next_id: MapId,
 }
@@ -49,6 +51,7 @@ impl ActiveMap {
             last_keyframe_frame: 0,
             unadjusted: None,
             next_whole: WHOLE_FIRST,
+            thinned: 0,
             next_id: MapId(id.0 + 1),
         }
     }

@@ -9,7 +9,6 @@ pub mod job;
 pub mod mapper;
 
 use super::Reconstruction;
-use crate::map::KeyframeId;
 use job::{Adjustment, AdjustmentResult, MappingJob, MappingResult};
 use mapper::Merge;
 
@@ -82,7 +81,7 @@ impl Reconstruction {
             // A lens that cannot be is not taken over, and its poses and points with it.
             if optics.intrinsics.wants_another() {
                 active.next_whole = 0;
-                active.unadjusted = active.map.keyframes.iter().last().map(|(id, _)| KeyframeId(id));
+                active.unadjusted = active.map.newest();
             }
             return;
         };

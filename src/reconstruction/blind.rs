@@ -202,7 +202,7 @@ impl Reconstruction {
         begun.map.transform(present_from_start);
         begun.map.renumber(begun.id, old.id);
         self.events.push(TrajectoryEvent::MapJoined { map: begun.id, into: old.id, scale });
-        old.unadjusted = begun.map.keyframes.iter().last().map(|(id, _)| KeyframeId(id));
+        old.unadjusted = begun.map.newest();
         old.map.absorb(begun.map);
         old.bindings = begun.bindings;
         old.reference = begun.reference;

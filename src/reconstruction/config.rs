@@ -35,8 +35,11 @@ pub struct ReconstructionConfig {
     /// Lock-step replay merges a mapping result this many frames after its keyframe, waiting for it, or before a frame that comes 0.11 s or
     /// more after the one before. 1..=30.
     pub merge_after_frames: u64,
-    /// Keyframes a map holds at the most; beyond it the most redundant goes. 20..=2000.
+    /// Keyframes a map holds at the most; beyond it those go that others make up for. 20..=10000.
     pub max_keyframes: usize,
+    /// Keyframes that keep pictures of half the resolution or more, at the most: the newest, their neighbours, and those before; older ones are
+    /// condensed to patches of their landmarks. 20..=2000.
+    pub detailed_keyframes: usize,
     /// A keyframe goes when this share of its landmarks is seen by three others at the least. 0.5..=1.0 (1 = never).
     pub redundant_share: f64,
     /// Rotation-compensated median flow from the reference frame at which a start is tried, px. 3.0..=100.0.
@@ -67,7 +70,8 @@ impl Default for ReconstructionConfig {
             fixed_keyframes: 20,
             adjustment_steps: 5,
             merge_after_frames: 3,
-            max_keyframes: 300,
+            max_keyframes: 3000,
+            detailed_keyframes: 200,
             redundant_share: 0.9,
             start_flow_px: 4.0,
             start_landmarks: 50,
@@ -106,7 +110,8 @@ impl ReconstructionConfig {
         within("fixed_keyframes", self.fixed_keyframes, 0, 80, "")?;
         within("adjustment_steps", self.adjustment_steps, 1, 50, "")?;
         within("merge_after_frames", self.merge_after_frames, 1, 30, "frames")?;
-        within("max_keyframes", self.max_keyframes, 20, 2000, "")?;
+        within("max_keyframes", self.max_keyframes, 20, 10_000, "")?;
+        within("detailed_keyframes", self.detailed_keyframes, 20, 2000, "")?;
         within("redundant_share", self.redundant_share, 0.5, 1.0, "")?;
         within("start_flow_px", self.start_flow_px, 3.0, 100.0, "px")?;
         within("start_landmarks", self.start_landmarks, 20, 500, "")?;

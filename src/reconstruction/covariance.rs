@@ -13,7 +13,12 @@ use crate::map::MapSnapshot;
 impl Reconstruction {
     /// Fills `out` with the current map.
     pub fn snapshot(&self, out: &mut MapSnapshot) {
-        out.fill(self.active.id, &self.active.map);
+        self.snapshot_newest(out, [usize::MAX; 2]);
+    }
+
+    /// The same with so many landmarks and keyframes at the most, the newest.
+    pub fn snapshot_newest(&self, out: &mut MapSnapshot, most: [usize; 2]) {
+        out.fill_newest(self.active.id, &self.active.map, most);
         out.scale = self.scale();
     }
 

@@ -2,16 +2,18 @@
 
 use super::Reconstruction;
 use super::relocalise::other_maps::Join;
+use crate::map::KeyframeId;
 use crate::map::graph::{MapGraph, Tie};
 use crate::motion::tag::edge_length::PlacedTag;
 use crate::motion::tag::{Optics, TagView};
 
 impl Reconstruction {
-    /// Fills `out` with what ties the current map: joins, closed loops, and the strongest of what is covisible, `limit` edges at the most.
-    pub fn graph(&self, out: &mut MapGraph, limit: usize) {
+    /// Fills `out` with what ties the current map's keyframes from `oldest` on: joins, closed loops, and the strongest of what is covisible, `limit` edges
+    /// at the most.
+    pub fn graph(&self, out: &mut MapGraph, oldest: KeyframeId, limit: usize) {
         let joins = self.others.joins.iter().map(|&Join { map, from, to }| (from, to, Tie::Join(map)));
         let loops = self.closed_loops().map(|(old, recognised)| (old, recognised, Tie::Loop));
-        out.fill(&self.active.map, joins.chain(loops), limit);
+        out.fill(&self.active.map, joins.chain(loops), oldest, limit);
     }
 
     /// Fills `out` with the tags that keyframes of the current map have seen, where they are by the keyframes of now.

@@ -6,8 +6,11 @@
 
 mod after_rotation;
 pub mod corners;
+pub mod cull;
 pub mod distance_prior;
 pub mod epipolar;
+#[cfg(test)]
+mod growth_tests;
 pub mod pictures;
 pub mod point;
 
@@ -21,11 +24,10 @@ use super::measurement::rolling_shutter::Shutter;
 use super::track::association::{Bindings, Seed, Target};
 use super::track::frame::QUICK_TURN_RAD;
 use super::track::search::{Match, SearchOptions, affine_warp, align_template, observe};
-use super::types::TrajectoryEvent;
 use crate::features::thumbnail::thumbnail_of;
 use crate::features::{Feedback, FrameFeatures};
 use crate::geometry::camera_motion::CameraMotion;
-use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
+use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::image::Pyramid;
 use crate::map::picture::KeyframePicture;
@@ -88,8 +90,6 @@ pub struct NewKeyframe<'a> {
 
 /// The newest keyframes are not culled, as the local adjustment still gains by them, and keep their whole pictures.
 const YOUNG_KEYFRAMES: u32 = 12;
-/// Of a map that is too large, as one that was joined may be, so many keyframes go with each new one: what it was joined by is needed yet.
-const MOST_AT_ONCE: u64 = 2;
 /// Radius within which a track and a found landmark are the same corner, px.
 pub(super) const SAME_CORNER_PX: f32 = 2.0;
 /// A track that has left its landmark's found place by more than this has drifted, px.
@@ -364,67 +364,6 @@ pub fn triangulate(
     }
     let point = 0.5 * (w1.translation + d1 * s1 + w2.translation + d2 * s2);
     Some((point, sine2.sqrt().atan2(cosine)))
-}
-
-/// Landmarks that were made lately and did not prove themselves, and those that disagree all the time, go.
-pub fn cull_landmarks(map: &mut Map, newest: KeyframeId) -> u64 {
-    let mut doomed = Vec::new();
-    for (id, l) in map.landmarks.iter() {
-        let age = newest.0.saturating_sub(l.created_by.0);
-        let rarely_found = l.sought >= 10 && 4 * l.found < l.sought;
-        let not_confirmed = (3..6).contains(&age) && l.observers.len() < 3 && 2 * l.found < l.sought;
-        if rarely_found || not_confirmed || l.disagreed >= 8 {
-            doomed.push(LandmarkId(id));
-        }
-    }
-    for &id in &doomed {
-        map.remove_landmark(id);
-    }
-    doomed.len() as u64
-}
-
-/// Removes keyframes around `newest` whose landmarks are nearly all seen by three others.
-pub fn cull_keyframes(
-    (map, map_id): (&mut Map, MapId),
-    newest: KeyframeId,
-    config: &ReconstructionConfig,
-    events: &mut Vec<TrajectoryEvent>,
-) -> u64 {
-    let mut culled = 0;
-    let mut around = Vec::new();
-    map.covisible(newest, 1, usize::MAX, &mut around);
-    for (id, _) in around {
-        if id.0 + YOUNG_KEYFRAMES > newest.0 {
-            continue;
-        }
-        let Some(keyframe) = map.keyframe(id) else { continue };
-        let total = keyframe.observations.len();
-        let redundant = keyframe
-            .observations
-            .iter()
-            .filter(|o| map.landmark(o.landmark).is_some_and(|l| l.observers.len() >= 4))
-            .count();
-        let over = map.keyframes.len() > config.max_keyframes && culled < MOST_AT_ONCE;
-        if total > 0
-            && (redundant as f64 > config.redundant_share * total as f64 || over)
-            && remove((map, map_id), id, events)
-        {
-            culled += 1;
-        }
-    }
-    culled
-}
-
-/// Removes a keyframe and hangs the trajectory that refers to it on its most covisible neighbour.
-fn remove((map, map_id): (&mut Map, MapId), id: KeyframeId, events: &mut Vec<TrajectoryEvent>) -> bool {
-    let mut strongest = Vec::new();
-    map.covisible(id, 1, 1, &mut strongest);
-    let Some(&(parent, _)) = strongest.first() else { return false };
-    let (Some(k), Some(p)) = (map.keyframe(id), map.keyframe(parent)) else { return false };
-    let parent_from_keyframe: Se3<KeyframeFrame, KeyframeFrame> =
-        (p.camera_from_world * k.camera_from_world.inverse()).relabel();
-    events.push(TrajectoryEvent::KeyframeRemoved { map: map_id, keyframe: id, parent, parent_from_keyframe });
-    map.remove_keyframe(id).is_some()
 }
 
 #[cfg(test)]

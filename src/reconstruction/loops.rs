@@ -1,6 +1,7 @@
 //! Loops: a place of the map that is seen again after a long way, and what follows from it.
 //!
-//! Every keyframe is entered into the index of [`places`](crate::places::index). What it shows is first asked for there; of the keyframes that are
+//! Every keyframe is entered into the index of [`places`](crate::places::index), also where no loops are looked for: frames that were lost in a large map
+//! ask it, too. Those of another run's map are entered in pieces, with the frames after it was loaded. What a keyframe shows is first asked for there; of the keyframes that are
 //! neither covisible with it nor covisible with one that is, and not recent, the likeliest place (a keyframe and what it shares landmarks with) is tried
 //! as for a lost frame ([`relocalise`](super::relocalise)): thumbnails, descriptors and P3P, then the search by projection, which must speak for
 //! itself; in a thread of its own ([`recognition`]). Keyframes recognised one soon after the other must tell the same similarity, by the depths that are known on both sides, as
@@ -17,10 +18,13 @@
 mod closing;
 pub mod recognition;
 
+use std::collections::VecDeque;
+
 use recognition::Recogniser;
 
 use super::relocalise::other_maps::{ATTEMPT_GAP, LONGEST_GAP, OtherMaps, REMEMBERED, Sighting, Similarity};
 use crate::features::descriptor::Descriptor;
+use crate::image::Pyramid;
 use crate::map::{KeyframeId, Map};
 use crate::places::describe::PlaceDescriber;
 use crate::places::index::{Candidate, PlaceIndex};
@@ -38,6 +42,11 @@ const MIN_LIKENESS: f32 = 0.1;
 /// Keyframes of a place that are tried: the likeliest, and those that share most with it.
 const TRIED: usize = 3;
 
+/// Keyframes of another run's map that are entered into the index after one frame, and as how many of these one counts that has to be described
+/// (1 ms; a condensed one takes 0.04 ms): 4 to 5 ms.
+const ENTERED_AT_ONCE: usize = 128;
+const DESCRIBED_AS: usize = 32;
+
 /// A loop that two keyframes have told.
 struct FoundLoop {
     /// The newest last.
@@ -50,6 +59,8 @@ struct FoundLoop {
 #[derive(Default)]
 pub struct Loops {
     index: PlaceIndex,
+    /// Of other runs, not yet in it.
+    to_enter: VecDeque<KeyframeId>,
     describer: PlaceDescriber,
     seen: Vec<Descriptor>,
     ranked: Vec<Candidate>,
@@ -76,11 +87,65 @@ impl Loops {
         (self.waiting, self.under_way) = (None, None);
     }
 
+    /// Keyframes of the map that a picture may show the place of, the likeliest first.
+    pub fn likely(&mut self, map: &Map, pyramid: &Pyramid, limit: usize) -> Vec<KeyframeId> {
+        let Self { index, describer, seen, ranked, .. } = self;
+        describer.describe(pyramid, seen);
+        index.query(seen, limit, |k| map.keyframes.contains(k.0), ranked);
+        ranked.iter().filter(|c| c.votes >= MIN_VOTES).map(|c| c.keyframe).collect()
+    }
+
+    /// The maps are those of another run: their keyframes are entered with the next frames, the newest first, as the robot is likely to begin where it
+    /// ended.
+    pub fn expect(&mut self, map: &Map, others: &OtherMaps) {
+        self.follow(map, others);
+        self.to_enter.clear();
+        for map in std::iter::once(map).chain(others.maps()) {
+            let before = self.to_enter.len();
+            self.to_enter.extend(map.keyframes.ids().map(KeyframeId));
+            self.to_enter.make_contiguous()[before..].reverse();
+        }
+    }
+
+    /// Keyframes in the index.
+    #[cfg(test)]
+    pub fn entered(&self) -> usize {
+        self.index.len()
+    }
+
+    /// Enters some of those that wait and are in a map still.
+    pub fn enter_some(&mut self, map: &Map, others: &OtherMaps) {
+        let Self { index, describer, seen, to_enter, .. } = self;
+        let mut work = 0;
+        while work < ENTERED_AT_ONCE
+            && let Some(id) = to_enter.pop_front()
+        {
+            let keyframe = map.keyframe(id).or_else(|| others.maps().find_map(|map| map.keyframe(id)));
+            let Some(keyframe) = keyframe else { continue };
+            match keyframe.picture.is_condensed() {
+                true => {
+                    index.add(id, keyframe.picture.place_descriptors());
+                    work += 1;
+                }
+                false => {
+                    // Reduced pictures have the levels that this takes.
+                    describer.describe(keyframe.picture.pyramid(), seen);
+                    index.add(id, seen);
+                    work += DESCRIBED_AS;
+                }
+            }
+        }
+    }
+
     /// Takes out of the index what is in no map any more.
     fn follow(&mut self, map: &Map, others: &OtherMaps) {
         let is_alive =
-            |id: &KeyframeId| map.keyframe(*id).is_some() || others.maps().any(|m| m.keyframe(*id).is_some());
+            |id: &KeyframeId| map.keyframes.contains(id.0) || others.maps().any(|m| m.keyframes.contains(id.0));
         let gone: Vec<KeyframeId> = self.index.keyframes().filter(|id| !is_alive(id)).collect();
+        if gone.len() == self.index.len() {
+            // After a reset: to take each out by itself would take long.
+            self.index = PlaceIndex::default();
+        }
         gone.iter().for_each(|id| self.index.remove(*id));
         self.closed.retain(|(a, b)| is_alive(a) && is_alive(b));
     }
@@ -89,10 +154,12 @@ impl Loops {
     fn likeliest(&mut self, map: &Map, id: KeyframeId) -> Vec<KeyframeId> {
         let Self { index, seen, ranked, near, around, .. } = self;
         note_near(map, id, near, around);
-        index.query(seen, usize::MAX, |k| map.keyframe(k).is_some(), ranked);
+        index.query(seen, usize::MAX, |k| map.keyframes.contains(k.0), ranked);
         let is_old = |c: &Candidate| c.keyframe.0 + RECENT <= id.0 && near.binary_search(&c.keyframe).is_err();
         let familiar = ranked.iter().find(|c| !is_old(c)).map_or(0.0, |c| c.score);
-        let score_of = |k: KeyframeId| ranked.iter().find(|c| c.keyframe == k).map_or(0.0, |c| c.score);
+        let mut scores: Vec<(KeyframeId, f32)> = ranked.iter().map(|c| (c.keyframe, c.score)).collect();
+        scores.sort_unstable_by_key(|s| s.0);
+        let score_of = |k: KeyframeId| scores.binary_search_by_key(&k, |s| s.0).map_or(0.0, |i| scores[i].1);
         let likely = |c: &&Candidate| c.votes >= MIN_VOTES && c.score >= MIN_LIKENESS * familiar;
         let mut best: Option<(f32, KeyframeId)> = None;
         for c in ranked.iter().filter(|c| is_old(c)).filter(likely).take(WEIGHED) {

@@ -213,7 +213,7 @@ impl Reconstruction {
         active.map.transform(&Sim3::new(factor, UnitQuaternion::identity(), Vector3::zeros()));
         active.odometry.rescale(factor);
         active.scale.rescale(factor);
-        active.unadjusted = active.map.keyframes.iter().last().map(|(id, _)| KeyframeId(id));
+        active.unadjusted = active.map.newest();
         self.wheels.rescale(factor);
         self.blind.rescale(factor);
         self.tracker.rescale(factor);

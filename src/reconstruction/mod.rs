@@ -42,15 +42,17 @@ use adjust::mapper::{Mapper, Merge};
 use dead_reckoning::{Ahead, DeadReckoning};
 use initialise::initialiser::Initialiser;
 use initialise::orientation::OrientationTracker;
+use keyframe::cull;
 use keyframe::distance_prior::{self, mostly_assumed};
 use keyframe::epipolar::{EpipolarMatcher, Lens};
-use keyframe::pictures::{WHOLE_PICTURES, reduce_pictures};
+use keyframe::pictures::{WHOLE_PICTURES, condense_pictures, reduce_pictures};
 use keyframe::{KeyframeInputs, NewKeyframe};
 use loops::Loops;
 use odometry::Odometry;
 use optics::Optics;
-use relocalise::Relocaliser;
+use relocalise::descriptors::describe_kept;
 use relocalise::other_maps::{OtherMap, OtherMaps, WORTH_KEEPING, retire};
+use relocalise::{LIKELY, Relocaliser, asks_index};
 use segments::Wheels;
 use surroundings::Surroundings;
 use track::frame::Frame;
@@ -228,7 +230,11 @@ impl Reconstruction {
             tracked = tracked.filter(|t| t.speaks_for_itself(self.config.min_landmarks) || expected(t));
         }
         if tracked.as_ref().is_none_or(|t| t.share() < WEAK_SHARE) {
-            let elsewhere = self.relocaliser.place(&frame, reference);
+            let likely = match asks_index(map) {
+                true => self.loops.likely(map, &features.pyramid, LIKELY),
+                false => Vec::new(),
+            };
+            let elsewhere = self.relocaliser.place(&frame, reference, &likely);
             let better = |other: &Tracked| tracked.is_none_or(|weak| 5 * other.landmarks > 6 * weak.landmarks);
             if let Some(other) = elsewhere.filter(better) {
                 std::mem::swap(&mut self.tracker, &mut self.relocaliser.tracker);
@@ -354,6 +360,7 @@ impl Reconstruction {
     pub fn map(&mut self, features: &FrameFeatures, feedback: &mut Feedback) {
         feedback.sequence = features.sequence;
         feedback.forget.clear();
+        self.enter_loaded();
         if self.localise_only {
             return self.bind_found(features);
         }
@@ -406,9 +413,13 @@ impl Reconstruction {
         active.last_keyframe_frame = counters.frames;
         active.reference = id;
         active.scale.follow(map);
-        counters.landmarks_culled += keyframe::cull_landmarks(map, id);
-        counters.keyframes_culled += keyframe::cull_keyframes((map, active.id), id, config, &mut self.events);
+        counters.landmarks_culled += cull::cull_landmarks(map, id);
+        counters.keyframes_culled += cull::cull_keyframes((map, active.id), id, config, &mut self.events);
+        let held = self.tags.as_ref().map_or_else(Vec::new, |tags| tags.rest_on(map));
+        let (most, turn) = ((config.max_keyframes, held.as_slice()), &mut active.thinned);
+        counters.keyframes_culled += cull::thin_out((map, active.id), id, most, turn, &mut self.events);
         reduce_pictures(map, id);
+        counters.landmarks_culled += condense_pictures(map, id, config.detailed_keyframes, describe_kept);
         active.unadjusted = Some(id);
         self.recognise(features, id);
         self.look_for_loop(features, id);

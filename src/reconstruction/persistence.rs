@@ -4,6 +4,8 @@
 //! the state is LOST until one is located, and unless the map is to stay as it is a second one begins beside it after as many
 //! frames as always, to be joined to it once it is recognised.
 //!
+//! The index over places is made anew with the frames that follow, some keyframes at each.
+//!
 //! Cost: [`take_changes`](Reconstruction::take_changes) copies what has changed, 20 kB a keyframe (pictures are shared), so after an
 //! adjustment of a whole map of 240 keyframes 5 MB. It is called after a published pose.
 
@@ -82,6 +84,7 @@ impl Reconstruction {
             // All of them were kept before.
             self.others.keep(other, usize::MAX);
         }
+        self.loops.expect(&self.active.map, &self.others);
         let ids = std::iter::once(self.active.id).chain(self.others.kept.iter().map(|other| other.id)).collect();
         self.taken = Some(Taken { maps: ids, camera: self.optics.camera.clone() });
     }

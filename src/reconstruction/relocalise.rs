@@ -4,11 +4,12 @@
 //! - by thumbnails: the most similar keyframe's pose, turned by the plane motion between the thumbnails (Klein & Murray 2008,
 //!   section 5): a view near one that is known, however blurred;
 //! - by descriptors (`descriptors`): a pose from the landmarks of a few keyframes, the ones around the last known place first,
-//!   then the ones whose thumbnails are most similar, then all others in turn.
+//!   then the ones whose thumbnails are most similar, then all others in turn. In a large map ([`asks_index`]) that turn would take long: there the
+//!   index over the places of the map ([`places`](crate::places)) says which keyframes are likely, and both ways try these as well.
 //!
 //! The same finds a frame of one map in another (`other_maps`).
 
-mod descriptors;
+pub mod descriptors;
 pub mod joining;
 pub mod other_maps;
 
@@ -38,12 +39,24 @@ const PLENTY: usize = 30;
 /// Guesses from descriptors in one frame.
 const DESCRIPTOR_GUESSES: usize = 2;
 
+/// Keyframes beyond which the index is asked: in turn these take a hundred frames, three seconds.
+const IN_TURN: usize = 200;
+/// Keyframes that the index names for one frame.
+pub const LIKELY: usize = 3;
+
+/// Whether a frame that was lost in this map is looked for by the index as well.
+pub fn asks_index(map: &Map) -> bool {
+    map.keyframes.len() > IN_TURN
+}
+
 /// Buffers of relocalisation.
 #[derive(Debug, Default)]
 pub struct Relocaliser {
     /// Of its own, so that what the usual one has found is there still if this finds nothing better.
     pub tracker: Tracker,
     current: Thumbnail,
+    /// A condensed keyframe's.
+    remade: Thumbnail,
     aligner: ThumbnailAligner,
     around: Vec<(KeyframeId, u32)>,
     chosen: Vec<KeyframeId>,
@@ -58,17 +71,17 @@ pub struct Relocaliser {
 }
 
 impl Relocaliser {
-    /// Places a frame that prediction could not place, or does not.
-    pub fn place(&mut self, frame: &Frame<'_>, last_reference: KeyframeId) -> Option<Tracked> {
+    /// Places a frame that prediction could not place, or does not; `likely`: where it may be.
+    pub fn place(&mut self, frame: &Frame<'_>, last_reference: KeyframeId, likely: &[KeyframeId]) -> Option<Tracked> {
         let Frame { features, map, camera, .. } = *frame;
         let pyramid = &features.pyramid;
-        self.look(map, camera, pyramid, last_reference);
+        self.look(map, camera, pyramid, last_reference, likely);
         let Self { tracker, ranked, .. } = self;
         let similar = ranked.iter().take(GUESSES).find_map(|(_, guess)| tracker.relocalise(frame, guess, false));
         if similar.is_some() {
             return similar;
         }
-        self.solve_described(map, camera, pyramid, last_reference, features.sequence);
+        self.solve_described(map, camera, pyramid, (last_reference, likely), features.sequence);
         let Self { tracker, solved, .. } = self;
         solved.iter().take(DESCRIPTOR_GUESSES).find_map(|(_, guess)| tracker.relocalise(frame, guess, true))
     }
@@ -94,7 +107,14 @@ impl Relocaliser {
     }
 
     /// Compares thumbnails: the first step in every frame that has lost its place.
-    fn look(&mut self, map: &Map, camera: &CameraModel, pyramid: &Pyramid, last_reference: KeyframeId) {
+    fn look(
+        &mut self,
+        map: &Map,
+        camera: &CameraModel,
+        pyramid: &Pyramid,
+        last_reference: KeyframeId,
+        likely: &[KeyframeId],
+    ) {
         self.ranked.clear();
         map.covisible(last_reference, 1, COMPARED / 2, &mut self.around);
         if !self.current.build(pyramid) || map.keyframes.is_empty() {
@@ -106,6 +126,7 @@ impl Relocaliser {
         let total = map.keyframes.len();
         let round = COMPARED.saturating_sub(self.chosen.len()).min(total);
         in_turn(map, &mut self.next, round, &mut self.chosen);
+        self.chosen.extend_from_slice(likely);
         self.chosen.sort_unstable();
         self.chosen.dedup();
         self.rank_chosen(map, camera);
@@ -114,7 +135,14 @@ impl Relocaliser {
     fn rank_chosen(&mut self, map: &Map, camera: &CameraModel) {
         for &id in &self.chosen {
             let Some(keyframe) = map.keyframe(id) else { continue };
-            let Some(motion) = self.aligner.align(&keyframe.thumbnail, &self.current) else { continue };
+            let thumbnail = match keyframe.picture.is_condensed() {
+                true => {
+                    self.remade.build(keyframe.picture.pyramid());
+                    &self.remade
+                }
+                false => &keyframe.thumbnail,
+            };
+            let Some(motion) = self.aligner.align(thumbnail, &self.current) else { continue };
             if motion.ncc < MIN_NCC {
                 continue;
             }
@@ -131,11 +159,11 @@ impl Relocaliser {
         map: &Map,
         camera: &CameraModel,
         pyramid: &Pyramid,
-        last_reference: KeyframeId,
+        (last_reference, likely): (KeyframeId, &[KeyframeId]),
         seed: u64,
     ) {
         self.solved.clear();
-        self.choose_described(map, last_reference);
+        self.choose_described(map, last_reference, likely);
         self.solve_chosen(map, camera, pyramid, seed);
     }
 
@@ -153,13 +181,14 @@ impl Relocaliser {
     }
 
     /// Which keyframes to match, the likeliest first, none twice.
-    fn choose_described(&mut self, map: &Map, last_reference: KeyframeId) {
+    fn choose_described(&mut self, map: &Map, last_reference: KeyframeId, likely: &[KeyframeId]) {
         self.chosen.clear();
         let near = std::iter::once(last_reference).chain(self.around.iter().map(|a| a.0)).take(MATCHED_NEAR);
         self.chosen.extend(near);
         let similar = self.ranked.iter().map(|r| r.1.reference).filter(|id| !self.chosen.contains(id));
         let similar: Vec<KeyframeId> = similar.take(MATCHED_SIMILAR).collect();
         self.chosen.extend(similar);
+        self.chosen.extend(likely.iter().filter(|id| !self.chosen.contains(id)).copied().collect::<Vec<_>>());
         let likeliest = self.chosen.len();
         in_turn(map, &mut self.next_described, MATCHED_IN_TURN.min(map.keyframes.len()), &mut self.chosen);
         let (first, last) = self.chosen.split_at(likeliest);
@@ -175,8 +204,8 @@ fn in_turn(map: &Map, next: &mut usize, count: usize, out: &mut Vec<KeyframeId>)
     if total == 0 {
         return;
     }
-    let round = map.keyframes.iter().chain(map.keyframes.iter()).skip(*next % total).take(count);
-    out.extend(round.map(|(id, _)| KeyframeId(id)));
+    let round = map.keyframes.ids().chain(map.keyframes.ids()).skip(*next % total).take(count);
+    out.extend(round.map(KeyframeId));
     *next = (*next + count) % total;
 }
 
@@ -221,7 +250,7 @@ mod tests {
         assert_eq!(seen.len(), 8, "an empty map has no turn");
         let mut relocaliser = Relocaliser::default();
         for _ in 0..20 {
-            relocaliser.choose_described(&map, KeyframeId(3));
+            relocaliser.choose_described(&map, KeyframeId(3), &[KeyframeId(5), KeyframeId(3)]);
             let mut chosen = relocaliser.chosen.clone();
             chosen.sort_unstable();
             chosen.dedup();

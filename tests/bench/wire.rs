@@ -348,5 +348,6 @@ fn snapshot(landmarks: u32) -> MapSnapshot {
         landmarks: (0..landmarks).map(landmark).collect(),
         keyframes: (0..landmarks / 50).map(keyframe).collect(),
         around: Default::default(),
+        left_out: [0; 2],
     }
 }

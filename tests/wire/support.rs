@@ -295,6 +295,7 @@ pub fn snapshot(revision: u64, n: u32) -> MapSnapshot {
         landmarks: (0..n).map(landmark).collect(),
         keyframes: vec![keyframe],
         around: Default::default(),
+        left_out: [0; 2],
     }
 }
 

@@ -184,6 +184,8 @@ fn keyframes_that_see_a_tag_through_a_lens_tell_the_maps_scale() {
     assert!(placed.world_from_tag.rotation.angle() < 0.03, "{placed:?}");
 
     assert_eq!(tags.measurement(MapId(4)), None, "another map");
+    assert!(tags.rest_on(&map).iter().eq(pictures.iter().map(|(id, _)| id)), "all five have seen it");
+    assert!(tags.rest_on(&Map::default()).is_empty());
     tags.rescale(2.5);
     let metric = tags.measurement(MapId(3)).expect("told").log_metres_per_unit;
     assert!((metric - error).abs() < 1e-12, "the map is in metres now: {metric}");

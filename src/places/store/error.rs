@@ -2,8 +2,10 @@
 
 use std::io;
 
-/// Version of everything in a map file: front page, table and records. A reader refuses any other.
-pub const FORMAT: u32 = 1;
+/// Version of everything in a map file: front page, table and records. A reader refuses newer ones; it reads those since [`OLDEST_FORMAT`], and who
+/// goes on in such a file makes it one of this version first. 1: no condensed pictures.
+pub const FORMAT: u32 = 2;
+pub const OLDEST_FORMAT: u32 = 1;
 
 /// Names the file.
 #[derive(Debug, thiserror::Error)]
@@ -24,7 +26,9 @@ pub enum Fault {
     #[error("is no map of Cairn's; it is left as it is")]
     Foreign,
     /// Of another version of this program; untouched.
-    #[error("has version {0} of the map format, and this program reads version {FORMAT} only; it is left as it is", FORMAT = FORMAT)]
+    #[error(
+        "has version {0} of the map format, and this program reads versions {OLDEST_FORMAT} to {FORMAT} only; it is left as it is"
+    )]
     Version(u32),
     /// Untouched.
     #[error("is broken: {0}; it is left as it is")]
@@ -33,6 +37,9 @@ pub enum Fault {
     Busy,
     #[error("exists already")]
     Exists,
+    /// Somebody has put another file in its place meanwhile; both untouched.
+    #[error("is another file now than the one that was opened; it is left as it is")]
+    Replaced,
     /// It went wrong once, and nothing more is tried.
     #[error("is not written any more: {0}")]
     GivenUp(String),

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io;
-use std::os::unix::fs::FileExt;
+use std::os::unix::fs::{FileExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -73,7 +73,7 @@ impl MapFile {
         let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
         // New, locked, and cleared away at a later start should this process be killed.
         let (file, temporary) = create_unique(folder, &format!(".{name}"), false).map_err(Fault::Write)?;
-        let front = Front { id, created_ns: now_ns() };
+        let front = Front { format: FORMAT, id, created_ns: now_ns() };
         let filled = || {
             lock(file.try_lock())?;
             file.write_all_at(&front.page(), 0).map_err(Fault::Write)?;
@@ -128,10 +128,6 @@ impl MapFile {
     }
 
     fn put(&mut self, changes: &MapChanges) -> Result<u64, Fault> {
-        if let Some(file) = self.verified.take() {
-            self.records = Some(Records::open(file, Access::Write)?);
-        }
-        let records = self.records.as_mut().ok_or_else(|| Fault::GivenUp("an earlier write failed".into()))?;
         if changes.next_keyframe.max(changes.next_landmark) > MOST_IDS {
             // No reader would take it. What is in the file is whole, and gets small ids when a run begins with it.
             return Err(Fault::GivenUp("ids are used up; a restart makes room for others".into()));
@@ -143,12 +139,16 @@ impl MapFile {
             new.push((Kind::Keyframe, *id, encode_keyframe(keyframe, camera).ok_or_else(senseless)?));
             let revision = keyframe.picture.revision();
             if self.keyframes.get(id) != Some(&revision) {
+                let (kind, record) = match keyframe.picture.is_condensed() {
+                    true => (Kind::Condensed, picture::encode_condensed(&keyframe.picture)),
+                    false => (Kind::Picture, picture::encode(&keyframe.picture)),
+                };
                 match keyframe.picture.kept() {
-                    Some(_) => {
-                        new.push((Kind::Picture, *id, picture::encode(&keyframe.picture).ok_or_else(senseless)?))
-                    }
+                    Some(_) => new.push((kind, *id, record.ok_or_else(senseless)?)),
                     None => bare.push((Kind::Picture, *id)),
                 }
+                // It is of one kind only.
+                bare.push((if kind == Kind::Picture { Kind::Condensed } else { Kind::Picture }, *id));
             }
             revisions.push((*id, revision));
         }
@@ -162,12 +162,21 @@ impl MapFile {
         let emptied = emptied.into_iter().map(|(page, _)| *page).filter(|page| self.pages.contains(page));
         let left = |page: &&u32| changes.is_everything && !changes.landmarks.contains_key(page);
         let emptied: Vec<u32> = emptied.chain(self.pages.iter().filter(left).copied()).collect();
-        let removed = gone.iter().flat_map(|id| [(Kind::Keyframe, *id), (Kind::Picture, *id)]);
+        let removed =
+            gone.iter().flat_map(|id| [Kind::Keyframe, Kind::Picture, Kind::Condensed].map(|kind| (kind, *id)));
         let removed: Vec<_> = removed.chain(bare).chain(emptied.iter().map(|page| (Kind::Landmarks, *page))).collect();
 
         let MapChanges { frame_ns, optics, maps, next_keyframe, next_landmark, .. } = changes;
         let (frame_ns, next_keyframe, next_landmark) = (*frame_ns, *next_keyframe, *next_landmark);
         let header = HeaderOf { frame_ns, optics, maps, next_keyframe, next_landmark, written_ns: now_ns() };
+        // What cannot be written leaves a file of an older format what it is, too.
+        if let Some(verified) = &self.verified {
+            let renewed = renewed(verified, &self.path)?;
+            let own = self.verified.take();
+            let file = renewed.or(own).ok_or(Fault::Replaced)?;
+            self.records = Some(Records::open(file, Access::Write)?);
+        }
+        let records = self.records.as_mut().ok_or_else(|| Fault::GivenUp("an earlier write failed".into()))?;
         let outcome = records.write(self.tally, &new, &removed, |tally| HeaderRecord::encode(&header, tally));
         match outcome {
             Ok(tally) => self.tally = tally,
@@ -187,6 +196,56 @@ impl MapFile {
     pub fn close(mut self) -> Result<(), StoreError> {
         let path = self.path.clone();
         self.records.take().map_or(Ok(()), Records::close).map_err(|fault| fault.of(&path))
+    }
+}
+
+/// Where the file is of an older format: a copy of the present one that has taken its place.
+fn renewed(file: &File, path: &Path) -> Result<Option<File>, Fault> {
+    let front = Front::read(file)?;
+    if front.format == FORMAT {
+        return Ok(None);
+    }
+    // A link to it stays one.
+    let gone =
+        |error: io::Error| if error.kind() == io::ErrorKind::NotFound { Fault::Replaced } else { Fault::Read(error) };
+    let path = path.canonicalize().map_err(gone)?;
+    let folder = path.parent().unwrap_or(Path::new("/"));
+    let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    let (copy, temporary) = create_unique(folder, &format!(".{name}"), false).map_err(Fault::Write)?;
+    let filled = || {
+        lock(copy.try_lock())?;
+        let mut piece = vec![0; 1 << 20];
+        let mut at = 0;
+        loop {
+            let read = file.read_at(&mut piece, at).map_err(Fault::Read)?;
+            if read == 0 {
+                break;
+            }
+            copy.write_all_at(&piece[..read], at).map_err(Fault::Write)?;
+            at += read as u64;
+        }
+        copy.write_all_at(&front.page(), 0).and_then(|()| copy.sync_all()).map_err(Fault::Write)?;
+        // Somebody may have moved another map there since it was opened.
+        if !is_at(file, &path)? {
+            return Err(Fault::Replaced);
+        }
+        std::fs::rename(&temporary, &path).map_err(Fault::Write)?;
+        let _ = File::open(folder).and_then(|f| f.sync_all());
+        Ok(())
+    };
+    filled().inspect_err(|_: &Fault| {
+        let _ = std::fs::remove_file(&temporary);
+    })?;
+    Ok(Some(copy))
+}
+
+/// Whether this is what the path holds.
+fn is_at(file: &File, path: &Path) -> Result<bool, Fault> {
+    let own = file.metadata().map_err(Fault::Read)?;
+    match std::fs::symlink_metadata(path) {
+        Ok(there) => Ok((there.dev(), there.ino()) == (own.dev(), own.ino())),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(false),
+        Err(error) => Err(Fault::Read(error)),
     }
 }
 
@@ -227,7 +286,8 @@ fn look_inside(file: &File) -> Result<(Contents, Tally, BTreeSet<u32>), Fault> {
     let (mut raw, mut pages) = (Raw::default(), BTreeSet::new());
     let mut record_bytes = [0; 3];
     let tally = records.read_all(|kind, number, bytes| {
-        if let Some(sum) = usize::from(kind).checked_sub(1).and_then(|i| record_bytes.get_mut(i)) {
+        let like = if kind == Kind::Condensed as u8 { Kind::Picture as u8 } else { kind };
+        if let Some(sum) = usize::from(like).checked_sub(1).and_then(|i| record_bytes.get_mut(i)) {
             *sum += bytes.len() as u64;
         }
         let sense = match kind {
@@ -239,10 +299,13 @@ fn look_inside(file: &File) -> Result<(Contents, Tally, BTreeSet<u32>), Fault> {
                 raw.keyframes.insert(number, bytes.to_vec());
                 true
             }
-            k if k == Kind::Picture as u8 => {
-                let picture = picture::decode(bytes);
+            k if k == Kind::Picture as u8 || k == Kind::Condensed as u8 => {
+                let picture =
+                    if k == Kind::Picture as u8 { picture::decode(bytes) } else { picture::decode_condensed(bytes) };
                 let sense = picture.is_some();
-                raw.pictures.extend(picture.map(|picture| (number, picture)));
+                if picture.is_some_and(|picture| raw.pictures.insert(number, picture).is_some()) {
+                    return Err(Fault::Broken(format!("keyframe {number} has two pictures")));
+                }
                 sense
             }
             k if k == Kind::Landmarks as u8 => {
@@ -261,7 +324,7 @@ fn look_inside(file: &File) -> Result<(Contents, Tally, BTreeSet<u32>), Fault> {
         return Err(Fault::Broken(format!("{told} records were written, {there} are there or others than those")));
     }
     let contents = Contents {
-        format: FORMAT,
+        format: front.format,
         id: front.id,
         created_ns: front.created_ns,
         written_ns: header.written_ns,

@@ -9,12 +9,12 @@
 //! | 36..4092 | zero |
 //! | 4092..4096 | CRC-32 (IEEE 802.3) of all bytes before, u32 little-endian |
 //!
-//! It is written once and never changed. The database follows.
+//! It is written once and never changed (a file of an older format becomes another file of the same name). The database follows.
 
 use std::fs::File;
 use std::os::unix::fs::FileExt;
 
-use super::error::{FORMAT, Fault};
+use super::error::{FORMAT, Fault, OLDEST_FORMAT};
 
 pub const FRONT_BYTES: u64 = 4096;
 
@@ -24,12 +24,15 @@ const CHECKSUM: usize = FRONT_BYTES as usize - 4;
 /// What the front page says.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Front {
+    /// Of the file that it was read from.
+    pub format: u32,
     pub id: [u8; 16],
     /// ns since 1970.
     pub created_ns: i64,
 }
 
 impl Front {
+    /// Of the present format.
     pub fn page(&self) -> Vec<u8> {
         let mut page = Vec::with_capacity(FRONT_BYTES as usize);
         page.extend(MAGIC);
@@ -56,13 +59,13 @@ impl Front {
         if word(CHECKSUM) != Some(crc32fast::hash(&page[..CHECKSUM])) {
             return Err(Fault::Broken("the checksum of its first page is wrong".into()));
         }
-        match word(8) {
-            Some(FORMAT) => {}
-            other => return Err(Fault::Version(other.unwrap_or_default())),
+        let format = word(8).unwrap_or_default();
+        if !(OLDEST_FORMAT..=FORMAT).contains(&format) {
+            return Err(Fault::Version(format));
         }
         let (mut id, mut created) = ([0; 16], [0; 8]);
         id.copy_from_slice(&page[12..28]);
         created.copy_from_slice(&page[28..36]);
-        Ok(Self { id, created_ns: i64::from_le_bytes(created) })
+        Ok(Self { format, id, created_ns: i64::from_le_bytes(created) })
     }
 }

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::records::Tally;
 use crate::features::descriptor::Descriptor;
-use crate::features::thumbnail::thumbnail_of;
+use crate::features::thumbnail::{Thumbnail, thumbnail_of};
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::{CameraModel, LensModel, Se3};
 use crate::map::picture::KeyframePicture;
@@ -325,7 +325,10 @@ fn decode_keyframe(bytes: &[u8], picture: KeyframePicture, camera: &CameraModel)
         motion: record
             .motion
             .map(|[a, b, c, d, e, f]| CameraMotion { turn: Vector3::new(a, b, c), shift: Vector3::new(d, e, f) }),
-        thumbnail: thumbnail_of(picture.pyramid()),
+        thumbnail: match picture.is_condensed() {
+            true => Thumbnail::default(),
+            false => thumbnail_of(picture.pyramid()),
+        },
         picture,
         scale_from: record.scale_from.map(TurnId),
         observations,

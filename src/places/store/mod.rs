@@ -9,6 +9,7 @@
 //!   header               camera and lens, maps with the ids of their keyframes, number and sum of all records
 //!   keyframe ID          pose, observations, free corners (`layout`)                 whenever it has changed
 //!   picture ID           finest level and patches, as PNG (`picture`)                twice: whole, and reduced
+//!   condensed ID         instead of it: coarse level and views (`picture`)           once
 //!   landmarks PAGE       64 ids a page                                               whenever one has changed
 //! ```
 //!
@@ -23,6 +24,8 @@
 //! (the room `map` has those).
 
 mod backend;
+#[cfg(test)]
+mod condensed_tests;
 mod error;
 mod file;
 mod front;

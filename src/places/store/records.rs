@@ -34,6 +34,8 @@ pub enum Kind {
     Picture = 2,
     /// A page of them.
     Landmarks = 3,
+    /// A picture that was condensed, since format 2; its keyframe has no other.
+    Condensed = 4,
 }
 
 /// Number of records and sum of their checksums, the header's left out.
@@ -203,7 +205,7 @@ fn broken(kind: u8, number: u32, how: &str) -> Fault {
     let what = match kind {
         0 => "the header".into(),
         1 => format!("keyframe {number}"),
-        2 => format!("the picture of keyframe {number}"),
+        2 | 4 => format!("the picture of keyframe {number}"),
         3 => format!("page {number} of the landmarks"),
         _ => format!("record {number} of kind {kind}"),
     };

@@ -53,20 +53,24 @@ impl Reconstruction {
         closed.iter().copied().filter(move |(_, recognised)| !is_open(*recognised))
     }
 
-    /// Enters the frame that has just become the keyframe `id`, and has looked for it in the likeliest old place.
+    /// Enters the frame that has just become the keyframe `id`, and with `loops` has it looked for in the likeliest old place.
     pub(in crate::reconstruction) fn look_for_loop(&mut self, features: &FrameFeatures, id: KeyframeId) {
-        if !self.config.loops {
-            return;
-        }
         let Self { loops, active, others, .. } = self;
         loops.follow(&active.map, others);
         loops.describer.describe(&features.pyramid, &mut loops.seen);
         let idle = loops.waiting.is_none() && loops.under_way.is_none() && !loops.recogniser.is_busy();
-        if idle && self.pending.turned.is_none() && self.counters.frames >= self.loops.next_attempt {
+        if self.config.loops && idle && self.pending.turned.is_none() && self.counters.frames >= self.loops.next_attempt
+        {
             self.try_places(features, id);
         }
         let loops = &mut self.loops;
         loops.index.add(id, &loops.seen);
+    }
+
+    /// Enters some of the keyframes that another run has left.
+    pub(in crate::reconstruction) fn enter_loaded(&mut self) {
+        let Self { loops, active, others, .. } = self;
+        loops.enter_some(&active.map, others);
     }
 
     fn try_places(&mut self, features: &FrameFeatures, id: KeyframeId) {
@@ -195,7 +199,7 @@ impl Reconstruction {
             let seen: Vec<Observation> = own.unwrap_or_default();
             add_found(map, sighting, &seen, &self.optics.camera);
         }
-        self.active.unadjusted = map.keyframes.iter().last().map(|(id, _)| KeyframeId(id));
+        self.active.unadjusted = map.newest();
     }
 }
 

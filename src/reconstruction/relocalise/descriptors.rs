@@ -8,7 +8,8 @@
 //! with all: so a blurred picture still answers on the coarse levels, and a view from half or twice the distance on another one. By
 //! histograms of gradients ([`gradients`](crate::features::gradients)): of some twenty views of a desk that came back after up to two seconds
 //! had been cut out, binary descriptors knew 8 and these 20. Keyframes are described when they are first asked for and remembered, the least
-//! recently used of [`REMEMBERED`] giving way: nothing is paid while tracking works.
+//! recently used of [`REMEMBERED`] giving way: nothing is paid while tracking works. A condensed keyframe's are those that were kept with its
+//! landmarks' views ([`View`](crate::map::view::View)), in it and in others.
 //!
 //! Cost: some ten milliseconds for the frame, and as much for each keyframe that is new; a few for each comparison, 0.2 to 1 ms for the
 //! pose where enough corners match. Not here: an index over thousands of keyframes (loop closing's).
@@ -25,11 +26,15 @@ use crate::geometry::pnp::estimate_pose;
 use crate::geometry::ransac::RansacOptions;
 use crate::image::Pyramid;
 use crate::image::pyramid::{base_from_level, level_from_base};
+use crate::map::view::{
+    CoarseDescriptor, DESCRIBED_LEVELS, Described as LandmarkDescriptors, Description, PLACE_DESCRIPTORS,
+};
 use crate::map::{Keyframe, KeyframeId, LandmarkId, Map};
+use crate::places::describe::PlaceDescriber;
 use crate::reconstruction::track::Guess;
 
 /// Pyramid levels that corners are described on.
-const LEVELS: usize = 3;
+const LEVELS: usize = DESCRIBED_LEVELS;
 /// Corners of a frame that are described, by level.
 const CORNERS: [usize; LEVELS] = [500, 250, 100];
 /// Side of the cells over which they are spread, in the level's pixels.
@@ -181,7 +186,7 @@ impl DescriptorSearch {
         };
         let entry = &mut self.remembered[place];
         (entry.keyframe, entry.landmarks, entry.last_used) = (id, landmarks, self.uses);
-        describe_keyframe(keyframe, &mut entry.described);
+        describe_keyframe(map, keyframe, &mut entry.described);
         Some(place)
     }
 
@@ -201,13 +206,213 @@ impl DescriptorSearch {
     }
 }
 
-fn describe_keyframe(keyframe: &Keyframe, out: &mut Described<LandmarkId>) {
+fn describe_keyframe(map: &Map, keyframe: &Keyframe, out: &mut Described<LandmarkId>) {
     out.clear();
+    if keyframe.picture.is_condensed() {
+        return describe_by_views(map, keyframe, out);
+    }
     for level in 0..LEVELS {
         let Some(image) = keyframe.picture.level(level) else { break };
         let gradients = GradientMap::new(&image);
         for o in &keyframe.observations {
             out.push(&gradients, level, o.pixel, o.landmark);
+        }
+    }
+}
+
+/// A condensed keyframe has no picture to describe: its landmarks look as some keyframe that sees them keeps it, itself before others, and of these the
+/// one that looks at them most alike.
+fn describe_by_views(map: &Map, keyframe: &Keyframe, out: &mut Described<LandmarkId>) {
+    let centre = keyframe.centre();
+    for o in &keyframe.observations {
+        let Some(landmark) = map.landmark(o.landmark) else { continue };
+        let ray = landmark.position - centre;
+        let view = |id: &KeyframeId| {
+            let other = map.keyframe(*id)?;
+            let view = other.picture.view(o.landmark.0)?;
+            let there = landmark.position - other.centre();
+            Some((ray.dot(&there) / (ray.norm() * there.norm()).max(1e-12), there.norm(), view))
+        };
+        let views = landmark.observers.iter().filter_map(view);
+        let Some((_, distance, view)) = views.max_by(|a, b| a.0.total_cmp(&b.0)) else { continue };
+        // A pixel of the view's level covers more of the scene from farther away.
+        let size = (distance / ray.norm().max(1e-12)) as f32;
+        for (level, descriptor) in view.described.iter().enumerate().filter_map(|(l, d)| Some((l, d.as_ref()?))) {
+            out.descriptors.push(descriptor.restored());
+            out.places.push(Place { at: [o.pixel.x, o.pixel.y], size_px: (1 << level) as f32 * size });
+            out.of.push(o.landmark);
+        }
+    }
+}
+
+/// What a keyframe that is condensed keeps to be known by, and these landmarks of it.
+pub fn describe_kept(keyframe: &Keyframe, landmarks: &[LandmarkId]) -> Description {
+    let mut place = Vec::new();
+    PlaceDescriber::default().describe_strongest(keyframe.picture.pyramid(), PLACE_DESCRIPTORS, &mut place);
+    Description { landmarks: describe_landmarks(keyframe, landmarks), place }
+}
+
+/// The strongest direction on each level.
+fn describe_landmarks(keyframe: &Keyframe, landmarks: &[LandmarkId]) -> Vec<LandmarkDescriptors> {
+    let mut out = vec![[None; DESCRIBED_LEVELS]; landmarks.len()];
+    for level in 0..DESCRIBED_LEVELS {
+        let Some(image) = keyframe.picture.level(level) else { break };
+        let gradients = GradientMap::new(&image);
+        for (described, landmark) in out.iter_mut().zip(landmarks) {
+            let Some(o) = keyframe.observation(*landmark) else { continue };
+            let at = level_from_base(level, o.pixel);
+            described[level] = gradients.describe(at.x, at.y).first().map(|d| CoarseDescriptor::of(&d.descriptor));
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::geometry::Se3;
+    use crate::geometry::random::Random;
+    use crate::image::GreyImage;
+    use crate::map::picture::KeyframePicture;
+    use crate::map::{Landmark, MapId, Observation};
+    use crate::reconstruction::track::search::observe;
+    use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+
+    /// A wall of rectangles at distance 1, as the camera sees it from `x` px to the right of its middle.
+    fn picture(x: usize) -> Pyramid {
+        let mut random = Random::new(7);
+        let mut wall = GreyImage::new(480, 240);
+        for _ in 0..900 {
+            let (left, top) = (random.below(470), random.below(232));
+            let (width, height, grey) = (4 + random.below(16), 4 + random.below(16), random.below(256) as u8);
+            for y in top..(top + height).min(240) {
+                wall.data[y * 480..][left..(left + width).min(480)].fill(grey);
+            }
+        }
+        let mut image = GreyImage::new(320, 240);
+        for (y, row) in image.data.chunks_exact_mut(320).enumerate() {
+            row.copy_from_slice(&wall.row(y)[x..x + 320]);
+        }
+        let mut noise = Random::new(x as u64);
+        image.data.iter_mut().for_each(|v| *v = (f64::from(*v) + 2.0 * noise.normal()).clamp(0.0, 255.0) as u8);
+        let mut pyramid = Pyramid::new(5);
+        pyramid.build(&image);
+        pyramid
+    }
+
+    #[test]
+    fn a_frame_is_known_by_condensed_keyframes_as_by_whole_ones() {
+        let camera = CameraModel::new(320, 240, 300.0, 300.0, 159.5, 119.5, [0.0; 5]).expect("a camera");
+        let mut map = Map::default();
+        let shifts = [0, 20, 40, 60];
+        let ids = shifts.map(|x| {
+            let moved = Se3::new(UnitQuaternion::identity(), Vector3::x() * -(x as f64 / 300.0));
+            map.add_keyframe(Keyframe {
+                sequence: 0,
+                timestamp_ns: 0,
+                map: MapId(0),
+                camera_from_world: moved,
+                motion: None,
+                picture: KeyframePicture::new(Arc::new(picture(x))),
+                thumbnail: Default::default(),
+                scale_from: None,
+                observations: Vec::new(),
+                covisible: Vec::new(),
+                corners: Vec::new(),
+            })
+        });
+        let (mut detector, mut corners) = (FastDetector::default(), Vec::new());
+        detector.detect_all(&picture(40).levels[0], 30, &mut corners);
+        let mut spread = Spread::default();
+        let spread: Vec<Corner> = spread.over_cells((320, 240), 24, &mut corners).take(90).copied().collect();
+        for corner in spread {
+            let seen: Vec<(KeyframeId, Observation)> = ids
+                .iter()
+                .zip(shifts)
+                .filter_map(|(id, x)| {
+                    let pixel = Vector2::new(corner.x + 40.0 - x as f32, corner.y);
+                    let inside = (20.0..300.0).contains(&pixel.x);
+                    inside.then(|| Some((*id, observe(&camera, LandmarkId(0), pixel, 1.0)?))).flatten()
+                })
+                .collect();
+            let at = camera.undistort(&Vector2::new(f64::from(corner.x) + 40.0, f64::from(corner.y))).expect("a ray");
+            let landmark = Landmark {
+                position: at.push(1.0),
+                covariance: Matrix3::identity(),
+                observers: Vec::new(),
+                created_by: ids[0],
+                assumed: None,
+                sought: 1,
+                found: 1,
+                disagreed: 0,
+            };
+            map.add_landmark(landmark, &seen);
+        }
+        let known = |map: &Map| {
+            ids.map(|id| {
+                let mut search = DescriptorSearch::default();
+                assert!(search.describe_frame(&picture(51)));
+                let (inliers, guess) = search.pose_from(map, &camera, id, 1).expect("known");
+                let off = (guess.camera_from_world.translation.x + 51.0 / 300.0).abs();
+                assert!(off < 0.02, "{off}");
+                inliers
+            })
+        };
+        let by_whole = known(&map);
+        let gone: usize = ids.iter().map(|id| map.condense_picture(*id, describe_kept)).sum();
+        assert!(ids.iter().all(|id| map.keyframe(*id).is_some_and(|k| k.picture.is_condensed())));
+        let (left, by_views) = (map.landmarks.len(), known(&map));
+        println!("{left} landmarks left, {gone} gone; inliers {by_whole:?}, condensed {by_views:?}");
+        // As many of those that are left; landmarks are fewer, each in fewer views.
+        assert!(
+            by_views.iter().zip(by_whole).all(|(views, whole)| 10 * views >= 7 * whole),
+            "{by_whole:?} {by_views:?}"
+        );
+    }
+
+    #[test]
+    fn a_condensed_keyframe_keeps_the_strongest_half_of_what_the_index_is_told_of_either_level() {
+        let described = |pyramid: &Pyramid| {
+            let mut out = Vec::new();
+            PlaceDescriber::default().describe(pyramid, &mut out);
+            out
+        };
+        // Blocks of grey: many small ones, and few large ones, whose corners are on both levels.
+        for (size, is_rich) in [(8, true), (120, false)] {
+            let mut image = GreyImage::new(640, 480);
+            for (i, v) in image.data.iter_mut().enumerate() {
+                let (x, y) = (i % 640 / size, i / 640 / size);
+                let mixed = (x as u32 + 77).wrapping_mul(0x9E37_79B9) ^ (y as u32 + 5).wrapping_mul(0x85EB_CA6B);
+                *v = (mixed.wrapping_mul(0xC2B2_AE35) >> 24) as u8;
+            }
+            let mut pyramid = Pyramid::new(5);
+            pyramid.build(&image);
+            let all = described(&pyramid);
+            let mut finer = pyramid.clone();
+            finer.levels.truncate(2);
+            let split = described(&finer).len();
+            let kept = describe_kept(
+                &Keyframe {
+                    sequence: 0,
+                    timestamp_ns: 0,
+                    map: MapId(0),
+                    camera_from_world: Se3::identity(),
+                    motion: None,
+                    picture: KeyframePicture::new(Arc::new(pyramid)),
+                    thumbnail: Default::default(),
+                    scale_from: None,
+                    observations: Vec::new(),
+                    covisible: Vec::new(),
+                    corners: Vec::new(),
+                },
+                &[],
+            );
+            let [fine, coarse] = [(&all[..split], 48), (&all[split..], 16)].map(|(of, most)| &of[..of.len().min(most)]);
+            assert!(kept.place == [fine, coarse].concat());
+            assert_eq!((kept.place.len() == PLACE_DESCRIPTORS, fine.len() < 48), (is_rich, !is_rich), "{split}");
+            assert!(!coarse.is_empty());
         }
     }
 }

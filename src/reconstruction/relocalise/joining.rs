@@ -117,7 +117,7 @@ impl Reconstruction {
             shutter: &self.optics.shutter,
             is_calibrated: self.optics.intrinsics.is_calibrated(),
         };
-        let placed = relocaliser.place(&frame, other.reference)?;
+        let placed = relocaliser.place(&frame, other.reference, &[])?;
         found_in(&frame, &relocaliser.tracker, id, &placed)
     }
 

@@ -13,6 +13,8 @@ use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::image::Pyramid;
 use crate::image::pyramid::{base_from_level, level_from_base};
+use crate::map::picture::Detail;
+use crate::map::view::ROOM;
 use crate::map::{Keyframe, LandmarkId, Map, Observation};
 use crate::reconstruction::measurement::PosePair;
 
@@ -288,17 +290,21 @@ pub fn align_template(
     let coarse_levels = options.coarse_levels.max(options.blurred_levels);
     for level in (own..=(own + coarse_levels).min(top)).rev() {
         let source_level = ((level as f64 - log_scale).round().max(0.0) as usize).min(top);
-        let cut = |source_level: usize| {
+        let mut room = ROOM;
+        let mut cut = |source_level: usize| {
             let scale = (1u32 << level) as f64 / (1u32 << source_level) as f64;
             let source_from_patch = (inverse * scale).cast::<f32>();
             let mut pixels = [0.0f32; 100];
             let source = level_from_base(source_level, observation.pixel);
-            let crop = keyframe.picture.around(source_level, observation.landmark.0)?;
+            let crop = keyframe.picture.around(source_level, observation.landmark.0, &mut room)?;
             warp_patch(&crop, source, &source_from_patch, &mut pixels).then_some(pixels)
         };
-        // Of a picture that was reduced there may be no patch, or too small a one: half the resolution is better than nothing.
-        let is_short = source_level == 0 && top > 0 && keyframe.picture.whole().is_none();
-        let Some(pixels) = cut(source_level).or_else(|| if is_short { cut(1) } else { None }) else { continue };
+        // Of a picture that was reduced there may be no patch, or too small a one, and of a condensed one no such level: half the resolution is
+        // better than nothing.
+        let is_short = source_level < top && !keyframe.picture.has_level(source_level);
+        let Some(pixels) = cut(source_level).or_else(|| if is_short { cut(source_level + 1) } else { None }) else {
+            continue;
+        };
         let template = Template::from_pixels(&pixels);
         match align(&template, &pyramid.levels[level], level_from_base(level, position), &AlignOptions::default()) {
             Ok(aligned) if aligned.ncc >= MIN_CORRELATION => {
@@ -317,7 +323,8 @@ pub fn align_template(
     Some(Found { pixel: position, inv_sigma_px: 1.0 / (options.sigma_px * (1u32 << level) as f64) })
 }
 
-/// The observation whose direction of view is closest to the present one, of those that show it in full if there are any.
+/// The observation whose direction of view is closest to the present one, of those that show it in full at the resolution that the present distance
+/// asks for, if there are any.
 fn closest_view<'a>(
     map: &'a Map,
     centre: &Vector3<f64>,
@@ -327,15 +334,18 @@ fn closest_view<'a>(
     let ray = candidate.point - centre;
     let depth = ray.norm();
     let mut best = None;
-    let mut best_score = (false, f64::NEG_INFINITY);
+    let mut best_score = (Detail::None, f64::NEG_INFINITY);
     for &id in &landmark.observers {
         let keyframe = map.keyframe(id)?;
         let other = candidate.point - keyframe.centre();
         let other_depth = other.norm();
         let cosine = ray.dot(&other) / (depth * other_depth).max(1e-12);
         // Angle first; a scale change of two costs as much as a turn by 25 degrees.
-        let closeness = cosine - 0.1 * (depth / other_depth.max(1e-12)).log2().abs();
-        let score = (keyframe.picture.shows(candidate.landmark.0), closeness);
+        let levels = (depth / other_depth.max(1e-12)).log2();
+        let closeness = cosine - 0.1 * levels.abs();
+        // What was seen from nearer is cut from a coarser level, which not every picture has.
+        let level = levels.round().max(0.0) as usize;
+        let score = (keyframe.picture.detail_at(level, candidate.landmark.0), closeness);
         if cosine >= MIN_VIEW_COSINE && score > best_score {
             best_score = score;
             best = Some(keyframe);
@@ -443,5 +453,89 @@ mod tests {
         assert!(found.inv_sigma_px <= 0.5 * sharp.inv_sigma_px);
         let off = (found.pixel - Vector2::new(163.0, 117.0)).norm();
         assert!(f64::from(off) < 2.0 / found.inv_sigma_px, "a streak of {streak} px: off by {off} px");
+    }
+
+    /// A keyframe at `centre` that sees the landmark in the middle of the discs, and the landmark's place before the first of them.
+    fn seen_from(centre: Vector3<f64>, pixel: Vector2<f32>) -> (Keyframe, Observation) {
+        let camera = CameraModel::new(320, 240, 300.0, 300.0, 159.5, 119.5, [0.0; 5]).expect("a camera");
+        let keyframe = Keyframe {
+            sequence: 0,
+            timestamp_ns: 0,
+            map: MapId(0),
+            camera_from_world: Se3::new(nalgebra::UnitQuaternion::identity(), -centre),
+            motion: None,
+            picture: KeyframePicture::new(Arc::new(picture(0))),
+            thumbnail: Thumbnail::default(),
+            scale_from: None,
+            observations: Vec::new(),
+            covisible: Vec::new(),
+            corners: Vec::new(),
+        };
+        (keyframe, observe(&camera, LandmarkId::default(), pixel, 1.0).expect("in the picture"))
+    }
+
+    #[test]
+    fn a_condensed_view_from_too_near_gives_way_to_one_from_the_right_distance() {
+        use crate::map::view::{DESCRIBED_LEVELS, Description};
+        use crate::map::{Landmark, Map};
+        let pixel = Vector2::new(163.0, 117.0);
+        let point = Vector3::new(0.0, 0.0, 4.0);
+        let mut map = Map::default();
+        // A quarter of the distance; the distance itself, from 20 degrees aside, twice.
+        let aside = point - 4.0 * Vector3::new(0.342, 0.0, 0.94);
+        let places = [Vector3::new(0.0, 0.0, 3.0), aside, aside];
+        let seen = places.map(|place| {
+            let (keyframe, observation) = seen_from(place, pixel);
+            (map.add_keyframe(keyframe), observation)
+        });
+        let [near, beside, twin] = seen.map(|s| s.0);
+        let landmark = Landmark {
+            position: point,
+            covariance: nalgebra::Matrix3::identity(),
+            observers: Vec::new(),
+            created_by: near,
+            assumed: None,
+            sought: 1,
+            found: 1,
+            disagreed: 0,
+        };
+        let landmark = map.add_landmark(landmark, &seen);
+        let candidate = Candidate { landmark, point, pixel: pixel.cast(), camera_point: point, cell: 0 };
+        let chosen = |map: &Map| {
+            let (keyframe, _) = closest_view(map, &Vector3::zeros(), &candidate).expect("a view");
+            keyframe.centre()
+        };
+        // The twin keeps the patch that the other then needs not.
+        map.reduce_picture(twin);
+        map.reduce_picture(beside);
+        map.remove_observation(twin, landmark);
+        let detail = |map: &Map, id, level| map.keyframe(id).expect("there").picture.detail_at(level, landmark.0);
+        assert_eq!(detail(&map, beside, 0), Detail::Half);
+        assert!((chosen(&map) - places[0]).norm() < 1e-9, "a picture with all levels is sampled on a coarser one");
+        map.condense_picture(near, |_, l| Description {
+            landmarks: vec![[None; DESCRIBED_LEVELS]; l.len()],
+            place: vec![],
+        });
+        assert_eq!(
+            [0, 1, 2, 3].map(|level| detail(&map, near, level)),
+            [Detail::Full, Detail::Full, Detail::Half, Detail::Full]
+        );
+        assert!((chosen(&map) - aside).norm() < 1e-9, "it has no level for this distance");
+
+        // Where there is no other, the next coarser level finds it all the same.
+        let mut far = Pyramid::new(4);
+        let mut seen_small = GreyImage::new(320, 240);
+        for (to, from) in seen_small.data.chunks_exact_mut(320).zip(picture(0).levels[2].data.chunks_exact(80)) {
+            to[..80].copy_from_slice(from);
+        }
+        far.build(&seen_small);
+        let keyframe = map.keyframe(near).expect("there");
+        let there = level_from_base(2, pixel);
+        let start = there.cast() + Vector2::new(0.6, -0.4);
+        let options = SearchOptions::precise(0.8);
+        let observation = keyframe.observation(landmark).expect("seen");
+        let found =
+            align_template(keyframe, observation, &far, &(Matrix2::identity() * 0.25), start, &options).expect("found");
+        assert!((found.pixel - there).norm() < 0.3, "{} {there}", found.pixel);
     }
 }

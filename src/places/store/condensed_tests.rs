@@ -1,0 +1,248 @@
+//! Condensed pictures in a file, and files of the format before there were any.
+
+use std::os::unix::fs::FileExt;
+use std::path::Path;
+use std::sync::Arc;
+
+use nalgebra::{Matrix3, Vector2, Vector3};
+
+use super::backend::Access;
+use super::error::FORMAT;
+use super::records::{Kind, Records};
+use super::*;
+use crate::features::descriptor::Descriptor;
+use crate::features::gradients::{GradientDescriptor, NUMBERS};
+use crate::geometry::random::Random;
+use crate::geometry::{CameraModel, LensModel, Se3};
+use crate::image::{GreyImage, Pyramid};
+use crate::map::picture::KeyframePicture;
+use crate::map::saved::{MapChanges, MapHead, SavedOptics};
+use crate::map::scale::MapScale;
+use crate::map::view::{CoarseDescriptor, Description, View};
+use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, MapId, Observation};
+
+fn camera() -> CameraModel {
+    CameraModel::new(320, 240, 300.0, 300.0, 159.5, 119.5, LensModel::PINHOLE).expect("a camera")
+}
+
+fn optics() -> SavedOptics {
+    SavedOptics {
+        calibration: camera(),
+        is_guessed: false,
+        camera: camera(),
+        expected: camera(),
+        sigma: [0.0; 7],
+        refined_sigma: [0.0; 7],
+        begun_with_px: 300.0,
+        restarts: 0,
+        found_before: Vec::new(),
+        unsettled: 0.0,
+        readout_s: 0.0,
+        readout_information: 0.0,
+    }
+}
+
+/// Three keyframes with 40 landmarks that all of them see.
+fn map(random: &mut Random) -> Map {
+    let mut image = GreyImage::new(320, 240);
+    image.data.iter_mut().for_each(|v| *v = random.below(256) as u8);
+    let mut pyramid = Pyramid::new(5);
+    pyramid.build(&image);
+    let pyramid = Arc::new(pyramid);
+    let mut map = Map::default();
+    let ids = [0, 1, 2].map(|sequence| {
+        map.add_keyframe(Keyframe {
+            sequence,
+            timestamp_ns: 0,
+            map: MapId(0),
+            camera_from_world: Se3::identity(),
+            motion: None,
+            picture: KeyframePicture::new(pyramid.clone()),
+            thumbnail: Default::default(),
+            scale_from: None,
+            observations: Vec::new(),
+            covisible: Vec::new(),
+            corners: Vec::new(),
+        })
+    });
+    for _ in 0..40 {
+        let pixel = Vector2::new(random.uniform(3.0, 317.0) as f32, random.uniform(3.0, 237.0) as f32);
+        let (normalised, normalised_from_pixel) = camera().undistort_jacobian(&pixel.cast()).expect("in the picture");
+        let seen = Observation {
+            landmark: LandmarkId(0),
+            pixel,
+            normalised,
+            displacement: Vector2::zeros(),
+            inv_sigma_px: 1.0,
+            normalised_from_pixel,
+        };
+        let landmark = Landmark {
+            position: Vector3::z(),
+            covariance: Matrix3::identity(),
+            observers: Vec::new(),
+            created_by: ids[0],
+            assumed: None,
+            sought: 1,
+            found: 1,
+            disagreed: 0,
+        };
+        map.add_landmark(landmark, &ids.map(|id| (id, seen)));
+    }
+    map
+}
+
+fn condense(map: &mut Map, id: u32, random: &mut Random) {
+    map.condense_picture(KeyframeId(id), |_, landmarks| {
+        let mut described = || {
+            let of = GradientDescriptor(std::array::from_fn::<u8, NUMBERS, _>(|_| random.below(166) as u8));
+            (random.below(4) > 0).then(|| CoarseDescriptor::of(&of))
+        };
+        let landmarks = landmarks.iter().map(|_| std::array::from_fn(|_| described())).collect();
+        let place = (0..9).map(|i| Descriptor(std::array::from_fn(|k| u64::MAX / (i + k as u64 + 1)))).collect();
+        Description { landmarks, place }
+    });
+}
+
+fn changes(map: &mut Map, everything: bool) -> MapChanges {
+    let turns = Vec::new();
+    let head = MapHead { id: MapId(0), reference: KeyframeId(0), frames: 9, scale: MapScale::Unknown, turns };
+    MapChanges::take(optics(), 5, vec![(head, map)], everything)
+}
+
+fn views(map: &Map) -> Vec<(u32, Vec<View>, Vec<GreyImage>)> {
+    let of = |(id, k): (u32, &Keyframe)| (id, k.picture.views().to_vec(), k.picture.pyramid().levels.clone());
+    map.keyframes.iter().map(of).collect()
+}
+
+#[test]
+fn a_condensed_keyframe_comes_back_whenever_it_was_condensed() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let path = dir.path().join("a.map");
+    let mut random = Random::new(71);
+    let mut map = map(&mut random);
+    condense(&mut map, 0, &mut random);
+    let mut file = MapFile::create(&path, &changes(&mut map, true)).expect("made");
+    condense(&mut map, 1, &mut random);
+    file.write(&changes(&mut map, false)).expect("written");
+    file.close().expect("closed");
+    let contents = read(&path).expect("whole");
+    let saved = &contents.saved.maps[0].map;
+    assert!(views(saved) == views(&map));
+    let place = |map: &Map| map.keyframe(KeyframeId(1)).expect("there").picture.place_descriptors().to_vec();
+    assert!(place(saved) == place(&map) && place(saved).len() == 9);
+    assert!(saved.detailed().eq(map.detailed()) && saved.detailed().eq([KeyframeId(2)]));
+    saved.check_consistency().expect("consistent");
+    map.remove_keyframe(KeyframeId(0));
+    let (mut file, _) = MapFile::open(&path).expect("opened");
+    file.write(&changes(&mut map, false)).expect("written");
+    drop(file);
+    assert!(views(&read(&path).expect("nothing of it is left").saved.maps[0].map) == views(&map));
+}
+
+/// A file of the older format, which is this one without condensed pictures.
+fn make_older(path: &Path, map: &mut Map) {
+    MapFile::create(path, &changes(map, true)).expect("made").close().expect("closed");
+    let raw = std::fs::OpenOptions::new().read(true).write(true).open(path).expect("there");
+    let mut page = [0; 4096];
+    raw.read_exact_at(&mut page, 0).expect("a front page");
+    page[8..12].copy_from_slice(&1_u32.to_le_bytes());
+    let checksum = crc32fast::hash(&page[..4092]);
+    page[4092..].copy_from_slice(&checksum.to_le_bytes());
+    raw.write_all_at(&page, 0).expect("written");
+}
+
+#[test]
+fn a_file_of_the_format_before_is_read_and_gone_on_with_as_one_of_this() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let path = dir.path().join("a.map");
+    let mut random = Random::new(72);
+    let mut map = map(&mut random);
+    make_older(&path, &mut map);
+    let old = std::fs::read(&path).expect("bytes");
+    assert_eq!(read(&path).expect("read").format, 1);
+    let link = dir.path().join("link.map");
+    std::os::unix::fs::symlink(&path, &link).expect("a link");
+    let (mut file, contents) = MapFile::open(&link).expect("opened");
+    assert!(std::fs::read(&path).expect("bytes") == old, "it stays as it is until something is written");
+    condense(&mut map, 2, &mut random);
+    file.write(&changes(&mut map, false)).expect("written");
+    assert!(matches!(MapFile::open(&path), Err(StoreError { fault: Fault::Busy, .. })), "it is locked");
+    drop(file);
+    let renewed = read(&path).expect("whole");
+    assert_eq!((renewed.format, renewed.id, renewed.created_ns), (FORMAT, contents.id, contents.created_ns));
+    assert!(views(&renewed.saved.maps[0].map) == views(&map));
+    assert!(link.is_symlink() && std::fs::read_dir(dir.path()).expect("a folder").count() == 2, "nothing else is left");
+}
+
+#[test]
+fn a_map_that_was_put_in_the_place_of_an_older_file_meanwhile_is_not_written_over() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let [path, aside, other] = ["a.map", "aside.map", "other.map"].map(|name| dir.path().join(name));
+    let mut random = Random::new(73);
+    let mut map = map(&mut random);
+    for taken_away in [false, true] {
+        make_older(&path, &mut map);
+        let old = std::fs::read(&path).expect("bytes");
+        let (mut file, _) = MapFile::open(&path).expect("opened");
+        std::fs::rename(&path, &aside).expect("moved");
+        if !taken_away {
+            std::fs::write(&path, "somebody else's").expect("written");
+        }
+        let refused = file.write(&changes(&mut map, true)).expect_err("not ours");
+        assert!(matches!(refused.fault, Fault::Replaced), "{refused}");
+        assert!(refused.to_string().contains("another file now"), "{refused}");
+        drop(file);
+        assert_eq!(std::fs::read(&path).ok(), (!taken_away).then(|| b"somebody else's".to_vec()));
+        assert!(std::fs::read(&aside).expect("bytes") == old, "what was opened is what it was");
+        let left = std::fs::read_dir(dir.path()).expect("a folder").count();
+        assert_eq!(left, if taken_away { 1 } else { 2 }, "no copy is left");
+        let _ = std::fs::remove_file(&path);
+        std::fs::rename(&aside, &other).expect("moved");
+        std::fs::remove_file(&other).expect("removed");
+    }
+}
+
+#[test]
+fn changes_that_cannot_be_written_leave_a_file_of_the_format_before_as_it_is() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let path = dir.path().join("a.map");
+    let mut map = map(&mut Random::new(74));
+    make_older(&path, &mut map);
+    let old = std::fs::read(&path).expect("bytes");
+    let (mut file, _) = MapFile::open(&path).expect("opened");
+    let too_many = MapChanges { next_landmark: MOST_IDS + 1, ..changes(&mut map, true) };
+    assert!(matches!(file.write(&too_many), Err(StoreError { fault: Fault::GivenUp(_), .. })));
+    assert!(std::fs::read(&path).expect("bytes") == old);
+    assert!(matches!(MapFile::open(&path), Err(StoreError { fault: Fault::Busy, .. })), "it is held yet");
+    file.write(&changes(&mut map, true)).expect("written");
+    assert_eq!(read(&path).map(|_| ()).expect_err("held").fault.to_string(), Fault::Busy.to_string());
+    drop(file);
+    assert_eq!(read(&path).expect("whole").format, FORMAT);
+}
+
+#[test]
+fn a_keyframe_with_two_pictures_is_refused() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let path = dir.path().join("a.map");
+    let mut random = Random::new(75);
+    let mut map = map(&mut random);
+    condense(&mut map, 1, &mut random);
+    MapFile::create(&path, &changes(&mut map, true)).expect("made").close().expect("closed");
+    assert_eq!(read(&path).expect("whole").saved.maps.len(), 1);
+    let raw = std::fs::OpenOptions::new().read(true).write(true).open(&path).expect("there");
+    let mut records = Records::open(raw, Access::Write).expect("opened");
+    let mut header = Vec::new();
+    let tally = records.read_all(|kind, _, bytes| {
+        if kind == Kind::Header as u8 {
+            header = bytes.to_vec();
+        }
+        Ok(())
+    });
+    let other =
+        map.keyframe(KeyframeId(1)).and_then(|k| super::picture::encode_condensed(&k.picture)).expect("a record");
+    records.write(tally.expect("sound"), &[(Kind::Condensed, 2, other)], &[], |_| Some(header)).expect("written");
+    records.close().expect("closed");
+    let refused = read(&path).map(|_| ()).expect_err("which is it?");
+    assert!(matches!(refused.fault, Fault::Broken(_)), "{refused}");
+    assert!(refused.to_string().contains("keyframe 2 has two pictures"), "{refused}");
+}
