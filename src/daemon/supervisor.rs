@@ -300,7 +300,7 @@ impl Bench {
     fn set_pose(&mut self, request: publish::Request) {
         let command = request.command();
         let Some(map_from_body) = convert::from_wire(&command.position, &command.orientation) else {
-            let why = "position must be finite and orientation a unit quaternion (x, y, z, w)";
+            let why = "position must be finite, at most 1e6 map units, and orientation a unit quaternion (x, y, z, w)";
             return reply(request, (reply_code::INVALID, why));
         };
         let (sender, outcome) = bounded(1);

@@ -136,12 +136,15 @@ pub(super) fn to_wire<W>(pose: &Se3<W, Body>) -> ([f64; 3], [f64; 4]) {
     (pose.translation.into(), [q.x, q.y, q.z, q.w])
 }
 
-/// The other way: `None` unless every number is finite and the quaternion is of unit length within a thousandth.
+/// Farther away from the map's origin, map units, single precision tells less than a tenth of a unit, and landmarks have no more.
+pub const FARTHEST: f64 = 1e6;
+
+/// The other way: `None` unless every number is finite, the place within [`FARTHEST`], and the quaternion of unit length within a thousandth.
 pub fn from_wire(position: &[f64; 3], [x, y, z, w]: &[f64; 4]) -> Option<Se3<Map, Body>> {
     let q = nalgebra::Quaternion::new(*w, *x, *y, *z);
     let unit = (q.norm() - 1.0).abs() < 1e-3;
     let pose = Se3::new(UnitQuaternion::new_normalize(q), Vector3::from(*position));
-    (unit && pose.is_finite()).then_some(pose)
+    (unit && pose.is_finite() && position.iter().all(|v| v.abs() <= FARTHEST)).then_some(pose)
 }
 
 /// The [`Conversion::map_from_world`] under which the body that is published at `was` would be published at `now`.

@@ -70,7 +70,7 @@ impl Default for ReconstructionConfig {
             fixed_keyframes: 20,
             adjustment_steps: 5,
             merge_after_frames: 3,
-            max_keyframes: 3000,
+            max_keyframes: 1000,
             detailed_keyframes: 200,
             redundant_share: 0.9,
             start_flow_px: 4.0,

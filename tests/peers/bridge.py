@@ -328,7 +328,7 @@ def check_scans(network, wire):
     for message in network.seen("/tf"):
         for transform in (t for t in message.transforms if t.child_frame_id == "scan"):
             assert transform.header.frame_id == "base_link", transform.header.frame_id
-            near = [t for t in wire.scans if abs(t + wire.offset - stamp_ns(transform.header)) < 10**6 and t in wire.poses]
+            near = [t for t in dict(wire.scans) if abs(t + wire.offset - stamp_ns(transform.header)) < 10**6 and t in wire.poses]
             for scan, pose in ((wire.scans[t], wire.poses[t]) for t in near):
                 assert (pose.sequence, pose.map_revision) == (scan.sequence, scan.map_revision), "a scan of another map"
                 shift, turn = transform.transform.translation, transform.transform.rotation

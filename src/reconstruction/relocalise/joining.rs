@@ -13,6 +13,7 @@ use super::other_maps::{
     ATTEMPT_GAP, Join, LONGEST_GAP, MAX_SCALE_SIGMA, OtherMap, OtherMaps, REMEMBERED, Sighting, at_corner, found_in,
     log_ratio, retire, seen_most_by, similarity, turned_only,
 };
+use super::{LIKELY, asks_index};
 use crate::features::FrameFeatures;
 use crate::geometry::CameraModel;
 use crate::geometry::frames::World;
@@ -103,6 +104,10 @@ impl Reconstruction {
 
     /// Where the keyframe `id` is in a map kept aside, if it is.
     fn find_in(&mut self, index: usize, features: &FrameFeatures, id: KeyframeId) -> Option<Sighting> {
+        let likely = match self.others.maps().nth(index).filter(|map| asks_index(map)) {
+            Some(map) => self.loops.likely(map, &features.pyramid, LIKELY),
+            None => Vec::new(),
+        };
         let OtherMaps { kept, relocaliser, .. } = &mut self.others;
         let other = kept.get(index)?;
         let bindings = Bindings::default();
@@ -117,7 +122,7 @@ impl Reconstruction {
             shutter: &self.optics.shutter,
             is_calibrated: self.optics.intrinsics.is_calibrated(),
         };
-        let placed = relocaliser.place(&frame, other.reference, &[])?;
+        let placed = relocaliser.place(&frame, other.reference, &likely)?;
         found_in(&frame, &relocaliser.tracker, id, &placed)
     }
 

@@ -38,6 +38,8 @@ const DEFAULT: &str = r#"{
 const HEARTBEAT: Duration = Duration::from_secs(5);
 /// Subscribers of one topic that are told apart; of more, one that goes may be forgotten too early.
 const MOST_SUBSCRIBERS: usize = 256;
+/// Bytes of a PoseWithCovarianceStamped with a name of a frame that nobody has. What comes is not copied before it is known to be no longer.
+const MOST_OF_A_POSE: usize = 4096;
 /// Of services, as rmw has it.
 const SERVICE_QOS: Qos = Qos::reliable(10);
 
@@ -268,6 +270,9 @@ impl Making<'_> {
             let attachment = sample.attachment().map(ZBytes::to_bytes);
             let asked = Asked { key: sample.key_expr().as_str(), attachment: attachment.as_deref(), payload: None };
             match (asked.of_a_node(&own), sample.kind()) {
+                (Ok(_), SampleKind::Put) if sample.payload().len() > MOST_OF_A_POSE => {
+                    inbox.refuse(asked.key, "it is longer than any pose");
+                }
                 (Ok(_), SampleKind::Put) => {
                     inbox.push(Request::InitialPose(sample.payload().to_bytes().into_owned()));
                 }
