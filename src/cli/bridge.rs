@@ -1,11 +1,11 @@
 //! `cairn bridge`: a running daemon's poses, map and pictures to ROS 2, over Zenoh.
 
-use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::atomic::Ordering;
 use std::thread::JoinHandle;
 
 use super::session::{self, SessionArgs};
+use super::zenoh_args::ZenohArgs;
 use super::{CliError, exit_code};
 use crate::daemon;
 use crate::messages::Endpoint;
@@ -27,24 +27,10 @@ pub struct BridgeArgs {
     /// Only send: no reset, no save, no initial pose from the network
     #[arg(long)]
     pub no_commands: bool,
-    /// Zenoh's own configuration file [default: ZENOH_SESSION_CONFIG_URI, else a peer that connects to tcp/localhost:7447]
-    #[arg(long, value_name = "FILE")]
-    pub zenoh: Option<PathBuf>,
-    /// ROS 2's domain
-    #[arg(long, env = "ROS_DOMAIN_ID", value_name = "N", default_value = "0", value_parser = domain)]
-    pub domain: u32,
+    #[command(flatten)]
+    pub zenoh: ZenohArgs,
     #[command(flatten)]
     pub session: SessionArgs,
-}
-
-/// The highest domain of ROS 2: higher ones have no ports in DDS.
-const HIGHEST_DOMAIN: u32 = 232;
-
-/// ROS_DOMAIN_ID may be set and empty, which is the same as not set.
-fn domain(text: &str) -> Result<u32, String> {
-    let domain = if text.is_empty() { Ok(0) } else { text.parse::<u32>() };
-    let domain = domain.ok().filter(|domain| *domain <= HIGHEST_DOMAIN);
-    domain.ok_or_else(|| format!("a domain of ROS 2 is a number from 0 to {HIGHEST_DOMAIN}"))
 }
 
 impl From<BridgeError> for CliError {
@@ -68,13 +54,12 @@ pub fn run(args: &BridgeArgs) -> Result<ExitCode, CliError> {
         None => Robot::of_prefix(&config.prefix)?,
     };
     let rates: Vec<Rate> = args.rate.iter().map(|text| text.parse()).collect::<Result<_, BridgeError>>()?;
-    let from_environment = || std::env::var_os("ZENOH_SESSION_CONFIG_URI").filter(|path| !path.is_empty());
     let network = Network {
-        domain: args.domain,
+        domain: args.zenoh.domain,
         robot,
         own_tf: args.namespaced_tf,
         takes_commands: !args.no_commands,
-        file: args.zenoh.clone().or_else(|| from_environment().map(PathBuf::from)),
+        file: args.zenoh.file(),
     };
     let endpoint = Endpoint::new(&config.prefix).and_then(Endpoint::with_environment)?;
     let offset_ns = session::realtime_minus_monotonic_ns();
@@ -100,15 +85,4 @@ pub fn run(args: &BridgeArgs) -> Result<ExitCode, CliError> {
     outcome?;
     commanded.map_err(|_| CliError::new(exit_code::FAILURE, "the thread for commands panicked"))?;
     Ok(ExitCode::SUCCESS)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_domain_is_a_number_that_ros_takes() {
-        assert_eq!((domain(""), domain("7"), domain("232")), (Ok(0), Ok(7), Ok(232)));
-        assert!(["233", "-1", "x"].iter().all(|text| domain(text).is_err()));
-    }
 }

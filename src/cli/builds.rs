@@ -8,15 +8,15 @@ use super::error::{CliError, exit_code};
 pub const TOOLS_COMMANDS: [&str; 6] = ["compare", "console", "demo", "evaluate", "simulate", "twoview"];
 
 /// Commands that only the build with Zenoh has.
-pub const BRIDGE_COMMANDS: [&str; 1] = ["bridge"];
+pub const BRIDGE_COMMANDS: [&str; 2] = ["bridge", "fleet"];
 
 /// Below the help: what other packages have.
 pub const OTHER_BUILDS: &str = match (cfg!(feature = "tools"), cfg!(feature = "bridge")) {
     (false, false) => {
         "In the package cairn-tools, as commands of `cairn-tools`: compare, console, demo, evaluate, simulate, twoview.\n\
-         In the package cairn-bridge, as a command of `cairn-bridge`: bridge."
+         In the package cairn-bridge, as commands of `cairn-bridge`: bridge, fleet."
     }
-    (true, false) => "In the package cairn-bridge, as a command of `cairn-bridge`: bridge.",
+    (true, false) => "In the package cairn-bridge, as commands of `cairn-bridge`: bridge, fleet.",
     (false, true) => {
         "In the package cairn-tools, as commands of `cairn-tools`: compare, console, demo, evaluate, simulate, twoview."
     }

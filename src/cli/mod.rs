@@ -18,6 +18,8 @@ pub mod endpoint_args;
 mod error;
 #[cfg(feature = "tools")]
 pub mod evaluate;
+#[cfg(feature = "bridge")]
+pub mod fleet;
 pub mod map;
 mod map_daemon;
 mod map_file;
@@ -33,6 +35,8 @@ pub mod tag;
 pub mod twoview;
 mod utc;
 pub mod watch;
+#[cfg(feature = "bridge")]
+mod zenoh_args;
 
 use std::process::ExitCode;
 
@@ -57,6 +61,8 @@ enum Command {
     Record(record::RecordArgs),
     #[cfg(feature = "bridge")]
     Bridge(bridge::BridgeArgs),
+    #[cfg(feature = "bridge")]
+    Fleet(fleet::FleetArgs),
     Watch(watch::WatchArgs),
     Calibrate(calibrate::CalibrateArgs),
     Doctor(doctor::DoctorArgs),
@@ -87,6 +93,8 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode, CliError> {
         Command::Record(args) => record::run(args),
         #[cfg(feature = "bridge")]
         Command::Bridge(args) => bridge::run(args),
+        #[cfg(feature = "bridge")]
+        Command::Fleet(args) => fleet::run(args),
         Command::Watch(args) => watch::run(args),
         Command::Calibrate(args) => calibrate::run(args),
         Command::Doctor(args) => doctor::run(args),

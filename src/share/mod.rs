@@ -1,5 +1,5 @@
 //! Recordings that every tool opens: a process of its own, which subscribes to the daemon like a planner and writes MCAP. Beside it, another one: the
-//! same messages of ROS 2 over Zenoh (`bridge`, a feature).
+//! same messages of ROS 2 over Zenoh, and a third, which lists the robots there (`bridge`, `fleet`; one feature).
 //!
 //! ```text
 //! services ──► Recorder (messages into ROS 2's) ──► bounded queue ──► Sink (file or ring)
@@ -14,6 +14,8 @@ mod conversion;
 mod copy;
 mod error;
 mod file;
+#[cfg(feature = "bridge")]
+pub mod fleet;
 mod frames;
 mod news;
 mod picture;

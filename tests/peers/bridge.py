@@ -8,7 +8,8 @@ and the package `cairn` say what it should be.
 2. Under the same bridge a demo that drives with its camera at a known height: transforms once lengths are metres, tf_static for who comes late and with
    the mount that the wheels have shown, scans on demand, placed by their own pose, an initial pose.
 3. A bridge with `--no-commands` declares nothing that could be asked.
-4. SIGTERM ends it, and its tokens are gone.
+4. Three more bridges, two of one name: `cairn fleet` lists them, says whose name is taken twice and who was killed, and that there is no router.
+5. SIGTERM ends it, and its tokens are gone.
 
 `--bridge` names a binary with the feature `bridge`, `--cairn` one with `demo`. Ports are free ones of this machine. Every wait is bounded, and whatever
 fails, the logs of all processes are shown.
@@ -42,7 +43,7 @@ ROOT = Path(__file__).resolve().parents[2]
 DOMAIN = 7
 STORE = get_typestore(Stores.ROS2_JAZZY)
 # Of a demo, which is ended earlier; and of all of this, after which it has hung.
-DEMO_SECONDS, ALL_SECONDS = 180, 270
+DEMO_SECONDS, ALL_SECONDS = 180, 300
 # A base that drives, whose wheels show where the camera sits: nobody has told that.
 METRIC_CONFIG = """
 [simulator]
@@ -599,6 +600,65 @@ def listener(program, network, out, environment):
     print("--no-commands: a node and its topics, no service and no subscription")
 
 
+def fleet(program, out, environment):
+    """Three bridges of the same daemon in a domain of their own, two of them with one name."""
+    there = {**environment, "ROS_DOMAIN_ID": str(DOMAIN + 2)}
+    # Where the camera sits is asked of a service with two places.
+    words = [program, "bridge", "--no-commands", "--rate", "tf_static=0", "--robot"]
+    names = {"east": "east", "west": "west", "other_east": "east"}
+    bridges = {label: Program(label, [*words, name], out, there) for label, name in names.items()}
+    follower = Program("fleet", [program, "fleet", "--json"], out, there)
+
+    def listing():
+        if follower.process.poll() is not None:
+            sys.exit(f"fleet has ended with {follower.process.returncode}")
+        # The last line may be half written.
+        lines = follower.log.read_text().split("\n")[:-1]
+        return json.loads(lines[-1]) if lines else {"robots": [], "notices": []}
+
+    def rows(*wanted):
+        """Names and presences, by name and then session; of these alone."""
+        robots = listing()["robots"]
+        found = sorted((row["name"], row["presence"]) for row in robots)
+        return robots if found == sorted(wanted) else None
+
+    robots = until("three robots", 30, lambda: rows(("east", "here"), ("east", "here"), ("west", "here")))
+    assert [row["is_name_shared"] for row in robots] == [True, True, False], robots
+    assert len({row["session"] for row in robots}) == 3, robots
+    until("the scale", 10, lambda: all(row["scale"] == "METRIC" for row in listing()["robots"]))
+    for row in listing()["robots"]:
+        assert row["state"] and row["health"] in ("ok", "warning", "error") and row["heard_s_ago"] < 5, row
+    twins = [notice for notice in listing()["notices"] if notice.startswith("2 robots have the name east")]
+    assert len(twins) == 1 and listing()["has_router"], listing()
+
+    bridges["west"].end(signal.SIGKILL)
+    robots = until("the one that was killed", 20, lambda: rows(("east", "here"), ("east", "here"), ("west", "gone")))
+    west = robots[-1]
+    assert west["state"] is None and west["scale"] is None and west["last_state"], west
+    assert bridges["other_east"].end(signal.SIGTERM) == 0
+    robots = until("one east", 20, lambda: rows(("east", "here"), ("east", "gone"), ("west", "gone")))
+    assert not any(row["is_name_shared"] for row in robots) and not listing()["notices"], listing()
+    again = Program("west_again", [*words, "west"], out, there)
+    until("the one that is back", 20, lambda: rows(("east", "here"), ("east", "gone"), ("west", "here")))
+
+    once = [program, "fleet", "--timeout", "3"]
+    told = subprocess.run(once, env=there, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=20, check=True).stdout
+    assert "robots in domain 9: 2" in told and "metres" in told, told
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    nobody = out / "nobody.json5"
+    nobody.write_text(json.dumps({"mode": "peer", "connect": {"endpoints": [f"tcp/127.0.0.1:{port}"], "timeout_ms": -1, "exit_on_failure": False},
+                                  "listen": {"endpoints": ["tcp/127.0.0.1:0"]}, "scouting": {"multicast": {"enabled": False}}}))
+    alone = subprocess.run([*once, "--json", "--zenoh", nobody], env=there, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=20)
+    assert alone.returncode == 69 and "no Zenoh router" in alone.stderr, alone
+    report = json.loads(alone.stdout)
+    assert not report["is_connected"] and not report["robots"] and report["notices"], report
+    ended = [program.end(signal.SIGTERM) for program in (follower, bridges["east"], again)]
+    assert ended == [0, 0, 0], ended
+    print("fleet: three bridges, two of one name, one killed and back; no router is said")
+
+
 def main():
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--cairn", default=ROOT / "target/release/cairn", type=Path)
@@ -627,6 +687,7 @@ def main():
             bridge.says("waiting for a daemon", 2, 20)
             running = metric(network, wire, bridge, program, out)
             listener(with_zenoh, network, out, environment)
+            fleet(with_zenoh, out, environment)
             running.end(signal.SIGINT)
             bridge.says("waiting for a daemon", 3, 20)
             code = bridge.end(signal.SIGTERM, 10)

@@ -6,7 +6,7 @@
 /// Bytes of a sender's id.
 pub const GID_BYTES: usize = 16;
 
-const BYTES: usize = 8 + 8 + 1 + GID_BYTES;
+pub const BYTES: usize = 8 + 8 + 1 + GID_BYTES;
 
 /// See module.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

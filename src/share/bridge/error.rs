@@ -22,7 +22,7 @@ pub enum BridgeError {
 }
 
 /// Zenoh's reason without the place in its sources that it ends with (` at FILE.rs:LINE.`).
-pub(super) fn reason(error: &zenoh::Error) -> String {
+pub(in crate::share) fn reason(error: &zenoh::Error) -> String {
     let text = error.to_string();
     let end = text.find(" at ").filter(|at| text[*at..].contains(".rs:")).unwrap_or(text.len());
     text[..end].to_owned()

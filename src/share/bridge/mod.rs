@@ -10,20 +10,22 @@
 //!
 //! Does not: follow pixels, know the daemon, invent a position. Users' page: `docs/ros2.md`.
 
-mod attachment;
+pub(super) mod attachment;
 mod commands;
 mod error;
 mod inbox;
-mod names;
+pub(super) mod names;
 mod node;
 mod on_demand;
 mod rates;
 mod relay;
 mod scans;
-mod topic;
+pub(super) mod session;
+pub(super) mod topic;
 
 pub use commands::Commands;
 pub use error::BridgeError;
+pub(super) use error::reason;
 pub use names::Robot;
 pub use node::{Network, Node};
 pub use rates::{Rate, Rates};

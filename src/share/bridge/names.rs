@@ -51,6 +51,28 @@ pub fn subscribers(domain: u32, topic: &str) -> String {
     format!("@ros2_lv/{domain}/*/*/*/MS/*/*/*/{}/**", mangled(topic))
 }
 
+/// Bytes of a token that is looked at: ROS 2's names have 255 at most, and there are three of them in it.
+const LONGEST_TOKEN: usize = 1024;
+/// Of a Zenoh session's id, in hexadecimal.
+const LONGEST_SESSION: usize = 32;
+
+/// Liveliness tokens of all bridges that publish a topic.
+pub fn bridges(domain: u32, topic: &str) -> String {
+    format!("@ros2_lv/{domain}/*/*/*/{}/*/*/{NODE}/{}/**", Kind::Publisher.word(), mangled(topic))
+}
+
+/// The session and the robot of such a token. `None`: it is none, or longer than any.
+pub fn owner(token: &str) -> Option<(&str, Robot)> {
+    if token.len() > LONGEST_TOKEN {
+        return None;
+    }
+    let words: Vec<&str> = token.split('/').collect();
+    let [_, _, session, _, _, _, _, namespace, NODE, ..] = words[..] else { return None };
+    let is_session = (1..=LONGEST_SESSION).contains(&session.len()) && session.chars().all(|c| c.is_ascii_hexdigit());
+    let robot = Robot::new(&namespace.replace('%', "/")).ok()?;
+    is_session.then_some((session, robot))
+}
+
 /// Of what a token tells. Not here: clients, of which a bridge has none.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
@@ -237,6 +259,33 @@ mod tests {
         };
         assert!(matches(Kind::Subscription, "/robot1/scan"));
         assert!(!matches(Kind::Publisher, "/robot1/scan") && !matches(Kind::Subscription, "/robot2/scan"));
+    }
+
+    #[test]
+    fn bridges_are_found_by_their_tokens_and_a_token_tells_whose_it_is() {
+        let node = |name| Identity { domain: 7, session: "ab01".into(), robot: Robot::new(name).expect("name") };
+        let pattern = zenoh::key_expr::KeyExpr::new(bridges(7, "/diagnostics")).expect("key expression");
+        for name in ["robot1", "fleet/robot1", "/"] {
+            let token = node(name).token(4, Kind::Publisher, "/diagnostics", STRING, Qos::reliable(10));
+            assert!(pattern.includes(&zenoh::key_expr::KeyExpr::new(token.clone()).expect("key expression")));
+            assert_eq!(owner(&token), Some(("ab01", Robot::new(name).expect("name"))));
+        }
+        let token = node("robot1").token(4, Kind::Publisher, "/odom", STRING, Qos::reliable(10));
+        assert!(!pattern.includes(&zenoh::key_expr::KeyExpr::new(token).expect("key expression")));
+        let long = format!("%{}", "r".repeat(LONGEST_TOKEN));
+        for (session, namespace, name) in [
+            ("", "%r", NODE),
+            ("xyz", "%r", NODE),
+            ("\u{1b}[2J", "%r", NODE),
+            ("ab", "%1", NODE),
+            ("ab", "%r\u{1b}[2J", NODE),
+            ("ab", "", NODE),
+            ("ab", "%r", "talker"),
+            ("ab", long.as_str(), NODE),
+        ] {
+            assert_eq!(owner(&format!("@ros2_lv/7/{session}/0/4/MP/%/{namespace}/{name}/%d/T/H/Q")), None);
+        }
+        assert_eq!((owner(""), owner("@ros2_lv/7/ab")), (None, None));
     }
 
     #[test]

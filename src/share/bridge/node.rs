@@ -14,7 +14,7 @@ use zenoh::pubsub::{Publisher, Subscriber};
 use zenoh::qos::Reliability;
 use zenoh::query::{Query, Queryable};
 use zenoh::sample::{Sample, SampleKind};
-use zenoh::{Config, Session, Wait};
+use zenoh::{Session, Wait};
 use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig, MissDetectionConfig};
 
 use super::attachment::{Attachment, GID_BYTES, gid};
@@ -22,17 +22,8 @@ use super::commands::{Asked, unix_ns};
 use super::error::{BridgeError, reason};
 use super::inbox::{Inbox, Request, Service};
 use super::names::{INITIAL_POSE, Identity, Kind, Qos, Robot, TRIGGER, Type, key, subscribers};
+use super::session;
 use super::topic::Topic;
-
-/// rmw_zenoh's session where no file says otherwise: Zenoh's defaults, and these.
-const DEFAULT: &str = r#"{
-    mode: "peer",
-    connect: { endpoints: ["tcp/localhost:7447"], timeout_ms: -1, exit_on_failure: false,
-               retry: { period_init_ms: 1000, period_max_ms: 1000, period_increase_factor: 1 } },
-    listen: { endpoints: ["tcp/localhost:0"] },
-    scouting: { multicast: { enabled: false }, gossip: { enabled: true } },
-    timestamping: { enabled: { router: true, peer: true, client: true } },
-}"#;
 
 /// How often a cache says up to which number it goes, if that has changed: rmw_zenoh's own period.
 const HEARTBEAT: Duration = Duration::from_secs(5);
@@ -55,16 +46,6 @@ pub struct Network {
     pub takes_commands: bool,
     /// Zenoh's own configuration file.
     pub file: Option<PathBuf>,
-}
-
-impl Network {
-    fn configuration(&self) -> Result<Config, BridgeError> {
-        let Some(file) = &self.file else {
-            return Config::from_json5(DEFAULT).map_err(|e| BridgeError::Open { reason: reason(&e) });
-        };
-        let path = file.display().to_string();
-        Config::from_file(file).map_err(|e| BridgeError::Configuration { path, reason: reason(&e) })
-    }
 }
 
 enum Port {
@@ -97,10 +78,7 @@ pub struct Node {
 impl Node {
     /// Opens the session, which need not find anybody yet, and declares everything.
     pub(super) fn open(network: &Network, inbox: &Inbox) -> Result<Self, BridgeError> {
-        let configuration = network.configuration()?;
-        let endpoints = configuration.get_json("connect/endpoints").unwrap_or_default();
-        let failed = |e: zenoh::Error| BridgeError::Open { reason: reason(&e) };
-        let session = zenoh::open(configuration).wait().map_err(failed)?;
+        let (session, endpoints) = session::open(network.file.as_deref())?;
         let identity =
             Identity { domain: network.domain, session: session.zid().to_string(), robot: network.robot.clone() };
         let mut making = Making { session: &session, identity: &identity, tokens: Vec::new() };
@@ -148,8 +126,7 @@ impl Node {
 
     /// A router or another peer is there.
     pub(super) fn is_connected(&self) -> bool {
-        let info = self.session.info();
-        info.routers_zid().wait().next().is_some() || info.peers_zid().wait().next().is_some()
+        session::link(&self.session) != session::Link::Nobody
     }
 
     /// Where it connects to, as configured.
@@ -283,28 +260,5 @@ impl Making<'_> {
         let subscriber = subscriber.callback(take).wait().map_err(Self::failed(&key))?;
         self.entity(Kind::Subscription, &topic, INITIAL_POSE, Qos::reliable(10))?;
         Ok(subscriber)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_default_is_a_configuration_and_a_file_that_is_none_is_named() {
-        let robot = Robot::new("robot").expect("name");
-        let network = Network { domain: 0, robot, own_tf: false, takes_commands: true, file: None };
-        let config = network.configuration().expect("configuration");
-        assert_eq!(config.get_json("connect/endpoints").expect("endpoints"), r#"["tcp/localhost:7447"]"#);
-        assert_eq!(config.get_json("mode").expect("mode"), r#""peer""#);
-        let folder = tempfile::tempdir().expect("folder");
-        let file = folder.path().join("zenoh.json5");
-        std::fs::write(&file, "{ mode: \"boss\" }").expect("file");
-        for file in [file, folder.path().join("none.json5")] {
-            let name = file.display().to_string();
-            let error = Network { file: Some(file), ..network.clone() }.configuration().expect_err("none");
-            let text = error.to_string();
-            assert!(text.starts_with(&name) && !text.contains(".rs:"), "{text}");
-        }
     }
 }

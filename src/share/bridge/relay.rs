@@ -55,6 +55,8 @@ pub struct Bridge {
     is_metric: Arc<AtomicBool>,
     last_poses: LastPoses,
     run: Option<u64>,
+    /// Of the last pose.
+    scale: Option<Scale>,
     /// `body_from_camera` of this run, and when it was told.
     mount: Option<(Transform, Instant)>,
     /// The daemon believes what wheels tell.
@@ -127,6 +129,7 @@ impl Bridge {
             is_metric,
             last_poses: LastPoses::default(),
             run: None,
+            scale: None,
             mount: None,
             has_wheels: false,
             told_mount: None,
@@ -194,6 +197,7 @@ impl Bridge {
         if self.run.replace(pose.run_id) != Some(pose.run_id) {
             self.mount = None;
         }
+        self.scale = Some(pose.scale());
         let is_metric = pose.scale() == Scale::Metric;
         self.is_metric.store(is_metric, Ordering::Relaxed);
         let Some(place) = Place::of(pose) else { return };
@@ -241,7 +245,11 @@ impl Bridge {
             return;
         }
         let stamp = Time::from_ns(self.time.ns(health.published_ns));
-        let status = ros::DiagnosticStatus { name: &self.name, ..diagnostics(health, &self.prefix) };
+        let mut status = ros::DiagnosticStatus { name: &self.name, ..diagnostics(health, &self.prefix) };
+        // Health does not tell it, poses do; whoever looks after many robots hears diagnostics alone.
+        if let Some(scale) = self.scale {
+            status.values.push(ros::KeyValue { key: "scale", value: scale.name().into() });
+        }
         let message = ros::DiagnosticArray { header: Header { stamp, frame_id: "" }, status: vec![status] };
         self.out.put(Topic::Diagnostics, &message);
     }

@@ -1,0 +1,314 @@
+//! The robots of a network, from what happens there. No Zenoh, no clock: whoever tells it something says when.
+//!
+//! At most [`MOST_ROBOTS`] of them. One that is gone stays in it until another of its name comes, or until its place is needed; of the rest, those that
+//! find no place are counted.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::{Duration, Instant};
+
+use super::listing::{Listing, Presence, Row};
+use super::report::Report;
+use crate::share::bridge::attachment::{GID_BYTES, gid};
+use crate::share::bridge::names::owner;
+use crate::share::bridge::session::Link;
+
+/// Robots that are told apart, some 200 bytes each: hundreds, and some over.
+pub const MOST_ROBOTS: usize = 1024;
+/// Diagnostics come once a second; Zenoh itself, too, takes a link for dead that was silent for so long.
+pub const SILENT_AFTER: Duration = Duration::from_secs(10);
+/// Robots of one name, or names, that a sentence lists.
+const MOST_LISTED: usize = 4;
+
+struct Entry {
+    name: String,
+    session: String,
+    came: Instant,
+    gone: Option<Instant>,
+    heard: Option<Instant>,
+    /// The last, or why it is none.
+    told: Option<Result<Report, String>>,
+}
+
+/// See module.
+pub struct Table {
+    domain: u32,
+    /// By their publishers' ids.
+    robots: BTreeMap<[u8; GID_BYTES], Entry>,
+    link: Link,
+    /// Robots without a place.
+    left_out: u64,
+    /// Tokens that are no robot's.
+    refused: u64,
+}
+
+impl Table {
+    pub fn new(domain: u32) -> Self {
+        Self { domain, robots: BTreeMap::new(), link: Link::Nobody, left_out: 0, refused: 0 }
+    }
+
+    pub fn token_up(&mut self, token: &str, now: Instant) {
+        let Some((session, robot)) = owner(token) else {
+            self.refused = self.refused.saturating_add(1);
+            return;
+        };
+        let id = gid(token);
+        let name = if robot.name().is_empty() { "/" } else { robot.name() };
+        // A robot that was started anew takes its own row.
+        self.robots.retain(|other, entry| *other == id || entry.gone.is_none() || entry.name != name);
+        if let Some(entry) = self.robots.get_mut(&id) {
+            if entry.gone.take().is_some() {
+                entry.came = now;
+            }
+            return;
+        }
+        if self.robots.len() >= MOST_ROBOTS {
+            let gone = self.robots.iter().filter_map(|(id, entry)| entry.gone.map(|at| (at, *id)));
+            let Some((_, oldest)) = gone.min() else {
+                self.left_out = self.left_out.saturating_add(1);
+                return;
+            };
+            self.robots.remove(&oldest);
+        }
+        let (name, session) = (name.to_owned(), session.to_owned());
+        self.robots.insert(id, Entry { name, session, came: now, gone: None, heard: None, told: None });
+    }
+
+    pub fn token_down(&mut self, token: &str, now: Instant) {
+        match self.robots.get_mut(&gid(token)) {
+            Some(entry) => entry.gone = entry.gone.or(Some(now)),
+            None if owner(token).is_some() => self.left_out = self.left_out.saturating_sub(1),
+            None => {}
+        }
+    }
+
+    /// Of the publisher with this id, who may be anybody.
+    pub fn diagnostics(&mut self, id: &[u8; GID_BYTES], message: &[u8], now: Instant) {
+        if let Some(entry) = self.robots.get_mut(id) {
+            entry.heard = Some(now);
+            entry.told = Some(Report::of(message).map_err(|e| e.to_string()));
+        }
+    }
+
+    pub fn network(&mut self, link: Link) {
+        self.link = link;
+    }
+
+    pub fn listing(&self, now: Instant) -> Listing {
+        let shared = self.shared_names();
+        let mut robots: Vec<Row> = self.robots.values().map(|entry| self.row(entry, &shared, now)).collect();
+        robots.sort_by(|a, b| (&a.name, &a.session).cmp(&(&b.name, &b.session)));
+        Listing {
+            domain: self.domain,
+            has_router: self.link == Link::Router,
+            is_connected: self.link != Link::Nobody,
+            notices: self.notices(&shared),
+            robots,
+        }
+    }
+
+    /// Names of several robots that are there, with their sessions.
+    fn shared_names(&self) -> BTreeMap<&str, BTreeSet<&str>> {
+        let mut sessions: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
+        for entry in self.robots.values().filter(|entry| entry.gone.is_none()) {
+            sessions.entry(&entry.name).or_default().insert(&entry.session);
+        }
+        sessions.retain(|_, sessions| sessions.len() > 1);
+        sessions
+    }
+
+    fn presence(&self, entry: &Entry, now: Instant) -> Presence {
+        let quiet = now.saturating_duration_since(entry.heard.map_or(entry.came, |heard| heard.max(entry.came)));
+        match (self.link, entry.gone) {
+            (Link::Nobody, _) | (Link::Peers, Some(_)) => Presence::Unseen,
+            (Link::Router, Some(_)) => Presence::Gone,
+            (_, None) if quiet > SILENT_AFTER => Presence::Silent,
+            (_, None) if entry.heard.is_none_or(|heard| heard < entry.came) => Presence::New,
+            (_, None) => Presence::Here,
+        }
+    }
+
+    fn row(&self, entry: &Entry, shared: &BTreeMap<&str, BTreeSet<&str>>, now: Instant) -> Row {
+        let presence = self.presence(entry, now);
+        let is_here = presence == Presence::Here;
+        let told = entry.told.as_ref().and_then(|told| told.as_ref().ok());
+        let current = told.filter(|_| is_here);
+        let problem = entry.told.as_ref().and_then(|told| told.as_ref().err()).filter(|_| is_here);
+        Row {
+            name: entry.name.clone(),
+            session: entry.session.clone(),
+            presence,
+            is_name_shared: entry.gone.is_none() && shared.contains_key(entry.name.as_str()),
+            state: current.map(|report| report.state.clone()),
+            scale: current.and_then(|report| report.scale.clone()),
+            health: current.map(|report| report.level),
+            faults: current.map(|report| report.faults.clone()).unwrap_or_default(),
+            last_state: told.filter(|_| !is_here).map(|report| report.state.clone()),
+            heard_s_ago: entry.heard.map(|heard| now.saturating_duration_since(heard).as_secs_f64()),
+            problem: problem.map(|reason| format!("its diagnostics are not understood: {reason}")),
+        }
+    }
+
+    fn notices(&self, shared: &BTreeMap<&str, BTreeSet<&str>>) -> Vec<String> {
+        let mut notices = Vec::new();
+        match self.link {
+            Link::Router => {}
+            Link::Peers => notices.push("no Zenoh router: only robots that are connected directly are seen".into()),
+            Link::Nobody => notices.push("no Zenoh router: no robot can be seen".into()),
+        }
+        for (name, sessions) in shared.iter().take(MOST_LISTED) {
+            let listed: Vec<&str> = sessions.iter().copied().take(MOST_LISTED).collect();
+            let count = sessions.len();
+            notices.push(format!("{count} robots have the name {name}, in the sessions {}", listed.join(", ")));
+        }
+        if let more @ 1.. = shared.len().saturating_sub(MOST_LISTED) {
+            notices.push(format!("{more} more names are those of several robots"));
+        }
+        if self.left_out > 0 {
+            notices.push(format!("{} robots more than the {MOST_ROBOTS} that are listed", self.left_out));
+        }
+        if self.refused > 0 {
+            notices.push(format!("{} liveliness tokens that are no robot's", self.refused));
+        }
+        notices
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages::{Health, error};
+    use crate::share::bridge::names::{Identity, Kind, Robot};
+    use crate::share::bridge::topic::Topic;
+    use crate::share::fleet::report::tests::message;
+
+    fn token(name: &str, session: &str) -> String {
+        let robot = Robot::new(name).expect("name");
+        let topic = Topic::Diagnostics;
+        let identity = Identity { domain: 0, session: session.into(), robot };
+        identity.token(7, Kind::Publisher, "/diagnostics", topic.of(), topic.qos())
+    }
+
+    fn metric() -> Vec<u8> {
+        message(&Health::default(), &[("scale", "METRIC")])
+    }
+
+    /// With a router.
+    fn table() -> (Table, Instant) {
+        let mut table = Table::new(0);
+        table.network(Link::Router);
+        (table, Instant::now())
+    }
+
+    fn seconds(count: u64) -> Duration {
+        Duration::from_secs(count)
+    }
+
+    fn presences(table: &Table, now: Instant) -> Vec<Presence> {
+        table.listing(now).robots.iter().map(|row| row.presence).collect()
+    }
+
+    #[test]
+    fn a_robot_is_new_here_silent_and_gone() {
+        let ((mut table, start), token) = (table(), token("fleet/r1", "ab"));
+        table.token_up(&token, start);
+        assert_eq!(presences(&table, start + SILENT_AFTER), [Presence::New]);
+        assert_eq!(presences(&table, start + seconds(11)), [Presence::Silent]);
+        table.diagnostics(&gid(&token), &metric(), start + seconds(12));
+        let here = table.listing(start + seconds(13));
+        let row = &here.robots[0];
+        assert_eq!((row.name.as_str(), row.session.as_str(), row.presence), ("fleet/r1", "ab", Presence::Here));
+        assert_eq!((row.state.as_deref(), row.scale.as_deref()), (Some("INITIALIZING"), Some("METRIC")));
+        assert_eq!((row.heard_s_ago, here.notices.len()), (Some(1.0), 0));
+        assert_eq!(presences(&table, start + seconds(23)), [Presence::Silent]);
+        table.token_down(&token, start + seconds(13));
+        let row = &table.listing(start + seconds(14)).robots[0];
+        // What it was is not what it is.
+        assert_eq!(
+            (row.presence, row.state.clone(), row.scale.clone(), row.health),
+            (Presence::Gone, None, None, None)
+        );
+        assert_eq!(row.last_state.as_deref(), Some("INITIALIZING"));
+        table.token_up(&token, start + seconds(20));
+        assert_eq!(presences(&table, start + seconds(21)), [Presence::New]);
+    }
+
+    #[test]
+    fn two_robots_with_one_name_are_told_apart_and_said() {
+        let ((mut table, now), tokens) = (table(), [token("r", "aa"), token("r", "bb"), token("s", "cc")]);
+        tokens.iter().for_each(|token| table.token_up(token, now));
+        let lost = Health { errors: error::LOST, ..Health::default() };
+        table.diagnostics(&gid(&tokens[0]), &metric(), now);
+        table.diagnostics(&gid(&tokens[1]), &message(&lost, &[]), now);
+        let listing = table.listing(now);
+        let faults: Vec<usize> = listing.robots.iter().map(|row| row.faults.len()).collect();
+        assert_eq!(faults, [0, 1, 0]);
+        assert_eq!(listing.robots.iter().map(|row| row.is_name_shared).collect::<Vec<_>>(), [true, true, false]);
+        assert_eq!(listing.notices, ["2 robots have the name r, in the sessions aa, bb"]);
+        table.token_down(&tokens[0], now);
+        let listing = table.listing(now);
+        assert!(listing.notices.is_empty() && listing.robots.iter().all(|row| !row.is_name_shared));
+        assert_eq!(listing.robots.len(), 3);
+        // One that is started anew has another session, and takes the row of what is gone.
+        table.token_up(&token("r", "dd"), now);
+        let sessions: Vec<String> = table.listing(now).robots.into_iter().map(|row| row.session).collect();
+        assert_eq!(sessions, ["bb", "dd", "cc"]);
+    }
+
+    #[test]
+    fn without_a_router_nobody_is_said_to_be_gone() {
+        let ((mut table, now), token) = (table(), token("r", "aa"));
+        table.token_up(&token, now);
+        table.diagnostics(&gid(&token), &metric(), now);
+        table.network(Link::Nobody);
+        assert_eq!(presences(&table, now), [Presence::Unseen]);
+        assert_eq!(table.listing(now).robots[0].state, None);
+        table.token_down(&token, now);
+        for link in [Link::Nobody, Link::Peers] {
+            table.network(link);
+            assert_eq!(presences(&table, now), [Presence::Unseen]);
+            assert!(table.listing(now).notices[0].starts_with("no Zenoh router"));
+        }
+        table.network(Link::Router);
+        assert_eq!(presences(&table, now), [Presence::Gone]);
+    }
+
+    #[test]
+    fn more_robots_than_there_is_room_for_are_counted_and_those_gone_make_room() {
+        let (mut table, now) = table();
+        let tokens: Vec<String> = (0..=MOST_ROBOTS).map(|i| token(&format!("r{i}"), "aa")).collect();
+        tokens.iter().for_each(|token| table.token_up(token, now));
+        let listing = table.listing(now);
+        assert_eq!((listing.robots.len(), listing.notices.len()), (MOST_ROBOTS, 1));
+        assert!(listing.notices[0].starts_with("1 robots more"), "{:?}", listing.notices);
+        table.token_down(&tokens[MOST_ROBOTS], now);
+        assert!(table.listing(now).notices.is_empty());
+        table.token_down(&tokens[5], now);
+        table.token_up(&tokens[MOST_ROBOTS], now);
+        let listing = table.listing(now);
+        assert!(listing.robots.len() == MOST_ROBOTS && listing.robots.iter().all(|row| row.name != "r5"));
+    }
+
+    #[test]
+    fn strangers_are_no_robots_and_what_is_not_understood_is_said() {
+        let ((mut table, now), token) = (table(), token("r", "aa"));
+        table.token_up("@ros2_lv/0/aa", now);
+        table.diagnostics(&[9; GID_BYTES], &metric(), now);
+        table.token_down("@ros2_lv/0/aa", now);
+        assert_eq!(table.listing(now).robots.len(), 0);
+        assert_eq!(table.listing(now).notices, ["1 liveliness tokens that are no robot's"]);
+        table.token_up(&token, now);
+        table.diagnostics(&gid(&token), &metric()[..20], now);
+        let row = &table.listing(now).robots[0];
+        assert_eq!((row.presence, row.state.clone()), (Presence::Here, None));
+        assert!(row.problem.as_ref().is_some_and(|text| text.contains("not understood")), "{row:?}");
+    }
+
+    #[test]
+    fn time_alone_is_no_news() {
+        let ((mut table, now), token) = (table(), token("r", "aa"));
+        table.token_up(&token, now);
+        table.diagnostics(&gid(&token), &metric(), now);
+        let at = |count| table.listing(now + seconds(count)).timeless();
+        assert!(at(1) == at(2) && at(2) != at(12));
+    }
+}
