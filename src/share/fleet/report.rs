@@ -141,7 +141,7 @@ pub mod tests {
         for text in ["", "two words", "\u{1b}[2J", "ÄH", long.as_str()] {
             assert_eq!(refused(&[("state", text)]), ReportError::Word { key: "state" }, "{text:?}");
         }
-        assert_eq!(refused(&[("faults", &"F ".repeat(MOST_FAULTS + 1))]), ReportError::Word { key: "faults" });
+        assert_eq!(refused(&[("faults", "F ".repeat(MOST_FAULTS + 1).as_str())]), ReportError::Word { key: "faults" });
         assert_eq!(refused(&[("x", ""); 100]), ReportError::Many { count: 110 });
         assert_eq!(Report::of(&array(Vec::new())), Err(ReportError::Empty));
         let status = DiagnosticStatus { values: Vec::new(), ..diagnostics(&Health::default(), "front") };
