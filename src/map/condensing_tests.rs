@@ -1,3 +1,4 @@
+use crate::map::examples;
 use std::sync::Arc;
 
 use super::picture::Detail;
@@ -66,16 +67,7 @@ fn map(random: &mut Random, landmarks: usize, seen_by: impl Fn(usize) -> Vec<usi
             inv_sigma_px: 1.0,
             normalised_from_pixel: Matrix2::identity(),
         };
-        let landmark = Landmark {
-            position: Vector3::new(0.0, 0.0, 2.0),
-            covariance: Matrix3::identity(),
-            observers: Vec::new(),
-            created_by: ids[0],
-            assumed: None,
-            sought: 1,
-            found: 1,
-            disagreed: 0,
-        };
+        let landmark = examples::landmark(Vector3::new(0.0, 0.0, 2.0), ids[0]);
         let seen: Vec<_> = seen_by(n).into_iter().map(|k| (ids[k], observation)).collect();
         map.add_landmark(landmark, &seen);
     }

@@ -511,4 +511,6 @@ fn change_covisibility(keyframes: &mut Store<Keyframe>, a: KeyframeId, b: Keyfra
 #[cfg(test)]
 mod condensing_tests;
 #[cfg(test)]
+pub mod examples;
+#[cfg(test)]
 mod tests;

@@ -251,7 +251,7 @@ impl KeyframePicture {
         }
     }
 
-    /// Whether enough levels are there for [`condense`](Self::condense), and it was not done yet.
+    /// Whether enough levels are there for `condense`, and it was not done yet.
     pub fn can_be_condensed(&self) -> bool {
         let wide = self.pyramid.levels.get(CONDENSED_LEVEL).is_some_and(|l| l.width >= CONDENSED_WIDTH);
         wide && !self.is_condensed()

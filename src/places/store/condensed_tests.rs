@@ -1,10 +1,11 @@
 //! Condensed pictures in a file, and files of the format before there were any.
 
+use crate::map::examples;
 use std::os::unix::fs::FileExt;
 use std::path::Path;
 use std::sync::Arc;
 
-use nalgebra::{Matrix3, Vector2, Vector3};
+use nalgebra::{Vector2, Vector3};
 
 use super::backend::Access;
 use super::error::FORMAT;
@@ -15,11 +16,10 @@ use crate::features::gradients::{GradientDescriptor, NUMBERS};
 use crate::geometry::random::Random;
 use crate::geometry::{CameraModel, LensModel, Se3};
 use crate::image::{GreyImage, Pyramid};
-use crate::map::picture::KeyframePicture;
 use crate::map::saved::{MapChanges, MapHead, SavedOptics};
 use crate::map::scale::MapScale;
 use crate::map::view::{CoarseDescriptor, Description, View};
-use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, MapId, Observation};
+use crate::map::{Keyframe, KeyframeId, LandmarkId, Map, MapId, Observation};
 
 fn camera() -> CameraModel {
     CameraModel::new(320, 240, 300.0, 300.0, 159.5, 119.5, LensModel::PINHOLE).expect("a camera")
@@ -51,19 +51,7 @@ fn map(random: &mut Random) -> Map {
     let pyramid = Arc::new(pyramid);
     let mut map = Map::default();
     let ids = [0, 1, 2].map(|sequence| {
-        map.add_keyframe(Keyframe {
-            sequence,
-            timestamp_ns: 0,
-            map: MapId(0),
-            camera_from_world: Se3::identity(),
-            motion: None,
-            picture: KeyframePicture::new(pyramid.clone()),
-            thumbnail: Default::default(),
-            scale_from: None,
-            observations: Vec::new(),
-            covisible: Vec::new(),
-            corners: Vec::new(),
-        })
+        map.add_keyframe(Keyframe { sequence, ..examples::keyframe(pyramid.clone(), Se3::identity()) })
     });
     for _ in 0..40 {
         let pixel = Vector2::new(random.uniform(3.0, 317.0) as f32, random.uniform(3.0, 237.0) as f32);
@@ -76,16 +64,7 @@ fn map(random: &mut Random) -> Map {
             inv_sigma_px: 1.0,
             normalised_from_pixel,
         };
-        let landmark = Landmark {
-            position: Vector3::z(),
-            covariance: Matrix3::identity(),
-            observers: Vec::new(),
-            created_by: ids[0],
-            assumed: None,
-            sought: 1,
-            found: 1,
-            disagreed: 0,
-        };
+        let landmark = examples::landmark(Vector3::z(), ids[0]);
         map.add_landmark(landmark, &ids.map(|id| (id, seen)));
     }
     map

@@ -135,15 +135,15 @@ fn remove((map, map_id): (&mut Map, MapId), id: KeyframeId, events: &mut Vec<Tra
 
 #[cfg(test)]
 mod tests {
+    use crate::map::examples;
     use std::sync::Arc;
 
-    use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
+    use nalgebra::{Matrix2, Vector2, Vector3};
 
     use super::*;
     use crate::geometry::random::Random;
     use crate::image::{GreyImage, Pyramid};
     use crate::map::Keyframe;
-    use crate::map::picture::KeyframePicture;
     use crate::map::view::{DESCRIBED_LEVELS, Description};
 
     #[test]
@@ -155,21 +155,7 @@ mod tests {
         pyramid.build(&image);
         let pyramid = Arc::new(pyramid);
         let mut map = Map::default();
-        let ids = [0; 7].map(|_| {
-            map.add_keyframe(Keyframe {
-                sequence: 0,
-                timestamp_ns: 0,
-                map: MapId(0),
-                camera_from_world: Se3::identity(),
-                motion: None,
-                picture: KeyframePicture::new(pyramid.clone()),
-                thumbnail: Default::default(),
-                scale_from: None,
-                observations: Vec::new(),
-                covisible: Vec::new(),
-                corners: Vec::new(),
-            })
-        });
+        let ids = [0; 7].map(|_| map.add_keyframe(examples::keyframe(pyramid.clone(), Se3::identity())));
         let [own, a, b, c, whole @ ..] = ids;
         let seen_by = |(others, count): (&[KeyframeId], usize)| vec![others.to_vec(); count];
         // Three condensed ones have better to show than what they share with the own one; the last 100 it does not see.
@@ -189,16 +175,7 @@ mod tests {
                 inv_sigma_px: 1.0,
                 normalised_from_pixel: Matrix2::identity(),
             };
-            let landmark = Landmark {
-                position: Vector3::z(),
-                covariance: Matrix3::identity(),
-                observers: Vec::new(),
-                created_by: own,
-                assumed: None,
-                sought: 1,
-                found: 1,
-                disagreed: 0,
-            };
+            let landmark = examples::landmark(Vector3::z(), own);
             map.add_landmark(landmark, &observers.into_iter().map(|k| (k, observation)).collect::<Vec<_>>());
         }
         assert_eq!(seen_enough(&map, own), Some((16.0, 28.0)));

@@ -269,16 +269,16 @@ fn describe_landmarks(keyframe: &Keyframe, landmarks: &[LandmarkId]) -> Vec<Land
 
 #[cfg(test)]
 mod tests {
+    use crate::map::examples;
     use std::sync::Arc;
 
     use super::*;
     use crate::geometry::Se3;
     use crate::geometry::random::Random;
     use crate::image::GreyImage;
-    use crate::map::picture::KeyframePicture;
-    use crate::map::{Landmark, MapId, Observation};
+    use crate::map::Observation;
     use crate::reconstruction::track::search::observe;
-    use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+    use nalgebra::{UnitQuaternion, Vector3};
 
     /// A wall of rectangles at distance 1, as the camera sees it from `x` px to the right of its middle.
     fn picture(x: usize) -> Pyramid {
@@ -309,19 +309,7 @@ mod tests {
         let shifts = [0, 20, 40, 60];
         let ids = shifts.map(|x| {
             let moved = Se3::new(UnitQuaternion::identity(), Vector3::x() * -(x as f64 / 300.0));
-            map.add_keyframe(Keyframe {
-                sequence: 0,
-                timestamp_ns: 0,
-                map: MapId(0),
-                camera_from_world: moved,
-                motion: None,
-                picture: KeyframePicture::new(Arc::new(picture(x))),
-                thumbnail: Default::default(),
-                scale_from: None,
-                observations: Vec::new(),
-                covisible: Vec::new(),
-                corners: Vec::new(),
-            })
+            map.add_keyframe(examples::keyframe(Arc::new(picture(x)), moved))
         });
         let (mut detector, mut corners) = (FastDetector::default(), Vec::new());
         detector.detect_all(&picture(40).levels[0], 30, &mut corners);
@@ -338,16 +326,7 @@ mod tests {
                 })
                 .collect();
             let at = camera.undistort(&Vector2::new(f64::from(corner.x) + 40.0, f64::from(corner.y))).expect("a ray");
-            let landmark = Landmark {
-                position: at.push(1.0),
-                covariance: Matrix3::identity(),
-                observers: Vec::new(),
-                created_by: ids[0],
-                assumed: None,
-                sought: 1,
-                found: 1,
-                disagreed: 0,
-            };
+            let landmark = examples::landmark(at.push(1.0), ids[0]);
             map.add_landmark(landmark, &seen);
         }
         let known = |map: &Map| {
@@ -393,22 +372,7 @@ mod tests {
             let mut finer = pyramid.clone();
             finer.levels.truncate(2);
             let split = described(&finer).len();
-            let kept = describe_kept(
-                &Keyframe {
-                    sequence: 0,
-                    timestamp_ns: 0,
-                    map: MapId(0),
-                    camera_from_world: Se3::identity(),
-                    motion: None,
-                    picture: KeyframePicture::new(Arc::new(pyramid)),
-                    thumbnail: Default::default(),
-                    scale_from: None,
-                    observations: Vec::new(),
-                    covisible: Vec::new(),
-                    corners: Vec::new(),
-                },
-                &[],
-            );
+            let kept = describe_kept(&examples::keyframe(Arc::new(pyramid), Se3::identity()), &[]);
             let [fine, coarse] = [(&all[..split], 48), (&all[split..], 16)].map(|(of, most)| &of[..of.len().min(most)]);
             assert!(kept.place == [fine, coarse].concat());
             assert_eq!((kept.place.len() == PLACE_DESCRIPTORS, fine.len() < 48), (is_rich, !is_rich), "{split}");

@@ -393,13 +393,11 @@ pub fn affine_warp(
 
 #[cfg(test)]
 mod tests {
+    use crate::map::examples;
     use std::sync::Arc;
 
     use super::*;
-    use crate::features::thumbnail::Thumbnail;
     use crate::image::GreyImage;
-    use crate::map::MapId;
-    use crate::map::picture::KeyframePicture;
 
     /// Discs of several sizes; `streak`: how far the camera moves to the right while the shutter is open, px.
     fn picture(streak: usize) -> Pyramid {
@@ -423,19 +421,7 @@ mod tests {
 
     fn find_in_blur(streak: usize, blurred_levels: usize) -> Option<Found> {
         let camera = CameraModel::new(320, 240, 300.0, 300.0, 159.5, 119.5, [0.0; 5]).unwrap();
-        let keyframe = Keyframe {
-            sequence: 0,
-            timestamp_ns: 0,
-            map: MapId(0),
-            camera_from_world: Se3::identity(),
-            motion: None,
-            picture: KeyframePicture::new(Arc::new(picture(0))),
-            thumbnail: Thumbnail::default(),
-            scale_from: None,
-            observations: Vec::new(),
-            covisible: Vec::new(),
-            corners: Vec::new(),
-        };
+        let keyframe = examples::keyframe(Arc::new(picture(0)), Se3::identity());
         let seen = observe(&camera, LandmarkId::default(), Vector2::new(163.0, 117.0), 1.0)?;
         let options = SearchOptions { blurred_levels, ..SearchOptions::precise(0.8) };
         align_template(&keyframe, &seen, &picture(streak), &Matrix2::identity(), Vector2::new(164.5, 116.0), &options)
@@ -458,19 +444,8 @@ mod tests {
     /// A keyframe at `centre` that sees the landmark in the middle of the discs, and the landmark's place before the first of them.
     fn seen_from(centre: Vector3<f64>, pixel: Vector2<f32>) -> (Keyframe, Observation) {
         let camera = CameraModel::new(320, 240, 300.0, 300.0, 159.5, 119.5, [0.0; 5]).expect("a camera");
-        let keyframe = Keyframe {
-            sequence: 0,
-            timestamp_ns: 0,
-            map: MapId(0),
-            camera_from_world: Se3::new(nalgebra::UnitQuaternion::identity(), -centre),
-            motion: None,
-            picture: KeyframePicture::new(Arc::new(picture(0))),
-            thumbnail: Thumbnail::default(),
-            scale_from: None,
-            observations: Vec::new(),
-            covisible: Vec::new(),
-            corners: Vec::new(),
-        };
+        let keyframe =
+            examples::keyframe(Arc::new(picture(0)), Se3::new(nalgebra::UnitQuaternion::identity(), -centre));
         (keyframe, observe(&camera, LandmarkId::default(), pixel, 1.0).expect("in the picture"))
     }
 

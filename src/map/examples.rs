@@ -1,0 +1,42 @@
+//! Keyframes and landmarks for tests: what a test does not speak of is nothing.
+
+use std::sync::Arc;
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::picture::KeyframePicture;
+use super::{Keyframe, KeyframeId, Landmark, MapId};
+use crate::geometry::Se3;
+use crate::geometry::frames::{Camera, World};
+use crate::image::Pyramid;
+
+/// Frame 0 of map 0, which has seen nothing.
+pub fn keyframe(picture: Arc<Pyramid>, camera_from_world: Se3<Camera, World>) -> Keyframe {
+    Keyframe {
+        sequence: 0,
+        timestamp_ns: 0,
+        map: MapId(0),
+        camera_from_world,
+        motion: None,
+        picture: KeyframePicture::new(picture),
+        thumbnail: Default::default(),
+        scale_from: None,
+        observations: Vec::new(),
+        covisible: Vec::new(),
+        corners: Vec::new(),
+    }
+}
+
+/// Found the one time that it was sought; a unit uncertain.
+pub fn landmark(position: Vector3<f64>, created_by: KeyframeId) -> Landmark {
+    Landmark {
+        position,
+        covariance: Matrix3::identity(),
+        observers: Vec::new(),
+        created_by,
+        assumed: None,
+        sought: 1,
+        found: 1,
+        disagreed: 0,
+    }
+}
