@@ -4,12 +4,14 @@ use std::process::ExitCode;
 use std::sync::atomic::Ordering;
 use std::thread::JoinHandle;
 
+use super::map_shelf::MapShelf;
 use super::session::{self, SessionArgs};
 use super::zenoh_args::ZenohArgs;
-use super::{CliError, exit_code};
+use super::{CliError, exit_code, map_file};
 use crate::daemon;
 use crate::messages::Endpoint;
 use crate::share::bridge::{Bridge, BridgeError, Network, Rate, Rates, Robot};
+use crate::share::maps::Giver;
 use crate::telemetry;
 
 /// Bridge a running daemon to ROS 2 over Zenoh, as a node of rmw_zenoh's, until interrupted
@@ -24,7 +26,7 @@ pub struct BridgeArgs {
     /// tf and tf_static in the robot's namespace, as Nav2's launch files for several robots have them
     #[arg(long)]
     pub namespaced_tf: bool,
-    /// Only send: no reset, no save, no initial pose from the network
+    /// Only send: no reset, no save, no initial pose from the network, and no stored map to it
     #[arg(long)]
     pub no_commands: bool,
     #[command(flatten)]
@@ -63,12 +65,20 @@ pub fn run(args: &BridgeArgs) -> Result<ExitCode, CliError> {
     };
     let endpoint = Endpoint::new(&config.prefix).and_then(Endpoint::with_environment)?;
     let offset_ns = session::realtime_minus_monotonic_ns();
-    let (mut bridge, commands) = Bridge::open(endpoint, &network, Rates::new(&rates), offset_ns)?;
-    let over = stop.clone();
-    let commander = commands
-        .map(|commands| daemon::spawn("cairn-bridge", move || commands.serve(&over)))
-        .transpose()
-        .map_err(|e| CliError::new(exit_code::FAILURE, e.to_string()))?;
+    let shelf = map_file::folder(&config.map).filter(|_| network.takes_commands);
+    let shelf = shelf.map(|folder| MapShelf::open(folder, endpoint.clone())).transpose()?;
+    let (giver, requests) = shelf.map(|shelf| Giver::new(Box::new(shelf))).unzip();
+    let (mut bridge, commands) = Bridge::open(endpoint, &network, Rates::new(&rates), offset_ns, requests)?;
+    let mut helpers: Vec<JoinHandle<()>> = Vec::new();
+    let failed = |e: daemon::DaemonError| CliError::new(exit_code::FAILURE, e.to_string());
+    if let Some(commands) = commands {
+        let over = stop.clone();
+        helpers.push(daemon::spawn("cairn-bridge", move || commands.serve(&over)).map_err(failed)?);
+    }
+    if let Some(giver) = giver {
+        let over = stop.clone();
+        helpers.push(daemon::spawn("cairn-maps", move || giver.serve(&over)).map_err(failed)?);
+    }
     let outcome = loop {
         if stop.load(Ordering::Relaxed) {
             break Ok(());
@@ -80,9 +90,11 @@ pub fn run(args: &BridgeArgs) -> Result<ExitCode, CliError> {
     // Whatever ended it: the node leaves the network at once, and a command that is under way is waited for.
     bridge.close();
     stop.store(true, Ordering::Relaxed);
-    let commanded = commander.map_or(Ok(()), JoinHandle::join);
+    let panicked = helpers.into_iter().map(JoinHandle::join).filter(Result::is_err).count();
     telemetry::report_suppressed(true);
     outcome?;
-    commanded.map_err(|_| CliError::new(exit_code::FAILURE, "the thread for commands panicked"))?;
+    if panicked > 0 {
+        return Err(CliError::new(exit_code::FAILURE, "the thread for commands, or that for maps, panicked"));
+    }
     Ok(ExitCode::SUCCESS)
 }

@@ -10,6 +10,9 @@ pub const TOOLS_COMMANDS: [&str; 6] = ["compare", "console", "demo", "evaluate",
 /// Commands that only the build with Zenoh has.
 pub const BRIDGE_COMMANDS: [&str; 2] = ["bridge", "fleet"];
 
+/// Of `cairn map`, the same.
+const MAP_PULL: &str = "pull";
+
 /// Below the help: what other packages have.
 pub const OTHER_BUILDS: &str = match (cfg!(feature = "tools"), cfg!(feature = "bridge")) {
     (false, false) => {
@@ -40,6 +43,10 @@ pub fn elsewhere(error: &clap::Error) -> Option<String> {
     if !cfg!(feature = "tools") && TOOLS_COMMANDS.contains(&asked.as_str()) {
         return Some(format!("{}: `cairn-tools {asked}`", not_in_this_build(&what)));
     }
-    let bridge = !cfg!(feature = "bridge") && BRIDGE_COMMANDS.contains(&asked.as_str());
+    // The usage that the error shows is that of the command above it.
+    let is_of_map = |context| matches!(error.get(context), Some(ContextValue::StyledStr(usage)) if usage.to_string().contains("cairn map"));
+    let asked = if asked == MAP_PULL && is_of_map(ContextKind::Usage) { "map pull" } else { asked };
+    let bridge = !cfg!(feature = "bridge") && (BRIDGE_COMMANDS.contains(&asked) || asked == "map pull");
+    let what = format!("`cairn {asked}`");
     bridge.then(|| format!("{what} is not in this build; the package cairn-bridge has it: `cairn-bridge {asked}`"))
 }

@@ -1,4 +1,4 @@
-//! `cairn map`: what is in a map file, and the same for other programs; and the maps of a running daemon (`map_daemon`).
+//! `cairn map`: what is in a map file, and the same for other programs; the maps of a running daemon (`map_daemon`) and of other robots (`map_pull`).
 //!
 //! A file is read, verified in full and left as it is. One that a daemon holds changes all the time, so that daemon is asked for a copy.
 
@@ -20,7 +20,7 @@ use crate::map::scale::MapScale;
 use crate::places::store::{Contents, Fault, read};
 use crate::trajectory::{TumPose, format_timestamp, write_tum};
 
-/// Shows a map file or writes its map for other programs; has a running daemon store, load, list and begin maps
+/// Shows a map file or writes its map for other programs; has a running daemon store, load, list and begin maps; fetches another robot's
 #[derive(Debug, clap::Args)]
 pub struct MapArgs {
     #[command(flatten)]
@@ -33,6 +33,8 @@ pub struct MapArgs {
 enum Action {
     Info(InfoArgs),
     Export(ExportArgs),
+    #[cfg(feature = "bridge")]
+    Pull(super::map_pull::PullArgs),
     #[command(flatten)]
     OfDaemon(DaemonAction),
 }
@@ -71,6 +73,8 @@ pub fn run(args: &MapArgs) -> Result<ExitCode, CliError> {
     match &args.action {
         Action::Info(info_args) => info(info_args, &args.endpoint),
         Action::Export(export_args) => export(export_args, &args.endpoint),
+        #[cfg(feature = "bridge")]
+        Action::Pull(pull_args) => super::map_pull::run(pull_args),
         Action::OfDaemon(action) => map_daemon::run(action, &args.endpoint),
     }
 }

@@ -23,6 +23,10 @@ pub mod fleet;
 pub mod map;
 mod map_daemon;
 mod map_file;
+#[cfg(feature = "bridge")]
+mod map_pull;
+#[cfg(feature = "bridge")]
+mod map_shelf;
 pub mod record;
 mod reload;
 pub mod replay;
@@ -153,7 +157,9 @@ mod tests {
             let sentence = text.contains("not in this build") && text.ends_with(&format!(": `cairn-bridge {name}`"));
             assert_eq!(sentence, !cfg!(feature = "bridge"), "{name}: {text}");
         }
-        assert_eq!(answer(&["cairn", "dmeo"]), None);
+        let pull = answer(&["cairn", "map", "pull", "r:attic"]).unwrap_or_default();
+        assert_eq!(pull.ends_with(": `cairn-bridge map pull`"), !cfg!(feature = "bridge"), "{pull}");
+        assert_eq!((answer(&["cairn", "dmeo"]), answer(&["cairn", "pull"])), (None, None));
         assert_eq!(needs_tools("`--overview`").is_err(), !cfg!(feature = "tools"));
     }
 }

@@ -1,5 +1,5 @@
 //! Recordings that every tool opens: a process of its own, which subscribes to the daemon like a planner and writes MCAP. Beside it, another one: the
-//! same messages of ROS 2 over Zenoh, and a third, which lists the robots there (`bridge`, `fleet`; one feature).
+//! same messages of ROS 2 over Zenoh, and others, which list the robots there and fetch their maps (`bridge`, `fleet`, `maps`; one feature).
 //!
 //! ```text
 //! services ──► Recorder (messages into ROS 2's) ──► bounded queue ──► Sink (file or ring)
@@ -17,6 +17,8 @@ mod file;
 #[cfg(feature = "bridge")]
 pub mod fleet;
 mod frames;
+#[cfg(feature = "bridge")]
+pub mod maps;
 mod news;
 mod picture;
 mod recorder;

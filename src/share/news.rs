@@ -2,8 +2,9 @@
 
 use crate::messages::{Health, KeyframesHeader, MapHeader};
 
-/// Diagnostics that say the same are told once in so many ns.
-const DIAGNOSTICS_EVERY_NS: i64 = 1_000_000_000;
+/// Diagnostics that say the same are told once in so many s.
+pub const DIAGNOSTICS_EVERY_S: f64 = 1.0;
+const DIAGNOSTICS_EVERY_NS: i64 = (1e9 * DIAGNOSTICS_EVERY_S) as i64;
 
 /// Health as diagnostics: told when something else is to be said, and once a second.
 #[derive(Debug, Clone, Copy, Default)]

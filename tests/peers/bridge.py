@@ -8,7 +8,8 @@ and the package `cairn` say what it should be.
 2. Under the same bridge a demo that drives with its camera at a known height: transforms once lengths are metres, tf_static for who comes late and with
    the mount that the wheels have shown, scans on demand, placed by their own pose, an initial pose.
 3. A bridge with `--no-commands` declares nothing that could be asked.
-4. Three more bridges, two of one name: `cairn fleet` lists them, says whose name is taken twice and who was killed, and that there is no router.
+4. Three more bridges, two of one name: `cairn fleet` lists them, says whose name is taken twice and who was killed, and that there is no router; and one of
+   a robot that has a map: `cairn map pull` fetches it, and refuses what is broken, of two robots, or not there (`fleet.py`).
 5. SIGTERM ends it, and its tokens are gone.
 
 `--bridge` names a binary with the feature `bridge`, `--cairn` one with `demo`. Ports are free ones of this machine. Every wait is bounded, and whatever
@@ -24,7 +25,6 @@ import os
 import signal
 import socket
 import struct
-import subprocess
 import sys
 import tempfile
 import threading
@@ -37,6 +37,8 @@ import numpy as np
 import xxhash
 import zenoh
 import zenoh.ext
+from fleet import fleet, maps
+from programs import Program, until
 from rosbags.typesys import Stores, get_typestore
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -122,59 +124,6 @@ def attachment(sequence, gid):
 
 def stamp_ns(header):
     return header.stamp.sec * 10**9 + header.stamp.nanosec
-
-
-def until(what, seconds, condition):
-    end = time.monotonic() + seconds
-    while not (found := condition()):
-        if time.monotonic() > end:
-            sys.exit(f"{what}: not within {seconds} s")
-        time.sleep(0.05)
-    return found
-
-
-class Program:
-    """One of ours: what it says goes into a file, which is shown if the test fails."""
-
-    all = []
-
-    def __init__(self, name, words, folder, environment=None):
-        self.name, self.log = name, folder / f"{name}.log"
-        with self.log.open("w") as out:
-            self.process = subprocess.Popen([str(w) for w in words], env=environment, stdin=subprocess.DEVNULL, stdout=out, stderr=out)
-        Program.all.append(self)
-
-    def said(self):
-        """How often it said what."""
-        lines = (line for line in self.log.read_text().splitlines() if line.startswith("{") and line.endswith("}"))
-        return Counter(json.loads(line).get("message") for line in lines)
-
-    def says(self, message, times, seconds):
-        def found():
-            if self.process.poll() is not None:
-                sys.exit(f"{self.name} has ended with {self.process.returncode}")
-            return self.said()[message] >= times
-
-        until(f"{self.name}: {message}", seconds, found)
-
-    def end(self, sent, seconds=20):
-        self.process.send_signal(sent)
-        return self.process.wait(timeout=seconds)
-
-    @classmethod
-    def kill_all(cls):
-        for program in cls.all:
-            if program.process.poll() is None:
-                program.process.kill()
-                program.process.wait(timeout=10)
-
-    @classmethod
-    def show_all(cls):
-        for program in cls.all:
-            lines = program.log.read_text(errors="replace").splitlines()
-            sys.stderr.write(f"--- {program.name} ({program.process.poll()}), {len(lines)} lines\n")
-            sys.stderr.write("".join(f"{line}\n" for line in lines[-60:]))
-        sys.stderr.flush()
 
 
 def hung():
@@ -600,65 +549,6 @@ def listener(program, network, out, environment):
     print("--no-commands: a node and its topics, no service and no subscription")
 
 
-def fleet(program, out, environment):
-    """Three bridges of the same daemon in a domain of their own, two of them with one name."""
-    there = {**environment, "ROS_DOMAIN_ID": str(DOMAIN + 2)}
-    # Where the camera sits is asked of a service with two places.
-    words = [program, "bridge", "--no-commands", "--rate", "tf_static=0", "--robot"]
-    names = {"east": "east", "west": "west", "other_east": "east"}
-    bridges = {label: Program(label, [*words, name], out, there) for label, name in names.items()}
-    follower = Program("fleet", [program, "fleet", "--json"], out, there)
-
-    def listing():
-        if follower.process.poll() is not None:
-            sys.exit(f"fleet has ended with {follower.process.returncode}")
-        # The last line may be half written.
-        lines = follower.log.read_text().split("\n")[:-1]
-        return json.loads(lines[-1]) if lines else {"robots": [], "notices": []}
-
-    def rows(*wanted):
-        """Names and presences, by name and then session; of these alone."""
-        robots = listing()["robots"]
-        found = sorted((row["name"], row["presence"]) for row in robots)
-        return robots if found == sorted(wanted) else None
-
-    robots = until("three robots", 30, lambda: rows(("east", "here"), ("east", "here"), ("west", "here")))
-    assert [row["is_name_shared"] for row in robots] == [True, True, False], robots
-    assert len({row["session"] for row in robots}) == 3, robots
-    until("the scale", 10, lambda: all(row["scale"] == "METRIC" for row in listing()["robots"]))
-    for row in listing()["robots"]:
-        assert row["state"] and row["health"] in ("ok", "warning", "error") and row["heard_s_ago"] < 5, row
-    twins = [notice for notice in listing()["notices"] if notice.startswith("2 robots have the name east")]
-    assert len(twins) == 1 and listing()["has_router"], listing()
-
-    bridges["west"].end(signal.SIGKILL)
-    robots = until("the one that was killed", 20, lambda: rows(("east", "here"), ("east", "here"), ("west", "gone")))
-    west = robots[-1]
-    assert west["state"] is None and west["scale"] is None and west["last_state"], west
-    assert bridges["other_east"].end(signal.SIGTERM) == 0
-    robots = until("one east", 20, lambda: rows(("east", "here"), ("east", "gone"), ("west", "gone")))
-    assert not any(row["is_name_shared"] for row in robots) and not listing()["notices"], listing()
-    again = Program("west_again", [*words, "west"], out, there)
-    until("the one that is back", 20, lambda: rows(("east", "here"), ("east", "gone"), ("west", "here")))
-
-    once = [program, "fleet", "--timeout", "3"]
-    told = subprocess.run(once, env=there, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=20, check=True).stdout
-    assert "robots in domain 9: 2" in told and "metres" in told, told
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    nobody = out / "nobody.json5"
-    nobody.write_text(json.dumps({"mode": "peer", "connect": {"endpoints": [f"tcp/127.0.0.1:{port}"], "timeout_ms": -1, "exit_on_failure": False},
-                                  "listen": {"endpoints": ["tcp/127.0.0.1:0"]}, "scouting": {"multicast": {"enabled": False}}}))
-    alone = subprocess.run([*once, "--json", "--zenoh", nobody], env=there, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=20)
-    assert alone.returncode == 69 and "no Zenoh router" in alone.stderr, alone
-    report = json.loads(alone.stdout)
-    assert not report["is_connected"] and not report["robots"] and report["notices"], report
-    ended = [program.end(signal.SIGTERM) for program in (follower, bridges["east"], again)]
-    assert ended == [0, 0, 0], ended
-    print("fleet: three bridges, two of one name, one killed and back; no router is said")
-
-
 def main():
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--cairn", default=ROOT / "target/release/cairn", type=Path)
@@ -687,7 +577,8 @@ def main():
             bridge.says("waiting for a daemon", 2, 20)
             running = metric(network, wire, bridge, program, out)
             listener(with_zenoh, network, out, environment)
-            fleet(with_zenoh, out, environment)
+            fleet(with_zenoh, out, environment, DOMAIN + 2)
+            maps(program, with_zenoh, out, environment, DOMAIN + 3)
             running.end(signal.SIGINT)
             bridge.says("waiting for a daemon", 3, 20)
             code = bridge.end(signal.SIGTERM, 10)

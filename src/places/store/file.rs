@@ -64,15 +64,9 @@ impl MapFile {
     }
 
     fn make(path: &Path, first: &MapChanges) -> Result<Self, Fault> {
-        let folder = match path.parent() {
-            Some(parent) if !parent.as_os_str().is_empty() => parent,
-            _ => Path::new("."),
-        };
         let mut id = [0; 16];
         File::open("/dev/urandom").and_then(|mut r| std::io::Read::read_exact(&mut r, &mut id)).map_err(Fault::Read)?;
-        let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-        // New, locked, and cleared away at a later start should this process be killed.
-        let (file, temporary) = create_unique(folder, &format!(".{name}"), false).map_err(Fault::Write)?;
+        let (file, temporary) = nameless(path)?;
         let front = Front { format: FORMAT, id, created_ns: now_ns() };
         let filled = || {
             lock(file.try_lock())?;
@@ -88,11 +82,7 @@ impl MapFile {
             };
             own.put(first)?;
             file.sync_all().map_err(Fault::Write)?;
-            use rustix::fs::{CWD, RenameFlags, renameat_with};
-            let renamed = renameat_with(CWD, &temporary, CWD, path, RenameFlags::NOREPLACE);
-            linked_instead(renamed.map_err(Into::into), &temporary, path)?;
-            // Some file systems refuse to sync a folder; the file is whole and has its name.
-            let _ = File::open(folder).and_then(|f| f.sync_all());
+            give_name(&temporary, path)?;
             Ok(own)
         };
         filled().inspect_err(|_: &Fault| {
@@ -197,6 +187,46 @@ impl MapFile {
         let path = self.path.clone();
         self.records.take().map_or(Ok(()), Records::close).map_err(|fault| fault.of(&path))
     }
+}
+
+/// Makes a file of what `fill` writes into it, which is another process's map: verified in full, as by [`read`], before it has its name. Where anything
+/// is wrong there is no such file afterwards.
+pub fn adopt<E: From<StoreError>>(path: &Path, fill: impl FnOnce(&File) -> Result<(), E>) -> Result<Contents, E> {
+    let named = |fault: Fault| E::from(fault.of(path));
+    let (file, temporary) = nameless(path).map_err(named)?;
+    let filled = || {
+        fill(&file)?;
+        let (contents, _, _) = look(&file).map_err(named)?;
+        file.sync_all().map_err(Fault::Write).and_then(|()| give_name(&temporary, path)).map_err(named)?;
+        Ok(contents)
+    };
+    filled().inspect_err(|_| {
+        // Nobody knows it by this name but us.
+        let _ = std::fs::remove_file(&temporary);
+    })
+}
+
+fn folder_of(path: &Path) -> &Path {
+    match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    }
+}
+
+/// A file that is to have this name once it is whole: new, locked, and cleared away at a later start should this process be killed.
+fn nameless(path: &Path) -> Result<(File, PathBuf), Fault> {
+    let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    create_unique(folder_of(path), &format!(".{name}"), false).map_err(Fault::Write)
+}
+
+/// It replaces nothing.
+fn give_name(temporary: &Path, path: &Path) -> Result<(), Fault> {
+    use rustix::fs::{CWD, RenameFlags, renameat_with};
+    let renamed = renameat_with(CWD, temporary, CWD, path, RenameFlags::NOREPLACE);
+    linked_instead(renamed.map_err(Into::into), temporary, path)?;
+    // Some file systems refuse to sync a folder; the file is whole and has its name.
+    let _ = File::open(folder_of(path)).and_then(|f| f.sync_all());
+    Ok(())
 }
 
 /// Where the file is of an older format: a copy of the present one that has taken its place.

@@ -36,5 +36,5 @@ mod records;
 mod tests;
 
 pub use error::{Fault, StoreError};
-pub use file::{Contents, MapFile, read};
+pub use file::{Contents, MapFile, adopt, read};
 pub use layout::MOST_IDS;

@@ -68,9 +68,23 @@ pub fn owner(token: &str) -> Option<(&str, Robot)> {
     }
     let words: Vec<&str> = token.split('/').collect();
     let [_, _, session, _, _, _, _, namespace, NODE, ..] = words[..] else { return None };
-    let is_session = (1..=LONGEST_SESSION).contains(&session.len()) && session.chars().all(|c| c.is_ascii_hexdigit());
     let robot = Robot::new(&namespace.replace('%', "/")).ok()?;
-    is_session.then_some((session, robot))
+    is_session(session).then_some((session, robot))
+}
+
+/// Where a robot's stored maps are asked for; in any session without one. The first chunk is one that patterns leave out.
+pub fn maps_key(domain: u32, session: Option<&str>, robot: &Robot) -> String {
+    format!("@cairn/{domain}/{}/{}/maps", session.unwrap_or("*"), mangled(&robot.namespace()))
+}
+
+/// The session of such a key.
+pub fn owner_of_maps(key: &str) -> Option<&str> {
+    let session = key.split('/').nth(2)?;
+    is_session(session).then_some(session)
+}
+
+fn is_session(text: &str) -> bool {
+    (1..=LONGEST_SESSION).contains(&text.len()) && text.chars().all(|c| c.is_ascii_hexdigit())
 }
 
 /// Of what a token tells. Not here: clients, of which a bridge has none.
@@ -286,6 +300,19 @@ mod tests {
             assert_eq!(owner(&format!("@ros2_lv/7/{session}/0/4/MP/%/{namespace}/{name}/%d/T/H/Q")), None);
         }
         assert_eq!((owner(""), owner("@ros2_lv/7/ab")), (None, None));
+    }
+
+    #[test]
+    fn maps_are_asked_of_one_robot_and_of_no_pattern() {
+        let robot = Robot::new("fleet/r1").expect("name");
+        let own = maps_key(7, Some("ab01"), &robot);
+        assert_eq!((own.as_str(), owner_of_maps(&own)), ("@cairn/7/ab01/%fleet%r1/maps", Some("ab01")));
+        let meets = |pattern: &str| {
+            let pattern = zenoh::key_expr::KeyExpr::new(pattern.to_owned()).expect("key expression");
+            pattern.includes(&zenoh::key_expr::KeyExpr::new(own.clone()).expect("key expression"))
+        };
+        assert!(meets(&maps_key(7, None, &robot)) && !meets("**") && !meets("*/7/**"));
+        assert_eq!((owner_of_maps("@cairn/7/*/%r/maps"), owner_of_maps("@cairn/7")), (None, None));
     }
 
     #[test]

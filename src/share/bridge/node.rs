@@ -21,9 +21,10 @@ use super::attachment::{Attachment, GID_BYTES, gid};
 use super::commands::{Asked, unix_ns};
 use super::error::{BridgeError, reason};
 use super::inbox::{Inbox, Request, Service};
-use super::names::{INITIAL_POSE, Identity, Kind, Qos, Robot, TRIGGER, Type, key, subscribers};
+use super::names::{INITIAL_POSE, Identity, Kind, Qos, Robot, TRIGGER, Type, key, maps_key, subscribers};
 use super::session;
 use super::topic::Topic;
+use crate::share::maps::Requests;
 
 /// How often a cache says up to which number it goes, if that has changed: rmw_zenoh's own period.
 const HEARTBEAT: Duration = Duration::from_secs(5);
@@ -76,8 +77,8 @@ pub struct Node {
 }
 
 impl Node {
-    /// Opens the session, which need not find anybody yet, and declares everything.
-    pub(super) fn open(network: &Network, inbox: &Inbox) -> Result<Self, BridgeError> {
+    /// Opens the session, which need not find anybody yet, and declares everything. `maps`: where it is asked for stored ones.
+    pub(super) fn open(network: &Network, inbox: &Inbox, maps: Option<Requests>) -> Result<Self, BridgeError> {
         let (session, endpoints) = session::open(network.file.as_deref())?;
         let identity =
             Identity { domain: network.domain, session: session.zid().to_string(), robot: network.robot.clone() };
@@ -100,6 +101,7 @@ impl Node {
                 services.push(making.service(service, inbox)?);
             }
             watchers.push(making.initial_pose(inbox)?);
+            services.extend(maps.map(|maps| making.maps(maps)).transpose()?);
         }
         let tokens = making.tokens;
         let (_services, _subscribers, _tokens) = (services, watchers, tokens);
@@ -235,6 +237,15 @@ impl Making<'_> {
         let queryable = queryable.callback(answer).wait().map_err(Self::failed(&key))?;
         self.entity(Kind::Service, &topic, TRIGGER, SERVICE_QOS)?;
         Ok(queryable)
+    }
+
+    /// No service of ROS 2's, so it has no token.
+    fn maps(&self, requests: Requests) -> Result<Queryable<()>, BridgeError> {
+        let Identity { domain, session, robot } = self.identity;
+        let key = maps_key(*domain, Some(session), robot);
+        let own = key.clone();
+        let queryable = self.session.declare_queryable(key.clone()).complete(true);
+        queryable.callback(move |query| requests.push(query, &own)).wait().map_err(Self::failed(&key))
     }
 
     fn initial_pose(&mut self, inbox: &Inbox) -> Result<Subscriber<()>, BridgeError> {

@@ -85,6 +85,14 @@ impl Rates {
         }
     }
 
+    /// The time from one message to the next that the rate asks for, s; zero: as they come.
+    pub fn period_s(&self, topic: Topic) -> f64 {
+        match self.limits[topic.index()] {
+            Limit::None | Limit::Off => 0.0,
+            Limit::Every { period_ns, .. } => period_ns as f64 / 1e9,
+        }
+    }
+
     /// Nothing of it is sent, ever.
     pub fn is_off(&self, topic: Topic) -> bool {
         matches!(self.limits[topic.index()], Limit::Off)
@@ -123,6 +131,8 @@ mod tests {
     fn a_rate_names_a_topic_and_a_number() {
         assert_eq!("image=2.5".parse::<Rate>().expect("rate"), Rate { topic: Topic::Image, hz: 2.5 });
         assert_eq!("tf_static=1".parse::<Rate>().expect("rate").topic, Topic::TfStatic);
+        let rates = Rates::new(&["odom=0.05".parse().expect("rate")]);
+        assert_eq!([Topic::Odometry, Topic::Tf].map(|topic| rates.period_s(topic)), [20.0, 0.0]);
         for wrong in ["odom", "odom=", "odom=-1", "odom=nan", "odom=inf", "odometry=3", "=3"] {
             let error = wrong.parse::<Rate>().expect_err(wrong).to_string();
             assert!(error.contains("camera_info") && error.contains(wrong), "{error}");

@@ -25,7 +25,8 @@ use crate::share::conversion::{
     camera_info, diagnostics, landmark_bytes, laser_scan, odometry, point_cloud, pose_with_covariance,
 };
 use crate::share::frames::{METRIC, Place, SCAN_FRAME, UnixTime, frames, mount, transform};
-use crate::share::news::{Diagnosed, News, Told, content_of_map};
+use crate::share::maps::Requests;
+use crate::share::news::{DIAGNOSTICS_EVERY_S, Diagnosed, News, Told, content_of_map};
 use crate::share::picture::compressed;
 
 /// Longest sleep: how late a signal is noticed while nothing comes, and all but poses and pictures.
@@ -101,18 +102,19 @@ impl Outputs {
 
 impl Bridge {
     /// Opens the Zenoh session and subscribes; neither router nor daemon need be there yet. `realtime_minus_monotonic_ns`: until health tells it. The
-    /// second half, if the network may ask for anything, is for a thread of its own.
+    /// second half, if the network may ask for anything, is for a thread of its own. `maps`: where it asks for stored ones.
     pub fn open(
         endpoint: Endpoint,
         network: &Network,
         rates: Rates,
         realtime_minus_monotonic_ns: i64,
+        maps: Option<Requests>,
     ) -> Result<(Self, Option<Commands>), BridgeError> {
         let prefix = endpoint.prefix().to_owned();
         let client = Client::with_endpoint(endpoint)?;
         let is_metric = Arc::new(AtomicBool::new(false));
         let inbox = Inbox::default();
-        let node = Node::open(network, &inbox)?;
+        let node = Node::open(network, &inbox, maps)?;
         let commands = network.takes_commands.then(|| Commands::new(inbox, client.clone(), is_metric.clone()));
         let name = network.robot.name();
         let bridge = Self {
@@ -250,6 +252,9 @@ impl Bridge {
         if let Some(scale) = self.scale {
             status.values.push(ros::KeyValue { key: "scale", value: scale.name().into() });
         }
+        // Whoever waits for the next one knows how long.
+        let period_s = self.out.rates.period_s(Topic::Diagnostics).max(DIAGNOSTICS_EVERY_S);
+        status.values.push(ros::KeyValue { key: "period_s", value: period_s.to_string() });
         let message = ros::DiagnosticArray { header: Header { stamp, frame_id: "" }, status: vec![status] };
         self.out.put(Topic::Diagnostics, &message);
     }

@@ -1,15 +1,19 @@
 //! What a robot tells of itself: the DiagnosticArray of its bridge. Pure; believes nothing.
 
+use std::time::Duration;
+
 use serde::Serialize;
 
 use crate::ros::{CdrError, Reader};
 
 /// A bridge's diagnostics have some 500 bytes; what is longer than this is not copied.
 pub const MOST_BYTES: usize = 16 * 1024;
-/// Of the values of a status, of which a bridge tells eleven.
+/// Of the values of a status, of which a bridge tells twelve.
 const MOST_VALUES: u32 = 64;
 /// The health has bits for as many.
 const MOST_FAULTS: usize = 64;
+/// Between two diagnostics: a day. Who names more is as good as silent.
+const LONGEST_PERIOD: Duration = Duration::from_secs(86_400);
 /// Letters of a word; the longest of ours has 17.
 const LONGEST_WORD: usize = 32;
 
@@ -26,6 +30,8 @@ pub enum ReportError {
     Many { count: u32 },
     #[error("the value of `{key}` is no word, or too many")]
     Word { key: &'static str },
+    #[error("`period_s` is no time, or longer than a day")]
+    Period,
     #[error("no `state`")]
     NoState,
 }
@@ -50,6 +56,13 @@ pub struct Report {
     pub scale: Option<String>,
     /// `NO_CAMERA`, ...
     pub faults: Vec<String>,
+    /// From one to the next while nothing changes; zero: not said.
+    pub period: Duration,
+}
+
+fn period(text: &str) -> Result<Duration, ReportError> {
+    let period = text.parse().ok().and_then(|seconds| Duration::try_from_secs_f64(seconds).ok());
+    period.filter(|period| *period <= LONGEST_PERIOD).ok_or(ReportError::Period)
 }
 
 /// Text that can do nothing to a terminal.
@@ -82,11 +95,12 @@ impl Report {
         if count > MOST_VALUES {
             return Err(ReportError::Many { count });
         }
-        let (mut state, mut scale, mut faults) = (None, None, Vec::new());
+        let (mut state, mut scale, mut faults, mut every) = (None, None, Vec::new(), Duration::ZERO);
         for _ in 0..count {
             match (reader.text()?, reader.text()?) {
                 ("state", text) => state = Some(word(text, "state")?),
                 ("scale", text) => scale = Some(word(text, "scale")?),
+                ("period_s", text) => every = period(text)?,
                 ("faults", text) => {
                     let words = text.split_ascii_whitespace().take(MOST_FAULTS + 1);
                     faults = words.map(|text| word(text, "faults")).collect::<Result<_, _>>()?;
@@ -97,7 +111,7 @@ impl Report {
                 _ => {}
             }
         }
-        Ok(Self { level, state: state.ok_or(ReportError::NoState)?, scale, faults })
+        Ok(Self { level, state: state.ok_or(ReportError::NoState)?, scale, faults, period: every })
     }
 }
 
@@ -128,6 +142,8 @@ pub mod tests {
         assert_eq!((report.scale.as_deref(), report.faults), (Some("METRIC"), vec!["LOST".into(), "LOW_RATE".into()]));
         let plain = Report::of(&message(&Health::default(), &[])).expect("a report");
         assert_eq!((plain.level, plain.scale, plain.faults.len()), (Level::Ok, None, 0));
+        let slow = Report::of(&message(&Health::default(), &[("period_s", "20")])).expect("a report");
+        assert_eq!((slow.period, plain.period), (Duration::from_secs(20), Duration::ZERO));
     }
 
     #[test]
@@ -140,6 +156,9 @@ pub mod tests {
         let long = "A".repeat(LONGEST_WORD + 1);
         for text in ["", "two words", "\u{1b}[2J", "ÄH", long.as_str()] {
             assert_eq!(refused(&[("state", text)]), ReportError::Word { key: "state" }, "{text:?}");
+        }
+        for text in ["", "-1", "NaN", "inf", "86401", "1e30"] {
+            assert_eq!(refused(&[("period_s", text)]), ReportError::Period, "{text}");
         }
         assert_eq!(refused(&[("faults", "F ".repeat(MOST_FAULTS + 1).as_str())]), ReportError::Word { key: "faults" });
         assert_eq!(refused(&[("x", ""); 100]), ReportError::Many { count: 110 });

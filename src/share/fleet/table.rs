@@ -14,8 +14,10 @@ use crate::share::bridge::session::Link;
 
 /// Robots that are told apart, some 200 bytes each: hundreds, and some over.
 pub const MOST_ROBOTS: usize = 1024;
-/// Diagnostics come once a second; Zenoh itself, too, takes a link for dead that was silent for so long.
+/// Diagnostics come once a second unless they name another period; Zenoh itself, too, takes a link for dead that was silent for so long.
 pub const SILENT_AFTER: Duration = Duration::from_secs(10);
+/// Of the periods that a robot names, where they are long: one message may be lost and the next one late.
+const SILENT_PERIODS: u32 = 3;
 /// Robots of one name, or names, that a sentence lists.
 const MOST_LISTED: usize = 4;
 
@@ -27,6 +29,14 @@ struct Entry {
     heard: Option<Instant>,
     /// The last, or why it is none.
     told: Option<Result<Report, String>>,
+}
+
+impl Entry {
+    /// How long it may say nothing.
+    fn patience(&self) -> Duration {
+        let period = self.told.as_ref().and_then(|told| told.as_ref().ok()).map_or(Duration::ZERO, |told| told.period);
+        SILENT_AFTER.max(SILENT_PERIODS * period)
+    }
 }
 
 /// See module.
@@ -121,7 +131,7 @@ impl Table {
         match (self.link, entry.gone) {
             (Link::Nobody, _) | (Link::Peers, Some(_)) => Presence::Unseen,
             (Link::Router, Some(_)) => Presence::Gone,
-            (_, None) if quiet > SILENT_AFTER => Presence::Silent,
+            (_, None) if quiet > entry.patience() => Presence::Silent,
             (_, None) if entry.heard.is_none_or(|heard| heard < entry.came) => Presence::New,
             (_, None) => Presence::Here,
         }
@@ -230,6 +240,17 @@ mod tests {
         assert_eq!(row.last_state.as_deref(), Some("INITIALIZING"));
         table.token_up(&token, start + seconds(20));
         assert_eq!(presences(&table, start + seconds(21)), [Presence::New]);
+    }
+
+    #[test]
+    fn a_robot_that_says_how_rarely_it_speaks_is_not_silent_meanwhile() {
+        let ((mut table, start), token) = (table(), token("r", "aa"));
+        table.token_up(&token, start);
+        table.diagnostics(&gid(&token), &message(&Health::default(), &[("period_s", "20")]), start);
+        assert_eq!(presences(&table, start + seconds(60)), [Presence::Here]);
+        assert_eq!(presences(&table, start + seconds(61)), [Presence::Silent]);
+        table.diagnostics(&gid(&token), &metric(), start + seconds(70));
+        assert_eq!(presences(&table, start + seconds(81)), [Presence::Silent]);
     }
 
     #[test]

@@ -1,0 +1,126 @@
+"""`cairn fleet` and `cairn map pull` beside bridges of one network; a part of `bridge.py`, which has the router."""
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+
+from programs import Program, until
+
+
+def fleet(program, out, environment, domain):
+    """Three bridges of the same daemon in a domain of their own, two of them with one name."""
+    there = {**environment, "ROS_DOMAIN_ID": str(domain)}
+    # Where the camera sits is asked of a service with two places.
+    words = [program, "bridge", "--no-commands", "--rate", "tf_static=0", "--robot"]
+    names = {"east": "east", "west": "west", "other_east": "east"}
+    bridges = {label: Program(label, [*words, name], out, there) for label, name in names.items()}
+    follower = Program("fleet", [program, "fleet", "--json"], out, there)
+
+    def listing():
+        if follower.process.poll() is not None:
+            sys.exit(f"fleet has ended with {follower.process.returncode}")
+        # The last line may be half written.
+        lines = follower.log.read_text().split("\n")[:-1]
+        return json.loads(lines[-1]) if lines else {"robots": [], "notices": []}
+
+    def rows(*wanted):
+        """Names and presences, by name and then session; of these alone."""
+        robots = listing()["robots"]
+        found = sorted((row["name"], row["presence"]) for row in robots)
+        return robots if found == sorted(wanted) else None
+
+    robots = until("three robots", 30, lambda: rows(("east", "here"), ("east", "here"), ("west", "here")))
+    assert [row["is_name_shared"] for row in robots] == [True, True, False], robots
+    assert len({row["session"] for row in robots}) == 3, robots
+    until("the scale", 10, lambda: all(row["scale"] == "METRIC" for row in listing()["robots"]))
+    for row in listing()["robots"]:
+        assert row["state"] and row["health"] in ("ok", "warning", "error") and row["heard_s_ago"] < 5, row
+    twins = [notice for notice in listing()["notices"] if notice.startswith("2 robots have the name east")]
+    assert len(twins) == 1 and listing()["has_router"], listing()
+
+    bridges["west"].end(signal.SIGKILL)
+    robots = until("the one that was killed", 20, lambda: rows(("east", "here"), ("east", "here"), ("west", "gone")))
+    west = robots[-1]
+    assert west["state"] is None and west["scale"] is None and west["last_state"], west
+    assert bridges["other_east"].end(signal.SIGTERM) == 0
+    robots = until("one east", 20, lambda: rows(("east", "here"), ("east", "gone"), ("west", "gone")))
+    assert not any(row["is_name_shared"] for row in robots) and not listing()["notices"], listing()
+    again = Program("west_again", [*words, "west"], out, there)
+    until("the one that is back", 20, lambda: rows(("east", "here"), ("east", "gone"), ("west", "here")))
+
+    once = [program, "fleet", "--timeout", "3"]
+    told = subprocess.run(once, env=there, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=20, check=True).stdout
+    assert f"robots in domain {domain}: 2" in told and "metres" in told, told
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    nobody = out / "nobody.json5"
+    nobody.write_text(json.dumps({"mode": "peer", "connect": {"endpoints": [f"tcp/127.0.0.1:{port}"], "timeout_ms": -1, "exit_on_failure": False},
+                                  "listen": {"endpoints": ["tcp/127.0.0.1:0"]}, "scouting": {"multicast": {"enabled": False}}}))
+    alone = subprocess.run([*once, "--json", "--zenoh", nobody], env=there, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=20)
+    assert alone.returncode == 69 and "no Zenoh router" in alone.stderr, alone
+    report = json.loads(alone.stdout)
+    assert not report["is_connected"] and not report["robots"] and report["notices"], report
+    ended = [program.end(signal.SIGTERM) for program in (follower, bridges["east"], again)]
+    assert ended == [0, 0, 0], ended
+    print("fleet: three bridges, two of one name, one killed and back; no router is said")
+
+
+def maps(program, with_zenoh, out, environment, domain):
+    """A robot whose daemon does not run has a map, and another one a broken one: who fetches the first can be located in it."""
+    there = {**environment, "ROS_DOMAIN_ID": str(domain)}
+    walk = out / "walk"
+    quietly = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True, "timeout": 120, "check": True}
+    subprocess.run([program, "simulate", "--output", walk, "--scenario", "hand_held", "--size", "320x240", "--seconds", "6"], **quietly)
+    replay = [program, "replay", walk, "--lockstep", "--quiet", "--map-file"]
+    shelves = {name: out / f"maps_{name}" for name in ("west", "broken", "own")}
+    for name, folder in shelves.items():
+        folder.mkdir()
+        (out / f"{name}.toml").write_text(f'[map]\ndirectory = "{folder}"\n')
+    original = shelves["west"] / "warehouse.map"
+    subprocess.run([*replay, original], **quietly)
+    whole = original.read_bytes()
+    # In the middle of a record.
+    at = len(whole) // 2
+    (shelves["broken"] / "warehouse.map").write_bytes(whole[:at] + bytes(b ^ 0x55 for b in whole[at : at + 4096]) + whole[at + 4096 :])
+
+    # Nobody's daemon: the file itself is what is given.
+    alone = {**there, "CAIRN_PREFIX": environment["CAIRN_PREFIX"] + "_maps"}
+    words = [with_zenoh, "bridge", "--rate", "tf_static=0"]
+    names = {"west": "west", "broken": "broken", "twin_a": "twin", "twin_b": "twin"}
+    bridges = [Program(f"maps_{label}", [*words, "--robot", name, "--config", out / f"{'broken' if name == 'broken' else 'west'}.toml"], out, alone)
+               for label, name in names.items()]
+
+    def pull(*words, code=0):
+        told = subprocess.run([with_zenoh, "map", "pull", *words, "--config", out / "own.toml"], env=there, stdin=subprocess.DEVNULL,
+                              capture_output=True, text=True, timeout=60)
+        assert told.returncode == code, (words, told)
+        return told.stdout if code == 0 else told.stderr
+
+    fetched = shelves["own"] / "warehouse.map"
+    told = pull("west:warehouse")
+    assert "verified" in told and fetched.read_bytes() == whole, told
+    assert "already" in pull("west:warehouse", code=73)
+    pull("west:warehouse", "--as", "depot")
+    pull("west:warehouse", "--output", out / "direct.map")
+    assert (shelves["own"] / "depot.map").read_bytes() == (out / "direct.map").read_bytes() == whole
+    assert "exists already" in pull("west:warehouse", "--output", out / "direct.map", code=73)
+
+    before = sorted(path.name for path in shelves["own"].iterdir())
+    assert "there is no map attic; there are warehouse" in pull("west:attic", code=66)
+    assert "is no name of a map" in pull("west:../broken", "--as", "x", code=66)
+    assert "is broken" in pull("broken:warehouse", "--as", "x", code=4)
+    assert "2 robots have the name twin" in pull("twin:warehouse", "--as", "x", code=69)
+    assert "no bridge of nobody" in pull("nobody:warehouse", "--as", "x", "--wait", "1", code=69)
+    assert sorted(path.name for path in shelves["own"].iterdir()) == before, "something was left behind"
+
+    located = out / "located.txt"
+    subprocess.run([*replay, fetched, "--localise", "--trajectory", located], **quietly)
+    poses = [line for line in located.read_text().splitlines() if not line.startswith("#")]
+    assert len(poses) > 60, f"located in {len(poses)} frames"
+    assert fetched.read_bytes() == whole
+    ended = [bridge.end(signal.SIGTERM) for bridge in bridges]
+    assert ended == [0] * len(bridges), ended
+    print(f"maps: {len(whole) / 1e6:.1f} MB fetched, {len(poses)} frames located in it; broken, ambiguous, missing and existing ones refused")
