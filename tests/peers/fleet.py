@@ -82,9 +82,9 @@ def maps(program, with_zenoh, out, environment, domain):
     original = shelves["west"] / "warehouse.map"
     subprocess.run([*replay, original], **quietly)
     whole = original.read_bytes()
-    # In the middle of a record.
-    at = len(whole) // 2
-    (shelves["broken"] / "warehouse.map").write_bytes(whole[:at] + bytes(b ^ 0x55 for b in whole[at : at + 4096]) + whole[at + 4096 :])
+    # Much of it, as a page here and there may be a free one.
+    low, high = len(whole) // 4, 3 * len(whole) // 4
+    (shelves["broken"] / "warehouse.map").write_bytes(whole[:low] + bytes(b ^ 0x55 for b in whole[low:high]) + whole[high:])
 
     # Nobody's daemon: the file itself is what is given.
     alone = {**there, "CAIRN_PREFIX": environment["CAIRN_PREFIX"] + "_maps"}
