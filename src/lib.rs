@@ -79,7 +79,7 @@
 //!    iceoryx2. ([`map`] uses of [`features`] what a keyframe keeps to be known again by: thumbnail, descriptors, gradients of patches.)
 //! 4. Of the daemon's process only [`daemon`] spawns threads; [`console`] is another process, with its own. Every stage is also a plain step that a test calls without threads.
 //! 5. Camera, recording and simulator come in by one door ([`camera::FrameSource`]).
-//! 6. The daemon opens no network socket. What does runs as another process: [`console`], and bridge and fleet in [`share`].
+//! 6. The daemon opens no network socket. What does runs as another process: [`console`], and bridge, fleet and map pull in [`share`].
 //! 7. Lock-step replay is deterministic, byte for byte: no clock in a decision, no iteration over hash maps, seeds from frame
 //!    numbers, sequential reductions.
 //! 8. Every queue and store is bounded and counts what it drops. A trajectory streams to disk as keyframe and relative pose.
@@ -100,7 +100,8 @@
 //! - Two rooms more for recordings: [`share`] is `cairn record`, a process of its own that subscribes like a planner, and [`ros`] the messages of ROS 2 that it
 //!   writes and a replay reads, which knows nothing of ours. Both are in the robot's build: to record is what a robot's owner does on the robot.
 //!   `share` starts no thread; `cli` has the daemon's room start the one that writes to the disk. In `share/bridge`, `cairn bridge`: the same messages to ROS 2 over
-//!   Zenoh, in rmw_zenoh's format; in `share/fleet`, `cairn fleet`: the robots of such a network. Zenoh's own threads and sockets are in these two processes alone.
+//!   Zenoh, in rmw_zenoh's format; in `share/fleet`, `cairn fleet`: the robots of such a network; in `share/maps`, `cairn map pull`: maps from
+//!   one of them to another. Zenoh's own threads and sockets are in these processes alone.
 //! - A room more, [`workbench`]: the method step by step on two pictures from files (`cairn twoview`) and on many pairs with known
 //!   truth (`cairn compare`). It is no stage of the daemon, needs single pictures, calibrations and truth of several kinds, and
 //!   would otherwise put files and clocks into `features` and `geometry`; it knows these two, and only `cli` knows it.
@@ -116,7 +117,7 @@
 //! | `client` | wire types and subscriptions, iceoryx2 only | |
 //! | `c` | the same as a C library, for `--crate-type cdylib` | |
 //! | `robot` | the daemon: camera, services, calibration, and the commands run, doctor, watch, command, calibrate, record, replay, tag | `cairn` |
-//! | `bridge` | that, with the commands bridge and fleet, and Zenoh | `cairn-bridge` |
+//! | `bridge` | that, with the commands bridge, fleet and map pull, and Zenoh | `cairn-bridge` |
 //! | `tools` (default) | the whole: also simulator, plot, workbench, evaluation, console, and the commands demo, console, simulate, evaluate, twoview, compare | `cairn-tools` |
 //!
 //! Each contains those above it but `c`, and `tools` not `bridge`: Zenoh alone builds as long as all the rest. Rooms are left out whole: below `cli`, `cfg` stands at a room's door and hardly anywhere
