@@ -2,12 +2,15 @@
 
 use std::fmt::Write as _;
 use std::io::{ErrorKind, Write};
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use super::fleet_plot::svg;
 use super::zenoh_args::ZenohArgs;
 use super::{CliError, exit_code, session};
+use crate::atomic_file::write_atomically;
 use crate::daemon::advice;
 use crate::share::fleet::{Level, Listener, Listing, Presence, Row};
 
@@ -27,6 +30,9 @@ pub struct FleetArgs {
     /// Listen for so long, print one listing and end; with exit code 69 if nobody is on the network
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     pub timeout: Option<Duration>,
+    /// Draw where the robots are whose maps are in the frame of the same dock, again with every listing and once a second (SVG)
+    #[arg(long, value_name = "OUT.svg")]
+    pub plot: Option<PathBuf>,
     #[command(flatten)]
     pub zenoh: ZenohArgs,
 }
@@ -37,11 +43,12 @@ fn seconds(text: &str) -> Result<Duration, String> {
 }
 
 pub fn run(args: &FleetArgs) -> Result<ExitCode, CliError> {
+    session::check_outputs([&args.plot])?;
     let stop = session::stop_flag()?;
-    let listener = Listener::open(args.zenoh.domain, args.zenoh.file().as_deref())?;
+    let listener = Listener::open(args.zenoh.domain, args.zenoh.file().as_deref(), args.plot.is_some())?;
     let outcome = match args.timeout {
-        Some(timeout) => once(&listener, args.json, timeout, &stop),
-        None => follow(&listener, args.json, &stop),
+        Some(timeout) => once(&listener, args, timeout, &stop),
+        None => follow(&listener, args, &stop),
     };
     listener.close();
     outcome.map(|()| ExitCode::SUCCESS)
@@ -54,10 +61,17 @@ fn wait(end: Instant, stop: &AtomicBool) {
     }
 }
 
-fn once(listener: &Listener, json: bool, timeout: Duration, stop: &AtomicBool) -> Result<(), CliError> {
+fn draw(path: Option<&Path>, listing: &Listing) -> Result<(), CliError> {
+    let Some(path) = path else { return Ok(()) };
+    let drawn = write_atomically(path, |out| out.write_all(svg(&listing.robots).as_bytes()));
+    drawn.map_err(|e| CliError::new(exit_code::CANNOT_CREATE, e.to_string()))
+}
+
+fn once(listener: &Listener, args: &FleetArgs, timeout: Duration, stop: &AtomicBool) -> Result<(), CliError> {
     wait(Instant::now() + timeout, stop);
     let listing = listener.listing();
-    put(&mut std::io::stdout().lock(), &written(&listing, json)?)?;
+    draw(args.plot.as_deref(), &listing)?;
+    put(&mut std::io::stdout().lock(), &written(&listing, args.json)?)?;
     if listing.is_connected {
         return Ok(());
     }
@@ -65,7 +79,7 @@ fn once(listener: &Listener, json: bool, timeout: Duration, stop: &AtomicBool) -
     Err(CliError::new(exit_code::UNAVAILABLE, message))
 }
 
-fn follow(listener: &Listener, json: bool, stop: &AtomicBool) -> Result<(), CliError> {
+fn follow(listener: &Listener, args: &FleetArgs, stop: &AtomicBool) -> Result<(), CliError> {
     let mut told: Option<Listing> = None;
     loop {
         wait(Instant::now() + LOOK_EVERY, stop);
@@ -73,10 +87,11 @@ fn follow(listener: &Listener, json: bool, stop: &AtomicBool) -> Result<(), CliE
             return Ok(());
         }
         let listing = listener.listing();
+        draw(args.plot.as_deref(), &listing)?;
         let now = Some(listing.timeless());
         if told != now {
             told = now;
-            if !put(&mut std::io::stdout().lock(), &written(&listing, json)?)? {
+            if !put(&mut std::io::stdout().lock(), &written(&listing, args.json)?)? {
                 return Ok(());
             }
         }
@@ -111,6 +126,9 @@ fn table(listing: &Listing) -> String {
         let name = &row.name;
         // Writing into a text cannot fail.
         let _ = writeln!(text, "  {name:<width$}  {state:<22}  {scale:<16}  {health:<8}  {heard}{was}");
+        if let Some(frame) = &row.map_frame {
+            let _ = writeln!(text, "      its map is in the frame {frame}");
+        }
         for fault in &row.faults {
             let _ = writeln!(text, "      {fault}: {}", advice(fault));
         }
@@ -155,10 +173,10 @@ fn health(row: &Row) -> &'static str {
 }
 
 #[cfg(test)]
-mod tests {
+pub mod tests {
     use super::*;
 
-    fn row(name: &str, presence: Presence) -> Row {
+    pub fn row(name: &str, presence: Presence) -> Row {
         Row {
             name: name.into(),
             session: "ab".into(),
@@ -168,6 +186,9 @@ mod tests {
             scale: None,
             health: None,
             faults: Vec::new(),
+            map_frame: None,
+            place: None,
+            trail: Vec::new(),
             last_state: None,
             heard_s_ago: None,
             problem: None,

@@ -20,6 +20,8 @@ mod error;
 pub mod evaluate;
 #[cfg(feature = "bridge")]
 pub mod fleet;
+#[cfg(feature = "bridge")]
+mod fleet_plot;
 pub mod map;
 mod map_daemon;
 mod map_file;

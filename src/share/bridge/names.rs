@@ -61,6 +61,16 @@ pub fn bridges(domain: u32, topic: &str) -> String {
     format!("@ros2_lv/{domain}/*/*/*/{}/*/*/{NODE}/{}/**", Kind::Publisher.word(), mangled(topic))
 }
 
+/// The same of a topic that each has in its own namespace.
+pub fn bridges_own(domain: u32, word: &str) -> String {
+    format!("@ros2_lv/{domain}/*/*/*/{}/*/*/{NODE}/$*%{word}/**", Kind::Publisher.word())
+}
+
+/// Where these messages go, whatever the robot.
+pub fn key_of_all(domain: u32, word: &str, of: Type) -> String {
+    key(domain, &format!("/**/{word}"), of)
+}
+
 /// The session and the robot of such a token. `None`: it is none, or longer than any.
 pub fn owner(token: &str) -> Option<(&str, Robot)> {
     if token.len() > LONGEST_TOKEN {
@@ -283,6 +293,19 @@ mod tests {
             let token = node(name).token(4, Kind::Publisher, "/diagnostics", STRING, Qos::reliable(10));
             assert!(pattern.includes(&zenoh::key_expr::KeyExpr::new(token.clone()).expect("key expression")));
             assert_eq!(owner(&token), Some(("ab01", Robot::new(name).expect("name"))));
+        }
+        let own = zenoh::key_expr::KeyExpr::new(bridges_own(7, "pose")).expect("key expression");
+        let all = zenoh::key_expr::KeyExpr::new(key_of_all(7, "pose", STRING)).expect("key expression");
+        for (name, topic, is_met) in [
+            ("robot1", "/robot1/pose", true),
+            ("/", "/pose", true),
+            ("a/b", "/a/b/pose", true),
+            ("r", "/r/initialpose", false),
+        ] {
+            let token = node(name).token(4, Kind::Publisher, topic, STRING, Qos::reliable(10));
+            assert_eq!(own.includes(&zenoh::key_expr::KeyExpr::new(token).expect("key expression")), is_met, "{topic}");
+            let key = zenoh::key_expr::KeyExpr::new(key(7, topic, STRING)).expect("key expression");
+            assert_eq!(all.includes(&key), is_met, "{topic}");
         }
         let token = node("robot1").token(4, Kind::Publisher, "/odom", STRING, Qos::reliable(10));
         assert!(!pattern.includes(&zenoh::key_expr::KeyExpr::new(token).expect("key expression")));

@@ -17,8 +17,10 @@ use super::on_demand::OnDemand;
 use super::rates::Rates;
 use super::scans::LastPoses;
 use super::topic::Topic;
-use crate::client::{Client, Encodeds, Healths, Map, ObstacleScans, Poses};
-use crate::messages::{EncodedHeader, Endpoint, Health, Landmark, MapHeader, Obstacles, Pose, Scale, Transform};
+use crate::client::{Client, Encodeds, Healths, Map, ObstacleScans, Poses, TagLists};
+use crate::messages::{
+    EncodedHeader, Endpoint, Health, Landmark, MapHeader, Obstacles, Pose, Scale, Tag, Transform, map_mode,
+};
 use crate::ros::standard::{self as ros, Header, Time};
 use crate::ros::{Bytes, Message};
 use crate::share::conversion::{
@@ -49,6 +51,7 @@ pub struct Bridge {
     health: Healths,
     obstacles: OnDemand<ObstacleScans>,
     encoded: OnDemand<Encodeds>,
+    tags: OnDemand<TagLists>,
     client: Client,
     prefix: String,
     name: String,
@@ -60,6 +63,10 @@ pub struct Bridge {
     scale: Option<Scale>,
     /// `body_from_camera` of this run, and when it was told.
     mount: Option<(Transform, Instant)>,
+    /// The map is told in the frame of the dock.
+    is_docked: bool,
+    /// The tag that is the dock of this run, as one word; other robots with the same one have the same frame.
+    dock: Option<String>,
     /// The daemon believes what wheels tell.
     has_wheels: bool,
     /// What was sent of it.
@@ -124,6 +131,7 @@ impl Bridge {
             health: client.health().polled(TURN),
             obstacles: OnDemand::default(),
             encoded: OnDemand::default(),
+            tags: OnDemand::default(),
             client,
             name: if name.is_empty() { "cairn: pose and map".into() } else { format!("{name}: pose and map") },
             prefix,
@@ -133,6 +141,8 @@ impl Bridge {
             run: None,
             scale: None,
             mount: None,
+            is_docked: false,
+            dock: None,
             has_wheels: false,
             told_mount: None,
             diagnosed: Diagnosed::default(),
@@ -164,6 +174,7 @@ impl Bridge {
             self.take_obstacles(&obstacles);
         }
         self.take_pictures()?;
+        self.look_for_dock()?;
         self.look_around();
         Ok(())
     }
@@ -198,6 +209,7 @@ impl Bridge {
     fn take_pose(&mut self, pose: &Pose) {
         if self.run.replace(pose.run_id) != Some(pose.run_id) {
             self.mount = None;
+            self.dock = None;
         }
         self.scale = Some(pose.scale());
         let is_metric = pose.scale() == Scale::Metric;
@@ -238,6 +250,7 @@ impl Bridge {
     fn take_health(&mut self, health: &Health) {
         self.time = UnixTime { realtime_minus_monotonic_ns: health.realtime_minus_monotonic_ns };
         self.has_wheels = health.wheel_messages > 0;
+        self.is_docked = health.map_mode & map_mode::DOCK_FRAME != 0;
         let is_sent = match self.diagnosed.news(health) {
             Some(News::Changed) => !self.out.rates.is_off(Topic::Diagnostics),
             Some(News::Again) => self.out.allow(Topic::Diagnostics, health.published_ns),
@@ -251,6 +264,9 @@ impl Bridge {
         // Health does not tell it, poses do; whoever looks after many robots hears diagnostics alone.
         if let Some(scale) = self.scale {
             status.values.push(ros::KeyValue { key: "scale", value: scale.name().into() });
+        }
+        if let Some(dock) = self.dock.as_ref().filter(|_| self.is_docked) {
+            status.values.push(ros::KeyValue { key: "map_frame", value: dock.clone() });
         }
         // Whoever waits for the next one knows how long.
         let period_s = self.out.rates.period_s(Topic::Diagnostics).max(DIAGNOSTICS_EVERY_S);
@@ -272,6 +288,20 @@ impl Bridge {
         let stamp = self.time.stamp(header.timestamp_ns, header.clock);
         let data = landmark_bytes(landmarks);
         self.out.put(Topic::Points, &point_cloud(&data, landmarks.len(), Header { stamp, frame_id }));
+    }
+
+    /// Which tag the dock is, asked once in a run.
+    fn look_for_dock(&mut self) -> Result<(), BridgeError> {
+        if !self.is_docked || self.dock.is_some() {
+            self.tags.leave();
+            return Ok(());
+        }
+        let client = &self.client;
+        let next = self.tags.try_next(|| client.tags().polled(TURN), TagLists::try_next)?;
+        let is_dock = |tag: &&Tag| tag.is_dock != 0;
+        let word = |tag: &Tag| format!("dock_{}_{}", tag.family_name(), tag.id);
+        self.dock = next.and_then(|tags| tags.seen().iter().find(is_dock).map(word));
+        Ok(())
     }
 
     /// The daemon looks for obstacles only while it is asked for them. The newest scan.

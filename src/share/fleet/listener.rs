@@ -9,10 +9,10 @@ use zenoh::sample::{Sample, SampleKind};
 use zenoh::{Session, Wait};
 
 use super::listing::Listing;
-use super::report::MOST_BYTES;
 use super::table::Table;
-use crate::share::bridge::attachment::{Attachment, BYTES};
-use crate::share::bridge::names::{bridges, key};
+use super::{path, report};
+use crate::share::bridge::attachment::{Attachment, BYTES, GID_BYTES};
+use crate::share::bridge::names::{bridges, bridges_own, key, key_of_all};
 use crate::share::bridge::session;
 use crate::share::bridge::topic::Topic;
 use crate::share::bridge::{BridgeError, reason};
@@ -24,13 +24,13 @@ const TOPIC: &str = "/diagnostics";
 pub struct Listener {
     table: Arc<Mutex<Table>>,
     endpoints: String,
-    _heard: [Subscriber<()>; 2],
+    _heard: Vec<Subscriber<()>>,
     session: Session,
 }
 
 impl Listener {
-    /// Opens the session, which need not find anybody yet. `file`: Zenoh's own configuration.
-    pub fn open(domain: u32, file: Option<&Path>) -> Result<Self, BridgeError> {
+    /// Opens the session, which need not find anybody yet. `file`: Zenoh's own configuration. `poses`: listen to them, too; they come with every picture.
+    pub fn open(domain: u32, file: Option<&Path>, poses: bool) -> Result<Self, BridgeError> {
         let (session, endpoints) = session::open(file)?;
         let table = Arc::new(Mutex::new(Table::new(domain)));
         let failed = |what: &str| {
@@ -48,9 +48,28 @@ impl Listener {
         });
         let tokens = tokens.wait().map_err(failed(&pattern))?;
         let (key, told) = (key(domain, TOPIC, Topic::Diagnostics.of()), table.clone());
-        let diagnostics = session.declare_subscriber(key.clone()).callback(move |sample| take(&told, &sample));
-        let diagnostics = diagnostics.wait().map_err(failed(&key))?;
-        Ok(Self { table, endpoints, _heard: [tokens, diagnostics], session })
+        let diagnostics = session.declare_subscriber(key.clone()).callback(move |sample| {
+            take(&sample, report::MOST_BYTES, |id, message| lock(&told).diagnostics(id, message, Instant::now()));
+        });
+        let mut heard = vec![tokens, diagnostics.wait().map_err(failed(&key))?];
+        if poses {
+            let (pattern, seen) = (bridges_own(domain, Topic::Pose.word()), table.clone());
+            let tokens = session.liveliness().declare_subscriber(pattern.clone()).history(true);
+            let tokens = tokens.callback(move |sample| {
+                let token = sample.key_expr().as_str();
+                match sample.kind() {
+                    SampleKind::Put => lock(&seen).pose_token_up(token),
+                    SampleKind::Delete => lock(&seen).pose_token_down(token),
+                }
+            });
+            heard.push(tokens.wait().map_err(failed(&pattern))?);
+            let (key, told) = (key_of_all(domain, Topic::Pose.word(), Topic::Pose.of()), table.clone());
+            let subscriber = session.declare_subscriber(key.clone()).callback(move |sample| {
+                take(&sample, path::MOST_BYTES, |id, message| lock(&told).pose(id, message, Instant::now()));
+            });
+            heard.push(subscriber.wait().map_err(failed(&key))?);
+        }
+        Ok(Self { table, endpoints, _heard: heard, session })
     }
 
     /// As it is now.
@@ -74,12 +93,12 @@ impl Listener {
 }
 
 /// Whoever sends something else, or more than a bridge does, is not listened to, and nothing of it is copied.
-fn take(table: &Mutex<Table>, sample: &Sample) {
+fn take(sample: &Sample, most_bytes: usize, told: impl FnOnce(&[u8; GID_BYTES], &[u8])) {
     let attachment = sample.attachment().filter(|attachment| attachment.len() == BYTES);
     let attachment = attachment.and_then(|attachment| Attachment::from_bytes(&attachment.to_bytes()));
-    let is_fit = sample.kind() == SampleKind::Put && sample.payload().len() <= MOST_BYTES;
+    let is_fit = sample.kind() == SampleKind::Put && sample.payload().len() <= most_bytes;
     if let Some(attachment) = attachment.filter(|_| is_fit) {
-        lock(table).diagnostics(&attachment.gid, &sample.payload().to_bytes(), Instant::now());
+        told(&attachment.gid, &sample.payload().to_bytes());
     }
 }
 

@@ -19,6 +19,14 @@ pub enum Presence {
     Unseen,
 }
 
+/// Where a robot is on the floor of its map: m, rad, seen from above.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Place {
+    pub x_m: f64,
+    pub y_m: f64,
+    pub yaw_rad: f64,
+}
+
 /// One robot. State, scale, health and faults are those of now: `None` and none of one that is not here.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Row {
@@ -33,6 +41,13 @@ pub struct Row {
     pub scale: Option<String>,
     pub health: Option<Level>,
     pub faults: Vec<String>,
+    /// The frame of its map, where that is one that several robots have: the dock's.
+    pub map_frame: Option<String>,
+    /// Where it is in that frame; `None` as well where poses are not listened to.
+    pub place: Option<Place>,
+    /// Where it was there, oldest first, m.
+    #[serde(skip)]
+    pub trail: Vec<[f64; 2]>,
     /// Its last state, if it is not here.
     pub last_state: Option<String>,
     /// Since its last diagnostics, s; `None`: there were none.
@@ -58,7 +73,10 @@ impl Listing {
     /// Without what changes by time alone.
     pub fn timeless(&self) -> Self {
         let mut same = self.clone();
-        same.robots.iter_mut().for_each(|row| row.heard_s_ago = None);
+        for row in &mut same.robots {
+            (row.heard_s_ago, row.place) = (None, None);
+            row.trail.clear();
+        }
         same
     }
 }

@@ -1,7 +1,7 @@
 //! Several robots on one Zenoh network: who is there, and how they are. A process of its own, which hears what bridges send and sends nothing.
 //!
 //! ```text
-//! Zenoh (tokens of bridges, /diagnostics) ──► Table (no clock, no Zenoh) ──► Listing
+//! Zenoh (tokens of bridges, /diagnostics; poses, if asked for) ──► Table (no clock, no Zenoh) ──► Listing
 //! ```
 //!
 //! A robot is the liveliness token of its bridge's publisher of `/diagnostics`. Each message there has its publisher's id, which is made of that token, so
@@ -12,9 +12,10 @@
 
 mod listener;
 mod listing;
+mod path;
 mod report;
 mod table;
 
 pub use listener::Listener;
-pub use listing::{Listing, Presence, Row};
+pub use listing::{Listing, Place, Presence, Row};
 pub use report::Level;

@@ -8,7 +8,7 @@ use crate::ros::{CdrError, Reader};
 
 /// A bridge's diagnostics have some 500 bytes; what is longer than this is not copied.
 pub const MOST_BYTES: usize = 16 * 1024;
-/// Of the values of a status, of which a bridge tells twelve.
+/// Of the values of a status, of which a bridge tells thirteen.
 const MOST_VALUES: u32 = 64;
 /// The health has bits for as many.
 const MOST_FAULTS: usize = 64;
@@ -56,6 +56,8 @@ pub struct Report {
     pub scale: Option<String>,
     /// `NO_CAMERA`, ...
     pub faults: Vec<String>,
+    /// The frame of the map that others have, too: that of a dock.
+    pub map_frame: Option<String>,
     /// From one to the next while nothing changes; zero: not said.
     pub period: Duration,
 }
@@ -95,11 +97,13 @@ impl Report {
         if count > MOST_VALUES {
             return Err(ReportError::Many { count });
         }
-        let (mut state, mut scale, mut faults, mut every) = (None, None, Vec::new(), Duration::ZERO);
+        let (mut state, mut scale, mut map_frame, mut faults, mut every) =
+            (None, None, None, Vec::new(), Duration::ZERO);
         for _ in 0..count {
             match (reader.text()?, reader.text()?) {
                 ("state", text) => state = Some(word(text, "state")?),
                 ("scale", text) => scale = Some(word(text, "scale")?),
+                ("map_frame", text) => map_frame = Some(word(text, "map_frame")?),
                 ("period_s", text) => every = period(text)?,
                 ("faults", text) => {
                     let words = text.split_ascii_whitespace().take(MOST_FAULTS + 1);
@@ -111,7 +115,7 @@ impl Report {
                 _ => {}
             }
         }
-        Ok(Self { level, state: state.ok_or(ReportError::NoState)?, scale, faults, period: every })
+        Ok(Self { level, state: state.ok_or(ReportError::NoState)?, scale, faults, map_frame, period: every })
     }
 }
 
@@ -142,7 +146,9 @@ pub mod tests {
         assert_eq!((report.scale.as_deref(), report.faults), (Some("METRIC"), vec!["LOST".into(), "LOW_RATE".into()]));
         let plain = Report::of(&message(&Health::default(), &[])).expect("a report");
         assert_eq!((plain.level, plain.scale, plain.faults.len()), (Level::Ok, None, 0));
-        let slow = Report::of(&message(&Health::default(), &[("period_s", "20")])).expect("a report");
+        let slow = Report::of(&message(&Health::default(), &[("period_s", "20"), ("map_frame", "dock_36h11_5")]))
+            .expect("a report");
+        assert_eq!((slow.map_frame.as_deref(), plain.map_frame), (Some("dock_36h11_5"), None));
         assert_eq!((slow.period, plain.period), (Duration::from_secs(20), Duration::ZERO));
     }
 

@@ -7,9 +7,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
 use super::listing::{Listing, Presence, Row};
+use super::path::Path;
 use super::report::Report;
 use crate::share::bridge::attachment::{GID_BYTES, gid};
-use crate::share::bridge::names::owner;
+use crate::share::bridge::names::{Robot, owner};
 use crate::share::bridge::session::Link;
 
 /// Robots that are told apart, some 200 bytes each: hundreds, and some over.
@@ -29,9 +30,15 @@ struct Entry {
     heard: Option<Instant>,
     /// The last, or why it is none.
     told: Option<Result<Report, String>>,
+    /// In the frame of the last report, if that is one that others have.
+    path: Path,
 }
 
 impl Entry {
+    fn map_frame(&self) -> Option<&str> {
+        self.told.as_ref().and_then(|told| told.as_ref().ok()).and_then(|report| report.map_frame.as_deref())
+    }
+
     /// How long it may say nothing.
     fn patience(&self) -> Duration {
         let period = self.told.as_ref().and_then(|told| told.as_ref().ok()).map_or(Duration::ZERO, |told| told.period);
@@ -39,11 +46,25 @@ impl Entry {
     }
 }
 
+/// Whose token may come before the robot's.
+struct PosePublisher {
+    name: String,
+    session: String,
+    /// Once it was found.
+    robot: Option<[u8; GID_BYTES]>,
+}
+
+fn name_of(robot: &Robot) -> &str {
+    if robot.name().is_empty() { "/" } else { robot.name() }
+}
+
 /// See module.
 pub struct Table {
     domain: u32,
     /// By their publishers' ids.
     robots: BTreeMap<[u8; GID_BYTES], Entry>,
+    /// By their own ids; [`MOST_ROBOTS`] of them.
+    poses: BTreeMap<[u8; GID_BYTES], PosePublisher>,
     link: Link,
     /// Robots without a place.
     left_out: u64,
@@ -53,7 +74,7 @@ pub struct Table {
 
 impl Table {
     pub fn new(domain: u32) -> Self {
-        Self { domain, robots: BTreeMap::new(), link: Link::Nobody, left_out: 0, refused: 0 }
+        Self { domain, robots: BTreeMap::new(), poses: BTreeMap::new(), link: Link::Nobody, left_out: 0, refused: 0 }
     }
 
     pub fn token_up(&mut self, token: &str, now: Instant) {
@@ -62,7 +83,7 @@ impl Table {
             return;
         };
         let id = gid(token);
-        let name = if robot.name().is_empty() { "/" } else { robot.name() };
+        let name = name_of(&robot);
         // A robot that was started anew takes its own row.
         self.robots.retain(|other, entry| *other == id || entry.gone.is_none() || entry.name != name);
         if let Some(entry) = self.robots.get_mut(&id) {
@@ -80,7 +101,8 @@ impl Table {
             self.robots.remove(&oldest);
         }
         let (name, session) = (name.to_owned(), session.to_owned());
-        self.robots.insert(id, Entry { name, session, came: now, gone: None, heard: None, told: None });
+        self.robots
+            .insert(id, Entry { name, session, came: now, gone: None, heard: None, told: None, path: Path::default() });
     }
 
     pub fn token_down(&mut self, token: &str, now: Instant) {
@@ -95,7 +117,36 @@ impl Table {
     pub fn diagnostics(&mut self, id: &[u8; GID_BYTES], message: &[u8], now: Instant) {
         if let Some(entry) = self.robots.get_mut(id) {
             entry.heard = Some(now);
+            let before = entry.map_frame().map(str::to_owned);
             entry.told = Some(Report::of(message).map_err(|e| e.to_string()));
+            if entry.map_frame() != before.as_deref() {
+                // What was told before is of another frame.
+                entry.path = Path::default();
+            }
+        }
+    }
+
+    pub fn pose_token_up(&mut self, token: &str) {
+        if let Some((session, robot)) = owner(token).filter(|_| self.poses.len() < MOST_ROBOTS) {
+            let (name, session) = (name_of(&robot).to_owned(), session.to_owned());
+            self.poses.insert(gid(token), PosePublisher { name, session, robot: None });
+        }
+    }
+
+    pub fn pose_token_down(&mut self, token: &str) {
+        self.poses.remove(&gid(token));
+    }
+
+    /// Of the publisher with this id, who may be anybody.
+    pub fn pose(&mut self, id: &[u8; GID_BYTES], message: &[u8], now: Instant) {
+        let Some(publisher) = self.poses.get_mut(id) else { return };
+        if publisher.robot.is_none() {
+            let is_its = |entry: &Entry| entry.session == publisher.session && entry.name == publisher.name;
+            publisher.robot = self.robots.iter().find(|(_, entry)| is_its(entry)).map(|(id, _)| *id);
+        }
+        let entry = publisher.robot.and_then(|robot| self.robots.get_mut(&robot));
+        if let Some(entry) = entry.filter(|entry| entry.map_frame().is_some()) {
+            entry.path.add(message, now);
         }
     }
 
@@ -152,6 +203,9 @@ impl Table {
             scale: current.and_then(|report| report.scale.clone()),
             health: current.map(|report| report.level),
             faults: current.map(|report| report.faults.clone()).unwrap_or_default(),
+            map_frame: entry.map_frame().filter(|_| is_here).map(str::to_owned),
+            place: entry.path.place(now).filter(|_| is_here),
+            trail: if is_here { entry.path.points() } else { Vec::new() },
             last_state: told.filter(|_| !is_here).map(|report| report.state.clone()),
             heard_s_ago: entry.heard.map(|heard| now.saturating_duration_since(heard).as_secs_f64()),
             problem: problem.map(|reason| format!("its diagnostics are not understood: {reason}")),
@@ -187,7 +241,7 @@ impl Table {
 mod tests {
     use super::*;
     use crate::messages::{Health, error};
-    use crate::share::bridge::names::{Identity, Kind, Robot};
+    use crate::share::bridge::names::{Identity, Kind};
     use crate::share::bridge::topic::Topic;
     use crate::share::fleet::report::tests::message;
 
@@ -251,6 +305,35 @@ mod tests {
         assert_eq!(presences(&table, start + seconds(61)), [Presence::Silent]);
         table.diagnostics(&gid(&token), &metric(), start + seconds(70));
         assert_eq!(presences(&table, start + seconds(81)), [Presence::Silent]);
+    }
+
+    #[test]
+    fn a_robot_has_a_place_where_its_map_is_in_a_frame_that_others_have() {
+        let ((mut table, now), token) = (table(), token("r", "aa"));
+        let publisher = token.replace("%diagnostics", "%r%pose");
+        let docked = |frame| message(&Health::default(), &[("map_frame", frame)]);
+        let pose = |table: &mut Table, x| {
+            table.pose(&gid(&publisher), &crate::share::fleet::path::tests::pose("map", x, 0.0, 0.0), now)
+        };
+        let place = |table: &Table| table.listing(now).robots[0].place.map(|place| place.x_m);
+        table.pose_token_up(&publisher);
+        pose(&mut table, 1.0);
+        table.token_up(&token, now);
+        pose(&mut table, 1.0);
+        assert_eq!(place(&table), None);
+        table.diagnostics(&gid(&token), &docked("dock_36h11_5"), now);
+        pose(&mut table, 2.0);
+        assert_eq!((place(&table), table.listing(now).robots[0].trail.len()), (Some(2.0), 1));
+        // In another frame it is somewhere else.
+        table.diagnostics(&gid(&token), &docked("dock_36h11_6"), now);
+        assert_eq!(place(&table), None);
+        table.diagnostics(&gid(&token), &metric(), now);
+        pose(&mut table, 3.0);
+        assert_eq!((place(&table), table.listing(now).robots[0].map_frame.clone()), (None, None));
+        table.diagnostics(&gid(&token), &docked("dock_36h11_5"), now);
+        table.pose_token_down(&publisher);
+        pose(&mut table, 4.0);
+        assert_eq!(place(&table), None);
     }
 
     #[test]

@@ -1,0 +1,104 @@
+//! Where a robot was: its last poses, thinned out. Pure; believes nothing.
+
+use std::collections::VecDeque;
+use std::time::{Duration, Instant};
+
+use super::listing::Place;
+use crate::ros::{CdrError, Reader};
+use crate::share::frames::METRIC;
+
+/// Bytes of a PoseWithCovarianceStamped with a name of a frame that nobody has.
+pub const MOST_BYTES: usize = 4096;
+/// Points of a trail, one each [`EVERY`]: the last five minutes. 16 kB a robot.
+const MOST_POINTS: usize = 600;
+const EVERY: Duration = Duration::from_millis(500);
+/// What is older is no place of now; poses come many times a second.
+const FRESH: Duration = Duration::from_secs(3);
+/// A message that says it is farther away than this, in m, is none of a robot's on a floor; a plot would show nothing else.
+const FARTHEST_M: f64 = 100_000.0;
+
+/// See module.
+#[derive(Debug, Default)]
+pub struct Path {
+    points: VecDeque<[f64; 2]>,
+    last: Option<(Place, Instant)>,
+    added: Option<Instant>,
+}
+
+impl Path {
+    /// Of a map that is in metres; anything else is no place in a frame that others have.
+    pub fn add(&mut self, message: &[u8], now: Instant) {
+        let Ok(Some(place)) = place(message) else { return };
+        self.last = Some((place, now));
+        if self.added.is_none_or(|at| now.saturating_duration_since(at) >= EVERY) {
+            self.added = Some(now);
+            if self.points.len() == MOST_POINTS {
+                self.points.pop_front();
+            }
+            self.points.push_back([place.x_m, place.y_m]);
+        }
+    }
+
+    pub fn place(&self, now: Instant) -> Option<Place> {
+        self.last.filter(|(_, at)| now.saturating_duration_since(*at) <= FRESH).map(|(place, _)| place)
+    }
+
+    pub fn points(&self) -> Vec<[f64; 2]> {
+        self.points.iter().copied().collect()
+    }
+}
+
+fn place(message: &[u8]) -> Result<Option<Place>, CdrError> {
+    let mut reader = Reader::new(message)?;
+    let _stamp = (reader.i32()?, reader.u32()?);
+    let is_map = reader.text()? == METRIC.map;
+    let [x_m, y_m, z_m]: [f64; 3] = reader.f64_array()?;
+    let [x, y, z, w]: [f64; 4] = reader.f64_array()?;
+    let yaw_rad = (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z));
+    let is_place = [x_m, y_m, z_m].iter().all(|v| v.abs() <= FARTHEST_M) && yaw_rad.is_finite();
+    Ok((is_map && is_place).then_some(Place { x_m, y_m, yaw_rad }))
+}
+
+#[cfg(test)]
+pub mod tests {
+    use super::*;
+    use crate::ros::Message;
+    use crate::ros::standard::{self as ros, Header, PoseWithCovariance, PoseWithCovarianceStamped, Time};
+
+    pub fn pose(frame_id: &str, x: f64, y: f64, yaw: f64) -> Vec<u8> {
+        let orientation = [0.0, 0.0, (yaw / 2.0).sin(), (yaw / 2.0).cos()];
+        let pose = ros::Pose { position: [x, y, 0.0].into(), orientation: orientation.into() };
+        let pose = PoseWithCovariance { pose, covariance: [0.0; 36] };
+        PoseWithCovarianceStamped { header: Header { stamp: Time::from_ns(1), frame_id }, pose }.to_cdr()
+    }
+
+    #[test]
+    fn a_trail_is_thinned_out_and_ends() {
+        let (mut path, start) = (Path::default(), Instant::now());
+        for i in 0..20 * MOST_POINTS as u32 {
+            path.add(&pose("map", f64::from(i), 1.0, 0.5), start + i * Duration::from_millis(50));
+        }
+        assert_eq!(path.points().len(), MOST_POINTS);
+        assert_eq!(path.points()[MOST_POINTS - 1][0] - path.points()[MOST_POINTS - 2][0], 10.0);
+        let end = start + 20 * MOST_POINTS as u32 * Duration::from_millis(50);
+        let place = path.place(end).expect("a place");
+        assert!((place.yaw_rad - 0.5).abs() < 1e-12 && place.x_m == 20.0 * MOST_POINTS as f64 - 1.0, "{place:?}");
+        assert_eq!(path.place(end + 2 * FRESH), None);
+    }
+
+    #[test]
+    fn what_is_of_another_frame_or_no_place_is_none() {
+        let (mut path, now) = (Path::default(), Instant::now());
+        let whole = pose("map", 1.0, 2.0, 0.0);
+        path.add(&pose("map_unscaled", 1.0, 2.0, 0.0), now);
+        for x in [f64::NAN, f64::INFINITY, 1e9] {
+            path.add(&pose("map", x, 0.0, 0.0), now);
+        }
+        for end in 0..whole.len() - 8 * 36 {
+            path.add(&whole[..end], now);
+        }
+        assert_eq!((path.place(now), path.points().len()), (None, 0));
+        path.add(&whole, now);
+        assert!(path.place(now).is_some());
+    }
+}
