@@ -8,8 +8,9 @@ and the package `cairn` say what it should be.
 2. Under the same bridge a demo that drives with its camera at a known height: transforms once lengths are metres, tf_static for who comes late and with
    the mount that the wheels have shown, scans on demand, placed by their own pose, an initial pose.
 3. A bridge with `--no-commands` declares nothing that could be asked.
-4. Three more bridges, two of one name: `cairn fleet` lists them, says whose name is taken twice and who was killed, and that there is no router; and one of
-   a robot that has a map: `cairn map pull` fetches it, and refuses what is broken, of two robots, or not there (`fleet.py`).
+4. Three more bridges, two of one name: `cairn fleet` lists them, says whose name is taken twice and who was killed, and that there is no router; some of
+   robots that have a map: `cairn map pull` fetches it, and refuses what is broken, of two robots, or not there; some of a robot with a dock, which are in
+   one plot (`fleet.py`).
 5. SIGTERM ends it, and its tokens are gone.
 
 `--bridge` names a binary with the feature `bridge`, `--cairn` one with `demo`. Ports are free ones of this machine. Every wait is bounded, and whatever
@@ -37,7 +38,7 @@ import numpy as np
 import xxhash
 import zenoh
 import zenoh.ext
-from fleet import fleet, maps
+from fleet import docked, fleet, maps
 from programs import Program, until
 from rosbags.typesys import Stores, get_typestore
 
@@ -581,6 +582,7 @@ def main():
             maps(program, with_zenoh, out, environment, DOMAIN + 3)
             running.end(signal.SIGINT)
             bridge.says("waiting for a daemon", 3, 20)
+            docked(program, with_zenoh, out, environment, DOMAIN + 4)
             code = bridge.end(signal.SIGTERM, 10)
             assert code == 0, f"SIGTERM: {code}"
             until("the end of its tokens", 5, lambda: not [t for t in network.tokens() if "/cairn_bridge" in t])

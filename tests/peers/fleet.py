@@ -5,8 +5,29 @@ import signal
 import socket
 import subprocess
 import sys
+import xml.etree.ElementTree as ElementTree
 
+import cairn
 from programs import Program, until
+
+# A hand-held camera before a wall with a tag, which is the dock: 1 m before and 2 m to the left of the map's origin.
+DOCK_CONFIG = """
+[simulator]
+scenario = "hand_held"
+seed = 5
+width = 480
+height = 360
+rate_hz = 15.0
+[simulator.tags]
+enabled = true
+[tag]
+size_m = 0.16
+[tag.dock]
+enabled = true
+id = 1
+translation_m = [1.0, 2.0, 0.5]
+rpy_deg = [0.0, 0.0, 90.0]
+"""
 
 
 def fleet(program, out, environment, domain):
@@ -124,3 +145,42 @@ def maps(program, with_zenoh, out, environment, domain):
     ended = [bridge.end(signal.SIGTERM) for bridge in bridges]
     assert ended == [0] * len(bridges), ended
     print(f"maps: {len(whole) / 1e6:.1f} MB fetched, {len(poses)} frames located in it; broken, ambiguous, missing and existing ones refused")
+
+
+def docked(program, with_zenoh, out, environment, domain):
+    """A robot whose map is in the frame of its dock, told by two bridges as if it were two: both are drawn where it is, and a third one is not drawn."""
+    here = {**environment, "ROS_DOMAIN_ID": str(domain), "CAIRN_PREFIX": environment["CAIRN_PREFIX"] + "_dock"}
+    config, plot = out / "dock.toml", out / "fleet.svg"
+    config.write_text(DOCK_CONFIG)
+    words = [program, "demo", "--quiet", "--seconds", "60", "--output", out / "dock", "--config", config]
+    running = Program("docked", words, out, here)
+    words = [with_zenoh, "bridge", "--no-commands", "--rate", "tf_static=0", "--rate", "diagnostics=0.5", "--robot"]
+    bridges = [Program(f"dock_{name}", [*words, name], out, here) for name in ("first", "second")]
+    nobody = {**here, "CAIRN_PREFIX": environment["CAIRN_PREFIX"] + "_none"}
+    bridges.append(Program("dock_none", [*words, "third"], out, nobody))
+    follower = Program("dock_fleet", [with_zenoh, "fleet", "--json", "--plot", plot], out, here)
+    poses = cairn.Client(here["CAIRN_PREFIX"]).poses()
+
+    def drawn():
+        if follower.process.poll() is not None:
+            sys.exit(f"fleet has ended with {follower.process.returncode}")
+        return plot.exists() and "dock_36h11_1: 2 robots" in plot.read_text()
+
+    until("both robots in the plot", 50, drawn)
+    rows = [json.loads(line) for line in subprocess.run(
+        [with_zenoh, "fleet", "--json", "--timeout", "4", "--plot", out / "once.svg"], env=here, stdin=subprocess.DEVNULL, capture_output=True, text=True,
+        timeout=20, check=True).stdout.splitlines()][0]["robots"]
+    pose = until("a pose", 10, lambda: poses.wait(0.5))
+    first, second, third = rows
+    assert first["map_frame"] == second["map_frame"] == "dock_36h11_1" and third["place"] is None, rows
+    for row in (first, second):
+        # A hand moves by less than half a metre a second, and the two are some seconds apart.
+        off = [row["place"][axis] - pose.position[i] for i, axis in enumerate(("x_m", "y_m"))]
+        assert max(map(abs, off)) < 2.0, (row, list(pose.position))
+    root = ElementTree.fromstring((out / "once.svg").read_text())
+    texts = [node.text for node in root.iter("{http://www.w3.org/2000/svg}text")]
+    assert "first" in texts and "second" in texts and texts[-1].endswith(": third"), texts
+    ended = [one.end(signal.SIGTERM) for one in (follower, *bridges)]
+    assert ended == [0] * len(ended), ended
+    running.end(signal.SIGINT)
+    print(f"plot: both robots of one dock, at ({first['place']['x_m']:.2f}, {first['place']['y_m']:.2f}) m in its frame")
