@@ -381,6 +381,13 @@ def two_pictures(data, short):
     ]
 
 
+def fleet(data, short):
+    features = "--no-default-features --features bridge --bench fleet"
+    return [Step("Many robots on one Zenoh router", f"cargo bench --locked {features}" + (" -- 10 5" if short else ""),
+                 "Every robot is a bridge, a process of its own, that hears poses in shared memory; all on this machine.",
+                 build=f"bench --locked --no-run {features}")]
+
+
 def console(data, short):
     drive = f"{OUT}/console-drive"
     simulate = f"cairn simulate --scenario room_tour --seconds {8 if short else 30} --output {drive} >&2"
@@ -418,6 +425,7 @@ KINDS = {
     "calibration_live": Kind("Live calibration", "15 min", calibration_live),
     "two_pictures": Kind("Two pictures", "10 min", two_pictures),
     "wire": Kind("The wire", "2 min", wire),
+    "fleet": Kind("A fleet", "3 min", fleet),
     "console": Kind("The console", "20 min", console),
     "faults": Kind("Faults on real device nodes", "40 min", faults),
     "builds": Kind("Builds", "15 min", builds),
