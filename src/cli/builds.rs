@@ -10,16 +10,16 @@ pub const TOOLS_COMMANDS: [&str; 6] = ["compare", "console", "demo", "evaluate",
 /// Commands that only the build with Zenoh has.
 pub const BRIDGE_COMMANDS: [&str; 2] = ["bridge", "fleet"];
 
-/// Of `cairn map`, the same.
-const MAP_PULL: &str = "pull";
+/// The same of `cairn map`.
+const MAP_PULL: &str = "map pull";
 
 /// Below the help: what other packages have.
 pub const OTHER_BUILDS: &str = match (cfg!(feature = "tools"), cfg!(feature = "bridge")) {
     (false, false) => {
         "In the package cairn-tools, as commands of `cairn-tools`: compare, console, demo, evaluate, simulate, twoview.\n\
-         In the package cairn-bridge, as commands of `cairn-bridge`: bridge, fleet."
+         In the package cairn-bridge, as commands of `cairn-bridge`: bridge, fleet, map pull."
     }
-    (true, false) => "In the package cairn-bridge, as commands of `cairn-bridge`: bridge, fleet.",
+    (true, false) => "In the package cairn-bridge, as commands of `cairn-bridge`: bridge, fleet, map pull.",
     (false, true) => {
         "In the package cairn-tools, as commands of `cairn-tools`: compare, console, demo, evaluate, simulate, twoview."
     }
@@ -39,14 +39,15 @@ pub fn needs_tools(what: &str) -> Result<(), CliError> {
 /// The sentence for a command line that asks for a command of another build; `None` if it is wrong in another way.
 pub fn elsewhere(error: &clap::Error) -> Option<String> {
     let ContextValue::String(asked) = error.get(ContextKind::InvalidSubcommand)? else { return None };
+    let asked = match error.get(ContextKind::Usage) {
+        // It is that of the command above.
+        Some(ContextValue::StyledStr(usage)) if asked == "pull" && usage.to_string().contains(" map ") => MAP_PULL,
+        _ => asked.as_str(),
+    };
     let what = format!("`cairn {asked}`");
-    if !cfg!(feature = "tools") && TOOLS_COMMANDS.contains(&asked.as_str()) {
+    if !cfg!(feature = "tools") && TOOLS_COMMANDS.contains(&asked) {
         return Some(format!("{}: `cairn-tools {asked}`", not_in_this_build(&what)));
     }
-    // The usage that the error shows is that of the command above it.
-    let is_of_map = |context| matches!(error.get(context), Some(ContextValue::StyledStr(usage)) if usage.to_string().contains("cairn map"));
-    let asked = if asked == MAP_PULL && is_of_map(ContextKind::Usage) { "map pull" } else { asked };
-    let bridge = !cfg!(feature = "bridge") && (BRIDGE_COMMANDS.contains(&asked) || asked == "map pull");
-    let what = format!("`cairn {asked}`");
+    let bridge = !cfg!(feature = "bridge") && (BRIDGE_COMMANDS.contains(&asked) || asked == MAP_PULL);
     bridge.then(|| format!("{what} is not in this build; the package cairn-bridge has it: `cairn-bridge {asked}`"))
 }
