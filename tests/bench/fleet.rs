@@ -31,6 +31,7 @@ use zenoh::{Config, Session, Wait};
 
 const ROLE: &str = "CAIRN_BENCH_ROLE";
 const DOMAIN: &str = "7";
+const PREFIX: &str = "fleet";
 const ROBOTS: usize = 50;
 const SECONDS: u64 = 20;
 /// Bridges that hear one publisher: a service has places for eight subscribers.
@@ -44,10 +45,11 @@ const LIFE: Duration = Duration::from_secs(240);
 
 fn main() {
     let argument = |name: &str| std::env::var(name).unwrap_or_default();
+    let count = |name: &str| argument(name).parse::<usize>().expect("a number");
     match argument(ROLE).as_str() {
-        "robots" => robots(argument("ROBOTS").parse().expect("a number")),
+        "robots" => robots(count("ROBOTS"), Path::new(&argument("ROOT"))),
         "router" => router(&argument("PORT")),
-        "listener" => listener(&argument("PORT"), &argument("WHAT"), argument("ROBOTS").parse().expect("a number")),
+        "listener" => listener(&argument("PORT"), &argument("WHAT"), count("SENDERS"), count("COUNT_S")),
         _ => measure(),
     }
 }
@@ -62,18 +64,19 @@ fn measure() {
         "| robots | the listener hears | messages /s | lost | kB/s a robot | router CPU % | router MB | bridge CPU % | bridge MB | listener CPU % | machine busy % |"
     );
     println!("|---|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|");
-    for (robots, told, what, rates) in [
-        ((robots / 5).max(1), "everything", "**", &[][..]),
-        (robots, "everything", "**", &[]),
-        (robots, "everything, at `odom=5`, `tf=5`, `pose=0`", "**", slow),
-        (robots, "diagnostics alone, as `cairn fleet`", "diagnostics/**", &[]),
+    // With how many topics each robot is heard.
+    for (robots, told, what, topics, rates) in [
+        ((robots / 5).max(1), "everything", "**", 4, &[][..]),
+        (robots, "everything", "**", 4, &[]),
+        (robots, "everything, at `odom=5`, `tf=5`, `pose=0`", "**", 3, slow),
+        (robots, "diagnostics alone, as `cairn fleet`", "diagnostics/**", 1, &[]),
     ] {
-        println!("{}", row(robots, told, what, rates, seconds));
+        println!("{}", row((robots, topics), (told, what), rates, seconds));
     }
 }
 
 /// One measurement, as a row of the table.
-fn row(robots: usize, told: &str, what: &str, rates: &[&str], seconds: u64) -> String {
+fn row((robots, topics): (usize, usize), (told, what): (&str, &str), rates: &[&str], seconds: u64) -> String {
     let root = PathBuf::from(format!("/tmp/cf{}", std::process::id()));
     std::fs::create_dir_all(&root).expect("folder");
     let port = TcpListener::bind("127.0.0.1:0").and_then(|l| l.local_addr()).expect("a port").port().to_string();
@@ -82,15 +85,18 @@ fn row(robots: usize, told: &str, what: &str, rates: &[&str], seconds: u64) -> S
     let mut own: Vec<Process> = Vec::new();
     let role = |name: &str| {
         let mut command = Command::new(std::env::current_exe().expect("own path"));
-        command.env(ROLE, name).env("PORT", &port).env("WHAT", what).env("ROBOTS", robots.to_string());
-        named(&mut command, &root, "fleet");
+        command
+            .env(ROLE, name)
+            .env("PORT", &port)
+            .env("WHAT", what)
+            .env("ROBOTS", robots.to_string())
+            .env("ROOT", &root);
+        command.env("SENDERS", (robots * topics).to_string()).env("COUNT_S", seconds.to_string());
         command
     };
     own.push(Process::start(role("router")));
     own.push(Process::start(role("robots")));
-    let mut command = role("listener");
-    command.env("COUNT_S", seconds.to_string());
-    let mut counting = Process::start(command);
+    let mut counting = Process::start(role("listener"));
     for robot in 0..robots {
         let mut command = Command::new(env!("CARGO_BIN_EXE_cairn"));
         // Where the camera sits is asked of a service with two places.
@@ -98,7 +104,8 @@ fn row(robots: usize, told: &str, what: &str, rates: &[&str], seconds: u64) -> S
             .args(["bridge", "--no-commands", "--rate", "tf_static=0", "--log", "warn", "--domain", DOMAIN])
             .args(rates);
         command.args(["--robot", &format!("r{robot}"), "--zenoh"]).arg(&file).stderr(Stdio::null());
-        named(&mut command, &root, &format!("fleet{}", robot / A_PUBLISHER));
+        let (folder, prefix) = place(&root, robot / A_PUBLISHER);
+        command.env("CAIRN_PREFIX", PREFIX).env("CAIRN_IPC_ROOT", folder).env("CAIRN_IPC_PREFIX", prefix);
         own.push(Process::start(command));
     }
     let mut lines = counting.lines();
@@ -128,10 +135,10 @@ fn row(robots: usize, told: &str, what: &str, rates: &[&str], seconds: u64) -> S
     line
 }
 
-/// Shared memory of this run alone.
-fn named(command: &mut Command, root: &Path, prefix: &str) {
+/// Shared memory of this run, and of one publisher: on machines of their own robots would not look through each other's files either.
+fn place(root: &Path, publisher: usize) -> (PathBuf, String) {
     let name = root.file_name().expect("name").to_string_lossy().into_owned();
-    command.env("CAIRN_PREFIX", prefix).env("CAIRN_IPC_ROOT", root).env("CAIRN_IPC_PREFIX", format!("{name}_"));
+    (root.join(publisher.to_string()), format!("{name}_{publisher}_"))
 }
 
 /// Killed when dropped.
@@ -218,9 +225,13 @@ fn router(port: &str) {
 }
 
 /// As many publishers as the robots need.
-fn robots(count: usize) {
-    let endpoint =
-        |i: usize| Endpoint::new(&format!("fleet{i}")).and_then(Endpoint::with_environment).expect("endpoint");
+fn robots(count: usize, root: &Path) {
+    let endpoint = |publisher: usize| {
+        let (folder, prefix) = place(root, publisher);
+        std::fs::create_dir_all(&folder).expect("folder");
+        let endpoint = Endpoint::new(PREFIX).and_then(|e| e.with_root(&folder));
+        endpoint.and_then(|e| e.with_ipc_prefix(&prefix)).expect("endpoint")
+    };
     let small = Limits { landmarks: 100, keyframes: 100, frame_bytes: 64 };
     let open = |i: usize| Publisher::open(&endpoint(i), &small).expect("publisher");
     let mut publishers: Vec<Publisher> = (0..count.div_ceil(A_PUBLISHER)).map(open).collect();
@@ -277,8 +288,8 @@ struct Heard {
     bytes: usize,
 }
 
-/// Counts for so long once it has heard as many robots' diagnostics as there are; messages, bytes, lost ones, and the time, ns.
-fn listener(port: &str, what: &str, robots: usize) {
+/// Counts for so many seconds once it hears as many senders as there are; messages, bytes, lost ones, and the time, ns.
+fn listener(port: &str, what: &str, senders: usize, seconds: usize) {
     let heard = Arc::new(Mutex::new(HashMap::<Vec<u8>, Heard>::new()));
     let session = opened(port, "client");
     let own = heard.clone();
@@ -295,24 +306,21 @@ fn listener(port: &str, what: &str, robots: usize) {
     };
     let _subscriber =
         session.declare_subscriber(format!("{DOMAIN}/{what}")).callback(count).wait().expect("subscriber");
-    // Each has diagnostics, and, if all is heard, three topics more, or two.
-    let (begin, mut known, mut since) = (Instant::now(), 0, Instant::now());
+    let begin = Instant::now();
     loop {
         std::thread::sleep(Duration::from_millis(100));
         let now = heard.lock().expect("lock").len();
-        if now != known {
-            (known, since) = (now, Instant::now());
-        }
-        if now >= robots && now % robots == 0 && since.elapsed() > Duration::from_secs(5) {
+        if now >= senders {
             break;
         }
-        assert!(begin.elapsed() < COMING, "{now} publishers of {robots} robots are heard");
+        assert!(begin.elapsed() < COMING, "{now} of {senders} senders are heard");
     }
+    // What comes with their beginning is over then.
+    std::thread::sleep(Duration::from_secs(5));
     heard.lock().expect("lock").clear();
     println!("ready");
-    let seconds: u64 = std::env::var("COUNT_S").map_or(SECONDS, |s| s.parse().expect("number"));
     let begin = Instant::now();
-    std::thread::sleep(Duration::from_secs(seconds));
+    std::thread::sleep(Duration::from_secs(seconds as u64));
     let heard = heard.lock().expect("lock");
     let took = begin.elapsed().as_nanos();
     let sum = |of: fn(&Heard) -> i64| heard.values().map(of).sum::<i64>();
