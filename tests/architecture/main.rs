@@ -201,8 +201,8 @@ fn no_room_of_the_daemon_opens_a_network_socket() {
     let words =
         ["std::net", "TcpListener", "TcpStream", "UdpSocket", "AF_INET", "libc::socket", "tokio", "hyper", "zenoh::"];
     let found = places(&[], &words);
-    // `cli` passes on where the console listens. Bridge and fleet are other processes, too.
-    let may = ["console/", "cli/console.rs", "share/bridge/", "share/fleet/"];
+    // `cli` passes on where the console listens. Bridge, fleet and who fetches maps are other processes, too.
+    let may = ["console/", "cli/console.rs", "share/bridge/", "share/fleet/", "share/maps/"];
     let wrong: Vec<_> = found.iter().filter(|place| !may.iter().any(|room| place.starts_with(room))).collect();
     assert!(wrong.is_empty(), "{wrong:#?}");
     assert!(!found.is_empty(), "the console's own socket was not found: the test looks for the wrong thing");

@@ -8,7 +8,7 @@
 //! two robots with one name are told apart, and nobody else's diagnostics are taken for a robot's. Everything comes from strangers: lengths, numbers and
 //! texts are bounded, and nothing is shown that is not a word.
 //!
-//! Does not: command robots, know the daemon. Users' page: `docs/ros2.md`.
+//! Does not: command robots, know the daemon. Users' page: `docs/fleet.md`.
 
 mod listener;
 mod listing;

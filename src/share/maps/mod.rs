@@ -9,7 +9,7 @@
 //! under way at a time, at Zenoh's lowest priority, so poses go first. Everything that comes is a stranger's: sizes are bounded, the whole has a checksum
 //! (against loss and change, not against malice), and the file is verified like any other.
 //!
-//! Does not: know what a map is, choose folders, ask who somebody is. Users' page: `docs/ros2.md`.
+//! Does not: know what a map is, choose folders, ask who somebody is. Users' page: `docs/fleet.md`.
 
 mod giver;
 mod offer;
