@@ -1,4 +1,6 @@
 // The two-picture chain: two pictures, each step's picture and numbers, and the run before beside it.
+import { quoted } from "/controls.js";
+
 const $ = (id) => document.getElementById(id);
 const LABEL = 18; // characters of a line's name in the text of `cairn twoview`
 
@@ -23,10 +25,29 @@ export class PairView {
     for (const which of ["a", "b"]) $(`take-${which}`).addEventListener("click", () => this.ask({ take: { which } }, `Picture ${which.toUpperCase()} …`));
     $("chain").addEventListener("submit", (event) => {
       event.preventDefault();
-      const method = { detector: $("detector").value, matcher: $("matcher").value, guided: $("guided").checked };
       this.images = {};
-      this.ask({ chain: { method } }, "The chain runs …");
+      this.ask({ chain: { method: this.method() } }, "The chain runs …");
     });
+    $("chain").addEventListener("input", () => this.shell());
+    this.setPrefix("cairn");
+  }
+
+  method() {
+    return { detector: $("detector").value, matcher: $("matcher").value, guided: $("guided").checked };
+  }
+
+  setPrefix(prefix) {
+    if (prefix === this.prefix) return;
+    this.prefix = prefix;
+    this.shell();
+  }
+
+  /** The same on a terminal. */
+  shell() {
+    const of = this.prefix === "cairn" ? "" : ` --prefix ${quoted(this.prefix)}`;
+    for (const which of ["a", "b"]) $(`shell-${which}`).textContent = `cairn watch${of} --picture ${which}.png --camera camera.txt`;
+    const { detector, matcher, guided } = this.method();
+    $("shell-chain").textContent = `cairn twoview a.png b.png --detector ${detector} --matcher ${matcher} --output two --camera camera.txt${guided ? " --guided" : ""}`;
   }
 
   ask(word, text) {
