@@ -105,11 +105,13 @@ export class PairView {
     const article = document.createElement("article");
     const code = Object.assign(document.createElement("code"), { textContent: terminal });
     article.append(code);
-    for (const step of STEPS) {
+    for (const [row, step] of STEPS.entries()) {
       const said = lines.filter((line) => step.names.includes(line.of));
       const images = step.pictures.filter((name) => this.images[name]);
       if (said.length + images.length === 0) continue;
       const section = document.createElement("section");
+      // Beside the same step of the other run.
+      section.style.setProperty("--row", row + 2);
       section.append(Object.assign(document.createElement("h3"), { textContent: step.title }));
       if (step.says) section.append(Object.assign(document.createElement("p"), { textContent: step.says }));
       if (said.length > 0) section.append(Object.assign(document.createElement("pre"), { textContent: said.map((line) => `${line.name ? `${line.name}: ` : ""}${line.text}`).join("\n") }));
