@@ -216,6 +216,18 @@ async function log(page) {
   await page.waitForFunction(() => [...document.querySelectorAll("#records li")].every((li) => li.textContent.includes("camera model")));
   check((await rows.count()) >= 1, "the log is filtered");
   await page.screenshot({ path: join(pictures, "log.png") });
+  const every = (wanted) => page.waitForFunction((w) => {
+    const all = [...document.querySelectorAll("#records li")];
+    return all.length > 0 && all.every((li) => new RegExp(w).test(`${li.dataset.level} ${li.textContent}`));
+  }, wanted);
+  await page.locator("#log-filter").fill("state=TRACKING");
+  await every("state=TRACKING");
+  check(true, "by a field and its value, too");
+  await page.locator("#log-filter").fill("");
+  await page.locator("#log-level").selectOption("1");
+  await every("^(WARN|ERROR) ");
+  check(true, "and by level");
+  await page.locator("#log-level").selectOption("2");
   await page.getByRole("link", { name: "Live" }).click();
 }
 
