@@ -162,7 +162,8 @@ impl Pair {
         words.extend(["--timeout", PICTURE_S].map(String::from));
         let (taken, said) = self.run(&words, TAKING_TIME)?;
         if !taken {
-            return Err(said.lines().last().unwrap_or("no picture was taken").into());
+            let why = said.lines().last().unwrap_or("no picture was taken");
+            return Err(why.strip_prefix("cairn: ").unwrap_or(why).into());
         }
         let path = self.folder.join(format!("{}.png", which.name()));
         picture(&path).ok_or_else(|| format!("{} cannot be read, or is too large", path.display()))
