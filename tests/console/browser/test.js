@@ -121,7 +121,11 @@ async function buttons(page) {
   check((await keep.locator(".shell").innerText()) === "cairn map --prefix robot save room", "a button on maps shows its command");
   await keep.getByRole("button").click();
   await page.waitForFunction(() => [...document.querySelectorAll(".command output[data-ok=true]")].some((o) => o.textContent.includes("room.map")));
-  await retype(keep);
+  // There is one map of a name.
+  const kept = (await keep.locator("output").innerText()).replace("room.map", "attic.map");
+  await keep.locator("input").fill("attic");
+  const again = await keep.locator(".shell").innerText();
+  same(again, kept, robot.type(again));
   const load = command("Go on in a map");
   await load.locator("input").focus();
   await page.waitForFunction(() => [...document.querySelectorAll("#stored-maps option")].some((o) => o.value === "room"));
@@ -130,17 +134,18 @@ async function buttons(page) {
   await load.getByRole("button").click();
   await page.waitForFunction(() => [...document.querySelectorAll(".command output[data-ok=false]")].some((o) => o.textContent.includes("no-such-map")));
   check(true, "a map that is not there is refused, and the page says so");
-  for (const [name, value] of [["Go on in a map", "room"], ["Only locate in the map", null], ["Let the map grow again", null], ["Begin a new map", "other"]]) {
+  // `other`: there is one map of a name, and one that is present is not loaded.
+  for (const [name, value, other] of [["Go on in a map", "room", "attic"], ["Only locate in the map"], ["Let the map grow again"], ["Begin a new map", "other", "third"]]) {
     const row = command(name);
     if (value) await row.locator("input").fill(value);
     await row.getByRole("button").click();
     await page.waitForFunction((n) => [...document.querySelectorAll(".command")].find((c) => [...c.querySelectorAll("button")].some((b) => b.textContent === n)).querySelector("output").dataset.ok === "true", name);
     check(true, `a button does it: ${name}`);
     if (value) await stateIs(page, "tracking");
-    // There is one map of a name.
-    if (name === "Begin a new map") await row.locator("input").fill("third");
-    const typed = robot.type(await row.locator(".shell").innerText());
-    same(await row.locator(".shell").innerText(), (await row.locator("output").innerText()).replace("other", "third"), typed);
+    const said = await row.locator("output").innerText();
+    if (other) await row.locator("input").fill(other);
+    const line = await row.locator(".shell").innerText();
+    same(line, said.replace(`${value}.map`, `${other}.map`), robot.type(line));
     if (value) await stateIs(page, "tracking");
   }
   const resets = Number(await number(page, "Resets"));
@@ -151,9 +156,9 @@ async function buttons(page) {
   await page.waitForFunction(() => [...document.querySelectorAll(".command")].find((c) => c.textContent.includes("Drop the map")).querySelector("output").dataset.ok === "true");
   check(true, "the map is dropped by a second click");
   await stateIs(page, "tracking");
-  const [again, row] = [Number(await number(page, "Resets")), page.locator(".command", { hasText: "Drop the map" })];
+  const [dropped, row] = [Number(await number(page, "Resets")), page.locator(".command", { hasText: "Drop the map" })];
   await retype(row);
-  await page.waitForFunction((n) => Number([...document.querySelectorAll("#numbers div")].find((d) => d.firstChild.textContent === "Resets").lastChild.textContent) > n, again);
+  await page.waitForFunction((n) => Number([...document.querySelectorAll("#numbers div")].find((d) => d.firstChild.textContent === "Resets").lastChild.textContent) > n, dropped);
   check(true, "and by its command");
 }
 
