@@ -413,7 +413,8 @@ async function calibrate(browser) {
 for (const signal of ["SIGTERM", "SIGINT"]) process.on(signal, () => { robots.forEach((r) => r.end()); process.exit(1); });
 const browser = await chromium.launch({ executablePath: "/usr/bin/chromium", args: ["--no-sandbox", "--enable-unsafe-swiftshader"] });
 try {
-  const demo = robot.demo();
+  // It is killed; on a busy machine that is late.
+  const demo = robot.demo(600);
   const { url } = await robot.console();
   const page = await open(browser, url, { viewport: { width: 1360, height: 1000 } });
   await live(page);
