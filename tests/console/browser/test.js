@@ -297,6 +297,15 @@ async function surroundings(browser) {
   }
 }
 
+/** Pixels of the map itself, without what is written over it. */
+async function drawn(page, wanted) {
+  const show = (isShown) => page.evaluate((shown) => { document.getElementById("map-news").hidden = !shown; }, isShown);
+  await show(false);
+  const count = await pixels(page.locator("#map"), wanted);
+  await show(true);
+  return count;
+}
+
 /** A robot that drives laps, quickly: the page is open when its first loop is closed. */
 async function closedLoop(browser) {
   const place = new Robot("loop");
@@ -312,7 +321,7 @@ async function closedLoop(browser) {
     await page.waitForFunction(() => Number(document.getElementById("map").dataset.ties) > 0, null, { timeout: 100_000 });
     await page.waitForTimeout(1000);
     check(/Loop closed: keyframe \d+ shows the place of \d+/.test(await page.locator("#map-news p").last().innerText()), `a loop is told while it happens: ${await page.locator("#map-news p").last().innerText()}`);
-    check((await pixels(page.locator("#map"), (r, g, b) => b > 150 && b > r + 50 && r > g + 40)) > 20, "and drawn in violet");
+    check((await drawn(page, (r, g, b) => b > 150 && b > r + 50 && r > g + 40)) > 20, "and drawn in violet");
     check(Number(await number(page, "Loops")) >= 1, "and counted");
     await page.screenshot({ path: join(pictures, "loop.png") });
     await page.context().close();
@@ -340,7 +349,8 @@ async function joinedMaps(browser) {
     await page.waitForTimeout(1000);
     const told = await page.locator("#map-news .join").last().innerText();
     check(/^Map \d+ joined: keyframe \d+ shows a place of it$/.test(told), `a joined map is told while it happens: ${told}`);
-    check((await pixels(page.locator("#map"), (r, g, b) => r > 140 && g < 90 && b > 70 && r > b + 40)) > 10, "and drawn in pink");
+    await page.waitForFunction(() => Number(document.getElementById("map").dataset.ties) > 0);
+    check((await drawn(page, (r, g, b) => r > 140 && g < 90 && b > 70 && r > b + 40)) > 10, "and drawn in pink");
     check(Number((await number(page, "Maps kept, joined")).split(", ")[1]) >= 1, "and counted");
     await page.screenshot({ path: join(pictures, "join.png") });
     await page.context().close();
