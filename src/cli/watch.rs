@@ -1,10 +1,12 @@
 //! `cairn watch`: a planner that prints. Waits for a daemon, survives its restarts, ends on a signal or a broken pipe.
 
 mod obstacles;
+mod picture;
 mod render;
 mod tags;
 
 use std::io::{ErrorKind, Write};
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -44,6 +46,12 @@ pub struct WatchArgs {
     /// Where the map's tags are, with every map, instead of poses
     #[arg(long, conflicts_with_all = ["map", "health", "obstacles"])]
     pub tags: bool,
+    /// Write the next picture of the camera (PNG) and end, instead of poses
+    #[arg(long, value_name = "OUT.png", conflicts_with_all = ["map", "health", "obstacles", "tags", "json", "count"])]
+    pub picture: Option<PathBuf>,
+    /// The daemon's K at that moment, as `cairn twoview --camera` reads it (what the lens distorts is not in it)
+    #[arg(long, value_name = "OUT.txt", requires = "picture")]
+    pub camera: Option<PathBuf>,
 }
 
 fn seconds(text: &str) -> Result<Duration, String> {
@@ -68,7 +76,9 @@ pub fn run(args: &WatchArgs) -> Result<ExitCode, CliError> {
 /// Prints to `out` until `stop`, the wanted number of lines, or the end of `out`.
 fn watch(args: &WatchArgs, out: &mut dyn Write, stop: &AtomicBool) -> Result<(), CliError> {
     let client = Client::with_endpoint(args.endpoint.endpoint()?)?;
-    if args.health {
+    if let Some(path) = &args.picture {
+        picture::take(path, args, &client, out, stop)
+    } else if args.health {
         follow(client.health(), args, out, stop)
     } else if args.obstacles {
         follow(client.obstacles(), args, out, stop)

@@ -75,12 +75,11 @@ fn command(source: &Source, page: &Outbox, id: u32, action: &Action) {
 }
 
 fn take(source: &Source, page: &Outbox, id: u32, which: Which, pair: &Pair) {
-    let taken = source.client().map_err(|e| e.to_string()).and_then(|client| pair.take(which, &client));
-    let done = taken.map(|png| {
+    let done = pair.take(which, source.prefix()).map(|png| {
         page.put(Kind::Picture, wire::picture(which.name(), &png));
         format!("picture {} is taken", which.name().to_uppercase())
     });
-    answer(page, id, "", done, false);
+    answer(page, id, &which.terminal(source.prefix()), done, false);
 }
 
 fn chain(page: &Outbox, id: u32, method: Method, pair: &Pair) {

@@ -200,9 +200,37 @@ fn human(line: &str) -> Option<Value> {
     if let (Some(time), Some(level @ ("ERROR" | "WARN" | "INFO" | "DEBUG" | "TRACE"))) = (words.next(), words.next())
         && let Some((_, message)) = line.split_once(level)
     {
-        return Some(json!({ "time": time, "level": level, "message": message.trim(), "fields": {} }));
+        let (message, fields) = parts(message.trim());
+        return Some(json!({ "time": time, "level": level, "message": message, "fields": fields }));
     }
     (!line.is_empty()).then(|| json!({ "level": "INFO", "message": line, "fields": {} }))
+}
+
+/// Message and fields of `words name=value name="words"`: a field reaches up to the next one's name outside of quotes.
+fn parts(line: &str) -> (&str, Map<String, Value>) {
+    let is_name = |name: &str| {
+        let mut characters = name.chars();
+        characters.next().is_some_and(|c| c.is_ascii_lowercase())
+            && characters.all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || matches!(c, '_' | '.'))
+    };
+    // Where each field begins, and its name.
+    let (mut starts, mut at, mut quoted) = (Vec::new(), 0, false);
+    for word in line.split_inclusive(' ') {
+        if !quoted && let Some((name, _)) = word.split_once('=').filter(|(name, _)| is_name(name)) {
+            starts.push((at, name));
+        }
+        let quotes = word.matches('"').count() - word.matches("\\\"").count();
+        quoted ^= quotes % 2 == 1;
+        at += word.len();
+    }
+    let ends = starts.iter().skip(1).map(|(start, _)| *start).chain([line.len()]);
+    let field = |((start, name), end): (&(usize, &str), usize)| {
+        let value = line[start + name.len() + 1..end].trim();
+        let bare = value.strip_prefix('"').and_then(|v| v.strip_suffix('"')).unwrap_or(value);
+        ((*name).to_owned(), bare.into())
+    };
+    let message = starts.first().map_or(line, |(start, _)| line[..*start].trim());
+    (message, starts.iter().zip(ends).map(field).collect())
 }
 
 /// Of syslog's numbers.
@@ -232,7 +260,20 @@ mod tests {
         assert_eq!(made["fields"], json!({ "fault": "LOST" }));
         assert_eq!(record(b"plain words\n"), Some(json!({ "level": "INFO", "message": "plain words", "fields": {} })));
         let terminal = record(b"2026-11-23T15:01:24Z  WARN fault began fault=\"LOST\"\n").expect("record");
-        assert_eq!((&terminal["level"], &terminal["message"]), (&json!("WARN"), &json!("fault began fault=\"LOST\"")));
+        assert_eq!((&terminal["level"], &terminal["message"]), (&json!("WARN"), &json!("fault began")));
+        assert_eq!(terminal["fields"], json!({ "fault": "LOST" }));
+        for (line, message, fields) in [
+            ("no field", "no field", json!({})),
+            ("a=1 alone", "", json!({ "a": "1 alone" })),
+            (
+                r#"kept, 2 = 2 path="/a b=c \" d=e" n=1.5 reason=no such file x.y=-1"#,
+                "kept, 2 = 2",
+                json!({ "path": r#"/a b=c \" d=e"#, "n": "1.5", "reason": "no such file", "x.y": "-1" }),
+            ),
+        ] {
+            let made = record(format!("2026-11-23T15:01:24Z  INFO {line}\n").as_bytes()).expect("record");
+            assert_eq!((&made["message"], &made["fields"]), (&json!(message), &fields), "{line}");
+        }
         assert_eq!(record(b"\n"), None);
     }
 

@@ -1,8 +1,8 @@
-//! Two pictures of the robot's camera through the two-picture chain: taken by a click, reconstructed by `cairn twoview` as a process of its own,
-//! so that what the page shows is what the terminal shows, and what it costs is bounded.
+//! Two pictures of the robot's camera through the two-picture chain: taken by `cairn watch --picture` and reconstructed by `cairn twoview`, as processes of
+//! their own, so that what the page shows is what the terminal shows, and what it costs is bounded.
 
 use std::fs::{self, DirBuilder, File};
-use std::io::{BufWriter, Read};
+use std::io::Read;
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -11,11 +11,13 @@ use std::time::{Duration, Instant};
 
 use serde::Deserialize;
 
-use super::picture::{Grey, grey};
-use crate::client::{Client, monotonic_ns};
+use super::commands::quoted;
+use crate::client::monotonic_ns;
+use crate::messages::DEFAULT_PREFIX;
 
-/// How long a picture is waited for, and the chain at the longest.
-const PICTURE_TIME: Duration = Duration::from_secs(3);
+/// How long a picture is waited for, s; its process at the longest, with what it asks for the lens; and the chain.
+const PICTURE_S: &str = "5";
+const TAKING_TIME: Duration = Duration::from_secs(15);
 const CHAIN_TIME: Duration = Duration::from_secs(120);
 /// Largest picture of a step that is sent, bytes.
 const MAX_PICTURE: u64 = 8 << 20;
@@ -107,6 +109,23 @@ fn arguments(method: Method, has_camera: bool) -> Vec<String> {
     words.into_iter().map(String::from).collect()
 }
 
+/// The words of a terminal, in the folder of the pictures.
+fn taking(which: Which, prefix: &str) -> Vec<String> {
+    let mut words: Vec<String> = vec!["watch".into()];
+    if prefix != DEFAULT_PREFIX {
+        words.extend(["--prefix".into(), prefix.into()]);
+    }
+    words.extend(["--picture".into(), format!("{}.png", which.name()), "--camera".into(), "camera.txt".into()]);
+    words
+}
+
+impl Which {
+    /// The same on a terminal.
+    pub fn terminal(self, prefix: &str) -> String {
+        taking(self, prefix).into_iter().fold("cairn".into(), |line, word| format!("{line} {}", quoted(&word)))
+    }
+}
+
 /// A finished run.
 #[derive(Debug)]
 pub struct Done {
@@ -132,25 +151,22 @@ impl Pair {
         Self { folder: std::env::temp_dir().join(name), made: AtomicBool::new(false) }
     }
 
-    /// Takes a picture and keeps it; its PNG. The lens of `client`'s daemon at that moment is kept with it.
-    pub fn take(&self, which: Which, client: &Client) -> Result<Vec<u8>, String> {
-        let frame = client.frames().wait(PICTURE_TIME).map_err(|e| e.to_string())?;
-        let frame = frame.ok_or("no picture has come: is the daemon running, and the camera there?")?;
-        let png = grey(&frame).and_then(png).ok_or("the picture cannot be written")?;
-        let fault = |e: std::io::Error| format!("{}: {e}", self.folder.display());
+    /// Takes a picture of the daemon with this prefix and keeps it; its PNG. The lens of that daemon at that moment is kept with it.
+    pub fn take(&self, which: Which, prefix: &str) -> Result<Vec<u8>, String> {
         if !self.made.load(Ordering::Relaxed) {
-            DirBuilder::new().mode(0o700).create(&self.folder).map_err(fault)?;
+            let made = DirBuilder::new().mode(0o700).create(&self.folder);
+            made.map_err(|e| format!("{}: {e}", self.folder.display()))?;
             self.made.store(true, Ordering::Relaxed);
         }
-        fs::write(self.folder.join(format!("{}.png", which.name())), &png).map_err(fault)?;
-        let health = client.health().wait(PICTURE_TIME).map_err(|e| e.to_string())?;
-        if let Some(h) =
-            health.filter(|h| h.focal_px[0].is_finite() && h.lens_model == crate::messages::LENS_RADIAL_TANGENTIAL)
-        {
-            let ([fx, fy], [cx, cy]) = (h.focal_px, h.centre_px);
-            fs::write(self.folder.join("camera.txt"), format!("{fx} 0 {cx}\n0 {fy} {cy}\n0 0 1\n")).map_err(fault)?;
+        let mut words = taking(which, prefix);
+        words.extend(["--timeout", PICTURE_S].map(String::from));
+        let (taken, said) = self.run(&words, TAKING_TIME)?;
+        if !taken {
+            let why = said.lines().last().unwrap_or("no picture was taken");
+            return Err(why.strip_prefix("cairn: ").unwrap_or(why).into());
         }
-        Ok(png)
+        let path = self.folder.join(format!("{}.png", which.name()));
+        picture(&path).ok_or_else(|| format!("{} cannot be read, or is too large", path.display()))
     }
 
     /// Removes the pictures. What runs on them ends by itself.
@@ -172,36 +188,41 @@ impl Pair {
         // Pictures of the run before must not be taken for this one's.
         let _ = fs::remove_dir_all(&out);
         let has_camera = self.folder.join("camera.txt").exists();
+        // Its exit code says what its text says.
+        let (_, text) = self.run(&arguments(method, has_camera), CHAIN_TIME)?;
+        let pictures = STEPS.iter().filter_map(|step| Some((*step, picture(&out.join(format!("{step}.png")))?)));
+        Ok(Done { text, pictures: pictures.collect(), terminal: method.terminal(has_camera) })
+    }
+
+    /// This program with these words, in the folder of the pictures; whether it went well, and what it said.
+    fn run(&self, words: &[String], limit: Duration) -> Result<(bool, String), String> {
         let program = std::env::current_exe().map_err(|e| format!("this program is not found: {e}"))?;
         let log = self.folder.join("said.txt");
         let said = File::create(&log).and_then(|file| Ok((file.try_clone()?, file)));
         let (stdout, stderr) = said.map_err(|e| format!("{}: {e}", log.display()))?;
         let child = Command::new(program)
-            .args(arguments(method, has_camera))
+            .args(words)
             .current_dir(&self.folder)
             .stdin(Stdio::null())
             .stdout(stdout)
             .stderr(stderr)
             .spawn()
-            .map_err(|e| format!("the chain cannot be started: {e}"))?;
-        wait(child)?;
-        let text = fs::read_to_string(&log).map_err(|e| e.to_string())?;
-        let pictures = STEPS.iter().filter_map(|step| Some((*step, picture(&out.join(format!("{step}.png")))?)));
-        Ok(Done { text, pictures: pictures.collect(), terminal: method.terminal(has_camera) })
+            .map_err(|e| format!("cairn {} cannot be started: {e}", words[0]))?;
+        let went_well = wait(child, limit)?;
+        fs::read_to_string(&log).map(|text| (went_well, text)).map_err(|e| format!("{}: {e}", log.display()))
     }
 }
 
-fn wait(mut child: Child) -> Result<(), String> {
+fn wait(mut child: Child, limit: Duration) -> Result<bool, String> {
     let start = Instant::now();
     loop {
         match child.try_wait() {
-            // Its exit code says what its text says.
-            Ok(Some(_)) => return Ok(()),
-            Ok(None) if start.elapsed() < CHAIN_TIME => std::thread::sleep(Duration::from_millis(50)),
+            Ok(Some(status)) => return Ok(status.success()),
+            Ok(None) if start.elapsed() < limit => std::thread::sleep(Duration::from_millis(20)),
             _ => {
                 let _ = child.kill();
                 let _ = child.wait();
-                return Err(format!("the chain took longer than {} s and was ended", CHAIN_TIME.as_secs()));
+                return Err(format!("it took longer than {} s and was ended", limit.as_secs()));
             }
         }
     }
@@ -211,17 +232,6 @@ fn picture(path: &Path) -> Option<Vec<u8>> {
     let mut bytes = Vec::new();
     File::open(path).ok()?.take(MAX_PICTURE).read_to_end(&mut bytes).ok()?;
     (!bytes.is_empty()).then_some(bytes)
-}
-
-fn png(picture: Grey<'_>) -> Option<Vec<u8>> {
-    let mut bytes = Vec::new();
-    let mut encoder = png::Encoder::new(BufWriter::new(&mut bytes), picture.width.into(), picture.height.into());
-    encoder.set_color(png::ColorType::Grayscale);
-    encoder.set_depth(png::BitDepth::Eight);
-    let mut writer = encoder.write_header().ok()?;
-    writer.write_image_data(&picture.pixels).ok()?;
-    writer.finish().ok()?;
-    Some(bytes)
 }
 
 #[cfg(test)]
@@ -238,6 +248,12 @@ mod tests {
         for text in [r#"{"detector":"susan; rm","matcher":"flow","guided":true}"#, r#"{"detector":"fast"}"#] {
             assert!(serde_json::from_str::<Method>(text).is_err(), "{text}");
         }
+    }
+
+    #[test]
+    fn a_picture_is_taken_by_a_line_of_the_terminal() {
+        assert_eq!(Which::A.terminal("cairn"), "cairn watch --picture a.png --camera camera.txt");
+        assert_eq!(Which::B.terminal("left"), "cairn watch --prefix left --picture b.png --camera camera.txt");
     }
 
     #[test]

@@ -30,6 +30,7 @@ mod wire;
 
 pub use error::ShareError;
 pub use file::Origin;
+pub use picture::compressed;
 pub use recorder::{Heard, Recorder};
 pub use records::{Converter, Record, Topic};
 pub use ring::MAX_KEPT;

@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
 """What the console costs the daemon: replays at the camera's pace, each with other pages connected, round by round.
 
-    tests/results/console.py ROUNDS RECORDING
+    tests/results/console.py ROUNDS RECORDING CONFIG
 
-A round is a replay with none, 1, 20 and 20 bad pages, in an order that moves on with each round; `cairn` is looked for in PATH. A page
-shows video, map and log and says what it has seen, as the real one does. Bad pages: of 20 eight behave, four never read, four read
+A round is a replay with none, 1, 20 and 20 bad pages, and with one that shows obstacles, too, in an order that moves on with each round; `cairn`
+is looked for in PATH. CONFIG is the replays' configuration: obstacles want to know the camera's height. A page shows video, map and log and
+says what it has seen, as the real one does; obstacles the daemon works out only while somebody asks for them, page or planner. Bad pages: of 20 eight behave, four never read, four read
 20 kB/s, and four break a rule each and come again: too many messages, no message at all, too large a message, too large a request.
 What is compared is compared within its round. Prints Markdown.
 """
@@ -24,7 +25,7 @@ import threading
 import time
 
 FRAME, MAP = 5, 4
-WAYS = ["0", "1", "20", "20, most of them bad"]
+WAYS = ["0", "1", "20", "20, most of them bad", "1, with obstacles"]
 # Bytes a second of a slow page, and how often it reads.
 SLOW_BYTES, SLOW_EVERY_S = 20_000, 0.5
 # A bad page that was sent away comes again after this, as the real one does at first.
@@ -42,6 +43,7 @@ class Page:
     """One that behaves."""
 
     pause_s = 0.0
+    shows = ["video", "map", "log"]
 
     def __init__(self, address):
         self.socket = socket.create_connection(address, timeout=5)
@@ -63,7 +65,7 @@ class Page:
             head += byte
         if b" 101 " not in head:
             raise OSError(head[:80])
-        self.socket.sendall(words({"hello": {}}) + words({"show": ["video", "map", "log"]}))
+        self.socket.sendall(words({"hello": {}}) + words({"show": self.shows}))
 
     def take(self):
         """False once it was sent away."""
@@ -110,6 +112,12 @@ class Page:
             pass
 
 
+class Whole(Page):
+    """With all that the live view shows at first."""
+
+    shows = [*Page.shows, "obstacles"]
+
+
 class Deaf(Page):
     """Never reads."""
 
@@ -152,6 +160,7 @@ KINDS = {
     "0": [],
     "1": [Page],
     "20": [Page] * 20,
+    "1, with obstacles": [Whole],
     "20, most of them bad": [Page] * 8 + [Deaf] * 4 + [Slow] * 4 + [rule_breaker(w) for w in ("flood", "nonsense", "large", "request")],
 }
 
@@ -205,13 +214,13 @@ def cpu_s(pid):
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def replay(way, address, console, recording, log):
+def replay(way, address, console, recording, config, log):
     """One replay with these pages."""
     crowd = Crowd(address, KINDS[way])
     crowd.start()
     before, began = cpu_s(console.pid), time.monotonic()
     with open(log, "a", encoding="utf-8") as said:
-        done = subprocess.run(["cairn", "replay", recording, "--json", "--log", "info"], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=said, text=True)
+        done = subprocess.run(["cairn", "replay", recording, "--config", config, "--json", "--log", "info"], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=said, text=True)
     seconds, after = time.monotonic() - began, cpu_s(console.pid)
     crowd.end()
     if done.returncode:
@@ -219,7 +228,7 @@ def replay(way, address, console, recording, log):
     if console.poll() is not None:
         sys.exit("the console has ended")
     summary = json.loads(done.stdout)
-    good = [page for page in crowd.pages if type(page) is Page]
+    good = [page for page in crowd.pages if type(page) in (Page, Whole)]
     return {
         "way": way, "cpu_ms": summary["cpu_ms_per_frame"], "p50": summary["stages"]["latency"]["p50_ms"], "p99": summary["stages"]["latency"]["p99_ms"],
         "dropped": summary["dropped"], "frames": summary["frames"], "console": 100 * (after - before) / seconds,
@@ -244,9 +253,9 @@ def row(way, runs, base):
 
 
 def main():
-    if len(sys.argv) != 3 or not sys.argv[1].isdigit():
+    if len(sys.argv) != 4 or not sys.argv[1].isdigit():
         sys.exit(__doc__)
-    rounds, recording = int(sys.argv[1]), sys.argv[2]
+    rounds, recording, config = int(sys.argv[1]), sys.argv[2], sys.argv[3]
     with tempfile.TemporaryDirectory() as folder:
         log = os.path.join(folder, "log")
         open(log, "w", encoding="utf-8").close()
@@ -260,11 +269,11 @@ def main():
             if not found:
                 sys.exit("the console does not say where it listens")
             address = (found[1], int(found[2]))
-            replay(WAYS[0], address, console, recording, log)  # reads the recording into the system's cache, and is not counted
+            replay(WAYS[0], address, console, recording, config, log)  # reads the recording into the system's cache, and is not counted
             runs = {way: [] for way in WAYS}
             for n in range(rounds):
-                for way in WAYS[n % 4:] + WAYS[:n % 4]:
-                    runs[way].append(replay(way, address, console, recording, log))
+                for way in WAYS[n % len(WAYS):] + WAYS[:n % len(WAYS)]:
+                    runs[way].append(replay(way, address, console, recording, config, log))
                     print(f"round {n + 1}, {way} pages: {runs[way][-1]}", file=sys.stderr, flush=True)
         finally:
             console.terminate()

@@ -391,10 +391,11 @@ def fleet(data, short):
 def console(data, short):
     drive = f"{OUT}/console-drive"
     simulate = f"cairn simulate --scenario room_tour --seconds {8 if short else 30} --output {drive} >&2"
+    height = f"printf '[scale]\\ncamera_height_m = 0.5\\ncamera_height_sigma_m = 0.003\\n' >{drive}.toml"
     return [
-        Step("What pages cost the daemon", f"rm -rf {drive}\n{simulate}\ntests/results/console.py {1 if short else 7} {drive}",
-             "Replays of a simulated drive at the camera's pace, with scripted pages that show video, map and log; what bad pages do stands at the "
-             "head of `console.py`. Pages, console and daemon share the machine."),
+        Step("What pages cost the daemon", f"rm -rf {drive}\n{simulate}\n{height}\ntests/results/console.py {1 if short else 7} {drive} {drive}.toml",
+             "Replays of a simulated drive at the camera's pace, with scripted pages that show video, map and log, and one that shows obstacles, too; what "
+             "bad pages do stands at the head of `console.py`. Pages, console and daemon share the machine."),
         Step("The page in a browser", f"tests/console/browser/run {OUT}/console load.js",
              "Headless Chromium with software GL beside a running demo, each time with an empty cache."),
     ]

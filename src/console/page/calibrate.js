@@ -1,5 +1,6 @@
 // Guided calibration: the board in the live picture, what is missing, the outcome.
 import { BoardPicture, Coverage } from "/board.js";
+import { quoted } from "/controls.js";
 import { set } from "/state.js";
 
 const $ = (id) => document.getElementById(id);
@@ -40,6 +41,7 @@ export class Calibration {
     // Apart from other orders' numbers, and from those of other pages: the console tells all of them who has begun.
     this.id = 0x4000_0000 + Math.floor(Math.random() * 0x3000_0000);
     this.begun = 0;
+    this.prefix = "cairn";
     this.picture = new BoardPicture($("board"), $("board-empty"), seen);
     this.coverage = new Coverage($("coverage"));
     this.gauges = new Map();
@@ -68,6 +70,12 @@ export class Calibration {
     if (!this.say({ calibrate: { id: this.id, action } })) this.reply({ id: this.id, ok: false, text: "There is no connection to the console." });
     this.buttons();
     return this.id;
+  }
+
+  setPrefix(prefix) {
+    if (prefix === this.prefix) return;
+    this.prefix = prefix;
+    if (this.state.phase === "done") this.outcome(this.state);
   }
 
   reply({ id, ok, text }) {
@@ -171,7 +179,14 @@ export class Calibration {
       ]);
     }));
     const words = outcome.words.map((text) => element("li", { textContent: capital(text).replace(" +- ", " ± ") }));
-    if (saved) words.push(element("li", { className: "saved", textContent: `${capital(saved)}. The daemon takes it at its next start.` }));
+    const shell = (text) => element("code", { className: "shell", textContent: text });
+    if (saved) {
+      words.push(element("li", { className: "saved", textContent: `${capital(saved)}.` }));
+      words.push(element("li", { className: "then" }, ["It is not in use yet: restart the daemon. Where it is the service:", shell("sudo systemctl restart cairn")]));
+    } else if (camera) {
+      const of = this.prefix === "cairn" ? "" : ` --prefix ${quoted(this.prefix)}`;
+      words.push(element("li", {}, ["Save hands it to the daemon, which uses it from its next start on. On a terminal, with the file of Download:", shell(`cairn command${of} keep-calibration ${outcome.file_name}`)]));
+    }
     if (!camera) words.push(element("li", { textContent: "This daemon has no camera that it could be kept for (a recording or the simulator): Download has the file." }));
     $("board-words").replaceChildren(...words);
   }

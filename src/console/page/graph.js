@@ -125,7 +125,7 @@ export class GraphView {
       canvas.dataset.ties = this.fill(this.thick, there(this.ties), ({ kind }) => [...(colours[kind] ?? colours.covisible), 1]);
       this.map.draw();
     }
-    const note = this.isWanted ? (covisible.length > 0 ? `${covisible.length} pairs` : "none yet") : "";
+    const note = this.isWanted ? (covisible.length > 0 ? `${covisible.length} pairs see the same landmarks` : "no covisibility yet") : "";
     set($("covisible-count"), note);
   }
 

@@ -47,6 +47,8 @@ const receive = {
   [KIND.STATE]: ({ value }) => {
     controls.setPrefix(value.prefix);
     camera.setPrefix(value.prefix);
+    pair.setPrefix(value.prefix);
+    calibration.setPrefix(value.prefix);
     if (value.daemon) {
       camera.turnTo(value.daemon.run_id);
       graph.turnTo(value.daemon.run_id);

@@ -1,4 +1,6 @@
 // The two-picture chain: two pictures, each step's picture and numbers, and the run before beside it.
+import { quoted } from "/controls.js";
+
 const $ = (id) => document.getElementById(id);
 const LABEL = 18; // characters of a line's name in the text of `cairn twoview`
 
@@ -23,10 +25,29 @@ export class PairView {
     for (const which of ["a", "b"]) $(`take-${which}`).addEventListener("click", () => this.ask({ take: { which } }, `Picture ${which.toUpperCase()} …`));
     $("chain").addEventListener("submit", (event) => {
       event.preventDefault();
-      const method = { detector: $("detector").value, matcher: $("matcher").value, guided: $("guided").checked };
       this.images = {};
-      this.ask({ chain: { method } }, "The chain runs …");
+      this.ask({ chain: { method: this.method() } }, "The chain runs …");
     });
+    $("chain").addEventListener("input", () => this.shell());
+    this.setPrefix("cairn");
+  }
+
+  method() {
+    return { detector: $("detector").value, matcher: $("matcher").value, guided: $("guided").checked };
+  }
+
+  setPrefix(prefix) {
+    if (prefix === this.prefix) return;
+    this.prefix = prefix;
+    this.shell();
+  }
+
+  /** The same on a terminal. */
+  shell() {
+    const of = this.prefix === "cairn" ? "" : ` --prefix ${quoted(this.prefix)}`;
+    for (const which of ["a", "b"]) $(`shell-${which}`).textContent = `cairn watch${of} --picture ${which}.png --camera camera.txt`;
+    const { detector, matcher, guided } = this.method();
+    $("shell-chain").textContent = `cairn twoview a.png b.png --detector ${detector} --matcher ${matcher} --output two --camera camera.txt${guided ? " --guided" : ""}`;
   }
 
   ask(word, text) {
@@ -84,11 +105,13 @@ export class PairView {
     const article = document.createElement("article");
     const code = Object.assign(document.createElement("code"), { textContent: terminal });
     article.append(code);
-    for (const step of STEPS) {
+    for (const [row, step] of STEPS.entries()) {
       const said = lines.filter((line) => step.names.includes(line.of));
       const images = step.pictures.filter((name) => this.images[name]);
       if (said.length + images.length === 0) continue;
       const section = document.createElement("section");
+      // Beside the same step of the other run.
+      section.style.setProperty("--row", row + 2);
       section.append(Object.assign(document.createElement("h3"), { textContent: step.title }));
       if (step.says) section.append(Object.assign(document.createElement("p"), { textContent: step.says }));
       if (said.length > 0) section.append(Object.assign(document.createElement("pre"), { textContent: said.map((line) => `${line.name ? `${line.name}: ` : ""}${line.text}`).join("\n") }));

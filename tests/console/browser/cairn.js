@@ -1,8 +1,8 @@
 // `cairn demo` and `cairn console` as processes, in shared memory of their own.
-import { spawn } from "node:child_process";
-import { mkdtempSync, rmSync, readdirSync, openSync, writeFileSync } from "node:fs";
+import { spawn, spawnSync } from "node:child_process";
+import { mkdtempSync, rmSync, readdirSync, mkdirSync, openSync, symlinkSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
-import { join } from "node:path";
+import { join, resolve } from "node:path";
 
 const BINARY = process.env.CAIRN_BINARY ?? "target/release/cairn";
 
@@ -26,6 +26,20 @@ export class Robot {
 
   demo(seconds = 160, ...args) {
     return this.start(["demo", "--seconds", `${seconds}`, ...args, "--log", "info", "--output", join(this.folder, "demo")], openSync(this.log, "a"));
+  }
+
+  /** A line as a person types it, in the robot's folder: whether it went well, and what it said. Which daemon is meant the line itself must say. */
+  type(line) {
+    const path = join(this.folder, "path");
+    if (!this.hasPath) {
+      mkdirSync(path);
+      symlinkSync(resolve(BINARY), join(path, "cairn"));
+      this.hasPath = true;
+    }
+    const env = { ...this.env, PATH: `${path}:${process.env.PATH}` };
+    delete env.CAIRN_PREFIX;
+    const { status, stdout, stderr } = spawnSync("sh", ["-c", line], { env, cwd: this.folder, encoding: "utf8", timeout: 60_000 });
+    return { ok: status === 0, said: stdout.trim(), error: stderr.trim() };
   }
 
   /** Its address, once it listens. */

@@ -239,15 +239,20 @@ async function tags(page) {
 /** A finished calibration: with its camera known, and without. */
 async function calibrated(page) {
   await page.evaluate(() => { location.hash = "calibrate"; });
-  const tell = (camera) => page.evaluate((c) => window.stage.calibration({
+  const tell = (camera, saved = null) => page.evaluate(([c, kept]) => window.stage.calibration({
     phase: "done", run: c ? 1 : 2, by: 0, sentence: "done", board: { columns: 9, rows: 6, square_m: null, lens: "full" }, seconds: 0, limit_s: 300, glance: null,
     guidance: { views: 12, enough: 10, most: 40, grid: [2, 2], gauges: [], cells: [1, 1, 1, 1], outlines: [], needs: [], solved: true },
     outcome: { values: [{ name: "fx", value: 500, sigma: 1, unit: "px" }], words: ["well"], file: "x = 1", file_name: "camera-640x480.toml", good: true },
-    camera: c, saved: null, terminal: "cairn calibrate",
-  }), camera);
+    camera: c, saved: kept, terminal: "cairn calibrate",
+  }), [camera, saved]);
   const buttons = page.locator("#board-buttons");
   await tell({ identity: "usb", device: "/dev/video0" });
   check((await buttons.getByRole("button", { name: "Save" }).count()) === 1 && !(await text(page, "board-words")).includes("sudo"), "the calibration of a camera that is known can be saved");
+  check(/cairn command .*keep-calibration camera-640x480\.toml/.test(await text(page, "board-words")), "by a command of the terminal, too");
+  await tell({ identity: "usb", device: "/dev/video0" }, "kept as /var/lib/cairn/cameras/usb.toml for camera usb, which has it from the next start on");
+  const words = await text(page, "board-words");
+  check((await buttons.getByRole("button", { name: "Save" }).count()) === 0 && words.includes("Kept as /var/lib") && words.includes("not in use yet") && words.includes("sudo systemctl restart cairn"), "one that is saved says how it comes into use");
+  await page.screenshot({ path: join(pictures, "scripted-saved.png") });
   await tell(null);
   check((await buttons.getByRole("button", { name: "Save" }).count()) === 0 && (await text(page, "board-words")).includes("Download has the file"), "where there is none the page says that it can be downloaded");
   await labels(page, "calibrated");

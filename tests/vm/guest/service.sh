@@ -5,6 +5,8 @@
 #   service.sh DEB                 everything up to the reboot; leaves the service enabled
 #   service.sh DEB after-reboot    what must have survived; purges at the end
 #
+# Beside DEB may lie cairn-tools.deb, and of both a later version, cairn-next.deb and cairn-tools-next.deb.
+#
 # One line a check, `ok NAME` or `FAIL NAME: why`; exits 1 if one failed. Times are this machine's clock.
 deb=${1:?usage: service.sh DEB [after-reboot]}
 failed=0
@@ -161,6 +163,53 @@ check "a broken file changes nothing" within 5 logged MESSAGE="configuration not
 check "same process all along" is MainPID "$pid"
 settings '[calibration]
 file = "/etc/cairn/vivid.toml"'
+
+# --- upgraded to a later version while daemon and console run, and somebody has changed the configuration
+next=${deb%/*}/cairn-next.deb
+tools_next=${deb%/*}/cairn-tools-next.deb
+if [ -f "$next" ] && [ -f "$tools_next" ]; then
+    version() { dpkg-query -W -f '${Version}' "$1"; }
+    later() { dpkg --compare-versions "$(version "$1")" gt "$2" || { echo "$1 is $(version "$1"), was $2"; return 1; }; }
+    main_pid() { systemctl show "$1" -p MainPID --value; }
+    running() { kill -0 "$(main_pid "$1")" && [ "$(systemctl is-active "$1")" = active ]; }
+    anew() { running "$1" && [ "$(main_pid "$1")" != "$2" ]; }
+    check "upgrade: the tools beside it" dpkg -i "$tools"
+    check "upgrade: console: start" systemctl start cairn-console
+    check "upgrade: console: served" within 20 served
+    was=$(version cairn)
+    console=$(main_pid cairn-console)
+    as cairn touch /var/lib/cairn/kept
+    before=$(sha256sum /etc/cairn/cairn.toml /etc/cairn/vivid.toml)
+    began=$(now_ms)
+    check "upgrade: daemon" dpkg -i "$next"
+    check "upgrade: daemon: later than before" later cairn "$was"
+    check "upgrade: daemon: runs anew" within 10 anew cairn "$pid"
+    check "upgrade: daemon: frames" within 15 status_lacks NO_
+    echo "frames again $(($(now_ms) - began)) ms after the upgrade began"
+    check "upgrade: daemon: planners hear it" flowing
+    check "upgrade: daemon: not enabled by it" says disabled systemctl is-enabled cairn
+    check "upgrade: the console has gone on" test "$(main_pid cairn-console)" = "$console" -a "$(systemctl is-active cairn-console)" = active
+    pid=$(show MainPID)
+    was=$(version cairn-tools)
+    check "upgrade: tools" dpkg -i "$tools_next"
+    check "upgrade: tools: later than before" later cairn-tools "$was"
+    check "upgrade: console: runs anew" within 10 anew cairn-console "$console"
+    check "upgrade: console: served again" within 20 served
+    check "upgrade: console: not enabled by it" says disabled systemctl is-enabled cairn-console
+    check "upgrade: the daemon has gone on" is MainPID "$pid"
+    check "upgrade: configuration as it was" test "$(sha256sum /etc/cairn/cairn.toml /etc/cairn/vivid.toml)" = "$before"
+    check "upgrade: state as it was" test -e /var/lib/cairn/kept
+    check "upgrade: nothing left half done" bash -c '[ -z "$(dpkg --audit)" ] && ! ls /etc/cairn/*.dpkg-*'
+    check "upgrade: console: stop" systemctl stop cairn-console
+    systemctl stop cairn
+    check "upgrade: another version of what is stopped" dpkg -i "$deb" "$tools"
+    check "upgrade: another version of what is stopped starts nothing" test "$(systemctl is-active cairn)$(systemctl is-active cairn-console)" = inactiveinactive
+    check "upgrade: tools purged" dpkg --purge cairn-tools
+    systemctl start cairn
+    check "upgrade: start again" within 10 running cairn
+    check "upgrade: frames of the start" within 15 status_lacks NO_
+    pid=$(show MainPID)
+fi
 
 # --- kill, hang, stop
 began=$(now_ms)

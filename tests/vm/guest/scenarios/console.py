@@ -98,7 +98,7 @@ def console(stage):
     check(status == 0, f"systemctl start: {text} {sh('journalctl -u cairn-console -n 20 --no-pager')[1]}")
     health = stage.listener()
     began = now()
-    stage.usb("mjpeg")
+    camera = stage.usb("mjpeg")
     until(lambda: get().startswith("HTTP/1.1 200 "), 30, "the page is served")
     health.flowing(began, 20)
 
@@ -111,6 +111,18 @@ def console(stage):
     check(any(r.get("level") for r in records), f"the journal is not read: {records[:2]}")
     page.say({"command": {"id": 1, "action": {"do": "reset"}}})
     check((said := page.reply(1))["ok"], f"reset: {said}")
+    def control(number, action):
+        page.say({"command": {"id": number, "action": action}})
+        check((said := page.reply(number))["ok"], f"{action}: {said}")
+        return said["text"], said["terminal"]
+
+    offered = control(5, {"do": "camera_controls"})[0]
+    check(all(f"{name} " in offered for name in ("exposure", "gain", "focus")), f"the camera offers {offered}")
+    told = control(6, {"do": "set_camera", "control": "exposure", "value": 12.5})
+    check(told == ("exposure is 12.5 ms", "cairn command camera exposure 12.5"), f"exposure: {told}")
+    until(lambda: "control 1 0x4 = 125" in camera.controls(), 5, "the camera is told the exposure")
+    control(7, {"do": "set_camera", "control": "exposure", "value": None})
+
     for number, which in ((2, "a"), (3, "b")):
         page.say({"take": {"id": number, "which": which}})
         check((said := page.reply(number))["ok"], f"picture {which}: {said}")
@@ -146,7 +158,7 @@ def console(stage):
     took = now() - stop
     check(status == 0 and took < 5 and property_of("Result") == "success", f"stop: {status} {text} {took:.2f} s {property_of('Result')}")
     sh("systemctl stop cairn", 30)
-    return {"done": "cairn-console.service: page, pictures, journal, commands, two-picture chain; the daemon restarted; kill -9; stop", "recovery_s": back,
+    return {"done": "cairn-console.service: page, pictures, journal, commands, the camera's exposure, two-picture chain; the daemon restarted; kill -9; stop", "recovery_s": back,
             "note": f"recovery: the page shows the next daemon after `systemctl restart cairn`; {len(refused)} places cannot be written, no capability, "
                     f"system calls filtered; stopped in {took:.2f} s"}
 
