@@ -76,8 +76,9 @@ pub fn run(args: &WatchArgs) -> Result<ExitCode, CliError> {
 /// Prints to `out` until `stop`, the wanted number of lines, or the end of `out`.
 fn watch(args: &WatchArgs, out: &mut dyn Write, stop: &AtomicBool) -> Result<(), CliError> {
     let client = Client::with_endpoint(args.endpoint.endpoint()?)?;
-    if let Some(path) = &args.picture {
-        picture::take(path, args, &client, out, stop)
+    if let Some(picture) = &args.picture {
+        let (camera, prefix) = (args.camera.as_deref(), args.endpoint.prefix.as_str());
+        picture::take(&picture::Wanted { picture, camera, prefix, timeout: args.timeout }, &client, out, stop)
     } else if args.health {
         follow(client.health(), args, out, stop)
     } else if args.obstacles {

@@ -6,7 +6,6 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use super::{NAP, WatchArgs};
 use crate::atomic_file::write_atomically;
 use crate::cli::{CliError, exit_code};
 use crate::client::{Client, Frame, Subscription, Topic};
@@ -16,16 +15,23 @@ use crate::share::compressed;
 /// Health comes ten times a second.
 const HEALTH_TIME: Duration = Duration::from_secs(3);
 
+/// How soon a signal is noticed while nothing comes.
+const NAP: Duration = Duration::from_millis(100);
+
+/// What is asked for.
+pub struct Wanted<'a> {
+    /// Where the picture goes, and the lens's K.
+    pub picture: &'a Path,
+    pub camera: Option<&'a Path>,
+    /// The daemon's.
+    pub prefix: &'a str,
+    pub timeout: Option<Duration>,
+}
+
 /// The next picture, until `stop` or the timeout.
-pub fn take(
-    path: &Path,
-    args: &WatchArgs,
-    client: &Client,
-    out: &mut dyn Write,
-    stop: &AtomicBool,
-) -> Result<(), CliError> {
-    let prefix = &args.endpoint.prefix;
-    let Some(frame) = next(client.frames(), args.timeout, stop)? else {
+pub fn take(wanted: &Wanted<'_>, client: &Client, out: &mut dyn Write, stop: &AtomicBool) -> Result<(), CliError> {
+    let Wanted { picture: path, camera, prefix, timeout } = *wanted;
+    let Some(frame) = next(client.frames(), timeout, stop)? else {
         if stop.load(Ordering::Relaxed) {
             return Ok(());
         }
@@ -35,7 +41,7 @@ pub fn take(
     let png = png(&frame).ok_or_else(|| CliError::new(exit_code::DATA, "the picture has no rows"))?;
     write(path, &png)?;
     let mut said = format!("{}: {} x {} px", path.display(), frame.header().width, frame.header().height);
-    if let Some(camera) = &args.camera {
+    if let Some(camera) = camera {
         let health = next(client.health(), Some(HEALTH_TIME), stop)?;
         match health.as_ref().and_then(k) {
             Some(text) => {
