@@ -335,7 +335,7 @@ impl Reconstruction {
         if odometry.lost_frames > active.frames || odometry.lost_for_s(features.timestamp_ns) > self.config.lost_s {
             return self.begin_beside(features);
         }
-        self.initialiser.watch(features, &self.optics.camera);
+        self.initialiser.watch(features, &self.optics.camera, &self.optics.intrinsics.uncertainty());
         self.estimate_none(features)
     }
 
