@@ -335,7 +335,7 @@ impl<const W: usize> Damped for System<W> {
 
     fn solve(&self, damping: f64) -> Option<(Step, f64)> {
         let Reduced { matrix, right, inverses } = self.reduce(damping);
-        let reduced = DenseCholesky::of(&matrix)?.solve(right);
+        let reduced = DenseCholesky::of(matrix)?.solve(right);
         let global = reduced.fixed_rows::<W>(self.globals_at());
         let point = |(i, (point, inverse)): (usize, (&PointBlock<W>, &Matrix3<f64>))| {
             let mut rest = -point.gradient - point.global.tr_mul(&global);

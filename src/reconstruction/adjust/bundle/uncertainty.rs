@@ -20,7 +20,7 @@ impl<const W: usize> System<W> {
 
     /// Covariance of the global parameters, the last unknowns of the reduced system, with cameras and points free.
     pub(super) fn global_covariance(&self) -> Option<GlobalMatrix> {
-        let factor = GAUGE_DAMPING.into_iter().find_map(|damping| DenseCholesky::of(&self.reduce(damping).matrix))?;
+        let factor = GAUGE_DAMPING.into_iter().find_map(|damping| DenseCholesky::of(self.reduce(damping).matrix))?;
         let mut all = GlobalMatrix::zeros();
         all.fixed_view_mut::<W, W>(0, 0).copy_from(&factor.last_block_of_inverse::<W>()?);
         Some(all)
@@ -50,9 +50,10 @@ impl BundleProblem {
         let known = KNOWN * s.diagonal().max();
         let mut block = s.fixed_view_mut::<3, 3>(at + 3, at + 3);
         block += along * along.transpose() * known;
-        let factor = DenseCholesky::of(&s)?;
+        let unknowns = s.nrows();
+        let factor = DenseCholesky::of(s)?;
         let column = |i: usize| {
-            let unit = DVector::from_fn(s.nrows(), |row, _| f64::from(u8::from(row == at + 3 + i)));
+            let unit = DVector::from_fn(unknowns, |row, _| f64::from(u8::from(row == at + 3 + i)));
             factor.solve(unit).fixed_rows::<3>(at + 3).into_owned()
         };
         let covariance = Matrix3::from_columns(&[0, 1, 2].map(column));
