@@ -22,6 +22,7 @@ use super::turn::{MAX_PAIRS, MIN_TRACKS, Pair, SupposedLens, TurnState, ViewTurn
 use crate::features::FrameFeatures;
 use crate::geometry::CameraModel;
 use crate::reconstruction::adjust::intrinsics::LensFreedom;
+use crate::reconstruction::odometry::LONGEST_STEP_S;
 use crate::reconstruction::types::OrientationEstimate;
 
 /// The anchor is given up when less than this share of its tracks is left.
@@ -33,8 +34,6 @@ const SHARED_RAD: f64 = 6e-4;
 /// the squared error in standard deviations was 10 to 19 without it, where 3 is due; of three more with every flaw but somebody who walks by, 13 % of
 /// the frames were outside their 95 % interval with 5.
 const LEFT_OUT: f64 = 8.0;
-/// Frames farther apart tell no angular velocity, s.
-const LONGEST_STEP_S: f64 = 0.3;
 
 /// An orientation with what is needed to go on from it.
 #[derive(Debug, Clone, Copy)]
