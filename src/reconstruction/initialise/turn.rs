@@ -388,8 +388,7 @@ fn motion(
     let eigen = SymmetricEigen::try_new(moment, 1e-12, 100)?;
     let start: Se3<Second, First> =
         Se3::new(turn.rotation, eigen.eigenvectors.column(eigen.eigenvalues.imin()).into_owned());
-    let options =
-        LmOptions { max_iterations: STEPS, relative_cost: 1e-4, step_norm: 1e-7, ..LmOptions::default() };
+    let options = LmOptions { max_iterations: STEPS, relative_cost: 1e-4, step_norm: 1e-7, ..LmOptions::default() };
     let loss = Loss::Cauchy(2.0 * typical_px.max(TRACK_PX) / focal_px);
     let near = refine_motion(&start, matches(pairs), loss, &options)?;
     let found = refine_motion(&near, matches(pairs), Loss::Cauchy(2.0 * TRACK_PX / focal_px), &options)?;
