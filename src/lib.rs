@@ -74,7 +74,7 @@
 //!
 //! # Invariants
 //! 1. [`messages`] and [`client`] build alone (`default-features = false, features = ["client"]`).
-//! 2. [`geometry`] knows nalgebra, and faer for sparse normal equations, only: no threads, IO, clock, logging, configuration, unseeded randomness.
+//! 2. [`geometry`] knows nalgebra, and faer for large normal equations, only: no threads, IO, clock, logging, configuration, unseeded randomness.
 //! 3. [`ring`] knows no images; [`features`] knows no map; [`map`] knows no threads; [`reconstruction`] knows no V4L2, ring or
 //!    iceoryx2. ([`map`] uses of [`features`] what a keyframe keeps to be known again by: thumbnail, descriptors, gradients of patches.)
 //! 4. Of the daemon's process only [`daemon`] spawns threads; [`console`] is another process, with its own. Every stage is also a plain step that a test calls without threads.

@@ -1,4 +1,4 @@
-//! Geometry: pure functions on nalgebra types (faer solves what is sparse). No threads, IO, clock, logging, configuration or unseeded randomness.
+//! Geometry: pure functions on nalgebra types (faer solves what is large). No threads, IO, clock, logging, configuration or unseeded randomness.
 //!
 //! # Frames
 //! Camera axes: x right, y down, z forward. Robot and world axes on the wire are REP-103: x forward, y left, z up.
@@ -10,6 +10,7 @@
 pub mod alignment;
 pub mod camera_model;
 pub mod camera_motion;
+pub mod cholesky;
 mod displaced;
 pub mod epipolar;
 pub mod essential;

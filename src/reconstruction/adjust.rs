@@ -12,9 +12,8 @@ use super::Reconstruction;
 use job::{Adjustment, AdjustmentResult, MappingJob, MappingResult};
 use mapper::Merge;
 
-/// Keyframes up to which the whole map is adjusted, and where the lens is a guess, which takes several times as many steps.
+/// Keyframes up to which the whole map is adjusted.
 const WHOLE_LIMIT: usize = 240;
-const GUESSED_WHOLE_LIMIT: usize = 120;
 
 /// Between frames this far apart, ns, an adjustment has long been done (three frames of a usual camera): it is merged before the next one is
 /// tracked. A walk at 5 Hz sees a landmark in four or five frames; with a map adjusted three frames late it has lost most of them.
@@ -33,8 +32,7 @@ impl Reconstruction {
         let (optics, active) = (&self.optics, &mut self.active);
         let Some(newest) = active.unadjusted.take() else { return };
         let keyframes = active.map.keyframes.len();
-        let limit = if optics.intrinsics.is_calibrated() { WHOLE_LIMIT } else { GUESSED_WHOLE_LIMIT };
-        let job = if keyframes >= active.next_whole && keyframes <= limit {
+        let job = if keyframes >= active.next_whole && keyframes <= WHOLE_LIMIT {
             active.next_whole = optics.intrinsics.next_whole(keyframes);
             optics.intrinsics.whole_job(&active.map, &optics.camera, &optics.shutter, self.config.refine_intrinsics)
         } else {

@@ -22,6 +22,7 @@ use super::active_map::ActiveMap;
 use super::dead_reckoning::{Ahead, Reckoned};
 use super::odometry::{LastFrame, Odometry};
 use super::relocalise::other_maps::WORTH_KEEPING;
+use super::segments::MOVED_SIGMAS;
 use super::track::frame::Frame;
 use super::track::{Tracked, Tracker};
 use super::types::{PoseEstimate, TrackingState, TrajectoryEvent};
@@ -39,8 +40,6 @@ const RADIAN_M: f64 = 4.0;
 /// The views of a start and the wheels over the same time agree up to this turn (rad) and direction (rad).
 const START_TURN_RAD: f64 = 0.06;
 const START_DIRECTION_RAD: f64 = 0.3;
-/// Wheels that moved by fewer of their standard deviations between the views of a start tell no length.
-const MOVED_SIGMAS: f64 = 5.0;
 
 impl Reconstruction {
     /// The wheels alone place the newest frame: for how long and how surely; `None` otherwise.

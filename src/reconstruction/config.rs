@@ -46,7 +46,7 @@ pub struct ReconstructionConfig {
     pub start_flow_px: f64,
     /// Landmarks that a start needs. 20..=500.
     pub start_landmarks: usize,
-    /// How long tracking may be lost before a new map may begin beside this one, s; no longer than the map was tracked for. 0.0..=60.0.
+    /// How long tracking may be lost before a new map may begin beside this one, s. 0.0..=60.0.
     pub lost_s: f64,
     /// Close loops: recognise places of the map after a long way and correct the drift since.
     pub loops: bool,

@@ -330,12 +330,10 @@ impl Reconstruction {
             self.initialiser = seen;
             return self.try_start(features);
         }
-        // A map that was tracked for a moment only is worth no longer a wait.
-        let odometry = &active.odometry;
-        if odometry.lost_frames > active.frames || odometry.lost_for_s(features.timestamp_ns) > self.config.lost_s {
+        if active.odometry.lost_for_s(features.timestamp_ns) > self.config.lost_s {
             return self.begin_beside(features);
         }
-        self.initialiser.watch(features, &self.optics.camera);
+        self.initialiser.watch(features, &self.optics.camera, &self.optics.intrinsics.uncertainty());
         self.estimate_none(features)
     }
 

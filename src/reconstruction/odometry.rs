@@ -8,9 +8,9 @@ use crate::geometry::frames::{Camera, Odom, World};
 use crate::geometry::sim3::Sim3;
 use crate::map::Correction;
 
-/// Frames farther apart than this tell too little of the motion within one of them to correct a rolling shutter by it, s. (At 5 Hz
-/// it still pays: hand-held and walking, errors without the correction are larger than with it.)
-const MAX_SHUTTER_STEP_S: f64 = 0.3;
+/// Frames farther apart than this tell too little of the motion within one of them to tell a velocity, or to correct a rolling shutter by it, s. (At
+/// 5 Hz it still pays: hand-held and walking, errors without the correction are larger than with it.)
+pub const LONGEST_STEP_S: f64 = 0.3;
 
 /// A motion, `this camera from the previous one`, and how long it took, s.
 pub type Step = (Se3<Camera, Camera>, f64);
@@ -112,7 +112,7 @@ impl Odometry {
     pub fn before(&self, timestamp_ns: i64) -> Option<(Se3<Camera, World>, f64)> {
         let last = self.followed()?;
         let dt = (timestamp_ns - last.timestamp_ns) as f64 * 1e-9;
-        (dt > 0.0 && dt < MAX_SHUTTER_STEP_S).then_some((last.camera_from_world, dt))
+        (dt > 0.0 && dt < LONGEST_STEP_S).then_some((last.camera_from_world, dt))
     }
 
     /// How the camera moved at the last frame; nothing is known of that after frames that were lost.

@@ -18,7 +18,7 @@ const PLACE_SHARE: f64 = 0.001;
 const STEP_SIGMAS: f64 = 20.0;
 
 /// Wheels that moved by fewer of their standard deviations tell no length.
-const MOVED_SIGMAS: f64 = 5.0;
+pub const MOVED_SIGMAS: f64 = 5.0;
 
 /// A frame beside a keyframe.
 #[derive(Debug, Clone, Copy)]

@@ -27,7 +27,7 @@ use super::job::{Adjustment, FoundIntrinsics};
 use crate::geometry::{CameraModel, LensModel};
 use crate::map::Map;
 use crate::map::saved::SavedOptics;
-use crate::reconstruction::measurement::rolling_shutter::Shutter;
+use crate::reconstruction::measurement::rolling_shutter::{BELIEVED, Shutter};
 
 /// Standard deviation of a measured focal length, and of a nominal one, as a share of it.
 const CALIBRATED_FOCAL: f64 = 0.01;
@@ -39,8 +39,6 @@ const NOMINAL_CENTRE: f64 = 0.0125;
 /// that nobody has.
 const CALIBRATED_DISTORTION: [f64; 4] = [0.02, 0.02, 0.001, 0.001];
 const GUESSED_DISTORTION: [f64; 4] = [0.1, 0.1, 0.003, 0.003];
-/// Share of the adjustment's information that is believed.
-const BELIEVED: f64 = 0.05;
 /// Levenberg-Marquardt steps of each pass, at the most: enough to keep up with a calibrated lens, and to arrive with one that is far off.
 /// A lens that is still on its way looks as sure as one that has arrived.
 const STEPS: usize = 6;

@@ -221,9 +221,14 @@ impl Initialiser {
         starts
     }
 
-    /// Remembers a frame without asking for a start: while there is still hope for another map.
-    pub fn watch(&mut self, features: &FrameFeatures, camera: &CameraModel) {
-        self.follow(features, camera);
+    /// Remembers a frame without asking for a start: while there is still hope for another map. The way that the camera goes meanwhile is
+    /// time spent trying all the same.
+    pub fn watch(&mut self, features: &FrameFeatures, camera: &CameraModel, freedom: &LensFreedom) {
+        if let Some(pairs) = self.follow(features, camera) {
+            let lens = SupposedLens { focal_px: camera.focal_px(), freedom: *freedom };
+            let flow = unexplained_px(&pairs.places, lens, &mut self.lengths);
+            self.spend_patience(features.timestamp_ns, flow);
+        }
         self.remember(features);
     }
 

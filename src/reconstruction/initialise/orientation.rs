@@ -22,13 +22,11 @@ use super::turn::{MAX_PAIRS, MIN_TRACKS, Pair, SupposedLens, TurnState, ViewTurn
 use crate::features::FrameFeatures;
 use crate::geometry::CameraModel;
 use crate::reconstruction::adjust::intrinsics::LensFreedom;
+use crate::reconstruction::odometry::LONGEST_STEP_S;
 use crate::reconstruction::types::OrientationEstimate;
 
-/// The anchor is given up when less than this share of its tracks is left, or fewer than so many where the newest frame has more.
-const FEW_TRACKS: usize = 50;
+/// The anchor is given up when less than this share of its tracks is left.
 const FEW_SHARE: f64 = 0.5;
-/// A frame with so many times the tracks that it has in common with the anchor is worth becoming the anchor.
-const OUTGROWN: f64 = 1.2;
 /// What all tracks of two frames share in drift of the flow, readout and lens, rad: 0.3 px of a usual camera.
 const SHARED_RAD: f64 = 6e-4;
 /// What is told of the covariance, over what the formulas above give: they leave out the lens's further coefficients, the readout of the rows, and
@@ -36,8 +34,6 @@ const SHARED_RAD: f64 = 6e-4;
 /// the squared error in standard deviations was 10 to 19 without it, where 3 is due; of three more with every flaw but somebody who walks by, 13 % of
 /// the frames were outside their 95 % interval with 5.
 const LEFT_OUT: f64 = 8.0;
-/// Frames farther apart tell no angular velocity, s.
-const LONGEST_STEP_S: f64 = 0.3;
 
 /// An orientation with what is needed to go on from it.
 #[derive(Debug, Clone, Copy)]
@@ -130,8 +126,7 @@ impl OrientationTracker {
         let turn = view_turn(&self.pairs, &guess, lens, &mut self.lengths)?;
         let known = anchor.turned(features.timestamp_ns, &turn);
         let halved = (common as f64) < FEW_SHARE * self.anchor.len() as f64;
-        let outgrown = common < FEW_TRACKS && features.tracks.len() as f64 > OUTGROWN * common as f64;
-        let since = if halved || outgrown {
+        let since = if halved {
             self.anchor_at(features, camera, known);
             turn.state.restarted()
         } else {

@@ -61,8 +61,7 @@ const NOWHERE_PX: f64 = 1e3;
 const INDEPENDENT: f64 = 20.0;
 /// Rounds with a loss of their own scale, and steps of each, at the most.
 const ROUNDS: usize = 6;
-const STEPS: usize = 6;
-const MOTION_STEPS: usize = 8;
+const STEPS: usize = 8;
 /// GRIC: dimensions of two views' points, of the models' manifolds, and their parameters (the principal point is hardly free).
 const POINT_DIMENSIONS: f64 = 4.0;
 const TURN: (f64, f64) = (2.0, 8.0);
@@ -389,8 +388,7 @@ fn motion(
     let eigen = SymmetricEigen::try_new(moment, 1e-12, 100)?;
     let start: Se3<Second, First> =
         Se3::new(turn.rotation, eigen.eigenvectors.column(eigen.eigenvalues.imin()).into_owned());
-    let options =
-        LmOptions { max_iterations: MOTION_STEPS, relative_cost: 1e-4, step_norm: 1e-7, ..LmOptions::default() };
+    let options = LmOptions { max_iterations: STEPS, relative_cost: 1e-4, step_norm: 1e-7, ..LmOptions::default() };
     let loss = Loss::Cauchy(2.0 * typical_px.max(TRACK_PX) / focal_px);
     let near = refine_motion(&start, matches(pairs), loss, &options)?;
     let found = refine_motion(&near, matches(pairs), Loss::Cauchy(2.0 * TRACK_PX / focal_px), &options)?;

@@ -16,7 +16,7 @@ use crate::map::FreeCorner;
 
 /// Corners of a picture, at the most, spread over cells of this side (px).
 const CORNERS: usize = 500;
-const CELL_PX: usize = 24;
+pub const CELL_PX: usize = 24;
 /// Brightness difference of a corner, grey levels, and the smaller eigenvalue of its structure tensor, grey²/px²: an edge would be found
 /// anywhere along itself, and so also where a pose that is wrong puts it. (At 8, which tracks need, two of four walks at 5 Hz were bent by
 /// it in a turn; at 60 quick recordings run out of corners.)

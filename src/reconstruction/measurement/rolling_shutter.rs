@@ -30,9 +30,9 @@ const MAX_READOUT_S: f64 = 0.04;
 const PRIOR_SIGMA_S: f64 = 0.01;
 /// What the past counts after one more adjustment. Adjustments before had fewer landmarks, placed with another readout time.
 const MEMORY: f64 = 0.9;
-/// Share of an adjustment's information that is believed: an observation is in some ten of them, and neighbouring keyframes share the
-/// errors of their templates.
-const BELIEVED: f64 = 0.05;
+/// Share of an adjustment's information on what all observations share (readout, lens) that is believed: an observation is in some ten of them, and
+/// neighbouring keyframes share the errors of their templates.
+pub const BELIEVED: f64 = 0.05;
 /// Never surer than this, s: what the motion between two frames says of the motion within one is not exact.
 const FLOOR_SIGMA_S: f64 = 0.001;
 

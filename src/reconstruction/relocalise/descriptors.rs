@@ -31,14 +31,13 @@ use crate::map::view::{
 };
 use crate::map::{Keyframe, KeyframeId, LandmarkId, Map};
 use crate::places::describe::PlaceDescriber;
+use crate::reconstruction::keyframe::corners::CELL_PX;
 use crate::reconstruction::track::Guess;
 
 /// Pyramid levels that corners are described on.
 const LEVELS: usize = DESCRIBED_LEVELS;
 /// Corners of a frame that are described, by level.
 const CORNERS: [usize; LEVELS] = [500, 250, 100];
-/// Side of the cells over which they are spread, in the level's pixels.
-const CELL_PX: usize = 24;
 /// Brightness difference of a corner, grey levels: low, for blurred pictures; the strongest of each cell come first.
 const THRESHOLD: u8 = 7;
 /// Keyframes whose descriptors are remembered: some 0.1 MB each.

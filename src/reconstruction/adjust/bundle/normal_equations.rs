@@ -9,6 +9,7 @@ use super::globals::focal_scale;
 use super::options::{BEHIND_CAMERA, LEAST_PIVOT};
 use super::problem::{BundleProblem, BundleState};
 use crate::geometry::Se3;
+use crate::geometry::cholesky::DenseCholesky;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::least_squares::{Damped, LeastSquares, Loss};
 use crate::reconstruction::measurement::jacobian_rows;
@@ -334,7 +335,7 @@ impl<const W: usize> Damped for System<W> {
 
     fn solve(&self, damping: f64) -> Option<(Step, f64)> {
         let Reduced { matrix, right, inverses } = self.reduce(damping);
-        let reduced = matrix.cholesky()?.solve(&right);
+        let reduced = DenseCholesky::of(matrix)?.solve(right);
         let global = reduced.fixed_rows::<W>(self.globals_at());
         let point = |(i, (point, inverse)): (usize, (&PointBlock<W>, &Matrix3<f64>))| {
             let mut rest = -point.gradient - point.global.tr_mul(&global);

@@ -2,12 +2,13 @@
 //!
 //! Everything is read off the normal equations at the solution; the observations' own sigmas are believed.
 
-use nalgebra::{DMatrix, Matrix3};
+use nalgebra::{DVector, Matrix3};
 
 use super::globals::{GLOBALS, GlobalMatrix};
 use super::normal_equations::{Adjustment, System};
 use super::options::{BundleOptions, GAUGE_DAMPING, KNOWN};
 use super::problem::BundleProblem;
+use crate::geometry::cholesky::DenseCholesky;
 use crate::geometry::least_squares::LeastSquares;
 
 impl<const W: usize> System<W> {
@@ -17,15 +18,12 @@ impl<const W: usize> System<W> {
         self.points.iter().map(|point| point.own.try_inverse().unwrap_or(unknown)).collect()
     }
 
-    /// Covariance of the global parameters with cameras and points free: theirs are the last columns, so that the last block of the reduced
-    /// system's Cholesky factor is the factor of their information.
+    /// Covariance of the global parameters, the last unknowns of the reduced system, with cameras and points free.
     pub(super) fn global_covariance(&self) -> Option<GlobalMatrix> {
-        let (at, at_damping) = (self.globals_at(), |damping| self.reduce(damping).matrix.cholesky());
-        let factor = GAUGE_DAMPING.into_iter().find_map(at_damping)?;
-        let inverse = factor.l().fixed_view::<W, W>(at, at).into_owned().try_inverse()?;
+        let factor = GAUGE_DAMPING.into_iter().find_map(|damping| DenseCholesky::of(self.reduce(damping).matrix))?;
         let mut all = GlobalMatrix::zeros();
-        all.fixed_view_mut::<W, W>(0, 0).copy_from(&inverse.tr_mul(&inverse));
-        all.iter().all(|v| v.is_finite()).then_some(all)
+        all.fixed_view_mut::<W, W>(0, 0).copy_from(&factor.last_block_of_inverse::<W>()?);
+        Some(all)
     }
 }
 
@@ -52,9 +50,13 @@ impl BundleProblem {
         let known = KNOWN * s.diagonal().max();
         let mut block = s.fixed_view_mut::<3, 3>(at + 3, at + 3);
         block += along * along.transpose() * known;
-        let mut unit = DMatrix::zeros(s.nrows(), 3);
-        unit.fixed_view_mut::<3, 3>(at + 3, 0).fill_with_identity();
-        let covariance: Matrix3<f64> = s.cholesky()?.solve(&unit).fixed_view::<3, 3>(at + 3, 0).into_owned();
+        let unknowns = s.nrows();
+        let factor = DenseCholesky::of(s)?;
+        let column = |i: usize| {
+            let unit = DVector::from_fn(unknowns, |row, _| f64::from(u8::from(row == at + 3 + i)));
+            factor.solve(unit).fixed_rows::<3>(at + 3).into_owned()
+        };
+        let covariance = Matrix3::from_columns(&[0, 1, 2].map(column));
         let sigma = covariance.symmetric_eigenvalues().max().max(0.0).sqrt() / length;
         sigma.is_finite().then_some(sigma)
     }
