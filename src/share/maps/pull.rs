@@ -24,6 +24,8 @@ const PIECE_TIMEOUT: Duration = Duration::from_secs(10);
 const MOST_WAITED: Duration = Duration::from_secs(60);
 /// Between two tries.
 const PAUSE: Duration = Duration::from_millis(200);
+/// A session that has just begun hears of the robots one after another: sooner, one of two with one name would be taken for the only one.
+const SETTLE: Duration = Duration::from_secs(2);
 /// Answers of robots with one name that are looked at, and sentences of theirs that are shown: letters.
 const MOST_ANSWERS: usize = 8;
 const LONGEST_REASON: usize = 400;
@@ -115,6 +117,9 @@ impl Fetching<'_> {
     /// The key of the one robot of this name, and what it offers.
     fn find(&self, patience: Duration) -> Result<(String, Offer), PullError> {
         let (begin, waited_s) = (Instant::now(), patience.as_secs_f64());
+        while begin.elapsed() < SETTLE {
+            self.pause()?;
+        }
         let everywhere = maps_key(self.domain, None, &self.wanted.robot);
         loop {
             let mut answers = self.ask(&format!("{everywhere}?{MAP}={}", self.wanted.map), OFFER_TIMEOUT)?;
