@@ -25,8 +25,11 @@ use crate::reconstruction::adjust::intrinsics::LensFreedom;
 use crate::reconstruction::odometry::LONGEST_STEP_S;
 use crate::reconstruction::types::OrientationEstimate;
 
-/// The anchor is given up when less than this share of its tracks is left.
+/// The anchor is given up when less than this share of its tracks is left, or fewer than so many where the newest frame has more.
+const FEW_TRACKS: usize = 50;
 const FEW_SHARE: f64 = 0.5;
+/// A frame with so many times the tracks that it has in common with the anchor is worth becoming the anchor.
+const OUTGROWN: f64 = 1.2;
 /// What all tracks of two frames share in drift of the flow, readout and lens, rad: 0.3 px of a usual camera.
 const SHARED_RAD: f64 = 6e-4;
 /// What is told of the covariance, over what the formulas above give: they leave out the lens's further coefficients, the readout of the rows, and
@@ -126,7 +129,8 @@ impl OrientationTracker {
         let turn = view_turn(&self.pairs, &guess, lens, &mut self.lengths)?;
         let known = anchor.turned(features.timestamp_ns, &turn);
         let halved = (common as f64) < FEW_SHARE * self.anchor.len() as f64;
-        let since = if halved {
+        let outgrown = common < FEW_TRACKS && features.tracks.len() as f64 > OUTGROWN * common as f64;
+        let since = if halved || outgrown {
             self.anchor_at(features, camera, known);
             turn.state.restarted()
         } else {
