@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use cairn::client::Client;
 use cairn::frame::{Clock, PixelFormat, RawFrame};
 use cairn::geometry::Se3;
-use cairn::map::{KeyframeId, LandmarkId, MapId};
+use cairn::map::{KeyframeId, LandmarkId};
 use cairn::messages::services::MAX_FEATURES;
 use cairn::messages::{Endpoint, NO_LANDMARK, NO_TRACK};
 use cairn::publish::{CameraView, Conversion, FrameStamp, Limits, Publisher};
@@ -58,14 +58,9 @@ fn publishing_a_pose_allocates_nothing() {
     let limits = Limits { landmarks: 10, keyframes: 10, frame_bytes: 10 };
     let mut publisher = Publisher::open(&endpoint, &limits).expect("publisher");
     let estimate = PoseEstimate {
-        sequence: 0,
-        timestamp_ns: 0,
-        arrival_ns: 0,
         state: TrackingState::Tracking,
         world_from_camera: Some(Se3::identity()),
         odom_from_camera: Some(Se3::identity()),
-        orientation: None,
-        map_revision: 0,
         anchor: Some(KeyframeId(0)),
         covariance: Matrix6::identity(),
         angular_velocity: Vector3::zeros(),
@@ -73,10 +68,7 @@ fn publishing_a_pose_allocates_nothing() {
         landmarks: 100,
         landmarks_sought: 120,
         quality: 0.9,
-        map: MapId(0),
-        reset_counter: 0,
-        keyframe: false,
-        scale: Default::default(),
+        ..PoseEstimate::default()
     };
     let mut allocations = |times: usize| {
         let mut allocations = 0;

@@ -47,7 +47,7 @@ impl MapShelf {
         }
         let copy = Path::new(reply.message().lines().next().unwrap_or_default());
         let file = File::open(copy).map_err(|e| format!("the daemon's copy of the map cannot be read: {e}"))?;
-        // It was made for us alone. Where we may not remove it the daemon does in some minutes.
+        // It was made for us alone. Where we may not remove it the daemon does, when it makes another one minutes later.
         let _ = std::fs::remove_file(copy);
         Ok(file)
     }

@@ -202,6 +202,8 @@ impl Pair {
         let (stdout, stderr) = said.map_err(|e| format!("{}: {e}", log.display()))?;
         let child = Command::new(program)
             .args(words)
+            // The words name the daemon, or it is the default one.
+            .env_remove("CAIRN_PREFIX")
             .current_dir(&self.folder)
             .stdin(Stdio::null())
             .stdout(stdout)

@@ -19,8 +19,6 @@ fn estimate(world_from_camera: Se3<World, Camera>) -> PoseEstimate {
         state: TrackingState::Tracking,
         world_from_camera: Some(world_from_camera),
         odom_from_camera: Some(world_from_camera.relabel::<Odom, Camera>()),
-        orientation: None,
-        map_revision: 0,
         anchor: Some(KeyframeId(3)),
         covariance: Matrix6::identity(),
         angular_velocity: Vector3::zeros(),
@@ -31,7 +29,7 @@ fn estimate(world_from_camera: Se3<World, Camera>) -> PoseEstimate {
         map: MapId(1),
         reset_counter: 2,
         keyframe: true,
-        scale: Default::default(),
+        ..PoseEstimate::default()
     }
 }
 

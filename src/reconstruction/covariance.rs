@@ -29,21 +29,11 @@ impl Reconstruction {
             timestamp_ns: features.timestamp_ns,
             arrival_ns: features.arrival_ns,
             state: self.state,
-            world_from_camera: None,
-            odom_from_camera: None,
-            orientation: None,
-            anchor: None,
-            covariance: Matrix6::from_element(f64::NAN),
-            angular_velocity: Vector3::from_element(f64::NAN),
-            linear_velocity: Vector3::from_element(f64::NAN),
-            landmarks: 0,
-            landmarks_sought: 0,
-            quality: 0.0,
             map: self.active.id,
             map_revision: self.corrections.revision,
             reset_counter: self.reset_counter(),
-            keyframe: false,
             scale: self.scale(),
+            ..PoseEstimate::default()
         }
     }
 

@@ -72,6 +72,33 @@ pub struct PoseEstimate {
     pub scale: MapScale,
 }
 
+/// No pose: what is not known is NaN or `None`.
+impl Default for PoseEstimate {
+    fn default() -> Self {
+        Self {
+            sequence: 0,
+            timestamp_ns: 0,
+            arrival_ns: 0,
+            state: TrackingState::default(),
+            world_from_camera: None,
+            odom_from_camera: None,
+            orientation: None,
+            anchor: None,
+            covariance: Matrix6::from_element(f64::NAN),
+            angular_velocity: Vector3::from_element(f64::NAN),
+            linear_velocity: Vector3::from_element(f64::NAN),
+            landmarks: 0,
+            landmarks_sought: 0,
+            quality: 0.0,
+            map: MapId(0),
+            map_revision: 0,
+            reset_counter: 0,
+            keyframe: false,
+            scale: MapScale::default(),
+        }
+    }
+}
+
 /// A frame's place in the map for the trajectory that is written at the end.
 #[derive(Debug, Clone, PartialEq)]
 pub enum TrajectoryEvent {

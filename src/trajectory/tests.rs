@@ -386,23 +386,12 @@ fn estimate(i: i64, map: u32, state: TrackingState, pose: Option<Se3<World, Came
     PoseEstimate {
         sequence: i as u64,
         timestamp_ns: i * S,
-        arrival_ns: 0,
         state,
         world_from_camera: pose,
         odom_from_camera: pose.map(|pose| pose.relabel()),
-        orientation: None,
-        map_revision: 0,
-        anchor: None,
-        covariance: nalgebra::Matrix6::repeat(f64::NAN),
-        angular_velocity: Vector3::repeat(f64::NAN),
-        linear_velocity: Vector3::repeat(f64::NAN),
-        landmarks: 0,
-        landmarks_sought: 0,
-        quality: 0.0,
         map: MapId(map),
         reset_counter: map,
-        keyframe: false,
-        scale: Default::default(),
+        ..PoseEstimate::default()
     }
 }
 

@@ -263,8 +263,6 @@ fn estimate(sequence: u64) -> PoseEstimate {
         state: TrackingState::Tracking,
         world_from_camera: Some(Se3::identity()),
         odom_from_camera: Some(Se3::identity()),
-        orientation: None,
-        map_revision: 0,
         anchor: Some(KeyframeId(0)),
         covariance: Matrix6::identity(),
         angular_velocity: Vector3::zeros(),
@@ -272,10 +270,7 @@ fn estimate(sequence: u64) -> PoseEstimate {
         landmarks: 100,
         landmarks_sought: 120,
         quality: 0.9,
-        map: MapId(0),
-        reset_counter: 0,
-        keyframe: false,
-        scale: MapScale::default(),
+        ..PoseEstimate::default()
     }
 }
 

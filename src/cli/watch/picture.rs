@@ -33,7 +33,7 @@ pub fn take(wanted: &Wanted<'_>, client: &Client, out: &mut dyn Write, stop: &At
     let Wanted { picture: path, camera, prefix, timeout } = *wanted;
     let Some(frame) = next(client.frames(), timeout, stop)? else {
         if stop.load(Ordering::Relaxed) {
-            return Ok(());
+            return Err(interrupted());
         }
         let message = format!("no picture came from {prefix}/frame: is the daemon running, and the camera there?");
         return Err(CliError::new(exit_code::UNAVAILABLE, message));
@@ -48,9 +48,12 @@ pub fn take(wanted: &Wanted<'_>, client: &Client, out: &mut dyn Write, stop: &At
                 write(camera, text.as_bytes())?;
                 let _ = write!(said, "; {}: K", camera.display());
             }
+            None if stop.load(Ordering::Relaxed) => return Err(interrupted()),
             // That of an earlier picture would be taken for this one's.
             None => {
-                let _ = std::fs::remove_file(camera);
+                if camera.symlink_metadata().is_ok_and(|about| about.is_file()) {
+                    let _ = std::fs::remove_file(camera);
+                }
                 said += "; K is not known, or the lens is one that K alone does not describe";
             }
         }
@@ -58,6 +61,11 @@ pub fn take(wanted: &Wanted<'_>, client: &Client, out: &mut dyn Write, stop: &At
     // The files are there; whoever has closed stdout does not want to know.
     let _ = writeln!(out, "{said}");
     Ok(())
+}
+
+/// Whoever goes on with the files must see that they are not there.
+fn interrupted() -> CliError {
+    CliError::new(exit_code::FAILURE, "interrupted")
 }
 
 /// The next message; `None` after the timeout, or at the end.

@@ -7,7 +7,7 @@
 use std::fs::{File, Metadata};
 use std::os::unix::fs::{FileExt, MetadataExt};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::{Duration, Instant};
 
 use tracing::{info, warn};
@@ -46,12 +46,8 @@ struct Request {
 impl Requests {
     /// Never waits.
     pub fn push(&self, query: Query, key: &str) {
-        let (Err(TrySendError::Full(refused)) | Err(TrySendError::Disconnected(refused))) =
-            self.0.try_send(Request { query, key: key.into() })
-        else {
-            return;
-        };
-        refuse(&refused.query, "too many ask for maps at once; try again");
+        // Whoever is not answered asks again.
+        let _ = self.0.try_send(Request { query, key: key.into() });
     }
 }
 
@@ -148,7 +144,14 @@ impl Giver {
         self.offers += 1;
         let offer = Offer { bytes: state.bytes, checksum, version: self.offers.to_string() };
         info!(map = name, bytes = offer.bytes, "map asked for over Zenoh");
-        self.held.push(Held { name: name.into(), offer: offer.clone(), file, state, used: now, is_done: false });
+        self.held.push(Held {
+            name: name.into(),
+            offer: offer.clone(),
+            file,
+            state,
+            used: now.max(Instant::now()),
+            is_done: false,
+        });
         Ok(offer)
     }
 

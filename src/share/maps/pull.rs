@@ -16,15 +16,15 @@ use super::offer::{LONGEST_OFFER, MAP, OFFSET, Offer, VERSION};
 use crate::share::bridge::names::{maps_key, owner_of_maps};
 use crate::share::bridge::{BridgeError, Robot, reason, session};
 
-/// An offer needs a copy of the map where a daemon holds it, which may take that one 30 s, and the file is read once.
-const OFFER_TIMEOUT: Duration = Duration::from_secs(60);
+/// An offer needs two answers of the daemon where one holds the map, 30 s each, and the file is read once.
+const OFFER_TIMEOUT: Duration = Duration::from_secs(120);
 /// Of a piece: 256 KiB in it are 0.2 Mbit/s.
 const PIECE_TIMEOUT: Duration = Duration::from_secs(10);
 /// A network that was away for so long has not ended it; the giver waits as long.
 const MOST_WAITED: Duration = Duration::from_secs(60);
 /// Between two tries.
 const PAUSE: Duration = Duration::from_millis(200);
-/// A session that has just begun hears of the robots one after another: sooner, one of two with one name would be taken for the only one.
+/// A session that has just met the network hears of the robots one after another: sooner, one of two with one name would be taken for the only one.
 const SETTLE: Duration = Duration::from_secs(2);
 /// Answers of robots with one name that are looked at, and sentences of theirs that are shown: letters.
 const MOST_ANSWERS: usize = 8;
@@ -117,7 +117,11 @@ impl Fetching<'_> {
     /// The key of the one robot of this name, and what it offers.
     fn find(&self, patience: Duration) -> Result<(String, Offer), PullError> {
         let (begin, waited_s) = (Instant::now(), patience.as_secs_f64());
-        while begin.elapsed() < SETTLE {
+        while session::link(self.session) == session::Link::Nobody && begin.elapsed() < patience {
+            self.pause()?;
+        }
+        let met = Instant::now();
+        while met.elapsed() < SETTLE {
             self.pause()?;
         }
         let everywhere = maps_key(self.domain, None, &self.wanted.robot);
@@ -202,6 +206,8 @@ impl Fetching<'_> {
 
 /// A stranger's sentence, which can do nothing to a terminal.
 fn told(bytes: &[u8]) -> String {
+    // A letter has four bytes at the most.
+    let bytes = &bytes[..bytes.len().min(4 * LONGEST_REASON)];
     String::from_utf8_lossy(bytes).chars().take(LONGEST_REASON).flat_map(char::escape_debug).collect()
 }
 
