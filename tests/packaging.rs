@@ -148,9 +148,12 @@ fn the_console_runs_as_the_daemons_user_from_the_tools_and_serves_this_machine_o
     let is = |key: &str| units[key].as_bool();
     assert_eq!((is("enable"), is("start"), is("restart-after-upgrade")), (Some(false), Some(false), Some(true)));
     assert_eq!(unit("ExecStart"), ["/usr/bin/cairn-tools console"]);
-    for key in ["User", "Group", "BindPaths", "ReadWritePaths", "RemoveIPC"] {
+    for key in ["User", "Group", "BindPaths", "RemoveIPC"] {
         assert_eq!(unit(key), unit_of("cairn", key), "{key}");
     }
+    // Beside the daemon's shared memory the copies of its map that it made for the bridge, which removes them.
+    let written = unit_of("cairn", "ReadWritePaths").join(" ") + " -/var/lib/cairn/maps";
+    assert_eq!(unit("ReadWritePaths"), [written]);
     assert_eq!((unit("IPAddressDeny"), unit("IPAddressAllow")), (vec!["any".into()], vec!["localhost".into()]));
     let documentation = unit("Documentation");
     assert!(brought(documentation[0].trim_start_matches("file:///")), "{documentation:?}");
@@ -179,9 +182,12 @@ fn the_bridge_runs_as_the_daemons_user_from_a_package_of_its_own_and_is_off() {
         (units["unit-name"].as_str(), is("enable"), is("start")),
         (Some("cairn-bridge"), Some(false), Some(false))
     );
-    for key in ["User", "Group", "BindPaths", "ReadWritePaths", "RemoveIPC"] {
+    for key in ["User", "Group", "BindPaths", "RemoveIPC"] {
         assert_eq!(unit(key), unit_of("cairn", key), "{key}");
     }
+    // Beside the daemon's shared memory the copies of its map that it made for the bridge, which removes them.
+    let written = unit_of("cairn", "ReadWritePaths").join(" ") + " -/var/lib/cairn/maps";
+    assert_eq!(unit("ReadWritePaths"), [written]);
     assert_eq!((unit("IPAddressDeny"), unit("IPAddressAllow")), (vec!["any".into()], vec!["localhost".into()]));
     let documentation = unit("Documentation");
     assert!(brought(documentation[0].trim_start_matches("file:///")), "{documentation:?}");
