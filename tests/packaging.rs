@@ -148,12 +148,9 @@ fn the_console_runs_as_the_daemons_user_from_the_tools_and_serves_this_machine_o
     let is = |key: &str| units[key].as_bool();
     assert_eq!((is("enable"), is("start"), is("restart-after-upgrade")), (Some(false), Some(false), Some(true)));
     assert_eq!(unit("ExecStart"), ["/usr/bin/cairn-tools console"]);
-    for key in ["User", "Group", "BindPaths", "RemoveIPC"] {
+    for key in ["User", "Group", "BindPaths", "ReadWritePaths", "RemoveIPC"] {
         assert_eq!(unit(key), unit_of("cairn", key), "{key}");
     }
-    // Beside the daemon's shared memory the copies of its map that it made for the bridge, which removes them.
-    let written = unit_of("cairn", "ReadWritePaths").join(" ") + " -/var/lib/cairn/maps";
-    assert_eq!(unit("ReadWritePaths"), [written]);
     assert_eq!((unit("IPAddressDeny"), unit("IPAddressAllow")), (vec!["any".into()], vec!["localhost".into()]));
     let documentation = unit("Documentation");
     assert!(brought(documentation[0].trim_start_matches("file:///")), "{documentation:?}");
