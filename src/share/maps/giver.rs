@@ -44,9 +44,9 @@ struct Request {
 }
 
 impl Requests {
-    /// Never waits.
+    /// Never waits: a request that finds the queue full is dropped. A refusal would end what whoever asked is fetching; without an answer
+    /// he asks again.
     pub fn push(&self, query: Query, key: &str) {
-        // Whoever is not answered asks again.
         let _ = self.0.try_send(Request { query, key: key.into() });
     }
 }
