@@ -2,7 +2,7 @@
 //!
 //! Input: GREY and YUYV rows as a camera gives them, or the bytes of a JPEG, motion JPEG or PNG; JPEG and PNG are told
 //! apart by their first bytes, never by what a file is called. Output: a [`GreyImage`], `width * height` bytes, luma by
-//! BT.601 whatever the source. A size outside 1x1 to 1920x1200 is refused before anything is allocated. Truncated or
+//! BT.601 whatever the source. A size beyond 1920x1200, lying or upright, is refused before anything is allocated. Truncated or
 //! corrupt data is a [`DecodeError`]; the contents of the output are then unspecified, and the next frame decodes as if
 //! nothing had happened.
 //!
@@ -14,7 +14,7 @@
 //! Not here: colour, scaling, undistortion, range expansion of YUYV's 16 to 235.
 
 use super::error::check_size;
-pub use super::error::{DecodeError, MAX_HEIGHT, MAX_WIDTH};
+pub use super::error::{DecodeError, MAX_LONGER, MAX_SHORTER, is_handled};
 pub(crate) use super::png::luma;
 use super::{GreyImage, jpeg, png};
 use crate::frame::{PixelFormat, RawFrame};

@@ -115,7 +115,7 @@ fn a_stride_below_the_row_is_refused() {
 fn sizes_out_of_range_are_refused_before_anything_is_allocated() {
     let mut out = GreyImage::default();
     let mut decoder = Decoder::default();
-    for (width, height) in [(0, 480), (640, 0), (1921, 100), (100, 1201), (u32::MAX, u32::MAX)] {
+    for (width, height) in [(0, 480), (640, 0), (1921, 100), (100, 1921), (1201, 1201), (u32::MAX, u32::MAX)] {
         let frame = rows(PixelFormat::Yuyv, width, height, u32::MAX, vec![0; 16]);
         assert!(matches!(decoder.decode(&frame, &mut out), Err(DecodeError::Size { .. })), "{width}x{height}");
     }
@@ -130,6 +130,14 @@ fn sizes_out_of_range_are_refused_before_anything_is_allocated() {
     huge[16..24].copy_from_slice(&[0x7f, 0xff, 0xff, 0xff, 0x7f, 0xff, 0xff, 0xff]);
     assert!(matches!(decoder.decode(&file(PixelFormat::Png, &huge), &mut out), Err(DecodeError::Size { .. })));
     assert_eq!(out.data.capacity(), 0);
+}
+
+#[test]
+fn the_largest_picture_may_stand_upright() {
+    for (width, height) in [(1920, 1200), (1200, 1920)] {
+        let picture = decode(&rows(PixelFormat::Grey, width, height, width, vec![7; 1920 * 1200])).expect("decoded");
+        assert_eq!((picture.width, picture.height), (width as usize, height as usize));
+    }
 }
 
 #[test]

@@ -3,7 +3,8 @@
 //! Input: a copy of the keyframes' poses, which of them share landmarks, and where a recognised keyframe lies to an old one. Output: how the
 //! surroundings of each keyframe move ([`Correction`]). The nodes of the graph are the keyframes, its edges the essential ones (Mur-Artal et al. 2015,
 //! section VII): the way, the strongest links of each keyframe to older ones, all links that are strong anyway, and loops that were closed before. A link
-//! says that the two lie as they do now and have one scale, but where the scale came through a turn that told none.
+//! says that the two lie as they do now and have one scale, as surely as the landmarks that they share tell it: where the camera passed a bare wall or
+//! saw far things only, there most of the drift came in, and there it is taken out. A turn that told no scale is the utmost of that.
 //! The oldest keyframe of the map that the newest one was made in stays where it is.
 //!
 //! It is a piece of work on a copy, so that it can run anywhere and be merged later; cost as [`pose_graph`](crate::geometry::pose_graph).
@@ -21,11 +22,11 @@ const LINKS: usize = 3;
 /// Shared landmarks that make a link of any two keyframes, and such links of one keyframe at the most.
 const STRONG: u32 = 60;
 const MOST_LINKS: usize = 10;
-/// How surely neighbours lie to each other: rotation, rad; way, as a share of the scene's depth; logarithm of the scale. Only their ratios count.
-const SIGMA_RAD: f64 = 0.005;
-const SIGMA_DEPTHS: f64 = 0.01;
-const SIGMA_LOG_SCALE: f64 = 0.01;
-/// Where a turn on the spot told no scale, its logarithm is as unsure as this.
+/// How surely one landmark that both see says how they lie to each other: rotation, rad, and way, as a share of the scene's depth. Only the ratios of
+/// these and of the landmarks' own deviations count.
+const SIGMA_RAD: f64 = 0.04;
+const SIGMA_DEPTHS: f64 = 0.08;
+/// Where nothing told the scale, as a turn on the spot does not, its logarithm is as unsure as this.
 const SIGMA_UNTOLD_SCALE: f64 = 0.5;
 /// Where the map's lengths are known from elsewhere no loop changes them.
 const SIGMA_HELD_SCALE: f64 = 1e-4;
@@ -41,6 +42,8 @@ pub struct LoopEdge {
     pub recognised_from_old: Sim3<Camera, Camera>,
     /// Standard deviation of the logarithm of that scale.
     pub log_scale_sigma: f64,
+    /// Landmarks that say so.
+    pub landmarks: usize,
 }
 
 /// Work to be done. See the module.
@@ -95,8 +98,7 @@ impl LoopClosure {
         let first = edges.len();
         for told in told {
             let (from, to) = (place(told.old)?, place(told.recognised)?);
-            let mut sigma = sigma(depths[to], false);
-            sigma.log_scale = sigma.log_scale.max(told.log_scale_sigma);
+            let sigma = sigma(told.landmarks, depths[to], told.log_scale_sigma);
             edges.push(Edge { from, to, to_from_from: told.recognised_from_old, sigma });
         }
         (edges.len() > first).then_some(())?;
@@ -139,7 +141,30 @@ fn held(map: &Map, from: (KeyframeId, usize), to: (KeyframeId, usize), depths: &
     let ((a, from), (b, to)) = (from, to);
     let (a, b) = (map.keyframe(a)?, map.keyframe(b)?);
     let to_from_from = Sim3::from_se3(&(b.camera_from_world * a.camera_from_world.inverse()).relabel());
-    Some(Edge { from, to, to_from_from, sigma: sigma(depths[to], a.scale_from != b.scale_from) })
+    let (shared, mut log_scale) = shared(map, a, b);
+    if a.scale_from != b.scale_from {
+        log_scale = SIGMA_UNTOLD_SCALE;
+    }
+    Some(Edge { from, to, to_from_from, sigma: sigma(shared, depths[to], log_scale) })
+}
+
+/// Landmarks that both see, and the standard deviation of the logarithm of the scale that `b` has from `a` by them: each tells it as surely as its
+/// distance is known.
+fn shared(map: &Map, a: &Keyframe, b: &Keyframe) -> (usize, f64) {
+    let centre = b.centre();
+    let (mut count, mut information) = (0, 0.0);
+    let mut own = b.observations.iter().peekable();
+    for seen in &a.observations {
+        while own.next_if(|o| o.landmark < seen.landmark).is_some() {}
+        let Some(o) = own.next_if(|o| o.landmark == seen.landmark) else { continue };
+        let Some(landmark) = map.landmark(o.landmark).filter(|l| l.assumed.is_none()) else { continue };
+        let ray = landmark.position - centre;
+        // Of the distance d along the ray: (sigma / d)² = rᵀ P r / d⁴.
+        let told = ray.norm_squared().powi(2) / ray.dot(&(landmark.covariance * ray));
+        count += 1;
+        information += if told.is_finite() { told.max(0.0) } else { 0.0 };
+    }
+    (count, 1.0 / information.sqrt())
 }
 
 /// Median depth of what a keyframe sees, map units.
@@ -150,9 +175,14 @@ fn depth(keyframe: &Keyframe, map: &Map) -> f64 {
     median(&mut depths).unwrap_or(1.0)
 }
 
-fn sigma(depth: f64, untold: bool) -> EdgeSigma {
-    let log_scale = if untold { SIGMA_UNTOLD_SCALE } else { SIGMA_LOG_SCALE };
-    EdgeSigma { rotation_rad: SIGMA_RAD, translation: SIGMA_DEPTHS * depth, log_scale }
+/// Of what `landmarks` tell; `log_scale`: standard deviation of that.
+fn sigma(landmarks: usize, depth: f64, log_scale: f64) -> EdgeSigma {
+    let share = 1.0 / (landmarks.max(1) as f64).sqrt();
+    EdgeSigma {
+        rotation_rad: SIGMA_RAD * share,
+        translation: SIGMA_DEPTHS * depth * share,
+        log_scale: log_scale.clamp(SIGMA_HELD_SCALE, SIGMA_UNTOLD_SCALE),
+    }
 }
 
 /// Both ends have the unit that they have.

@@ -4,6 +4,7 @@
 //! the map learns from it). Adjustment runs elsewhere, on copies ([`MappingJob`]), and is merged after a later
 //! frame's pose (or before it, where frames come slowly). In lock-step everything is a function of the input alone.
 
+mod access;
 mod active_map;
 mod adjust;
 mod blind;
@@ -21,6 +22,7 @@ mod odometry;
 mod optics;
 mod persistence;
 mod relocalise;
+mod reset;
 mod scale_uncertainty;
 mod scanning;
 mod segments;
@@ -48,11 +50,10 @@ use keyframe::epipolar::{EpipolarMatcher, Lens};
 use keyframe::pictures::{WHOLE_PICTURES, condense_pictures, reduce_pictures};
 use keyframe::{KeyframeInputs, NewKeyframe};
 use loops::Loops;
-use odometry::Odometry;
 use optics::Optics;
 use relocalise::descriptors::describe_kept;
-use relocalise::other_maps::{OtherMap, OtherMaps, WORTH_KEEPING, retire};
-use relocalise::{LIKELY, Relocaliser, asks_index};
+use relocalise::other_maps::{OtherMaps, WORTH_KEEPING};
+use relocalise::{LIKELY, Relocaliser};
 use segments::Wheels;
 use surroundings::Surroundings;
 use track::frame::Frame;
@@ -64,8 +65,8 @@ use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::image::pyramid::PyramidPool;
 use crate::map::saved::Taken;
-use crate::map::{KeyframeId, KeyframeView, LandmarkId, MapId, Sought, TurnId};
-use crate::motion::floor::{Floor, NoFloor, Plane, ScaleConfig};
+use crate::map::{Sought, TurnId};
+use crate::motion::floor::{Floor, ScaleConfig};
 use crate::motion::hand_eye::Robot;
 use crate::motion::scale::ScaleMeasurement;
 use crate::motion::tag::{self, TagConfig, Tags};
@@ -230,10 +231,7 @@ impl Reconstruction {
             tracked = tracked.filter(|t| t.speaks_for_itself(self.config.min_landmarks) || expected(t));
         }
         if tracked.as_ref().is_none_or(|t| t.share() < WEAK_SHARE) {
-            let likely = match asks_index(map) {
-                true => self.loops.likely(map, &features.pyramid, LIKELY),
-                false => Vec::new(),
-            };
+            let likely = self.loops.likely(map, &features.pyramid, LIKELY);
             let elsewhere = self.relocaliser.place(&frame, reference, &likely);
             let better = |other: &Tracked| tracked.is_none_or(|weak| 5 * other.landmarks > 6 * weak.landmarks);
             if let Some(other) = elsewhere.filter(better) {
@@ -436,166 +434,6 @@ impl Reconstruction {
             self.hear_at(id, &word, common_sigma);
         }
         self.note_floor(id);
-    }
-
-    /// Drops all maps and starts over at the next frame. Maps that are only located in stay: the next frame is looked for in them as after a loss.
-    pub fn reset(&mut self) {
-        if self.localise_only {
-            return self.forget_place();
-        }
-        let others = std::mem::take(&mut self.others);
-        others.maps().for_each(|map| retire(map, &mut self.events));
-        self.end_map();
-    }
-
-    /// Poses from here on have nothing to do with those before; the maps are what they were.
-    fn forget_place(&mut self) {
-        self.active.bindings.clear();
-        // As in a map that was loaded: nothing speaks for a frame but its landmarks.
-        self.active.odometry = Odometry { lost_frames: 1, ..Odometry::default() };
-        self.wheels.begin_map();
-        self.blind.see();
-        self.tracker = Tracker::default();
-        self.pending = Pending::default();
-        self.state = TrackingState::Lost;
-        self.counters.resets += 1;
-    }
-
-    /// Drops the present map.
-    fn end_map(&mut self) {
-        retire(&self.active.map, &mut self.events);
-        self.leave_map();
-    }
-
-    /// Puts the present map aside, for the next one to be joined to, and starts over.
-    fn put_aside(&mut self) {
-        let old = self.leave_map();
-        let gone = self.others.keep(OtherMap::new(old), self.config.max_keyframes);
-        gone.iter().for_each(|map| retire(map, &mut self.events));
-    }
-
-    /// Starts over; returns the map that was.
-    fn leave_map(&mut self) -> ActiveMap {
-        self.discard_job();
-        self.optics.intrinsics.end_map(&self.optics.camera);
-        let next = self.active.successor();
-        let old = std::mem::replace(&mut self.active, next);
-        self.wheels.begin_map();
-        self.blind.see();
-        self.corrections.end_map();
-        self.initialiser.clear();
-        self.orientation.clear();
-        self.tracker = Tracker::default();
-        self.pending = Pending::default();
-        self.state = TrackingState::Initializing;
-        self.counters.resets += 1;
-        old
-    }
-
-    /// Starts over with another camera model, because the pictures have another size now.
-    pub fn change_camera(&mut self, camera: &CameraModel, prior: LensPrior) {
-        self.reset();
-        self.optics = Optics::new(camera, prior, &self.config);
-        if let Some(tags) = &mut self.tags {
-            tags.forget();
-        }
-        if let Some(floor) = &mut self.floor {
-            floor.forget();
-        }
-    }
-
-    /// Events since the last call, in order; to be drained after every frame.
-    pub fn take_trajectory_events(&mut self, out: &mut Vec<TrajectoryEvent>) {
-        out.append(&mut self.events);
-    }
-
-    /// Poses of all maps' keyframes, for the trajectory written at the end; those of maps that were dropped came as events.
-    pub fn keyframe_poses(&self) -> Vec<(KeyframeId, Se3<World, Camera>)> {
-        let maps = std::iter::once(&self.active.map).chain(self.others.maps());
-        maps.flat_map(|map| map.keyframes.iter())
-            .map(|(id, k)| (KeyframeId(id), k.camera_from_world.inverse()))
-            .collect()
-    }
-
-    /// A keyframe of the current map, if it is there.
-    pub fn keyframe(&self, id: KeyframeId) -> Option<KeyframeView> {
-        self.active.map.keyframe(id).map(|k| KeyframeView {
-            id,
-            timestamp_ns: k.timestamp_ns,
-            world_from_camera: k.camera_from_world.inverse(),
-        })
-    }
-
-    /// The last frame's pose lies in or behind a turn on the spot, and its distance from there is that of an assumption.
-    pub fn scale_is_assumed(&self) -> bool {
-        let through = self.active.map.keyframe(self.active.reference).and_then(|k| k.scale_from);
-        let behind = through.is_some_and(|turn| self.active.scale.is_assumed(turn));
-        self.state == TrackingState::Tracking && (behind || self.rests_on_assumed())
-    }
-
-    /// What tags of a known size say of the present map's scale; the newest measurement contains those before.
-    pub fn scale_by_tags(&self) -> Option<ScaleMeasurement> {
-        self.tags.as_ref()?.measurement(self.active.id)
-    }
-
-    /// The floor around the newest keyframes, in the present map's unit.
-    pub fn floor(&self) -> Option<&Plane> {
-        self.floor.as_ref()?.plane(self.active.id)
-    }
-
-    /// Why the newest keyframe tells no floor, where one is looked for.
-    pub fn no_floor(&self) -> Option<NoFloor> {
-        self.floor.as_ref()?.refused()
-    }
-
-    /// Landmarks that the last frame's pose rests on, and where they were found in its picture, px; none unless it was tracked.
-    pub fn matches(&self) -> impl Iterator<Item = (LandmarkId, [f32; 2])> {
-        let tracked = self.state == TrackingState::Tracking;
-        self.tracker.matches().iter().filter(move |_| tracked).map(|m| (m.landmark, [m.pixel.x, m.pixel.y]))
-    }
-
-    pub fn counters(&self) -> Counters {
-        let DeadReckoning { total_ns, total_m, continued, .. } = self.blind;
-        Counters { blind_ns: total_ns, blind_mm: (1e3 * total_m) as u64, blind_starts: continued, ..self.counters }
-    }
-
-    pub fn state(&self) -> TrackingState {
-        self.state
-    }
-
-    /// How often map coordinates were corrected beyond ordinary adjustment, and how far the last time.
-    pub fn corrections(&self) -> Corrections {
-        self.corrections
-    }
-
-    /// The map that frames are placed in.
-    pub fn map_id(&self) -> MapId {
-        self.active.id
-    }
-
-    /// Maps that are kept, the current one among them.
-    pub fn maps(&self) -> usize {
-        self.others.kept.len() + 1
-    }
-
-    /// How often poses, and orientations before a map, became unrelated to earlier ones; of the map as it is now.
-    pub fn reset_counter(&self) -> u32 {
-        (self.counters.resets as u32).wrapping_add(self.orientation.restarts)
-    }
-
-    /// The camera as it is believed now: its focal length is refined from the motion.
-    pub fn camera(&self) -> &CameraModel {
-        &self.optics.camera
-    }
-
-    /// The lens as it is believed now, and how surely.
-    pub fn lens(&self) -> LensEstimate {
-        self.optics.intrinsics.estimate(&self.optics.camera)
-    }
-
-    /// Readout time of the camera's rolling shutter as it is believed now, s.
-    pub fn readout_s(&self) -> f64 {
-        self.optics.shutter.readout_s
     }
 }
 

@@ -4,8 +4,10 @@
 //! - by thumbnails: the most similar keyframe's pose, turned by the plane motion between the thumbnails (Klein & Murray 2008,
 //!   section 5): a view near one that is known, however blurred;
 //! - by descriptors (`descriptors`): a pose from the landmarks of a few keyframes, the ones around the last known place first,
-//!   then the ones whose thumbnails are most similar, then all others in turn. In a large map ([`asks_index`]) that turn would take long: there the
-//!   index over the places of the map ([`places`](crate::places)) says which keyframes are likely, and both ways try these as well.
+//!   then the ones whose thumbnails are most similar, then all others in turn.
+//!
+//! Both try the keyframes as well that the index over the places of the map ([`places`](crate::places)) says are likely: in a large map that turn
+//! takes long.
 //!
 //! The same finds a frame of one map in another (`other_maps`).
 
@@ -39,15 +41,8 @@ const PLENTY: usize = 30;
 /// Guesses from descriptors in one frame.
 const DESCRIPTOR_GUESSES: usize = 2;
 
-/// Keyframes beyond which the index is asked: in turn these take a hundred frames, three seconds.
-const IN_TURN: usize = 200;
 /// Keyframes that the index names for one frame.
 pub const LIKELY: usize = 3;
-
-/// Whether a frame that was lost in this map is looked for by the index as well.
-pub fn asks_index(map: &Map) -> bool {
-    map.keyframes.len() > IN_TURN
-}
 
 /// Buffers of relocalisation.
 #[derive(Debug, Default)]

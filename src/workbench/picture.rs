@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 
 use crate::frame::{PixelFormat, RawFrame};
 use crate::image::GreyImage;
-use crate::image::decode::{Decoder, MAX_HEIGHT, MAX_WIDTH, sniff};
+use crate::image::decode::{Decoder, MAX_LONGER, MAX_SHORTER, is_handled, sniff};
 
 /// Longest file that is read, bytes.
 const MAX_BYTES: u64 = 32 << 20;
@@ -90,9 +90,9 @@ fn decode_pnm(data: &[u8]) -> Result<GreyImage, String> {
     if maximum != 255 {
         return Err(format!("PNM maximum {maximum}: only 255 is handled"));
     }
-    if !(1..=MAX_WIDTH).contains(&width) || !(1..=MAX_HEIGHT).contains(&height) {
+    if !is_handled(width, height) {
         return Err(format!(
-            "PNM picture of {width}x{height} px is refused: up to {MAX_WIDTH}x{MAX_HEIGHT} px are handled"
+            "PNM picture of {width}x{height} px is refused: up to {MAX_LONGER}x{MAX_SHORTER} px, lying or upright, are handled"
         ));
     }
     let samples = if data.starts_with(b"P6") { 3 } else { 1 };

@@ -9,7 +9,7 @@
 //! Pure functions; cost: microseconds, once.
 
 use super::{FormatPreference, V4l2Config};
-use crate::image::decode::{MAX_HEIGHT, MAX_WIDTH};
+use crate::image::decode::is_handled;
 use std::fmt;
 
 /// A rate within this factor of what is asked for is as good as it (29.97 for 30).
@@ -121,7 +121,7 @@ pub fn ranked(offers: &[Offer], config: &V4l2Config) -> Vec<Choice> {
         FormatPreference::Yuyv => format == CameraFormat::Yuyv,
         FormatPreference::Mjpeg => format == CameraFormat::Mjpeg,
     };
-    let fits = |o: &&Offer| (1..=MAX_WIDTH as u32).contains(&o.width) && (1..=MAX_HEIGHT as u32).contains(&o.height);
+    let fits = |o: &&Offer| is_handled(o.width as usize, o.height as usize);
     let mut choices: Vec<Choice> = offers
         .iter()
         .filter(|o| allowed(o.format))

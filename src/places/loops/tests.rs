@@ -85,7 +85,7 @@ fn told(ids: &[KeyframeId]) -> LoopEdge {
     let motion = truth(last) * truth(0).inverse();
     let scale = unit(last);
     let recognised_from_old = Sim3::new(scale, motion.rotation, motion.translation * scale);
-    LoopEdge { old: ids[0], recognised: ids[last], recognised_from_old, log_scale_sigma: 0.01 }
+    LoopEdge { old: ids[0], recognised: ids[last], recognised_from_old, log_scale_sigma: 0.01, landmarks: 60 }
 }
 
 /// How far the last keyframe is from where it truly is to the first, and the logarithm of the unit of what it sees.

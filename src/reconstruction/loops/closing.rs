@@ -221,7 +221,8 @@ fn ties(map: &Map, sightings: &[Sighting; 2], told: &Similarity) -> Vec<(Keyfram
 fn loop_edge(map: &Map, sighting: &Sighting, told: &Similarity) -> Option<LoopEdge> {
     let old = seen_most_by(map, sighting)?;
     let recognised_from_old = told.scaled(&(sighting.there * map.keyframe(old)?.camera_from_world.inverse()).relabel());
-    Some(LoopEdge { old, recognised: sighting.keyframe, recognised_from_old, log_scale_sigma: told.log_scale_sigma })
+    let (recognised, log_scale_sigma, landmarks) = (sighting.keyframe, told.log_scale_sigma, sighting.found.len());
+    Some(LoopEdge { old, recognised, recognised_from_old, log_scale_sigma, landmarks })
 }
 
 /// What a sighting says of the drift between two places.

@@ -9,11 +9,11 @@
 //! Cost: nothing while no map is kept; else one attempt of relocalisation for every few keyframes, rarer while nothing is recognised, after
 //! the pose was published. Not here: a kept map is not asked while the present one is lost.
 
+use super::LIKELY;
 use super::other_maps::{
     ATTEMPT_GAP, Join, LONGEST_GAP, MAX_SCALE_SIGMA, OtherMap, OtherMaps, REMEMBERED, Sighting, at_corner, found_in,
     log_ratio, retire, seen_most_by, similarity, turned_only,
 };
-use super::{LIKELY, asks_index};
 use crate::features::FrameFeatures;
 use crate::geometry::CameraModel;
 use crate::geometry::frames::World;
@@ -104,12 +104,9 @@ impl Reconstruction {
 
     /// Where the keyframe `id` is in a map kept aside, if it is.
     fn find_in(&mut self, index: usize, features: &FrameFeatures, id: KeyframeId) -> Option<Sighting> {
-        let likely = match self.others.maps().nth(index).filter(|map| asks_index(map)) {
-            Some(map) => self.loops.likely(map, &features.pyramid, LIKELY),
-            None => Vec::new(),
-        };
         let OtherMaps { kept, relocaliser, .. } = &mut self.others;
         let other = kept.get(index)?;
+        let likely = self.loops.likely(&other.map, &features.pyramid, LIKELY);
         let bindings = Bindings::default();
         let frame = Frame {
             features,
