@@ -4,13 +4,14 @@ use std::sync::Arc;
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector2, Vector3};
 
+use super::odometry::Odometry;
 use super::track::search::observe;
 use super::*;
 use crate::features::thumbnail::Thumbnail;
 use crate::image::{GreyImage, Pyramid};
 use crate::map::saved::{MapHead, SavedMap, SavedMaps};
 use crate::map::scale::{MapScale, ScaleSource};
-use crate::map::{Keyframe, Landmark, LandmarkId, Map};
+use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, MapId};
 use crate::motion::scale::ScaleMeasurement;
 
 const FOCAL_PX: f64 = 300.0;

@@ -163,6 +163,9 @@ impl Adjustment {
             problem.fixed.push(fixed || distance_prior::is_held(map, id));
             problem.state.poses.push(map.keyframe(id)?.camera_from_world);
         }
+        // Room for all at once: of a whole map this is most of what an adjustment takes.
+        let observers = |id: &LandmarkId| map.landmark(*id).map_or(0, |l| l.observers.len());
+        problem.observations.reserve_exact(landmarks.iter().map(observers).sum());
         landmarks.retain(|&id| {
             let Some(landmark) = map.landmark(id).filter(|l| l.assumed.is_none()) else { return false };
             let begin = problem.observations.len();
@@ -210,6 +213,7 @@ impl Adjustment {
         let Globals { expected: all_expected, information: all_information, jacobians } = &mut self.problem.globals;
         all_expected.fixed_rows_mut::<INTRINSICS>(1).copy_from(expected);
         all_information.fixed_rows_mut::<INTRINSICS>(1).copy_from(information);
+        jacobians.reserve_exact(self.problem.observations.len());
         for (i, &id) in self.landmarks.iter().enumerate() {
             for k in self.problem.first[i] as usize..self.problem.first[i + 1] as usize {
                 let keyframe = self.keyframes[self.problem.observations[k].camera as usize];

@@ -54,8 +54,6 @@ const START_SIGMA_PX: f64 = 1.0;
 /// So long after the camera began to move, s, corners that look alike are asked as well as tracks: where frames are many tracks alone
 /// have given a start by then, and a later one (with more parallax) is the better one.
 const CORNERS_AFTER_S: f64 = 0.25;
-/// Starts by corners tried in a frame, at the most: their views are different ones.
-const STARTS_BY_CORNERS: usize = 2;
 /// Further times that a start must agree with the picture, at the most.
 const MAX_DOUBT: u32 = 5;
 /// Rotation-compensated flow since the reference at which the camera counts as moving, px.
@@ -208,7 +206,7 @@ impl Initialiser {
                 // No view's tracks are alive.
                 self.spend_patience(features.timestamp_ns, flow);
             }
-            if self.trying_s < CORNERS_AFTER_S || starts.len() >= STARTS_BY_CORNERS {
+            if self.trying_s < CORNERS_AFTER_S {
                 break;
             }
             if flow < config.start_flow_px {
