@@ -126,6 +126,15 @@ enum Target {
     Chessboard,
 }
 
+impl std::fmt::Display for Target {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Tag(id) => write!(f, "{id}"),
+            Self::Chessboard => write!(f, "chessboard"),
+        }
+    }
+}
+
 /// A tag in a keyframe.
 #[derive(Debug, Clone, Copy)]
 struct Sighting {
@@ -197,7 +206,7 @@ impl Known {
                 }
             }
             Err(NoLength::Moved { .. }) if all > LEAST_VIEWS => {
-                warn!(tag = ?self.target, sightings = all, "tag has moved");
+                warn!(tag = %self.target, sightings = all, "tag has moved");
                 self.sightings.drain(..self.sightings.len() - LEAST_VIEWS);
             }
             // Three that do not fit: the oldest is of before it was moved, or the newest is wrong and goes as soon as there are more.
