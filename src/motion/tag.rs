@@ -1,4 +1,4 @@
-//! Tags of a known size: the map's scale in metres from what keyframes see of them.
+//! Tags of a known size, and a chessboard as one more: the map's scale in metres from what keyframes see of them.
 //!
 //! Keyframe (its picture, and its pose in the map) -> [`Tags::see`] -> ln(metres per map unit) with its standard deviation
 //! ([`Tags::measurement`]), once a tag was seen from three keyframes in directions 3 degrees apart.
@@ -14,23 +14,28 @@
 //!
 //! Cost: at keyframes only, after the pose was published: 3 ms to look (640 x 480), and 0.2 to 0.3 ms for each tag. Bounded: 16 tags of 24 sightings.
 //!
-//! Not here: what becomes of the measurement; tags as landmarks of the adjustment; how the dock's place moves the published map ([`dock`] is what is said of it).
+//! Once the map is metric the tags take part in its adjustments ([`Tags::held`]), so that lengths stay what they are where one is in view.
+//!
+//! Not here: what becomes of the measurement; the adjustment; how the dock's place moves the published map ([`dock`] is what is said of it).
 
+pub mod chessboard;
 pub mod dock;
 pub mod edge_length;
 pub mod sheet;
 
-use nalgebra::Vector2;
+use nalgebra::{Vector2, Vector3};
 use tracing::warn;
 
-use super::scale::ScaleMeasurement;
+use super::scale::{ScaleFusion, ScaleMeasurement};
 use crate::features::tags::{FAMILY_SIZE, KNOWN_INSET_PX, Tag, TagDetector, UNKNOWN_INSET_PX};
-use crate::geometry::CameraModel;
+use crate::geometry::frames::Camera;
+use crate::geometry::{CameraModel, Se3};
 use crate::image::GreyImage;
 use crate::map::scale::ScaleSource;
 use crate::map::{KeyframeId, Map, MapId, TurnId};
+use chessboard::{ChessboardConfig, Finder};
 use dock::DockConfig;
-use edge_length::{LEAST_VIEWS, NoLength, PlacedTag, View, edge_length};
+use edge_length::{CORNERS, LEAST_VIEWS, NoLength, PlacedTag, View, edge_length};
 
 /// Sides of a black square that are believed, m: a stamp, and a wall.
 pub const LEAST_SIZE_M: f64 = 0.01;
@@ -55,13 +60,21 @@ pub struct TagConfig {
     pub size_sigma_m: f64,
     /// Numbers of the tags that have this size; empty: all of the family.
     pub ids: Vec<u16>,
+    /// A chessboard that serves as a tag.
+    pub chessboard: ChessboardConfig,
     /// The tag that says where the map is.
     pub dock: DockConfig,
 }
 
 impl Default for TagConfig {
     fn default() -> Self {
-        Self { size_m: 0.0, size_sigma_m: 0.0003, ids: Vec::new(), dock: DockConfig::default() }
+        Self {
+            size_m: 0.0,
+            size_sigma_m: 0.0003,
+            ids: Vec::new(),
+            chessboard: ChessboardConfig::default(),
+            dock: DockConfig::default(),
+        }
     }
 }
 
@@ -69,6 +82,14 @@ impl TagConfig {
     /// Whether tags are looked for.
     pub fn is_on(&self) -> bool {
         self.size_m > 0.0
+    }
+
+    /// Side of what this is and its standard deviation, m.
+    fn size(&self, target: Target) -> (f64, f64) {
+        match target {
+            Target::Tag(_) => (self.size_m, self.size_sigma_m),
+            Target::Chessboard => self.chessboard.size(),
+        }
     }
 
     /// First value out of its range: key, and what is allowed.
@@ -81,6 +102,7 @@ impl TagConfig {
         if !((0.0..=0.1).contains(&self.size_sigma_m) && (size == 0.0 || self.size_sigma_m < 0.1 * size)) {
             return Err(("size_sigma_m", "must be 0 to 0.1 m, and less than a tenth of size_m".into()));
         }
+        self.chessboard.validate()?;
         match self.ids.iter().find(|id| **id >= FAMILY_SIZE) {
             Some(id) => Err(("ids", format!("the family 36h11 has the tags 0 to {}, not {id}", FAMILY_SIZE - 1))),
             None => self.dock.validate(self.is_on() && (self.ids.is_empty() || self.ids.contains(&self.dock.id))),
@@ -94,6 +116,23 @@ pub struct Optics<'a> {
     pub camera: &'a CameraModel,
     /// Readout time of a rolling shutter, s; 0: none.
     pub readout_s: f64,
+}
+
+/// What hangs somewhere and has a known size.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Target {
+    /// By its number.
+    Tag(u16),
+    Chessboard,
+}
+
+impl std::fmt::Display for Target {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Tag(id) => write!(f, "{id}"),
+            Self::Chessboard => write!(f, "chessboard"),
+        }
+    }
 }
 
 /// A tag in a keyframe.
@@ -116,6 +155,18 @@ pub struct TagView {
     pub placed: Option<PlacedTag>,
 }
 
+/// A tag as a rigid body of known size, for an adjustment of the map's part that tells metres.
+#[derive(Debug, Clone)]
+pub struct HeldTag {
+    /// A keyframe that saw it, and how the tag, its edge of length 1, lies before that camera: the ratio to the edge that is held is the unit's alone.
+    pub from: (KeyframeId, Se3<Camera, Camera>),
+    /// Its corners in its own coordinates, map units.
+    pub places: [Vector3<f64>; 4],
+    /// Where keyframes saw these, px, and the standard deviation.
+    pub seen: Vec<(KeyframeId, [Vector2<f64>; 4])>,
+    pub sigma_px: f64,
+}
+
 /// What the sightings of a tag say together.
 struct Fit {
     found: Result<PlacedTag, NoLength>,
@@ -128,9 +179,11 @@ struct Fit {
 /// A tag and the keyframes that saw it.
 #[derive(Debug, Clone)]
 struct Known {
-    id: u16,
+    target: Target,
     sightings: Vec<Sighting>,
     placed: Option<PlacedTag>,
+    /// As it lay when it was placed before the newest keyframe that had seen it, in edges.
+    lay: Option<(KeyframeId, Se3<Camera, Camera>)>,
 }
 
 impl Known {
@@ -139,6 +192,12 @@ impl Known {
     fn place(&mut self, map: &Map, part: Option<TurnId>, optics: &Optics<'_>) {
         let Fit { found, mut wrong, all } = self.fit(map, part, optics);
         self.placed = found.ok();
+        let seen = self.sightings.iter().rev().filter_map(|s| Some((s.keyframe, map.keyframe(s.keyframe)?)));
+        let newest = seen.into_iter().find(|(_, keyframe)| keyframe.scale_from == part);
+        self.lay = self.placed.zip(newest).map(|(placed, (id, keyframe))| {
+            let tag_from_camera = placed.world_from_tag.inverse() * keyframe.camera_from_world.inverse();
+            (id, Se3::new(tag_from_camera.rotation, tag_from_camera.translation / placed.log_edge.exp()))
+        });
         match found {
             Ok(_) => {
                 wrong.sort_unstable();
@@ -147,7 +206,7 @@ impl Known {
                 }
             }
             Err(NoLength::Moved { .. }) if all > LEAST_VIEWS => {
-                warn!(tag = self.id, sightings = all, "tag has moved");
+                warn!(tag = %self.target, sightings = all, "tag has moved");
                 self.sightings.drain(..self.sightings.len() - LEAST_VIEWS);
             }
             // Three that do not fit: the oldest is of before it was moved, or the newest is wrong and goes as soon as there are more.
@@ -182,11 +241,12 @@ impl Known {
         Fit { found, wrong, all }
     }
 
-    /// As the keyframes of now see it, in the part of the map where it was seen last; `None`: no keyframe that is left has seen it.
+    /// As the keyframes of now see it, in the part of the map where it was seen last; `None`: no keyframe that is left has seen it, or it has no number.
     fn told(&self, map: &Map, optics: &Optics<'_>) -> Option<TagView> {
+        let Target::Tag(id) = self.target else { return None };
         let seen = || self.sightings.iter().filter_map(|s| map.keyframe(s.keyframe));
         let part = seen().next_back()?.scale_from;
-        Some(TagView { id: self.id, sightings: seen().count(), placed: self.fit(map, part, optics).found.ok() })
+        Some(TagView { id, sightings: seen().count(), placed: self.fit(map, part, optics).found.ok() })
     }
 }
 
@@ -194,6 +254,7 @@ impl Known {
 pub struct Tags {
     config: TagConfig,
     detector: TagDetector,
+    chessboard: Option<Finder>,
     found: Vec<Tag>,
     known: Vec<Known>,
     /// Of this map.
@@ -204,9 +265,11 @@ pub struct Tags {
 impl Tags {
     /// `None` where none are to be looked for.
     pub fn new(config: &TagConfig) -> Option<Self> {
-        config.is_on().then(|| Self {
+        let chessboard = Finder::new(&config.chessboard);
+        (config.is_on() || chessboard.is_some()).then(|| Self {
             config: config.clone(),
             detector: TagDetector::default(),
+            chessboard,
             found: Vec::new(),
             known: Vec::new(),
             measured: MapId::default(),
@@ -222,7 +285,9 @@ impl Tags {
         image: &GreyImage,
         optics: &Optics<'_>,
     ) -> bool {
-        self.detector.detect(image, &mut self.found);
+        if self.config.is_on() {
+            self.detector.detect(image, &mut self.found);
+        }
         let found = std::mem::take(&mut self.found);
         let mut seen = false;
         for (i, tag) in found.iter().enumerate() {
@@ -233,11 +298,16 @@ impl Tags {
                 && wanted
                 && let Some(corners) = straight_corners(tag, optics.camera)
             {
-                self.note(map, tag.id, Sighting { keyframe, corners, size_sigma: size_sigma(tag) });
+                self.note(map, Target::Tag(tag.id), Sighting { keyframe, corners, size_sigma: size_sigma(tag) });
                 seen = true;
             }
         }
         self.found = found;
+        if let Some(corners) = self.chessboard.as_mut().and_then(|finder| finder.find(image, optics.camera)) {
+            // Where two dark and two bright squares meet no tone curve moves anything.
+            self.note(map, Target::Chessboard, Sighting { keyframe, corners, size_sigma: 0.0 });
+            seen = true;
+        }
         if seen {
             let part = map.keyframe(keyframe).and_then(|k| k.scale_from);
             self.measure(map, part, optics);
@@ -251,10 +321,20 @@ impl Tags {
         self.measurement.filter(|_| self.measured == map)
     }
 
-    /// Tags whose place in this map is known, as of the same keyframe: number and place.
-    pub fn placed(&self, map: MapId) -> impl Iterator<Item = (u16, &PlacedTag)> {
-        let known = self.known.iter().filter(move |_| self.measured == map);
-        known.filter_map(|known| Some((known.id, known.placed.as_ref()?)))
+    /// The tags, as long as all sources of a metric map's scale together say that they are: what they were measured to be in the map by themselves
+    /// is no reason to bend it. In parts of the map behind a turn on the spot nothing is held.
+    pub fn held(&self, map: &Map, fusion: &ScaleFusion) -> Vec<HeldTag> {
+        let told = fusion.is_metric().then(|| fusion.fused().zip(fusion.word(ScaleSource::Tag))).flatten();
+        let Some(((log, ..), own)) = told else { return Vec::new() };
+        let tells = |id: KeyframeId| map.keyframe(id).is_some_and(|keyframe| keyframe.scale_from.is_none());
+        let held = self.known.iter().filter_map(|known| {
+            let (placed, from) = (known.placed?, known.lay.filter(|lay| tells(lay.0))?);
+            let seen = known.sightings.iter().filter(|s| tells(s.keyframe)).map(|s| (s.keyframe, s.corners)).collect();
+            let edge = self.config.size(known.target).0 * (log - own).exp();
+            let places = CORNERS.map(|[x, y]| Vector3::new(x, y, 0.0) * edge);
+            Some(HeldTag { from, places, seen, sigma_px: placed.corner_px })
+        });
+        held.collect()
     }
 
     /// Fills `out` with the tags that keyframes of this map have seen, by number, each at its place by the keyframes' poses of now: those follow corrections
@@ -267,7 +347,7 @@ impl Tags {
 
     /// The same of one tag's place alone.
     pub fn placed_now(&self, id: u16, map: &Map, optics: &Optics<'_>) -> Option<PlacedTag> {
-        self.known.iter().find(|known| known.id == id)?.told(map, optics)?.placed
+        self.known.iter().find(|known| known.target == Target::Tag(id))?.told(map, optics)?.placed
     }
 
     /// Keyframes of this map that tags were seen from, ascending: without these nothing would tell where they are.
@@ -297,15 +377,15 @@ impl Tags {
         self.measurement = None;
     }
 
-    fn note(&mut self, map: &Map, id: u16, sighting: Sighting) {
-        let i = match self.known.iter().position(|known| known.id == id) {
+    fn note(&mut self, map: &Map, target: Target, sighting: Sighting) {
+        let i = match self.known.iter().position(|known| known.target == target) {
             Some(i) => i,
             None => {
                 if self.known.len() == MOST_TAGS {
                     // The one that was not seen for longest.
                     self.known.remove(0);
                 }
-                self.known.push(Known { id, sightings: Vec::new(), placed: None });
+                self.known.push(Known { target, sightings: Vec::new(), placed: None, lay: None });
                 self.known.len() - 1
             }
         };
@@ -323,7 +403,9 @@ impl Tags {
         for known in &mut self.known {
             known.place(map, part, optics);
         }
-        self.measurement = combine(self.known.iter().filter_map(|known| known.placed.as_ref()), &self.config);
+        let placed =
+            self.known.iter().filter_map(|known| Some((known.placed.as_ref()?, self.config.size(known.target))));
+        self.measurement = combine(placed);
     }
 }
 
@@ -370,37 +452,37 @@ fn drop_one(map: &Map, sightings: &mut Vec<Sighting>) {
     }
 }
 
-/// What several tags of one size say together; `None` if most of them are not of one size, or it is not sure enough.
-pub fn combine<'a>(placed: impl Iterator<Item = &'a PlacedTag>, config: &TagConfig) -> Option<ScaleMeasurement> {
-    let mut placed: Vec<&PlacedTag> = placed.collect();
-    placed.sort_by(|a, b| a.log_edge.total_cmp(&b.log_edge));
+/// What several tags say together, each with its side and the standard deviation of that, m; `None` if most of them do not have the size that they should, or it
+/// is not sure enough.
+pub fn combine<'a>(placed: impl Iterator<Item = (&'a PlacedTag, (f64, f64))>) -> Option<ScaleMeasurement> {
+    // ln(metres per map unit), the tag, and the standard deviation of its size as a share.
+    let mut placed: Vec<(f64, &PlacedTag, f64)> =
+        placed.map(|(tag, (size, sigma))| (size.ln() - tag.log_edge, tag, sigma / size)).collect();
+    placed.sort_by(|a, b| a.0.total_cmp(&b.0));
     let variance = |tag: &PlacedTag| tag.corner_variance + tag.view_variance;
-    let median = placed.get(placed.len() / 2)?.log_edge;
+    let median = placed.get(placed.len() / 2)?.0;
     let all = placed.len();
     if all > 1 {
         let limit = |tag: &PlacedTag| OUTLIER_SIGMAS * (variance(tag) + ALLOWED_DIFFERENCE * ALLOWED_DIFFERENCE).sqrt();
-        placed.retain(|tag| (tag.log_edge - median).abs() <= limit(tag));
+        placed.retain(|(log, tag, _)| (log - median).abs() <= limit(tag));
     }
     // As many of one size as of another: nothing says which of them is the one that was given.
     if 2 * placed.len() <= all {
         return None;
     }
-    let weights: f64 = placed.iter().map(|tag| variance(tag).recip()).sum();
+    let weights: f64 = placed.iter().map(|(_, tag, _)| variance(tag).recip()).sum();
     let share = |tag: &PlacedTag| variance(tag).recip() / weights;
-    let mean: f64 = placed.iter().map(|tag| share(tag) * tag.log_edge).sum();
-    // The corners' errors are each tag's own, the keyframes' are common.
-    let own: f64 = placed.iter().map(|tag| share(tag).powi(2) * tag.corner_variance).sum();
-    let common: f64 = placed.iter().map(|tag| share(tag) * tag.view_variance.sqrt()).sum();
+    let mean: f64 = placed.iter().map(|(log, tag, _)| share(tag) * log).sum();
+    // The corners' errors are each tag's own, the keyframes' are common, and so are those of one ruler.
+    let own: f64 = placed.iter().map(|(_, tag, _)| share(tag).powi(2) * tag.corner_variance).sum();
+    let common: f64 = placed.iter().map(|(_, tag, _)| share(tag) * tag.view_variance.sqrt()).sum();
+    let of_size: f64 = placed.iter().map(|(_, tag, of_size)| share(tag) * of_size).sum();
     // Tags that scatter more than they should (Birge's ratio): printed unequally, or not flat.
-    let chi2: f64 = placed.iter().map(|tag| (tag.log_edge - mean).powi(2) / variance(tag)).sum();
+    let chi2: f64 = placed.iter().map(|(log, tag, _)| (log - mean).powi(2) / variance(tag)).sum();
     let excess = (chi2 / (placed.len() as f64 - 1.0).max(1.0)).max(1.0);
-    let of_size = config.size_sigma_m / config.size_m;
     let sigma = ((own + common * common) * excess + of_size * of_size).sqrt();
-    (sigma <= MOST_SIGMA).then(|| ScaleMeasurement {
-        source: ScaleSource::Tag,
-        log_metres_per_unit: config.size_m.ln() - mean,
-        sigma,
-    })
+    let (source, log_metres_per_unit) = (ScaleSource::Tag, mean);
+    (sigma <= MOST_SIGMA).then_some(ScaleMeasurement { source, log_metres_per_unit, sigma })
 }
 
 #[cfg(test)]

@@ -104,6 +104,7 @@ mod tests {
             place_sigma: 0.004,
             turn_sigma: 0.02,
             residual_px: 0.1,
+            corner_px: 0.15,
             views: 5,
         }
     }

@@ -41,6 +41,8 @@ impl Reconstruction {
         if let Some(mut job) = job {
             if active.fusion.is_metric() {
                 job.hold_lengths(&active.map, |from_ns, to_ns| self.wheels.held(&active.fusion, from_ns, to_ns));
+                let tags = self.tags.as_ref().map_or_else(Vec::new, |tags| tags.held(&active.map, &active.fusion));
+                job.hold_tags(&active.map, &optics.camera, &optics.shutter, &tags);
             }
             self.mapper.post(MappingJob::Adjust(Box::new(job)), self.counters.frames);
         }

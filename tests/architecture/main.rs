@@ -32,7 +32,7 @@ const MAY_KNOW: &[(&str, &[&str])] = &[
     ("features", &["frame", "geometry", "image"]),
     ("map", &["atomic_file", "features", "geometry", "image"]),
     // What the robot knows besides the picture says how long a map unit is.
-    ("motion", &["features", "geometry", "image", "map", "telemetry"]),
+    ("motion", &["calibration", "features", "geometry", "image", "map", "telemetry"]),
     // Places and maps on disk, whose library's panics are kept from the log.
     ("places", &["atomic_file", "features", "geometry", "image", "map", "telemetry"]),
     ("reconstruction", &["features", "geometry", "image", "map", "motion", "places"]),

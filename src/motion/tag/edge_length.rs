@@ -70,8 +70,9 @@ pub struct PlacedTag {
     /// Standard deviations of place (map units) and orientation (rad) in their worst directions, relative to the keyframes that saw it.
     pub place_sigma: f64,
     pub turn_sigma: f64,
-    /// RMS of what is left of the corners, px.
+    /// RMS of what is left of the corners, px; and what of that is each corner's own, one sigma.
     pub residual_px: f64,
+    pub corner_px: f64,
     pub views: usize,
 }
 
@@ -317,6 +318,7 @@ pub fn edge_length(views: &[View], focal_px: f64) -> Result<PlacedTag, NoLength>
         place_sigma: worst_sigma(3),
         turn_sigma: worst_sigma(0),
         residual_px,
+        corner_px: noise.corner * focal_px,
         views: views.len(),
     })
 }

@@ -17,6 +17,7 @@ fn placed(edge: f64, corner_sigma: f64, view_sigma: f64) -> PlacedTag {
         place_sigma: 0.01,
         turn_sigma: 0.01,
         residual_px: 0.2,
+        corner_px: 0.15,
         views: 10,
     }
 }
@@ -25,8 +26,12 @@ fn config(size_sigma_m: f64) -> TagConfig {
     TagConfig { size_m: 0.15, size_sigma_m, ..TagConfig::default() }
 }
 
+fn combine_all(tags: &[PlacedTag], config: &TagConfig) -> Option<ScaleMeasurement> {
+    combine(tags.iter().map(|tag| (tag, config.size(Target::Tag(7)))))
+}
+
 fn combined(tags: &[PlacedTag], config: &TagConfig) -> ScaleMeasurement {
-    combine(tags.iter(), config).expect("sure enough")
+    combine_all(tags, config).expect("sure enough")
 }
 
 #[test]
@@ -36,8 +41,8 @@ fn one_tag_says_metres_per_map_unit() {
     assert!((found.sigma - 0.005).abs() < 1e-12 && found.source == ScaleSource::Tag);
     // 1.5 mm of 150.
     assert!((combined(&[placed(0.05, 0.0, 0.0001)], &config(0.0015)).sigma - 0.01).abs() < 1e-5);
-    assert_eq!(combine([].iter(), &config(0.0)), None);
-    assert_eq!(combine([placed(0.05, 0.2, 0.0)].iter(), &config(0.0)), None, "not sure enough");
+    assert_eq!(combine_all(&[], &config(0.0)), None);
+    assert_eq!(combine_all(&[placed(0.05, 0.2, 0.0)], &config(0.0)), None, "not sure enough");
 }
 
 #[test]
@@ -60,7 +65,7 @@ fn tags_that_disagree_raise_the_sigma_and_one_of_another_size_is_left_out() {
 fn without_a_majority_of_one_size_tags_say_nothing() {
     let of = |edges: &[f64]| {
         let tags: Vec<PlacedTag> = edges.iter().map(|edge| placed(*edge, 0.002, 0.0)).collect();
-        combine(tags.iter(), &config(0.0)).map(|found| (found.log_metres_per_unit - 3f64.ln()).abs() < 1e-9)
+        combine_all(&tags, &config(0.0)).map(|found| (found.log_metres_per_unit - 3f64.ln()).abs() < 1e-9)
     };
     assert_eq!(of(&[0.05, 0.05, 0.08, 0.08]), None);
     assert_eq!(of(&[0.05, 0.08]), None);
@@ -99,30 +104,65 @@ fn wrong_values_of_the_configuration_are_named() {
     }
     assert_eq!(key(0.15, 0.0003, &[587]), Err("ids"));
     assert!(Tags::new(&TagConfig::default()).is_none());
+    let board = |square_m, square_sigma_m, columns, rows| {
+        let chessboard = ChessboardConfig { square_m, square_sigma_m, columns, rows };
+        TagConfig { chessboard, ..TagConfig::default() }.validate().map_err(|(key, _)| key)
+    };
+    assert_eq!((board(0.03, 0.0001, 9, 6), board(0.0, 0.0, 8, 5)), (Ok(()), Ok(())));
+    for square_m in [-0.1, 0.001, 30.0, f64::NAN] {
+        assert_eq!(board(square_m, 0.0001, 9, 6), Err("chessboard.square_m"), "{square_m}");
+    }
+    assert_eq!(board(0.03, 0.01, 9, 6), Err("chessboard.square_sigma_m"));
+    for (columns, rows) in [(9, 7), (8, 6), (2, 5), (9, 40)] {
+        assert_eq!(board(0.03, 0.0001, columns, rows), Err("chessboard.columns"), "{columns} by {rows}");
+    }
     let dock = DockConfig { enabled: true, id: 7, ..DockConfig::default() };
     let docked = |size_m, ids: &[u16]| TagConfig { size_m, ids: ids.to_vec(), dock, ..TagConfig::default() }.validate();
     assert!(docked(0.15, &[]).is_ok() && docked(0.15, &[3, 7]).is_ok());
     assert!(docked(0.15, &[3]).is_err() && docked(0.0, &[]).is_err(), "it is not looked for");
 }
 
-/// What a camera with a lens sees of tag `id` on the plane z = 0 (x right, y down, side `size_m`, its middle in the origin).
-fn picture(
-    camera: &CameraModel,
-    camera_from_metres: &Se3<Camera, World>,
-    (id, size_m): (u16, f64),
-    tone: impl Fn(f64) -> f64,
-) -> GreyImage {
-    let metres_from_camera = camera_from_metres.inverse();
-    let value = |pixel: Vector2<f64>| {
-        let ray = metres_from_camera.rotation * camera.undistort(&pixel).expect("inside").push(1.0);
-        let eye = metres_from_camera.translation;
-        let cell = ((eye - ray * (eye.z / ray.z)).xy() / size_m + Vector2::repeat(0.5)) * CELLS as f64;
+/// Brightness of a print on the plane z = 0 (x right, y down, m).
+type Print = dyn Fn(Vector2<f64>) -> f64;
+
+/// Tag `id` of side `size_m`, its middle in the origin.
+fn tag_print(id: u16, size_m: f64) -> Box<Print> {
+    Box::new(move |place| {
+        let cell = (place / size_m + Vector2::repeat(0.5)) * CELLS as f64;
         let inside = |low: f64, high: f64| cell.min() >= low && cell.max() < high;
         match () {
             () if inside(0.0, 8.0) => [25.0, 210.0][usize::from(is_white(id, cell.x as usize, cell.y as usize))],
             () if inside(-1.0, 9.0) => 210.0,
             () => 120.0,
         }
+    })
+}
+
+/// A chessboard with 10 by 7 squares (9 by 6 inner corners), its middle in the origin.
+fn chessboard_print(square_m: f64) -> Box<Print> {
+    Box::new(move |place| {
+        let square = place / square_m + Vector2::new(5.0, 3.5);
+        let inside = |rim: f64| square.min() >= -rim && square.x < 10.0 + rim && square.y < 7.0 + rim;
+        match () {
+            () if inside(0.0) => [25.0, 210.0][(square.x as usize + square.y as usize) % 2],
+            () if inside(0.7) => 210.0,
+            () => 120.0,
+        }
+    })
+}
+
+/// What a camera with a lens sees of a print.
+fn picture(
+    camera: &CameraModel,
+    camera_from_metres: &Se3<Camera, World>,
+    print: &Print,
+    tone: impl Fn(f64) -> f64,
+) -> GreyImage {
+    let metres_from_camera = camera_from_metres.inverse();
+    let value = |pixel: Vector2<f64>| {
+        let ray = metres_from_camera.rotation * camera.undistort(&pixel).expect("inside").push(1.0);
+        let eye = metres_from_camera.translation;
+        print((eye - ray * (eye.z / ray.z)).xy())
     };
     let mut image = GreyImage::new(camera.width as usize, camera.height as usize);
     for (i, v) in image.data.iter_mut().enumerate() {
@@ -135,10 +175,10 @@ fn picture(
 
 /// A map whose unit is 2.5 m, with five keyframes that look at tag 9 of 0.15 m, and their pictures through a lens that bends.
 fn map_before_a_tag() -> (CameraModel, Map, Vec<(KeyframeId, GreyImage)>) {
-    map_before_a_tag_through(|light| light)
+    map_before(&tag_print(9, 0.15), |light| light)
 }
 
-fn map_before_a_tag_through(tone: impl Fn(f64) -> f64) -> (CameraModel, Map, Vec<(KeyframeId, GreyImage)>) {
+fn map_before(print: &Print, tone: impl Fn(f64) -> f64) -> (CameraModel, Map, Vec<(KeyframeId, GreyImage)>) {
     let camera =
         CameraModel::new(240, 180, 220.0, 221.0, 118.0, 91.0, [-0.25, 0.08, 0.001, -0.001, 0.0]).expect("valid");
     let mut map = Map::default();
@@ -162,7 +202,7 @@ fn map_before_a_tag_through(tone: impl Fn(f64) -> f64) -> (CameraModel, Map, Vec
             covisible: Vec::new(),
             corners: Vec::new(),
         });
-        pictures.push((id, picture(&camera, &camera_from_metres, (9, 0.15), &tone)));
+        pictures.push((id, picture(&camera, &camera_from_metres, print, &tone)));
     }
     (camera, map, pictures)
 }
@@ -179,7 +219,7 @@ fn keyframes_that_see_a_tag_through_a_lens_tell_the_maps_scale() {
     let found = tags.measurement(MapId(3)).expect("told");
     let error = found.log_metres_per_unit - 2.5f64.ln();
     assert!(error.abs() < 0.005 && error.abs() < 2.0 * found.sigma && found.sigma < 0.01, "off by {error}: {found:?}");
-    let [(9, placed)] = tags.placed(MapId(3)).collect::<Vec<_>>()[..] else { panic!("tag 9") };
+    let [Known { target: Target::Tag(9), placed: Some(placed), .. }] = &tags.known[..] else { panic!("tag 9") };
     assert!(placed.world_from_tag.translation.norm() < 0.005 && placed.views == 5, "{placed:?}");
     assert!(placed.world_from_tag.rotation.angle() < 0.03, "{placed:?}");
 
@@ -194,10 +234,74 @@ fn keyframes_that_see_a_tag_through_a_lens_tell_the_maps_scale() {
 }
 
 #[test]
+fn a_chessboard_tells_the_scale_as_a_tag_does() {
+    let (camera, map, pictures) = map_before(&chessboard_print(0.04), |light| light);
+    let optics = Optics { camera: &camera, readout_s: 0.0 };
+    let chessboard = ChessboardConfig { square_m: 0.04, ..ChessboardConfig::default() };
+    let mut tags = Tags::new(&TagConfig { chessboard, ..TagConfig::default() }).expect("on");
+    for (i, (keyframe, picture)) in pictures.iter().enumerate() {
+        assert!(tags.see((&map, MapId(3)), *keyframe, picture, &optics), "the board is in every picture");
+        assert_eq!(tags.measurement(MapId(3)).is_some(), i >= 2, "three views");
+    }
+    let found = tags.measurement(MapId(3)).expect("told");
+    let error = found.log_metres_per_unit - 2.5f64.ln();
+    assert!(error.abs() < 0.003 && error.abs() < 2.0 * found.sigma && found.sigma < 0.005, "off by {error}: {found:?}");
+    // It has no number to be told by.
+    let mut told = Vec::new();
+    tags.tell(&map, &optics, &mut told);
+    assert!(told.is_empty() && tags.rest_on(&map).len() == 5);
+    // Where only tags are looked for, or another board, it is nothing.
+    let other = ChessboardConfig { columns: 7, rows: 4, ..chessboard };
+    let others = [config(0.0003), TagConfig { chessboard: other, ..TagConfig::default() }];
+    for config in others {
+        let mut tags = Tags::new(&config).expect("on");
+        assert!(!tags.see((&map, MapId(3)), pictures[0].0, &pictures[0].1, &optics), "{config:?}");
+    }
+}
+
+#[test]
+fn in_a_metric_map_tags_are_held_at_the_size_that_all_sources_give_them() {
+    let (camera, mut map, pictures) = map_before_a_tag();
+    let optics = Optics { camera: &camera, readout_s: 0.0 };
+    let mut tags = Tags::new(&config(0.0003)).expect("on");
+    let mut fusion = ScaleFusion::default();
+    for (keyframe, picture) in &pictures {
+        tags.see((&map, MapId(3)), *keyframe, picture, &optics);
+        fusion.add(&tags.measurement(MapId(3)).unwrap_or(ScaleMeasurement {
+            source: ScaleSource::Tag,
+            log_metres_per_unit: 0.0,
+            sigma: 1.0,
+        }));
+    }
+    assert!(tags.held(&map, &fusion).is_empty(), "nobody knows metres yet");
+    // The map becomes metric.
+    let log = fusion.fused().expect("told").0;
+    map.transform(&Sim3::new(log.exp(), Default::default(), Vector3::zeros()));
+    tags.rescale(log.exp());
+    fusion.rescale(log.exp());
+    let [held] = &tags.held(&map, &fusion)[..] else { panic!("one tag") };
+    let edge = |held: &HeldTag| (held.places[1] - held.places[0]).norm();
+    assert!((edge(held) - 0.15).abs() < 1e-9 && held.seen.len() == 5 && held.sigma_px < 0.3, "{held:?}");
+    // It lies where it is: its middle in the origin.
+    let mut lies = held.from.1;
+    lies.translation *= 0.15;
+    let tag_from_world = lies * map.keyframe(held.from.0).expect("there").camera_from_world;
+    assert!(tag_from_world.translation.norm() < 0.01, "{tag_from_world:?}");
+    // Wheels that say more, as surely, are believed half.
+    let sigma = tags.measurement(MapId(3)).expect("told").sigma;
+    fusion.add(&ScaleMeasurement { source: ScaleSource::Wheels, log_metres_per_unit: 0.01, sigma });
+    let [held] = &tags.held(&map, &fusion)[..] else { panic!("one tag") };
+    assert!((edge(held) / 0.15 - 0.005f64.exp()).abs() < 1e-6, "{held:?}");
+    // Behind a turn on the spot nothing is held.
+    pictures.iter().for_each(|(keyframe, _)| map.set_scale_origin(*keyframe, Some(TurnId(0))));
+    assert!(tags.held(&map, &fusion).is_empty());
+}
+
+#[test]
 fn a_cameras_tone_curve_moves_no_scale_out_of_its_interval() {
     for exposure in [1.0, 1.5] {
         let (camera, map, pictures) =
-            map_before_a_tag_through(|light| 255.0 * (exposure * light / 255.0).min(1.0).powf(1.0 / 2.2));
+            map_before(&tag_print(9, 0.15), |light| 255.0 * (exposure * light / 255.0).min(1.0).powf(1.0 / 2.2));
         let optics = Optics { camera: &camera, readout_s: 0.0 };
         let mut tags = Tags::new(&config(0.0003)).expect("on");
         for (keyframe, picture) in &pictures {

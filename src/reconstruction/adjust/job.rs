@@ -10,11 +10,12 @@ use nalgebra::{SVector, Vector2, Vector3};
 
 use super::bundle::{
     BundleObservation, BundleOptions, BundleProblem, Globals, INTRINSICS, IntrinsicsJacobian, IntrinsicsVector,
-    KnownLength, READOUT,
+    KnownLength, READOUT, TargetCorner,
 };
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::map::{KeyframeId, LandmarkId, Map, Observation};
+use crate::motion::tag::HeldTag;
 use crate::places::loops::{ClosedLoop, LoopClosure};
 use crate::reconstruction::config::ReconstructionConfig;
 use crate::reconstruction::keyframe::distance_prior;
@@ -172,13 +173,7 @@ impl Adjustment {
             for &k in &landmark.observers {
                 let Ok(index) = keyframes.binary_search_by_key(&k, |k| k.0) else { continue };
                 let Some(o) = map.keyframe(k).and_then(|k| k.observation(id)) else { continue };
-                problem.observations.push(BundleObservation {
-                    camera: index as u32,
-                    normalised: o.normalised,
-                    displacement: o.displacement,
-                    pixel_scale: camera.pixel_scale(&o.normalised),
-                    inv_sigma_px: o.inv_sigma_px,
-                });
+                problem.observations.push(seen_by(index, o, camera));
             }
             if problem.observations.len() < begin + 2 {
                 problem.observations.truncate(begin);
@@ -242,6 +237,50 @@ impl Adjustment {
         }
     }
 
+    /// Lets tags of known size take part where cameras that move see them: the place of each is one more unknown. To be said last.
+    pub fn hold_tags(&mut self, map: &Map, camera: &CameraModel, shutter: &Shutter, tags: &[HeldTag]) {
+        for tag in tags {
+            let Some(from) = map.keyframe(tag.from.0) else { continue };
+            let mut lies = tag.from.1;
+            lies.translation *= tag.places[1].x - tag.places[0].x;
+            let tag_from_world = lies * from.camera_from_world;
+            let seen = tag.seen.iter().filter_map(|(id, corners)| {
+                let index = self.keyframes.binary_search(id).ok()?;
+                Some((index, map.keyframe(*id)?, corners))
+            });
+            let seen: Vec<_> = seen.collect();
+            if seen.iter().all(|(index, ..)| self.problem.fixed[*index]) {
+                continue;
+            }
+            let target = self.problem.state.poses.len() as u32;
+            self.problem.state.poses.push(tag_from_world);
+            self.problem.fixed.push(false);
+            for (index, keyframe, corners) in seen {
+                for (place, pixel) in tag.places.iter().zip(corners) {
+                    let corner = TargetCorner { target, place: *place };
+                    let point = keyframe.camera_from_world.transform(&corner.in_world(&tag_from_world));
+                    let Some((normalised, normalised_from_pixel)) = camera.undistort_jacobian(pixel) else { continue };
+                    let row = pixel.y as f32;
+                    let o = Observation {
+                        landmark: LandmarkId(u32::MAX),
+                        pixel: pixel.cast(),
+                        normalised,
+                        displacement: keyframe
+                            .motion
+                            .map_or_else(Vector2::zeros, |motion| shutter.displacement(&motion, &point, row)),
+                        inv_sigma_px: tag.sigma_px.recip(),
+                        normalised_from_pixel,
+                    };
+                    if !self.problem.globals.jacobians.is_empty() {
+                        self.problem.globals.jacobians.push(intrinsics_jacobian(&o, camera));
+                    }
+                    self.problem.observations.push(seen_by(index, &o, camera));
+                    self.problem.corners.push(corner);
+                }
+            }
+        }
+    }
+
     /// Bounded in iterations, not in time.
     pub fn run(mut self) -> AdjustmentResult {
         self.problem.adjust(&self.options);
@@ -254,6 +293,17 @@ fn hold_oldest(map: &Map, newest: KeyframeId, keyframes: &mut [(KeyframeId, bool
     let own = map.keyframe(newest)?.map;
     keyframes.iter_mut().find(|(id, _)| map.keyframe(*id).is_some_and(|k| k.map == own))?.1 = true;
     Some(())
+}
+
+/// What the camera of this index saw, for an adjustment.
+fn seen_by(index: usize, o: &Observation, camera: &CameraModel) -> BundleObservation {
+    BundleObservation {
+        camera: index as u32,
+        normalised: o.normalised,
+        displacement: o.displacement,
+        pixel_scale: camera.pixel_scale(&o.normalised),
+        inv_sigma_px: o.inv_sigma_px,
+    }
 }
 
 /// How an observation's undistorted place answers to log focal length, principal point (px) (of any lens) and k1 k2 p1 p2: by

@@ -1,6 +1,6 @@
 //! The normal equations of an adjustment, and their Schur complement on cameras and global parameters.
 //!
-//! Unknowns of the reduced system, in this order: six for each free camera, `W` global parameters. Everything is summed from the two rows
+//! Unknowns of the reduced system, in this order: six for each free pose, `W` global parameters. Everything is summed from the two rows
 //! of each observation's Jacobian.
 
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, SMatrix, SVector, Vector1, Vector3, Vector6};
@@ -59,7 +59,7 @@ pub(super) struct PointBlock<const W: usize> {
 pub(super) struct System<const W: usize> {
     cameras: Vec<CameraBlock<W>>,
     pub(super) points: Vec<PointBlock<W>>,
-    /// Blocks between two free cameras, the later one's rows, where a length between them is known.
+    /// Blocks between two free poses, the later one's rows: cameras between which a length is known, a camera and the target that it sees.
     pairs: Vec<(usize, usize, Matrix6<f64>)>,
     /// Index of a free camera and its block with a point, grouped by point.
     cross: Vec<(usize, Matrix6x3)>,
@@ -157,6 +157,32 @@ impl<'p, const W: usize> Adjustment<'p, W> {
         }
     }
 
+    /// What was seen of targets of known size: ties a target to a camera, as no point that is eliminated does.
+    fn add_corners(&self, state: &BundleState, rotations: &[Matrix3<f64>], system: &mut System<W>) {
+        for (k, corner) in self.problem.seen_corners().filter(|(k, _)| self.problem.inlier[*k]) {
+            let (camera, target) = (self.problem.observations[k].camera as usize, corner.target as usize);
+            let point = self.problem.corner(state, corner);
+            let Some(o) = self.observation(state, &point, k, &rotations[camera]) else { continue };
+            let by_target = o.point.map(|by_point| corner.by_pose(&by_point, &rotations[target]));
+            add_product(&mut system.global, o.weight, &o.global, &o.global);
+            add_product(&mut system.global_gradient, o.weight, &o.global, &o.residual);
+            let slots = [camera, target].map(|pose| self.slot[pose]);
+            for (slot, by_pose) in slots.into_iter().zip([&o.camera, &by_target]) {
+                if let Some(block) = system.cameras.get_mut(slot) {
+                    add_product(&mut block.own, o.weight, by_pose, by_pose);
+                    add_product(&mut block.gradient, o.weight, by_pose, &o.residual);
+                    add_product(&mut block.global, o.weight, &o.global, by_pose);
+                }
+            }
+            let [camera, target] = slots;
+            if camera != FIXED {
+                let mut between = Matrix6::zeros();
+                add_product(&mut between, o.weight, &by_target, &o.camera);
+                system.pairs.push((target, camera, between));
+            }
+        }
+    }
+
     /// `rotation`: of the camera. `None` for a point behind it.
     #[inline]
     fn observation(
@@ -226,6 +252,7 @@ impl<const W: usize> LeastSquares for Adjustment<'_, W> {
             system.points.push(block);
         }
         self.add_lengths(state, &mut system);
+        self.add_corners(state, &rotations, &mut system);
         system
     }
 
@@ -240,6 +267,10 @@ impl<const W: usize> LeastSquares for Adjustment<'_, W> {
                 let residual = self.problem.residual(state, point, k);
                 cost += residual.map_or(behind, |(e, _)| loss.evaluate(e.norm_squared()).0);
             }
+        }
+        for (k, corner) in self.problem.seen_corners().filter(|(k, _)| self.problem.inlier[*k]) {
+            let residual = self.problem.residual(state, &self.problem.corner(state, corner), k);
+            cost += residual.map_or(behind, |(e, _)| loss.evaluate(e.norm_squared()).0);
         }
         cost
     }

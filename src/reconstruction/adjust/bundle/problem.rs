@@ -4,6 +4,7 @@ use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
 use super::globals::{GlobalMatrix, GlobalVector, Globals, READOUT};
 use super::lengths::KnownLength;
+use super::targets::TargetCorner;
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 use crate::reconstruction::measurement::{NEAREST, scaled};
@@ -26,7 +27,7 @@ pub struct BundleObservation {
 /// What is adjusted.
 #[derive(Debug, Clone, Default)]
 pub struct BundleState {
-    /// `camera_from_world` of each camera.
+    /// `camera_from_world` of each camera, then `target_from_world` of each target.
     pub poses: Vec<Se3<Camera, World>>,
     /// World coordinates.
     pub points: Vec<Vector3<f64>>,
@@ -37,11 +38,13 @@ pub struct BundleState {
 #[derive(Debug, Clone, Default)]
 pub struct BundleProblem {
     pub state: BundleState,
-    /// Which cameras stay where they are.
+    /// Which of the poses stay where they are.
     pub fixed: Vec<bool>,
     /// `first[i]..first[i + 1]` are the observations of point i; one longer than the points.
     pub first: Vec<u32>,
     pub observations: Vec<BundleObservation>,
+    /// What the last observations, behind those of the points, have seen, one by one.
+    pub corners: Vec<TargetCorner>,
     pub globals: Globals,
     /// What the wheels know of distances between cameras.
     pub lengths: Vec<KnownLength>,

@@ -177,9 +177,10 @@ fn a_sure_prior_holds_the_focal_length() {
     assert!((p.state.globals - p.globals.expected).norm() < 1e-4);
 }
 
-/// Four cameras of which two move, twelve points, and of the global parameters the readout time and the first `active` intrinsics.
-fn small(readout: bool, active: usize) -> BundleProblem {
+/// Four cameras of which two move, twelve points, so many targets, and of the global parameters the readout time and the first `active` intrinsics.
+fn small(readout: bool, active: usize, targets: usize) -> BundleProblem {
     let mut p = problem(3, 4, 12, 1.0);
+    add_targets(&mut p, targets, 1.0);
     for (i, o) in p.observations.iter_mut().enumerate() {
         o.displacement = Vector2::new(0.3 + 0.01 * i as f64, -0.2);
     }
@@ -196,18 +197,88 @@ fn small(readout: bool, active: usize) -> BundleProblem {
     p.inliers_all()
 }
 
-/// All unknowns as one vector: 12 of the cameras, the global parameters, 36 of the points. Residuals, those of the priors last, and
+/// Adds squares of the side 0.6 before the cameras, seen by all of them.
+fn add_targets(p: &mut BundleProblem, targets: usize, noise_px: f64) {
+    let mut random = Random::new(77);
+    let cameras = p.state.poses.len();
+    for target in cameras..cameras + targets {
+        let turn = UnitQuaternion::from_scaled_axis(vector(&mut random) * 0.4);
+        let centre = vector(&mut random) + Vector3::new(0.0, 0.0, 4.0);
+        p.state.poses.push(Se3::new(turn, -(turn * centre)));
+        p.fixed.push(false);
+        for camera in 0..cameras {
+            for (x, y) in [(-0.3, -0.3), (0.3, -0.3), (0.3, 0.3), (-0.3, 0.3)] {
+                let corner = TargetCorner { target: target as u32, place: Vector3::new(x, y, 0.0) };
+                let q = p.state.poses[camera].transform(&p.corner(&p.state, &corner));
+                let noise = vector(&mut random).xy() * noise_px / 500.0;
+                p.observations.push(BundleObservation {
+                    camera: camera as u32,
+                    normalised: q.xy() / q.z + noise,
+                    displacement: Vector2::new(0.1, x),
+                    pixel_scale: Matrix2::new(500.0, 0.0, 0.0, 510.0),
+                    inv_sigma_px: 4.0,
+                });
+                p.corners.push(corner);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_target_of_known_size_brings_a_map_of_another_scale_back_to_the_truth() {
+    for seed in 1..6 {
+        let mut truth = problem(seed, 5, 60, 0.0);
+        add_targets(&mut truth, 1, 0.0);
+        let mut p = truth.clone();
+        // All of it shrinks towards the one camera that is held.
+        (p.fixed[1], truth.fixed[1]) = (false, false);
+        let held = p.state.poses[0].inverse().translation;
+        p.state.points.iter_mut().for_each(|point| *point = held + (*point - held) * 0.8);
+        for pose in &mut p.state.poses {
+            let centre = held + (pose.inverse().translation - held) * 0.8;
+            pose.translation = -(pose.rotation * centre);
+        }
+        let mut without = p.clone();
+        without.observations.truncate(without.observations.len() - without.corners.len());
+        without.corners.clear();
+        let options = BundleOptions { steps: 40, relative_gain: 0.0, ..BundleOptions::default() };
+        p.adjust(&options);
+        without.adjust(&options);
+        let off = |p: &BundleProblem| {
+            p.state.points.iter().zip(&truth.state.points).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max)
+        };
+        assert!(off(&p) < 1e-5 && off(&without) > 0.5, "seed {seed}: {} off, {} without", off(&p), off(&without));
+        assert!(p.inlier.iter().all(|ok| *ok), "seed {seed}");
+    }
+}
+
+#[test]
+fn a_corner_that_is_seen_wrong_is_named() {
+    let mut p = problem(3, 5, 60, 0.3);
+    add_targets(&mut p, 2, 0.1);
+    let wrong = p.observations.len() - 7;
+    p.observations[wrong].normalised += Vector2::new(0.02, -0.01);
+    p.adjust(&BundleOptions { steps: 15, ..BundleOptions::default() });
+    let seen: Vec<usize> = p.seen_corners().map(|(k, _)| k).collect();
+    assert!(!p.inlier[wrong] && seen.iter().filter(|k| !p.inlier[**k]).count() < 4, "{:?}", p.inlier);
+}
+
+/// All unknowns as one vector: those of the free poses, the global parameters, 36 of the points. Residuals, those of the priors last, and
 /// their numeric Jacobian.
 fn dense<const W: usize>(p: &BundleProblem) -> (DVector<f64>, DMatrix<f64>) {
-    let n = 12 + W + 36;
+    let poses = 6 * p.fixed.iter().filter(|fixed| !**fixed).count();
+    let n = poses + W + 36;
     let adjustment = Adjustment::<W>::new(p, 1e9);
     let residuals = |x: &DVector<f64>| {
-        let points = (0..12).map(|i| x.fixed_rows::<3>(12 + W + 3 * i).into_owned()).collect();
-        let state = adjustment.step(&p.state, &Step { reduced: x.rows(0, 12 + W).into_owned(), points });
-        let observed = (0..12).flat_map(|i| p.range(i).map(move |k| (i, k)));
-        let mut r: Vec<f64> = observed
-            .flat_map(|(i, k)| p.residual(&state, &state.points[i], k).unwrap().0.iter().copied().collect::<Vec<_>>())
-            .collect();
+        let points = (0..12).map(|i| x.fixed_rows::<3>(poses + W + 3 * i).into_owned()).collect();
+        let state = adjustment.step(&p.state, &Step { reduced: x.rows(0, poses + W).into_owned(), points });
+        let points = &state.points;
+        let observed = (0..12).flat_map(|i| p.range(i).map(move |k| (k, points[i])));
+        let corners = p.seen_corners().map(|(k, corner)| (k, p.corner(&state, corner)));
+        let mut r: Vec<f64> = Vec::new();
+        for (k, point) in observed.chain(corners) {
+            r.extend(p.residual(&state, &point, k).unwrap().0.iter());
+        }
         for i in (0..W).filter(|&i| !p.globals.is_held(i)) {
             r.push((state.globals[i] - p.globals.expected[i]) * p.globals.information[i].sqrt());
         }
@@ -215,7 +286,7 @@ fn dense<const W: usize>(p: &BundleProblem) -> (DVector<f64>, DMatrix<f64>) {
     };
     let r0 = residuals(&DVector::zeros(n));
     let mut j = DMatrix::zeros(r0.len(), n);
-    for c in (0..n).filter(|c| !(12..12 + W).contains(c) || !p.globals.is_held(c - 12)) {
+    for c in (0..n).filter(|c| !(poses..poses + W).contains(c) || !p.globals.is_held(c - poses)) {
         let mut d = DVector::zeros(n);
         d[c] = 1e-6;
         let column = (residuals(&d) - residuals(&-&d)) / 2e-6;
@@ -226,17 +297,18 @@ fn dense<const W: usize>(p: &BundleProblem) -> (DVector<f64>, DMatrix<f64>) {
 
 /// The problem by elimination against the full system from a numeric Jacobian of all unknowns at once.
 fn compare_with_the_full_system<const W: usize>(p: &BundleProblem) {
-    let (lambda, at) = (1e-3, 12 + W);
     let adjustment = Adjustment::<W>::new(p, 1e9);
     let system = adjustment.linearise(&p.state);
+    let lambda = 1e-3;
     let (step, predicted) = system.solve(lambda).unwrap();
     let (r0, j) = dense::<W>(p);
+    let (poses, at) = (j.ncols() - W - 36, j.ncols() - 36);
     let mut h = j.transpose() * &j;
-    for i in (12..at).filter(|i| p.globals.is_held(i - 12)) {
+    for i in (poses..at).filter(|i| p.globals.is_held(i - poses)) {
         h[(i, i)] = 1.0;
     }
     let undamped = h.clone();
-    for i in (0..12).chain(at..h.nrows()) {
+    for i in (0..poses).chain(at..h.nrows()) {
         h[(i, i)] *= 1.0 + lambda;
     }
     let full = h.cholesky().unwrap().solve(&-(j.transpose() * &r0));
@@ -250,18 +322,18 @@ fn compare_with_the_full_system<const W: usize>(p: &BundleProblem) {
     // The last columns' covariance, all others free; what is held is not told.
     let (all, found) = (undamped.try_inverse().unwrap(), system.global_covariance().unwrap());
     for i in (0..W).filter(|&i| !p.globals.is_held(i)) {
-        let expected = all[(12 + i, 12 + i)];
+        let expected = all[(poses + i, poses + i)];
         assert!((found[(i, i)] / expected - 1.0).abs() < 1e-4, "parameter {i}: {} for {expected}", found[(i, i)]);
     }
 }
 
 #[test]
 fn elimination_gives_step_and_covariance_of_the_full_system_from_numeric_jacobians() {
-    for readout in [false, true] {
-        compare_with_the_full_system::<1>(&small(readout, 0));
+    for (readout, targets) in [(false, 0), (true, 0), (false, 1), (true, 2)] {
+        compare_with_the_full_system::<1>(&small(readout, 0, targets));
         // Without and with distortion.
-        compare_with_the_full_system::<GLOBALS>(&small(readout, WITHOUT_DISTORTION));
-        compare_with_the_full_system::<GLOBALS>(&small(readout, 4));
+        compare_with_the_full_system::<GLOBALS>(&small(readout, WITHOUT_DISTORTION, targets));
+        compare_with_the_full_system::<GLOBALS>(&small(readout, 4, targets));
     }
 }
 
