@@ -14,10 +14,11 @@ use super::error::BridgeError;
 use super::inbox::Inbox;
 use super::node::{Network, Node};
 use super::on_demand::OnDemand;
+use super::origin::Origin;
 use super::rates::Rates;
 use super::scans::LastPoses;
 use super::topic::Topic;
-use crate::client::{Client, Encodeds, Healths, Map, ObstacleScans, Poses, TagLists};
+use crate::client::{Client, Encodeds, Healths, Keyframes, Map, ObstacleScans, Poses, TagLists};
 use crate::messages::{
     EncodedHeader, Endpoint, Health, Landmark, MapHeader, Obstacles, Pose, Scale, Tag, Transform, map_mode,
 };
@@ -48,6 +49,7 @@ pub struct Bridge {
     out: Outputs,
     poses: Poses,
     map: Map,
+    keyframes: Keyframes,
     health: Healths,
     obstacles: OnDemand<ObstacleScans>,
     encoded: OnDemand<Encodeds>,
@@ -67,6 +69,8 @@ pub struct Bridge {
     is_docked: bool,
     /// The tag that is the dock of this run, as one word; other robots with the same one have the same frame.
     dock: Option<String>,
+    /// Of the map that was published last.
+    origin: Option<Origin>,
     /// The daemon believes what wheels tell.
     has_wheels: bool,
     /// What was sent of it.
@@ -128,6 +132,7 @@ impl Bridge {
             out: Outputs { node, rates, said: None },
             poses: client.poses(),
             map: client.map().polled(TURN),
+            keyframes: client.keyframes().polled(TURN),
             health: client.health().polled(TURN),
             obstacles: OnDemand::default(),
             encoded: OnDemand::default(),
@@ -143,6 +148,7 @@ impl Bridge {
             mount: None,
             is_docked: false,
             dock: None,
+            origin: None,
             has_wheels: false,
             told_mount: None,
             diagnosed: Diagnosed::default(),
@@ -169,6 +175,9 @@ impl Bridge {
         }
         while let Some(map) = self.map.try_next()? {
             self.take_map(map.header(), &map);
+        }
+        while let Some(keyframes) = self.keyframes.try_next()? {
+            self.origin = Origin::of(keyframes.header(), &keyframes);
         }
         if let Some(obstacles) = scan {
             self.take_obstacles(&obstacles);
@@ -210,6 +219,7 @@ impl Bridge {
         if self.run.replace(pose.run_id) != Some(pose.run_id) {
             self.mount = None;
             self.dock = None;
+            self.origin = None;
         }
         self.scale = Some(pose.scale());
         let is_metric = pose.scale() == Scale::Metric;
@@ -265,8 +275,12 @@ impl Bridge {
         if let Some(scale) = self.scale {
             status.values.push(ros::KeyValue { key: "scale", value: scale.name().into() });
         }
-        if let Some(dock) = self.dock.as_ref().filter(|_| self.is_docked) {
-            status.values.push(ros::KeyValue { key: "map_frame", value: dock.clone() });
+        let mut tell = |key, value| status.values.push(ros::KeyValue { key, value });
+        if self.is_docked {
+            self.dock.iter().for_each(|dock| tell("map_frame", dock.clone()));
+        } else if let Some(origin) = self.origin.filter(|origin| origin.map_id == health.map_id) {
+            tell("map_frame", origin.frame());
+            tell("map_origin", origin.place());
         }
         // Whoever waits for the next one knows how long.
         let period_s = self.out.rates.period_s(Topic::Diagnostics).max(DIAGNOSTICS_EVERY_S);
