@@ -31,6 +31,15 @@ rpy_deg = [0.0, 0.0, 90.0]
 """
 
 
+def told_last(follower):
+    """The last listing of `cairn fleet --json`."""
+    if follower.process.poll() is not None:
+        sys.exit(f"{follower.name} has ended with {follower.process.returncode}")
+    # The last line may be half written.
+    lines = follower.log.read_text().split("\n")[:-1]
+    return json.loads(lines[-1]) if lines else {"robots": [], "notices": []}
+
+
 def fleet(program, out, environment, domain):
     """Three bridges of the same daemon in a domain of their own, two of them with one name."""
     there = {**environment, "ROS_DOMAIN_ID": str(domain)}
@@ -41,11 +50,7 @@ def fleet(program, out, environment, domain):
     follower = Program("fleet", [program, "fleet", "--json"], out, there)
 
     def listing():
-        if follower.process.poll() is not None:
-            sys.exit(f"fleet has ended with {follower.process.returncode}")
-        # The last line may be half written.
-        lines = follower.log.read_text().split("\n")[:-1]
-        return json.loads(lines[-1]) if lines else {"robots": [], "notices": []}
+        return told_last(follower)
 
     def rows(*wanted):
         """Names and presences, by name and then session; of these alone."""
@@ -230,8 +235,7 @@ def shared(program, with_zenoh, out, environment, domain, config):
     follower = Program("shared_fleet", [with_zenoh, "fleet", "--json", "--plot", plot], out, there)
 
     def listed():
-        if follower.process.poll() is not None:
-            sys.exit(f"fleet has ended with {follower.process.returncode}")
+        told_last(follower)
         once = [with_zenoh, "fleet", "--json", "--timeout", "4", "--plot", out / "shared_once.svg"]
         done = subprocess.run(once, env=there, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=20, check=True)
         rows = json.loads(done.stdout.splitlines()[0])["robots"]

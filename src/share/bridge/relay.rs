@@ -17,6 +17,7 @@ use super::on_demand::OnDemand;
 use super::origin::Origin;
 use super::rates::Rates;
 use super::scans::LastPoses;
+use super::session::Link;
 use super::topic::Topic;
 use crate::client::{Client, Encodeds, Healths, Keyframes, Map, ObstacleScans, Poses, TagLists};
 use crate::messages::{
@@ -78,7 +79,7 @@ pub struct Bridge {
     diagnosed: Diagnosed,
     told_map: Told,
     has_daemon: Option<bool>,
-    has_network: Option<bool>,
+    link: Option<Link>,
     looked: Option<Instant>,
     png: Vec<u8>,
 }
@@ -154,7 +155,7 @@ impl Bridge {
             diagnosed: Diagnosed::default(),
             told_map: Told::default(),
             has_daemon: None,
-            has_network: None,
+            link: None,
             looked: None,
             png: Vec::new(),
         };
@@ -208,10 +209,14 @@ impl Bridge {
             return;
         }
         self.looked = Some(Instant::now());
-        let has_network = self.out.node.is_connected();
-        if self.has_network.replace(has_network) != Some(has_network) {
+        let link = self.out.node.link();
+        if self.link.replace(link) != Some(link) {
             let endpoints = self.out.node.endpoints();
-            if has_network { info!("connected to Zenoh") } else { info!(endpoints, "waiting for a Zenoh router") }
+            match link {
+                Link::Router => info!("connected to Zenoh"),
+                Link::Peers => info!(endpoints, "other peers of Zenoh are there, and no router"),
+                Link::Nobody => info!(endpoints, "waiting for a Zenoh router"),
+            }
         }
     }
 
