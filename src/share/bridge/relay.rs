@@ -50,7 +50,7 @@ pub struct Bridge {
     out: Outputs,
     poses: Poses,
     map: Map,
-    keyframes: Keyframes,
+    keyframes: OnDemand<Keyframes>,
     health: Healths,
     obstacles: OnDemand<ObstacleScans>,
     encoded: OnDemand<Encodeds>,
@@ -133,7 +133,7 @@ impl Bridge {
             out: Outputs { node, rates, said: None },
             poses: client.poses(),
             map: client.map().polled(TURN),
-            keyframes: client.keyframes().polled(TURN),
+            keyframes: OnDemand::default(),
             health: client.health().polled(TURN),
             obstacles: OnDemand::default(),
             encoded: OnDemand::default(),
@@ -177,7 +177,8 @@ impl Bridge {
         while let Some(map) = self.map.try_next()? {
             self.take_map(map.header(), &map);
         }
-        while let Some(keyframes) = self.keyframes.try_next()? {
+        let client = &self.client;
+        if let Some(keyframes) = self.keyframes.try_next(|| client.keyframes().polled(TURN), Keyframes::try_next)? {
             self.origin = Origin::of(keyframes.header(), &keyframes);
         }
         if let Some(obstacles) = scan {
