@@ -182,9 +182,16 @@ fn the_bridge_runs_as_the_daemons_user_from_a_package_of_its_own_and_is_off() {
     for key in ["User", "Group", "BindPaths", "RemoveIPC"] {
         assert_eq!(unit(key), unit_of("cairn", key), "{key}");
     }
-    // Beside the daemon's shared memory the copies of its map that it made for the bridge, which removes them.
-    let written = unit_of("cairn", "ReadWritePaths").join(" ") + " -/var/lib/cairn/maps";
-    assert_eq!(unit("ReadWritePaths"), [written]);
+    // Beside the daemon's shared memory it writes the copies alone that the daemon made for it, in a folder that systemd makes if need be;
+    // and the folders above, which the daemon writes, too, are the package cairn's.
+    assert_eq!(unit("ReadWritePaths"), unit_of("cairn", "ReadWritePaths"));
+    assert_eq!(unit("StateDirectory"), ["cairn/maps/copies"]);
+    assert_eq!(unit("StateDirectoryMode"), unit_of("cairn", "StateDirectoryMode"));
+    assert_eq!(unit("Environment"), ["STATE_DIRECTORY=/var/lib/cairn"]);
+    for above in ["/var/lib/cairn", "/var/lib/cairn/maps"] {
+        let line = format!("d {above} {} cairn cairn -", unit_of("cairn", "StateDirectoryMode")[0]);
+        assert!(text("systemd/cairn.tmpfiles").lines().any(|l| l == line), "{line}");
+    }
     assert_eq!((unit("IPAddressDeny"), unit("IPAddressAllow")), (vec!["any".into()], vec!["localhost".into()]));
     let documentation = unit("Documentation");
     assert!(brought(documentation[0].trim_start_matches("file:///")), "{documentation:?}");

@@ -30,7 +30,7 @@ pub struct FleetArgs {
     /// Listen for so long, print one listing and end; with exit code 69 if nobody is on the network
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     pub timeout: Option<Duration>,
-    /// Draw where the robots are whose maps are in the frame of the same dock, again with every listing and once a second (SVG)
+    /// Draw where the robots are whose maps are in the frame of the same dock, or the same map, again with every listing and once a second (SVG)
     #[arg(long, value_name = "OUT.svg")]
     pub plot: Option<PathBuf>,
     #[command(flatten)]

@@ -14,6 +14,8 @@ const MARGIN: f64 = 40.0;
 const LEAST_SPAN_M: f64 = 2.0;
 /// Lines of the grid across a panel, about.
 const GRID_LINES: f64 = 8.0;
+/// How the frames of docks begin.
+const DOCK: &str = "dock_";
 /// Dark enough for white paper, told apart by who sees no red or green (Okabe and Ito, 2008).
 const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000"];
 
@@ -59,7 +61,7 @@ fn grid_step(span: f64) -> f64 {
     factor * power
 }
 
-/// The picture. Robots without a frame that others have are named below it.
+/// The picture. Robots without a frame that others have are named below it: whose map is its own alone is in none; a dock is one that others may come to.
 pub fn svg(rows: &[Row]) -> String {
     let mut frames: BTreeMap<&str, Vec<Drawn>> = BTreeMap::new();
     let mut left_out: Vec<&str> = Vec::new();
@@ -69,6 +71,14 @@ pub fn svg(rows: &[Row]) -> String {
             _ => left_out.push(&row.name),
         }
     }
+    frames.retain(|frame, robots| {
+        let is_drawn = robots.len() > 1 || frame.starts_with(DOCK);
+        if !is_drawn {
+            left_out.extend(robots.iter().map(|robot| robot.row.name.as_str()));
+        }
+        is_drawn
+    });
+    left_out.sort_unstable();
     let height = frames.len() as f64 * SIDE + 2.0 * MARGIN;
     // Writing into a text cannot fail, here and below.
     let mut out = format!(
@@ -157,14 +167,18 @@ mod tests {
             at("b", "dock_36h11_5", 0.0, 4.0),
             at("c", "dock_36h11_6", 0.0, 0.0),
             row("d", Presence::Here),
+            at("e", "map_1f", 0.0, 0.0),
+            at("f", "map_20", 0.0, 0.0),
+            at("g", "map_20", 1.0, 0.0),
         ];
         let text = svg(&rows);
         assert!(text.contains("dock_36h11_5: 2 robots, a square is 1 m") && text.contains("dock_36h11_6: 1 robots"));
-        assert!(text.contains("not drawn, in no frame that others have: d</text>"), "{text}");
+        assert!(text.contains("not drawn, in no frame that others have: d, e</text>"), "{text}");
+        assert!(text.contains("map_20: 2 robots") && !text.contains("map_1f"), "{text}");
         // 80 px a metre around the middle of 0 to 8 and 0 to 4: a is at the right border, in the middle but two metres low.
         assert!(text.contains("translate(680.0 520.0) rotate(-90.0)"), "{text}");
         assert!(text.contains("translate(40.0 200.0)"), "{text}");
-        assert_eq!(text.matches("<polyline").count(), 3);
+        assert_eq!(text.matches("<polyline").count(), 5);
         assert!(svg(&[]).ends_with("</svg>\n"));
     }
 

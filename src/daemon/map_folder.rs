@@ -14,8 +14,9 @@ const LONGEST_NAME: usize = 64;
 const MOST_MAPS: usize = 100;
 /// Entries of the folder that are looked at.
 const MOST_ENTRIES: usize = 10_000;
-/// How copies that are made for a client are named, and how long one has to fetch its own.
-const COPY: &str = ".copy-";
+/// The folder below for copies that are made for a client: whoever removes his own need not be able to write where the maps are.
+const COPIES: &str = "copies";
+/// How long a client has to fetch its own.
 const COPY_LIVES: Duration = Duration::from_secs(300);
 /// Copies at a time: whoever fetches none does not fill the disk.
 const MOST_COPIES: usize = 8;
@@ -53,7 +54,7 @@ impl MapFolder {
 
     /// The same for a map that is to be made; the folder is made if it is missing.
     pub fn new_file(&self, path: &Path) -> Result<(), String> {
-        self.make()?;
+        make(&self.path)?;
         if path.symlink_metadata().is_ok() {
             return Err(format!("{}: there is such a map already", path.display()));
         }
@@ -64,16 +65,13 @@ impl MapFolder {
         Ok(())
     }
 
-    fn make(&self) -> Result<(), String> {
-        std::fs::create_dir_all(&self.path).map_err(|e| format!("{}: {e}", self.path.display()))
-    }
-
-    /// Where a copy for a client goes. Copies that nobody has fetched are removed, and nothing else that is hidden in the folder.
+    /// Where a copy for a client goes. Copies that nobody has fetched are removed, and nothing else that is in their folder.
     pub fn copy_file(&self) -> Result<PathBuf, String> {
-        self.make()?;
+        let folder = self.path.join(COPIES);
+        make(&folder)?;
         let now = SystemTime::now();
         let mut there = 0;
-        for entry in std::fs::read_dir(&self.path).into_iter().flatten().flatten().take(MOST_ENTRIES) {
+        for entry in std::fs::read_dir(&folder).into_iter().flatten().flatten().take(MOST_ENTRIES) {
             let is_copy = entry.file_name().to_str().is_some_and(is_copy);
             let Some(about) = entry.metadata().ok().filter(|about| is_copy && about.is_file()) else { continue };
             let age = about.modified().ok().and_then(|made| now.duration_since(made).ok());
@@ -82,13 +80,13 @@ impl MapFolder {
             there += usize::from(!removed);
         }
         if there >= MOST_COPIES {
-            let (folder, minutes) = (self.path.display(), COPY_LIVES.as_secs() / 60);
+            let (folder, minutes) = (folder.display(), COPY_LIVES.as_secs() / 60);
             return Err(format!(
                 "{folder}: {there} copies wait for whoever asked for them; they go after {minutes} minutes"
             ));
         }
         let stamp = now.duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos();
-        Ok(self.path.join(format!("{COPY}{}-{stamp}{ENDING}", std::process::id())))
+        Ok(folder.join(format!("{}-{stamp}{ENDING}", std::process::id())))
     }
 
     /// Maps by name, ascending, with their bytes and when they were written, s since 1970.
@@ -122,9 +120,13 @@ impl MapFolder {
     }
 }
 
+fn make(folder: &Path) -> Result<(), String> {
+    std::fs::create_dir_all(folder).map_err(|e| format!("{}: {e}", folder.display()))
+}
+
 /// Whether this is how copies for clients are named.
 fn is_copy(name: &str) -> bool {
-    let numbers = || name.strip_prefix(COPY)?.strip_suffix(ENDING)?.split_once('-');
+    let numbers = || name.strip_suffix(ENDING)?.split_once('-');
     let is_number = |text: &str| !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit());
     numbers().is_some_and(|(process, stamp)| is_number(process) && is_number(stamp))
 }
@@ -137,8 +139,8 @@ mod tests {
     fn copies_that_nobody_fetches_are_few_and_go_and_nothing_else_does() {
         let dir = tempfile::tempdir().unwrap();
         let folder = MapFolder::new(dir.path().join("maps"));
-        let foreign = [".copy-of-my-notes", ".copy-1-2", ".copy-1-x.map", ".copy--1.map", "kitchen.map"];
-        std::fs::create_dir(folder.path()).unwrap();
+        let foreign = ["copies/notes", "copies/1-2", "copies/1-x.map", "copies/-1.map", "kitchen.map", "1-2.map"];
+        std::fs::create_dir_all(folder.path().join(COPIES)).unwrap();
         let long_ago = SystemTime::now() - 2 * COPY_LIVES;
         let old = |path: &Path| {
             std::fs::write(path, "x").unwrap();
@@ -183,7 +185,8 @@ mod tests {
         for n in 0..30 {
             std::fs::write(folder.path().join(format!("a-long-name-of-a-map-{n:02}.map")), "x").unwrap();
         }
-        for foreign in [".copy-1-1.map", "notes.txt", ".a.map.12"] {
+        std::fs::create_dir(folder.path().join(COPIES)).unwrap();
+        for foreign in ["copies/1-1.map", "notes.txt", ".a.map.12"] {
             std::fs::write(folder.path().join(foreign), "x").unwrap();
         }
         let current = folder.file("a-long-name-of-a-map-07").unwrap();

@@ -20,8 +20,8 @@ use std::time::{Duration, Instant};
 
 use cairn::client::monotonic_ns;
 use cairn::geometry::Se3;
+use cairn::map::KeyframeId;
 use cairn::map::scale::{MapScale, ScaleSource, ScaleSources};
-use cairn::map::{KeyframeId, MapId};
 use cairn::messages::{Endpoint, Health};
 use cairn::publish::{Conversion, Limits, Publisher};
 use cairn::reconstruction::{PoseEstimate, TrackingState};

@@ -5,6 +5,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 import xml.etree.ElementTree as ElementTree
 
 import cairn
@@ -30,6 +31,15 @@ rpy_deg = [0.0, 0.0, 90.0]
 """
 
 
+def told_last(follower):
+    """The last listing of `cairn fleet --json`."""
+    if follower.process.poll() is not None:
+        sys.exit(f"{follower.name} has ended with {follower.process.returncode}")
+    # The last line may be half written.
+    lines = follower.log.read_text().split("\n")[:-1]
+    return json.loads(lines[-1]) if lines else {"robots": [], "notices": []}
+
+
 def fleet(program, out, environment, domain):
     """Three bridges of the same daemon in a domain of their own, two of them with one name."""
     there = {**environment, "ROS_DOMAIN_ID": str(domain)}
@@ -40,11 +50,7 @@ def fleet(program, out, environment, domain):
     follower = Program("fleet", [program, "fleet", "--json"], out, there)
 
     def listing():
-        if follower.process.poll() is not None:
-            sys.exit(f"fleet has ended with {follower.process.returncode}")
-        # The last line may be half written.
-        lines = follower.log.read_text().split("\n")[:-1]
-        return json.loads(lines[-1]) if lines else {"robots": [], "notices": []}
+        return told_last(follower)
 
     def rows(*wanted):
         """Names and presences, by name and then session; of these alone."""
@@ -184,3 +190,76 @@ def docked(program, with_zenoh, out, environment, domain):
     assert ended == [0] * len(ended), ended
     running.end(signal.SIGINT)
     print(f"plot: both robots of one dock, at ({first['place']['x_m']:.2f}, {first['place']['y_m']:.2f}) m in its frame")
+
+
+def shared(program, with_zenoh, out, environment, domain, config):
+    """The current map of a daemon, fetched while it grows. A second robot that goes on in it is in one plot with the first, and where it was
+    once it publishes its map elsewhere."""
+    there = {**environment, "ROS_DOMAIN_ID": str(domain)}
+    robots = {name: {**there, "CAIRN_PREFIX": f"{environment['CAIRN_PREFIX']}_{name}"} for name in ("first", "second")}
+    bridges = []
+    for name in robots:
+        folder = out / f"shared_{name}"
+        folder.mkdir()
+        maps = f'[daemon]\nsource = "simulator"\n{config}[map]\nfile = "{folder}/warehouse.map"\ndirectory = "{folder}"\n'
+        (out / f"{name}.toml").write_text(maps)
+
+    def start(name):
+        words = ["--config", out / f"{name}.toml"]
+        bridges.append(Program(f"shared_{name}_bridge", [with_zenoh, "bridge", "--rate", "tf_static=0", "--robot", name, *words], out, robots[name]))
+        running = Program(f"shared_{name}", [program, "run", *words], out, robots[name])
+        client = cairn.Client(robots[name]["CAIRN_PREFIX"])
+        poses = client.poses()
+
+        def is_located():
+            pose = poses.wait(0.5)
+            return pose is not None and pose.state == "TRACKING" and pose.scale == "METRIC" and pose
+
+        until(f"{name}: a pose in metres", 60, is_located)
+        return running, client, is_located
+
+    first, client, first_pose = start("first")
+    health = client.health()
+    until("a map", 30, lambda: (report := health.wait(0.5)) is not None and report.keyframes >= 12)
+    pull = [with_zenoh, "map", "pull", "first:warehouse", "--config", out / "second.toml"]
+    told = subprocess.run(pull, env=there, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60)
+    assert told.returncode == 0 and "verified" in told.stdout, told
+    copies = out / "shared_first" / "copies"
+    assert copies.is_dir() and not list(copies.iterdir()), "the copy that was made for the bridge is left"
+    fetched = until("the newest keyframes of the first", 10, lambda: health.wait(0.5)).keyframes
+    assert first.said()["map file not written, tried again later"] == 0
+
+    second, other, second_pose = start("second")
+    assert second.said()["map loaded"] == 1, second.said()
+    plot = out / "shared.svg"
+    follower = Program("shared_fleet", [with_zenoh, "fleet", "--json", "--plot", plot], out, there)
+
+    def listed():
+        told_last(follower)
+        once = [with_zenoh, "fleet", "--json", "--timeout", "4", "--plot", out / "shared_once.svg"]
+        done = subprocess.run(once, env=there, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=20, check=True)
+        rows = json.loads(done.stdout.splitlines()[0])["robots"]
+        return rows if len(rows) == 2 and all(row["place"] for row in rows) else None
+
+    rows = until("both robots in one frame", 40, listed)
+    frame = rows[0]["map_frame"]
+    assert rows[1]["map_frame"] == frame and frame.startswith("map_"), rows
+    until("both robots in the plot", 20, lambda: plot.exists() and f"{frame}: 2 robots" in plot.read_text())
+
+    def near(row, pose, shift=(0.0, 0.0)):
+        # Bases drive by less than half a metre a second, and the two are some seconds apart.
+        off = [row["place"][axis] + shift[i] - pose.position[i] for i, axis in enumerate(("x_m", "y_m"))]
+        assert max(map(abs, off)) < 3.0, (row, list(pose.position), shift)
+
+    for row, pose in zip(rows, (first_pose, second_pose)):
+        near(row, until("a pose", 10, pose))
+    before = until("a pose", 10, second_pose)
+    other.set_pose(before.position[0] + 50.0, before.position[1] - 20.0, before.yaw)
+    until("poses elsewhere", 10, lambda: (pose := second_pose()) and pose.position[0] > before.position[0] + 40)
+    time.sleep(2)
+    rows = until("both robots in one frame again", 40, listed)
+    assert [row["map_frame"] for row in rows] == [frame] * 2, rows
+    near(rows[1], until("a pose", 10, second_pose), (50.0, -20.0))
+    ended = [one.end(signal.SIGTERM) for one in (follower, *bridges, second, first)]
+    assert ended == [0] * len(ended), ended
+    print(f"shared map: fetched from a running daemon with {fetched} keyframes, its copy removed; both robots in one plot, after an initial pose as well")

@@ -1,9 +1,9 @@
-"""Recordings beside programs that are not ours: PyPI's `mcap`, `mcap-ros2-support` and `rosbags` read what `cairn record` writes, and `cairn replay`
-reads what `rosbags` writes.
+"""Recordings beside programs that are not ours: PyPI's `mcap`, `mcap-ros2-support` and `rosbags`, and `cyclonedds` where there is one for this Python, read
+what `cairn record` writes, and `cairn replay` reads what `rosbags` writes.
 
     python tests/peers/recordings.py [--cairn target/release/cairn]
 
-1. A demo is recorded while the Python client listens to the same services. Both readers decode every message of the file, and their fields are those
+1. A demo is recorded while the Python client listens to the same services. All readers decode every message of the file, and their fields are those
    of the wire, whose bytes the client got by another way. Beside it a driver tells of wheels.
 2. The same of a demo with its camera at a known height, whose scale becomes metric: obstacles, and the scan that is made of them.
 3. Bags in the dialects of Humble and Jazzy, with Image in mono8, bgr8 and yuyv, are replayed. mono8 must come to the same bytes as the
@@ -11,6 +11,7 @@ reads what `rosbags` writes.
 """
 
 import argparse
+import importlib.util
 import math
 import os
 import subprocess
@@ -210,7 +211,7 @@ def check(messages, listener, offset, prefix, reader):
 
 
 def readers(file):
-    """How either program decodes the file: its name, the clocks' offset, and (topic, message) for all."""
+    """How each program decodes the file: its name, the clocks' offset, and (topic, message) for all."""
     with file.open("rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()], validate_crcs=True)
         metadata = {m.name: m.metadata for m in reader.iter_metadata()}["cairn"]
@@ -223,6 +224,12 @@ def readers(file):
                 store.register(get_types_from_msg(schema.data.decode(), schema.name))
     with AnyReader([file], default_typestore=store) as reader:
         yield "rosbags", offset, [(c.topic, store.deserialize_cdr(raw, c.msgtype)) for c, _, raw in reader.messages()]
+    if importlib.util.find_spec("cyclonedds"):
+        import cyclone
+
+        yield "cyclonedds", offset, list(cyclone.messages(file))
+    else:
+        print("cyclonedds: not asked, there is none for this Python")
 
 
 def foreign_readers(cairn, out, prefix):

@@ -24,6 +24,9 @@ import tempfile
 import threading
 import time
 
+sys.dont_write_bytecode = True
+import paired  # noqa: E402
+
 FRAME, MAP = 5, 4
 WAYS = ["0", "1", "20", "20, most of them bad", "1, with obstacles"]
 # Bytes a second of a slow page, and how often it reads.
@@ -209,47 +212,24 @@ class Crowd(threading.Thread):
         self.join()
 
 
-def cpu_s(pid):
-    fields = pathlib.Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
 def replay(way, address, console, recording, config, log):
     """One replay with these pages."""
     crowd = Crowd(address, KINDS[way])
     crowd.start()
-    before, began = cpu_s(console.pid), time.monotonic()
-    with open(log, "a", encoding="utf-8") as said:
-        done = subprocess.run(["cairn", "replay", recording, "--config", config, "--json", "--log", "info"], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=said, text=True)
-    seconds, after = time.monotonic() - began, cpu_s(console.pid)
+    told = paired.replay(way, recording, config, log, {"console": console.pid})
     crowd.end()
-    if done.returncode:
-        sys.exit(f"the replay ended with {done.returncode}; see {log}")
     if console.poll() is not None:
         sys.exit("the console has ended")
-    summary = json.loads(done.stdout)
     good = [page for page in crowd.pages if type(page) in (Page, Whole)]
-    return {
-        "way": way, "cpu_ms": summary["cpu_ms_per_frame"], "p50": summary["stages"]["latency"]["p50_ms"], "p99": summary["stages"]["latency"]["p99_ms"],
-        "dropped": summary["dropped"], "frames": summary["frames"], "console": 100 * (after - before) / seconds,
-        "bytes": statistics.median([p.got / seconds for p in good]) if good else None,
-        "pictures": min([p.pictures / seconds for p in good]) if good else None, "sent_away": crowd.sent_away,
-    }
+    told["bytes"] = statistics.median([p.got / told["seconds"] / 1000 for p in good]) if good else None
+    told["pictures"] = min([p.pictures / told["seconds"] for p in good]) if good else None
+    return told | {"sent_away": crowd.sent_away}
 
 
 def row(way, runs, base):
     """One way beside the runs of the same rounds without a page."""
-    mid = lambda key: statistics.median(r[key] for r in runs)  # noqa: E731
-
-    def change(key):
-        if way == WAYS[0]:
-            return "–"
-        changes = [100 * (r[key] / b[key] - 1) for r, b in zip(runs, base)]
-        return f"{statistics.median(changes):+.1f} ({min(changes):+.1f} to {max(changes):+.1f})"
-
-    known = lambda key, form: form.format(mid(key)) if runs[0][key] is not None else "–"  # noqa: E731
-    return [way, f"{mid('cpu_ms'):.2f}", change("cpu_ms"), f"{mid('p50'):.2f}", change("p50"), f"{mid('p99'):.1f}", sum(r["dropped"] for r in runs),
-            f"{mid('console'):.0f}", known("pictures", "{:.1f}"), f"{mid('bytes') / 1000:.0f}" if runs[0]["bytes"] else "–", sum(r["sent_away"] for r in runs)]
+    return [way, *paired.daemon_columns(runs, base), paired.mid("console", runs, "{:.0f}"), paired.mid("pictures", runs, "{:.1f}"),
+            paired.mid("bytes", runs, "{:.0f}"), sum(r["sent_away"] for r in runs)]
 
 
 def main():
@@ -269,24 +249,14 @@ def main():
             if not found:
                 sys.exit("the console does not say where it listens")
             address = (found[1], int(found[2]))
-            replay(WAYS[0], address, console, recording, config, log)  # reads the recording into the system's cache, and is not counted
-            runs = {way: [] for way in WAYS}
-            for n in range(rounds):
-                for way in WAYS[n % len(WAYS):] + WAYS[:n % len(WAYS)]:
-                    runs[way].append(replay(way, address, console, recording, config, log))
-                    print(f"round {n + 1}, {way} pages: {runs[way][-1]}", file=sys.stderr, flush=True)
+            runs = paired.rounds(WAYS, rounds, lambda way: replay(way, address, console, recording, config, log))
         finally:
             console.terminate()
             console.wait(10)
     base = runs[WAYS[0]]
-    heads = ["pages", "daemon's CPU ms a frame", "more than without, %", "latency p50 ms", "more, %", "p99 ms", "frames dropped", "console's CPU, % of a core",
-             "pictures a second of the poorest page", "kB a second a page", "pages sent away"]
-    print("| " + " | ".join(heads) + " |\n|---|" + "---:|" * (len(heads) - 1))
-    for way in WAYS:
-        print("| " + " | ".join(map(str, row(way, runs[way], base))) + " |")
-    spread = lambda key: 100 * (max(r[key] for r in base) / min(r[key] for r in base) - 1)  # noqa: E731
-    print(f"\n{rounds} rounds of {base[0]['frames']} frames. Without a page the rounds differ among each other by up to {spread('cpu_ms'):.1f} % (CPU) and "
-          f"{spread('p50'):.1f} % (median latency). The CPU is that of the whole replay, which also reads and inflates the recording's pictures.")
+    heads = ["pages", *paired.DAEMON_HEADS, "console's CPU, % of a core", "pictures a second of the poorest page", "kB a second a page", "pages sent away"]
+    paired.show(heads, [row(way, runs[way], base) for way in WAYS])
+    paired.tell_spread(base, "Without a page")
 
 
 if __name__ == "__main__":

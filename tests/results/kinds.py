@@ -393,12 +393,31 @@ def fleet(data, short):
                  build=f"bench --locked --no-run {features}")]
 
 
-def console(data, short):
-    drive = f"{OUT}/console-drive"
+def beside(script, name, short):
+    """The command of a script that replays a drive beside other programs, and the drive's folder; beside it lies a configuration that knows the camera's height."""
+    drive = f"{OUT}/{name}-drive"
     simulate = f"cairn simulate --scenario room_tour --seconds {8 if short else 30} --output {drive} >&2"
     height = f"printf '[scale]\\ncamera_height_m = 0.5\\ncamera_height_sigma_m = 0.003\\n' >{drive}.toml"
+    return f"rm -rf {drive}\n{simulate}\n{height}\ntests/results/{script} {1 if short else 7} {drive} {drive}.toml", drive
+
+
+def sharing(data, short):
+    if not importlib.util.find_spec("PIL"):
+        raise Missing("no Pillow in this python3, which makes the recording's pictures JPEG: pip install pillow")
+    command, drive = beside("sharing.py", "sharing", short)
+    without = f"printf '' >{drive}-unscaled.toml\ntests/results/sharing.py {1 if short else 7} {drive} {drive}-unscaled.toml"
     return [
-        Step("What pages cost the daemon", f"rm -rf {drive}\n{simulate}\n{height}\ntests/results/console.py {1 if short else 7} {drive} {drive}.toml",
+        Step("With scans of obstacles", command, "Replays of a simulated drive at the camera's pace, its pictures as JPEG. The camera's height is told, so the recorder "
+             "gets scans, which the daemon makes only while somebody asks. `cairn fleet --plot` hears the bridge. All share the machine.",
+             build="build --locked --release --features bridge"),
+        Step("Without", without, "The same where nobody has told the camera's height: there is no scale, and so there are neither scans nor transforms."),
+        Step("A recorder of raw pictures", f"tests/results/sharing.py raw {15 if short else 60}", "Beside a demo."),
+    ]
+
+
+def console(data, short):
+    return [
+        Step("What pages cost the daemon", beside("console.py", "console", short)[0],
              "Replays of a simulated drive at the camera's pace, with scripted pages that show video, map and log, and one that shows obstacles, too; what "
              "bad pages do stands at the head of `console.py`. Pages, console and daemon share the machine."),
         Step("The page in a browser", f"tests/console/browser/run {OUT}/console load.js",
@@ -432,6 +451,7 @@ KINDS = {
     "two_pictures": Kind("Two pictures", "10 min", two_pictures),
     "wire": Kind("The wire", "2 min", wire),
     "fleet": Kind("A fleet", "3 min", fleet),
+    "sharing": Kind("Recorder and bridge", "35 min", sharing),
     "console": Kind("The console", "20 min", console),
     "faults": Kind("Faults on real device nodes", "40 min", faults),
     "builds": Kind("Builds", "15 min", builds),

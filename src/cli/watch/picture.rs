@@ -112,6 +112,22 @@ fn write(path: &Path, bytes: &[u8]) -> Result<(), CliError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::messages::Endpoint;
+
+    #[test]
+    fn an_interrupted_picture_is_no_success() {
+        let dir = tempfile::tempdir().expect("folder");
+        let picture = dir.path().join("a.png");
+        let prefix = format!("watch-picture-{}", std::process::id());
+        let client = Client::with_endpoint(Endpoint::new(&prefix).expect("endpoint")).expect("client");
+        let wanted = |timeout| Wanted { picture: &picture, camera: None, prefix: &prefix, timeout };
+        let mut out = Vec::new();
+        let told = take(&wanted(None), &client, &mut out, &AtomicBool::new(true)).expect_err("there is no picture");
+        assert_eq!((told.code, told.message.as_str()), (exit_code::FAILURE, "interrupted"));
+        let told = take(&wanted(Some(NAP)), &client, &mut out, &AtomicBool::new(false)).expect_err("nor is a daemon");
+        assert_eq!(told.code, exit_code::UNAVAILABLE);
+        assert!(out.is_empty() && !picture.exists());
+    }
 
     #[test]
     fn k_is_told_of_a_lens_that_it_describes() {

@@ -67,19 +67,28 @@ impl<Q> Taken<Q> {
 /// Without a clock.
 struct Queue<Q> {
     waiting: VecDeque<(Request<Q>, Instant)>,
+    /// Requests that found it full.
+    dropped: u64,
+}
+
+impl<Q> Default for Queue<Q> {
+    fn default() -> Self {
+        Self { waiting: VecDeque::with_capacity(QUEUE), dropped: 0 }
+    }
 }
 
 impl<Q> Queue<Q> {
-    /// Whether it was taken.
-    fn push(&mut self, request: Request<Q>, now: Instant) -> bool {
+    /// If it is not taken, how many were not so far.
+    fn push(&mut self, request: Request<Q>, now: Instant) -> Option<u64> {
         if matches!(request, Request::InitialPose(_)) {
             self.waiting.retain(|(request, _)| !matches!(request, Request::InitialPose(_)));
         }
-        let has_room = self.waiting.len() < QUEUE;
-        if has_room {
+        if self.waiting.len() < QUEUE {
             self.waiting.push_back((request, now));
+            return None;
         }
-        has_room
+        self.dropped += 1;
+        Some(self.dropped)
     }
 
     fn pop(&mut self, now: Instant) -> Option<Taken<Q>> {
@@ -102,7 +111,7 @@ pub struct Inbox {
 
 impl Default for Inbox {
     fn default() -> Self {
-        let queue = Mutex::new(Queue { waiting: VecDeque::with_capacity(QUEUE) });
+        let queue = Mutex::new(Queue::default());
         Self { shared: Arc::new(Shared { queue, come: Condvar::new(), said: Mutex::new(None) }) }
     }
 }
@@ -110,10 +119,10 @@ impl Default for Inbox {
 impl Inbox {
     /// Waits for nothing but another push.
     pub fn push(&self, request: Request) {
-        if lock(&self.shared.queue).push(request, Instant::now()) {
-            self.shared.come.notify_one();
-        } else {
-            warn!("too many requests from ROS 2 at once, one is not answered");
+        let refused = lock(&self.shared.queue).push(request, Instant::now());
+        match refused {
+            None => self.shared.come.notify_one(),
+            Some(dropped) => warn!(dropped, "too many requests from ROS 2 at once, one is not answered"),
         }
     }
 
@@ -159,10 +168,10 @@ mod tests {
 
     #[test]
     fn of_initial_poses_the_newest_waits_and_the_rest_in_their_order() {
-        let (mut queue, now) = (Queue { waiting: VecDeque::new() }, Instant::now());
+        let (mut queue, now) = (Queue::default(), Instant::now());
         let place = |number: u8| Request::InitialPose(vec![number]);
         for request in [place(1), service(2), place(3), service(4), place(5)] {
-            assert!(queue.push(request, now));
+            assert_eq!(queue.push(request, now), None);
         }
         let order: Vec<u32> = std::iter::from_fn(|| queue.pop(now)).map(|taken| told(&taken)).collect();
         assert_eq!(order, [2, 4, 105]);
@@ -170,16 +179,20 @@ mod tests {
 
     #[test]
     fn a_full_queue_takes_nothing_but_a_newer_pose_for_an_older_one() {
-        let (mut queue, now) = (Queue { waiting: VecDeque::new() }, Instant::now());
-        assert!(queue.push(Request::InitialPose(vec![1]), now));
-        assert!((1..QUEUE as u32).all(|number| queue.push(service(number), now)));
-        assert!(!queue.push(service(99), now));
-        assert!(queue.push(Request::InitialPose(vec![2]), now) && queue.waiting.len() == QUEUE);
+        let (mut queue, now) = (Queue::default(), Instant::now());
+        assert_eq!(queue.push(Request::InitialPose(vec![1]), now), None);
+        assert!((1..QUEUE as u32).all(|number| queue.push(service(number), now).is_none()));
+        assert_eq!(
+            [99, 100].map(|number| queue.push(service(number), now)),
+            [Some(1), Some(2)],
+            "dropped, and counted"
+        );
+        assert_eq!((queue.push(Request::InitialPose(vec![2]), now), queue.waiting.len()), (None, QUEUE));
     }
 
     #[test]
     fn what_has_waited_too_long_is_stale() {
-        let (mut queue, now) = (Queue { waiting: VecDeque::new() }, Instant::now());
+        let (mut queue, now) = (Queue::default(), Instant::now());
         queue.push(service(1), now);
         queue.push(service(2), now);
         let ages = [OLDEST, OLDEST + Duration::from_millis(1)];

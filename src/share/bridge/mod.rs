@@ -17,6 +17,7 @@ mod inbox;
 pub(super) mod names;
 mod node;
 mod on_demand;
+mod origin;
 mod rates;
 mod relay;
 mod scans;

@@ -22,7 +22,7 @@ use super::commands::{Asked, unix_ns};
 use super::error::{BridgeError, reason};
 use super::inbox::{Inbox, Request, Service};
 use super::names::{INITIAL_POSE, Identity, Kind, Qos, Robot, TRIGGER, Type, key, maps_key, subscribers};
-use super::session;
+use super::session::{self, Link};
 use super::topic::Topic;
 use crate::share::maps::Requests;
 
@@ -126,9 +126,8 @@ impl Node {
         known.is_none_or(|(_, known)| !lock(known).is_empty())
     }
 
-    /// A router or another peer is there.
-    pub(super) fn is_connected(&self) -> bool {
-        session::link(&self.session) != session::Link::Nobody
+    pub(super) fn link(&self) -> Link {
+        session::link(&self.session)
     }
 
     /// Where it connects to, as configured.

@@ -1,4 +1,4 @@
-//! A subscription of the daemon's that is held only while somebody wants it, and can be done without: where all its places are taken it is tried again.
+//! A subscription of the daemon's that can be done without, held only while somebody wants it: where all its places are taken it is tried again.
 
 use std::time::{Duration, Instant};
 

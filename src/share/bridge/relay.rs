@@ -14,10 +14,12 @@ use super::error::BridgeError;
 use super::inbox::Inbox;
 use super::node::{Network, Node};
 use super::on_demand::OnDemand;
+use super::origin::Origin;
 use super::rates::Rates;
 use super::scans::LastPoses;
+use super::session::Link;
 use super::topic::Topic;
-use crate::client::{Client, Encodeds, Healths, Map, ObstacleScans, Poses, TagLists};
+use crate::client::{Client, Encodeds, Healths, Keyframes, Map, ObstacleScans, Poses, TagLists};
 use crate::messages::{
     EncodedHeader, Endpoint, Health, Landmark, MapHeader, Obstacles, Pose, Scale, Tag, Transform, map_mode,
 };
@@ -48,6 +50,7 @@ pub struct Bridge {
     out: Outputs,
     poses: Poses,
     map: Map,
+    keyframes: OnDemand<Keyframes>,
     health: Healths,
     obstacles: OnDemand<ObstacleScans>,
     encoded: OnDemand<Encodeds>,
@@ -67,6 +70,8 @@ pub struct Bridge {
     is_docked: bool,
     /// The tag that is the dock of this run, as one word; other robots with the same one have the same frame.
     dock: Option<String>,
+    /// Of the map that was published last.
+    origin: Option<Origin>,
     /// The daemon believes what wheels tell.
     has_wheels: bool,
     /// What was sent of it.
@@ -74,7 +79,7 @@ pub struct Bridge {
     diagnosed: Diagnosed,
     told_map: Told,
     has_daemon: Option<bool>,
-    has_network: Option<bool>,
+    link: Option<Link>,
     looked: Option<Instant>,
     png: Vec<u8>,
 }
@@ -128,6 +133,7 @@ impl Bridge {
             out: Outputs { node, rates, said: None },
             poses: client.poses(),
             map: client.map().polled(TURN),
+            keyframes: OnDemand::default(),
             health: client.health().polled(TURN),
             obstacles: OnDemand::default(),
             encoded: OnDemand::default(),
@@ -143,12 +149,13 @@ impl Bridge {
             mount: None,
             is_docked: false,
             dock: None,
+            origin: None,
             has_wheels: false,
             told_mount: None,
             diagnosed: Diagnosed::default(),
             told_map: Told::default(),
             has_daemon: None,
-            has_network: None,
+            link: None,
             looked: None,
             png: Vec::new(),
         };
@@ -169,6 +176,10 @@ impl Bridge {
         }
         while let Some(map) = self.map.try_next()? {
             self.take_map(map.header(), &map);
+        }
+        let client = &self.client;
+        if let Some(keyframes) = self.keyframes.try_next(|| client.keyframes().polled(TURN), Keyframes::try_next)? {
+            self.origin = Origin::of(keyframes.header(), &keyframes);
         }
         if let Some(obstacles) = scan {
             self.take_obstacles(&obstacles);
@@ -199,10 +210,14 @@ impl Bridge {
             return;
         }
         self.looked = Some(Instant::now());
-        let has_network = self.out.node.is_connected();
-        if self.has_network.replace(has_network) != Some(has_network) {
+        let link = self.out.node.link();
+        if self.link.replace(link) != Some(link) {
             let endpoints = self.out.node.endpoints();
-            if has_network { info!("connected to Zenoh") } else { info!(endpoints, "waiting for a Zenoh router") }
+            match link {
+                Link::Router => info!("connected to Zenoh"),
+                Link::Peers => info!(endpoints, "other peers of Zenoh are there, and no router"),
+                Link::Nobody => info!(endpoints, "waiting for a Zenoh router"),
+            }
         }
     }
 
@@ -210,6 +225,7 @@ impl Bridge {
         if self.run.replace(pose.run_id) != Some(pose.run_id) {
             self.mount = None;
             self.dock = None;
+            self.origin = None;
         }
         self.scale = Some(pose.scale());
         let is_metric = pose.scale() == Scale::Metric;
@@ -265,8 +281,12 @@ impl Bridge {
         if let Some(scale) = self.scale {
             status.values.push(ros::KeyValue { key: "scale", value: scale.name().into() });
         }
-        if let Some(dock) = self.dock.as_ref().filter(|_| self.is_docked) {
-            status.values.push(ros::KeyValue { key: "map_frame", value: dock.clone() });
+        let mut tell = |key, value| status.values.push(ros::KeyValue { key, value });
+        if self.is_docked {
+            self.dock.iter().for_each(|dock| tell("map_frame", dock.clone()));
+        } else if let Some(origin) = self.origin.filter(|origin| origin.map_id == health.map_id) {
+            tell("map_frame", origin.frame());
+            tell("map_origin", origin.place());
         }
         // Whoever waits for the next one knows how long.
         let period_s = self.out.rates.period_s(Topic::Diagnostics).max(DIAGNOSTICS_EVERY_S);

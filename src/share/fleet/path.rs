@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 use super::listing::Place;
+use crate::messages::Transform;
 use crate::ros::{CdrError, Reader};
 use crate::share::frames::METRIC;
 
@@ -15,7 +16,7 @@ const EVERY: Duration = Duration::from_millis(500);
 /// What is older is no place of now; poses come many times a second.
 const FRESH: Duration = Duration::from_secs(3);
 /// A message that says it is farther away than this, in m, is none of a robot's on a floor; a plot would show nothing else.
-const FARTHEST_M: f64 = 100_000.0;
+pub const FARTHEST_M: f64 = 100_000.0;
 
 /// See module.
 #[derive(Debug, Default)]
@@ -26,9 +27,9 @@ pub struct Path {
 }
 
 impl Path {
-    /// Of a map that is in metres; anything else is no place in a frame that others have.
-    pub fn add(&mut self, message: &[u8], now: Instant) {
-        let Ok(Some(place)) = place(message) else { return };
+    /// Of a map that is in metres; anything else is no place in a frame that others have. `origin`: of that frame, in the map.
+    pub fn add(&mut self, message: &[u8], origin: &Transform, now: Instant) {
+        let Ok(Some(place)) = place(message, origin) else { return };
         self.last = Some((place, now));
         if self.added.is_none_or(|at| now.saturating_duration_since(at) >= EVERY) {
             self.added = Some(now);
@@ -48,15 +49,15 @@ impl Path {
     }
 }
 
-fn place(message: &[u8]) -> Result<Option<Place>, CdrError> {
+fn place(message: &[u8], origin: &Transform) -> Result<Option<Place>, CdrError> {
     let mut reader = Reader::new(message)?;
     let _stamp = (reader.i32()?, reader.u32()?);
     let is_map = reader.text()? == METRIC.map;
     let [x_m, y_m, z_m]: [f64; 3] = reader.f64_array()?;
-    let [x, y, z, w]: [f64; 4] = reader.f64_array()?;
-    let yaw_rad = (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z));
-    let is_place = [x_m, y_m, z_m].iter().all(|v| v.abs() <= FARTHEST_M) && yaw_rad.is_finite();
-    Ok((is_map && is_place).then_some(Place { x_m, y_m, yaw_rad }))
+    let is_near = [x_m, y_m, z_m].iter().all(|v| v.abs() <= FARTHEST_M);
+    let there = origin.inverse() * Transform { position: [x_m, y_m, z_m], orientation: reader.f64_array()? };
+    let ([x_m, y_m, _], yaw_rad) = (there.position, there.yaw_rad());
+    Ok((is_map && is_near && yaw_rad.is_finite()).then_some(Place { x_m, y_m, yaw_rad }))
 }
 
 #[cfg(test)]
@@ -64,6 +65,8 @@ pub mod tests {
     use super::*;
     use crate::ros::Message;
     use crate::ros::standard::{self as ros, Header, PoseWithCovariance, PoseWithCovarianceStamped, Time};
+
+    const HERE: Transform = Transform::IDENTITY;
 
     pub fn pose(frame_id: &str, x: f64, y: f64, yaw: f64) -> Vec<u8> {
         let orientation = [0.0, 0.0, (yaw / 2.0).sin(), (yaw / 2.0).cos()];
@@ -76,7 +79,7 @@ pub mod tests {
     fn a_trail_is_thinned_out_and_ends() {
         let (mut path, start) = (Path::default(), Instant::now());
         for i in 0..20 * MOST_POINTS as u32 {
-            path.add(&pose("map", f64::from(i), 1.0, 0.5), start + i * Duration::from_millis(50));
+            path.add(&pose("map", f64::from(i), 1.0, 0.5), &HERE, start + i * Duration::from_millis(50));
         }
         assert_eq!(path.points().len(), MOST_POINTS);
         assert_eq!(path.points()[MOST_POINTS - 1][0] - path.points()[MOST_POINTS - 2][0], 10.0);
@@ -87,18 +90,27 @@ pub mod tests {
     }
 
     #[test]
+    fn a_place_is_in_the_frame_that_others_have() {
+        let (mut path, now) = (Path::default(), Instant::now());
+        path.add(&pose("map", 50.0, -18.0, 2.0), &Transform::level(50.0, -20.0, std::f64::consts::FRAC_PI_2), now);
+        let place = path.place(now).expect("a place");
+        let off = [place.x_m - 2.0, place.y_m, place.yaw_rad - (2.0 - std::f64::consts::FRAC_PI_2)];
+        assert!(off.iter().all(|v| v.abs() < 1e-12), "{place:?}");
+    }
+
+    #[test]
     fn what_is_of_another_frame_or_no_place_is_none() {
         let (mut path, now) = (Path::default(), Instant::now());
         let whole = pose("map", 1.0, 2.0, 0.0);
-        path.add(&pose("map_unscaled", 1.0, 2.0, 0.0), now);
+        path.add(&pose("map_unscaled", 1.0, 2.0, 0.0), &HERE, now);
         for x in [f64::NAN, f64::INFINITY, 1e9] {
-            path.add(&pose("map", x, 0.0, 0.0), now);
+            path.add(&pose("map", x, 0.0, 0.0), &HERE, now);
         }
         for end in 0..whole.len() - 8 * 36 {
-            path.add(&whole[..end], now);
+            path.add(&whole[..end], &HERE, now);
         }
         assert_eq!((path.place(now), path.points().len()), (None, 0));
-        path.add(&whole, now);
+        path.add(&whole, &HERE, now);
         assert!(path.place(now).is_some());
     }
 }

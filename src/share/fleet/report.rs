@@ -4,11 +4,13 @@ use std::time::Duration;
 
 use serde::Serialize;
 
+use super::path::FARTHEST_M;
+use crate::messages::Transform;
 use crate::ros::{CdrError, Reader};
 
 /// A bridge's diagnostics have some 500 bytes; what is longer than this is not copied.
 pub const MOST_BYTES: usize = 16 * 1024;
-/// Of the values of a status, of which a bridge tells thirteen.
+/// Of the values of a status, of which a bridge tells fourteen.
 const MOST_VALUES: u32 = 64;
 /// The health has bits for as many.
 const MOST_FAULTS: usize = 64;
@@ -32,6 +34,8 @@ pub enum ReportError {
     Word { key: &'static str },
     #[error("`period_s` is no time, or longer than a day")]
     Period,
+    #[error("`map_origin` is no place: x and y, m, and yaw, rad")]
+    Origin,
     #[error("no `state`")]
     NoState,
 }
@@ -47,7 +51,7 @@ pub enum Level {
 }
 
 /// See module.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Report {
     pub level: Level,
     /// `TRACKING`, ...
@@ -56,10 +60,21 @@ pub struct Report {
     pub scale: Option<String>,
     /// `NO_CAMERA`, ...
     pub faults: Vec<String>,
-    /// The frame of the map that others have, too: that of a dock.
+    /// The frame of the map that others may have, too: that of a dock, or of the map's first keyframe.
     pub map_frame: Option<String>,
+    /// Where that frame is in the robot's published map, on level ground.
+    pub map_origin: Transform,
     /// From one to the next while nothing changes; zero: not said.
     pub period: Duration,
+}
+
+fn origin(text: &str) -> Result<Transform, ReportError> {
+    let numbers: Vec<f64> =
+        text.split(' ').map(str::parse).collect::<Result<_, _>>().map_err(|_| ReportError::Origin)?;
+    match numbers[..] {
+        [x, y, yaw] if numbers.iter().all(|v| v.abs() <= FARTHEST_M) => Ok(Transform::level(x, y, yaw)),
+        _ => Err(ReportError::Origin),
+    }
 }
 
 fn period(text: &str) -> Result<Duration, ReportError> {
@@ -99,11 +114,13 @@ impl Report {
         }
         let (mut state, mut scale, mut map_frame, mut faults, mut every) =
             (None, None, None, Vec::new(), Duration::ZERO);
+        let mut map_origin = Transform::IDENTITY;
         for _ in 0..count {
             match (reader.text()?, reader.text()?) {
                 ("state", text) => state = Some(word(text, "state")?),
                 ("scale", text) => scale = Some(word(text, "scale")?),
                 ("map_frame", text) => map_frame = Some(word(text, "map_frame")?),
+                ("map_origin", text) => map_origin = origin(text)?,
                 ("period_s", text) => every = period(text)?,
                 ("faults", text) => {
                     let words = text.split_ascii_whitespace().take(MOST_FAULTS + 1);
@@ -115,7 +132,15 @@ impl Report {
                 _ => {}
             }
         }
-        Ok(Self { level, state: state.ok_or(ReportError::NoState)?, scale, faults, map_frame, period: every })
+        Ok(Self {
+            level,
+            state: state.ok_or(ReportError::NoState)?,
+            scale,
+            faults,
+            map_frame,
+            map_origin,
+            period: every,
+        })
     }
 }
 
@@ -165,6 +190,9 @@ pub mod tests {
         }
         for text in ["", "-1", "NaN", "inf", "86401", "1e30"] {
             assert_eq!(refused(&[("period_s", text)]), ReportError::Period, "{text}");
+        }
+        for text in ["", "1 2", "1 2 3 4", "1 2 NaN", "1e9 0 0", "1  2 3", "1 2 x"] {
+            assert_eq!(refused(&[("map_origin", text)]), ReportError::Origin, "{text}");
         }
         assert_eq!(refused(&[("faults", "F ".repeat(MOST_FAULTS + 1).as_str())]), ReportError::Word { key: "faults" });
         assert_eq!(refused(&[("x", ""); 100]), ReportError::Many { count: 110 });

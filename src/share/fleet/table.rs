@@ -145,8 +145,11 @@ impl Table {
             publisher.robot = self.robots.iter().find(|(_, entry)| is_its(entry)).map(|(id, _)| *id);
         }
         let entry = publisher.robot.and_then(|robot| self.robots.get_mut(&robot));
-        if let Some(entry) = entry.filter(|entry| entry.map_frame().is_some()) {
-            entry.path.add(message, now);
+        let Some(entry) = entry else { return };
+        if let Some(Ok(report)) = &entry.told
+            && report.map_frame.is_some()
+        {
+            entry.path.add(message, &report.map_origin, now);
         }
     }
 
@@ -324,6 +327,11 @@ mod tests {
         table.diagnostics(&gid(&token), &docked("dock_36h11_5"), now);
         pose(&mut table, 2.0);
         assert_eq!((place(&table), table.listing(now).robots[0].trail.len()), (Some(2.0), 1));
+        // Its map was put elsewhere; to others it is where it is.
+        let moved = [("map_frame", "dock_36h11_5"), ("map_origin", "10 0 0")];
+        table.diagnostics(&gid(&token), &message(&Health::default(), &moved), now);
+        pose(&mut table, 12.5);
+        assert_eq!((place(&table), table.listing(now).robots[0].trail.len()), (Some(2.5), 1));
         // In another frame it is somewhere else.
         table.diagnostics(&gid(&token), &docked("dock_36h11_6"), now);
         assert_eq!(place(&table), None);

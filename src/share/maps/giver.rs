@@ -6,8 +6,9 @@
 
 use std::fs::{File, Metadata};
 use std::os::unix::fs::{FileExt, MetadataExt};
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
 use std::time::{Duration, Instant};
 
 use tracing::{info, warn};
@@ -33,21 +34,33 @@ pub trait Shelf: Send {
     fn open(&mut self, name: &str) -> Result<File, String>;
 }
 
-/// Where queries go.
+/// Where queries go. `Q`: what is answered.
 #[derive(Clone)]
-pub struct Requests(SyncSender<Request>);
+pub struct Requests<Q = Query> {
+    queue: SyncSender<Request<Q>>,
+    dropped: Arc<AtomicU64>,
+}
 
 /// `key`: of the answer; that of the query may be a pattern.
-struct Request {
-    query: Query,
+struct Request<Q = Query> {
+    query: Q,
     key: String,
 }
 
-impl Requests {
+impl<Q> Requests<Q> {
+    fn new() -> (Self, Receiver<Request<Q>>) {
+        let (queue, requests) = sync_channel(QUEUE);
+        (Self { queue, dropped: Arc::default() }, requests)
+    }
+
     /// Never waits: a request that finds the queue full is dropped. A refusal would end what whoever asked is fetching; without an answer
     /// he asks again.
-    pub fn push(&self, query: Query, key: &str) {
-        let _ = self.0.try_send(Request { query, key: key.into() });
+    pub fn push(&self, query: Q, key: &str) {
+        // At the end, when nobody takes them any more, it is neither full nor worth a word.
+        if let Err(TrySendError::Full(_)) = self.queue.try_send(Request { query, key: key.into() }) {
+            let dropped = self.dropped.fetch_add(1, Ordering::Relaxed) + 1;
+            warn!(dropped, "too many requests for maps at once, one is not answered");
+        }
     }
 }
 
@@ -88,8 +101,8 @@ pub struct Giver {
 
 impl Giver {
     pub fn new(shelf: Box<dyn Shelf>) -> (Self, Requests) {
-        let (sender, requests) = sync_channel(QUEUE);
-        (Self { shelf, requests, held: Vec::new(), offers: 0 }, Requests(sender))
+        let (sender, requests) = Requests::new();
+        (Self { shelf, requests, held: Vec::new(), offers: 0 }, sender)
     }
 
     /// Until it is told to stop, or nobody can ask any more.
@@ -215,6 +228,24 @@ mod tests {
     fn offered(giver: &mut Giver, now: Instant) -> Offer {
         let text = ask(giver, "map=attic", now).expect("an offer");
         Offer::of_text(std::str::from_utf8(&text).expect("text")).expect("an offer")
+    }
+
+    #[test]
+    fn a_request_that_finds_the_queue_full_is_dropped_and_counted() {
+        let (requests, queue) = Requests::new();
+        // Whoever has another end of it counts on.
+        let other = requests.clone();
+        let dropped = || other.dropped.load(Ordering::Relaxed);
+        (0..QUEUE).for_each(|i| requests.push(i, "key"));
+        assert_eq!(dropped(), 0);
+        requests.push(QUEUE, "key");
+        other.push(QUEUE, "key");
+        assert_eq!(dropped(), 2);
+        // There is room again, and what waited is what came first.
+        assert_eq!(queue.recv().map(|request| request.query), Ok(0));
+        requests.push(100, "key");
+        let waiting: Vec<usize> = queue.try_iter().map(|request| request.query).collect();
+        assert_eq!((waiting, dropped()), ((1..QUEUE).chain([100]).collect(), 2));
     }
 
     #[test]

@@ -1,6 +1,6 @@
 """The scenarios by name, in the order in which they run. The host reads ORDER from this text."""
 
-from . import access, console, delivery, doctor, injection, kill, lens, package, reboot, streaming, unplug
+from . import access, console, delivery, doctor, injection, kill, lens, package, reboot, sharing, streaming, unplug
 
 ORDER = [
     "usb_mjpeg",
@@ -29,10 +29,12 @@ ORDER = [
     "power_cut",
     "service",
     "console",
+    "recorder",
+    "bridge",
     "journal_rate",
     "package"
 ]
 KNOWN = {}
-for module in (access, console, delivery, doctor, injection, kill, lens, package, reboot, streaming, unplug):
+for module in (access, console, delivery, doctor, injection, kill, lens, package, reboot, sharing, streaming, unplug):
     KNOWN.update(module.SCENARIOS)
 SCENARIOS = {name: KNOWN[name] for name in ORDER}

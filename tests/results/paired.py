@@ -1,0 +1,74 @@
+"""Replays at the camera's pace beside other programs, round by round: what is compared is compared within its round, in an order that moves on with each."""
+
+import json
+import os
+import pathlib
+import statistics
+import subprocess
+import sys
+import time
+
+
+def cpu_s(pid):
+    fields = pathlib.Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def replay(way, recording, config, log, beside):
+    """What a replay tells of itself. `beside`: process ids by name, of which the share of a core over the replay is told."""
+    before, began = {name: cpu_s(pid) for name, pid in beside.items()}, time.monotonic()
+    with open(log, "a", encoding="utf-8") as said:
+        done = subprocess.run(["cairn", "replay", recording, "--config", config, "--json", "--log", "info"], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=said, text=True)
+    seconds = time.monotonic() - began
+    if done.returncode:
+        sys.exit(f"the replay ended with {done.returncode}; see {log}")
+    summary = json.loads(done.stdout)
+    latency = summary["stages"]["latency"]
+    return {
+        "way": way, "seconds": seconds, "cpu_ms": summary["cpu_ms_per_frame"], "p50": latency["p50_ms"], "p99": latency["p99_ms"],
+        "dropped": summary["dropped"], "frames": summary["frames"],
+        **{name: 100 * (cpu_s(pid) - before[name]) / seconds for name, pid in beside.items()},
+    }
+
+
+def rounds(ways, count, run):
+    """What `run` gives of each way, a list each. The first of all reads the recording into the system's cache, and is not counted."""
+    run(ways[0])
+    runs = {way: [] for way in ways}
+    for n in range(count):
+        for way in ways[n % len(ways):] + ways[:n % len(ways)]:
+            runs[way].append(run(way))
+            print(f"round {n + 1}, {runs[way][-1]}", file=sys.stderr, flush=True)
+    return runs
+
+
+def change(key, runs, base):
+    """More than in the runs of the same rounds: the median and the span, %."""
+    changes = [100 * (r[key] / b[key] - 1) for r, b in zip(runs, base)]
+    return f"{statistics.median(changes):+.1f} ({min(changes):+.1f} to {max(changes):+.1f})"
+
+
+def mid(key, runs, form):
+    """The median; a dash where it is not known."""
+    return form.format(statistics.median(r[key] for r in runs)) if runs[0].get(key) is not None else "–"
+
+
+def daemon_columns(runs, base):
+    """Of the daemon: CPU and latency, and how much more than `base`, which may be the same."""
+    more = lambda key: "–" if runs is base else change(key, runs, base)  # noqa: E731
+    return [mid("cpu_ms", runs, "{:.2f}"), more("cpu_ms"), mid("p50", runs, "{:.2f}"), more("p50"), mid("p99", runs, "{:.1f}"), sum(r["dropped"] for r in runs)]
+
+
+DAEMON_HEADS = ["daemon's CPU ms a frame", "more than without, %", "latency p50 ms", "more, %", "p99 ms", "frames dropped"]
+
+
+def show(heads, rows):
+    print("| " + " | ".join(heads) + " |\n|---|" + "---:|" * (len(heads) - 1))
+    for row in rows:
+        print("| " + " | ".join(map(str, row)) + " |")
+
+
+def tell_spread(base, without):
+    spread = lambda key: 100 * (max(r[key] for r in base) / min(r[key] for r in base) - 1)  # noqa: E731
+    print(f"\n{len(base)} rounds of {base[0]['frames']} frames. {without} the rounds differ among each other by up to {spread('cpu_ms'):.1f} % (CPU) and "
+          f"{spread('p50'):.1f} % (median latency). The CPU is that of the whole replay, which also reads and inflates the recording's pictures.")
