@@ -338,7 +338,7 @@ impl Tags {
     }
 
     /// Fills `out` with the tags that keyframes of this map have seen, by number, each at its place by the keyframes' poses of now: those follow corrections
-    /// of the map, which what was placed does with the next sighting only. Changes nothing that is known.
+    /// of the map, a place that was noted does so with the next sighting only. Changes nothing that is known.
     pub fn tell(&self, map: &Map, optics: &Optics<'_>, out: &mut Vec<TagView>) {
         out.clear();
         out.extend(self.known.iter().filter_map(|known| known.told(map, optics)));
