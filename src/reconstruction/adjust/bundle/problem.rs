@@ -91,4 +91,14 @@ impl BundleProblem {
     pub(super) fn inliers(&self, point: usize) -> impl Iterator<Item = usize> + '_ {
         self.range(point).filter(|&k| self.inlier[k])
     }
+
+    /// The observations of targets' corners: those behind the points'.
+    pub(super) fn seen_corners(&self) -> impl Iterator<Item = (usize, &TargetCorner)> + '_ {
+        (self.observations.len() - self.corners.len()..).zip(&self.corners)
+    }
+
+    /// Where a corner is in the world.
+    pub(super) fn corner(&self, state: &BundleState, corner: &TargetCorner) -> Vector3<f64> {
+        corner.in_world(&state.poses[corner.target as usize])
+    }
 }

@@ -7,7 +7,6 @@
 
 use nalgebra::{Matrix3, SVector, Vector3, Vector6};
 
-use super::problem::{BundleProblem, BundleState};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 
@@ -31,17 +30,5 @@ impl TargetCorner {
         let along: Vector3<f64> = rotation * by_point;
         let turned = self.place.cross(&along);
         -Vector6::new(turned.x, turned.y, turned.z, along.x, along.y, along.z)
-    }
-}
-
-impl BundleProblem {
-    /// The observations of targets' corners: those behind the points'.
-    pub(super) fn seen_corners(&self) -> impl Iterator<Item = (usize, &TargetCorner)> + '_ {
-        (self.observations.len() - self.corners.len()..).zip(&self.corners)
-    }
-
-    /// Where a corner is in the world.
-    pub(super) fn corner(&self, state: &BundleState, corner: &TargetCorner) -> Vector3<f64> {
-        corner.in_world(&state.poses[corner.target as usize])
     }
 }
