@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 use super::listing::Place;
+use super::report::FARTHEST_M;
 use crate::messages::Transform;
 use crate::ros::{CdrError, Reader};
 use crate::share::frames::METRIC;
@@ -15,8 +16,6 @@ const MOST_POINTS: usize = 600;
 const EVERY: Duration = Duration::from_millis(500);
 /// What is older is no place of now; poses come many times a second.
 const FRESH: Duration = Duration::from_secs(3);
-/// A message that says it is farther away than this, in m, is none of a robot's on a floor; a plot would show nothing else.
-pub const FARTHEST_M: f64 = 100_000.0;
 
 /// See module.
 #[derive(Debug, Default)]

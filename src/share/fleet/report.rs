@@ -4,7 +4,6 @@ use std::time::Duration;
 
 use serde::Serialize;
 
-use super::path::FARTHEST_M;
 use crate::messages::Transform;
 use crate::ros::{CdrError, Reader};
 
@@ -18,6 +17,8 @@ const MOST_FAULTS: usize = 64;
 const LONGEST_PERIOD: Duration = Duration::from_secs(86_400);
 /// Letters of a word; the longest of ours has 17.
 const LONGEST_WORD: usize = 32;
+/// A message that says it is farther away than this, in m, is none of a robot's on a floor; a plot would show nothing else.
+pub const FARTHEST_M: f64 = 100_000.0;
 
 /// Why a message is none of a bridge's.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
