@@ -398,14 +398,14 @@ def beside(script, name, short):
     drive = f"{OUT}/{name}-drive"
     simulate = f"cairn simulate --scenario room_tour --seconds {8 if short else 30} --output {drive} >&2"
     height = f"printf '[scale]\\ncamera_height_m = 0.5\\ncamera_height_sigma_m = 0.003\\n' >{drive}.toml"
-    return f"rm -rf {drive}\n{simulate}\n{height}\ntests/results/{script} {1 if short else 7} {drive} {drive}.toml", drive
+    return f"rm -rf {drive}\n{simulate}\n{height}\ntests/results/{script} {1 if short else 5} {drive} {drive}.toml", drive
 
 
 def sharing(data, short):
     if not importlib.util.find_spec("PIL"):
         raise Missing("no Pillow in this python3, which makes the recording's pictures JPEG: pip install pillow")
     command, drive = beside("sharing.py", "sharing", short)
-    without = f"printf '' >{drive}-unscaled.toml\ntests/results/sharing.py {1 if short else 7} {drive} {drive}-unscaled.toml"
+    without = f"printf '' >{drive}-unscaled.toml\ntests/results/sharing.py {1 if short else 5} {drive} {drive}-unscaled.toml"
     return [
         Step("With scans of obstacles", command, "Replays of a simulated drive at the camera's pace, its pictures as JPEG. The camera's height is told, so the recorder "
              "gets scans, which the daemon makes only while somebody asks. `cairn fleet --plot` hears the bridge. All share the machine.",
@@ -451,8 +451,8 @@ KINDS = {
     "two_pictures": Kind("Two pictures", "10 min", two_pictures),
     "wire": Kind("The wire", "2 min", wire),
     "fleet": Kind("A fleet", "3 min", fleet),
-    "sharing": Kind("Recorder and bridge", "35 min", sharing),
-    "console": Kind("The console", "20 min", console),
+    "sharing": Kind("Recorder and bridge", "25 min", sharing),
+    "console": Kind("The console", "15 min", console),
     "faults": Kind("Faults on real device nodes", "40 min", faults),
     "builds": Kind("Builds", "15 min", builds),
 }
