@@ -189,9 +189,12 @@ pub fn minimise<P: LeastSquares>(problem: &P, start: P::State, options: &LmOptio
                 summary.converged = true;
                 break;
             }
-            if summary.iterations < options.max_iterations {
-                normal = problem.linearise(&state);
+            if summary.iterations == options.max_iterations {
+                break;
             }
+            // Of a whole map they are large: two at once would be most of what its adjustment takes.
+            drop(normal);
+            normal = problem.linearise(&state);
             let quality = 2.0 * gain / predicted_gain.max(f64::MIN_POSITIVE) - 1.0;
             damping *= (1.0 - quality * quality * quality).clamp(1.0 / 9.0, 2.0);
             growth = 2.0;
