@@ -89,6 +89,19 @@ def sequences(data, short):
     ]
 
 
+def derived(data, short):
+    need_opencv()
+    names = recordings(data)[:1 if short else None]
+    made, output = f"{OUT}/derived", f"{OUT}/derived-suite"
+    command = (f"tests/results/derived.py make {made} {places(names)}\ncairn evaluate --suite {made}/* --output {output} >/dev/null || true\n"
+               f"tests/results/derived.py table {output}")
+    return [
+        Step("Recordings made harder", command, "The same recordings with fewer pictures, gaps, other starts, small, dark, blurred, backwards, mirrored; how stands at the "
+             "head of `derived.py`. In lock-step, all with the usual configuration; the error is a geometric mean over the recordings that were tracked, "
+             "so read it with the coverage. Something that is chosen by one half is judged by the other."),
+    ]
+
+
 def uncalibrated(data, short):
     names = recordings(data)[:2 if short else None]
     suite = f"cairn evaluate --suite {places(names)}"
@@ -440,6 +453,7 @@ def builds(data, short):
 
 KINDS = {
     "sequences": Kind("Recorded sequences", "4 min", sequences),
+    "derived": Kind("Recordings made harder", "12 min", derived),
     "recovery": Kind("Lost, and found again", "10 min", recovery),
     "simulator": Kind("Hard cases in the simulator", "6 min", simulator),
     "simulator_long": Kind("Hard cases in the simulator, long form", "3 h", simulator_long),
