@@ -409,7 +409,7 @@ def fleet(data, short):
 def beside(script, name, short):
     """The command of a script that replays a drive beside other programs, and the drive's folder; beside it lies a configuration that knows the camera's height."""
     drive = f"{OUT}/{name}-drive"
-    simulate = f"cairn simulate --scenario room_tour --seconds {8 if short else 30} --output {drive} >&2"
+    simulate = f"cairn simulate --scenario room_tour --seconds {8 if short else 20} --output {drive} >&2"
     height = f"printf '[scale]\\ncamera_height_m = 0.5\\ncamera_height_sigma_m = 0.003\\n' >{drive}.toml"
     return f"rm -rf {drive}\n{simulate}\n{height}\ntests/results/{script} {1 if short else 5} {drive} {drive}.toml", drive
 
@@ -465,7 +465,7 @@ KINDS = {
     "two_pictures": Kind("Two pictures", "10 min", two_pictures),
     "wire": Kind("The wire", "2 min", wire),
     "fleet": Kind("A fleet", "3 min", fleet),
-    "sharing": Kind("Recorder and bridge", "25 min", sharing),
+    "sharing": Kind("Recorder and bridge", "18 min", sharing),
     "console": Kind("The console", "15 min", console),
     "faults": Kind("Faults on real device nodes", "40 min", faults),
     "builds": Kind("Builds", "15 min", builds),
