@@ -52,7 +52,7 @@ pub enum Action {
     },
     /// Show or set exposure, gain and focus of its camera
     Camera(camera_command::CameraArgs),
-    /// Have it keep a calibration for its camera, from its next start on
+    /// Have it keep a calibration for its camera, in use from the next reset or start on
     KeepCalibration {
         /// Calibration file of any format that `[calibration] file` takes
         path: PathBuf,
