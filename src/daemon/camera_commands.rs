@@ -73,7 +73,7 @@ fn no_camera(source: &dyn FrameSource) -> CommandReply {
 /// To whoever begins the next map; when the camera has it, to be said behind its name.
 fn hand_on(kept: Calibration, taker: Option<&Sender<Request>>) -> &'static str {
     match taker.map(|taker| taker.try_send(Request::Calibrated(Box::new(kept)))) {
-        Some(Ok(())) => ", which has it from the next map on: a reset begins one",
+        Some(Ok(())) => ", which has it from the next map on",
         // Other requests are before it.
         Some(Err(_)) => ", which has it from the next start on",
         None => "; which one this daemon has is in its configuration",
@@ -363,7 +363,7 @@ mod tests {
         let model = crate::geometry::CameraModel::new(320, 240, 300.0, 300.0, 160.0, 120.0, [0.0; 5]).expect("camera");
         let kept = || Calibration::known(model.clone(), "kept.toml".into());
         let (taker, taken) = bounded(1);
-        assert!(hand_on(kept(), Some(&taker)).contains("a reset begins one"));
+        assert!(hand_on(kept(), Some(&taker)).contains("the next map"));
         assert!(hand_on(kept(), Some(&taker)).contains("next start"), "there is no room");
         assert!(hand_on(kept(), None).contains("configuration"));
         let Ok(Request::Calibrated(calibration)) = taken.try_recv() else { panic!("handed on") };

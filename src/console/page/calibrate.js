@@ -183,7 +183,7 @@ export class Calibration {
     const of = this.prefix === "cairn" ? "" : ` --prefix ${quoted(this.prefix)}`;
     if (saved) {
       words.push(element("li", { className: "saved", textContent: `${capital(saved)}.` }));
-      words.push(element("li", { className: "then" }, ["It is not in use yet: the present map goes on with the lens that it began with. Drop the map, and the next one has it:", shell(`cairn command${of} reset`)]));
+      words.push(element("li", { className: "then" }, ["The present map goes on with the lens that it began with. To begin the next one: Drop the map, under Live, or on a terminal", shell(`cairn command${of} reset`)]));
     } else if (camera) {
       words.push(element("li", {}, ["Save hands it to the daemon, for the next map. On a terminal, with the file of Download:", shell(`cairn command${of} keep-calibration ${outcome.file_name}`)]));
     }

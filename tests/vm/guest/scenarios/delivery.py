@@ -216,7 +216,7 @@ def handed_in(stage, camera, daemon, health):
     daemon.wait_said("stored calibration used.*/var/lib/cairn/cameras/", 10)
     daemon.wait_said("camera model.*251[.]5", 10)
     status, text = hand_in(252.5)
-    check(status == 0 and "a reset begins one" in text, f"keep-calibration: {status}: {text}")
+    check(status == 0 and "the next map" in text, f"keep-calibration: {status}: {text}")
     check(not daemon.said("camera model.*252[.]5"), "the lens of a map has changed while it was in use")
     status, text = sh(f"{CAIRN} command reset", 20, "cairn")
     check(status == 0, f"reset: {status}: {text}")
