@@ -183,7 +183,7 @@ export class Calibration {
     const of = this.prefix === "cairn" ? "" : ` --prefix ${quoted(this.prefix)}`;
     if (saved) {
       words.push(element("li", { className: "saved", textContent: `${capital(saved)}.` }));
-      words.push(element("li", { className: "then" }, ["The present map goes on with the lens that it began with. To begin the next one: Drop the map, under Live, or on a terminal", shell(`cairn command${of} reset`)]));
+      words.push(element("li", { className: "then" }, ["The present map goes on with the lens that it began with; Drop the map, under Live, begins the next one. On a terminal:", shell(`cairn command${of} reset`)]));
     } else if (camera) {
       words.push(element("li", {}, ["Save hands it to the daemon, for the next map. On a terminal, with the file of Download:", shell(`cairn command${of} keep-calibration ${outcome.file_name}`)]));
     }
