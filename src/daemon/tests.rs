@@ -324,7 +324,8 @@ fn a_calibration_that_is_kept_while_it_runs_comes_into_use_with_the_next_map() {
     let (_, guessed_fx, _) = turn(&mut step);
     let (fx, reset) = (known.model.fx as f32, || Request::Reset { why: "a test" });
     // One of pictures that this camera does not send is put off for good, as it came for others.
-    let wide = CameraModel { height: 180, cy: 90.0, ..known.model.clone() };
+    let CameraModel { fx: x, fy: y, cx, lens, .. } = known.model.clone();
+    let wide = CameraModel::new(320, 180, x, y, cx, 90.0, lens).expect("camera");
     step.request(Request::Calibrated(Box::new(Calibration::known(wide, "another shape".into()))));
     step.request(reset());
     assert_eq!(turn(&mut step), (false, guessed_fx, 1));
