@@ -213,7 +213,8 @@
 #define CAIRN_COMMAND_CAMERA_IDENTITY 13
 
 /**
- * Keep the calibration in the file `path` for the camera, which has it from the daemon's next start on. The message says where it lies.
+ * Keep the calibration in the file `path` for the camera, which has it from the next map on that a command begins. The message says where it
+ * lies.
  */
 #define CAIRN_COMMAND_KEEP_CALIBRATION 14
 

@@ -173,7 +173,7 @@ class Client {
     }
     // Which camera it is: its identity, as calibrations are found by, a space, and its device file.
     cairn_command_reply camera_identity(Duration timeout) { return text_command(CAIRN_COMMAND_CAMERA_IDENTITY, "", timeout); }
-    // Has the daemon keep a calibration file, which it must be able to read, for its camera; it is used from the daemon's next start on.
+    // Has the daemon keep a calibration file, which it must be able to read, for its camera; it is used from the next reset or start on.
     cairn_command_reply keep_calibration(std::string_view path, Duration timeout) {
         return text_command(CAIRN_COMMAND_KEEP_CALIBRATION, path, timeout);
     }

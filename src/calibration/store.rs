@@ -159,14 +159,14 @@ pub fn find(
     (best.map(|(_, found)| found), faults)
 }
 
-/// Keeps the calibration in a file for a camera, in the first folder that can be written; where it lies then. `size`: of the camera's pictures. A file that
-/// says of which camera it is must be of this one; one that does not is whoever's that hands it in.
+/// Keeps the calibration in a file for a camera, in the first folder that can be written; where it lies then, and the camera model. `size`: of the
+/// camera's pictures. A file that says of which camera it is must be of this one; one that does not is whoever's that hands it in.
 pub fn adopt(
     folders: &[PathBuf],
     identity: &CameraIdentity,
     size: Option<(u32, u32)>,
     path: &Path,
-) -> Result<PathBuf, CalibrationError> {
+) -> Result<(PathBuf, CameraModel), CalibrationError> {
     let mut file = CalibrationFile::load(path)?;
     let refuse = |reason: String| Err(CalibrationError::File { path: path.display().to_string(), reason });
     let owner = file.other.get("camera").and_then(toml::Value::as_str).map(str::to_owned);
@@ -185,7 +185,7 @@ pub fn adopt(
         ));
     }
     file.other.insert("camera".into(), identity.to_string().into());
-    save(folders, identity, &file)
+    Ok((save(folders, identity, &file)?, file.camera))
 }
 
 /// What motion has shown about a lens that nobody calibrated.
@@ -313,8 +313,8 @@ mod tests {
         let mut nobodys = file("", (640, 480), 500.0);
         nobodys.other.clear();
         put(nobodys.clone(), "rms_px", 0.2.into());
-        let path = adopt(Some((320, 240))).expect("kept");
-        assert_eq!(path, folders[1].join("046d_0825_ABC-640x480.toml"));
+        let (path, camera) = adopt(Some((320, 240))).expect("kept");
+        assert_eq!((&path, camera.fx), (&folders[1].join("046d_0825_ABC-640x480.toml"), 500.0));
         let (found, faults) = find(&folders, &me, (640, 480));
         assert_eq!((found.expect("found").camera.fx, faults.len()), (500.0, 0));
         assert_eq!(CalibrationFile::load(&path).expect("whole").other["rms_px"].as_float(), Some(0.2));

@@ -52,7 +52,7 @@ pub enum Action {
     },
     /// Show or set exposure, gain and focus of its camera
     Camera(camera_command::CameraArgs),
-    /// Have it keep a calibration for its camera, from its next start on
+    /// Have it keep a calibration for its camera, in use from the next reset or start on
     KeepCalibration {
         /// Calibration file of any format that `[calibration] file` takes
         path: PathBuf,
@@ -68,7 +68,8 @@ pub fn run(args: &CommandArgs) -> Result<ExitCode, CliError> {
         Action::SaveTrajectory { path } => client.save_trajectory(&absolute(path)?, timeout)?,
         Action::SaveMap { path } => client.save_map(&absolute(path)?, timeout)?,
         Action::KeepCalibration { path } => {
-            let file = CalibrationFile::load(path).map_err(|e| CliError::new(exit_code::DATA, e.to_string()))?;
+            let code = if path.is_file() { exit_code::DATA } else { exit_code::NO_INPUT };
+            let file = CalibrationFile::load(path).map_err(|e| CliError::new(code, e.to_string()))?;
             let text =
                 file.to_toml().map_err(|e| CliError::new(exit_code::DATA, format!("{}: {e}", path.display())))?;
             client.keep_calibration(&text, timeout)?

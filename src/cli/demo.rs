@@ -20,7 +20,7 @@ use crate::evaluation::{self, Reference};
 use crate::frame::{Clock, process_cpu_ns};
 use crate::trajectory::{TumPose, read_tum, write_tum};
 
-/// Shows the whole chain at work on a simulated camera: no webcam and no configuration needed
+/// Show the whole chain at work on a simulated camera: no webcam and no configuration needed
 #[derive(Debug, clap::Args)]
 pub struct DemoArgs {
     /// Length, s (1 to 3600)

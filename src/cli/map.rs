@@ -20,7 +20,7 @@ use crate::map::scale::MapScale;
 use crate::places::store::{Contents, Fault, read};
 use crate::trajectory::{TumPose, format_timestamp, write_tum};
 
-/// Shows a map file or writes its map for other programs; has a running daemon store, load, list and begin maps; fetches another robot's
+/// Show a map file or write its map for other programs; have a running daemon store, load, list and begin maps; fetch another robot's
 #[derive(Debug, clap::Args)]
 pub struct MapArgs {
     #[command(flatten)]
@@ -39,7 +39,7 @@ enum Action {
     OfDaemon(DaemonAction),
 }
 
-/// Verifies a map file and prints what is in it
+/// Verify a map file and print what is in it
 #[derive(Debug, clap::Args)]
 struct InfoArgs {
     /// Map file; of one that a running daemon writes to, that one is asked [default: the running daemon's map]
@@ -52,7 +52,7 @@ struct InfoArgs {
     overview: Option<PathBuf>,
 }
 
-/// Writes the largest map of a file for other programs
+/// Write the largest map of a file for other programs
 #[derive(Debug, clap::Args)]
 #[command(group(clap::ArgGroup::new("format").required(true).multiple(true).args(["ply", "tum", "colmap"])))]
 struct ExportArgs {

@@ -16,28 +16,28 @@ const PATIENCE: Duration = Duration::from_secs(30);
 /// What a running daemon may be asked to do with its maps.
 #[derive(Debug, Clone, clap::Subcommand)]
 pub enum DaemonAction {
-    /// Lists the maps that the running daemon can load
+    /// List the maps that the running daemon can load
     List {
         /// Print the result as one JSON array
         #[arg(long)]
         json: bool,
     },
-    /// Has the running daemon store its map now, and waits until it is on the disk
+    /// Have the running daemon store its map now, and wait until it is on the disk
     Save {
         /// A copy under this name, which no map has yet [default: in the map's own file]
         name: Option<String>,
     },
-    /// Has the running daemon go on in a stored map; the one before is stored first
+    /// Have the running daemon go on in a stored map; the one before is stored first
     Load {
         /// Name of the map, as `cairn map list` shows it
         name: String,
     },
-    /// Has the running daemon begin a new map; the one before is stored first
+    /// Have the running daemon begin a new map; the one before is stored first
     New {
         /// The new map's name
         name: String,
     },
-    /// Has the running daemon only locate frames in its map, which stays as it is, or let it grow again
+    /// Have the running daemon only locate frames in its map, which stays as it is, or let it grow again
     Localise {
         /// on or off
         switch: Switch,

@@ -16,7 +16,7 @@ use crate::share::maps::{PullError, Wanted, pull};
 /// The longest time to wait for a robot, s: an hour.
 const LONGEST_S: f64 = 3600.0;
 
-/// Fetches a map that another robot has stored, through that one's bridge
+/// Fetch a map that another robot has stored, through that one's bridge
 #[derive(Debug, clap::Args)]
 pub struct PullArgs {
     /// Whose map, and which, such as robot7:warehouse

@@ -16,7 +16,7 @@ use crate::messages::Endpoint;
 use crate::share::{self, Heard, Origin, Plan, Queue, Recorder, ShareError, Topic, Written};
 use crate::telemetry;
 
-/// Records a running daemon into an MCAP file for Foxglove, Rerun or ROS 2, until interrupted
+/// Record a running daemon into an MCAP file for Foxglove, Rerun or ROS 2, until interrupted
 #[derive(Debug, clap::Args)]
 pub struct RecordArgs {
     /// File to write, which must not exist; with --ring the name that all files begin with

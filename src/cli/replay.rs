@@ -18,7 +18,7 @@ use crate::daemon::{self, Calibration, End, Outputs, Parts, Status, Supply, stat
 use crate::frame::process_cpu_ns;
 use crate::reconstruction::LensKnowledge;
 
-/// Replays a recording: prints a summary, writes trajectory, map and pictures
+/// Replay a recording: print a summary, write trajectory, map and pictures
 #[derive(Debug, clap::Args)]
 pub struct ReplayArgs {
     /// MCAP file, rosbag2 folder of them, or folder in TUM RGB-D or EuRoC layout

@@ -17,7 +17,7 @@ use crate::config::{Config, MapChoice, SourceKind};
 use crate::daemon::{self, Calibration, Desk, KeepLens, Opener, Outputs, Parts, Status, Supply};
 use crate::frame::Clock;
 
-/// Runs the daemon until SIGTERM or SIGINT; SIGHUP reads the configuration again
+/// Run the daemon until SIGTERM or SIGINT; SIGHUP reads the configuration again
 #[derive(Debug, clap::Args)]
 pub struct RunArgs {
     #[command(flatten)]

@@ -43,7 +43,7 @@ impl Client {
         Ok(if reply.is_ok() { Ok((identity.into(), device.into())) } else { Err(reply) })
     }
 
-    /// Has the daemon keep a calibration (the text of a file in our TOML) for its camera, from its next start on. The text crosses in a file of
+    /// Has the daemon keep a calibration (the text of a file in our TOML) for its camera, from its next reset or start on. The text crosses in a file of
     /// shared memory's folder, as it is longer than a command; it is removed again.
     pub fn keep_calibration(&self, toml: &str, timeout: Duration) -> Result<CommandReply, ClientError> {
         let file = HandedOver::write(toml).map_err(|error| ClientError::Ipc {

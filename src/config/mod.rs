@@ -138,6 +138,11 @@ impl Default for CalibrationConfig {
 }
 
 impl CalibrationConfig {
+    /// Neither named nor ignored: the calibration is whichever was stored for the camera at hand.
+    pub fn is_found_by_identity(&self) -> bool {
+        !self.ignore && self.file.as_os_str().is_empty()
+    }
+
     /// Lens model of a file that does not say it; `None` where there is no such word.
     pub fn unsaid_lens(&self) -> Option<LensKind> {
         self.lens_model.parse().ok()

@@ -10,6 +10,8 @@ use std::time::{Duration, Instant};
 use crossbeam::channel::{Receiver, Sender, TryRecvError, TrySendError, bounded};
 use tracing::{info, warn};
 
+use super::calibration::Calibration;
+use super::request::Request;
 use crate::calibration::store;
 use crate::camera::controls::{Control, ControlError, ControlState, Decides, Setting};
 use crate::camera::{Device, FrameSource};
@@ -35,6 +37,8 @@ enum Wish {
 pub struct CameraOrder {
     wish: Wish,
     reply: Sender<CommandReply>,
+    /// Who takes up a calibration that was kept; `None`: the configuration says which one this run has.
+    taker: Option<Sender<Request>>,
 }
 
 impl CameraOrder {
@@ -43,7 +47,7 @@ impl CameraOrder {
         let answer = match (source, self.wish) {
             (None, _) => CommandReply::new(reply_code::FAILED, "there is no camera at the moment"),
             (Some(source), Wish::Keep(path)) => match source.device() {
-                Some(camera) => return keep(camera, source.description().size, path, self.reply),
+                Some(camera) => return keep(camera, source.description().size, path, self.taker, self.reply),
                 None => no_camera(source),
             },
             (Some(source), Wish::Identify) => match source.device() {
@@ -66,16 +70,31 @@ fn no_camera(source: &dyn FrameSource) -> CommandReply {
     CommandReply::new(reply_code::UNSUPPORTED, &text)
 }
 
+/// To whoever begins the next map; when the camera has it, to be said behind its name.
+fn hand_on(kept: Calibration, taker: Option<&Sender<Request>>) -> &'static str {
+    match taker.map(|taker| taker.try_send(Request::Calibrated(Box::new(kept)))) {
+        Some(Ok(())) => ", which has it from the next map on",
+        // Other requests are before it.
+        Some(Err(_)) => ", which has it from the next start on",
+        None => "; which one this daemon has is in its configuration",
+    }
+}
+
 /// In a thread of its own: frames do not wait for a disk. Of the files that it writes none is ever half there, however it ends.
-fn keep(camera: Device, size: Option<(u32, u32)>, path: PathBuf, reply: Sender<CommandReply>) {
+fn keep(
+    camera: Device,
+    size: Option<(u32, u32)>,
+    path: PathBuf,
+    taker: Option<Sender<Request>>,
+    reply: Sender<CommandReply>,
+) {
     let work = move || {
         let answer = match store::adopt(&store::state_folders(), &camera.identity, size, &path) {
-            Ok(kept) => {
+            Ok((kept, model)) => {
                 let kept = kept.display().to_string();
                 info!(camera = %camera.identity, path = kept, "calibration kept");
-                let text =
-                    format!("kept as {kept} for camera {}, which has it from the next start on", camera.identity);
-                CommandReply::new(reply_code::OK, &text)
+                let when = hand_on(Calibration::known(model, kept.clone()), taker.as_ref());
+                CommandReply::new(reply_code::OK, &format!("kept as {kept} for camera {}{when}", camera.identity))
             }
             Err(error) => {
                 let reason = error.to_string();
@@ -182,12 +201,14 @@ struct Asked {
 /// The supervisor's end.
 pub struct CameraDesk {
     orders: Sender<CameraOrder>,
+    taker: Option<Sender<Request>>,
     asked: Vec<Asked>,
 }
 
 impl CameraDesk {
-    pub fn new(orders: Sender<CameraOrder>) -> Self {
-        Self { orders, asked: Vec::new() }
+    /// `taker`: as in an order.
+    pub fn new(orders: Sender<CameraOrder>, taker: Option<Sender<Request>>) -> Self {
+        Self { orders, taker, asked: Vec::new() }
     }
 
     /// Hands a command on.
@@ -201,7 +222,7 @@ impl CameraDesk {
             Err(why) => return refuse(request, reply_code::INVALID, why),
         };
         let (reply, outcome) = bounded(1);
-        match self.orders.try_send(CameraOrder { wish, reply }) {
+        match self.orders.try_send(CameraOrder { wish, reply, taker: self.taker.clone() }) {
             Ok(()) => self.asked.push(Asked { request, outcome, began: Instant::now() }),
             Err(TrySendError::Full(_)) => refuse(request, reply_code::BUSY, "other requests are under way"),
             Err(TrySendError::Disconnected(_)) => refuse(request, reply_code::FAILED, "the source has ended"),
@@ -306,7 +327,7 @@ mod tests {
             Err(why) => return (reply_code::INVALID, why.into()),
         };
         let (reply, outcome) = bounded(1);
-        CameraOrder { wish, reply }.carry_out(source);
+        CameraOrder { wish, reply, taker: None }.carry_out(source);
         let answer = outcome.try_recv().expect("answered");
         (answer.code, answer.message().into())
     }
@@ -319,7 +340,7 @@ mod tests {
                 Err(why) => return (reply_code::INVALID, why.to_owned()),
             };
             let (reply, outcome) = bounded(1);
-            CameraOrder { wish, reply }.carry_out(source);
+            CameraOrder { wish, reply, taker: None }.carry_out(source);
             let answer = outcome.recv_timeout(Duration::from_secs(10)).expect("answered");
             (answer.code, answer.message().to_owned())
         };
@@ -335,6 +356,18 @@ mod tests {
             let (code, text) = order(Some(&mut Plain(Source::new(None))), &command);
             assert!(code == reply_code::UNSUPPORTED && text.contains("simulator hall seed 1"), "{code} {text}");
         }
+    }
+
+    #[test]
+    fn a_calibration_that_is_kept_is_handed_to_the_next_map_and_what_comes_of_it_is_said() {
+        let model = crate::geometry::CameraModel::new(320, 240, 300.0, 300.0, 160.0, 120.0, [0.0; 5]).expect("camera");
+        let kept = || Calibration::known(model.clone(), "kept.toml".into());
+        let (taker, taken) = bounded(1);
+        assert!(hand_on(kept(), Some(&taker)).contains("the next map"));
+        assert!(hand_on(kept(), Some(&taker)).contains("next start"), "there is no room");
+        assert!(hand_on(kept(), None).contains("configuration"));
+        let Ok(Request::Calibrated(calibration)) = taken.try_recv() else { panic!("handed on") };
+        assert_eq!((*calibration, taken.len()), (kept(), 0));
     }
 
     #[test]

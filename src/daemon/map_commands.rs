@@ -147,6 +147,7 @@ impl MapDesk {
         Ok(format!("gone on in {shown}: {keyframes} keyframes; lost until a place of it is recognised"))
     }
 
+    /// The new one's file is there; the present map may be dropped now.
     pub(super) fn begin_new(&mut self, reconstruction: &mut Reconstruction, path: PathBuf) -> Result<String, String> {
         let orders = self.orders(2)?;
         if self.localise_only {
@@ -161,7 +162,6 @@ impl MapDesk {
         self.forget_stored();
         self.keeps = true;
         info!(path = %path.display(), "new map");
-        reconstruction.reset();
         let told = format!("a new map begins, kept in {}", path.display());
         self.path = Some(path);
         self.hand_over_everything();

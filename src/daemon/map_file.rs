@@ -60,6 +60,7 @@ pub struct MapDesk {
     saved: Option<SavedMaps>,
     /// Maps that came from the file, or have become a part of one.
     stored: BTreeSet<MapId>,
+    /// Its maps outlive a reset: nothing is written to them that would have to be kept from the file.
     pub(super) localise_only: bool,
     /// Changes are handed over; not once the maps that the file is about were dropped.
     pub(super) keeps: bool,

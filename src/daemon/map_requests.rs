@@ -87,8 +87,34 @@ impl ReconstructStep {
             (Some(reconstruction), Some(desk)) => desk.begin_new(reconstruction, path),
             _ => Err(NO_PICTURE.into()),
         };
-        self.drain_events();
+        if begun.is_ok() {
+            self.drop_map();
+        }
         drop(reply.try_send(begun));
+    }
+
+    /// The present map ends. A map rests on the lens that it began with, so a calibration that was kept meanwhile comes into use with the next one.
+    pub(super) fn drop_map(&mut self) {
+        // Maps that are only located in stay, and with them their camera model.
+        let stays = self.map_file.as_ref().is_some_and(|desk| desk.localise_only);
+        let next = if stays || self.reconstruction.is_none() { None } else { self.next_calibration.take() };
+        let camera = next.and_then(|next| {
+            // A camera that sends another size since keeps what it has.
+            let camera = next.fit(self.size.0, self.size.1).ok()?;
+            self.calibration = next;
+            Some(camera)
+        });
+        if let Some(camera) = &camera {
+            self.tell_camera(camera);
+        }
+        let prior = self.calibration.prior;
+        if let Some(reconstruction) = self.reconstruction.as_mut() {
+            match &camera {
+                Some(camera) => reconstruction.change_camera(camera, prior),
+                None => reconstruction.reset(),
+            }
+        }
+        self.drain_events();
     }
 
     /// The map is published such that the robot is where a planner says.

@@ -45,6 +45,8 @@ const KEEP_AGAIN: f64 = 0.8;
 pub struct ReconstructStep {
     config: ReconstructionConfig,
     pub(super) calibration: Calibration,
+    /// One that was kept since, for the next map.
+    pub(super) next_calibration: Option<Calibration>,
     tag: TagConfig,
     dock: Option<Dock>,
     scale: ScaleConfig,
@@ -94,6 +96,7 @@ impl ReconstructStep {
         Self {
             config: config.clone(),
             calibration,
+            next_calibration: None,
             tag: TagConfig::default(),
             dock: None,
             scale: ScaleConfig::default(),
@@ -240,8 +243,8 @@ impl ReconstructStep {
         Ok(true)
     }
 
-    /// The first frame, or the first of another size, completes the camera model.
-    fn begin(&mut self, camera: CameraModel) -> Result<(), String> {
+    /// Says which camera model frames are placed with from now on.
+    pub(super) fn tell_camera(&mut self, camera: &CameraModel) {
         info!(
             width = camera.width,
             height = camera.height,
@@ -253,18 +256,23 @@ impl ReconstructStep {
             origin = self.calibration.origin,
             "camera model"
         );
-        let prior = self.calibration.prior;
-        if prior != LensPrior::Calibrated {
+        if self.calibration.prior != LensPrior::Calibrated {
             warn!("the camera is not calibrated: focal length and distortion are estimated from its motion");
         }
         self.kept_sigma = f64::INFINITY;
+    }
+
+    /// The first frame, or the first of another size, completes the camera model.
+    fn begin(&mut self, camera: CameraModel) -> Result<(), String> {
+        self.tell_camera(&camera);
         if let Some(reconstruction) = self.reconstruction.as_mut() {
-            if let Some(desk) = self.map_file.as_mut().filter(|desk| !is_localisation_only(desk)) {
+            if let Some(desk) = self.map_file.as_mut().filter(|desk| !desk.localise_only) {
                 desk.let_go("the camera sends another size of picture");
             }
-            reconstruction.change_camera(&camera, prior);
+            reconstruction.change_camera(&camera, self.calibration.prior);
             self.drain_events();
         } else if let Some(worker) = self.worker.take() {
+            let prior = self.calibration.prior;
             let mut begun = Reconstruction::with_lens(&self.config, &camera, prior, worker, self.lockstep);
             if let Some(worker) = self.place_worker.take() {
                 begun.recognise_in(worker);
@@ -321,7 +329,7 @@ impl ReconstructStep {
     fn follow_dock(&mut self, e: &PoseEstimate) {
         let (Some(dock), Some(outlet)) = (self.dock.as_mut(), self.outlet.as_mut()) else { return };
         let Some(reconstruction) = self.reconstruction.as_mut() else { return };
-        let localise_only = self.map_file.as_ref().is_some_and(is_localisation_only);
+        let localise_only = self.map_file.as_ref().is_some_and(|desk| desk.localise_only);
         dock.follow(reconstruction, localise_only, outlet, e);
     }
 
@@ -413,14 +421,12 @@ impl ReconstructStep {
         match request {
             Request::Reset { why } => {
                 info!(why, "reset asked for");
-                if let Some(desk) = self.map_file.as_mut().filter(|desk| !is_localisation_only(desk)) {
+                if let Some(desk) = self.map_file.as_mut().filter(|desk| !desk.localise_only) {
                     desk.let_go(why);
                 }
-                if let Some(reconstruction) = self.reconstruction.as_mut() {
-                    reconstruction.reset();
-                }
-                self.drain_events();
+                self.drop_map();
             }
+            Request::Calibrated(calibration) => self.next_calibration = Some(*calibration),
             Request::Save { kind, path, reply } => {
                 let map = Box::new(self.final_map());
                 self.recorder.save(kind, path, map, reply);
@@ -472,11 +478,6 @@ fn context(reconstruction: &Reconstruction, placements: u32, timestamp_ns: i64, 
         map_revision: reconstruction.corrections().revision,
         map_mode,
     }
-}
-
-/// Its maps outlive a reset: nothing is written to them that would have to be kept from the file.
-fn is_localisation_only(desk: &MapDesk) -> bool {
-    desk.mode(crate::map::MapId::default()) & map_mode::LOCALISATION_ONLY != 0
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use crossbeam::channel::Sender;
 
+use super::calibration::Calibration;
 use super::map_folder::MapFolder;
 use super::recorder::SaveKind;
 use crate::geometry::Se3;
@@ -20,6 +21,8 @@ pub type Reply = Sender<Result<String, String>>;
 pub enum Request {
     /// Drop the map and start over.
     Reset { why: &'static str },
+    /// A calibration of the camera was kept: the next map has it.
+    Calibrated(Box<Calibration>),
     /// Have a file written.
     Save { kind: SaveKind, path: PathBuf, reply: Reply },
     /// Publish such that the robot is here now.

@@ -77,13 +77,14 @@ pub fn supervise(
     let status = parts.status.clone();
     let outputs = parts.outputs.clone();
     let stall_after = Duration::from_millis(parts.config.daemon.stall_after_ms);
+    let is_found_by_identity = parts.config.calibration.is_found_by_identity();
     let began = Instant::now();
     let threads = start(parts)?;
 
     let mut watch = HealthWatch::new(status.clone(), clock, stall_after, monotonic_ns());
     let requests = threads.requests.clone();
     let maps = threads.maps.clone();
-    let camera = CameraDesk::new(threads.camera.clone());
+    let camera = CameraDesk::new(threads.camera.clone(), is_found_by_identity.then(|| requests.clone()));
     let mut bench = Bench { desk, saves: Vec::new(), requests, camera, maps, faults: RateLimiter::default() };
     let mut announcer = Announcer::default();
     let mut stopped_at = None;

@@ -7,6 +7,7 @@ use super::*;
 use crate::camera::simulator::{Scenario, Simulator, SimulatorConfig};
 use crate::camera::{FrameSource, Grab, Pacing, SourceDescription, SourceError};
 use crate::frame::Clock;
+use crate::geometry::CameraModel;
 
 /// What happens to a frame on its way.
 type Edit = Box<dyn FnMut(&mut RawFrame) -> Result<Grab, SourceError> + Send>;
@@ -291,6 +292,50 @@ fn a_size_that_the_calibration_is_not_for_is_told_and_the_map_goes_on_when_it_is
     assert_eq!(refused, [(false, 0), (true, 51), (false, 66)], "five are waited for each time");
     assert_eq!((status.wrong_size.get(), status.processed.get()), (20, 70));
     assert_eq!(status.map_and_resets(), (0, 0));
+}
+
+#[test]
+fn a_calibration_that_is_kept_while_it_runs_comes_into_use_with_the_next_map() {
+    let folder = tempfile::tempdir().expect("folder");
+    let Parts { config, supply, calibration: known, outputs, status, .. } =
+        parts(3.0, Pacing::LockStep, folder.path(), untouched());
+    let Supply::Once(mut source) = supply else { panic!("a simulator") };
+    let guessed = Calibration::guessed((320, 240), 90.0).expect("camera");
+    let recorder = Recorder::new(&outputs, None, status.clone()).expect("recorder");
+    let mut step = ReconstructStep::new(
+        &config.reconstruction,
+        guessed,
+        Box::new(crate::reconstruction::InlineWorker::default()),
+        true,
+        None,
+        RecorderLink::Inline(recorder),
+        status.clone(),
+    );
+    let mut feature = FeatureStep::new(&config.features, status.clone());
+    let (mut slot, mut features, mut feedback) = (RawFrame::default(), FrameFeatures::default(), Feedback::default());
+    let mut turn = |step: &mut ReconstructStep| {
+        assert_eq!(source.grab(&mut slot, TURN).expect("frame"), Grab::Frame);
+        assert!(feature.step(&slot, &mut features));
+        step.step(&features, monotonic_ns(), &mut feedback).expect("placed or not");
+        feature.feedback(&feedback);
+        let (knowledge, [fx, ..]) = status.lens();
+        (knowledge == crate::reconstruction::LensKnowledge::Calibrated, fx, status.map_and_resets().1)
+    };
+    let (_, guessed_fx, _) = turn(&mut step);
+    let (fx, reset) = (known.model.fx as f32, || Request::Reset { why: "a test" });
+    // One of pictures that this camera does not send is put off for good, as it came for others.
+    let CameraModel { fx: x, fy: y, cx, lens, .. } = known.model.clone();
+    let wide = CameraModel::new(320, 180, x, y, cx, 90.0, lens).expect("camera");
+    step.request(Request::Calibrated(Box::new(Calibration::known(wide, "another shape".into()))));
+    step.request(reset());
+    assert_eq!(turn(&mut step), (false, guessed_fx, 1));
+    step.request(Request::Calibrated(Box::new(known)));
+    assert_eq!(turn(&mut step), (false, guessed_fx, 1), "a map rests on the lens that it began with");
+    step.request(reset());
+    assert_eq!(turn(&mut step), (true, fx, 2));
+    step.request(reset());
+    assert_eq!(turn(&mut step), (true, fx, 3), "it stays");
+    assert!(fx != guessed_fx && status.tracked.get() <= status.processed.get());
 }
 
 /// The faults that a supervisor would publish, looked at by its own eyes.

@@ -37,7 +37,8 @@ pub mod command_kind {
     pub const SET_CAMERA: u32 = 12;
     /// Name the camera: the message is its identity, as calibrations are found by, a space, and its device file.
     pub const CAMERA_IDENTITY: u32 = 13;
-    /// Keep the calibration in the file `path` for the camera, which has it from the daemon's next start on. The message says where it lies.
+    /// Keep the calibration in the file `path` for the camera, which has it from the next map on that a command begins. The message says where it
+    /// lies.
     pub const KEEP_CALIBRATION: u32 = 14;
 }
 

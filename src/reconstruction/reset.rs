@@ -64,7 +64,7 @@ impl Reconstruction {
         old
     }
 
-    /// Starts over with another camera model, because the pictures have another size now.
+    /// Starts over with another camera model: the pictures have another size now, or the camera was calibrated.
     pub fn change_camera(&mut self, camera: &CameraModel, prior: LensPrior) {
         self.reset();
         self.optics = Optics::new(camera, prior, &self.config);

@@ -61,6 +61,14 @@ message!(
     PoseWithCovarianceStamped<'a>, "geometry_msgs/msg/PoseWithCovarianceStamped",
     { header: Header<'a>, pose: PoseWithCovariance }
 );
+message!(
+    /// In the header's frame.
+    PoseStamped<'a>, "geometry_msgs/msg/PoseStamped", { header: Header<'a>, pose: Pose }
+);
+message!(
+    /// A way, in the header's frame.
+    Path<'a>, "nav_msgs/msg/Path", { header: Header<'a>, poses: Vec<PoseStamped<'a>> }
+);
 message!(Twist, "geometry_msgs/msg/Twist", { linear: Vector3, angular: Vector3 });
 message!(TwistWithCovariance, "geometry_msgs/msg/TwistWithCovariance", { twist: Twist, covariance: [f64; 36] });
 message!(

@@ -70,18 +70,19 @@ impl McapFile {
             .disable_seeking(true)
             .create(BufWriter::new(file))
             .map_err(failed)?;
+        let metadata = BTreeMap::from([
+            ("prefix".to_owned(), origin.prefix.clone()),
+            ("realtime_minus_monotonic_ns".to_owned(), origin.realtime_minus_monotonic_ns.to_string()),
+            ("version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
+        ]);
+        // First, as it ends a chunk: one without a message begins in 1970, and so does the whole file to readers that look at chunks.
+        writer.write_metadata(&Metadata { name: "cairn".into(), metadata }).map_err(failed)?;
         let mut channels = [0; Topic::ALL.len()];
         for (id, topic) in channels.iter_mut().zip(Topic::ALL) {
             let (name, definition) = topic.schema();
             let schema = writer.add_schema(name, "ros2msg", definition.as_bytes()).map_err(failed)?;
             *id = writer.add_channel(schema, &topic.name(&origin.prefix), "cdr", &BTreeMap::new()).map_err(failed)?;
         }
-        let metadata = BTreeMap::from([
-            ("prefix".to_owned(), origin.prefix.clone()),
-            ("realtime_minus_monotonic_ns".to_owned(), origin.realtime_minus_monotonic_ns.to_string()),
-            ("version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
-        ]);
-        writer.write_metadata(&Metadata { name: "cairn".into(), metadata }).map_err(failed)?;
         let (path, now) = (path.to_owned(), Instant::now());
         let messages = [0; Topic::ALL.len()];
         let prefix = origin.prefix.clone();

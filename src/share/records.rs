@@ -29,6 +29,7 @@ pub enum Topic {
     Points,
     MapHeader,
     Keyframes,
+    Path,
     Health,
     Diagnostics,
     Scan,
@@ -38,7 +39,7 @@ pub enum Topic {
 }
 
 impl Topic {
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 16] = [
         Self::Image,
         Self::CameraInfo,
         Self::EncodedHeader,
@@ -48,6 +49,7 @@ impl Topic {
         Self::Points,
         Self::MapHeader,
         Self::Keyframes,
+        Self::Path,
         Self::Health,
         Self::Diagnostics,
         Self::Scan,
@@ -69,6 +71,7 @@ impl Topic {
             Self::Points => own("points"),
             Self::MapHeader => own("map"),
             Self::Keyframes => own("keyframes"),
+            Self::Path => own("path"),
             Self::Health => own("health"),
             Self::Diagnostics => "/diagnostics".into(),
             Self::Scan => own("scan"),
@@ -93,6 +96,7 @@ impl Topic {
             Self::Points => of::<ros::PointCloud2>(),
             Self::MapHeader => of::<MapHeader>(),
             Self::Keyframes => of::<Keyframes>(),
+            Self::Path => of::<ros::Path>(),
             Self::Health => of::<Health>(),
             Self::Diagnostics => of::<ros::DiagnosticArray>(),
             Self::Scan => of::<ros::LaserScan>(),
@@ -220,7 +224,7 @@ impl Converter {
         out.push(Record { topic: Topic::Points, time_ns, data: cloud.to_cdr() });
     }
 
-    /// Keyframes, unless they are those that were written last.
+    /// Keyframes, and the way that they tell, unless they are those that were written last.
     pub fn keyframes(&mut self, header: &KeyframesHeader, keyframes: &[Keyframe], out: &mut Vec<Record>) {
         if !self.keyframes.is_news(content_of_keyframes(header)) {
             return;
@@ -228,6 +232,14 @@ impl Converter {
         let time_ns = self.time.ns(header.published_ns);
         let message = Keyframes { header: *header, keyframes };
         out.push(Record { topic: Topic::Keyframes, time_ns, data: message.to_cdr() });
+        let frame_id = frames(Scale::from_wire(header.scale) == Scale::Metric).map;
+        let at = |timestamp_ns| Header { stamp: self.time.stamp(timestamp_ns, header.clock), frame_id };
+        let place = |k: &Keyframe| ros::PoseStamped {
+            header: at(k.timestamp_ns),
+            pose: ros::Pose { position: k.position.into(), orientation: k.orientation.into() },
+        };
+        let path = ros::Path { header: at(header.timestamp_ns), poses: keyframes.iter().map(place).collect() };
+        out.push(Record { topic: Topic::Path, time_ns, data: path.to_cdr() });
     }
 
     /// Health; as diagnostics when something else is to be said, and once a second.

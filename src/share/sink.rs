@@ -306,5 +306,9 @@ mod tests {
         let times: Vec<u64> =
             mcap::MessageStream::new(&bytes).expect("whole").map(|m| m.expect("message").log_time).collect();
         assert_eq!(times, [5, 6]);
+        // Readers take the whole file to begin where the first of its chunks does.
+        let summary = mcap::Summary::read(&bytes).expect("read").expect("there is one");
+        let begin: Vec<u64> = summary.chunk_indexes.iter().map(|chunk| chunk.message_start_time).collect();
+        assert_eq!(begin, [5]);
     }
 }

@@ -192,6 +192,16 @@ def check(messages, listener, offset, prefix, reader):
             compared["twist"] += 1
         elif topic == f"/{prefix}/points":
             assert len(m.data) == m.row_step == m.width * m.point_step
+        elif topic == f"/{prefix}/keyframes":
+            keyframes = m
+        elif topic == f"/{prefix}/path":
+            # With the keyframes that it is made of, which come before it.
+            assert m.header.frame_id == "map_unscaled" and len(m.poses) == keyframes.header.count
+            for pose, k in zip(m.poses, keyframes.keyframes):
+                p, q, stamp = pose.pose.position, pose.pose.orientation, pose.header.stamp
+                assert [p.x, p.y, p.z] == list(k.position) and [q.x, q.y, q.z, q.w] == list(k.orientation)
+                assert stamp.sec * 10**9 + stamp.nanosec == k.timestamp_ns + offset and pose.header.frame_id == "map_unscaled"
+            compared["path"] += len(m.poses) > 0
         elif topic == f"/{prefix}/camera_info":
             assert m.width > 0 and m.distortion_model == "plumb_bob" and len(m.d) == 5 and m.k[0] > 100
     for stamp, format, data in images:
@@ -204,7 +214,7 @@ def check(messages, listener, offset, prefix, reader):
             width, height, rows, _ = png.Reader(bytes=data).read()
             assert (width, height) == (header.width, header.height) and b"".join(rows) == raw
             compared["picture"] += 1
-    for kind in ("pose", "health", "odom", "picture", "wheel", "twist"):
+    for kind in ("pose", "health", "odom", "picture", "wheel", "twist", "path"):
         if compared[kind] < 5:
             sys.exit(f"{reader}: only {compared[kind]} of {kind} compared; seen {seen}")
     print(f"{reader}: {sum(seen.values())} messages decoded, as on the wire: {dict(compared)}")
@@ -214,6 +224,9 @@ def readers(file):
     """How each program decodes the file: its name, the clocks' offset, and (topic, message) for all."""
     with file.open("rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()], validate_crcs=True)
+        statistics, chunks = reader.get_summary().statistics, reader.get_summary().chunk_indexes
+        # Foxglove and Lichtblick take the file to begin with the first of its chunks, and one without messages begins in 1970.
+        assert min(c.message_start_time for c in chunks) == statistics.message_start_time
         metadata = {m.name: m.metadata for m in reader.iter_metadata()}["cairn"]
         offset = int(metadata["realtime_minus_monotonic_ns"])
         yield "mcap-ros2-support", offset, [(channel.topic, m) for _, channel, _, m in reader.iter_decoded_messages()]

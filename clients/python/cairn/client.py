@@ -189,7 +189,7 @@ class Client:
         return identity, device
 
     def keep_calibration(self, path, timeout=15.0):
-        """Has the daemon keep a calibration file, which it must be able to read, for its camera; it is used from the daemon's next start on."""
+        """Has the daemon keep a calibration file, which it must be able to read, for its camera; it is used from the next reset or start on."""
         return self.command("KEEP_CALIBRATION", os.path.abspath(path), timeout=timeout)
 
     def set_pose(self, x, y, yaw=0.0, z=0.0, timeout=10.0):

@@ -53,6 +53,9 @@ impl Records {
         let mut file = File::open(path).map_err(|e| e.to_string())?;
         let mut begin = Vec::new();
         file.by_ref().take(MAGIC.len() as u64).read_to_end(&mut begin).map_err(|e| e.to_string())?;
+        if begin.is_empty() {
+            return Err("is no MCAP file, it is empty".into());
+        }
         if begin != MAGIC {
             return Err(format!("is no MCAP file, begins with {begin:02x?}"));
         }

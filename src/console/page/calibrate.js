@@ -180,12 +180,12 @@ export class Calibration {
     }));
     const words = outcome.words.map((text) => element("li", { textContent: capital(text).replace(" +- ", " ± ") }));
     const shell = (text) => element("code", { className: "shell", textContent: text });
+    const of = this.prefix === "cairn" ? "" : ` --prefix ${quoted(this.prefix)}`;
     if (saved) {
       words.push(element("li", { className: "saved", textContent: `${capital(saved)}.` }));
-      words.push(element("li", { className: "then" }, ["It is not in use yet: restart the daemon. Where it is the service:", shell("sudo systemctl restart cairn")]));
+      words.push(element("li", { className: "then" }, ["The present map goes on with the lens that it began with; Drop the map, under Live, begins the next one. On a terminal:", shell(`cairn command${of} reset`)]));
     } else if (camera) {
-      const of = this.prefix === "cairn" ? "" : ` --prefix ${quoted(this.prefix)}`;
-      words.push(element("li", {}, ["Save hands it to the daemon, which uses it from its next start on. On a terminal, with the file of Download:", shell(`cairn command${of} keep-calibration ${outcome.file_name}`)]));
+      words.push(element("li", {}, ["Save hands it to the daemon, for the next map. On a terminal, with the file of Download:", shell(`cairn command${of} keep-calibration ${outcome.file_name}`)]));
     }
     if (!camera) words.push(element("li", { textContent: "This daemon has no camera that it could be kept for (a recording or the simulator): Download has the file." }));
     $("board-words").replaceChildren(...words);

@@ -11,7 +11,7 @@ const COMMANDS = [
   { name: "Only locate in the map", action: () => ({ do: "localise_only", on: true }), shell: () => "localise on", of: "map" },
   { name: "Let the map grow again", action: () => ({ do: "localise_only", on: false }), shell: () => "localise off", of: "map" },
   {
-    name: "The robot is at", fields: ["x", "y", "yaw, degrees"].map((name) => ({ name, value: "0", number: true })),
+    name: "The robot is at", fields: [["x", "x"], ["y", "y"], ["yaw, degrees", "yaw °"]].map(([name, shown]) => ({ name, shown, value: "0", number: true })),
     action: ([x, y, yaw]) => ({ do: "set_pose", x: Number(x), y: Number(y), yaw_deg: Number(yaw) }),
     shell: (values) => `set-pose ${values.map((v) => Number(v)).join(" ")}`,
   },
@@ -37,13 +37,14 @@ export class Controls {
     element.className = "command";
     const button = Object.assign(document.createElement("button"), { type: "submit", textContent: command.name });
     const fields = Object.assign(document.createElement("div"), { className: "fields" });
-    const inputs = (command.fields ?? []).map(({ name, value, number, map, optional, list }) => {
+    const inputs = (command.fields ?? []).map(({ name, shown, value, number, map, optional, list }) => {
       const input = Object.assign(document.createElement("input"), { value, required: !optional, title: name, spellcheck: false });
       if (map) [input.pattern, input.maxLength, input.placeholder] = ["[A-Za-z0-9][A-Za-z0-9._\\-]*", 64, optional ? "its own file" : "name"];
       else if (number) [input.inputMode, input.pattern] = ["decimal", "-?[0-9]+([.][0-9]+)?"];
       else [input.pattern, input.maxLength] = ["/.+", 500];
       input.setAttribute("aria-label", `${command.name}: ${name}`);
       if (list) fields.append(this.listed(input));
+      if (shown) fields.append(Object.assign(document.createElement("span"), { textContent: shown, ariaHidden: "true" }));
       fields.append(input);
       return input;
     });

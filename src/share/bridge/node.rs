@@ -11,11 +11,11 @@ use std::time::Duration;
 use zenoh::bytes::ZBytes;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::{Publisher, Subscriber};
-use zenoh::qos::Reliability;
+use zenoh::qos::{CongestionControl, Priority, Reliability};
 use zenoh::query::{Query, Queryable};
 use zenoh::sample::{Sample, SampleKind};
 use zenoh::{Session, Wait};
-use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig, MissDetectionConfig};
+use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig, MissDetectionConfig, RepliesConfig};
 
 use super::attachment::{Attachment, GID_BYTES, gid};
 use super::commands::{Asked, unix_ns};
@@ -88,7 +88,7 @@ impl Node {
         let mut watchers = Vec::new();
         for topic in Topic::ALL {
             let name = topic.name(&network.robot, network.own_tf);
-            outputs.push(making.output(&name, topic.of(), topic.qos())?);
+            outputs.push(making.output(&name, topic)?);
             if topic.is_on_demand() {
                 let (known, watcher) = making.watch(&name)?;
                 watchers.push(watcher);
@@ -173,13 +173,19 @@ impl Making<'_> {
         Ok(gid(&token))
     }
 
-    fn output(&mut self, topic: &str, of: Type, qos: Qos) -> Result<Output, BridgeError> {
-        let key = key(self.identity.domain, topic, of);
+    fn output(&mut self, name: &str, topic: Topic) -> Result<Output, BridgeError> {
+        let (of, qos) = (topic.of(), topic.qos());
+        let key = key(self.identity.domain, name, of);
         let reliability = if qos.is_reliable { Reliability::Reliable } else { Reliability::BestEffort };
-        let builder = self.session.declare_publisher(key.clone()).reliability(reliability);
+        let priority = if topic.is_large() { Priority::DataLow } else { Priority::Data };
+        let builder = self.session.declare_publisher(key.clone()).reliability(reliability).priority(priority);
         let port = if qos.is_transient_local {
+            // By default an answer waits for whoever asked and does not take it, up to 5 s, and with it the router's other readers of this node and the
+            // next message into the cache. Dropped instead, and what is small has a queue that hardly anything else is in.
+            let priority = if topic.is_large() { priority } else { Priority::InteractiveHigh };
+            let replies = RepliesConfig::default().congestion_control(CongestionControl::Drop).priority(priority);
             let cached = builder
-                .cache(CacheConfig::default().max_samples(qos.depth))
+                .cache(CacheConfig::default().max_samples(qos.depth).replies_config(replies))
                 .publisher_detection()
                 .sample_miss_detection(MissDetectionConfig::default().sporadic_heartbeat(HEARTBEAT));
             Port::Cached(cached.wait().map_err(Self::failed(&key))?)
@@ -187,7 +193,7 @@ impl Making<'_> {
             Port::Plain(builder.wait().map_err(Self::failed(&key))?)
         };
         // The token comes last: who sees it finds the publisher.
-        let gid = self.entity(Kind::Publisher, topic, of, qos)?;
+        let gid = self.entity(Kind::Publisher, name, of, qos)?;
         Ok(Output { port, gid, sequence: 0 })
     }
 

@@ -24,10 +24,15 @@ fn configuration(file: Option<&Path>) -> Result<Config, BridgeError> {
     Config::from_file(file).map_err(|e| BridgeError::Configuration { path, reason: reason(&e) })
 }
 
+/// Endpoints as a sentence has them; lists for each mode stay as the file has them.
+fn listed(endpoints: &str) -> String {
+    serde_json::from_str::<Vec<String>>(endpoints).map_or_else(|_| endpoints.into(), |all| all.join(", "))
+}
+
 /// Opens a session by Zenoh's own configuration file, or rmw_zenoh's; it need not find anybody yet. With it, where it connects to.
 pub fn open(file: Option<&Path>) -> Result<(Session, String), BridgeError> {
     let configuration = configuration(file)?;
-    let endpoints = configuration.get_json("connect/endpoints").unwrap_or_default();
+    let endpoints = listed(&configuration.get_json("connect/endpoints").unwrap_or_default());
     let session = zenoh::open(configuration).wait().map_err(|e| BridgeError::Open { reason: reason(&e) })?;
     Ok((session, endpoints))
 }
@@ -59,7 +64,9 @@ mod tests {
     #[test]
     fn the_default_is_a_configuration_and_a_file_that_is_none_is_named() {
         let config = configuration(None).expect("configuration");
-        assert_eq!(config.get_json("connect/endpoints").expect("endpoints"), r#"["tcp/localhost:7447"]"#);
+        assert_eq!(listed(&config.get_json("connect/endpoints").expect("endpoints")), "tcp/localhost:7447");
+        assert_eq!(listed(r#"["tcp/a:1","tcp/b:2"]"#), "tcp/a:1, tcp/b:2");
+        assert_eq!(listed(r#"{"peer":[]}"#), r#"{"peer":[]}"#);
         assert_eq!(config.get_json("mode").expect("mode"), r#""peer""#);
         let folder = tempfile::tempdir().expect("folder");
         let file = folder.path().join("zenoh.json5");

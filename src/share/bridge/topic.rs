@@ -98,6 +98,11 @@ impl Topic {
         }
     }
 
+    /// What takes a link so long that poses would wait behind it.
+    pub fn is_large(self) -> bool {
+        matches!(self, Self::Points | Self::Image)
+    }
+
     /// What is made only while somebody wants it: pictures and scans cost the daemon something, too.
     pub fn is_on_demand(self) -> bool {
         matches!(self, Self::Scan | Self::CameraInfo | Self::Image)

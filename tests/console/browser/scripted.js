@@ -247,11 +247,11 @@ async function calibrated(page) {
   }), [camera, saved]);
   const buttons = page.locator("#board-buttons");
   await tell({ identity: "usb", device: "/dev/video0" });
-  check((await buttons.getByRole("button", { name: "Save" }).count()) === 1 && !(await text(page, "board-words")).includes("sudo"), "the calibration of a camera that is known can be saved");
+  check((await buttons.getByRole("button", { name: "Save" }).count()) === 1 && !(await text(page, "board-words")).includes("begins the next one"), "the calibration of a camera that is known can be saved");
   check(/cairn command .*keep-calibration camera-640x480\.toml/.test(await text(page, "board-words")), "by a command of the terminal, too");
-  await tell({ identity: "usb", device: "/dev/video0" }, "kept as /var/lib/cairn/cameras/usb.toml for camera usb, which has it from the next start on");
+  await tell({ identity: "usb", device: "/dev/video0" }, "kept as /var/lib/cairn/cameras/usb.toml for camera usb, which has it from the next map on");
   const words = await text(page, "board-words");
-  check((await buttons.getByRole("button", { name: "Save" }).count()) === 0 && words.includes("Kept as /var/lib") && words.includes("not in use yet") && words.includes("sudo systemctl restart cairn"), "one that is saved says how it comes into use");
+  check((await buttons.getByRole("button", { name: "Save" }).count()) === 0 && words.includes("Kept as /var/lib") && words.includes("begins the next one") && words.includes("cairn command reset"), "one that is saved says how it comes into use");
   await page.screenshot({ path: join(pictures, "scripted-saved.png") });
   await tell(null);
   check((await buttons.getByRole("button", { name: "Save" }).count()) === 0 && (await text(page, "board-words")).includes("Download has the file"), "where there is none the page says that it can be downloaded");

@@ -114,7 +114,7 @@ fn a_guided_calibration_ends_with_the_true_camera_and_is_kept_for_it() {
         std::fs::write(&file, text).map_err(|e| e.to_string())?;
         let kept = store::adopt(&[dir.path().to_path_buf()], &identity, Some((480, 360)), &file);
         std::fs::remove_file(&file).expect("removed");
-        kept.map(|path| format!("kept as {}", path.display())).map_err(|e| e.to_string())
+        kept.map(|(path, _)| format!("kept as {}", path.display())).map_err(|e| e.to_string())
     };
     let said = session.obey(Action::Save {}, 6, sweep.now, &keep).expect("saved");
     let (found, faults) = store::find(&[dir.path().to_path_buf()], &identity, (480, 360));

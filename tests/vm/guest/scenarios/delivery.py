@@ -191,28 +191,39 @@ def by_hand(camera, health):
 
 
 def handed_in(stage, camera, daemon, health):
-    """A calibration that is handed in while it streams is kept for this camera, and is what the daemon's next start begins with."""
+    """A calibration that is handed in while it streams is kept for this camera, and is what the next map and the daemon's next start begin with."""
     began = now()
     handed = pathlib.Path("/home/cairn-handed.toml")
-    handed.write_text("width_px = 320\nheight_px = 240\nfx_px = 251.5\nfy_px = 251.0\ncx_px = 160.0\ncy_px = 120.0\n"
-                      "distortion = [0.0, 0.0, 0.0, 0.0, 0.0]\nrms_px = 0.2\n")
-    handed.chmod(0o644)
-    command = f"{CAIRN} command keep-calibration {handed}"
+
+    def hand_in(fx_px, more=""):
+        handed.write_text(f"width_px = 320\nheight_px = 240\nfx_px = {fx_px}\nfy_px = 251.0\ncx_px = 160.0\ncy_px = 120.0\n"
+                          f"distortion = [0.0, 0.0, 0.0, 0.0, 0.0]\nrms_px = 0.2\n{more}")
+        handed.chmod(0o644)
+        return sh(f"{CAIRN} command keep-calibration {handed}", 20, "cairn")
+
     status, text = sh(f"{CAIRN} command camera", 20, "cairn")
     identity = text.split()[1] if text.startswith("camera ") else ""
     check(status == 0 and identity.endswith(":A1") and camera.node in text, f"which camera it is: {status}: {text}")
-    status, text = sh(command, 20, "cairn")
+    status, text = hand_in(251.5)
     check(status == 0 and "/var/lib/cairn/cameras/" in text and identity in text, f"keep-calibration: {status}: {text}")
+    check("configuration" in text, f"the configuration names another one, which is not said: {text}")
     check(not list(pathlib.Path("/dev/shm").glob("cairn-calibration-*")), "what was handed over is left behind")
-    handed.write_text(handed.read_text() + f'camera = "{identity[:-3]}:B7"\n')
-    status, text = sh(command, 20, "cairn")
+    status, text = hand_in(251.5, f'camera = "{identity[:-3]}:B7"\n')
     check(status == 1 and f"the daemon's is {identity}" in text, f"of another camera: {status}: {text}")
     health.flowing(now(), 5, frames=5)
     daemon.close()
     daemon = stage.daemon(calibration="")
     daemon.wait_said("stored calibration used.*/var/lib/cairn/cameras/", 10)
+    daemon.wait_said("camera model.*251[.]5", 10)
+    status, text = hand_in(252.5)
+    check(status == 0 and "the next map" in text, f"keep-calibration: {status}: {text}")
+    check(not daemon.said("camera model.*252[.]5"), "the lens of a map has changed while it was in use")
+    status, text = sh(f"{CAIRN} command reset", 20, "cairn")
+    check(status == 0, f"reset: {status}: {text}")
+    daemon.wait_said("camera model.*252[.]5", 10)
     handed.unlink()
-    return row(health, began, "a calibration handed in while it streams", note="kept for this camera, refused for another, used from the next start on")
+    return row(health, began, "a calibration handed in while it streams",
+               note="kept for this camera, refused for another, used from the next start or reset on")
 
 
 SCENARIOS = {"stops_delivering": stops_delivering, "half_rate": half_rate, "bad_frames": bad_frames,
