@@ -146,9 +146,8 @@ impl Robot {
 
     /// Pose of a frame in the map to be known in, if it is the one that it was placed in.
     pub fn known(&self, estimate: &PoseEstimate) -> Option<Pose> {
-        let here = self.mapped.iter().filter(|id| self.reconstruction.keyframe(**id).is_some()).count();
-        let is_there = estimate.state == TrackingState::Tracking && 2 * here >= self.mapped.len();
-        estimate.world_from_camera.filter(|_| is_there)
+        let is_there = || self.mapped.iter().any(|id| self.reconstruction.keyframe(*id).is_some());
+        estimate.world_from_camera.filter(|_| estimate.state == TrackingState::Tracking && is_there())
     }
 
     /// Where the map lies, by its keyframes: those to be known in, or all.
