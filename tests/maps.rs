@@ -253,7 +253,24 @@ fn what_is_wrong_with_a_map_file_is_said_and_the_file_left_as_it_is() {
 
 #[test]
 fn kill_9_at_any_moment_leaves_a_whole_map_that_lacks_seconds() {
-    const KILLS: u64 = 20;
+    let (_, at_work, most_lost) = killed(20);
+    println!("{at_work} of 20 killed at work, at the most {most_lost:.2} s lost");
+    assert!(at_work >= 15, "only {at_work} of 20 were killed at work");
+}
+
+/// `TRIALS` says how many.
+#[test]
+#[ignore = "a table of results"]
+fn kills() {
+    let kills = std::env::var("TRIALS").map_or(200, |text| text.parse().expect("TRIALS is a number"));
+    let (files, at_work, most_lost) = killed(kills);
+    println!("\n| kill -9 of a replay that writes | killed at work | a whole file after it | most that was lost, s |");
+    println!("|---|---:|---:|---:|\n| {kills} times | {at_work} | {files} | {most_lost:.2} |");
+}
+
+/// Kills a replay so often at seeded moments, on a new file and on one that is gone on with by turns. How often there was a file (whole each
+/// time), how many were at work, and the longest time that was lost, s.
+fn killed(kills: u64) -> (u32, u32, f64) {
     /// Frames of the recording's time: 5 s.
     const MOST_LOST: f64 = 5.0;
     let dir = tempfile::tempdir().unwrap();
@@ -265,7 +282,8 @@ fn kill_9_at_any_moment_leaves_a_whole_map_that_lacks_seconds() {
         .filter(|t: &f64| t.is_finite())
         .collect();
     let (mut state, mut killed_at_work, mut most_lost) = (0x9E37_79B9_7F4A_7C15u64, 0, 0.0f64);
-    for kill in 0..KILLS {
+    let mut files = 0;
+    for kill in 0..kills {
         let map = dir.path().join(format!("{}.map", kill / 4));
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         // After so many frames, and then some.
@@ -297,13 +315,13 @@ fn kill_9_at_any_moment_leaves_a_whole_map_that_lacks_seconds() {
             continue;
         }
         let told = info(&map);
+        files += 1;
         let newest: f64 = told["newest_frame_s"].as_str().unwrap().parse().unwrap();
         let lost = times[(seen as usize).min(times.len()) - 1] - newest;
         assert!(lost <= MOST_LOST, "kill {kill}: {lost} s are lost");
         most_lost = most_lost.max(lost);
     }
-    assert!(killed_at_work >= 15, "only {killed_at_work} of {KILLS} were killed at work");
-    println!("{killed_at_work} of {KILLS} killed at work, at the most {most_lost:.2} s lost");
+    (files, killed_at_work, most_lost)
 }
 
 /// A daemon, killed at the end.

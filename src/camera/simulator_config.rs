@@ -104,8 +104,10 @@ macro_rules! config {
     };
 }
 
+mod another_day;
 mod tags;
 mod wheels;
+pub use another_day::AnotherDayConfig;
 pub use tags::TagsConfig;
 pub use wheels::WheelsConfig;
 
@@ -161,6 +163,8 @@ config! {
         wheels: WheelsConfig = WheelsConfig::default(),
         /// What the desk of `desk_sweep` is like.
         desk: DeskConfig = DeskConfig::default(),
+        /// The place as it is at another time.
+        another_day: AnotherDayConfig = AnotherDayConfig::default(),
     }
 }
 
@@ -438,6 +442,7 @@ impl SimulatorConfig {
         within("people.walk_m_s", self.people.walk_m_s, "m/s", 0.2, 2.0)?;
         self.wheels.validate()?;
         self.tags.validate()?;
+        self.another_day.validate()?;
         let board = &self.chessboard;
         within("chessboard.columns", f64::from(board.columns), "inner corners", 3.0, 20.0)?;
         within("chessboard.rows", f64::from(board.rows), "inner corners", 3.0, 20.0)?;

@@ -50,6 +50,8 @@ pub enum Effect {
     Gloss,
     /// People who walk through.
     People,
+    /// The same place at another time: a third of the furniture moved, another light.
+    AnotherDay,
     /// `odometry.txt` of the base's wheels; on from the start where a base drives the camera.
     Wheels,
     /// Wheels that slip in bursts of 1 to 4 s.
@@ -77,6 +79,7 @@ impl Effect {
             Self::Jerks => &mut config.jerks.enabled,
             Self::Gloss => &mut config.gloss.enabled,
             Self::People => &mut config.people.enabled,
+            Self::AnotherDay => &mut config.another_day.enabled,
             Self::Wheels => &mut config.wheels.enabled,
             Self::WheelSlip => &mut config.wheels.slip,
         };

@@ -16,7 +16,7 @@
 //!
 //! # Rooms
 //! `random` numbers; `paint`, `styles`, `furnishings`: textures; `scene`, `room`: geometry and light;
-//! `desk`: the place of `desk_sweep`; `building`: three rooms in a row; [`trajectory`], `jerks`: the movement; [`wheels`]: what a driven base tells of it; `rays`, `cull`, `render`, `tile`, `texture`, `gloss`: the
+//! `another_day`: what of them has changed; `desk`: the place of `desk_sweep`; `building`: three rooms in a row; [`trajectory`], `jerks`: the movement; [`wheels`]: what a driven base tells of it; `rays`, `cull`, `render`, `tile`, `texture`, `gloss`: the
 //! picture; `effects`, `actors`, `occluder`, `people`: what spoils it; `export`: a recording on disk.
 //!
 //! # Cost
@@ -37,6 +37,7 @@
 //! Deliberately not here: physics, colour, transparency, reflections but of lamps, cast shadows of moving things.
 
 mod actors;
+mod another_day;
 mod building;
 mod cull;
 mod desk;
@@ -133,6 +134,7 @@ impl Simulator {
             chessboard: &config.chessboard,
             tags: &config.tags,
             desk: &config.desk,
+            another_day: &config.another_day,
         };
         let scene = place(config.scenario, &plan);
         let gloss = Gloss::new(&config.gloss, &scene.lamps);

@@ -15,10 +15,11 @@
 
 use nalgebra::Vector3;
 
+use super::another_day::{Changes, Light};
 use super::random::Random;
 use super::scene::{BoxPlan, Builder, Faces, Scene, WallTag};
 use super::styles::Style;
-use crate::camera::simulator_config::{ChessboardConfig, DeskConfig, TagsConfig};
+use crate::camera::simulator_config::{AnotherDayConfig, ChessboardConfig, DeskConfig, TagsConfig};
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -41,6 +42,7 @@ pub(super) struct Plan<'a> {
     pub(super) tags: &'a TagsConfig,
     /// Of the long desk.
     pub(super) desk: &'a DeskConfig,
+    pub(super) another_day: &'a AnotherDayConfig,
 }
 
 /// Furniture that stands in [`Builder`]'s room, with small seeded variations.
@@ -48,12 +50,40 @@ pub(super) struct Furnisher {
     pub(super) builder: Builder,
     pub(super) random: Random,
     rich: bool,
+    changes: Option<Changes>,
 }
 
 impl Furnisher {
     pub(super) fn new(plan: &Plan, size: [f64; 3]) -> Self {
-        let builder = Builder::new(plan.seed, size, plan.rich, plan.texel_m);
-        Self { builder, random: Random::new(plan.seed, 0xf0a1), rich: plan.rich }
+        let light = Light::new(plan.another_day, plan.seed);
+        let builder = Builder::new(plan.seed, size, plan.rich, plan.texel_m, light);
+        let changes = Changes::new(plan.another_day, plan.seed);
+        Self { builder, random: Random::new(plan.seed, 0xf0a1), rich: plan.rich, changes }
+    }
+
+    /// What is placed from now on stands on another day as it does in the place's own time.
+    pub(super) fn fixed(&mut self) {
+        (self.builder.moves, self.builder.other_pattern) = ([None; 2], 0);
+    }
+
+    /// What is placed from now on is one piece of furniture around `about`, which may stand elsewhere on another day: up to `room` along x
+    /// and y from there, m, and turned by up to `turn`, rad.
+    fn piece(&mut self, about: [f64; 2], room: [f64; 2], turn: f64) {
+        self.fixed();
+        self.builder.moves[1] = self.changes.as_mut().and_then(|c| c.moved(about, room, turn));
+    }
+
+    fn no_thing(&mut self) {
+        (self.builder.moves[0], self.builder.other_pattern) = (None, 0);
+    }
+
+    /// The same of a thing on the last piece, which is another thing if it was moved.
+    fn thing(&mut self, about: [f64; 2], room: [f64; 2], turn: f64) {
+        let Some(changes) = &mut self.changes else { return };
+        let moved = changes.moved(about, room, turn);
+        let other = changes.other_pattern();
+        self.builder.moves[0] = moved;
+        self.builder.other_pattern = if moved.is_some() { other } else { 0 };
     }
 
     pub(super) fn place(&mut self, base: [f64; 3], size: [f64; 3], yaw: f64, faces: Faces, coarseness: f64) {
@@ -86,8 +116,10 @@ impl Furnisher {
                 _ => ([0.1, 0.1, 0.22], Faces::all(Style::Clothes), 0.6),
             };
             let scale = self.random.range(0.8, 1.2) * (room / 0.13).min(1.0);
+            self.thing([at[0], at[1]], [0.05; 2], 1.0);
             self.place(at, size.map(|s| s * scale), yaw, faces, coarseness);
         }
+        self.no_thing();
     }
 
     /// A plate on four legs; `size` is the plate's (width, depth, height above the floor), m.
@@ -116,13 +148,16 @@ impl Furnisher {
             return;
         }
         let yaw = f64::atan2(normal[0], -normal[1]);
+        self.fixed();
         for &offset in offsets {
             let size = [self.random.range(0.3, 0.7), 0.03, self.random.range(0.3, 0.6)];
             let (along, z) = (offset + self.random.range(-0.08, 0.08), self.random.range(1.25, 1.7));
             let at = half_room - 0.015;
             let base = [-normal[0] * at - normal[1] * along, -normal[1] * at + normal[0] * along, z];
+            self.thing([base[0], base[1]], [0.12 * normal[1].abs(), 0.12 * normal[0].abs()], 0.0);
             self.place(base, size, yaw, Faces { front: Style::Picture, sides: Style::Wood, top: Style::Wood }, 0.75);
         }
+        self.no_thing();
     }
 
     pub(super) fn jitter(&mut self, metres: f64) -> f64 {
@@ -146,22 +181,29 @@ pub(super) fn furnished(plan: &Plan) -> Furnisher {
 
     // The middle: a table with things on it and two chairs.
     let yaw = f.jitter(0.15);
+    f.piece([0.0; 2], [0.08, 0.06], 0.15);
     f.table([0.0, 0.0], [1.25, 0.72, 0.74], yaw, Style::Desktop);
     f.clutter([0.0, 0.0, 0.74], [0.45, 0.2], 6);
     let (a, b) = (f.jitter(0.2), f.jitter(0.2));
+    f.piece([-0.25, 0.52], [0.15, 0.08], 0.5);
     f.chair([-0.25, 0.52], a);
+    f.piece([0.25, -0.52], [0.15, 0.08], 0.5);
     f.chair([0.25, -0.52], PI + b);
 
     // Wall +x: the desk, with the free part of the wall above it for the chessboard.
+    f.piece([2.62, 0.0], [0.0, 0.25], 0.0);
     f.place([2.62, 0.0, 0.69], [1.7, 0.72, 0.04], -FRAC_PI_2, Faces { top: Style::Desktop, ..wood_front }, 0.6);
     f.place([2.68, 0.62, 0.0], [0.42, 0.55, 0.69], -FRAC_PI_2, wood_front, 0.8);
     f.place([2.68, -0.80, 0.0], [0.04, 0.6, 0.69], -FRAC_PI_2, Faces::all(Style::Wood), 1.0);
     let turn = f.jitter(0.25);
+    f.thing([2.76, -0.25], [0.04, 0.15], 0.3);
     let screen = Faces { front: Style::Screen, sides: Style::Wood, top: Style::Wood };
     f.place([2.74, -0.25, 0.73], [0.22, 0.16, 0.02], -FRAC_PI_2 + turn, Faces::all(Style::Wood), 0.8);
     f.place([2.76, -0.25, 0.82], [0.54, 0.04, 0.34], -FRAC_PI_2 + turn, screen, 0.5);
     f.place([2.77, -0.25, 0.75], [0.05, 0.04, 0.07], -FRAC_PI_2 + turn, Faces::all(Style::Wood), 0.8);
+    f.thing([2.47, -0.22], [0.03, 0.1], 0.3);
     f.place([2.47, -0.22, 0.73], [0.44, 0.14, 0.02], -FRAC_PI_2 + 0.5 * turn, Faces::all(Style::Keys), 0.4);
+    f.thing([2.80, 0.45], [0.0, 0.1], 0.0);
     f.place([2.80, 0.45, 0.73], [0.5, 0.22, 0.28], -FRAC_PI_2, Faces { front: Style::Books, ..carton }, 0.5);
     f.clutter([2.55, 0.36, 0.73], [0.1, 0.32], 4);
     f.clutter([2.80, 0.45, 1.01], [0.06, 0.18], 2);
@@ -170,36 +212,48 @@ pub(super) fn furnished(plan: &Plan) -> Furnisher {
 
     // Corner +x -y: cartons; corner +x +y: a plant.
     let (a, b, c) = (f.jitter(0.3), f.jitter(0.3), f.jitter(0.4));
+    f.piece([2.55, -1.85], [0.05, 0.15], 0.3);
     f.place([2.55, -1.85, 0.0], [0.6, 0.5, 0.45], a, carton, 1.0);
+    f.thing([2.52, -1.87], [0.06; 2], 0.6);
     f.place([2.52, -1.87, 0.45], [0.45, 0.4, 0.35], b, carton, 0.9);
+    f.thing([2.56, -1.85], [0.06; 2], 0.6);
     f.place([2.56, -1.85, 0.80], [0.3, 0.3, 0.25], c, carton, 0.8);
+    f.piece([2.5, 2.0], [0.15, 0.15], 1.5);
     f.place([2.5, 2.0, 0.0], [0.36, 0.36, 0.4], a, cloth, 1.0);
     f.place([2.5, 2.0, 0.4], [0.5, 0.3, 0.75], 0.4 + a, Faces::all(Style::Foliage), 1.0);
     f.place([2.5, 2.0, 0.45], [0.28, 0.54, 0.6], 0.5 + a, Faces::all(Style::Foliage), 1.0);
 
     // Wall +y: sideboard, radiator under the window.
+    f.piece([-1.5, 2.25], [0.3, 0.0], 0.0);
     f.place([-1.5, 2.25, 0.0], [1.6, 0.46, 0.8], 0.0, wood_front, 1.0);
     f.clutter([-1.5, 2.27, 0.8], [0.7, 0.1], 5);
+    f.fixed();
     f.place([0.6, 2.44, 0.1], [1.3, 0.1, 0.6], 0.0, Faces::all(Style::Ribs), 1.0);
     f.pictures([0.0, -1.0], 0.5 * ROOM[1], &[1.9, 1.0]);
 
     // Wall -x: two shelves, the door painted on the wall beside them.
+    f.piece([-2.82, -1.0], [0.0, 0.15], 0.0);
     f.place([-2.82, -1.0, 0.0], [1.15, 0.34, 2.0], FRAC_PI_2, Faces { front: Style::Books, ..wood_front }, 0.8);
+    f.piece([-2.80, 0.35], [0.0, 0.15], 0.0);
     f.place([-2.80, 0.35, 0.0], [0.95, 0.38, 1.1], FRAC_PI_2, Faces { front: Style::Books, ..wood_front }, 0.8);
     f.clutter([-2.80, 0.35, 1.1], [0.08, 0.38], 4);
     f.pictures([1.0, 0.0], 0.5 * ROOM[0], &[0.4]);
 
     // Wall -y: cupboard, sofa, pictures.
+    f.piece([-2.2, -2.22], [0.25, 0.0], 0.0);
     f.place([-2.2, -2.22, 0.0], [1.0, 0.54, 1.8], PI, wood_front, 1.0);
+    f.piece([0.4, -2.12], [0.3, 0.0], 0.0);
     f.place([0.4, -2.12, 0.0], [1.8, 0.74, 0.42], PI, cloth, 1.0);
     f.place([0.4, -2.40, 0.42], [1.8, 0.18, 0.42], PI, cloth, 1.0);
     f.place([-0.45, -2.12, 0.42], [0.16, 0.7, 0.2], PI, cloth, 1.0);
     f.place([1.25, -2.12, 0.42], [0.16, 0.7, 0.2], PI, cloth, 1.0);
     let tilt = f.jitter(0.4);
+    f.thing([0.1, -2.2], [0.3, 0.03], 0.3);
     f.place([0.1, -2.2, 0.42], [0.4, 0.14, 0.36], PI + tilt, Faces::all(Style::Clothes), 0.8);
     f.pictures([0.0, 1.0], 0.5 * ROOM[1], &[-1.3, -0.3, 0.7, 1.5]);
 
     // A hanging lamp.
+    f.fixed();
     f.place([0.0, 0.0, 2.15], [0.5, 0.5, 0.22], 0.3, Faces::all(Style::Fabric), 1.0);
     f.place([0.0, 0.0, 2.37], [0.03, 0.03, 0.43], 0.3, Faces::all(Style::Wood), 1.0);
 
@@ -238,6 +292,7 @@ pub(super) fn corridor(plan: &Plan) -> Scene {
         let x = x + f.jitter(0.25);
         let left = i % 2 == 0;
         let (side, yaw) = if left { (1.0, 0.0) } else { (-1.0, PI) };
+        f.piece([x, side * half], [0.3, 0.0], 0.0);
         match f.random.index(4) {
             0 => f.place([x, side * (half - 0.2), 0.0], [0.9, 0.4, 1.75], yaw, wood_front, 1.0),
             1 => {
@@ -256,6 +311,7 @@ pub(super) fn corridor(plan: &Plan) -> Scene {
                 1.0,
             ),
         }
+        f.piece([x, -side * half], [0.3, 0.0], 0.0);
         // A box on the other wall: fire extinguisher, cabinet, notice board.
         let z = f.random.range(0.3, 0.8);
         let style = if f.random.chance(0.5) { Style::Picture } else { Style::Front };
@@ -263,10 +319,12 @@ pub(super) fn corridor(plan: &Plan) -> Scene {
         f.place([x, -side * (half - 0.06), z], [0.6, 0.12, 0.6], PI - yaw, faces, 0.8);
     }
     // The far ends differ.
+    f.fixed();
     f.place([0.5 * CORRIDOR[0] - 0.22, 0.4, 0.0], [0.7, 0.4, 1.2], -FRAC_PI_2, wood_front, 1.0);
     f.place([-0.5 * CORRIDOR[0] + 0.2, -0.4, 0.0], [0.6, 0.36, 0.5], FRAC_PI_2, Faces::all(Style::Foliage), 1.0);
     f.pictures([-1.0, 0.0], 0.5 * CORRIDOR[0], &[-0.6, 0.4]);
     f.pictures([1.0, 0.0], 0.5 * CORRIDOR[0], &[0.3]);
+    f.fixed();
     f.builder.shell([Style::Plaster, Style::Wallpaper, Style::Door, Style::Brick], Style::Tiles, Style::Ceiling);
     f.builder.finish()
 }

@@ -10,6 +10,7 @@
 
 use nalgebra::Vector3;
 
+use super::another_day::{Light, Move};
 use super::paint::{Canvas, Noise, Shape};
 use super::random::Random;
 use super::styles::{Painter, Style};
@@ -88,7 +89,7 @@ pub(super) struct Scene {
     pub(super) solids: Vec<(Vector3<f64>, Vector3<f64>)>,
     pub(super) chessboard: Option<Chessboard>,
     pub(super) tags: Vec<WallTag>,
-    /// World, m.
+    /// World, m: those that are on.
     pub(super) lamps: Vec<Vector3<f64>>,
 }
 
@@ -204,30 +205,51 @@ pub(super) struct Builder {
     shadows: Vec<([f64; 2], [f64; 2], f64)>,
     /// Where patterns are drawn from, if not from `random`.
     alike: Option<Random>,
+    light: Light,
+    /// Strength of each of the scene's lamps.
+    strengths: Vec<f64>,
+    /// Where what is placed stands on another day: a thing on its piece of furniture, then that piece.
+    pub(super) moves: [Option<Move>; 2],
+    /// What its patterns are mixed with where it is another thing now; else 0.
+    pub(super) other_pattern: u64,
 }
 
 impl Builder {
     /// An empty room. `texel_m` is the side of a texel of furniture, m.
-    pub(super) fn new(seed: u64, room: [f64; 3], rich: bool, texel_m: f64) -> Self {
+    pub(super) fn new(seed: u64, room: [f64; 3], rich: bool, texel_m: f64, light: Light) -> Self {
         let mut random = Random::new(seed, 0x5ce7e);
         let noise = Noise::new(&mut random);
-        let mut lamps = Vec::new();
+        let mut places = Vec::new();
         let (nx, ny) = ((room[0] / 2.6).ceil() as usize, (room[1] / 2.6).ceil() as usize);
         for i in 0..nx {
             for j in 0..ny {
                 let x = ((i as f64 + 0.5) / nx as f64 - 0.5) * room[0] + random.range(-0.3, 0.3);
                 let y = ((j as f64 + 0.5) / ny as f64 - 0.5) * room[1] + random.range(-0.3, 0.3);
-                lamps.push(Vector3::new(x, y, room[2] - 0.15));
+                places.push(Vector3::new(x, y, room[2] - 0.15));
             }
         }
         let (quads, textures, solids) = (Vec::new(), Vec::new(), Vec::new());
-        let scene = Scene { quads, textures, solids, chessboard: None, tags: Vec::new(), lamps };
-        Self { scene, noise, random, room, rich, texel_m, shadows: Vec::new(), alike: None }
+        let scene = Scene { quads, textures, solids, chessboard: None, tags: Vec::new(), lamps: Vec::new() };
+        let (shadows, strengths) = (Vec::new(), Vec::new());
+        let (alike, moves, other_pattern) = (None, [None; 2], 0);
+        let mut builder =
+            Self { scene, noise, random, room, rich, texel_m, shadows, alike, light, strengths, moves, other_pattern };
+        places.into_iter().for_each(|at| builder.lamp(at));
+        builder
     }
 
-    /// A lamp beside those under the ceiling; lights what is painted after it.
+    /// A lamp beside those under the ceiling, if it is on; lights what is painted after it.
     pub(super) fn lamp(&mut self, at: Vector3<f64>) {
-        self.scene.lamps.push(at);
+        let strength = self.light.next_lamp();
+        if strength > 0.0 {
+            self.scene.lamps.push(at);
+            self.strengths.push(strength);
+        }
+    }
+
+    /// The moves of what is placed, the first one first.
+    fn moved(&self) -> impl Iterator<Item = &Move> {
+        self.moves.iter().flatten()
     }
 
     /// Runs `place` with patterns drawn from `pattern` in place of new ones: what is placed by equal calls looks alike.
@@ -248,7 +270,9 @@ impl Builder {
         coarseness: f64,
     ) {
         let density = 1.0 / (self.texel_m * coarseness);
-        let stream = self.alike.as_mut().unwrap_or(&mut self.random).next();
+        let stream = self.alike.as_mut().unwrap_or(&mut self.random).next() ^ self.other_pattern;
+        let origin = self.moved().fold(origin, |p, m| m.point(&p));
+        let [right, down] = [right, down].map(|d| self.moved().fold(d, |d, m| m.direction(&d)));
         let canvas =
             Painter { random: Random::new(stream, 0), noise: &self.noise, rich: self.rich }.paint(style, size, density);
         self.painted(origin, right, down, size, density, canvas);
@@ -325,13 +349,20 @@ impl Builder {
     /// Light on a point of a face, 1 = as painted.
     fn light(&self, point: &Vector3<f64>, normal: &Vector3<f64>) -> f64 {
         // A share from everywhere, a little more from a window towards +y, so that faces of one box differ.
-        let mut sum = 0.36 + 0.06 * normal.y + 0.04 * normal.x;
-        for lamp in &self.scene.lamps {
-            let to = lamp - point;
+        let mut sum = self.light.everywhere + 0.06 * normal.y + 0.04 * normal.x;
+        let from = |source: &Vector3<f64>, reach2: f64| {
+            let to = source - point;
             let d2 = to.norm_squared();
             let cosine = normal.dot(&to) / d2.sqrt().max(0.05);
             // The half that is wrapped around stands for light scattered by the walls.
-            sum += 0.95 * (0.75 * cosine.max(0.0) + 0.25 * (0.5 + 0.5 * cosine)) / (1.0 + d2 / 2.6);
+            (0.75 * cosine.max(0.0) + 0.25 * (0.5 + 0.5 * cosine)) / (1.0 + d2 / reach2)
+        };
+        for (lamp, strength) in self.scene.lamps.iter().zip(&self.strengths) {
+            sum += 0.95 * strength * from(lamp, 2.6);
+        }
+        if self.light.window > 0.0 {
+            let window = Vector3::new(0.1 * self.room[0], 0.5 * self.room[1], 0.55 * self.room[2]);
+            sum += self.light.window * from(&window, 6.0);
         }
         let wall = (0.5 * self.room[0] - point.x.abs()).min(0.5 * self.room[1] - point.y.abs());
         let level = point.z.min(self.room[2] - point.z);
@@ -371,8 +402,11 @@ impl Builder {
         if base.z > 0.05 {
             self.quad(base - half - ey * (0.5 * d), ex, ey, [w, d], plan.faces.sides, plan.coarseness);
         }
+        let (base, top) = self.moved().fold((base, top), |(base, top), m| (m.point(&base), m.point(&top)));
+        let yaw = plan.yaw + self.moved().map(|m| m.turn).sum::<f64>();
+        let (sin, cos) = yaw.sin_cos();
         if base.z < 0.3 && w.min(d) > 0.02 {
-            self.shadows.push(([base.x, base.y], [0.5 * w, 0.5 * d], plan.yaw));
+            self.shadows.push(([base.x, base.y], [0.5 * w, 0.5 * d], yaw));
         }
         let reach = Vector3::new(0.5 * (w * cos.abs() + d * sin.abs()), 0.5 * (w * sin.abs() + d * cos.abs()), 0.0);
         self.scene.solids.push((base - reach, top + reach));

@@ -18,7 +18,7 @@ const ROUND_BITS: u32 = 0x4b00_0000;
 pub(super) const MAX_SIDE: usize = 16_000;
 
 /// One level: every texel plus a border of one replicated texel all round.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 struct Level {
     /// Size without the border, texels.
     max_u: f32,
@@ -88,7 +88,7 @@ pub(super) struct Footprint {
 }
 
 /// A grey picture with its mip levels.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub(super) struct Texture {
     levels: Vec<Level>,
 }

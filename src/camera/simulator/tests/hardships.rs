@@ -170,6 +170,7 @@ fn people_walk_at_their_pace_and_keep_to_their_lanes() {
                 chessboard: &config.chessboard,
                 tags: &config.tags,
                 desk: &config.desk,
+                another_day: &config.another_day,
             },
         );
         let (step, steps) = (0.1, 600);
@@ -248,6 +249,7 @@ fn long_desk(edit: impl Fn(&mut SimulatorConfig)) -> Scene {
         chessboard: &config.chessboard,
         tags: &config.tags,
         desk: &config.desk,
+        another_day: &config.another_day,
     };
     place(config.scenario, &plan)
 }

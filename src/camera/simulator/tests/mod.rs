@@ -1,5 +1,6 @@
 //! Tests of the simulator as a whole, by subject.
 
+mod another_day;
 mod hardships;
 mod movement;
 mod picture;

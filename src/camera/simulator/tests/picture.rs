@@ -37,6 +37,7 @@ fn painted_by_number(config: &SimulatorConfig) -> super::super::scene::Scene {
         chessboard: &config.chessboard,
         tags: &config.tags,
         desk: &config.desk,
+        another_day: &config.another_day,
     };
     let mut scene = place(config.scenario, &plan);
     for (i, texture) in scene.textures.iter_mut().enumerate() {
