@@ -298,6 +298,7 @@ mod tests {
             );
             matches.push(Match {
                 landmark: id,
+                template: seen[0].0,
                 point: point.normalize() / assumed.inverse,
                 pixel,
                 normalised: camera.undistort(&pixel.cast()).expect("in the picture"),

@@ -344,6 +344,7 @@ mod tests {
             let landmark = map.add_landmark(landmark, &[(ids[0], seen), (ids[1], seen)]);
             found.push(Match {
                 landmark,
+                template: ids[0],
                 point: position,
                 pixel,
                 normalised,

@@ -186,6 +186,7 @@ mod tests {
         let camera = CameraModel::new(640, 480, 500.0, 500.0, 319.5, 239.5, [0.0; 5]).expect("a camera");
         let at = |x: f32, y: f32| Match {
             landmark: LandmarkId(0),
+            template: KeyframeId(0),
             point: Vector3::z(),
             pixel: Vector2::new(x, y),
             normalised: Vector2::zeros(),

@@ -343,6 +343,7 @@ mod tests {
             for (found, (normalised, pixel)) in found.iter_mut().zip(seen) {
                 found.push(Match {
                     landmark: id,
+                    template: far[0],
                     point: there,
                     pixel,
                     normalised,

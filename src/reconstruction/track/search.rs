@@ -15,13 +15,15 @@ use crate::image::Pyramid;
 use crate::image::pyramid::{base_from_level, level_from_base};
 use crate::map::picture::Detail;
 use crate::map::view::ROOM;
-use crate::map::{Keyframe, LandmarkId, Map, Observation};
+use crate::map::{Keyframe, KeyframeId, LandmarkId, Map, Observation};
 use crate::reconstruction::measurement::PosePair;
 
 /// A landmark found in the frame.
 #[derive(Debug, Clone, Copy)]
 pub struct Match {
     pub landmark: LandmarkId,
+    /// Keyframe that its template was cut from.
+    pub template: KeyframeId,
     /// World coordinates at the time of the search.
     pub point: Vector3<f64>,
     /// Level-0 pixel, distorted as in the picture.
@@ -245,13 +247,14 @@ fn align_candidate(
     candidate: &Candidate,
     options: &SearchOptions,
 ) -> Option<Match> {
-    let (keyframe, observation) = closest_view(map, centre, candidate)?;
+    let (template, keyframe, observation) = closest_view(map, centre, candidate)?;
     let affine = warp_at(keyframe, observation, camera, pose, candidate)?;
     let found = align_template(keyframe, observation, pyramid, &affine, candidate.pixel, options)?;
     let pixel = found.pixel;
     let normalised = camera.undistort(&pixel.cast::<f64>())?;
     Some(Match {
         landmark: candidate.landmark,
+        template,
         point: candidate.point,
         pixel,
         normalised,
@@ -329,7 +332,7 @@ fn closest_view<'a>(
     map: &'a Map,
     centre: &Vector3<f64>,
     candidate: &Candidate,
-) -> Option<(&'a Keyframe, &'a Observation)> {
+) -> Option<(KeyframeId, &'a Keyframe, &'a Observation)> {
     let landmark = map.landmark(candidate.landmark)?;
     let ray = candidate.point - centre;
     let depth = ray.norm();
@@ -348,11 +351,11 @@ fn closest_view<'a>(
         let score = (keyframe.picture.detail_at(level, candidate.landmark.0), closeness);
         if cosine >= MIN_VIEW_COSINE && score > best_score {
             best_score = score;
-            best = Some(keyframe);
+            best = Some((id, keyframe));
         }
     }
-    let keyframe = best?;
-    Some((keyframe, keyframe.observation(candidate.landmark)?))
+    let (id, keyframe) = best?;
+    Some((id, keyframe, keyframe.observation(candidate.landmark)?))
 }
 
 fn warp_at(
@@ -477,7 +480,7 @@ mod tests {
         let landmark = map.add_landmark(landmark, &seen);
         let candidate = Candidate { landmark, point, pixel: pixel.cast(), camera_point: point, cell: 0 };
         let chosen = |map: &Map| {
-            let (keyframe, _) = closest_view(map, &Vector3::zeros(), &candidate).expect("a view");
+            let (_, keyframe, _) = closest_view(map, &Vector3::zeros(), &candidate).expect("a view");
             keyframe.centre()
         };
         // The twin keeps the patch that the other then needs not.
