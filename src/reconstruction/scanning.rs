@@ -68,7 +68,7 @@ impl Reconstruction {
         let oldest = if seen.len() < KEPT { None } else { seen.pop_front() };
         let mut places = oldest.map(|(_, places)| places).unwrap_or_default();
         places.floor.clear();
-        places.other.clear();
+        places.ends.clear();
         let now = Picture { camera_from_world: &keyframe.camera_from_world, image };
         floor_seen(plane, &camera, &now, &pictures, &mut places);
         seen.push_back((id, places));
