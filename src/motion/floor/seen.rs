@@ -1,7 +1,7 @@
 //! Where a keyframe saw the floor itself: patches that look in earlier keyframes as the floor's plane has it, and not as anything that stands up would.
 //!
-//! Plane, camera, the keyframe's picture and those of a few before it -> for each of a fan of bearings how far from where to where the floor is seen, and
-//! where what is seen begins to be something else; in the keyframe's own axes on the floor (forward, left), in heights of the camera: they hold in any
+//! Plane, camera, the keyframe's picture and those of a few before it -> for each of a fan of bearings from where to where the floor is seen, where
+//! what is seen begins to be something else, and where that stands; in the keyframe's own axes on the floor (forward, left), in heights of the camera: they hold in any
 //! unit and move with the keyframe.
 //!
 //! The floor's plane takes one picture to another by a homography; so does an upright face at the same pixel, which is nearer: it meets the pixel's ray
@@ -18,10 +18,12 @@
 //! proves that nothing stands nearer than `d (1 - h)`. Between two proven distances there may be something as high as a share [`HIDES`] of the camera's
 //! height: what is farther apart than that allows ends the stretch, as does something else.
 //!
+//! Where a face is better than the floor and than all faces but its neighbours, it tells how far away it is. What stands upright does so alike at several
+//! heights: places of one bearing, one beyond the other, whose faces are at one distance (to `ONE_FACE`) are a thing.
+//!
 //! Pictures of about 320 pixels' width do best (noise); whoever calls takes that level of the pyramids, and the camera to it.
 //!
-//! Cost: at most 1000 places (fewer, as a bearing ends where its stretch does), 4 pictures and 8 hypotheses each: 5 to 10 ms a keyframe. Not here: what
-//! becomes of it; a floor that moves.
+//! Cost: 1000 places in view, 4 pictures and 8 hypotheses each: some 10 ms a keyframe. Not here: what becomes of it; a floor that moves.
 
 use nalgebra::{Matrix2, Vector2, Vector3};
 
@@ -59,6 +61,9 @@ const FLOOR_UNEXPLAINED: f64 = 0.7;
 const OTHER_UNEXPLAINED: f64 = 0.4;
 /// What may hide between two proven distances, a share of the camera's height.
 const HIDES: f64 = 0.14;
+/// Places of a bearing, and how far apart at the most the nearest and the farthest of their faces are (a share), that make a thing.
+const LEAST_PLACES: usize = 3;
+const ONE_FACE: f64 = 0.07;
 /// Earlier pictures that must show a place.
 const LEAST_PICTURES: usize = 2;
 
@@ -102,13 +107,24 @@ pub struct Seen {
     pub floor: Vec<Stretch>,
     /// On these something else begins.
     pub ends: Vec<Stretch>,
+    /// Within these something stands, from this height on, heights.
+    pub things: Vec<(Stretch, f32)>,
+}
+
+impl Seen {
+    pub fn clear(&mut self) {
+        self.floor.clear();
+        self.ends.clear();
+        self.things.clear();
+    }
 }
 
 /// What a place is.
 enum Place {
     /// No face of this height or higher is seen there.
     Floor(f64),
-    Other,
+    /// Something else; its face's height, if there is only one that it can be.
+    Other(Option<f64>),
     Unknown,
 }
 
@@ -116,32 +132,56 @@ enum Place {
 pub fn floor_seen(plane: &Plane, camera: &CameraModel, now: &Picture<'_>, before: &[Picture<'_>], out: &mut Seen) {
     let Some(footing) = Footing::of(plane, now.camera_from_world) else { return };
     let bearings = (WIDEST_DEG / BEARING_STEP_DEG) as i32;
+    // Of a bearing: distance and height.
+    let mut faces: Vec<(f64, f64)> = Vec::new();
     for step in -bearings..=bearings {
         let bearing = (f64::from(step) * BEARING_STEP_DEG).to_radians();
         let stretch = |from: f64, to: f64| Stretch { bearing: bearing as f32, from: from as f32, to: to as f32 };
-        let mut free: Option<(f64, f64)> = None;
+        let (mut free, mut ended): (Option<(f64, f64)>, bool) = (None, false);
+        faces.clear();
         let mut distance = NEAREST;
         while distance < FARTHEST {
             let at = [distance * bearing.cos(), distance * bearing.sin()];
             match judged(plane, camera, now, before, &footing.place(at.map(|v| v * plane.height))) {
-                Place::Floor(height) => {
+                Place::Floor(height) if !ended => {
                     let proven = distance * (1.0 - height);
                     let (from, last) = free.unwrap_or((proven, proven));
-                    if 1.0 - last / proven > HIDES {
-                        break;
+                    ended = 1.0 - last / proven > HIDES;
+                    if !ended {
+                        free = Some((from, last.max(proven)));
                     }
-                    free = Some((from, last.max(proven)));
                 }
-                Place::Other => {
-                    out.ends.extend(free.map(|(_, last)| stretch(last, distance)));
-                    break;
+                Place::Other(face) => {
+                    faces.extend(face.map(|height| (distance * (1.0 - height), height)));
+                    if !ended {
+                        out.ends.extend(free.map(|(_, last)| stretch(last, distance)));
+                    }
+                    ended = true;
                 }
-                Place::Unknown => {}
+                Place::Floor(_) | Place::Unknown => {}
             }
             distance *= RING_FACTOR;
         }
         out.floor.extend(free.filter(|(from, to)| to > from).map(|(from, to)| stretch(from, to)));
+        faces.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+        let one = |first: usize| {
+            let nearest = faces[first].0;
+            faces[first..].iter().take_while(|(distance, _)| *distance < nearest * (1.0 + ONE_FACE)).count()
+        };
+        if let Some(first) = (0..faces.len()).find(|first| one(*first) >= LEAST_PLACES) {
+            let thing = &faces[first..first + one(first)];
+            let lowest = thing.iter().map(|(_, height)| *height).fold(f64::INFINITY, f64::min);
+            out.things.push((stretch(thing[0].0, thing[thing.len() - 1].0), lowest as f32));
+        }
     }
+}
+
+/// What an upright face leaves unexplained beyond the floor, and in all, and in how many pictures it was looked for.
+#[derive(Clone, Copy, Default)]
+struct Face {
+    more: f64,
+    all: f64,
+    pictures: usize,
 }
 
 fn judged(
@@ -158,8 +198,7 @@ fn judged(
     }
     let Some(pencil) = Pencil::through(plane, camera, now, pixel) else { return Place::Unknown };
     let (mut floor, mut pictures) = (0.0, 0_usize);
-    // Of each face: what it leaves unexplained beyond the floor, and in all, and in how many pictures it was looked for.
-    let mut faces = [(0.0, 0.0, 0_usize); FACES.len()];
+    let mut faces = [Face::default(); FACES.len()];
     for earlier in before {
         let left = |normal: &Vector3<f64>, height: f64| {
             let (at, warp) = pencil.lead(normal, height, earlier)?;
@@ -170,28 +209,49 @@ fn judged(
         pictures += 1;
         for (face, height) in faces.iter_mut().zip(FACES) {
             if let Some(by_face) = left(&pencil.towards, height) {
-                *face = (face.0 + by_face - by_floor, face.1 + by_face, face.2 + 1);
+                *face =
+                    Face { more: face.more + by_face - by_floor, all: face.all + by_face, pictures: face.pictures + 1 };
             }
         }
     }
     if pictures < LEAST_PICTURES {
         return Place::Unknown;
     }
-    let (variance, floor) = (patch.contrast().powi(2), floor / pictures as f64);
-    if floor < FLOOR_UNEXPLAINED * variance {
-        let least = SURE * (NOISE * NOISE).max(floor) / INDEPENDENT;
-        let excluded = |faces: &[(f64, f64, usize)]| faces.iter().all(|(more, _, seen)| *seen > 0 && *more > least);
+    let (variance, mean) = (patch.contrast().powi(2), floor / pictures as f64);
+    // What a hypothesis must leave unexplained beyond one that leaves so much a picture.
+    let clearly = |mean: f64| SURE * (NOISE * NOISE).max(mean) / INDEPENDENT;
+    if mean < FLOOR_UNEXPLAINED * variance {
+        let excluded = |faces: &[Face]| faces.iter().all(|face| face.pictures > 0 && face.more > clearly(mean));
         for (lowest, height) in FACES.iter().enumerate().take(2) {
             if excluded(&faces[lowest..]) {
                 return Place::Floor(*height);
             }
         }
     }
-    let is_face = |(more, all, seen): &(f64, f64, usize)| {
-        let by_face = all / (*seen).max(1) as f64;
-        *seen > 0 && by_face < OTHER_UNEXPLAINED * variance && -more > SURE * (NOISE * NOISE).max(by_face) / INDEPENDENT
+    let is_seen = |face: &Face| {
+        let mean = face.all / face.pictures.max(1) as f64;
+        face.pictures > 0 && mean < OTHER_UNEXPLAINED * variance && -face.more > clearly(mean)
     };
-    if faces[1..].iter().any(is_face) { Place::Other } else { Place::Unknown }
+    if !faces[1..].iter().any(is_seen) {
+        return Place::Unknown;
+    }
+    // Of one height alone: but for its neighbours all others are worse, and between these it is where the slope is none.
+    let whole = |i: usize| faces.get(i).filter(|face| face.pictures == pictures).map(|face| face.all);
+    let best = (0..FACES.len()).filter(|i| whole(*i).is_some()).min_by(|a, b| faces[*a].all.total_cmp(&faces[*b].all));
+    let height = best.filter(|best| best + 1 < FACES.len()).and_then(|best| {
+        let here = whole(best)?;
+        let far = |i: &usize| i.abs_diff(best) > 1;
+        let worse = |more: f64| more - here > clearly(here / pictures as f64);
+        if !(0..FACES.len()).filter(far).filter_map(whole).all(worse) {
+            return None;
+        }
+        let (lower, below) = if best > 0 { (FACES[best - 1], whole(best - 1)) } else { (0.0, Some(floor)) };
+        let (Some(below), Some(above)) = (below, whole(best + 1)) else { return Some(FACES[best]) };
+        let (fall, rise) = ((below - here) / (FACES[best] - lower), (above - here) / (FACES[best + 1] - FACES[best]));
+        let (before, behind) = (0.5 * (lower + FACES[best]), 0.5 * (FACES[best] + FACES[best + 1]));
+        Some(before + (behind - before) * fall.max(0.0) / (fall.max(0.0) + rise.max(0.0)).max(1e-12))
+    });
+    Place::Other(height)
 }
 
 fn project(camera: &CameraModel, camera_from_world: &Se3<Camera, World>, world: &Vector3<f64>) -> Option<Vector2<f64>> {

@@ -38,7 +38,7 @@ fn stretch(from_m: f64, to_m: f64) -> Stretch {
 }
 
 fn line(from_m: f64, to_m: f64) -> Seen {
-    Seen { floor: vec![stretch(from_m, to_m)], ends: Vec::new() }
+    Seen { floor: vec![stretch(from_m, to_m)], ..Seen::default() }
 }
 
 #[test]
@@ -54,7 +54,7 @@ fn free_is_where_a_keyframe_saw_the_floor_without_a_gap() {
     let seen = |pieces: &[[f64; 2]]| {
         let mut scanner = begun();
         for [from, to] in pieces {
-            scanner.add_seen(&axes(), 0.5, &line(*from, *to));
+            scanner.add_seen(&axes(), 0.5, &line(*from, *to), 0.5);
         }
         let scan = scanner.finish(0.12);
         assert!(scan.free_m.iter().zip(&scan.free_from_m).all(|(to, from)| (*to == 0.0) == from.is_nan()));
@@ -72,7 +72,7 @@ fn free_is_where_a_keyframe_saw_the_floor_without_a_gap() {
 #[test]
 fn what_stands_in_between_ends_what_is_free() {
     let mut scanner = begun();
-    (0..3).for_each(|_| scanner.add_seen(&axes(), 0.5, &line(0.2, 3.0)));
+    (0..3).for_each(|_| scanner.add_seen(&axes(), 0.5, &line(0.2, 3.0), 0.5));
     scanner.add_landmark(&floor(), &point(1.5, 0.0, 0.3), 0.5);
     let scan = scanner.finish(0.12);
     assert!((scan.range_m[AHEAD] - 1.5).abs() < 1e-6 && (scan.sigma_m[AHEAD] - 0.01).abs() < 1e-6);
@@ -86,12 +86,30 @@ fn what_stands_in_between_ends_what_is_free() {
 fn where_keyframes_saw_the_floor_end_nothing_is_free() {
     let mut scanner = begun();
     for _ in 0..3 {
-        scanner.add_seen(&axes(), 0.5, &Seen { ends: vec![stretch(1.3, 1.5)], ..line(0.2, 1.3) });
+        scanner.add_seen(&axes(), 0.5, &Seen { ends: vec![stretch(1.3, 1.5)], ..line(0.2, 1.3) }, 0.5);
     }
     // One that looked past it from elsewhere.
-    scanner.add_seen(&axes(), 0.5, &line(0.2, 3.0));
+    scanner.add_seen(&axes(), 0.5, &line(0.2, 3.0), 0.5);
     let free = scanner.finish(0.12).free_m[AHEAD];
     assert!((1.15..=1.32).contains(&free), "{free}");
+}
+
+#[test]
+fn what_two_keyframes_saw_stand_is_in_the_way_of_a_robot_that_is_as_high() {
+    let range = |times: usize, lowest: f32, free: usize| {
+        let mut scanner = begun();
+        for i in 0..times {
+            let thing = stretch(1.5 + 0.02 * i as f64, 1.54 + 0.02 * i as f64);
+            scanner.add_seen(&axes(), 0.5, &Seen { things: vec![(thing, lowest)], ..Seen::default() }, 0.3);
+        }
+        (0..free).for_each(|_| scanner.add_seen(&axes(), 0.5, &line(0.2, 3.0), 0.3));
+        scanner.finish(0.12).range_m[AHEAD]
+    };
+    let found = range(2, 0.2, 0);
+    assert!((1.5..1.56).contains(&found), "{found}");
+    assert!(range(1, 0.2, 0).is_nan(), "one keyframe is not enough");
+    assert!(range(2, 0.7, 0).is_nan(), "it begins above the robot");
+    assert!(range(2, 0.2, 2).is_nan(), "others saw the floor there");
 }
 
 #[test]

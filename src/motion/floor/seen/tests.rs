@@ -81,7 +81,7 @@ fn seen(contrast: f64) -> Seen {
 
 #[test]
 fn a_painted_floor_is_seen_up_to_a_box_on_it_and_no_farther() {
-    let Seen { floor, ends } = seen(40.0);
+    let Seen { floor, ends, things } = seen(40.0);
     assert!(floor.len() > 15, "{} bearings", floor.len());
     let (mut before_box, mut beside) = (0, 0);
     for stretch in &floor {
@@ -102,11 +102,14 @@ fn a_painted_floor_is_seen_up_to_a_box_on_it_and_no_farther() {
         from * cos < BOX_M + 0.02 && to * cos > BOX_M
     });
     let of_box = of_box.count();
+    let at = |thing: &Stretch| f64::from(thing.from + thing.to) / 2.0 * HEIGHT_M * f64::from(thing.bearing).cos();
+    let right = things.iter().filter(|(thing, _)| (at(thing) - BOX_M).abs() < 0.1).count();
+    assert!(right > 5 && 10 * right >= 9 * things.len(), "{right} of {} things are the box", things.len());
     assert!(of_box > 3 && 3 * of_box > 2 * ends.len(), "{of_box} of {} ends are the box", ends.len());
 }
 
 #[test]
 fn a_bare_floor_tells_nothing() {
-    let Seen { floor, ends } = seen(0.5);
-    assert!(floor.is_empty() && ends.is_empty());
+    let Seen { floor, ends, things } = seen(0.5);
+    assert!(floor.is_empty() && ends.is_empty() && things.is_empty());
 }
