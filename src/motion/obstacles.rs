@@ -68,7 +68,7 @@ pub struct ObstaclesConfig {
     pub robot_height_m: f64,
     /// Of the robot's footprint around its origin, m: where it has been the floor was free. 0.05..=1.0.
     pub robot_radius_m: f64,
-    /// Tell floor that keyframes saw as free, too, and not only where the robot has been.
+    /// Tell what keyframes saw, too: free floor, and what stands on it.
     pub seen_floor: bool,
 }
 
