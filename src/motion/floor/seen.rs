@@ -60,7 +60,7 @@ const SURE: f64 = 16.0;
 const FLOOR_UNEXPLAINED: f64 = 0.7;
 const OTHER_UNEXPLAINED: f64 = 0.4;
 /// What may hide between two proven distances, a share of the camera's height.
-const HIDES: f64 = 0.14;
+const HIDES: f64 = 0.2;
 /// Places of a bearing, and how far apart at the most the nearest and the farthest of their faces are (a share), that make a thing.
 const LEAST_PLACES: usize = 3;
 const ONE_FACE: f64 = 0.07;
