@@ -11,7 +11,7 @@
 //! `Λ(h) = n Σ (e(h) - e(floor)) / s²`, `s² = max(NOISE², mean e(floor))`
 //!
 //! is twice the logarithm of the likelihood ratio (Gaussian noise, n independent pixels of a patch, sum over the earlier pictures). The place
-//! is floor if `Λ(h) >` [`SURE`] for every face of `FACES`, and something else if one of them is better than the floor by as much. A bare patch, or a line
+//! is floor if `Λ(h) >` [`SURE`] for every face of `FACES` but the lowest, and something else if one of them is better than the floor by as much. A bare patch, or a line
 //! along the camera's motion, tells neither.
 //!
 //! What that proves is the ray and not the place: faces lower than the lowest that is excluded, `h`, look like the floor, so a place at distance d
@@ -50,8 +50,9 @@ const PATCH_PX: usize = 9;
 const LEAST_CONTRAST: f64 = 2.5;
 /// Pixels of a patch whose errors are independent: interpolation and the picture's level make four of one.
 const INDEPENDENT: f64 = (PATCH_PX * PATCH_PX) as f64 / 4.0;
-/// Heights, shares of the camera's, at which upright faces meet a pixel's ray. The lowest may look like the floor; then what is proven is nearer by the next.
+/// Heights, shares of the camera's, at which upright faces meet a pixel's ray. All but the lowest of these, fewer than the second number, must be excluded.
 const FACES: [f64; 7] = [0.06, 0.12, 0.18, 0.27, 0.40, 0.55, 0.70];
+const LOWEST: usize = 3;
 /// Least standard deviation of what two pictures of one patch differ by, grey levels.
 const NOISE: f64 = 3.0;
 /// Twice the logarithm of a likelihood ratio that decides: four sigmas.
@@ -222,7 +223,7 @@ fn judged(
     let clearly = |mean: f64| SURE * (NOISE * NOISE).max(mean) / INDEPENDENT;
     if mean < FLOOR_UNEXPLAINED * variance {
         let excluded = |faces: &[Face]| faces.iter().all(|face| face.pictures > 0 && face.more > clearly(mean));
-        for (lowest, height) in FACES.iter().enumerate().take(2) {
+        for (lowest, height) in FACES.iter().enumerate().take(LOWEST) {
             if excluded(&faces[lowest..]) {
                 return Place::Floor(*height);
             }
