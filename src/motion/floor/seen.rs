@@ -1,8 +1,8 @@
 //! Where a keyframe saw the floor itself: patches that look in earlier keyframes as the floor's plane has it, and not as anything that stands up would.
 //!
 //! Plane, camera, the keyframe's picture and those of a few before it -> for each of a fan of bearings from where to where the floor is seen, where
-//! what is seen begins to be something else, and where that stands; in the keyframe's own axes on the floor (forward, left), in heights of the camera: they hold in any
-//! unit and move with the keyframe.
+//! what is seen begins to be something else, and where that stands; in the keyframe's own axes on the floor (forward, left), in heights of the
+//! camera: they hold in any unit and move with the keyframe.
 //!
 //! The floor's plane takes one picture to another by a homography; so does an upright face at the same pixel, which is nearer: it meets the pixel's ray
 //! at some height h above the floor. A patch of the new picture is compared with the earlier ones both ways. After gain and offset the residual variance of a
@@ -10,9 +10,9 @@
 //!
 //! `Λ(h) = n Σ (e(h) - e(floor)) / s²`, `s² = max(NOISE², mean e(floor))`
 //!
-//! is twice the logarithm of the likelihood ratio (Gaussian noise, n independent pixels of a patch, sum over the earlier pictures). The place
-//! is floor if `Λ(h) >` [`SURE`] for every face of `FACES` but the lowest, and something else if one of them is better than the floor by as much. A bare patch, or a line
-//! along the camera's motion, tells neither.
+//! is twice the logarithm of the likelihood ratio (Gaussian noise, n independent pixels of a patch, sum over the earlier pictures). The place is floor if
+//! `Λ(h) >` [`SURE`] for every face of `FACES` but the lowest, and something else if one of them is better than the floor by as much. A bare patch, or a
+//! line along the camera's motion, tells neither.
 //!
 //! What that proves is the ray and not the place: faces lower than the lowest that is excluded, `h`, look like the floor, so a place at distance d
 //! proves that nothing stands nearer than `d (1 - h)`. Between two proven distances there may be something as high as a share [`HIDES`] of the camera's
