@@ -23,7 +23,7 @@
 //!
 //! Pictures of about 320 pixels' width do best (noise); whoever calls takes that level of the pyramids, and the camera to it.
 //!
-//! Cost: 1000 places in view, 4 pictures and 8 hypotheses each: some 10 ms a keyframe. Not here: what becomes of it; a floor that moves.
+//! Cost: 1000 places in view, 4 pictures and 8 hypotheses each: some 15 ms a keyframe, while somebody asks. Not here: what becomes of it; a floor that moves.
 
 use nalgebra::{Matrix2, Vector2, Vector3};
 
