@@ -1568,7 +1568,7 @@ typedef struct cairn_obstacles {
    */
   float free_from[CAIRN_OBSTACLE_BEARINGS];
   /**
-   * The floor is free up to here, m; 0: not known. Where the robot has been; with `[obstacles] seen_floor` a hint only.
+   * The floor is free up to here, m; 0: not known. Where the robot has been, or (`[obstacles] seen_floor`) keyframes saw that nothing stands.
    */
   float free[CAIRN_OBSTACLE_BEARINGS];
   /**

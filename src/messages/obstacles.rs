@@ -70,7 +70,7 @@ pub struct Obstacles {
     pub sigma: [f32; OBSTACLE_BEARINGS],
     /// The floor is free from here on, m: a camera looks over the floor at the robot's feet, which is then not known; NaN where `free` is 0.
     pub free_from: [f32; OBSTACLE_BEARINGS],
-    /// The floor is free up to here, m; 0: not known. Where the robot has been; with `[obstacles] seen_floor` a hint only.
+    /// The floor is free up to here, m; 0: not known. Where the robot has been, or (`[obstacles] seen_floor`) keyframes saw that nothing stands.
     pub free: [f32; OBSTACLE_BEARINGS],
     /// Forward, left, up, and the standard deviation along the floor, m; NaN beyond `count`.
     pub points: [[f32; 4]; OBSTACLE_POINTS],

@@ -1,14 +1,15 @@
 //! What stands around the robot and where the floor is free, by bearing: from a metric map and the floor under it.
 //!
-//! Floor, landmarks, places where keyframes saw the floor ([`seen`](super::floor::seen)), the way that was driven -> [`Scan`]: for each of
+//! Floor, landmarks, where keyframes saw the floor ([`seen`](super::floor::seen)), the way that was driven -> [`Scan`]: for each of
 //! [`BEARINGS`] directions the nearest thing, its standard deviation, and how far the floor is seen free; and the points above the floor and below the
 //! robot's height. All in the robot's own axes on the floor: forward, left, up from the foot of its origin.
 //!
 //! - A landmark between [`LEAST_HEIGHT_M`] and the robot's height is in the way. Bearings between two such points less than `LINK_M` apart
 //!   have what lies on the line between them: things are more than their corners.
-//! - **Unknown is never free.** A cell of the floor is free where the robot itself has been, and if asked for (`seen_floor`) where two keyframes saw the floor; a bearing is free from
-//!   the first such cell (a camera that looks ahead may have looked over those before) up to the last one, as long as there is no gap between them
-//!   (with `seen_floor`: none longer than [`GAP_M`]), and ends before anything in the way.
+//! - So is what keyframes saw stand upright (unless `seen_floor` is off), where two agree.
+//! - **Unknown is never free.** A cell of the floor is free where the robot itself has been, and (unless `seen_floor` is off) where a keyframe proved that
+//!   nothing stands; a bearing is free from the first such cell (a camera that looks ahead may have looked over those before) up to the last one with no
+//!   cell missing in between, less [`MARGIN_M`]. It ends before anything in the way, and where keyframes saw the floor end.
 //!
 //! Cost: 1 to 2 ms with 60 keyframes and 5,000 landmarks; only while somebody asks. Bounded by its constants.
 //!
@@ -17,7 +18,7 @@
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
-use super::floor::seen::{Footing, Places};
+use super::floor::seen::{Footing, Seen};
 use super::floor::{Plane, ScaleConfig};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Body, World};
@@ -33,10 +34,8 @@ pub const RANGE_MIN_M: f64 = CELL_M;
 pub const RANGE_MAX_M: f64 = 5.0;
 /// What is lower than this is driven over, and is what a sill, a carpet or an error of the floor's is, m.
 pub const LEAST_HEIGHT_M: f64 = 0.06;
-/// Longest stretch of a bearing without floor seen that is taken to be floor all the same, m: shorter than what a small robot could fall over.
-pub const GAP_M: f64 = 0.25;
-/// Where a stretch of free floor begins at the farthest, m: a camera that looks ahead does not see the floor at the robot's feet; and the shortest that
-/// is told, m.
+/// Where a stretch of free floor begins at the farthest, m: a camera that looks ahead does not see the floor at the robot's feet; and the shortest
+/// of whose cells is told, m.
 const FIRST_M: f64 = 1.6;
 const LEAST_STRETCH_M: f64 = 0.15;
 /// Points nearer to each other than this are one thing, m.
@@ -47,16 +46,19 @@ const LINK_BEARINGS: usize = 15;
 const MOST_SIGMA_M: f64 = 0.3;
 /// A thing is at least so large around its landmark, m.
 const HALF_SIZE_M: f64 = 0.03;
-/// What stands free is told up to so much before what is in the way, m, and so many of its sigmas.
+/// What stands free is told up to so much before what is in the way, m, and so many of its sigmas; and so much before the last cell that was seen free.
 const MARGIN_M: f64 = 0.05;
 const MARGIN_SIGMAS: f64 = 2.0;
 /// Side of a cell of the floor, m, and cells a side.
 const CELL_M: f64 = 0.05;
 const CELLS: usize = (2.0 * RANGE_MAX_M / CELL_M) as usize;
-/// Keyframes that must have seen a cell; as many that saw something else there end what is free, if no more saw the floor.
-const SEEN_BY: u8 = 2;
-/// A place that was seen covers this share of its distance around it: the grid's spacing there.
-const COVERS: f64 = 0.035;
+/// Keyframes that saw the floor end in a cell end what is free there, if no more of them saw it free.
+const ENDED_BY: u8 = 2;
+/// Keyframes that must have seen a thing stand, no farther from each other than this, m, and as many for each that saw the floor free there.
+const STANDS_FOR: u8 = 2;
+const SAME_THING_M: f64 = 0.15;
+/// Half the angle between two bearings of what a keyframe saw, rad.
+const HALF_BEARING: f64 = 0.0175;
 
 /// `[obstacles]`: what of the map is in the robot's way.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Deserialize, serde::Serialize)]
@@ -66,14 +68,13 @@ pub struct ObstaclesConfig {
     pub robot_height_m: f64,
     /// Of the robot's footprint around its origin, m: where it has been the floor was free. 0.05..=1.0.
     pub robot_radius_m: f64,
-    /// Tell floor that keyframes saw as free, too, and not only where the robot has been. Of the simulator's reports one in eight to
-    /// fourteen then reaches past something: for looking at, not for driving by.
+    /// Tell what keyframes saw, too: free floor, and what stands on it.
     pub seen_floor: bool,
 }
 
 impl Default for ObstaclesConfig {
     fn default() -> Self {
-        Self { robot_height_m: 0.0, robot_radius_m: 0.12, seen_floor: false }
+        Self { robot_height_m: 0.0, robot_radius_m: 0.12, seen_floor: true }
     }
 }
 
@@ -166,17 +167,27 @@ pub fn bearing_rad(bearing: usize) -> f64 {
     std::f64::consts::TAU * bearing as f64 / BEARINGS as f64 - std::f64::consts::PI
 }
 
+/// What keyframes are counted for in a cell.
+#[derive(Clone, Copy, PartialEq)]
+enum Of {
+    Free,
+    End,
+    Standing,
+}
+
 /// Makes scans; its memory is reused.
 #[derive(Debug)]
 pub struct Scanner {
-    /// Keyframes that saw a cell, and the last one of them.
+    /// Keyframes that saw a cell free, and the last one of them.
     seen: Vec<u8>,
-    /// Keyframes that saw something else there.
+    /// Keyframes that saw the floor end there.
     against: Vec<u8>,
+    /// Keyframes that saw something stand near there.
+    standing: Vec<u8>,
     last: Vec<u16>,
     keyframes: u16,
-    /// Longest stretch without floor that is bridged, m.
-    gap_m: f64,
+    /// Places of things that keyframes saw stand, and standard deviations, m.
+    things: Vec<(Vector2<f64>, f64)>,
     axes: Footing,
     /// The nearest thing by bearing.
     nearest: [Option<(Vector2<f64>, f64)>; BEARINGS],
@@ -189,9 +200,10 @@ impl Default for Scanner {
         Self {
             seen: vec![0; CELLS * CELLS],
             against: vec![0; CELLS * CELLS],
+            standing: vec![0; CELLS * CELLS],
+            things: Vec::new(),
             last: vec![0; CELLS * CELLS],
             keyframes: 0,
-            gap_m: CELL_M,
             axes,
             nearest: [None; BEARINGS],
             scan: Scan::default(),
@@ -213,10 +225,10 @@ impl Scanner {
         self.scan.world_from_scan = Se3::from_matrix(&axes, foot);
         self.seen.fill(0);
         self.against.fill(0);
+        self.standing.fill(0);
+        self.things.clear();
         self.last.fill(0);
         self.keyframes = 0;
-        // Where the robot has been leaves no gaps: between two of its tracks may stand what it drove around.
-        self.gap_m = CELL_M;
         self.nearest = [None; BEARINGS];
         self.scan.points.clear();
         self.scan.total = 0;
@@ -229,17 +241,30 @@ impl Scanner {
         Vector2::new(self.axes.forward.dot(&relative), self.axes.left.dot(&relative))
     }
 
-    /// A keyframe saw the floor at these places, in heights of its camera.
-    pub fn add_seen(&mut self, footing: &Footing, height_m: f64, places: &Places) {
-        self.gap_m = GAP_M;
-        for (places, is_floor) in [(&places.floor, true), (&places.other, false)] {
+    /// What a keyframe saw, in heights of its camera.
+    pub fn add_seen(&mut self, footing: &Footing, height_m: f64, seen: &Seen, robot_height_m: f64) {
+        self.keyframes = self.keyframes.saturating_add(1);
+        for (thing, _) in seen.things.iter().filter(|(_, lowest)| f64::from(*lowest) * height_m < robot_height_m) {
+            let (sin, cos) = f64::from(thing.bearing).sin_cos();
+            let [from, to] = [thing.from, thing.to].map(|v| f64::from(v) * height_m);
+            let at = self.local(&footing.place([0.5 * (from + to) * cos, 0.5 * (from + to) * sin]));
+            self.things.push((at, (0.5 * (to - from)).max(HALF_SIZE_M)));
+            self.cover(&at, SAME_THING_M, 1, Of::Standing);
+        }
+        for (stretches, of) in [(&seen.floor, Of::Free), (&seen.ends, Of::End)] {
             self.keyframes = self.keyframes.saturating_add(1);
-            for place in places {
-                let at = place.map(|v| f64::from(v) * height_m);
-                // At the least the cell that it lies in: half a diagonal.
-                let radius = (COVERS * at[0].hypot(at[1])).max(0.75 * CELL_M);
-                let middle = self.local(&footing.place(at));
-                self.cover(&middle, radius, 1, is_floor);
+            for stretch in stretches {
+                let (sin, cos) = f64::from(stretch.bearing).sin_cos();
+                let [from, to] = [stretch.from, stretch.to].map(|v| f64::from(v) * height_m);
+                // The cell in which the floor was last seen is not where it ends.
+                let mut at = if of == Of::Free { from } else { from + 0.5 * CELL_M };
+                while at <= to.min(2.0 * RANGE_MAX_M) {
+                    // At the least the cell that it lies in: half a diagonal.
+                    let radius = (HALF_BEARING * at).max(0.71 * CELL_M);
+                    let middle = self.local(&footing.place([at * cos, at * sin]));
+                    self.cover(&middle, radius, 1, of);
+                    at += 0.5 * CELL_M;
+                }
             }
         }
     }
@@ -250,11 +275,11 @@ impl Scanner {
         let (from, to) = (self.local(from), self.local(to));
         let steps = ((to - from).norm() / CELL_M).ceil().clamp(1.0, 100.0) as usize;
         for i in 0..=steps {
-            self.cover(&from.lerp(&to, i as f64 / steps as f64), radius_m, u8::MAX, true);
+            self.cover(&from.lerp(&to, i as f64 / steps as f64), radius_m, u8::MAX, Of::Free);
         }
     }
 
-    fn cover(&mut self, middle: &Vector2<f64>, radius: f64, times: u8, is_floor: bool) {
+    fn cover(&mut self, middle: &Vector2<f64>, radius: f64, times: u8, of: Of) {
         let cell = |v: f64| ((v + RANGE_MAX_M) / CELL_M).floor();
         let [x0, x1, y0, y1] = [middle.x - radius, middle.x + radius, middle.y - radius, middle.y + radius].map(cell);
         let inside = |v: f64| v.clamp(0.0, CELLS as f64 - 1.0) as usize;
@@ -267,7 +292,11 @@ impl Scanner {
                 let i = y * CELLS + x;
                 if (centre - middle).norm() <= radius && self.last[i] != self.keyframes {
                     self.last[i] = self.keyframes;
-                    let counts = if is_floor { &mut self.seen } else { &mut self.against };
+                    let counts = match of {
+                        Of::Free => &mut self.seen,
+                        Of::End => &mut self.against,
+                        Of::Standing => &mut self.standing,
+                    };
                     counts[i] = counts[i].saturating_add(times);
                 }
             }
@@ -302,6 +331,12 @@ impl Scanner {
             self.scan.points.truncate(MOST_POINTS - 1);
             self.scan.points.insert(place, new);
         }
+        self.in_the_way(&at, sigma);
+    }
+
+    /// The nearest by bearing.
+    fn in_the_way(&mut self, at: &Vector2<f64>, sigma: f64) {
+        let distance = at.norm();
         let spread = (HALF_SIZE_M / distance).min(0.5);
         let angle = at.y.atan2(at.x);
         let index =
@@ -310,13 +345,31 @@ impl Scanner {
             let bearing = i.rem_euclid(BEARINGS as i64) as usize;
             let nearest = &mut self.nearest[bearing];
             if nearest.is_none_or(|(nearest, _)| distance < nearest.norm()) {
-                *nearest = Some((at, sigma));
+                *nearest = Some((*at, sigma));
+            }
+        }
+    }
+
+    /// Things that keyframes saw stand are in the way where several agree, and more than saw the floor free there.
+    fn stand(&mut self) {
+        for i in 0..self.things.len() {
+            let (at, sigma) = self.things[i];
+            let distance = at.norm();
+            if !(distance > RANGE_MIN_M && distance < RANGE_MAX_M) {
+                continue;
+            }
+            let [x, y] = [at.x, at.y].map(|v| ((v + RANGE_MAX_M) / CELL_M) as usize);
+            let Some(cell) = (x < CELLS && y < CELLS).then_some(y * CELLS + x) else { continue };
+            let standing = self.standing[cell];
+            if standing >= STANDS_FOR && standing / STANDS_FOR > self.seen[cell] {
+                self.in_the_way(&at, sigma);
             }
         }
     }
 
     /// The scan of all that was added; its memory is used again by the next one. `radius_m`: the robot's.
     pub fn finish(&mut self, radius_m: f64) -> &Scan {
+        self.stand();
         self.link();
         for bearing in 0..BEARINGS {
             // A line between two things may pass nearer than either.
@@ -367,19 +420,20 @@ impl Scanner {
     fn free(&self, angle: f64, radius_m: f64, limit: f64) -> Option<(f64, f64)> {
         let (sin, cos) = angle.sin_cos();
         let (mut stretch, mut at): (Option<(f64, f64)>, f64) = (None, radius_m);
-        while at < limit && stretch.map_or(at < FIRST_M, |(_, last)| at - last <= self.gap_m) {
+        while at < limit && stretch.map_or(at < FIRST_M, |(_, last)| at - last <= CELL_M) {
             let [x, y] = [at * cos, at * sin].map(|v| ((v + RANGE_MAX_M) / CELL_M) as usize);
             let cell = (x < CELLS && y < CELLS).then(|| y * CELLS + x);
             let (seen, against) = cell.map_or((0, 0), |i| (self.seen[i], self.against[i]));
-            if against >= SEEN_BY && against >= seen {
+            if against >= ENDED_BY && against >= seen {
                 break;
             }
-            if seen >= SEEN_BY {
+            if seen > 0 {
                 stretch = Some((stretch.map_or(at, |(from, _)| from), at));
             }
             at += 0.5 * CELL_M;
         }
-        stretch.filter(|(from, to)| to - from >= LEAST_STRETCH_M)
+        let told = stretch.filter(|(from, last)| last - from >= LEAST_STRETCH_M);
+        told.map(|(from, last)| (from, last - MARGIN_M))
     }
 }
 

@@ -67,8 +67,7 @@ impl Reconstruction {
         let seen = &mut self.surroundings.seen;
         let oldest = if seen.len() < KEPT { None } else { seen.pop_front() };
         let mut places = oldest.map(|(_, places)| places).unwrap_or_default();
-        places.floor.clear();
-        places.other.clear();
+        places.clear();
         let now = Picture { camera_from_world: &keyframe.camera_from_world, image };
         floor_seen(plane, &camera, &now, &pictures, &mut places);
         seen.push_back((id, places));
@@ -104,7 +103,7 @@ impl Reconstruction {
         let stood = |id: KeyframeId| map.keyframe(id).filter(|k| k.scale_from == part && plane.carries(&k.centre()));
         for (id, places) in self.surroundings.seen.iter().filter(|_| config.seen_floor) {
             if let Some(footing) = stood(*id).and_then(|k| Footing::of(plane, &k.camera_from_world)) {
-                scanner.add_seen(&footing, plane.height, places);
+                scanner.add_seen(&footing, plane.height, places, robot_height_m);
             }
         }
         let body = |camera_from_world: &Se3<Camera, World>| -> Vector3<f64> {

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use crate::map::KeyframeId;
-use crate::motion::floor::seen::Places;
+use crate::motion::floor::seen::Seen;
 use crate::motion::obstacles::Scanner;
 
 /// See module.
@@ -11,7 +11,7 @@ use crate::motion::obstacles::Scanner;
 pub(super) struct Surroundings {
     pub wanted: bool,
     /// Where keyframes saw the floor, in heights; newest last.
-    pub seen: VecDeque<(KeyframeId, Places)>,
+    pub seen: VecDeque<(KeyframeId, Seen)>,
     pub scanner: Scanner,
     /// Keyframes before this one are of another run: what was free then need not be now.
     pub first: u32,

@@ -1,6 +1,7 @@
 use nalgebra::Unit;
 
 use super::*;
+use crate::motion::floor::seen::Stretch;
 
 /// A floor at z = 0, metres; the robot at the origin looks along x.
 fn floor() -> Plane {
@@ -31,11 +32,13 @@ fn axes() -> Footing {
     Footing { foot: Vector3::zeros(), forward: Vector3::x(), left: Vector3::y() }
 }
 
-/// Places along a straight line forward, in heights of 0.5 m.
-fn line(from_m: f64, to_m: f64) -> Places {
-    let steps = ((to_m - from_m) / 0.05).round() as usize;
-    let floor = (0..=steps).map(|i| [(2.0 * (from_m + 0.05 * i as f64)) as f32, 0.0]).collect();
-    Places { floor, other: Vec::new() }
+/// Straight ahead, in heights of 0.5 m.
+fn stretch(from_m: f64, to_m: f64) -> Stretch {
+    Stretch { bearing: 0.0, from: (2.0 * from_m) as f32, to: (2.0 * to_m) as f32 }
+}
+
+fn line(from_m: f64, to_m: f64) -> Seen {
+    Seen { floor: vec![stretch(from_m, to_m)], ..Seen::default() }
 }
 
 #[test]
@@ -47,49 +50,66 @@ fn unknown_is_never_free_and_never_far() {
 }
 
 #[test]
-fn free_is_where_two_keyframes_saw_the_floor_without_a_gap() {
-    let seen = |pieces: &[[f64; 2]], times: usize| {
+fn free_is_where_a_keyframe_saw_the_floor_without_a_gap() {
+    let seen = |pieces: &[[f64; 2]]| {
         let mut scanner = begun();
-        for _ in 0..times {
-            let floor = pieces.iter().flat_map(|[from, to]| line(*from, *to).floor).collect();
-            let places = Places { floor, other: Vec::new() };
-            scanner.add_seen(&axes(), 0.5, &places);
+        for [from, to] in pieces {
+            scanner.add_seen(&axes(), 0.5, &line(*from, *to), 0.5);
         }
         let scan = scanner.finish(0.12);
         assert!(scan.free_m.iter().zip(&scan.free_from_m).all(|(to, from)| (*to == 0.0) == from.is_nan()));
         (scan.free_m[AHEAD], scan.free_m[AHEAD + 20])
     };
-    let (ahead, aside) = seen(&[[0.2, 2.0]], 2);
-    assert!((1.9..2.15).contains(&ahead) && aside == 0.0, "{ahead} {aside}");
-    assert_eq!(seen(&[[0.2, 2.0]], 1).0, 0.0, "one keyframe is not enough");
-    assert_eq!(seen(&[[1.8, 3.0]], 2).0, 0.0, "too far from the robot");
-    let gap = seen(&[[0.2, 1.0], [1.6, 2.0]], 2).0;
-    assert!((0.95..1.2).contains(&gap), "{gap}: not beyond a gap");
-    let bridged = seen(&[[0.2, 1.0], [1.15, 2.0]], 2).0;
-    assert!(bridged > 1.9, "{bridged}");
+    let (ahead, aside) = seen(&[[0.2, 2.0]]);
+    assert!((1.85..=2.0).contains(&ahead) && aside == 0.0, "{ahead} {aside}");
+    assert_eq!(seen(&[[1.8, 3.0]]).0, 0.0, "too far from the robot");
+    let gap = seen(&[[0.2, 1.0], [1.2, 2.0]]).0;
+    assert!((0.85..=1.0).contains(&gap), "{gap}: not beyond a gap");
+    let overlap = seen(&[[0.2, 1.0], [0.9, 2.0]]).0;
+    assert!(overlap > 1.8, "{overlap}");
 }
 
 #[test]
 fn what_stands_in_between_ends_what_is_free() {
     let mut scanner = begun();
-    (0..3).for_each(|_| scanner.add_seen(&axes(), 0.5, &line(0.2, 3.0)));
+    (0..3).for_each(|_| scanner.add_seen(&axes(), 0.5, &line(0.2, 3.0), 0.5));
     scanner.add_landmark(&floor(), &point(1.5, 0.0, 0.3), 0.5);
     let scan = scanner.finish(0.12);
     assert!((scan.range_m[AHEAD] - 1.5).abs() < 1e-6 && (scan.sigma_m[AHEAD] - 0.01).abs() < 1e-6);
-    assert!((1.2..1.46).contains(&scan.free_m[AHEAD]), "{}", scan.free_m[AHEAD]);
+    assert!((1.2..1.45).contains(&scan.free_m[AHEAD]), "{}", scan.free_m[AHEAD]);
     assert_eq!((scan.total, scan.points.len()), (1, 1));
     let [x, y, z] = scan.points[0].position;
     assert!((x - 1.5).abs() < 1e-6 && y.abs() < 1e-6 && (z - 0.3).abs() < 1e-6);
 }
 
 #[test]
-fn where_keyframes_saw_something_else_nothing_is_free() {
+fn where_keyframes_saw_the_floor_end_nothing_is_free() {
     let mut scanner = begun();
-    let other = line(1.4, 1.5).floor;
-    (0..3).for_each(|_| scanner.add_seen(&axes(), 0.5, &Places { other: other.clone(), ..line(0.2, 1.3) }));
-    (0..3).for_each(|_| scanner.add_seen(&axes(), 0.5, &line(1.55, 3.0)));
+    for _ in 0..3 {
+        scanner.add_seen(&axes(), 0.5, &Seen { ends: vec![stretch(1.3, 1.5)], ..line(0.2, 1.3) }, 0.5);
+    }
+    // One that looked past it from elsewhere.
+    scanner.add_seen(&axes(), 0.5, &line(0.2, 3.0), 0.5);
     let free = scanner.finish(0.12).free_m[AHEAD];
-    assert!((1.2..1.4).contains(&free), "{free}");
+    assert!((1.15..=1.32).contains(&free), "{free}");
+}
+
+#[test]
+fn what_two_keyframes_saw_stand_is_in_the_way_of_a_robot_that_is_as_high() {
+    let range = |times: usize, lowest: f32, free: usize| {
+        let mut scanner = begun();
+        for i in 0..times {
+            let thing = stretch(1.5 + 0.02 * i as f64, 1.54 + 0.02 * i as f64);
+            scanner.add_seen(&axes(), 0.5, &Seen { things: vec![(thing, lowest)], ..Seen::default() }, 0.3);
+        }
+        (0..free).for_each(|_| scanner.add_seen(&axes(), 0.5, &line(0.2, 3.0), 0.3));
+        scanner.finish(0.12).range_m[AHEAD]
+    };
+    let found = range(2, 0.2, 0);
+    assert!((1.5..1.56).contains(&found), "{found}");
+    assert!(range(1, 0.2, 0).is_nan(), "one keyframe is not enough");
+    assert!(range(2, 0.7, 0).is_nan(), "it begins above the robot");
+    assert!(range(2, 0.2, 2).is_nan(), "others saw the floor there");
 }
 
 #[test]
@@ -122,7 +142,7 @@ fn where_the_robot_was_the_floor_was_free() {
     let mut scanner = begun();
     scanner.add_driven(&Vector3::new(-2.0, 0.0, 0.2), &Vector3::new(0.0, 0.0, 0.2), 0.12);
     let scan = scanner.finish(0.12);
-    assert!((1.9..2.2).contains(&scan.free_m[0]) && scan.free_m[AHEAD] == 0.0, "{} behind", scan.free_m[0]);
+    assert!((1.9..2.1).contains(&scan.free_m[0]) && scan.free_m[AHEAD] == 0.0, "{} behind", scan.free_m[0]);
 }
 
 #[test]
@@ -133,7 +153,7 @@ fn between_two_tracks_of_the_robot_nothing_is_known() {
         scanner.add_driven(&Vector3::new(x, -1.0, 0.2), &Vector3::new(x, 1.0, 0.2), 0.12);
     }
     let free = scanner.finish(0.12).free_m[AHEAD];
-    assert!((0.5..0.68).contains(&free), "{free}: up to the first one's far side");
+    assert!((0.5..0.65).contains(&free), "{free}: up to the first one's far side");
 }
 
 #[test]

@@ -66,7 +66,7 @@ fn picture(pose: &Se3<Camera, World>, noise: &[f64], contrast: f64) -> GreyImage
     image
 }
 
-fn seen(contrast: f64) -> Places {
+fn seen(contrast: f64) -> Seen {
     let mut random = Random::new(5);
     let noise: Vec<f64> = (0..64 * 64).map(|_| random.normal()).collect();
     let (now, earlier) = (camera(0.0), [camera(-0.25), camera(-0.45)]);
@@ -74,28 +74,42 @@ fn seen(contrast: f64) -> Places {
     let before: Vec<_> =
         earlier.iter().zip(&images).map(|(camera_from_world, image)| Picture { camera_from_world, image }).collect();
     let image = picture(&now, &noise, contrast);
-    let mut out = Places::default();
+    let mut out = Seen::default();
     floor_seen(&floor(), &lens(), &Picture { camera_from_world: &now, image: &image }, &before, &mut out);
     out
 }
 
 #[test]
-fn a_painted_floor_is_seen_and_a_box_on_it_is_not() {
-    let metres = |places: Vec<[f32; 2]>| -> Vec<[f64; 2]> {
-        places.into_iter().map(|p| p.map(|v| f64::from(v) * HEIGHT_M)).collect()
-    };
-    let Places { floor, other } = seen(40.0);
-    let (places, other) = (metres(floor), metres(other));
-    let before = |p: &&[f64; 2]| p[0] < BOX_M - 0.1;
-    assert!(places.iter().filter(before).count() > 150, "{} places of the floor", places.len());
-    let beyond = places.iter().filter(|p| p[0] > BOX_M + 0.05 && p[1] > 0.1).count();
-    assert!(beyond * 50 < places.len(), "{beyond} of {} places in or behind the box", places.len());
-    let of_box = other.iter().filter(|p| p[0] > BOX_M && p[1] > 0.0).count();
-    assert!(of_box > 20 && 2 * of_box > other.len(), "{of_box} of {} other places are the box", other.len());
+fn a_painted_floor_is_seen_up_to_a_box_on_it_and_no_farther() {
+    let Seen { floor, ends, things } = seen(40.0);
+    assert!(floor.len() > 15, "{} bearings", floor.len());
+    let (mut before_box, mut beside) = (0, 0);
+    for stretch in &floor {
+        let to = f64::from(stretch.to) * HEIGHT_M;
+        // The box covers everything to the left.
+        let (sin, cos) = f64::from(stretch.bearing).sin_cos();
+        if sin > 0.03 {
+            assert!(to * cos < BOX_M + 0.02, "{to} m at {} rad is in the box", stretch.bearing);
+            before_box += usize::from(to * cos > BOX_M - 0.4);
+        } else if sin < -0.03 {
+            beside += usize::from(to > BOX_M + 0.2);
+        }
+    }
+    assert!(before_box > 5 && beside > 5, "{before_box} bearings reach the box, {beside} pass it");
+    let of_box = ends.iter().filter(|end| {
+        let (from, to) = (f64::from(end.from) * HEIGHT_M, f64::from(end.to) * HEIGHT_M);
+        let cos = f64::from(end.bearing).cos();
+        from * cos < BOX_M + 0.02 && to * cos > BOX_M
+    });
+    let of_box = of_box.count();
+    let at = |thing: &Stretch| f64::from(thing.from + thing.to) / 2.0 * HEIGHT_M * f64::from(thing.bearing).cos();
+    let right = things.iter().filter(|(thing, _)| (at(thing) - BOX_M).abs() < 0.1).count();
+    assert!(right > 5 && 10 * right >= 9 * things.len(), "{right} of {} things are the box", things.len());
+    assert!(of_box > 3 && 3 * of_box > 2 * ends.len(), "{of_box} of {} ends are the box", ends.len());
 }
 
 #[test]
 fn a_bare_floor_tells_nothing() {
-    let Places { floor, other } = seen(0.5);
-    assert!(floor.is_empty() && other.is_empty());
+    let Seen { floor, ends, things } = seen(0.5);
+    assert!(floor.is_empty() && ends.is_empty() && things.is_empty());
 }
