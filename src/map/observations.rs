@@ -226,7 +226,13 @@ impl Observations {
         let Ok(i) = self.place_of(landmark) else { return false };
         match &mut self.0 {
             Kept::Whole(all) => _ = all.remove(i),
-            Kept::Packed { all, .. } => _ = all.remove(i),
+            Kept::Packed { all, .. } => {
+                all.remove(i);
+                // Of an old keyframe most go in the end, as nothing shows their landmarks any more.
+                if all.capacity() >= 2 * all.len() {
+                    all.shrink_to_fit();
+                }
+            }
         }
         true
     }
@@ -352,6 +358,7 @@ mod tests {
             all.displace(|o| (o.landmark == LandmarkId(103)).then(|| Vector2::new(0.5, -2.0)));
             assert_eq!(all.get(LandmarkId(103)).map(|o| o.displacement), Some(Vector2::new(0.5, -2.0)));
         }
+        assert!(all_gone_leave_nothing(packed.clone()));
         assert_eq!(ids(&whole), ids(&packed));
         assert!(ids(&packed).is_sorted());
         // Another lens: both follow it.
@@ -361,6 +368,12 @@ mod tests {
             let o = all.get(LandmarkId(131)).expect("there");
             assert!((o.normalised.x - (f64::from(o.pixel.x) - 320.0) / 500.0).abs() < 1e-9);
         }
+    }
+
+    fn all_gone_leave_nothing(mut all: Observations) -> bool {
+        let landmarks: Vec<LandmarkId> = all.landmarks().collect();
+        landmarks.into_iter().for_each(|landmark| assert!(all.remove(landmark)));
+        all.is_empty() && all.bytes() == 0
     }
 
     #[test]

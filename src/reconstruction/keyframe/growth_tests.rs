@@ -256,7 +256,7 @@ fn a_building_of_ten_thousand_keyframes_costs_no_more_time_a_keyframe_and_bounde
 }
 
 /// Of a keyframe with all that belongs to it. 200 detailed keyframes (26 MB) and 400 condensed pictures (9 MB) are among the 10,000.
-const MOST_BYTES: usize = 11_000;
+const MOST_BYTES: usize = 12_500;
 
 #[test]
 fn a_map_at_its_limit_is_thinned_evenly_and_never_where_the_robot_is() {
@@ -324,70 +324,4 @@ fn a_keyframe_that_sees_nothing_goes_first_and_what_something_rests_on_last() {
         drive.held = drive.map.keyframes.ids().map(KeyframeId).collect();
         assert!(drive.map.keyframes.len() <= 40);
     }
-}
-
-// THROWAWAY
-#[test]
-#[ignore]
-fn throwaway_store() {
-    use crate::map::saved::*;
-    let mut drive =
-        Drive::new(ReconstructionConfig { max_keyframes: 10_000, redundant_share: 1.0, ..Default::default() });
-    let path = std::path::PathBuf::from(std::env::var("BIGMAP").unwrap());
-    drive.far.spool_in(path.parent().unwrap());
-    let n: usize = std::env::var("BIGN").unwrap().parse().unwrap();
-    for _ in 0..n {
-        drive.step();
-    }
-    println!("before {} kB", resident_kb());
-    let camera = drive.lens.clone();
-    let optics = SavedOptics {
-        calibration: camera.clone(),
-        is_guessed: false,
-        camera: camera.clone(),
-        expected: camera,
-        sigma: [0.0; 7],
-        refined_sigma: [0.0; 7],
-        begun_with_px: 300.0,
-        restarts: 0,
-        found_before: Vec::new(),
-        unsettled: 0.0,
-        readout_s: 0.0,
-        readout_information: 0.0,
-    };
-    let head = MapHead {
-        id: MapId(0),
-        reference: KeyframeId(n as u32 - 1),
-        frames: 9,
-        scale: crate::map::scale::MapScale::Unknown,
-        turns: vec![],
-    };
-    let began = Instant::now();
-    let changes = MapChanges::take(optics, 5, vec![(head, &mut drive.map)], true);
-    println!("changes {} kB {:?}", resident_kb(), began.elapsed());
-    crate::places::store::MapFile::create(&path, &changes).unwrap().close().unwrap();
-    let status = std::fs::read_to_string("/proc/self/status").unwrap();
-    println!(
-        "stored {} kB {:?}, {} bytes; {}",
-        resident_kb(),
-        began.elapsed(),
-        std::fs::metadata(&path).unwrap().len(),
-        status.lines().find(|l| l.starts_with("VmHWM")).unwrap()
-    );
-}
-
-#[test]
-#[ignore]
-fn throwaway_load() {
-    let path = std::path::PathBuf::from(std::env::var("BIGMAP").unwrap());
-    let began = Instant::now();
-    let (_file, contents) = crate::places::store::MapFile::open(&path).unwrap();
-    let status = std::fs::read_to_string("/proc/self/status").unwrap();
-    println!(
-        "loaded {} kB {:?}; {}",
-        resident_kb(),
-        began.elapsed(),
-        status.lines().find(|l| l.starts_with("VmHWM")).unwrap()
-    );
-    println!("{:?} {:?}", contents.record_bytes, contents.bytes);
 }
