@@ -97,7 +97,8 @@
 //! - A keyframe copies its frame's pyramid (0.4 MB, 30 us, after the pose is published) instead of holding it, so that the pool of
 //!   pyramids never allocates on the path of a pose. At most 18 keyframes are whole, in a pool of their own; of an older one level 0
 //!   is reduced to patches around its landmarks (`map/picture.rs`). Of those beyond `detailed_keyframes` that share least with the newest
-//!   only small patches, descriptors and a coarse level remain (`map/view.rs`), so that a map holds thousands.
+//!   only small patches, descriptors and a coarse level remain (`map/view.rs`), and packed observations (`map/observations.rs`); of those far from the
+//!   robot nothing but what they show, the rest waits in a spool on the disk (`reconstruction/far_pictures.rs`). So a map holds thousands.
 //! - Two rooms more for recordings: [`share`] is `cairn record`, a process of its own that subscribes like a planner, and [`ros`] the messages of ROS 2 that it
 //!   writes and a replay reads, which knows nothing of ours. Both are in the robot's build: to record is what a robot's owner does on the robot.
 //!   `share` starts no thread; `cli` has the daemon's room start the one that writes to the disk. In `share/bridge`, `cairn bridge`: the same messages to ROS 2 over

@@ -3,5 +3,6 @@
 pub mod describe;
 pub mod index;
 pub mod loops;
+pub mod spool;
 pub mod store;
 pub mod way;

@@ -12,7 +12,7 @@ use super::{CliError, exit_code, session};
 use crate::calibration::store;
 use crate::config::MapConfig;
 use crate::daemon::{Calibration, MapFolder, MapPlan};
-use crate::places::store::{Fault, MapFile, StoreError, read};
+use crate::places::store::{Fault, MapFile, StoreError, read_to_locate};
 use crate::reconstruction::LensPrior;
 
 /// Opens or, where it is missing, plans the file. Nothing in it changes before the first frame.
@@ -24,7 +24,7 @@ pub fn plan(path: &Path, localise_only: bool) -> Result<MapPlan, CliError> {
             let message = format!("{}: there is no such file, and `--localise` needs a map", path.display());
             return Err(CliError::new(exit_code::NO_INPUT, message));
         }
-        let saved = read(path).map_err(|e| error(&e))?.saved;
+        let saved = read_to_locate(path).map_err(|e| error(&e))?.saved;
         if saved.maps.is_empty() {
             let message = format!("{}: there is no map in it to be located in", path.display());
             return Err(CliError::new(exit_code::DATA, message));

@@ -1,6 +1,6 @@
 //! What is logged of a frame: what is different since the one before, and at `debug` the frame itself.
 
-use tracing::{debug, info, warn};
+use tracing::{debug, error, info, warn};
 
 use super::blind::BlindLog;
 use super::floor::FloorLog;
@@ -17,6 +17,8 @@ pub struct ChangeLog {
     resets: u32,
     maps_joined: u64,
     loops_closed: u64,
+    spool_faults: u64,
+    pictures_lost: u64,
     blind_turns: u64,
     scale: MapScale,
     slipping: bool,
@@ -32,6 +34,8 @@ impl Default for ChangeLog {
             resets: 0,
             maps_joined: 0,
             loops_closed: 0,
+            spool_faults: 0,
+            pictures_lost: 0,
             blind_turns: 0,
             scale: MapScale::Unknown,
             slipping: false,
@@ -62,6 +66,16 @@ impl ChangeLog {
             let loops_closed = counters.loops_closed;
             info!(sequence, timestamp_ns, map, loops_closed, distance, angle_rad, "loop closed");
             self.loops_closed = loops_closed;
+        }
+        if counters.spool_faults != self.spool_faults {
+            let reason = reconstruction.picture_fault();
+            warn!(sequence, reason, "pictures of far keyframes stay in memory");
+            self.spool_faults = counters.spool_faults;
+        }
+        if counters.pictures_lost != self.pictures_lost {
+            let (reason, pictures_lost) = (reconstruction.picture_fault(), counters.pictures_lost);
+            error!(sequence, reason, pictures_lost, "pictures of far keyframes lost");
+            self.pictures_lost = pictures_lost;
         }
         self.blind.follow(reconstruction, e, state_name(e.state));
         if scale.is_on() {

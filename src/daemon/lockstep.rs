@@ -27,6 +27,7 @@ use crate::reconstruction::InlineWorker;
 pub fn run(parts: Parts, stop: &AtomicBool, go_on: &mut dyn FnMut(&Status) -> bool) -> Result<End, DaemonError> {
     let Parts { config, supply, calibration, outlet, outputs, spool_folder, keep_lens, map_file, maps: _, status } =
         parts;
+    let spool = outputs.spool_folder(spool_folder.as_deref());
     let recorder = Recorder::new(&outputs, spool_folder.as_deref(), status.clone())?.keeping(keep_lens);
     let wheels = Arc::new(WheelQueue::new(status.wheels.clone()));
     let capture = CaptureStep::new(supply, status.clone()).map_err(DaemonError::Thread)?;
@@ -48,6 +49,7 @@ pub fn run(parts: Parts, stop: &AtomicBool, go_on: &mut dyn FnMut(&Status) -> bo
     .with_wheels(wheels)
     .with_base(&config.mount, config.wheel.scale_sigma)
     .with_map_file(desk)
+    .spooling_in(spool)
     .looking_for(&config.tag, &config.scale)
     .with_obstacles(&config.obstacles);
     let mut slot = RawFrame::default();

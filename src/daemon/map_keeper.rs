@@ -16,7 +16,7 @@ use super::map_folder::MapFolder;
 use super::request::{CopyTo, Loaded, Reply, Request};
 use crate::map::saved::{Ids, MapChanges};
 use crate::messages::TEXT_LEN;
-use crate::places::store::{Fault, MOST_IDS, MapFile, StoreError, read};
+use crate::places::store::{Fault, MOST_IDS, MapFile, StoreError, read_to_locate};
 
 /// Ids that a run may give while a file is read: half a minute of keyframes and landmarks at the utmost.
 const MEANWHILE: Ids = Ids { maps: 16, keyframes: 1 << 10, landmarks: 1 << 17 };
@@ -226,7 +226,7 @@ fn load(path: PathBuf, given: Ids, localise_only: bool, keeper: Option<&Keeper>)
         return Err(format!("{}: it is the present map", path.display()));
     }
     let (file, saved) = match localise_only {
-        true => (None, read(&path).map_err(|e| e.to_string())?.saved),
+        true => (None, read_to_locate(&path).map_err(|e| e.to_string())?.saved),
         false => {
             let (file, contents) = MapFile::open(&path).map_err(|e| e.to_string())?;
             (Some(file), contents.saved)

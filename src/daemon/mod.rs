@@ -149,6 +149,7 @@ pub(super) fn start(parts: Parts) -> Result<Threads, DaemonError> {
     let Parts { config, supply, calibration, mut outlet, outputs, spool_folder, keep_lens, map_file, maps, status } =
         parts;
     let encoded = outlet.as_mut().and_then(Outlet::take_encoded);
+    let spool = outputs.spool_folder(spool_folder.as_deref());
     let recorder = Recorder::new(&outputs, spool_folder.as_deref(), status.clone())?.keeping(keep_lens);
     let (orders, order_queue) = bounded::<Order>(RECORD_QUEUE);
     let recorder = spawn("cairn-recorder", move || serve(recorder, &order_queue))?;
@@ -172,6 +173,7 @@ pub(super) fn start(parts: Parts) -> Result<Threads, DaemonError> {
     .with_wheels(wheels.clone())
     .with_base(&config.mount, config.wheel.scale_sigma)
     .with_map_file(desk)
+    .spooling_in(spool)
     .looking_for(&config.tag, &config.scale)
     .with_obstacles(&config.obstacles);
 

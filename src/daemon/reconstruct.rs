@@ -3,6 +3,7 @@
 //! The order is the daemon's promise: track, publish the pose, and only then keyframe work, logs, records and the map's
 //! message. Nothing before the publication allocates, writes or waits.
 
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -71,6 +72,8 @@ pub struct ReconstructStep {
     events: Vec<TrajectoryEvent>,
     snapshot: MapSnapshot,
     base: Option<(Robot, f64)>,
+    /// Where pictures of far keyframes may wait.
+    spool_folder: Option<PathBuf>,
     changes: ChangeLog,
     /// Times that a planner has put the map elsewhere: to its readers each is a reset.
     pub(super) placements: u32,
@@ -116,12 +119,19 @@ impl ReconstructStep {
             events: Vec::new(),
             snapshot: MapSnapshot::default(),
             base: None,
+            spool_folder: None,
             changes: ChangeLog::default(),
             placements: 0,
             last_frame_ns: 0,
             lens: None,
             kept_sigma: f64::INFINITY,
         }
+    }
+
+    /// With a folder on a disk where pictures of far keyframes may wait.
+    pub fn spooling_in(mut self, folder: PathBuf) -> Self {
+        self.spool_folder = Some(folder);
+        self
     }
 
     /// With somebody who knows places again meanwhile.
@@ -276,6 +286,9 @@ impl ReconstructStep {
             let mut begun = Reconstruction::with_lens(&self.config, &camera, prior, worker, self.lockstep);
             if let Some(worker) = self.place_worker.take() {
                 begun.recognise_in(worker);
+            }
+            if let Some(folder) = &self.spool_folder {
+                begun.spool_pictures(folder);
             }
             if let Some((base, radius_sigma)) = self.base {
                 begun.set_base(base, radius_sigma);

@@ -33,6 +33,14 @@ pub struct Outputs {
     pub overview: Option<PathBuf>,
 }
 
+impl Outputs {
+    /// Where pictures of far keyframes may wait: beside the trajectory, else in `fallback`, else where temporary files lie.
+    pub fn spool_folder(&self, fallback: Option<&Path>) -> PathBuf {
+        let beside = self.trajectory.as_deref().or(self.live_trajectory.as_deref()).and_then(Path::parent);
+        beside.or(fallback).map_or_else(std::env::temp_dir, Path::to_path_buf)
+    }
+}
+
 /// What reconstruction knows at the moment that a file is asked for.
 #[derive(Debug, Clone, Default)]
 pub struct FinalMap {

@@ -51,8 +51,8 @@ fn write_image(out: &mut impl Write, id: u32, keyframe: &Keyframe, points: &BTre
         (keyframe.timestamp_ns.div_euclid(1_000_000_000), keyframe.timestamp_ns.rem_euclid(1_000_000_000));
     write!(out, "{} {} {} {} {} {} {} {} 1 ", id + 1, q.w, q.i, q.j, q.k, t.x, t.y, t.z)?;
     writeln!(out, "{seconds}.{ns:09}.png")?;
-    for o in keyframe.observations.iter().filter(|o| points.contains(&o.landmark.0)) {
-        write!(out, "{} {} {} ", o.pixel.x + 0.5, o.pixel.y + 0.5, o.landmark.0 + 1)?;
+    for (id, pixel) in keyframe.observations.pixels().filter(|(id, _)| points.contains(&id.0)) {
+        write!(out, "{} {} {} ", pixel.x + 0.5, pixel.y + 0.5, id.0 + 1)?;
     }
     writeln!(out)
 }
@@ -73,8 +73,7 @@ fn write_point(
         let Some(o) = keyframe.observation(LandmarkId(id)) else { continue };
         let seen = camera.project(&keyframe.camera_from_world.transform(&landmark.position));
         errors.extend(seen.map(|p| (p - o.pixel.cast()).norm()));
-        let place =
-            keyframe.observations.iter().filter(|o| points.contains(&o.landmark.0)).take_while(|o| o.landmark.0 != id);
+        let place = keyframe.observations.landmarks().filter(|l| points.contains(&l.0)).take_while(|l| l.0 != id);
         track += &format!(" {} {}", k + 1, place.count());
     }
     let error = errors.iter().sum::<f64>() / errors.len().max(1) as f64;

@@ -1,6 +1,8 @@
-use crate::map::examples;
 use std::sync::Arc;
 
+use nalgebra::Matrix2;
+
+use super::away::{Condensed, PictureCopy};
 use super::picture::Detail;
 use super::reduction::MOST_VIEWS;
 use super::*;
@@ -11,6 +13,7 @@ use crate::features::spread::Spread;
 use crate::geometry::random::Random;
 use crate::image::pyramid::level_from_base;
 use crate::image::{GreyImage, Pyramid};
+use crate::map::examples;
 use crate::map::view::{DESCRIBED_LEVELS, Description, ROOM};
 
 /// Blobs of several sizes with a camera's noise.
@@ -40,7 +43,7 @@ fn keyframe(pyramid: &Arc<Pyramid>, x: f64) -> Keyframe {
         picture: KeyframePicture::new(pyramid.clone()),
         thumbnail: crate::features::thumbnail::thumbnail_of(pyramid),
         scale_from: None,
-        observations: Vec::new(),
+        observations: Default::default(),
         covisible: Vec::new(),
         corners: Vec::new(),
     }
@@ -75,7 +78,7 @@ fn map(random: &mut Random, landmarks: usize, seen_by: impl Fn(usize) -> Vec<usi
 }
 
 fn condense(map: &mut Map, id: KeyframeId) -> usize {
-    map.condense_picture(id, |_, landmarks| Description {
+    map.condense_picture(id, &examples::lens(), |_, landmarks| Description {
         landmarks: vec![[None; DESCRIBED_LEVELS]; landmarks.len()],
         place: Vec::new(),
     })
@@ -88,7 +91,7 @@ fn a_condensed_keyframe_shows_what_most_see_and_what_nothing_shows_any_more_goes
     let (mut map, ids) = map(&mut random, 70, |n| if n < 10 { vec![0, 1, 2, 3] } else { vec![0, 1] });
     let shown = |map: &Map, k: usize| {
         let k = map.keyframe(ids[k]).expect("there");
-        k.observations.iter().filter(|o| k.picture.detail(o.landmark.0) > Detail::None).count()
+        k.observations.landmarks().filter(|l| k.picture.detail(l.0) > Detail::None).count()
     };
     assert_eq!(map.detailed().collect::<Vec<_>>(), ids);
     assert_eq!(condense(&mut map, ids[0]), 0, "the others show all of them yet");
@@ -128,7 +131,7 @@ fn a_landmark_is_found_by_its_condensed_view_where_the_whole_picture_finds_it() 
     let turned = nalgebra::Rotation2::new(0.5).into_inner() * 0.8;
     for level in [0, 1] {
         let (mut found, mut apart) = (0, Vec::new());
-        for o in &condensed.observations {
+        for o in condensed.observations.iter() {
             let at = level_from_base(level, o.pixel);
             let place = |keyframe: &Keyframe, warp: &Matrix2<f32>| {
                 let (mut room, mut pixels) = (ROOM, [0.0; 100]);
@@ -164,4 +167,80 @@ fn pyramid_again(random: &mut Random, of: &Pyramid) -> Pyramid {
     let mut pyramid = Pyramid::new(5);
     pyramid.build(&image);
     pyramid
+}
+
+/// A copy in memory, or none any more.
+#[derive(Debug)]
+struct Copied(Option<KeyframePicture>);
+
+impl PictureCopy for Copied {
+    fn read(&self) -> Result<Condensed, String> {
+        self.0.as_ref().and_then(KeyframePicture::condensed).ok_or_else(|| "a bad block".into())
+    }
+}
+
+#[test]
+fn a_picture_that_was_away_comes_back_with_what_became_of_its_landmarks_meanwhile() {
+    let (mut map, ids) = map(&mut Random::new(23), 40, |n| if n < 20 { vec![0, 1] } else { vec![0, 1, 2] });
+    condense(&mut map, ids[0]);
+    let copied = |picture: &KeyframePicture| Some(Arc::new(Copied(Some(picture.clone()))) as Arc<dyn PictureCopy>);
+    let own = |map: &Map| map.keyframe(ids[0]).expect("there").picture.clone();
+    let before = own(&map);
+    let shown: Vec<u32> = before.views().iter().map(|v| v.landmark).collect();
+    assert_eq!(map.condensed_here().collect::<Vec<_>>(), [ids[0]]);
+    assert!(map.put_picture_away(ids[0], copied) && !map.put_picture_away(ids[0], copied));
+    assert!(!map.put_picture_away(ids[3], copied), "it is whole");
+    assert_eq!(map.condensed_here().len(), 0);
+    let away = own(&map);
+    assert!(away.is_away() && away.is_condensed() && away.levels() == 0 && away.bytes() < 1000, "{}", away.bytes());
+    assert!((0..40).all(|l| away.detail(l) == before.detail(l)), "what it shows is known");
+    assert_eq!(away.revision(), before.revision(), "a file need not be told");
+    let mut alone = away.clone();
+    alone.bring_back().expect("read");
+    assert_eq!(alone.views(), before.views(), "also in a copy of the keyframe");
+
+    // One is forgotten, one turns out to be another.
+    let [gone, other] = [shown[3], shown[9]];
+    map.remove_landmark(LandmarkId(gone));
+    let new = map.add_landmark(
+        examples::landmark(Vector3::z(), ids[3]),
+        &[(ids[3], map.keyframe(ids[1]).expect("there").observation(LandmarkId(0)).expect("seen"))],
+    );
+    map.fuse(new, LandmarkId(other));
+    assert_eq!(map.bring_picture_back(ids[0]), Ok(true));
+    assert_eq!(map.bring_picture_back(ids[0]), Ok(false));
+    let back = own(&map);
+    let renamed = |l: u32| if l == other { new.0 } else { l };
+    let expected: Vec<u32> = shown.iter().filter(|l| **l != gone).map(|l| renamed(*l)).collect();
+    let mut views: Vec<u32> = back.views().iter().map(|v| v.landmark).collect();
+    assert!(views.is_sorted());
+    assert_eq!(back.view(new.0).map(|v| &v.patches), before.view(other).map(|v| &v.patches));
+    views.sort_unstable_by_key(|l| if *l == new.0 { other } else { *l });
+    assert_eq!(views, expected);
+    assert!(back.has_level(3) && map.condensed_here().len() == 1);
+    map.check_consistency().expect("consistent");
+
+    // Forgetting alone needs no other copy; a renamed one has another.
+    assert!(map.put_picture_away(ids[0], copied) && map.bring_picture_back(ids[0]) == Ok(true));
+    map.remove_landmark(LandmarkId(shown[0]));
+    assert!(map.put_picture_away(ids[0], |_| unreachable!("the copy is as good")));
+    assert_eq!(map.bring_picture_back(ids[0]), Ok(true));
+    assert!(own(&map).view(shown[0]).is_none() && own(&map).views().len() == expected.len() - 1);
+}
+
+#[test]
+fn a_picture_that_cannot_be_read_any_more_is_gone_with_what_it_alone_showed() {
+    let (mut map, ids) = map(&mut Random::new(24), 40, |n| if n < 20 { vec![0, 1] } else { vec![0, 3] });
+    condense(&mut map, ids[0]);
+    condense(&mut map, ids[1]);
+    let bad = |_: &KeyframePicture| Some(Arc::new(Copied(None)) as Arc<dyn PictureCopy>);
+    let before = map.landmarks.len();
+    assert!(map.put_picture_away(ids[0], bad));
+    assert!(map.bring_picture_back(ids[0]).is_err_and(|reason| reason == "a bad block"));
+    let first = &map.keyframe(ids[0]).expect("there").picture;
+    assert!(!first.is_away() && !first.can_be_away() && first.is_condensed() && first.kept().is_none());
+    assert!(map.landmarks.len() < before, "{before}");
+    assert!((20..40).all(|l| map.landmark(LandmarkId(l)).is_some()), "the whole one shows these");
+    map.check_consistency().expect("consistent");
+    assert!(!map.put_picture_away(ids[0], bad) && map.bring_picture_back(ids[0]) == Ok(false));
 }

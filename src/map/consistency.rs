@@ -7,21 +7,20 @@ impl Map {
     pub fn check_consistency(&self) -> Result<(), String> {
         for (id, landmark) in self.landmarks.iter() {
             for &k in &landmark.observers {
-                if self.keyframe(k).and_then(|k| k.observation(LandmarkId(id))).is_none() {
+                if self.keyframe(k).is_none_or(|k| !k.observations.contains(LandmarkId(id))) {
                     return Err(format!("landmark {id} names keyframe {} which does not observe it", k.0));
                 }
             }
         }
         for (id, keyframe) in self.keyframes.iter() {
             let mut counts = std::collections::BTreeMap::new();
-            for o in &keyframe.observations {
-                let landmark =
-                    self.landmark(o.landmark).ok_or(format!("keyframe {id}: no landmark {}", o.landmark.0))?;
+            for seen in keyframe.observations.landmarks() {
+                let landmark = self.landmark(seen).ok_or(format!("keyframe {id}: no landmark {}", seen.0))?;
                 for &k in landmark.observers.iter().filter(|k| k.0 != id) {
                     *counts.entry(k).or_insert(0u32) += 1;
                 }
                 if landmark.observers.binary_search(&KeyframeId(id)).is_err() {
-                    return Err(format!("keyframe {id} observes landmark {} which does not know", o.landmark.0));
+                    return Err(format!("keyframe {id} observes landmark {} which does not know", seen.0));
                 }
             }
             let counted: Vec<_> = counts.into_iter().collect();

@@ -6,8 +6,8 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::picture::KeyframePicture;
 use super::{Keyframe, KeyframeId, Landmark, MapId};
-use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
+use crate::geometry::{CameraModel, Se3};
 use crate::image::Pyramid;
 
 /// Frame 0 of map 0, which has seen nothing.
@@ -21,10 +21,15 @@ pub fn keyframe(picture: Arc<Pyramid>, camera_from_world: Se3<Camera, World>) ->
         picture: KeyframePicture::new(picture),
         thumbnail: Default::default(),
         scale_from: None,
-        observations: Vec::new(),
+        observations: Default::default(),
         covisible: Vec::new(),
         corners: Vec::new(),
     }
+}
+
+/// Of pictures of 640 x 480 pixels.
+pub fn lens() -> CameraModel {
+    CameraModel::new(640, 480, 500.0, 500.0, 319.5, 239.5, [0.0; 5]).expect("a camera")
 }
 
 /// Found the one time that it was sought; a unit uncertain.

@@ -3,11 +3,13 @@
 //! One owner (reconstruction's thread) reads and writes it; mapping jobs work on copies of parts of it. World = the
 //! optical axes of the map's first keyframe; lengths are map units.
 
+pub mod away;
 pub mod colmap;
 mod consistency;
 mod correction;
 pub mod export;
 pub mod graph;
+pub mod observations;
 mod part;
 pub mod picture;
 pub mod reduction;
@@ -18,8 +20,9 @@ pub mod store;
 pub mod view;
 
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
-use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
+use nalgebra::{Matrix3, Vector2, Vector3};
 
 use crate::features::descriptor::Descriptor;
 use crate::features::thumbnail::Thumbnail;
@@ -28,6 +31,8 @@ use crate::geometry::frames::{Camera, World};
 use crate::geometry::sim3::Sim3;
 use crate::geometry::{CameraModel, Se3};
 pub use correction::Correction;
+use observations::Observations;
+pub use observations::{LandmarkId, Observation};
 use picture::KeyframePicture;
 pub use snapshot::{Around, KeyframeView, LandmarkView, MapSnapshot, largest_sigma};
 use store::Store;
@@ -35,10 +40,6 @@ use store::Store;
 /// A keyframe of a map; never reused within a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Default)]
 pub struct KeyframeId(pub u32);
-
-/// A landmark of a map; never reused within a run.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Default)]
-pub struct LandmarkId(pub u32);
 
 /// A connected map; a new one begins after every re-initialisation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Default)]
@@ -55,29 +56,6 @@ pub enum Sought {
     /// Something was found that does not agree with the frame's pose.
     Disagreed,
     Missed,
-}
-
-/// Where a keyframe saw a landmark.
-#[derive(Debug, Clone, Copy)]
-pub struct Observation {
-    pub landmark: LandmarkId,
-    /// Level-0 pixel, distorted as in the picture.
-    pub pixel: Vector2<f32>,
-    /// The same, undistorted, on the plane z = 1.
-    pub normalised: Vector2<f64>,
-    /// How far a rolling shutter moved it, per second of readout time.
-    pub displacement: Vector2<f64>,
-    /// One over the standard deviation of `pixel`, 1/px.
-    pub inv_sigma_px: f64,
-    /// d normalised / d pixel at `pixel`: takes pixel offsets to ray offsets.
-    pub normalised_from_pixel: Matrix2<f64>,
-}
-
-impl Observation {
-    /// Where the middle row's pose would have seen it, for a readout time in seconds.
-    pub fn at_middle_row(&self, readout_s: f64) -> Vector2<f64> {
-        self.normalised - self.displacement * readout_s
-    }
 }
 
 /// A corner of a keyframe that is no landmark yet.
@@ -107,8 +85,8 @@ pub struct Keyframe {
     pub thumbnail: Thumbnail,
     /// The last turn that its scale came through; `None`: its scale is that of the map's start.
     pub scale_from: Option<TurnId>,
-    /// Ascending landmark id.
-    pub observations: Vec<Observation>,
+    /// Packed once the picture is condensed.
+    pub observations: Observations,
     /// Keyframes that share landmarks with this one and how many; ascending id.
     pub covisible: Vec<(KeyframeId, u32)>,
     /// Corners that may become landmarks once a later keyframe sees them, too.
@@ -122,9 +100,8 @@ impl Keyframe {
     }
 
     /// This keyframe's observation of `landmark`.
-    pub fn observation(&self, landmark: LandmarkId) -> Option<&Observation> {
-        let i = self.observations.binary_search_by_key(&landmark, |o| o.landmark).ok()?;
-        Some(&self.observations[i])
+    pub fn observation(&self, landmark: LandmarkId) -> Option<Observation> {
+        self.observations.get(landmark)
     }
 }
 
@@ -165,6 +142,12 @@ pub struct Map {
     pub revision: u64,
     /// Keyframes whose pictures are not condensed.
     detailed: BTreeSet<KeyframeId>,
+    /// Keyframes whose pictures are condensed and here, not elsewhere.
+    condensed_here: BTreeSet<KeyframeId>,
+    /// Keyframes whose pictures are elsewhere.
+    away: BTreeSet<KeyframeId>,
+    /// What observations were packed by last: they share it.
+    lens: Option<Arc<CameraModel>>,
 }
 
 impl Map {
@@ -178,16 +161,14 @@ impl Map {
 
     /// Adds a keyframe; its observations are linked into the landmarks and the covisibility of both sides is counted.
     pub fn add_keyframe(&mut self, mut keyframe: Keyframe) -> KeyframeId {
-        keyframe.observations.sort_by_key(|o| o.landmark);
-        keyframe.observations.dedup_by_key(|o| o.landmark);
         let landmarks = &self.landmarks;
-        keyframe.observations.retain(|o| landmarks.get(o.landmark.0).is_some());
+        keyframe.observations.retain(|landmark| landmarks.get(landmark.0).is_some());
         keyframe.covisible.clear();
-        let observations = keyframe.observations.clone();
+        let seen: Vec<LandmarkId> = keyframe.observations.landmarks().collect();
         let id = KeyframeId(self.keyframes.insert(keyframe));
         self.detailed.insert(id);
-        for observation in &observations {
-            self.link(id, observation.landmark);
+        for landmark in seen {
+            self.link(id, landmark);
         }
         self.revision += 1;
         id
@@ -227,9 +208,9 @@ impl Map {
             return;
         }
         let Some(keyframe) = self.keyframes.get_mut(keyframe_id.0) else { return };
-        let Err(i) = keyframe.observations.binary_search_by_key(&observation.landmark, |o| o.landmark) else { return };
-        keyframe.observations.insert(i, observation);
-        self.link(keyframe_id, observation.landmark);
+        if keyframe.observations.insert(observation) {
+            self.link(keyframe_id, observation.landmark);
+        }
     }
 
     /// Enters `keyframe` among the observers of `landmark` and counts covisibility with the others.
@@ -251,9 +232,8 @@ impl Map {
             change_covisibility(&mut self.keyframes, keyframe, other, -1);
         }
         if let Some(k) = self.keyframes.get_mut(keyframe.0)
-            && let Ok(i) = k.observations.binary_search_by_key(&landmark, |o| o.landmark)
+            && k.observations.remove(landmark)
         {
-            k.observations.remove(i);
             k.picture.forget(landmark.0);
         }
         if self.landmarks.get(landmark.0).is_some_and(|l| l.observers.len() < 2 || self.is_hidden(landmark, l)) {
@@ -267,9 +247,8 @@ impl Map {
         let Some(entry) = self.landmarks.remove(landmark.0) else { return };
         for (n, &a) in entry.observers.iter().enumerate() {
             if let Some(k) = self.keyframes.get_mut(a.0)
-                && let Ok(i) = k.observations.binary_search_by_key(&landmark, |o| o.landmark)
+                && k.observations.remove(landmark)
             {
-                k.observations.remove(i);
                 k.picture.forget(landmark.0);
             }
             for &b in &entry.observers[n + 1..] {
@@ -281,12 +260,14 @@ impl Map {
 
     /// Takes a keyframe away; landmarks left with fewer than two observers, or with none that shows them, go as well.
     pub fn remove_keyframe(&mut self, id: KeyframeId) -> Option<Keyframe> {
-        let landmarks: Vec<LandmarkId> = self.keyframe(id)?.observations.iter().map(|o| o.landmark).collect();
+        let landmarks: Vec<LandmarkId> = self.keyframe(id)?.observations.landmarks().collect();
         for landmark in landmarks {
             self.remove_observation(id, landmark);
         }
         self.revision += 1;
         self.detailed.remove(&id);
+        self.condensed_here.remove(&id);
+        self.away.remove(&id);
         self.keyframes.remove(id.0)
     }
 
@@ -323,11 +304,8 @@ impl Map {
     ) {
         let Some(k) = self.keyframes.get_mut(keyframe.0) else { return };
         k.motion = Some(motion);
-        for o in &mut k.observations {
-            if let Some(landmark) = self.landmarks.get(o.landmark.0) {
-                o.displacement = displacement(&landmark.position, o);
-            }
-        }
+        let landmarks = &self.landmarks;
+        k.observations.displace(|o| Some(displacement(&landmarks.get(o.landmark.0)?.position, o)));
     }
 
     /// A landmark is there, as far as is known; what is known of it stays.
@@ -346,10 +324,8 @@ impl Map {
 
     /// A keyframe's observation of a landmark that it observes already is this one.
     pub fn replace_observation(&mut self, keyframe: KeyframeId, observation: Observation) {
-        if let Some(k) = self.keyframes.get_mut(keyframe.0)
-            && let Ok(i) = k.observations.binary_search_by_key(&observation.landmark, |o| o.landmark)
-        {
-            k.observations[i] = observation;
+        if let Some(k) = self.keyframes.get_mut(keyframe.0) {
+            k.observations.replace(observation);
         }
     }
 
@@ -403,7 +379,7 @@ impl Map {
             keyframes: self.keyframes.successor(),
             landmarks: self.landmarks.successor(),
             revision: self.revision + 1,
-            detailed: BTreeSet::new(),
+            ..Self::default()
         }
     }
 
@@ -440,6 +416,8 @@ impl Map {
         self.keyframes.absorb(other.keyframes);
         self.landmarks.absorb(other.landmarks);
         self.detailed.extend(other.detailed);
+        self.condensed_here.extend(other.condensed_here);
+        self.away.extend(other.away);
         self.revision = self.revision.max(other.revision) + 1;
     }
 
@@ -447,7 +425,7 @@ impl Map {
     pub fn fuse(&mut self, kept: LandmarkId, gone: LandmarkId) {
         let Some(entry) = self.landmark(gone).filter(|_| kept != gone) else { return };
         let seen: Vec<(KeyframeId, Observation)> =
-            entry.observers.iter().filter_map(|&k| Some((k, *self.keyframe(k)?.observation(gone)?))).collect();
+            entry.observers.iter().filter_map(|&k| Some((k, self.keyframe(k)?.observation(gone)?))).collect();
         for (keyframe, _) in &seen {
             if let Some(k) = self.keyframes.get_mut(keyframe.0) {
                 k.picture.rename(gone.0, kept.0);
@@ -462,13 +440,10 @@ impl Map {
 
     /// Undistorts all observations and free corners by another camera model of the same pictures.
     pub fn undistort_anew(&mut self, camera: &CameraModel) {
+        let lens = Arc::new(camera.clone());
+        self.lens = Some(lens.clone());
         for (_, keyframe) in self.keyframes.iter_mut() {
-            for o in &mut keyframe.observations {
-                if let Some((normalised, normalised_from_pixel)) = camera.undistort_jacobian(&o.pixel.cast()) {
-                    o.normalised = normalised;
-                    o.normalised_from_pixel = normalised_from_pixel;
-                }
-            }
+            keyframe.observations.undistort_anew(&lens);
             for corner in &mut keyframe.corners {
                 corner.normalised = camera.undistort(&corner.pixel.cast()).unwrap_or(corner.normalised);
             }
@@ -480,6 +455,8 @@ impl Map {
         self.keyframes.clear();
         self.landmarks.clear();
         self.detailed.clear();
+        self.condensed_here.clear();
+        self.away.clear();
         self.revision += 1;
     }
 }

@@ -18,8 +18,8 @@ impl Map {
         chosen.sort_unstable();
         chosen.dedup();
         let is_chosen = |id: &KeyframeId| chosen.binary_search(id).is_ok();
-        let seen = chosen.iter().filter_map(|&id| self.keyframe(id)).flat_map(|k| &k.observations);
-        let mut landmarks: Vec<LandmarkId> = seen.map(|o| o.landmark).collect();
+        let seen = chosen.iter().filter_map(|&id| self.keyframe(id)).flat_map(|k| k.observations.landmarks());
+        let mut landmarks: Vec<LandmarkId> = seen.collect();
         landmarks.sort_unstable();
         landmarks.dedup();
         let mut part = Self { revision, ..Self::default() };
@@ -30,7 +30,8 @@ impl Map {
         }
         for &id in &chosen {
             let Some(k) = self.keyframe(id) else { continue };
-            let known = k.observations.iter().filter(|o| part.landmark(o.landmark).is_some());
+            let mut observations = k.observations.clone();
+            observations.retain(|l| part.landmark(l).is_some());
             let copy = Keyframe {
                 sequence: k.sequence,
                 timestamp_ns: k.timestamp_ns,
@@ -40,7 +41,7 @@ impl Map {
                 picture: k.picture.clone(),
                 thumbnail: k.thumbnail.clone(),
                 scale_from: k.scale_from,
-                observations: known.copied().collect(),
+                observations,
                 covisible: k.covisible.iter().filter(|c| is_chosen(&c.0)).copied().collect(),
                 corners: Vec::new(),
             };

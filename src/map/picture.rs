@@ -9,13 +9,18 @@
 //! `condense` gives up the two levels after it as well, for [`View`]s of the landmarks that
 //! [`Map::condense_picture`](super::Map::condense_picture) chooses. Thumbnails, and coarse searches, have the levels that are left.
 //!
-//! Memory, 640 x 480: 410 kB whole; reduced 102 kB and 0.6 kB a patch; condensed 8 kB and 0.5 kB a view. Readers sample any through a
+//! Of keyframes far from the robot the condensed picture is elsewhere ([`away`](super::away)) until it is brought back: there is nothing to be cut from it
+//! meanwhile, but which landmarks it shows is known.
+//!
+//! Memory, 640 x 480: 410 kB whole; reduced 102 kB and 0.6 kB a patch; condensed 8 kB and 0.5 kB a view; away 0.3 kB. Readers sample any through a
 //! [`Crop`] and need not know which it is.
 
 use std::sync::Arc;
 
 use nalgebra::Vector2;
 
+use super::away::{Away, Condensed, PictureCopy};
+pub use super::view::Detail;
 use super::view::{PATCH_LEVELS, PLACE_DESCRIPTORS, ROOM, Room, SmallPatch, View};
 use crate::features::descriptor::Descriptor;
 use crate::image::pyramid::{double, level_from_base};
@@ -28,17 +33,6 @@ pub const PATCH_PX: usize = 24;
 pub const CONDENSED_LEVEL: usize = 3;
 /// Where it is narrower than this a thumbnail needs a finer one, and the picture is small anyway, px.
 const CONDENSED_WIDTH: usize = 32;
-
-/// How finely a picture shows a landmark.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Detail {
-    /// No template can be cut, but from the coarsest levels.
-    None,
-    /// From level 1 on.
-    Half,
-    /// From level 0 on.
-    Full,
-}
 
 /// The pixels of level 0 around one observation.
 #[derive(Debug, Clone)]
@@ -61,6 +55,10 @@ pub struct KeyframePicture {
     views: Arc<Vec<View>>,
     /// What the index over places is told of a condensed one when another run goes on in the map.
     place: Arc<Vec<Descriptor>>,
+    /// There is a copy elsewhere of a condensed one.
+    copy: Option<Arc<Away>>,
+    /// And nothing but the copy.
+    is_away: bool,
     /// Grows with what a copy elsewhere must be told; patches of landmarks that are no longer observed go untold.
     revision: u32,
 }
@@ -139,7 +137,7 @@ impl KeyframePicture {
     }
 
     pub fn is_condensed(&self) -> bool {
-        self.pyramid.levels.get(1).is_some_and(|level| level.data.is_empty())
+        self.is_away || self.pyramid.levels.get(1).is_some_and(|level| level.data.is_empty())
     }
 
     /// Memory on the heap, bytes, without what the allocator adds; a picture that is shared counts here.
@@ -149,6 +147,7 @@ impl KeyframePicture {
             + self.patches.len() * PATCH_PX * PATCH_PX
             + self.views.capacity() * size_of::<View>()
             + self.place.capacity() * size_of::<Descriptor>()
+            + self.copy.as_ref().map_or(0, |copy| copy.bytes())
     }
 
     /// See [`KeyframePicture`]: as long as this stays, a copy elsewhere needs no more than the landmarks that are observed.
@@ -213,6 +212,9 @@ impl KeyframePicture {
         }
         if !self.is_condensed() {
             return Detail::Half;
+        }
+        if let Some(away) = self.away() {
+            return away.detail(landmark);
         }
         match self.view(landmark).map(|view| view.patches.each_ref().map(Option::is_some)) {
             Some([true, _]) => Detail::Full,
@@ -288,12 +290,83 @@ impl KeyframePicture {
         self.revision += 1;
     }
 
+    /// What is known of it while it is not here.
+    fn away(&self) -> Option<&Away> {
+        self.copy.as_deref().filter(|_| self.is_away)
+    }
+
+    /// Nothing of it is here: there is only a copy elsewhere.
+    #[inline]
+    pub fn is_away(&self) -> bool {
+        self.is_away
+    }
+
+    /// Whether it could be elsewhere.
+    pub fn can_be_away(&self) -> bool {
+        self.is_condensed() && !self.is_away && self.has_level(CONDENSED_LEVEL)
+    }
+
+    /// Gives up what is here of a condensed picture, as there is a copy elsewhere: the one that was made before if that is still as good, else the one
+    /// that `copied` makes. Whether there is one.
+    pub fn put_away(&mut self, copied: impl FnOnce(&Self) -> Option<Arc<dyn PictureCopy>>) -> bool {
+        if !self.can_be_away() {
+            return false;
+        }
+        // Views that were forgotten since are in the copy still.
+        match self.copy.as_mut().filter(|copy| copy.revision() == self.revision) {
+            Some(copy) => {
+                let views = &self.views;
+                let is_here = |l: u32| views.binary_search_by_key(&l, |v| v.landmark).is_ok();
+                Arc::make_mut(copy).retain(is_here);
+            }
+            None => {
+                let copy = copied(self).and_then(|copy| Away::new(copy, self.revision, &self.views));
+                let Some(copy) = copy else { return false };
+                self.copy = Some(Arc::new(copy));
+            }
+        }
+        (self.pyramid, self.views, self.place) = Default::default();
+        self.is_away = true;
+        true
+    }
+
+    /// Reads what is elsewhere. After an error nothing is left of the picture.
+    pub fn bring_back(&mut self) -> Result<(), String> {
+        let Some(away) = self.away() else { return Ok(()) };
+        let read = away.read();
+        self.is_away = false;
+        match read {
+            Ok(Condensed { pyramid, views, place }) => {
+                (self.pyramid, self.views, self.place) = (pyramid, views, place);
+                Ok(())
+            }
+            Err(reason) => {
+                self.pyramid =
+                    Arc::new(Pyramid::from_level(GreyImage::default(), CONDENSED_LEVEL, CONDENSED_LEVEL + 1));
+                self.copy = None;
+                self.revision += 1;
+                Err(reason)
+            }
+        }
+    }
+
+    /// All that there is of a condensed one.
+    pub fn condensed(&self) -> Option<Condensed> {
+        let Self { pyramid, views, place, .. } = self;
+        let all = || Condensed { pyramid: pyramid.clone(), views: views.clone(), place: place.clone() };
+        self.can_be_away().then(all)
+    }
+
     /// One landmark turned out to be another.
     pub(super) fn rename(&mut self, landmark: u32, to: u32) {
         if let (Ok(from), Err(_)) = (self.patch_of(landmark), self.patch_of(to)) {
             let patches = Arc::make_mut(&mut self.patches);
             patches[from].landmark = to;
             patches.sort_by_key(|p| p.landmark);
+            self.revision += 1;
+        }
+        if let Some(copy) = self.copy.as_mut().filter(|copy| self.is_away && copy.has(landmark) && !copy.has(to)) {
+            Arc::make_mut(copy).rename(|l| if l == landmark { to } else { l });
             self.revision += 1;
         }
         if let (Some(_), None) = (self.view(landmark), self.view(to)) {
@@ -308,6 +381,9 @@ impl KeyframePicture {
     pub(super) fn rename_all(&mut self, new: impl Fn(u32) -> u32) {
         Arc::make_mut(&mut self.patches).iter_mut().for_each(|p| p.landmark = new(p.landmark));
         Arc::make_mut(&mut self.views).iter_mut().for_each(|v| v.landmark = new(v.landmark));
+        if let Some(copy) = &mut self.copy {
+            Arc::make_mut(copy).rename(new);
+        }
         self.revision += 1;
     }
 
@@ -319,12 +395,18 @@ impl KeyframePicture {
         if self.view(landmark).is_some() {
             Arc::make_mut(&mut self.views).retain(|v| v.landmark != landmark);
         }
+        if let Some(copy) = self.copy.as_mut().filter(|copy| self.is_away && copy.has(landmark)) {
+            Arc::make_mut(copy).retain(|l| l != landmark);
+        }
     }
 
     /// Forgets the patches and views of all landmarks but these (ascending).
     pub(super) fn keep_only(&mut self, landmarks: &[u32]) {
         Arc::make_mut(&mut self.views).retain(|v| landmarks.binary_search(&v.landmark).is_ok());
         Arc::make_mut(&mut self.patches).retain(|p| landmarks.binary_search(&p.landmark).is_ok());
+        if let Some(copy) = &mut self.copy {
+            Arc::make_mut(copy).retain(|l| landmarks.binary_search(&l).is_ok());
+        }
     }
 
     fn patch_of(&self, landmark: u32) -> Result<usize, usize> {

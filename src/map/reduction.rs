@@ -3,12 +3,16 @@
 //! And which views remain of it when it is condensed: those of the landmarks that most keyframes see. A landmark that no keyframe shows any more,
 //! as all that see it are condensed and had better ones to keep, could never be found again and goes.
 
+use std::sync::Arc;
+
 use nalgebra::Vector3;
 
-use super::picture::Detail;
+use super::away::PictureCopy;
+use super::picture::{Detail, KeyframePicture};
 use super::view::{Description, View};
 use super::{Keyframe, KeyframeId, Landmark, LandmarkId, Map};
 use crate::features::thumbnail::Thumbnail;
+use crate::geometry::CameraModel;
 
 /// Views that a condensed keyframe keeps, at the most. A new keyframe has some 37 landmarks that are new (of 200): a quarter of these, which few
 /// others see, are not kept for ever.
@@ -25,9 +29,9 @@ impl Map {
         let Some(keyframe) = self.keyframe(id).filter(|k| k.picture.whole().is_some()) else { return };
         let centre = keyframe.centre();
         let mut kept = Vec::with_capacity(keyframe.observations.len());
-        for o in &keyframe.observations {
-            if self.landmark(o.landmark).is_some_and(|l| !self.has_patch_alike(o.landmark, l, &centre)) {
-                kept.push((o.landmark.0, o.pixel));
+        for (id, pixel) in keyframe.observations.pixels() {
+            if self.landmark(id).is_some_and(|l| !self.has_patch_alike(id, l, &centre)) {
+                kept.push((id.0, pixel));
             }
         }
         if let Some(k) = self.keyframes.get_mut(id.0) {
@@ -44,11 +48,13 @@ impl Map {
     }
 
     /// Condenses a keyframe's picture to the views of at most [`MOST_VIEWS`] landmarks, those of the most keyframes first; `describe` gives
-    /// the descriptors of the picture, and of what it is told of the keyframe's landmarks, in the same order. Landmarks that nothing shows any
+    /// the descriptors of the picture, and of what it is told of the keyframe's landmarks, in the same order. Its observations, undistorted by
+    /// `camera`, are packed. Landmarks that nothing shows any
     /// more are taken out of the map; how many. Of a picture that is too small nothing is given up.
     pub fn condense_picture(
         &mut self,
         id: KeyframeId,
+        camera: &CameraModel,
         describe: impl FnOnce(&Keyframe, &[LandmarkId]) -> Description,
     ) -> usize {
         self.reduce_picture(id);
@@ -56,11 +62,11 @@ impl Map {
         let Some(keyframe) = self.keyframe(id).filter(|k| k.picture.can_be_condensed()) else { return 0 };
         // Where a patch of level 0 is there it is the only one of this view; without one another keyframe has it, or level 1 must do.
         let mut ranked = Vec::with_capacity(keyframe.observations.len());
-        for o in &keyframe.observations {
-            let Some(landmark) = self.landmark(o.landmark) else { continue };
-            let shown = |other: &KeyframeId| *other != id && self.detail(*other, o.landmark) > Detail::None;
-            if keyframe.picture.shows(o.landmark.0) || !landmark.observers.iter().any(shown) {
-                ranked.push((std::cmp::Reverse(landmark.observers.len()), o.landmark));
+        for seen in keyframe.observations.landmarks() {
+            let Some(landmark) = self.landmark(seen) else { continue };
+            let shown = |other: &KeyframeId| *other != id && self.detail(*other, seen) > Detail::None;
+            if keyframe.picture.shows(seen.0) || !landmark.observers.iter().any(shown) {
+                ranked.push((std::cmp::Reverse(landmark.observers.len()), seen));
             }
         }
         ranked.sort_unstable();
@@ -76,16 +82,71 @@ impl Map {
                 views.push(View { landmark: landmark.0, patches, described });
             }
         }
-        let seen: Vec<LandmarkId> = keyframe.observations.iter().map(|o| o.landmark).collect();
+        let seen: Vec<LandmarkId> = keyframe.observations.landmarks().collect();
+        let lens = self.lens.take().filter(|lens| **lens == *camera).unwrap_or_else(|| Arc::new(camera.clone()));
         if let Some(k) = self.keyframes.get_mut(id.0) {
             k.picture.condense(views, place);
             // It follows from the picture.
             k.thumbnail = Thumbnail::default();
-            k.observations.shrink_to_fit();
+            k.observations.pack(&lens);
             k.covisible.shrink_to_fit();
         }
-        let hidden: Vec<LandmarkId> =
-            seen.into_iter().filter(|id| self.landmark(*id).is_some_and(|l| self.is_hidden(*id, l))).collect();
+        self.lens = Some(lens);
+        self.condensed_here.insert(id);
+        self.remove_hidden(&seen)
+    }
+
+    /// Keyframes whose pictures are condensed and here, ascending.
+    pub fn condensed_here(&self) -> impl ExactSizeIterator<Item = KeyframeId> {
+        self.condensed_here.iter().copied()
+    }
+
+    /// Keyframes whose pictures are elsewhere.
+    pub fn away(&self) -> usize {
+        self.away.len()
+    }
+
+    /// Gives up a keyframe's condensed picture here, as there is a copy elsewhere; `copied` makes one where the last one is none any more. Whether
+    /// it is away now.
+    pub fn put_picture_away(
+        &mut self,
+        id: KeyframeId,
+        copied: impl FnOnce(&KeyframePicture) -> Option<Arc<dyn PictureCopy>>,
+    ) -> bool {
+        // A map that is only located in changes by this as well: no file needs to be told.
+        let is_away = self.keyframes.get_mut_unnoticed(id.0).is_some_and(|k| k.picture.put_away(copied));
+        if is_away {
+            self.condensed_here.remove(&id);
+            self.away.insert(id);
+        }
+        is_away
+    }
+
+    /// Whether a keyframe's picture was elsewhere and is here again. After an error, which says why, it is gone, and so are the landmarks that nothing
+    /// else shows.
+    pub fn bring_picture_back(&mut self, id: KeyframeId) -> Result<bool, String> {
+        let Some(k) = self.keyframes.get_mut_unnoticed(id.0).filter(|k| k.picture.is_away()) else { return Ok(false) };
+        let brought = k.picture.bring_back();
+        self.condensed_here.insert(id);
+        self.away.remove(&id);
+        if brought.is_err() {
+            let seen: Vec<LandmarkId> = k.observations.landmarks().collect();
+            self.remove_hidden(&seen);
+        }
+        brought.map(|()| true)
+    }
+
+    /// Brings back all pictures that are elsewhere, for a copy of a part of the map; what cannot be read stays out.
+    pub fn bring_pictures_back(&mut self) {
+        for (_, k) in self.keyframes.iter_mut() {
+            // Who keeps the map itself says why.
+            let _ = k.picture.bring_back();
+        }
+    }
+
+    fn remove_hidden(&mut self, landmarks: &[LandmarkId]) -> usize {
+        let is_hidden = |id: &&LandmarkId| self.landmark(**id).is_some_and(|l| self.is_hidden(**id, l));
+        let hidden: Vec<LandmarkId> = landmarks.iter().filter(is_hidden).copied().collect();
         hidden.iter().for_each(|landmark| self.remove_landmark(*landmark));
         hidden.len()
     }

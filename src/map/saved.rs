@@ -219,9 +219,7 @@ impl SavedMap {
         for id in ids {
             let Some(mut k) = map.keyframes.remove(id) else { continue };
             k.map = MapId(new.maps.of(k.map.0));
-            for o in &mut k.observations {
-                o.landmark = LandmarkId(new.landmarks.of(o.landmark.0));
-            }
+            k.observations.rename_all(|landmark| LandmarkId(new.landmarks.of(landmark.0)));
             k.picture.rename_all(|landmark| new.landmarks.of(landmark));
             keyframes.push((new.keyframes.of(id), k));
         }
@@ -254,14 +252,16 @@ impl Map {
                 return Err(format!("keyframe {id} is there twice"));
             }
             keyframe.covisible.clear();
-            let observed: Vec<u32> = keyframe.observations.iter().map(|o| o.landmark.0).collect();
+            let observed: Vec<u32> = keyframe.observations.landmarks().map(|l| l.0).collect();
             if !observed.is_sorted_by(|a, b| a < b) {
                 return Err(format!("keyframe {id}: its landmarks are in no order"));
             }
             keyframe.picture.keep_only(&observed);
-            if !keyframe.picture.is_condensed() {
-                map.detailed.insert(KeyframeId(id));
-            }
+            match keyframe.picture.is_condensed() {
+                false => map.detailed.insert(KeyframeId(id)),
+                true if keyframe.picture.is_away() => map.away.insert(KeyframeId(id)),
+                true => map.condensed_here.insert(KeyframeId(id)),
+            };
             map.keyframes.restore(id, keyframe);
             for landmark in observed {
                 let Some(entry) = map.landmarks.get_mut(landmark) else {

@@ -1,3 +1,5 @@
+use nalgebra::Matrix2;
+
 use super::*;
 use crate::geometry::random::Random;
 
@@ -229,7 +231,7 @@ fn the_graph_is_what_ties_the_map_then_the_strongest_of_what_is_covisible() {
     let whole = filled(usize::MAX);
     assert_eq!(whole.total, whole.edges.len());
     let shared = |a: KeyframeId, b: KeyframeId| {
-        let own = |k| map.keyframe(k).unwrap().observations.iter().map(|o| o.landmark).collect::<Vec<_>>();
+        let own = |k| map.keyframe(k).unwrap().observations.landmarks().collect::<Vec<_>>();
         let others = own(b);
         own(a).iter().filter(|l| others.contains(l)).count() as u32
     };

@@ -23,6 +23,17 @@ const PIXELS: usize = SMALL_PX * SMALL_PX;
 /// Step of a descriptor's numbers: the largest that four bits tell is 165, which few numbers of a real one exceed.
 const DESCRIPTOR_STEP: u8 = 11;
 
+/// How finely a picture shows a landmark.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Detail {
+    /// No template can be cut, but from the coarsest levels.
+    None,
+    /// From level 1 on.
+    Half,
+    /// From level 0 on.
+    Full,
+}
+
 /// Room for the pixels of a small patch.
 pub type Room = [u8; PIXELS];
 pub const ROOM: Room = [0; PIXELS];

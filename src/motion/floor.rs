@@ -207,8 +207,7 @@ impl Floor {
         let mut keyframes: Vec<&Keyframe> =
             (first..=newest.0).rev().filter_map(|id| recent(&id)).take(KEYFRAMES).collect();
         keyframes.reverse();
-        let mut seen: Vec<LandmarkId> =
-            keyframes.iter().flat_map(|k| k.observations.iter().map(|o| o.landmark)).collect();
+        let mut seen: Vec<LandmarkId> = keyframes.iter().flat_map(|k| k.observations.landmarks()).collect();
         seen.sort_unstable();
         seen.dedup();
         let tells = |id: &LandmarkId| {

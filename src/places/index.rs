@@ -169,6 +169,14 @@ impl PlaceIndex {
         }
     }
 
+    /// A keyframe that is in it is known by these alone from now on.
+    pub fn replace(&mut self, keyframe: KeyframeId, descriptors: &[Descriptor]) {
+        if self.contains(keyframe) {
+            self.remove(keyframe);
+            self.add(keyframe, descriptors);
+        }
+    }
+
     /// Takes a keyframe out: no query finds it any more, and its memory is freed by the removals and insertions that follow.
     pub fn remove(&mut self, keyframe: KeyframeId) {
         let Some(slot) = self.slot_of.remove(&keyframe) else { return };

@@ -153,11 +153,11 @@ fn held(map: &Map, from: (KeyframeId, usize), to: (KeyframeId, usize), depths: &
 fn shared(map: &Map, a: &Keyframe, b: &Keyframe) -> (usize, f64) {
     let centre = b.centre();
     let (mut count, mut information) = (0, 0.0);
-    let mut own = b.observations.iter().peekable();
-    for seen in &a.observations {
-        while own.next_if(|o| o.landmark < seen.landmark).is_some() {}
-        let Some(o) = own.next_if(|o| o.landmark == seen.landmark) else { continue };
-        let Some(landmark) = map.landmark(o.landmark).filter(|l| l.assumed.is_none()) else { continue };
+    let mut own = b.observations.landmarks().peekable();
+    for seen in a.observations.landmarks() {
+        while own.next_if(|o| *o < seen).is_some() {}
+        let Some(id) = own.next_if(|o| *o == seen) else { continue };
+        let Some(landmark) = map.landmark(id).filter(|l| l.assumed.is_none()) else { continue };
         let ray = landmark.position - centre;
         // Of the distance d along the ray: (sigma / d)² = rᵀ P r / d⁴.
         let told = ray.norm_squared().powi(2) / ray.dot(&(landmark.covariance * ray));
@@ -170,8 +170,7 @@ fn shared(map: &Map, a: &Keyframe, b: &Keyframe) -> (usize, f64) {
 /// Median depth of what a keyframe sees, map units.
 fn depth(keyframe: &Keyframe, map: &Map) -> f64 {
     let depth = |id| Some(keyframe.camera_from_world.transform(&map.landmark(id)?.position).z);
-    let mut depths: Vec<f64> =
-        keyframe.observations.iter().filter_map(|o| depth(o.landmark)).filter(|z| *z > 0.0).collect();
+    let mut depths: Vec<f64> = keyframe.observations.landmarks().filter_map(depth).filter(|z| *z > 0.0).collect();
     median(&mut depths).unwrap_or(1.0)
 }
 

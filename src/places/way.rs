@@ -77,7 +77,7 @@ mod tests {
                 picture: Default::default(),
                 thumbnail: Default::default(),
                 scale_from: None,
-                observations: Vec::new(),
+                observations: Default::default(),
                 covisible: Vec::new(),
                 corners: Vec::new(),
             });

@@ -1,5 +1,7 @@
 //! What can be asked of a reconstruction between frames. Cost: what is returned, nothing else.
 
+use std::path::Path;
+
 use super::dead_reckoning::DeadReckoning;
 use super::types::{Counters, TrackingState, TrajectoryEvent};
 use super::{Corrections, LensEstimate, Reconstruction};
@@ -13,6 +15,16 @@ impl Reconstruction {
     /// Events since the last call, in order; to be drained after every frame.
     pub fn take_trajectory_events(&mut self, out: &mut Vec<TrajectoryEvent>) {
         out.append(&mut self.events);
+    }
+
+    /// Condensed pictures far from the robot may lie in this folder from now on.
+    pub fn spool_pictures(&mut self, folder: &Path) {
+        self.far.spool_in(folder);
+    }
+
+    /// Why a picture was not written or read, when that was counted last.
+    pub fn picture_fault(&self) -> &str {
+        &self.far.reason
     }
 
     /// Poses of all maps' keyframes, for the trajectory written at the end; those of maps that were dropped came as events.

@@ -215,7 +215,7 @@ impl Reconstruction {
             thumbnail: thumbnail_of(&view.pyramid),
             scale_from: None,
             picture: KeyframePicture::new(view.pyramid.clone()),
-            observations: Vec::new(),
+            observations: Default::default(),
             covisible: Vec::new(),
             corners: Vec::new(),
         })
@@ -253,7 +253,7 @@ impl Reconstruction {
                 }
             }
             let seen: Vec<_> =
-                observers.iter().filter_map(|&k| Some((k, *self.active.map.keyframe(k)?.observation(id)?))).collect();
+                observers.iter().filter_map(|&k| Some((k, self.active.map.keyframe(k)?.observation(id)?))).collect();
             // With fewer than two views left the landmark is gone already.
             if let Some(covariance) =
                 refine_point(&self.active.map, &seen, &self.optics.camera, self.optics.shutter.readout_s, &mut position)
@@ -372,7 +372,7 @@ fn refine_in_view(
     let (_, projection) = camera.project_jacobian(&kb.camera_from_world.transform(&landmark.position))?;
     let rotation = kb.camera_from_world.rotation * ka.camera_from_world.rotation.inverse();
     let depth = ka.camera_from_world.transform(&landmark.position).z;
-    let affine = affine_warp(camera, &projection, &rotation, depth, oa);
-    let found = align_template(ka, oa, kb.picture.whole()?, &affine, ob.pixel.cast(), options)?;
+    let affine = affine_warp(camera, &projection, &rotation, depth, &oa);
+    let found = align_template(ka, &oa, kb.picture.whole()?, &affine, ob.pixel.cast(), options)?;
     observe(camera, id, found.pixel, found.inv_sigma_px)
 }

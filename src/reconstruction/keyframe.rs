@@ -111,7 +111,7 @@ pub fn insert_keyframe(
     config: &ReconstructionConfig,
     feedback: &mut Feedback,
 ) -> KeyframeId {
-    let observations = new.matches.iter().filter_map(|m| observe_match(camera, m)).collect::<Vec<_>>();
+    let observations = new.matches.iter().filter_map(|m| observe_match(camera, m)).collect();
     let id = map.add_keyframe(Keyframe {
         sequence: new.features.sequence,
         timestamp_ns: new.features.timestamp_ns,
@@ -172,11 +172,10 @@ pub(super) fn bind_new(
     first_new: u32,
 ) {
     let Some(keyframe) = map.keyframe(keyframe) else { return };
-    let start = keyframe.observations.partition_point(|o| o.landmark.0 < first_new);
-    for o in &keyframe.observations[start..] {
-        let near = features.tracks.iter().find(|t| (t.position - o.pixel).norm() < SAME_CORNER_PX);
+    for (landmark, pixel) in keyframe.observations.pixels().filter(|o| o.0.0 >= first_new) {
+        let near = features.tracks.iter().find(|t| (t.position - pixel).norm() < SAME_CORNER_PX);
         if let Some(track) = near.filter(|t| !matches!(bindings.get(t.id), Some(Target::Landmark(_)))) {
-            bindings.set(track.id, Target::Landmark(o.landmark));
+            bindings.set(track.id, Target::Landmark(landmark));
         }
     }
 }

@@ -43,9 +43,10 @@ const MIN_LIKENESS: f32 = 0.1;
 const TRIED: usize = 3;
 
 /// Keyframes of another run's map that are entered into the index after one frame, and as how many of these one counts that has to be described
-/// (1 ms; a condensed one takes 0.04 ms): 4 to 5 ms.
+/// (1 ms; a condensed one takes 0.04 ms), or read (0.1 ms): 4 to 5 ms.
 const ENTERED_AT_ONCE: usize = 128;
 const DESCRIBED_AS: usize = 32;
+const READ_AS: usize = 4;
 
 /// A loop that two keyframes have told.
 struct FoundLoop {
@@ -113,6 +114,25 @@ impl Loops {
         self.index.len()
     }
 
+    /// Condensed keyframes are known by what their pictures keep, as they are to a run that loads them.
+    pub fn shorten(&mut self, map: &Map, condensed: &[KeyframeId]) {
+        for (id, keyframe) in condensed.iter().filter_map(|id| Some((*id, map.keyframe(*id)?))) {
+            if keyframe.picture.is_condensed() {
+                self.index.replace(id, keyframe.picture.place_descriptors());
+            }
+        }
+    }
+
+    /// Keyframes at the ends of loops that were closed: what holds both ends together rests on them.
+    pub fn ends(&self) -> impl Iterator<Item = KeyframeId> {
+        self.closed.iter().flat_map(|(old, recognised)| [*old, *recognised])
+    }
+
+    /// Whether some wait.
+    pub fn is_entering(&self) -> bool {
+        !self.to_enter.is_empty()
+    }
+
     /// Enters some of those that wait and are in a map still.
     pub fn enter_some(&mut self, map: &Map, others: &OtherMaps) {
         let Self { index, describer, seen, to_enter, .. } = self;
@@ -123,6 +143,13 @@ impl Loops {
             let keyframe = map.keyframe(id).or_else(|| others.maps().find_map(|map| map.keyframe(id)));
             let Some(keyframe) = keyframe else { continue };
             match keyframe.picture.is_condensed() {
+                true if keyframe.picture.is_away() => {
+                    let mut picture = keyframe.picture.clone();
+                    // One that cannot be read is known by nothing; it is said once the robot is there.
+                    let _ = picture.bring_back();
+                    index.add(id, picture.place_descriptors());
+                    work += READ_AS;
+                }
                 true => {
                     index.add(id, keyframe.picture.place_descriptors());
                     work += 1;

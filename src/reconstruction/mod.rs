@@ -12,6 +12,7 @@ pub mod config;
 mod corrections;
 mod covariance;
 mod dead_reckoning;
+mod far_pictures;
 mod graph;
 mod initialise;
 mod keyframe;
@@ -42,6 +43,7 @@ pub use types::*;
 use active_map::ActiveMap;
 use adjust::mapper::{Mapper, Merge};
 use dead_reckoning::{Ahead, DeadReckoning};
+use far_pictures::FarPictures;
 use initialise::initialiser::Initialiser;
 use initialise::orientation::OrientationTracker;
 use keyframe::cull;
@@ -93,6 +95,7 @@ pub struct Reconstruction {
     active: ActiveMap,
     others: OtherMaps,
     loops: Loops,
+    far: FarPictures,
     initialiser: Initialiser,
     /// While there is no map.
     orientation: OrientationTracker,
@@ -150,6 +153,7 @@ impl Reconstruction {
             active: ActiveMap::default(),
             others: OtherMaps::default(),
             loops: Loops::default(),
+            far: FarPictures::default(),
             initialiser: Initialiser::default(),
             orientation: OrientationTracker::default(),
             tracker: Tracker::default(),
@@ -230,6 +234,7 @@ impl Reconstruction {
         }
         if tracked.as_ref().is_none_or(|t| t.share() < WEAK_SHARE) {
             let likely = self.loops.likely(map, &features.pyramid, LIKELY);
+            self.far.ask(&likely);
             let elsewhere = self.relocaliser.place(&frame, reference, &likely);
             let better = |other: &Tracked| tracked.is_none_or(|weak| 5 * other.landmarks > 6 * weak.landmarks);
             if let Some(other) = elsewhere.filter(better) {
@@ -353,6 +358,9 @@ impl Reconstruction {
         feedback.sequence = features.sequence;
         feedback.forget.clear();
         self.enter_loaded();
+        let Self { far, active, others, loops, counters, config, .. } = self;
+        let maps = (&mut active.map, others);
+        far.exchange(maps, active.reference, config.detailed_keyframes, loops.is_entering(), counters);
         if self.localise_only {
             return self.bind_found(features);
         }
@@ -407,11 +415,15 @@ impl Reconstruction {
         active.scale.follow(map);
         counters.landmarks_culled += cull::cull_landmarks(map, id);
         counters.keyframes_culled += cull::cull_keyframes((map, active.id), id, config, &mut self.events);
-        let held = self.tags.as_ref().map_or_else(Vec::new, |tags| tags.rest_on(map));
+        let mut held = self.tags.as_ref().map_or_else(Vec::new, |tags| tags.rest_on(map));
+        held.extend(self.loops.ends());
+        held.sort_unstable();
         let (most, turn) = ((config.max_keyframes, held.as_slice()), &mut active.thinned);
         counters.keyframes_culled += cull::thin_out((map, active.id), id, most, turn, &mut self.events);
         reduce_pictures(map, id);
-        counters.landmarks_culled += condense_pictures(map, id, config.detailed_keyframes, describe_kept);
+        let (condensed, gone) = condense_pictures(map, id, (config.detailed_keyframes, camera), describe_kept);
+        counters.landmarks_culled += gone;
+        self.loops.shorten(map, &condensed);
         active.unadjusted = Some(id);
         self.recognise(features, id);
         self.look_for_loop(features, id);

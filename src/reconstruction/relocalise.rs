@@ -129,7 +129,7 @@ impl Relocaliser {
 
     fn rank_chosen(&mut self, map: &Map, camera: &CameraModel) {
         for &id in &self.chosen {
-            let Some(keyframe) = map.keyframe(id) else { continue };
+            let Some(keyframe) = map.keyframe(id).filter(|k| !k.picture.is_away()) else { continue };
             let thumbnail = match keyframe.picture.is_condensed() {
                 true => {
                     self.remade.build(keyframe.picture.pyramid());
@@ -231,7 +231,7 @@ mod tests {
                 picture: Default::default(),
                 thumbnail: Thumbnail::default(),
                 scale_from: None,
-                observations: Vec::new(),
+                observations: Default::default(),
                 covisible: Vec::new(),
                 corners: Vec::new(),
             });

@@ -208,7 +208,7 @@ mod tests {
             picture: Default::default(),
             thumbnail: Default::default(),
             scale_from,
-            observations: Vec::new(),
+            observations: Default::default(),
             covisible: Vec::new(),
             corners: Vec::new(),
         }

@@ -51,7 +51,7 @@ fn keyframe(camera_from_world: Se3<Camera, World>, pyramid: Pyramid) -> Keyframe
         picture: crate::map::picture::KeyframePicture::new(Arc::new(pyramid)),
         thumbnail,
         scale_from: None,
-        observations: Vec::new(),
+        observations: Default::default(),
         covisible: Vec::new(),
         corners: Vec::new(),
     }
@@ -316,7 +316,7 @@ fn keyframes_of_another_run_come_into_the_index_piece_by_piece_however_few() {
         }
         // Old ones, condensed.
         for id in (0..10).map(KeyframeId) {
-            map.condense_picture(id, describe_kept);
+            map.condense_picture(id, &camera(), describe_kept);
         }
         assert_eq!(map.detailed().len(), 10);
         let scale = MapScale::Unknown;

@@ -213,7 +213,7 @@ impl Tracker {
         self.votes.push((reference, 0));
         for &(id, _) in &self.votes {
             if let Some(k) = map.keyframe(id) {
-                self.local.extend(k.observations.iter().map(|o| o.landmark));
+                self.local.extend(k.observations.landmarks());
             }
         }
         self.local.sort_unstable();

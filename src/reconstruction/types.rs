@@ -137,6 +137,9 @@ pub struct Counters {
     pub maps_joined: u64,
     /// Loops that were closed: places of the same map that were recognised after drift, and corrected.
     pub loops_closed: u64,
+    /// Times that the disk did not take pictures of far keyframes, which stay in memory, and pictures that it did not give back.
+    pub spool_faults: u64,
+    pub pictures_lost: u64,
     /// Turns on the spot that left all behind whose distance was known: the scale of what follows is an assumption.
     pub blind_turns: u64,
     /// Time (ns) and way (mm) for which frames were placed by the wheels alone, and how often a map went on from there.

@@ -198,7 +198,7 @@ fn map_before(print: &Print, tone: impl Fn(f64) -> f64) -> (CameraModel, Map, Ve
             picture: Default::default(),
             thumbnail: Default::default(),
             scale_from: None,
-            observations: Vec::new(),
+            observations: Default::default(),
             covisible: Vec::new(),
             corners: Vec::new(),
         });

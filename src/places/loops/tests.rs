@@ -19,7 +19,7 @@ fn keyframe(camera_from_world: Se3<Camera, World>) -> Keyframe {
         picture: Default::default(),
         thumbnail: Default::default(),
         scale_from: None,
-        observations: Vec::new(),
+        observations: Default::default(),
         covisible: Vec::new(),
         corners: Vec::new(),
     }
@@ -93,7 +93,7 @@ fn told(ids: &[KeyframeId]) -> LoopEdge {
 /// How far the last keyframe is from where it truly is to the first, and the logarithm of the unit of what it sees.
 fn error(map: &Map, ids: &[KeyframeId]) -> (f64, f64) {
     let last = map.keyframe(ids[KEYFRAMES - 1]).expect("there");
-    let own = last.observations.last().and_then(|o| map.landmark(o.landmark)).expect("seen");
+    let own = last.observations.landmarks().last().and_then(|id| map.landmark(id)).expect("seen");
     let depth = last.camera_from_world.transform(&own.position).z;
     ((last.centre() - truth(KEYFRAMES - 1).inverse().translation).norm(), (depth / 3.0).ln())
 }

@@ -9,6 +9,7 @@ use nalgebra::{Vector2, Vector3};
 
 use super::backend::Access;
 use super::error::FORMAT;
+use super::file::MOST_READ;
 use super::records::{Kind, Records};
 use super::*;
 use crate::features::descriptor::Descriptor;
@@ -71,7 +72,7 @@ fn map(random: &mut Random) -> Map {
 }
 
 fn condense(map: &mut Map, id: u32, random: &mut Random) {
-    map.condense_picture(KeyframeId(id), |_, landmarks| {
+    map.condense_picture(KeyframeId(id), &camera(), |_, landmarks| {
         let mut described = || {
             let of = GradientDescriptor(std::array::from_fn::<u8, NUMBERS, _>(|_| random.below(166) as u8));
             (random.below(4) > 0).then(|| CoarseDescriptor::of(&of))
@@ -224,4 +225,40 @@ fn a_keyframe_with_two_pictures_is_refused() {
     let refused = read(&path).map(|_| ()).expect_err("which is it?");
     assert!(matches!(refused.fault, Fault::Broken(_)), "{refused}");
     assert!(refused.to_string().contains("keyframe 2 has two pictures"), "{refused}");
+}
+
+#[test]
+fn of_a_large_map_that_is_gone_on_with_most_pictures_wait_beside_it() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let path = dir.path().join("a.map");
+    let mut random = Random::new(76);
+    let mut map = map(&mut random);
+    let first = map.keyframe(KeyframeId(0)).expect("there").clone();
+    let more = MOST_READ as u32 + 60;
+    for sequence in 1..=more {
+        map.add_keyframe(Keyframe { sequence: sequence.into(), observations: Default::default(), ..first.clone() });
+    }
+    (0..more).for_each(|id| condense(&mut map, id, &mut random));
+    MapFile::create(&path, &changes(&mut map, true)).expect("made").close().expect("closed");
+    let bytes = std::fs::read(&path).expect("bytes");
+    let whole = views(&read(&path).expect("whole").saved.maps[0].map);
+    for go_on in [false, true] {
+        let (file, contents) = match go_on {
+            false => (None, read_to_locate(&path).expect("whole")),
+            true => MapFile::open(&path).map(|(file, contents)| (Some(file), contents)).expect("whole"),
+        };
+        let mut maps = contents.saved.maps;
+        let map = &mut maps[0].map;
+        let (away, here) = (map.away(), map.condensed_here().len());
+        assert_eq!((away, here), (60, MOST_READ));
+        assert!((0..60).all(|id| map.keyframe(KeyframeId(id)).is_some_and(|k| k.picture.is_away())), "the oldest");
+        assert_eq!(std::fs::read_dir(dir.path()).expect("a folder").count(), 1, "the spool has no name");
+        for id in map.keyframes.ids().collect::<Vec<_>>() {
+            map.bring_picture_back(KeyframeId(id)).expect("read");
+        }
+        assert!(views(map) == whole);
+        map.check_consistency().expect("consistent");
+        drop(file);
+        assert!(std::fs::read(&path).expect("bytes") == bytes, "the file stays as it is");
+    }
 }

@@ -1,6 +1,6 @@
 //! A map file: made, read, written to.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io;
 use std::os::unix::fs::{FileExt, MetadataExt};
@@ -15,7 +15,11 @@ use super::picture;
 use super::records::{Kind, Records, Tally};
 use crate::atomic_file::create_unique;
 use crate::map::saved::{MapChanges, SavedMaps};
+use crate::places::spool::PictureSpool;
 use crate::telemetry::contained;
+
+/// Condensed pictures that are in memory once a map is read to go on in it; others wait in a spool.
+pub(super) const MOST_READ: usize = 400;
 
 /// Everything that a file holds.
 pub struct Contents {
@@ -35,10 +39,19 @@ pub struct Contents {
 
 /// Reads a file in full and verifies it; its bytes stay as they are.
 pub fn read(path: &Path) -> Result<Contents, StoreError> {
+    read_with(path, None)
+}
+
+/// The same for a robot that is to be located in its maps: most pictures of a large one wait in a spool beside it, if one can be made there.
+pub fn read_to_locate(path: &Path) -> Result<Contents, StoreError> {
+    read_with(path, Some(folder_of(path)))
+}
+
+fn read_with(path: &Path, spool: Option<&Path>) -> Result<Contents, StoreError> {
     let open = || {
         let file = File::open(path).map_err(Fault::Read)?;
         lock(file.try_lock_shared())?;
-        look(&file).map(|(contents, _, _)| contents)
+        look(&file, spool).map(|(contents, _, _)| contents)
     };
     open().map_err(|fault| fault.of(path))
 }
@@ -91,12 +104,13 @@ impl MapFile {
         })
     }
 
-    /// Opens a file to go on in its maps. It is read in full and verified, and stays as it is until the first write.
+    /// Opens a file to go on in its maps. It is read in full and verified, and stays as it is until the first write. Most pictures of a large map
+    /// wait in a spool beside the file.
     pub fn open(path: &Path) -> Result<(Self, Contents), StoreError> {
         let open = || {
             let file = OpenOptions::new().read(true).write(true).open(path).map_err(Fault::Read)?;
             lock(file.try_lock())?;
-            let (contents, tally, pages) = look(&file)?;
+            let (contents, tally, pages) = look(&file, Some(folder_of(path)))?;
             let keyframes = contents.saved.maps.iter().flat_map(|m| m.map.keyframes.iter());
             let keyframes = keyframes.map(|(id, k)| (id, k.picture.revision())).collect();
             let verified = Some(file);
@@ -129,11 +143,14 @@ impl MapFile {
             new.push((Kind::Keyframe, *id, encode_keyframe(keyframe, camera).ok_or_else(senseless)?));
             let revision = keyframe.picture.revision();
             if self.keyframes.get(id) != Some(&revision) {
-                let (kind, record) = match keyframe.picture.is_condensed() {
-                    true => (Kind::Condensed, picture::encode_condensed(&keyframe.picture)),
-                    false => (Kind::Picture, picture::encode(&keyframe.picture)),
+                let mut own = keyframe.picture.clone();
+                // What cannot be read any more is none, and the map will hear of it as well.
+                let _ = own.bring_back();
+                let (kind, record) = match own.is_condensed() {
+                    true => (Kind::Condensed, picture::encode_condensed(&own)),
+                    false => (Kind::Picture, picture::encode(&own)),
                 };
-                match keyframe.picture.kept() {
+                match own.kept() {
                     Some(_) => new.push((kind, *id, record.ok_or_else(senseless)?)),
                     None => bare.push((Kind::Picture, *id)),
                 }
@@ -196,7 +213,7 @@ pub fn adopt<E: From<StoreError>>(path: &Path, fill: impl FnOnce(&File) -> Resul
     let (file, temporary) = nameless(path).map_err(named)?;
     let filled = || {
         fill(&file)?;
-        let (contents, _, _) = look(&file).map_err(named)?;
+        let (contents, _, _) = look(&file, None).map_err(named)?;
         file.sync_all().map_err(Fault::Write).and_then(|()| give_name(&temporary, path)).map_err(named)?;
         Ok(contents)
     };
@@ -304,16 +321,18 @@ fn lock(outcome: Result<(), TryLockError>) -> Result<(), Fault> {
 }
 
 /// Reads all there is without a change to the file. Also: what the records add up to, and the pages of landmarks.
-fn look(file: &File) -> Result<(Contents, Tally, BTreeSet<u32>), Fault> {
+/// `spool`: where pictures may wait.
+fn look(file: &File, spool: Option<&Path>) -> Result<(Contents, Tally, BTreeSet<u32>), Fault> {
     let panicked = |panic| Err(Fault::Broken(format!("no sense can be made of it ({panic})")));
-    contained(|| look_inside(file)).unwrap_or_else(panicked)
+    contained(|| look_inside(file, spool)).unwrap_or_else(panicked)
 }
 
-fn look_inside(file: &File) -> Result<(Contents, Tally, BTreeSet<u32>), Fault> {
+fn look_inside(file: &File, spool: Option<&Path>) -> Result<(Contents, Tally, BTreeSet<u32>), Fault> {
     let front = Front::read(file)?;
     let bytes = file.metadata().map_err(Fault::Read)?.len();
     let mut records = Records::open(file.try_clone().map_err(Fault::Read)?, Access::Look).map_err(as_look)?;
     let (mut raw, mut pages) = (Raw::default(), BTreeSet::new());
+    let (mut spool, mut condensed) = (spool.map(PictureSpool::new), VecDeque::new());
     let mut record_bytes = [0; 3];
     let tally = records.read_all(|kind, number, bytes| {
         let like = if kind == Kind::Condensed as u8 { Kind::Picture as u8 } else { kind };
@@ -335,6 +354,20 @@ fn look_inside(file: &File) -> Result<(Contents, Tally, BTreeSet<u32>), Fault> {
                 let sense = picture.is_some();
                 if picture.is_some_and(|picture| raw.pictures.insert(number, picture).is_some()) {
                     return Err(Fault::Broken(format!("keyframe {number} has two pictures")));
+                }
+                if k == Kind::Condensed as u8 {
+                    condensed.push_back(number);
+                }
+                // The newest, which come last, are the likeliest to be asked for first.
+                if condensed.len() > MOST_READ
+                    && let Some(picture) = condensed.pop_front().and_then(|oldest| raw.pictures.get_mut(&oldest))
+                    && let Some(open) = &mut spool
+                {
+                    // Without one they stay in memory.
+                    let is_away = picture.put_away(|picture| open.put(picture).ok().flatten());
+                    if !is_away {
+                        spool = None;
+                    }
                 }
                 sense
             }

@@ -4,6 +4,7 @@
 //! observation, 48 a free corner, 125 a landmark; pictures are in [`picture`](super::picture).
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use nalgebra::{Matrix2, Matrix3, Quaternion, UnitQuaternion, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
@@ -13,6 +14,7 @@ use crate::features::descriptor::Descriptor;
 use crate::features::thumbnail::{Thumbnail, thumbnail_of};
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::{CameraModel, LensModel, Se3};
+use crate::map::observations::Observations;
 use crate::map::picture::KeyframePicture;
 use crate::map::saved::{MapHead, SavedMap, SavedMaps, SavedOptics, SavedTurn};
 use crate::map::scale::{MapScale, ScaleSources};
@@ -258,7 +260,8 @@ pub fn encode_keyframe(keyframe: &Keyframe, camera: &CameraModel) -> Option<Vec<
                 inv_sigma_px: o.inv_sigma_px,
             })
             .collect(),
-        undistorted: (!observations.iter().all(follow)).then(|| observations.iter().map(own_undistorted).collect()),
+        undistorted: (!observations.iter().all(|o| follow(&o)))
+            .then(|| observations.iter().map(|o| own_undistorted(&o)).collect()),
         corners: keyframe
             .corners
             .iter()
@@ -285,7 +288,7 @@ fn undistorted(pixel: Vector2<f32>, camera: &CameraModel) -> Option<[f64; 6]> {
 }
 
 /// A keyframe from its record and its picture; `None` if it is not one.
-fn decode_keyframe(bytes: &[u8], picture: KeyframePicture, camera: &CameraModel) -> Option<Keyframe> {
+fn decode_keyframe(bytes: &[u8], picture: KeyframePicture, camera: &Arc<CameraModel>) -> Option<Keyframe> {
     let record: KeyframeRecord = postcard::from_bytes(bytes).ok()?;
     record.is_sound().then_some(())?;
     let mut observations = Vec::with_capacity(record.observations.len());
@@ -303,6 +306,10 @@ fn decode_keyframe(bytes: &[u8], picture: KeyframePicture, camera: &CameraModel)
             inv_sigma_px: o.inv_sigma_px,
             normalised_from_pixel: Matrix2::new(m11, m12, m21, m22),
         });
+    }
+    let mut observations = Observations::from(observations);
+    if picture.is_condensed() {
+        observations.pack(camera);
     }
     let mut corners = Vec::with_capacity(record.corners.len());
     for (i, c) in record.corners.iter().enumerate() {
@@ -419,13 +426,14 @@ impl Raw {
         let header = self.header.take().ok_or("it has no header")?;
         self.check_ids(&header)?;
         let optics = header.optics.restored().ok_or("its camera is none")?;
+        let camera = Arc::new(optics.camera.clone());
         let mut owner = BTreeMap::new();
         let mut parts = Vec::new();
         for (index, record) in header.maps.iter().enumerate() {
-            let keyframes = self.keyframes_of(record, &optics.camera)?;
-            for o in keyframes.iter().flat_map(|(_, k)| &k.observations) {
-                if *owner.entry(o.landmark.0).or_insert(index) != index {
-                    return Err(format!("landmark {} is in two maps", o.landmark.0));
+            let keyframes = self.keyframes_of(record, &camera)?;
+            for o in keyframes.iter().flat_map(|(_, k)| k.observations.landmarks()) {
+                if *owner.entry(o.0).or_insert(index) != index {
+                    return Err(format!("landmark {} is in two maps", o.0));
                 }
             }
             parts.push((record, keyframes, Vec::new()));
@@ -473,7 +481,7 @@ impl Raw {
         Ok(())
     }
 
-    fn keyframes_of(&mut self, record: &MapRecord, camera: &CameraModel) -> Result<Vec<(u32, Keyframe)>, String> {
+    fn keyframes_of(&mut self, record: &MapRecord, camera: &Arc<CameraModel>) -> Result<Vec<(u32, Keyframe)>, String> {
         let mut keyframes = Vec::with_capacity(record.keyframes.len());
         for id in &record.keyframes {
             let bytes = self.keyframes.remove(id).ok_or_else(|| format!("keyframe {id} is missing"))?;

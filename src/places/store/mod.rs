@@ -30,11 +30,11 @@ mod error;
 mod file;
 mod front;
 mod layout;
-mod picture;
+pub(super) mod picture;
 mod records;
 #[cfg(test)]
 mod tests;
 
 pub use error::{Fault, StoreError};
-pub use file::{Contents, MapFile, adopt, read};
+pub use file::{Contents, MapFile, adopt, read, read_to_locate};
 pub use layout::MOST_IDS;

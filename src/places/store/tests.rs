@@ -73,7 +73,7 @@ fn keyframe(random: &mut Random, map: MapId) -> Keyframe {
         thumbnail: thumbnail_of(picture.pyramid()),
         picture,
         scale_from: (random.uniform(0.0, 1.0) < 0.3).then_some(TurnId(1)),
-        observations: Vec::new(),
+        observations: Default::default(),
         covisible: Vec::new(),
         corners: (0..20).map(|_| corner(random)).collect(),
     }
@@ -187,7 +187,9 @@ fn maps_may_get_other_ids_and_a_file_follows() {
         assert_eq!((saved.head.reference, saved.head.turns[0].keyframe), (KeyframeId(4), KeyframeId(5)));
         for ((id, k), (before, old)) in saved.map.keyframes.iter().zip(map.keyframes.iter()) {
             assert_eq!((id, k.map.0), (before + 3, if old.map.0 == 4 { 11 } else { 12 }));
-            assert!(k.observations.iter().zip(&old.observations).all(|(a, b)| a.landmark.0 == b.landmark.0 + 1001));
+            assert!(
+                k.observations.iter().zip(old.observations.iter()).all(|(a, b)| a.landmark.0 == b.landmark.0 + 1001)
+            );
             let patches = |k: &Keyframe, by: u32| k.picture.patches().map(|p| p.0 + by).collect::<Vec<_>>();
             assert_eq!(patches(k, 0), patches(old, 1001));
         }
@@ -383,7 +385,10 @@ fn a_map_with_senseless_numbers_is_refused() {
         &|c| c.maps[0].0.id = c.maps[1].0.id,
         &|c| c.maps[0].0.scale = MapScale::Metric { sigma: f64::NAN, sources: ScaleSources::default() },
         &|c| c.keyframes[0].1.map = MapId(u32::MAX),
-        &|c| c.keyframes[0].1.observations[0].inv_sigma_px = f64::INFINITY,
+        &|c| {
+            let seen = &mut c.keyframes[0].1.observations;
+            *seen = seen.iter().map(|o| Observation { inv_sigma_px: f64::INFINITY, ..o }).collect();
+        },
         &|c| c.keyframes[0].1.motion = Some(CameraMotion { turn: Vector3::x() * f64::NAN, shift: Vector3::x() }),
         &|c| c.landmarks.values_mut().next().unwrap()[0].1.position.y = f64::NAN,
         &|c| c.landmarks.values_mut().next().unwrap()[0].0 += 64,

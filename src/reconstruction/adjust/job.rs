@@ -107,7 +107,7 @@ impl Adjustment {
         free.sort_unstable();
         let mut landmarks: Vec<LandmarkId> = Vec::new();
         for &id in &free {
-            landmarks.extend(map.keyframe(id)?.observations.iter().map(|o| o.landmark));
+            landmarks.extend(map.keyframe(id)?.observations.landmarks());
         }
         landmarks.sort_unstable();
         landmarks.dedup();
@@ -173,7 +173,7 @@ impl Adjustment {
             for &k in &landmark.observers {
                 let Ok(index) = keyframes.binary_search_by_key(&k, |k| k.0) else { continue };
                 let Some(o) = map.keyframe(k).and_then(|k| k.observation(id)) else { continue };
-                problem.observations.push(seen_by(index, o, camera));
+                problem.observations.push(seen_by(index, &o, camera));
             }
             if problem.observations.len() < begin + 2 {
                 problem.observations.truncate(begin);
@@ -213,7 +213,7 @@ impl Adjustment {
             for k in self.problem.first[i] as usize..self.problem.first[i + 1] as usize {
                 let keyframe = self.keyframes[self.problem.observations[k].camera as usize];
                 let o = map.keyframe(keyframe).and_then(|k| k.observation(id));
-                jacobians.push(o.map_or_else(IntrinsicsJacobian::zeros, |o| intrinsics_jacobian(o, camera)));
+                jacobians.push(o.map_or_else(IntrinsicsJacobian::zeros, |o| intrinsics_jacobian(&o, camera)));
             }
         }
     }

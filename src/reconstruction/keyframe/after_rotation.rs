@@ -215,7 +215,7 @@ fn resolve_between(map: &mut Map, from: KeyframeId, camera: &CameraModel, readou
             .iter()
             .filter_map(|o| {
                 let landmark = map.landmark(o.landmark)?;
-                Some(PosePair::observed(landmark.position, o, camera, readout_s))
+                Some(PosePair::observed(landmark.position, &o, camera, readout_s))
             })
             .collect();
         let options = PoseOptions { first_round_relaxation: 25.0, leverage: false, ..PoseOptions::default() };
@@ -257,7 +257,7 @@ mod tests {
             picture: Default::default(),
             thumbnail: Thumbnail::default(),
             scale_from: None,
-            observations: Vec::new(),
+            observations: Default::default(),
             covisible: Vec::new(),
             corners: Vec::new(),
         }

@@ -9,7 +9,7 @@ use super::pictures::{is_old, nearest};
 use crate::geometry::Se3;
 use crate::geometry::frames::Keyframe as KeyframeFrame;
 use crate::map::picture::Detail;
-use crate::map::{KeyframeId, Landmark, LandmarkId, Map, MapId, Observation};
+use crate::map::{KeyframeId, Landmark, LandmarkId, Map, MapId};
 use crate::reconstruction::config::ReconstructionConfig;
 use crate::reconstruction::types::TrajectoryEvent;
 
@@ -67,7 +67,7 @@ fn is_seen_enough(landmark: &Landmark) -> bool {
 /// How many of a keyframe's landmarks three others see at the least, and how many there are; `None` where it has none.
 fn seen_enough(map: &Map, id: KeyframeId) -> Option<(f64, f64)> {
     let observations = &map.keyframe(id)?.observations;
-    let enough = observations.iter().filter(|o| map.landmark(o.landmark).is_some_and(is_seen_enough)).count();
+    let enough = observations.landmarks().filter(|l| map.landmark(*l).is_some_and(is_seen_enough)).count();
     (!observations.is_empty()).then_some((enough as f64, observations.len() as f64))
 }
 
@@ -75,12 +75,12 @@ fn seen_enough(map: &Map, id: KeyframeId) -> Option<(f64, f64)> {
 /// none.
 fn spared(map: &Map, id: KeyframeId) -> Option<(f64, f64)> {
     let observations = &map.keyframe(id)?.observations;
-    let is_spared = |o: &&Observation| {
-        let shows = |k: &KeyframeId| map.keyframe(*k).is_some_and(|k| k.picture.detail(o.landmark.0) > Detail::None);
-        let landmark = map.landmark(o.landmark).filter(|l| is_seen_enough(l));
+    let is_spared = |seen: &LandmarkId| {
+        let shows = |k: &KeyframeId| map.keyframe(*k).is_some_and(|k| k.picture.detail(seen.0) > Detail::None);
+        let landmark = map.landmark(*seen).filter(|l| is_seen_enough(l));
         landmark.is_some_and(|l| l.observers.iter().any(|k| *k != id && shows(k)))
     };
-    let spared = observations.iter().filter(is_spared).count();
+    let spared = observations.landmarks().filter(is_spared).count();
     (!observations.is_empty()).then_some((spared as f64, observations.len() as f64))
 }
 
@@ -143,8 +143,8 @@ mod tests {
     use super::*;
     use crate::geometry::random::Random;
     use crate::image::{GreyImage, Pyramid};
-    use crate::map::Keyframe;
     use crate::map::view::{DESCRIBED_LEVELS, Description};
+    use crate::map::{Keyframe, Observation};
 
     #[test]
     fn a_keyframe_is_spared_for_the_landmarks_that_others_see_and_show() {
@@ -185,7 +185,7 @@ mod tests {
                 landmarks: vec![[None; DESCRIBED_LEVELS]; l.len()],
                 place: Vec::new(),
             };
-            assert_eq!(map.condense_picture(id, nothing), 0);
+            assert_eq!(map.condense_picture(id, &examples::lens(), nothing), 0);
         }
         // Of what four keyframes see it alone shows eight; what only two see counts neither way.
         assert_eq!(seen_enough(&map, own), Some((16.0, 28.0)));

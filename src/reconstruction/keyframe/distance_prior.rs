@@ -62,7 +62,7 @@ pub fn assume(
 pub fn triangulate_assumed(map: &mut Map, newest: KeyframeId, camera: &CameraModel, readout_s: f64, min_parallax: f64) {
     let Some(keyframe) = map.keyframe(newest) else { return };
     let here = keyframe.centre();
-    let ids: Vec<LandmarkId> = keyframe.observations.iter().map(|o| o.landmark).collect();
+    let ids: Vec<LandmarkId> = keyframe.observations.landmarks().collect();
     for id in ids {
         let Some(ray) = Ray::of(id, map, readout_s) else { continue };
         let Some(landmark) = map.landmark(id) else { continue };
@@ -71,7 +71,7 @@ pub fn triangulate_assumed(map: &mut Map, newest: KeyframeId, camera: &CameraMod
             continue;
         }
         let seen: Vec<(KeyframeId, Observation)> =
-            landmark.observers.iter().filter_map(|&k| Some((k, *map.keyframe(k)?.observation(id)?))).collect();
+            landmark.observers.iter().filter_map(|&k| Some((k, map.keyframe(k)?.observation(id)?))).collect();
         let Some(covariance) = refine_point(map, &seen, camera, readout_s, &mut point) else { continue };
         let distance2 = (point - ray.centre).norm_squared();
         let told = ray.direction.dot(&(covariance * ray.direction)) < TOLD_SHARE * TOLD_SHARE * distance2;
@@ -101,6 +101,6 @@ pub fn mostly_assumed(assumed: usize, landmarks: usize) -> bool {
 /// Landmarks at assumed distances that a keyframe sees, and all that it sees.
 pub fn assumed_among(map: &Map, keyframe: KeyframeId) -> (usize, usize) {
     let Some(keyframe) = map.keyframe(keyframe) else { return (0, 0) };
-    let is_assumed = |o: &&Observation| map.landmark(o.landmark).is_some_and(|l| l.assumed.is_some());
-    (keyframe.observations.iter().filter(is_assumed).count(), keyframe.observations.len())
+    let is_assumed = |id: &LandmarkId| map.landmark(*id).is_some_and(|l| l.assumed.is_some());
+    (keyframe.observations.landmarks().filter(is_assumed).count(), keyframe.observations.len())
 }

@@ -73,7 +73,7 @@ impl EpipolarMatcher {
     fn note_corners(&mut self, map: &mut Map, id: KeyframeId, camera: &CameraModel) {
         let Some(keyframe) = map.keyframe(id) else { return };
         let Some(pyramid) = keyframe.picture.whole() else { return map.set_corners(id, Vec::new()) };
-        let taken = keyframe.observations.iter().map(|o| o.pixel);
+        let taken = keyframe.observations.pixels().map(|o| o.1);
         let corners = self.finder.find(pyramid, camera, taken);
         map.set_corners(id, corners);
     }
@@ -201,8 +201,8 @@ fn best_along(line: &Segment, corner: &FreeCorner, others: &[FreeCorner], beside
 /// Median distance of a keyframe's landmarks, map units.
 fn median_distance(map: &Map, keyframe: &Keyframe) -> Option<f64> {
     let centre = keyframe.centre();
-    let measured = |o: &Observation| map.landmark(o.landmark).filter(|l| l.assumed.is_none());
-    let distances = keyframe.observations.iter().filter_map(|o| Some((measured(o)?.position - centre).norm()));
+    let measured = |id| map.landmark(id).filter(|l| l.assumed.is_none());
+    let distances = keyframe.observations.landmarks().filter_map(|id| Some((measured(id)?.position - centre).norm()));
     median(&mut distances.collect::<Vec<_>>()).filter(|d| d.is_finite() && *d > 1e-6)
 }
 
@@ -259,7 +259,7 @@ mod tests {
                 picture: KeyframePicture::new(Arc::new(pyramid)),
                 thumbnail: Thumbnail::default(),
                 scale_from: None,
-                observations: Vec::new(),
+                observations: Default::default(),
                 covisible: Vec::new(),
                 corners: Vec::new(),
             })
@@ -306,7 +306,7 @@ mod tests {
         assert!(50 * off <= made.len(), "{off} of {} off the wall", made.len());
         for (_, keyframe) in map.keyframes.iter() {
             for corner in &keyframe.corners {
-                let taken = keyframe.observations.iter().any(|o| o.pixel == corner.pixel);
+                let taken = keyframe.observations.pixels().any(|o| o.1 == corner.pixel);
                 assert!(!taken, "a corner that is a landmark is still free");
             }
         }

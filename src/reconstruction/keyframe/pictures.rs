@@ -2,6 +2,7 @@
 
 use super::YOUNG_KEYFRAMES;
 use super::epipolar::{MIN_SHARED, NEIGHBOURS};
+use crate::geometry::CameraModel;
 use crate::map::view::Description;
 use crate::map::{Keyframe, KeyframeId, LandmarkId, Map};
 
@@ -33,16 +34,16 @@ pub fn reduce_pictures(map: &mut Map, newest: KeyframeId) {
 }
 
 /// Condenses pictures beyond `most`, those first that share the fewest landmarks with the newest keyframe (ties: the oldest), but none that
-/// [`reduce_pictures`] leaves whole. How many landmarks that cost.
+/// [`reduce_pictures`] leaves whole. Which these are, and how many landmarks it cost.
 pub fn condense_pictures(
     map: &mut Map,
     newest: KeyframeId,
-    most: usize,
+    (most, camera): (usize, &CameraModel),
     mut describe: impl FnMut(&Keyframe, &[LandmarkId]) -> Description,
-) -> u64 {
+) -> (Vec<KeyframeId>, u64) {
     let over = map.detailed().len().saturating_sub(most).min(CONDENSED_AT_ONCE);
     if over == 0 {
-        return 0;
+        return (Vec::new(), 0);
     }
     let nearest = nearest(map, newest);
     let covisible = map.keyframe(newest).map(|k| k.covisible.as_slice()).unwrap_or_default();
@@ -50,5 +51,7 @@ pub fn condense_pictures(
     let old = map.detailed().filter(|id| is_old(*id, newest, &nearest));
     let mut ranked: Vec<(u32, KeyframeId)> = old.map(|id| (shared(id), id)).collect();
     ranked.sort_unstable();
-    ranked.into_iter().take(over).map(|(_, id)| map.condense_picture(id, &mut describe) as u64).sum()
+    let condensed: Vec<KeyframeId> = ranked.into_iter().take(over).map(|(_, id)| id).collect();
+    let gone = condensed.iter().map(|id| map.condense_picture(*id, camera, &mut describe) as u64).sum();
+    (condensed, gone)
 }

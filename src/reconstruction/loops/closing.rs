@@ -5,7 +5,7 @@ use super::recognition::{PlaceWorker, Recognition};
 use super::{FoundLoop, Loops};
 use crate::features::FrameFeatures;
 use crate::geometry::median;
-use crate::map::{KeyframeId, Map, Observation};
+use crate::map::{KeyframeId, Map};
 use crate::places::loops::{ClosedLoop, LoopClosure, LoopEdge};
 use crate::places::way::shortest_way;
 use crate::reconstruction::Reconstruction;
@@ -119,7 +119,7 @@ impl Reconstruction {
     fn still_new(&self, mut sighting: Sighting) -> Option<Sighting> {
         let map = &self.active.map;
         let keyframe = map.keyframe(sighting.keyframe)?;
-        sighting.found.retain(|m| map.landmark(m.landmark).is_some() && keyframe.observation(m.landmark).is_none());
+        sighting.found.retain(|m| map.landmark(m.landmark).is_some() && !keyframe.observations.contains(m.landmark));
         (sighting.found.len() >= 2 * self.config.min_landmarks).then_some(sighting)
     }
 
@@ -196,8 +196,7 @@ impl Reconstruction {
         let map = &mut self.active.map;
         for sighting in sightings {
             let own = map.keyframe(sighting.keyframe).map(|k| k.observations.clone());
-            let seen: Vec<Observation> = own.unwrap_or_default();
-            add_found(map, sighting, &seen, &self.optics.camera);
+            add_found(map, sighting, &own.unwrap_or_default(), &self.optics.camera);
         }
         self.active.unadjusted = map.newest();
     }
@@ -297,7 +296,7 @@ mod tests {
     use super::*;
     use crate::geometry::sim3::Sim3;
     use crate::geometry::{CameraModel, Se3};
-    use crate::map::{Keyframe, Landmark, LandmarkId, MapId};
+    use crate::map::{Keyframe, Landmark, LandmarkId, MapId, Observation};
     use crate::reconstruction::track::search::Match;
     use crate::reconstruction::{InlineWorker, ReconstructionConfig};
 
@@ -318,7 +317,7 @@ mod tests {
                     picture: Default::default(),
                     thumbnail: Default::default(),
                     scale_from: None,
-                    observations: Vec::new(),
+                    observations: Default::default(),
                     covisible: Vec::new(),
                     corners: Vec::new(),
                 })

@@ -53,6 +53,7 @@ impl Recognition {
     }
 
     fn find(&mut self) -> Option<Sighting> {
+        self.part.bring_pictures_back();
         let Self { part, camera, features, relocaliser, .. } = self;
         let bindings = Bindings::default();
         let frame = Frame {

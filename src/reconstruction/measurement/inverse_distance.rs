@@ -31,7 +31,7 @@ impl Ray {
         let landmark = map.landmark(id)?;
         let assumed = landmark.assumed?;
         let anchor = map.keyframe(*landmark.observers.first()?)?;
-        Some(Self::from_anchor(&anchor.camera_from_world, anchor.observation(id)?, readout_s, assumed))
+        Some(Self::from_anchor(&anchor.camera_from_world, &anchor.observation(id)?, readout_s, assumed))
     }
 
     /// Of what a keyframe at `anchor` saw, with next to nothing known of its distance but how far away the scene is.

@@ -87,6 +87,8 @@ struct Remembered {
     keyframe: KeyframeId,
     /// How many landmarks it had then: described anew when it has gained many.
     landmarks: usize,
+    /// Something that it would have been described by was elsewhere: described anew the next time.
+    is_partial: bool,
     described: Described<LandmarkId>,
     last_used: u64,
 }
@@ -168,24 +170,27 @@ impl DescriptorSearch {
     /// Index of a keyframe among the remembered ones, described if it is new or has changed much.
     fn remember(&mut self, map: &Map, id: KeyframeId) -> Option<usize> {
         self.uses += 1;
-        let keyframe = map.keyframe(id)?;
+        let keyframe = map.keyframe(id).filter(|k| !k.picture.is_away())?;
         let landmarks = keyframe.observations.len();
         let place = match self.remembered.iter().position(|r| r.keyframe == id) {
-            Some(i) if landmarks <= self.remembered[i].landmarks + self.remembered[i].landmarks / 8 => {
+            Some(i)
+                if landmarks <= self.remembered[i].landmarks + self.remembered[i].landmarks / 8
+                    && !self.remembered[i].is_partial =>
+            {
                 self.remembered[i].last_used = self.uses;
                 return Some(i);
             }
             Some(i) => i,
             None if self.remembered.len() < REMEMBERED => {
-                let described = Described::default();
-                self.remembered.push(Remembered { keyframe: id, landmarks, described, last_used: 0 });
+                let (described, is_partial) = (Described::default(), false);
+                self.remembered.push(Remembered { keyframe: id, landmarks, is_partial, described, last_used: 0 });
                 self.remembered.len() - 1
             }
             None => self.remembered.iter().enumerate().min_by_key(|(_, r)| r.last_used)?.0,
         };
         let entry = &mut self.remembered[place];
         (entry.keyframe, entry.landmarks, entry.last_used) = (id, landmarks, self.uses);
-        describe_keyframe(map, keyframe, &mut entry.described);
+        entry.is_partial = describe_keyframe(map, keyframe, &mut entry.described);
         Some(place)
     }
 
@@ -205,7 +210,8 @@ impl DescriptorSearch {
     }
 }
 
-fn describe_keyframe(map: &Map, keyframe: &Keyframe, out: &mut Described<LandmarkId>) {
+/// Whether something that it would be described by is elsewhere.
+fn describe_keyframe(map: &Map, keyframe: &Keyframe, out: &mut Described<LandmarkId>) -> bool {
     out.clear();
     if keyframe.picture.is_condensed() {
         return describe_by_views(map, keyframe, out);
@@ -213,35 +219,40 @@ fn describe_keyframe(map: &Map, keyframe: &Keyframe, out: &mut Described<Landmar
     for level in 0..LEVELS {
         let Some(image) = keyframe.picture.level(level) else { break };
         let gradients = GradientMap::new(&image);
-        for o in &keyframe.observations {
-            out.push(&gradients, level, o.pixel, o.landmark);
+        for (landmark, pixel) in keyframe.observations.pixels() {
+            out.push(&gradients, level, pixel, landmark);
         }
     }
+    false
 }
 
 /// A condensed keyframe has no picture to describe: its landmarks look as some keyframe that sees them keeps it, itself before others, and of these the
 /// one that looks at them most alike.
-fn describe_by_views(map: &Map, keyframe: &Keyframe, out: &mut Described<LandmarkId>) {
+fn describe_by_views(map: &Map, keyframe: &Keyframe, out: &mut Described<LandmarkId>) -> bool {
     let centre = keyframe.centre();
-    for o in &keyframe.observations {
-        let Some(landmark) = map.landmark(o.landmark) else { continue };
+    let mut is_partial = false;
+    for (id, pixel) in keyframe.observations.pixels() {
+        let Some(landmark) = map.landmark(id) else { continue };
         let ray = landmark.position - centre;
-        let view = |id: &KeyframeId| {
-            let other = map.keyframe(*id)?;
-            let view = other.picture.view(o.landmark.0)?;
+        let view = |observer: &KeyframeId| {
+            let other = map.keyframe(*observer)?;
+            let view = other.picture.view(id.0)?;
             let there = landmark.position - other.centre();
             Some((ray.dot(&there) / (ray.norm() * there.norm()).max(1e-12), there.norm(), view))
         };
+        let is_away = |k: &KeyframeId| map.keyframe(*k).is_some_and(|k| k.picture.is_away());
+        is_partial |= landmark.observers.iter().any(is_away);
         let views = landmark.observers.iter().filter_map(view);
         let Some((_, distance, view)) = views.max_by(|a, b| a.0.total_cmp(&b.0)) else { continue };
         // A pixel of the view's level covers more of the scene from farther away.
         let size = (distance / ray.norm().max(1e-12)) as f32;
         for (level, descriptor) in view.described.iter().enumerate().filter_map(|(l, d)| Some((l, d.as_ref()?))) {
             out.descriptors.push(descriptor.restored());
-            out.places.push(Place { at: [o.pixel.x, o.pixel.y], size_px: (1 << level) as f32 * size });
-            out.of.push(o.landmark);
+            out.places.push(Place { at: [pixel.x, pixel.y], size_px: (1 << level) as f32 * size });
+            out.of.push(id);
         }
     }
+    is_partial
 }
 
 /// What a keyframe that is condensed keeps to be known by, and these landmarks of it.
@@ -339,7 +350,7 @@ mod tests {
             })
         };
         let by_whole = known(&map);
-        let gone: usize = ids.iter().map(|id| map.condense_picture(*id, describe_kept)).sum();
+        let gone: usize = ids.iter().map(|id| map.condense_picture(*id, &camera, describe_kept)).sum();
         assert!(ids.iter().all(|id| map.keyframe(*id).is_some_and(|k| k.picture.is_condensed())));
         let (left, by_views) = (map.landmarks.len(), known(&map));
         println!("{left} landmarks left, {gone} gone; inliers {by_whole:?}, condensed {by_views:?}");

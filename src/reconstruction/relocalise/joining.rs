@@ -18,7 +18,8 @@ use crate::features::FrameFeatures;
 use crate::geometry::CameraModel;
 use crate::geometry::frames::World;
 use crate::geometry::sim3::Sim3;
-use crate::map::{KeyframeId, LandmarkId, Map, Observation};
+use crate::map::observations::Observations;
+use crate::map::{KeyframeId, LandmarkId, Map};
 use crate::reconstruction::Reconstruction;
 use crate::reconstruction::keyframe::observe_match;
 use crate::reconstruction::optics::Optics;
@@ -107,6 +108,7 @@ impl Reconstruction {
         let OtherMaps { kept, relocaliser, .. } = &mut self.others;
         let other = kept.get(index)?;
         let likely = self.loops.likely(&other.map, &features.pyramid, LIKELY);
+        self.far.ask(&likely);
         let bindings = Bindings::default();
         let frame = Frame {
             features,
@@ -136,7 +138,7 @@ impl Reconstruction {
         // A length of one here is 1 / scale there.
         active.fusion.inherit(&other.fusion, -present_from_other.scale.ln(), MAX_SCALE_SIGMA);
         let own = |s: &Sighting| active.map.keyframe(s.keyframe).map(|k| k.observations.clone()).unwrap_or_default();
-        let seen: Vec<Vec<Observation>> = other.sightings.iter().map(own).collect();
+        let seen: Vec<Observations> = other.sightings.iter().map(own).collect();
         let by = other.sightings.last().and_then(|s| Some((seen_most_by(&other.map, s)?, s.keyframe)));
         if let Some((from, to)) = by {
             self.others.note_join(Join { map: other.id, from, to });
@@ -162,7 +164,7 @@ impl Reconstruction {
 pub(in crate::reconstruction) fn add_found(
     map: &mut Map,
     sighting: &Sighting,
-    seen: &[Observation],
+    seen: &Observations,
     camera: &CameraModel,
 ) {
     for m in &sighting.found {
@@ -176,11 +178,11 @@ pub(in crate::reconstruction) fn add_found(
             let pose = map.keyframe(sighting.keyframe)?.camera_from_world;
             Some(pose.transform(&map.landmark(id)?.position).z)
         };
-        let ratio = depth(own.landmark).zip(depth(m.landmark)).and_then(|(here, there)| log_ratio(here, there));
-        if map.landmark(own.landmark).is_some_and(|l| l.assumed.is_some()) {
-            map.fuse(m.landmark, own.landmark);
+        let ratio = depth(own).zip(depth(m.landmark)).and_then(|(here, there)| log_ratio(here, there));
+        if map.landmark(own).is_some_and(|l| l.assumed.is_some()) {
+            map.fuse(m.landmark, own);
         } else if ratio.is_some_and(|r| r.abs() < SAME_POINT_LOG) {
-            map.fuse(own.landmark, m.landmark);
+            map.fuse(own, m.landmark);
         }
     }
 }

@@ -16,7 +16,8 @@ use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::sim3::Sim3;
 use crate::geometry::{Se3, median};
-use crate::map::{KeyframeId, LandmarkId, Map, MapId, Observation};
+use crate::map::observations::Observations;
+use crate::map::{KeyframeId, LandmarkId, Map, MapId};
 use crate::motion::scale::ScaleFusion;
 use crate::reconstruction::active_map::ActiveMap;
 use crate::reconstruction::keyframe::{SAME_CORNER_PX, triangulate};
@@ -207,9 +208,9 @@ pub fn similarity(
 }
 
 /// What was observed nearest to where a landmark of another map was found, if that is the same corner.
-pub fn at_corner<'a>(seen: &'a [Observation], m: &Match) -> Option<&'a Observation> {
-    let apart = |o: &Observation| (o.pixel - m.pixel).norm();
-    seen.iter().filter(|o| apart(o) < SAME_CORNER_PX).min_by(|a, b| apart(a).total_cmp(&apart(b)))
+pub fn at_corner(seen: &Observations, m: &Match) -> Option<LandmarkId> {
+    let apart = seen.pixels().map(|(landmark, pixel)| (landmark, (pixel - m.pixel).norm()));
+    apart.filter(|o| o.1 < SAME_CORNER_PX).min_by(|a, b| a.1.total_cmp(&b.1)).map(|o| o.0)
 }
 
 /// Logarithms of the ratios of the depths, present to other, of the corners of a keyframe that are landmarks of both maps.
@@ -217,7 +218,7 @@ fn depth_ratios(map: &Map, sighting: &Sighting, other: &Map) -> Vec<f64> {
     let Some(keyframe) = map.keyframe(sighting.keyframe) else { return Vec::new() };
     let measured = |map: &Map, id: LandmarkId| Some(map.landmark(id).filter(|l| l.assumed.is_none())?.position);
     let ratio = |m: &Match| {
-        let own = measured(map, at_corner(&keyframe.observations, m)?.landmark)?;
+        let own = measured(map, at_corner(&keyframe.observations, m)?)?;
         let (here, there) = (keyframe.camera_from_world.transform(&own).z, measured(other, m.landmark)?);
         log_ratio(here, sighting.there.transform(&there).z)
     };
@@ -264,7 +265,7 @@ pub fn retire(map: &Map, events: &mut Vec<TrajectoryEvent>) {
 mod tests {
     use super::*;
     use crate::geometry::random::Random;
-    use crate::map::{Keyframe, Landmark};
+    use crate::map::{Keyframe, Landmark, Observation};
     use nalgebra::{Matrix2, Matrix3, UnitQuaternion, Vector2};
 
     /// Two keyframes of the present map that see the same 40 points of another one, whose unit is a third of it.
@@ -285,7 +286,7 @@ mod tests {
             picture: Default::default(),
             thumbnail: Default::default(),
             scale_from: None,
-            observations: Vec::new(),
+            observations: Default::default(),
             covisible: Vec::new(),
             corners: Vec::new(),
         }

@@ -198,11 +198,11 @@ impl Search {
         self.matches.clear();
         self.missed.clear();
         let centre = pose.inverse().translation;
-        for &(_, _, i) in self.chosen.iter().take(options.limit) {
-            let candidate = self.candidates[i as usize];
+        for n in 0..self.chosen.len().min(options.limit) {
+            let candidate = self.candidates[self.chosen[n].2 as usize];
             match align_candidate(map, camera, pose, &centre, pyramid, &candidate, options) {
                 Some(found) => self.matches.push(found),
-                None => self.missed.push(candidate.landmark),
+                None => self.miss(map, candidate.landmark),
             }
         }
         let sought = self.matches.len() + self.missed.len();
@@ -210,6 +210,14 @@ impl Search {
             self.align_blurred(map, camera, pose, &centre, pyramid, options);
         }
         self.matches.sort_unstable_by_key(|m| m.landmark);
+    }
+
+    /// It was not found, if there was anything to look for: pictures may be elsewhere.
+    fn miss(&mut self, map: &Map, landmark: LandmarkId) {
+        let is_here = |k: &KeyframeId| map.keyframe(*k).is_some_and(|k| !k.picture.is_away());
+        if map.landmark(landmark).is_some_and(|l| l.observers.iter().any(is_here)) {
+            self.missed.push(landmark);
+        }
     }
 
     /// Looks again, on coarser levels, for what was missed: there a streak of blur is short.
@@ -225,14 +233,14 @@ impl Search {
         let options = SearchOptions { blurred_levels: BLURRED_LEVELS, ..*options };
         self.missed.clear();
         let found = self.matches.len();
-        for &(_, _, i) in self.chosen.iter().take(options.limit) {
-            let candidate = self.candidates[i as usize];
+        for n in 0..self.chosen.len().min(options.limit) {
+            let candidate = self.candidates[self.chosen[n].2 as usize];
             if self.matches[..found].iter().any(|m| m.landmark == candidate.landmark) {
                 continue;
             }
             match align_candidate(map, camera, pose, centre, pyramid, &candidate, &options) {
                 Some(found) => self.matches.push(found),
-                None => self.missed.push(candidate.landmark),
+                None => self.miss(map, candidate.landmark),
             }
         }
     }
@@ -248,8 +256,8 @@ fn align_candidate(
     options: &SearchOptions,
 ) -> Option<Match> {
     let (template, keyframe, observation) = closest_view(map, centre, candidate)?;
-    let affine = warp_at(keyframe, observation, camera, pose, candidate)?;
-    let found = align_template(keyframe, observation, pyramid, &affine, candidate.pixel, options)?;
+    let affine = warp_at(keyframe, &observation, camera, pose, candidate)?;
+    let found = align_template(keyframe, &observation, pyramid, &affine, candidate.pixel, options)?;
     let pixel = found.pixel;
     let normalised = camera.undistort(&pixel.cast::<f64>())?;
     Some(Match {
@@ -332,7 +340,7 @@ fn closest_view<'a>(
     map: &'a Map,
     centre: &Vector3<f64>,
     candidate: &Candidate,
-) -> Option<(KeyframeId, &'a Keyframe, &'a Observation)> {
+) -> Option<(KeyframeId, &'a Keyframe, Observation)> {
     let landmark = map.landmark(candidate.landmark)?;
     let ray = candidate.point - centre;
     let depth = ray.norm();
@@ -340,6 +348,9 @@ fn closest_view<'a>(
     let mut best_score = (Detail::None, f64::NEG_INFINITY);
     for &id in &landmark.observers {
         let keyframe = map.keyframe(id)?;
+        if keyframe.picture.is_away() {
+            continue;
+        }
         let other = candidate.point - keyframe.centre();
         let other_depth = other.norm();
         let cosine = ray.dot(&other) / (depth * other_depth).max(1e-12);
@@ -444,12 +455,15 @@ mod tests {
         assert!(f64::from(off) < 2.0 / found.inv_sigma_px, "a streak of {streak} px: off by {off} px");
     }
 
+    fn camera() -> CameraModel {
+        CameraModel::new(320, 240, 300.0, 300.0, 159.5, 119.5, [0.0; 5]).expect("a camera")
+    }
+
     /// A keyframe at `centre` that sees the landmark in the middle of the discs, and the landmark's place before the first of them.
     fn seen_from(centre: Vector3<f64>, pixel: Vector2<f32>) -> (Keyframe, Observation) {
-        let camera = CameraModel::new(320, 240, 300.0, 300.0, 159.5, 119.5, [0.0; 5]).expect("a camera");
         let keyframe =
             examples::keyframe(Arc::new(picture(0)), Se3::new(nalgebra::UnitQuaternion::identity(), -centre));
-        (keyframe, observe(&camera, LandmarkId::default(), pixel, 1.0).expect("in the picture"))
+        (keyframe, observe(&camera(), LandmarkId::default(), pixel, 1.0).expect("in the picture"))
     }
 
     #[test]
@@ -490,7 +504,7 @@ mod tests {
         let detail = |map: &Map, id, level| map.keyframe(id).expect("there").picture.detail_at(level, landmark.0);
         assert_eq!(detail(&map, beside, 0), Detail::Half);
         assert!((chosen(&map) - places[0]).norm() < 1e-9, "a picture with all levels is sampled on a coarser one");
-        map.condense_picture(near, |_, l| Description {
+        map.condense_picture(near, &camera(), |_, l| Description {
             landmarks: vec![[None; DESCRIBED_LEVELS]; l.len()],
             place: vec![],
         });
@@ -512,8 +526,8 @@ mod tests {
         let start = there.cast() + Vector2::new(0.6, -0.4);
         let options = SearchOptions::precise(0.8);
         let observation = keyframe.observation(landmark).expect("seen");
-        let found =
-            align_template(keyframe, observation, &far, &(Matrix2::identity() * 0.25), start, &options).expect("found");
+        let found = align_template(keyframe, &observation, &far, &(Matrix2::identity() * 0.25), start, &options)
+            .expect("found");
         assert!((found.pixel - there).norm() < 0.3, "{} {there}", found.pixel);
     }
 }
