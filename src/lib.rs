@@ -45,7 +45,7 @@
 //! - Local bundle adjustment runs in the mapping worker on a copy of the map's part, and is merged after a published pose, at
 //!   a fixed number of frames later in lock-step (waiting if need be), whenever it is done when live; before the next frame is tracked
 //!   where frames come less than nine times a second. Whenever a map of up to
-//!   240 keyframes has grown by a third the whole of it is adjusted instead, and the intrinsics with it.
+//!   240 keyframes has grown by a third all of it is (global bundle adjustment), and the intrinsics with it.
 //! - A camera without a calibration begins with a guess; its lens (distortion included) is refined the same way, at every keyframe of
 //!   a small map, and health says how surely it is known. What was found is kept for the next start, by `cli`.
 //! - Points are undistorted onto the plane z = 1 whatever the lens, so the geometry knows one kind of camera. That plane is stretched off

@@ -1,6 +1,6 @@
 //! The map that frames are placed in, with everything that belongs to it alone: what begins anew when the map does.
 
-use super::adjust::job::WHOLE_FIRST;
+use super::adjust::job::GLOBAL_FIRST;
 use super::odometry::Odometry;
 use super::scale_uncertainty::ScaleUncertainty;
 use super::track::association::Bindings;
@@ -23,8 +23,8 @@ pub struct ActiveMap {
     pub last_keyframe_frame: u64,
     /// Newest keyframe that no adjustment has seen yet.
     pub unadjusted: Option<KeyframeId>,
-    /// Keyframes at which the whole map is adjusted next.
-    pub next_whole: usize,
+    /// Keyframes at which the map is adjusted globally next.
+    pub next_global: usize,
     /// How often it was thinned out, as it is too large.
     pub thinned: u32,
     /// Id of the map that begins next.
@@ -50,7 +50,7 @@ impl ActiveMap {
             frames: 0,
             last_keyframe_frame: 0,
             unadjusted: None,
-            next_whole: WHOLE_FIRST,
+            next_global: GLOBAL_FIRST,
             thinned: 0,
             next_id: MapId(id.0 + 1),
         }

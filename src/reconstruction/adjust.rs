@@ -12,8 +12,8 @@ use super::Reconstruction;
 use job::{Adjustment, AdjustmentResult, MappingJob, MappingResult};
 use mapper::Merge;
 
-/// Keyframes up to which the whole map is adjusted.
-const WHOLE_LIMIT: usize = 240;
+/// Keyframes up to which a map is adjusted globally.
+const GLOBAL_LIMIT: usize = 240;
 
 /// Between frames this far apart, ns, an adjustment has long been done (three frames of a usual camera): it is merged before the next one is
 /// tracked. A walk at 5 Hz sees a landmark in four or five frames; with a map adjusted three frames late it has lost most of them.
@@ -32,9 +32,9 @@ impl Reconstruction {
         let (optics, active) = (&self.optics, &mut self.active);
         let Some(newest) = active.unadjusted.take() else { return };
         let keyframes = active.map.keyframes.len();
-        let job = if keyframes >= active.next_whole && keyframes <= WHOLE_LIMIT {
-            active.next_whole = optics.intrinsics.next_whole(keyframes);
-            optics.intrinsics.whole_job(&active.map, &optics.camera, &optics.shutter, self.config.refine_intrinsics)
+        let job = if keyframes >= active.next_global && keyframes <= GLOBAL_LIMIT {
+            active.next_global = optics.intrinsics.next_global(keyframes);
+            optics.intrinsics.global_job(&active.map, &optics.camera, &optics.shutter, self.config.refine_intrinsics)
         } else {
             Adjustment::local(&active.map, newest, &optics.camera, &optics.shutter, &self.config)
         };
@@ -80,7 +80,7 @@ impl Reconstruction {
         let Some(lens) = optics.intrinsics.judge(found.as_ref(), &optics.camera) else {
             // A lens that cannot be is not taken over, and its poses and points with it.
             if optics.intrinsics.wants_another() {
-                active.next_whole = 0;
+                active.next_global = 0;
                 active.unadjusted = active.map.newest();
             }
             return;

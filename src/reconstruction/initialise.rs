@@ -13,7 +13,7 @@ use super::Reconstruction;
 use super::adjust::job::Adjustment;
 use super::keyframe::bind_new;
 use super::keyframe::point::refine_point;
-use super::measurement::PosePair;
+use super::measurement::Correspondence;
 use super::odometry::Odometry;
 use super::optics::Optics;
 use super::track::Tracked;
@@ -170,11 +170,11 @@ impl Reconstruction {
                 }
             }
         }
-        self.adjust_whole()?;
+        self.adjust_globally()?;
         self.refine_views(a);
         self.note_motion();
         self.active.reference = b;
-        let (sigma, (readout_s, variance)) = self.adjust_whole()?;
+        let (sigma, (readout_s, variance)) = self.adjust_globally()?;
         if sigma > MAX_DIRECTION_SIGMA * (1.0 + start.trying_s / PATIENCE_S).min(LARGEST_RELAXATION) {
             return None;
         }
@@ -200,8 +200,8 @@ impl Reconstruction {
             .iter()
             .filter_map(|&(k, frame)| Some((frame, self.active.map.keyframe(k)?.camera_from_world)))
             .collect();
-        let impatience = (trying_s / LENIENT_AFTER_S).min(1.0);
-        let needed = AGREEING_SHARE + impatience * (AGREEING_SHARE_LATE - AGREEING_SHARE);
+        let relaxed = (trying_s / LENIENT_AFTER_S).min(1.0);
+        let needed = AGREEING_SHARE + relaxed * (AGREEING_SHARE_LATE - AGREEING_SHARE);
         agreeing_share(&posed, &self.optics.camera).is_some_and(|share| share >= needed)
     }
 
@@ -223,9 +223,9 @@ impl Reconstruction {
 
     /// Adjusts the whole (new, small) map at once: how surely the newest camera's direction from the first is known (rad), and the
     /// readout time found with it (s, and its variance); `None` if too few landmarks hold.
-    fn adjust_whole(&mut self) -> Option<(f64, (f64, f64))> {
+    fn adjust_globally(&mut self) -> Option<(f64, (f64, f64))> {
         let Optics { camera, shutter, intrinsics, .. } = &self.optics;
-        let result = Adjustment::whole(&self.active.map, camera, shutter, START_STEPS)?.run();
+        let result = Adjustment::global(&self.active.map, camera, shutter, START_STEPS)?.run();
         let supported = result.supported_landmarks();
         let (mut sigma, readout) = (result.direction_sigma(), result.readout());
         result.merge(&mut self.active.map);
@@ -347,7 +347,7 @@ impl Reconstruction {
             let Some(point) = position(track) else { continue };
             let Some(normalised) = self.optics.camera.undistort(&pixel.cast()) else { continue };
             let pixel_scale = self.optics.camera.pixel_scale(&normalised);
-            pairs.push(PosePair::new(point, normalised, pixel_scale, 1.0 / TRACK_SIGMA_PX));
+            pairs.push(Correspondence::new(point, normalised, pixel_scale, 1.0 / TRACK_SIGMA_PX));
         }
         let mut inlier = Vec::new();
         let solution =

@@ -20,7 +20,7 @@ pub const CHI2_2D_95: f64 = 5.991;
 
 /// One landmark seen in the frame.
 #[derive(Debug, Clone, Copy)]
-pub struct PosePair {
+pub struct Correspondence {
     /// World coordinates, map units.
     pub point: Vector3<f64>,
     /// Undistorted observation on the plane z = 1.
@@ -33,7 +33,7 @@ pub struct PosePair {
     pub certainty: f64,
 }
 
-impl PosePair {
+impl Correspondence {
     /// `pixel_scale`: pixels that steps on the plane z = 1 count as there ([`CameraModel::pixel_scale`]); `inv_sigma_px`: one over the
     /// standard deviation of a place in the picture, 1/px.
     pub fn new(point: Vector3<f64>, normalised: Vector2<f64>, pixel_scale: Matrix2<f64>, inv_sigma_px: f64) -> Self {
@@ -91,7 +91,7 @@ impl PosePair {
 
 /// Residual of a pair in standard deviations; `None` behind the camera.
 #[inline]
-pub(crate) fn residual(pose: &Se3<Camera, World>, pair: &PosePair) -> Option<(Vector2<f64>, Vector3<f64>)> {
+pub(crate) fn residual(pose: &Se3<Camera, World>, pair: &Correspondence) -> Option<(Vector2<f64>, Vector3<f64>)> {
     let p = pose.transform(&pair.point);
     if !(p.z > NEAREST) {
         return None;
@@ -159,13 +159,13 @@ mod tests {
     use super::*;
     use crate::geometry::random::Random;
 
-    fn case(random: &mut Random, scale: Matrix2<f64>) -> (Se3<Camera, World>, PosePair, Matrix3<f64>) {
+    fn case(random: &mut Random, scale: Matrix2<f64>) -> (Se3<Camera, World>, Correspondence, Matrix3<f64>) {
         let mut vector = || Vector3::from_fn(|_, _| random.uniform(-1.0, 1.0));
         let pose = Se3::new(UnitQuaternion::from_scaled_axis(vector()), vector());
         let p = vector() + Vector3::new(0.0, 0.0, 3.0);
         let root = Matrix3::from_columns(&[vector(), vector(), vector()]) * 0.05;
         let normalised = p.xy() / p.z + vector().xy() * 0.01;
-        let pair = PosePair::new(pose.inverse().transform(&p), normalised, scale, 1.25);
+        let pair = Correspondence::new(pose.inverse().transform(&p), normalised, scale, 1.25);
         (pose, pair, root * root.transpose())
     }
 
@@ -198,9 +198,9 @@ mod tests {
         let (pose, pair, covariance) = case(&mut Random::new(6), Matrix2::new(500.0, 0.0, 0.0, 510.0));
         let unknown = pair.with_uncertain_point(&pose, &Matrix3::from_element(f64::NAN));
         assert_eq!(unknown.sqrt_information, pair.sqrt_information);
-        let behind = PosePair { point: pose.inverse().transform(&Vector3::new(0.1, 0.2, -1.0)), ..pair };
+        let behind = Correspondence { point: pose.inverse().transform(&Vector3::new(0.1, 0.2, -1.0)), ..pair };
         assert_eq!(behind.with_uncertain_point(&pose, &covariance).sqrt_information, pair.sqrt_information);
         assert!(residual(&pose, &behind).is_none());
-        assert!(residual(&pose, &PosePair { point: Vector3::from_element(f64::NAN), ..pair }).is_none());
+        assert!(residual(&pose, &Correspondence { point: Vector3::from_element(f64::NAN), ..pair }).is_none());
     }
 }

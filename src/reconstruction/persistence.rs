@@ -63,13 +63,13 @@ impl Reconstruction {
         let mut maps = saved.maps.into_iter();
         let Some(SavedMap { head, map }) = maps.next() else { return };
         self.localise_only = localise_only;
-        let next_whole = self.optics.intrinsics.next_whole(map.keyframes.len());
+        let next_global = self.optics.intrinsics.next_global(map.keyframes.len());
         self.active = ActiveMap {
             reference: head.reference,
             frames: head.frames,
             scale: ScaleUncertainty::restored(&head.turns),
             fusion: restored(head.scale),
-            next_whole,
+            next_global,
             next_id: MapId(next_id),
             ..ActiveMap::new(map, head.id)
         };

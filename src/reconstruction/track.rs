@@ -5,7 +5,7 @@
 //! 2. *Search*: local landmarks are projected and aligned against keyframe templates ([`search`](super::search)).
 //! 3. *Optimisation*: robust, motion-only, over everything found, each place whitened by what is known of its landmark. In a quick
 //!    turn tracks without depth hold the pose across their epipolar lines (`seed_rays`).
-//!    Newcomers among the landmarks must then agree with the established ones (`newcomers`).
+//!    Immature landmarks must then agree with the mature ones (`maturity`).
 //! 4. If that rests on too few landmarks: once more with a wide, coarse-to-fine search from each other guess that there is.
 //!
 //! Everything reads the map and writes only its own buffers.
@@ -13,14 +13,14 @@
 pub mod association;
 pub mod frame;
 mod information;
-mod newcomers;
+mod maturity;
 pub mod pose;
 pub mod search;
 mod seed_rays;
 
 use nalgebra::{Vector2, Vector3};
 
-use super::measurement::PosePair;
+use super::measurement::Correspondence;
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::{Se3, median};
@@ -28,7 +28,7 @@ use crate::map::{KeyframeId, LandmarkId, Map};
 use association::Target;
 use frame::{Frame, is_assumed, measurement_of, motion_since};
 use information::PoseInformation;
-use newcomers::{Newcomers, established_found};
+use maturity::{MaturityGate, mature_after};
 use pose::{PoseOptions, PoseSolution, optimise_pose};
 use search::{Match, Search, SearchOptions};
 use seed_rays::SeedRays;
@@ -67,14 +67,14 @@ pub struct Guess {
 #[derive(Debug)]
 pub struct Tracker {
     search: Search,
-    pairs: Vec<PosePair>,
+    pairs: Vec<Correspondence>,
     inlier: Vec<bool>,
     local: Vec<LandmarkId>,
     /// What `local` was made of.
     local_of: Option<(KeyframeId, u64)>,
     votes: Vec<(KeyframeId, u32)>,
     angles: Vec<f64>,
-    newcomers: Newcomers,
+    maturity: MaturityGate,
     seeds: SeedRays,
 }
 
@@ -108,7 +108,7 @@ impl Default for Tracker {
             local_of: None,
             votes: Vec::with_capacity(1024),
             angles: Vec::with_capacity(1024),
-            newcomers: Newcomers::with_capacity(2048),
+            maturity: MaturityGate::with_capacity(2048),
             seeds: SeedRays::with_capacity(2048),
         }
     }
@@ -229,7 +229,7 @@ impl Tracker {
             let Some(landmark) = map.landmark(*id) else { continue };
             let Some(normalised) = camera.undistort(&track.position.cast()) else { continue };
             let pixel_scale = camera.pixel_scale(&normalised);
-            self.pairs.push(PosePair::new(landmark.position, normalised, pixel_scale, 1.0 / FLOW_SIGMA_PX));
+            self.pairs.push(Correspondence::new(landmark.position, normalised, pixel_scale, 1.0 / FLOW_SIGMA_PX));
         }
         let tracks = self.pairs.len();
         let assumed = features
@@ -246,13 +246,13 @@ impl Tracker {
         (solution.inliers >= MIN_FLOW && 2 * solution.inliers >= self.pairs.len()).then_some(solution.camera_from_world)
     }
 
-    /// Notes how far away is what the frame that was accepted has seen, from its place in the world.
     /// The map's lengths are `factor` times as long from now on.
     pub(super) fn rescale(&mut self, factor: f64) {
         self.search.matches.iter_mut().for_each(|m| m.point *= factor);
         self.seeds.rescale(factor);
     }
 
+    /// Notes how far away is what the frame that was accepted has seen, from its place in the world.
     pub(super) fn note_distance(&mut self, centre: &Vector3<f64>) {
         self.seeds.note_distance(&self.search.matches, centre);
     }
@@ -301,7 +301,7 @@ impl Tracker {
                 }
             }
         }
-        solution = self.hear_newcomers(frame, solution);
+        solution = self.include_immature(frame, solution);
         let landmarks = self.search.matches.iter().filter(|m| m.inlier).count();
         let sought = self.search.matches.len() + self.search.missed.len();
         if landmarks < config.min_landmarks {
@@ -350,16 +350,15 @@ impl Tracker {
         self.search.matches.iter().any(|m| is_assumed(frame, m.landmark))
     }
 
-    /// The last solution with the newcomers that agree with established landmarks only.
-    fn hear_newcomers(&mut self, frame: &Frame<'_>, solution: PoseSolution) -> PoseSolution {
+    /// The last solution with those immature landmarks only that agree with the mature ones.
+    fn include_immature(&mut self, frame: &Frame<'_>, solution: PoseSolution) -> PoseSolution {
         let matches = &self.search.matches;
-        let enough = established_found(frame.before.map(|(_, step_s)| step_s));
+        let enough = mature_after(frame.before.map(|(_, step_s)| step_s));
         // Nothing vouches for seeds, which come after the matches.
-        let established =
+        let mature =
             |i: usize| matches.get(i).and_then(|m| frame.map.landmark(m.landmark)).is_some_and(|l| l.found >= enough);
         let options = pose_options(frame, self.assumes(frame));
-        let judged =
-            self.newcomers.judge(&self.pairs, matches.len(), established, &solution, &options, &mut self.inlier);
+        let judged = self.maturity.judge(&self.pairs, matches.len(), mature, &solution, &options, &mut self.inlier);
         for (m, &ok) in self.search.matches.iter_mut().zip(&self.inlier) {
             m.inlier = ok;
         }

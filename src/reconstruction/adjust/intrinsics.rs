@@ -267,10 +267,10 @@ impl Intrinsics {
         }
     }
 
-    /// Adjustment of the whole map, and with `refine` of the intrinsics.
-    pub fn whole_job(&self, map: &Map, camera: &CameraModel, shutter: &Shutter, refine: bool) -> Option<Adjustment> {
+    /// Global bundle adjustment, and with `refine` of the intrinsics.
+    pub fn global_job(&self, map: &Map, camera: &CameraModel, shutter: &Shutter, refine: bool) -> Option<Adjustment> {
         let steps = if self.guessed { GUESSED_STEPS } else { STEPS };
-        let mut job = Adjustment::whole(map, camera, shutter, steps)?;
+        let mut job = Adjustment::global(map, camera, shutter, steps)?;
         if refine || self.guessed {
             // Of a pinhole lens; a wide-angle one's distortion stays.
             let off = |i: usize| match (self.expected.lens, camera.lens) {
@@ -296,7 +296,7 @@ impl Intrinsics {
         Some(job)
     }
 
-    /// Adjustment of the whole map through a lens that is free within what is known of it.
+    /// Global bundle adjustment through a lens that is free within what is known of it.
     pub fn unknown_lens_job(
         &self,
         map: &Map,
@@ -304,7 +304,7 @@ impl Intrinsics {
         shutter: &Shutter,
         steps: usize,
     ) -> Option<Adjustment> {
-        let mut job = Adjustment::whole(map, camera, shutter, steps)?;
+        let mut job = Adjustment::global(map, camera, shutter, steps)?;
         let mut information = self.sigma.map(|s| 1.0 / (s * s));
         if !is_pinhole(camera) {
             information.as_mut_slice()[WITHOUT_DISTORTION..].fill(f64::INFINITY);
@@ -313,9 +313,9 @@ impl Intrinsics {
         Some(job)
     }
 
-    /// Keyframes at which the whole map is to be adjusted again: when it has grown by a third; a guessed lens at every keyframe of a
+    /// Keyframes at which the map is to be adjusted globally again: when it has grown by a third; a guessed lens at every keyframe of a
     /// small map and when a larger one has grown by a sixth.
-    pub fn next_whole(&self, keyframes: usize) -> usize {
+    pub fn next_global(&self, keyframes: usize) -> usize {
         match keyframes {
             n if !self.guessed => n + n / 3,
             n if n < EAGER_KEYFRAMES && self.refined_sigma[0] > EAGER_SIGMA => 0,

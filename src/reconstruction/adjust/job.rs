@@ -77,15 +77,15 @@ pub struct FoundIntrinsics {
     pub variance: Option<IntrinsicsVector>,
 }
 
-/// Share of the cost by which a step has to lower it when the whole map is adjusted: errors that span the map hardly show in one residual.
-const WHOLE_GAIN: f64 = 1e-5;
+/// Share of the cost by which a step has to lower it of a global adjustment: errors that span the map hardly show in one residual.
+const GLOBAL_GAIN: f64 = 1e-5;
 /// Keyframes further apart, ns, are held by no length: over a long way the distance of its ends is not what wheels know best.
 const LONGEST_STEP_NS: i64 = 5_000_000_000;
 /// A length is held no harder than this, m, and as a share of it: wheels that roll unevenly or are dented are no better, whatever their driver says.
 const LEAST_HELD_M: f64 = 0.002;
 const LEAST_HELD_SHARE: f64 = 0.01;
-/// Keyframes at which the whole map is adjusted first; then whenever it has grown by a third, up to the limit.
-pub const WHOLE_FIRST: usize = 5;
+/// Keyframes at which a map is first adjusted globally; then whenever it has grown by a third, up to the limit.
+pub const GLOBAL_FIRST: usize = 5;
 
 /// Standard deviation that a length of a metric map is held with, m.
 fn held_sigma(length: f64, sigma: f64) -> f64 {
@@ -135,14 +135,14 @@ impl Adjustment {
         Self::build(map, &keyframes, landmarks, newest, camera, shutter, options)
     }
 
-    /// The whole map, its first keyframe held (of a map that others were joined to: its own first).
-    pub fn whole(map: &Map, camera: &CameraModel, shutter: &Shutter, steps: usize) -> Option<Self> {
+    /// Global bundle adjustment: the whole map, its first keyframe held (of a map that others were joined to: its own first).
+    pub fn global(map: &Map, camera: &CameraModel, shutter: &Shutter, steps: usize) -> Option<Self> {
         let mut keyframes: Vec<(KeyframeId, bool)> =
             map.keyframes.iter().map(|(id, _)| (KeyframeId(id), false)).collect();
         let newest = keyframes.last()?.0;
         hold_oldest(map, newest, &mut keyframes)?;
         let landmarks = map.landmarks.iter().map(|(id, _)| LandmarkId(id)).collect();
-        let options = BundleOptions { steps, relative_gain: WHOLE_GAIN, ..BundleOptions::default() };
+        let options = BundleOptions { steps, relative_gain: GLOBAL_GAIN, ..BundleOptions::default() };
         Self::build(map, &keyframes, landmarks, newest, camera, shutter, options)
     }
 

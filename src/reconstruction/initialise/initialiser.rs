@@ -55,7 +55,7 @@ const START_SIGMA_PX: f64 = 1.0;
 /// have given a start by then, and a later one (with more parallax) is the better one.
 const CORNERS_AFTER_S: f64 = 0.25;
 /// Further times that a start must agree with the picture, at the most.
-const MAX_DOUBT: u32 = 5;
+const MAX_DISAGREEMENTS: u32 = 5;
 /// Rotation-compensated flow since the reference at which the camera counts as moving, px.
 const MOVING_FLOW_PX: f64 = 1.0;
 /// A camera without such flow for so long since the reference stands, s.
@@ -71,7 +71,7 @@ pub struct Initialiser {
     stride: u64,
     since_reference: u64,
     /// How often a start must still agree with the picture before one is believed.
-    doubt: u32,
+    disagreements: u32,
     /// A start of this frame has been asked; another one shares its picture.
     voted: bool,
     /// How long the camera has moved without a start, s: standing still takes it back. It outlasts the reference.
@@ -90,7 +90,7 @@ impl Initialiser {
         self.untracked.clear();
         self.trying_s = 0.0;
         self.last_ns = None;
-        self.doubt = 0;
+        self.disagreements = 0;
     }
 
     fn begin_at(&mut self, reference: Option<View>) {
@@ -104,7 +104,7 @@ impl Initialiser {
     /// next ones must agree as often as they disagreed before one is believed.
     pub fn disagree(&mut self) {
         if !std::mem::replace(&mut self.voted, true) {
-            self.doubt = (self.doubt + 1).min(MAX_DOUBT);
+            self.disagreements = (self.disagreements + 1).min(MAX_DISAGREEMENTS);
         }
     }
 
@@ -113,8 +113,8 @@ impl Initialiser {
         if std::mem::replace(&mut self.voted, true) {
             return false;
         }
-        let settled = self.doubt == 0;
-        self.doubt = self.doubt.saturating_sub(1);
+        let settled = self.disagreements == 0;
+        self.disagreements = self.disagreements.saturating_sub(1);
         settled
     }
 

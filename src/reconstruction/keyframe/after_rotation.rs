@@ -19,7 +19,7 @@ use crate::geometry::{CameraModel, Se3, median};
 use crate::map::{KeyframeId, LandmarkId, Map};
 use crate::motion::scale::ScaleFusion;
 use crate::reconstruction::Reconstruction;
-use crate::reconstruction::measurement::PosePair;
+use crate::reconstruction::measurement::Correspondence;
 use crate::reconstruction::measurement::inverse_distance::Ray;
 use crate::reconstruction::segments::Wheels;
 use crate::reconstruction::track::pose::{PoseOptions, optimise_pose};
@@ -210,12 +210,12 @@ fn resolve_between(map: &mut Map, from: KeyframeId, camera: &CameraModel, readou
     let mut inlier = Vec::new();
     for id in later {
         let Some(keyframe) = map.keyframe(id) else { continue };
-        let pairs: Vec<PosePair> = keyframe
+        let pairs: Vec<Correspondence> = keyframe
             .observations
             .iter()
             .filter_map(|o| {
                 let landmark = map.landmark(o.landmark)?;
-                Some(PosePair::observed(landmark.position, &o, camera, readout_s))
+                Some(Correspondence::observed(landmark.position, &o, camera, readout_s))
             })
             .collect();
         let options = PoseOptions { first_round_relaxation: 25.0, leverage: false, ..PoseOptions::default() };

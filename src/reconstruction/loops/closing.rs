@@ -99,7 +99,7 @@ impl Reconstruction {
         loops.recogniser.post(work, counters.frames);
     }
 
-    /// Hears what the search for an old place has found, if it has ended; lock-step waits for it at a fixed frame.
+    /// Takes what the search for an old place has found, if it has ended; lock-step waits for it at a fixed frame.
     pub(in crate::reconstruction) fn hear_recognition(&mut self, when: Merge) {
         if when == Merge::AtTheEnd {
             return self.loops.recogniser.discard();
@@ -188,7 +188,7 @@ impl Reconstruction {
         let ties = ties(&self.active.map, &found.sightings, &found.told);
         self.loops.tie(ties);
         self.fuse_found(&found.sightings);
-        self.active.next_whole = 0;
+        self.active.next_global = 0;
     }
 
     /// What both keyframes were found to see of the old place is one with what they see.

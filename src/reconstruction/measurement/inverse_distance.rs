@@ -5,7 +5,7 @@
 
 use nalgebra::{Vector2, Vector3};
 
-use super::{PosePair, residual, scaled};
+use super::{Correspondence, residual, scaled};
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::map::{AssumedDistance, LandmarkId, Map, Observation};
@@ -59,7 +59,7 @@ impl Ray {
     /// The pair for poses near `pose` with the distance eliminated: its point lies at the most likely distance there, where the pair is
     /// linearised, and it is weighted by the covariance of the innovation from the assumed one (an iterated Kalman
     /// update; Bar-Shalom, Li, Kirubarajan 2001, section 10.5.2). `None` behind the camera.
-    pub fn eliminate(&self, pose: &Se3<Camera, World>, pair: &PosePair) -> Option<PosePair> {
+    pub fn eliminate(&self, pose: &Se3<Camera, World>, pair: &Correspondence) -> Option<Correspondence> {
         let AssumedDistance { inverse: mean, sigma } = self.assumed;
         let rotated = pose.rotation * self.direction;
         // Place on the plane z = 1 and its derivative by the inverse distance.
@@ -80,12 +80,12 @@ impl Ray {
         let (_, derivative) = see(inverse)?;
         let j = pixels(&derivative) * sigma;
         let normalised = pair.normalised - derivative * (mean - inverse);
-        Some(PosePair { point: self.at(inverse), normalised, ..*pair }.whitened(&(j * j.transpose())))
+        Some(Correspondence { point: self.at(inverse), normalised, ..*pair }.whitened(&(j * j.transpose())))
     }
 
     /// Whether the observation lies where some likely distance puts it.
     pub fn agrees(&self, pose: &Se3<Camera, World>, seen: &Observation, camera: &CameraModel, readout_s: f64) -> bool {
-        let pair = PosePair::observed(self.point(), seen, camera, readout_s);
+        let pair = Correspondence::observed(self.point(), seen, camera, readout_s);
         self.eliminate(pose, &pair)
             .is_some_and(|pair| residual(pose, &pair).is_some_and(|(e, _)| e.norm_squared() <= CHI2_2D_999))
     }

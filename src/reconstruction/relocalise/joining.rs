@@ -155,7 +155,7 @@ impl Reconstruction {
         self.counters.maps_joined += 1;
         self.corrections.join();
         active.frames += other.frames;
-        active.next_whole = 0;
+        active.next_global = 0;
         active.unadjusted = newest;
     }
 }

@@ -7,7 +7,7 @@ use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::map::{LandmarkId, Map};
 use crate::reconstruction::config::ReconstructionConfig;
-use crate::reconstruction::measurement::PosePair;
+use crate::reconstruction::measurement::Correspondence;
 use crate::reconstruction::measurement::inverse_distance::Ray;
 use crate::reconstruction::measurement::rolling_shutter::Shutter;
 
@@ -44,7 +44,12 @@ pub fn is_assumed(frame: &Frame<'_>, landmark: LandmarkId) -> bool {
 /// What a place in the frame tells of a pose near `pose`, given what is known of the landmark there: along its ray, if its distance is
 /// assumed, else everywhere. (Without what is known of landmarks two of 35 sequences lose a third of their frames, and a car's errors
 /// double.)
-pub fn measurement_of(frame: &Frame<'_>, landmark: LandmarkId, pose: &Se3<Camera, World>, pair: PosePair) -> PosePair {
+pub fn measurement_of(
+    frame: &Frame<'_>,
+    landmark: LandmarkId,
+    pose: &Se3<Camera, World>,
+    pair: Correspondence,
+) -> Correspondence {
     let Some(known) = frame.map.landmark(landmark) else { return pair };
     match Ray::of(landmark, frame.map, frame.shutter.readout_s) {
         Some(ray) => ray.eliminate(pose, &pair).unwrap_or(pair),

@@ -2,7 +2,7 @@
 //!
 //! Input: pairs of a world point and its undistorted observation. Output: `camera_from_world` that minimises
 //! `sum rho(|e|^2)`, `e = A (pi(T X) - n)` with Huber's rho (Triggs et al. 2000, section 4), A the standard deviations that a
-//! step on the plane z = 1 counts as ([`PosePair::sqrt_information`]), outliers taken out between rounds by the chi-square limit and at the end by what the others make of those that decide a direction by themselves, and the 6x6
+//! step on the plane z = 1 counts as ([`Correspondence::sqrt_information`]), outliers taken out between rounds by the chi-square limit and at the end by what the others make of those that decide a direction by themselves, and the 6x6
 //! information of the result. Levenberg-Marquardt (`least_squares`) on the left perturbation of [`Se3::perturb_left`]. Cost: about 80 ns a
 //! pair and step. Allocates nothing.
 
@@ -16,7 +16,7 @@ use self::descent::descend;
 use self::leverage::{Fit, judge_leverage};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
-use crate::reconstruction::measurement::{PosePair, residual};
+use crate::reconstruction::measurement::{Correspondence, residual};
 
 /// Result of [`optimise_pose`].
 #[derive(Debug, Clone, Copy)]
@@ -37,7 +37,7 @@ pub struct PoseSolution {
 /// or non-finite input.
 pub fn optimise_pose(
     start: &Se3<Camera, World>,
-    pairs: &[PosePair],
+    pairs: &[Correspondence],
     options: &PoseOptions,
     inlier: &mut Vec<bool>,
 ) -> Option<PoseSolution> {
@@ -71,7 +71,7 @@ pub fn optimise_pose(
 }
 
 /// Says of every pair whether it lies within `limit`; how many do.
-fn judge(pose: &Se3<Camera, World>, pairs: &[PosePair], limit: f64, inlier: &mut [bool]) -> usize {
+fn judge(pose: &Se3<Camera, World>, pairs: &[Correspondence], limit: f64, inlier: &mut [bool]) -> usize {
     let mut count = 0;
     for (pair, flag) in pairs.iter().zip(inlier) {
         *flag = residual(pose, pair).is_some_and(|(e, _)| e.norm_squared() <= limit);
@@ -87,7 +87,7 @@ mod tests {
     use crate::reconstruction::measurement::jacobian_rows;
     use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3, Vector6};
 
-    pub fn scene(seed: u64, n: usize, noise_px: f64, outliers: usize) -> (Se3<Camera, World>, Vec<PosePair>) {
+    pub fn scene(seed: u64, n: usize, noise_px: f64, outliers: usize) -> (Se3<Camera, World>, Vec<Correspondence>) {
         let mut generator = Random::new(seed);
         let mut random = move || generator.uniform(-1.0, 1.0);
         let truth = Se3::new(
@@ -103,7 +103,7 @@ mod tests {
                     normalised += Vector2::new(random(), random()) * 0.3;
                 }
                 let pixel_scale = Matrix2::new(500.0, 0.0, 0.0, 510.0);
-                PosePair::new(truth.inverse().transform(&p), normalised, pixel_scale, 1.0)
+                Correspondence::new(truth.inverse().transform(&p), normalised, pixel_scale, 1.0)
             })
             .collect();
         (truth, pairs)
@@ -144,7 +144,7 @@ mod tests {
             let (pose, pairs) = scene(seed, 5, 3.0, 0);
             // A pinhole's scale, and one of a wide-angle lens off its axis.
             let wide = Matrix2::new(210.0, -80.0, -81.0, 130.0);
-            let pairs = pairs.iter().flat_map(|p| [*p, PosePair { sqrt_information: wide, ..*p }]);
+            let pairs = pairs.iter().flat_map(|p| [*p, Correspondence { sqrt_information: wide, ..*p }]);
             for pair in pairs {
                 let (_, p) = residual(&pose, &pair).unwrap();
                 let (jx, jy) = jacobian_rows(&p, &pair.sqrt_information);

@@ -16,7 +16,7 @@ use crate::image::pyramid::{base_from_level, level_from_base};
 use crate::map::picture::Detail;
 use crate::map::view::ROOM;
 use crate::map::{Keyframe, KeyframeId, LandmarkId, Map, Observation};
-use crate::reconstruction::measurement::PosePair;
+use crate::reconstruction::measurement::Correspondence;
 
 /// A landmark found in the frame.
 #[derive(Debug, Clone, Copy)]
@@ -44,9 +44,9 @@ impl Match {
     }
 
     /// Its pair for the optimisation of the pose.
-    pub fn pair(&self, camera: &CameraModel, readout_s: f64) -> PosePair {
+    pub fn pair(&self, camera: &CameraModel, readout_s: f64) -> Correspondence {
         let pixel_scale = camera.pixel_scale(&self.normalised);
-        PosePair::new(self.point, self.at_middle_row(readout_s), pixel_scale, self.inv_sigma_px)
+        Correspondence::new(self.point, self.at_middle_row(readout_s), pixel_scale, self.inv_sigma_px)
     }
 }
 

@@ -10,7 +10,7 @@
 //! published rests on enough of these. Cost: some 0.5 us a seed and solution, only in a quick turn. Allocates
 //! nothing once warm. Not here: distances; two keyframes triangulate.
 //!
-//! Kept by ablation (as `newcomers`): without it errors are 11 % larger in the geometric mean, that of one walk at 5 Hz fifteen times;
+//! Kept by ablation (as `maturity`): without it errors are 11 % larger in the geometric mean, that of one walk at 5 Hz fifteen times;
 //! beside few landmarks only (below 60 matches) 13 % larger, two of 17 walks lost.
 
 use nalgebra::{Vector2, Vector3};
@@ -22,7 +22,7 @@ use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::{Se3, median};
 use crate::map::{LandmarkId, Observation};
-use crate::reconstruction::measurement::PosePair;
+use crate::reconstruction::measurement::Correspondence;
 use crate::reconstruction::measurement::inverse_distance::Ray;
 use crate::reconstruction::measurement::rolling_shutter::Shutter;
 
@@ -35,7 +35,7 @@ struct SeedRay {
     ray: Ray,
     row_px: f32,
     /// Not corrected for a rolling shutter; its point is where the ray's assumed distance puts it.
-    pair: PosePair,
+    pair: Correspondence,
 }
 
 /// The seeds that a frame sees, and the distance to assume for them.
@@ -81,7 +81,7 @@ impl SeedRays {
         pose: &Se3<Camera, World>,
         motion: Option<&CameraMotion>,
         shutter: &Shutter,
-        pairs: &mut Vec<PosePair>,
+        pairs: &mut Vec<Correspondence>,
     ) {
         pairs.extend(self.list.iter().filter_map(|seed| {
             let p = pose.transform(&seed.pair.point);
@@ -90,7 +90,7 @@ impl SeedRays {
                 _ => Vector2::zeros(),
             };
             let normalised = seed.pair.normalised - displacement * shutter.readout_s;
-            seed.ray.eliminate(pose, &PosePair { normalised, ..seed.pair })
+            seed.ray.eliminate(pose, &Correspondence { normalised, ..seed.pair })
         }));
     }
 
@@ -115,6 +115,6 @@ fn seed_ray(frame: &Frame<'_>, seed: &Seed, position: Vector2<f32>, distance: f6
     let ray = Ray::at_distance(&anchor.camera_from_world, &seen, shutter.readout_s, distance);
     let normalised = camera.undistort(&position.cast())?;
     let pixel_scale = camera.pixel_scale(&normalised);
-    let pair = PosePair::new(ray.point(), normalised, pixel_scale, 1.0 / SIGMA_PX);
+    let pair = Correspondence::new(ray.point(), normalised, pixel_scale, 1.0 / SIGMA_PX);
     Some(SeedRay { ray, row_px: position.y, pair })
 }

@@ -5,7 +5,7 @@ use nalgebra::Vector6;
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::least_squares::{LeastSquares, LmOptions, Loss, NormalEquations, minimise};
-use crate::reconstruction::measurement::{CHI2_2D_95, PosePair, jacobian_rows, residual};
+use crate::reconstruction::measurement::{CHI2_2D_95, Correspondence, jacobian_rows, residual};
 
 /// Options of [`optimise_pose`](super::optimise_pose).
 #[derive(Debug, Clone, Copy)]
@@ -18,7 +18,7 @@ pub struct PoseOptions {
     pub outlier_chi2: f64,
     /// The first round uses this many times the limit and a Cauchy weight: a poor start must not throw good pairs out.
     pub first_round_relaxation: f64,
-    /// Pairs with leverage are judged by what the others make of them (`most_contradicted`).
+    /// Pairs with leverage are judged by what the others make of them (`leverage`).
     pub leverage: bool,
 }
 
@@ -30,7 +30,7 @@ impl Default for PoseOptions {
 
 /// What the pairs that are inliers cost a pose.
 struct PoseProblem<'a> {
-    pairs: &'a [PosePair],
+    pairs: &'a [Correspondence],
     inlier: &'a [bool],
     loss: Loss,
     /// A constant price of a pair behind the camera, so that a step that does this is no gain.
@@ -38,7 +38,7 @@ struct PoseProblem<'a> {
 }
 
 impl PoseProblem<'_> {
-    fn pairs(&self) -> impl Iterator<Item = &PosePair> {
+    fn pairs(&self) -> impl Iterator<Item = &Correspondence> {
         self.pairs.iter().zip(self.inlier).filter(|(_, ok)| **ok).map(|(pair, _)| pair)
     }
 }
@@ -72,7 +72,7 @@ impl LeastSquares for PoseProblem<'_> {
 /// The pose that the current inliers want; Cauchy's loss when `relaxed`, Huber's else.
 pub(super) fn descend(
     start: &Se3<Camera, World>,
-    pairs: &[PosePair],
+    pairs: &[Correspondence],
     inlier: &[bool],
     options: &PoseOptions,
     relaxed: bool,

@@ -4,17 +4,17 @@
 //! part of the picture and far away, one that is near holds the pose by itself; if it is wrong, as at the edge of something that
 //! moves past, its own residual does not tell. Cost: about 0.1 us a pair, and two warm descents for each pair taken out.
 //!
-//! Kept by ablation (as `newcomers`): without it one recording in bare corridors is lost after 71 % instead of 99 %.
+//! Kept by ablation (as `maturity`): without it one recording in bare corridors is lost after 71 % instead of 99 %.
 
 use nalgebra::{Matrix2, Matrix6, Vector6};
 
 use super::descent::{PoseOptions, descend};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
-use crate::reconstruction::measurement::{PosePair, accumulate, jacobian_rows, residual};
+use crate::reconstruction::measurement::{Correspondence, accumulate, jacobian_rows, residual};
 
-/// Pairs that the others may contradict in one frame. What moves past a robot shows more of them, and then `newcomers` speak.
-const MAX_CONTRADICTED: usize = 8;
+/// Pairs that the others may contradict in one frame. What moves past a robot shows more of them, and then `maturity` decides.
+const MAX_REMOVED: usize = 8;
 /// A pair has leverage from this many times the mean share of the pose that pairs decide (Hoaglin, Welsch 1978).
 const HIGH_LEVERAGE: f64 = 2.0;
 /// Of a direction that a pair decides, this share at the least must be left to the others for them to contradict it.
@@ -35,7 +35,7 @@ pub(super) struct Fit {
 }
 
 impl Fit {
-    pub(super) fn of(pose: &Se3<Camera, World>, pairs: &[PosePair], inlier: &[bool]) -> Self {
+    pub(super) fn of(pose: &Se3<Camera, World>, pairs: &[Correspondence], inlier: &[bool]) -> Self {
         let (mut information, mut sum_px2, mut count) = (Matrix6::zeros(), 0.0, 0usize);
         // The median by counting (nothing is allocated here), each pair with its weight: what is known badly lies well anywhere.
         let (mut bins, mut weight) = ([0.0; BINS], 0.0);
@@ -65,16 +65,16 @@ impl Fit {
         }
     }
 
-    /// The inlier that the others contradict most, if they do: by its innovation, had the pose been solved without it.
+    /// The inlier with the largest studentised residual, if that is beyond the limit: its innovation, had the pose been solved without it.
     ///
     /// A pair that decides a direction of the pose by itself - the only one nearby, say - has a small residual whatever it says. With its
     /// leverage `h = J H⁻¹ Jᵀ` taken out the residual is `d = (I - h)⁻¹ e` (the deletion residual: Belsley, Kuh, Welsch 1980, section
     /// 2.1), and the others' pose puts it there with the covariance `s² h (I - h)⁻¹`, s the robust scale of their residuals. All in units
     /// of the pair's own standard deviation.
-    fn most_contradicted(
+    fn worst_studentised(
         &self,
         pose: &Se3<Camera, World>,
-        pairs: &[PosePair],
+        pairs: &[Correspondence],
         inlier: &[bool],
         limit: f64,
     ) -> Option<usize> {
@@ -117,18 +117,18 @@ impl Fit {
 pub(super) fn judge_leverage(
     pose: &mut Se3<Camera, World>,
     fit: &mut Fit,
-    pairs: &[PosePair],
+    pairs: &[Correspondence],
     options: &PoseOptions,
     inlier: &mut [bool],
 ) {
     let limit = options.outlier_chi2;
-    let mut out = [0; MAX_CONTRADICTED];
+    let mut out = [0; MAX_REMOVED];
     let mut count = 0;
-    while count < MAX_CONTRADICTED && fit.most_contradicted(pose, pairs, inlier, limit).is_some() {
+    while count < MAX_REMOVED && fit.worst_studentised(pose, pairs, inlier, limit).is_some() {
         // Leverage can be taken out of residuals at the very pose that these pairs give.
         let settled = descend(pose, pairs, inlier, options, false);
         (*pose, *fit) = (settled, Fit::of(&settled, pairs, inlier));
-        let Some(worst) = fit.most_contradicted(pose, pairs, inlier, limit) else { break };
+        let Some(worst) = fit.worst_studentised(pose, pairs, inlier, limit) else { break };
         inlier[worst] = false;
         let without = descend(pose, pairs, inlier, options, false);
         out[count] = worst;
@@ -175,7 +175,7 @@ mod tests {
             let off = |wrong_px: f64| {
                 let mut pairs = pairs.clone();
                 let normalised = near.xy() / near.z + Vector2::new(wrong_px / 500.0, 0.0);
-                pairs.push(PosePair { point: truth.inverse().transform(&near), normalised, ..pairs[0] });
+                pairs.push(Correspondence { point: truth.inverse().transform(&near), normalised, ..pairs[0] });
                 let mut inlier = Vec::new();
                 let s = optimise_pose(&truth, &pairs, &PoseOptions::default(), &mut inlier).unwrap();
                 (distance(&s.camera_from_world, &truth), inlier[100])

@@ -1,16 +1,16 @@
-//! Landmarks that are new must agree with those that have proved themselves.
+//! The gate for immature landmarks: what is new must agree with what has proved itself.
 //!
 //! Something large that moves past brings landmarks of its own as long as its motion looks like the parallax of something near:
 //! each of them agrees with the pose, because together they bend it. Landmarks that were found in many frames did not move for
-//! that long. So the pose is solved from them alone, and a newcomer takes part only if it lies where that pose, with its own
+//! that long: they are mature. So the pose is solved from them alone, and an immature landmark takes part only if it lies where that pose, with its own
 //! uncertainty, lets it lie. If those together still move the pose by more than its uncertainty, they lie there because they move
 //! together, and only those are left that agree without that allowance.
 //!
-//! Input: the pairs of one frame (world point, undistorted observation), which of them are established, the solution over all and the
-//! options that it was made with. Output: the solution over the established and the newcomers that agree. Test: chi-square of the
-//! innovation, `e' (s² I + J P J')⁻¹ e`, P the covariance of the established solution (Bar-Shalom, Li, Kirubarajan 2001, section 5.4): at
-//! the scale of its own residuals, or, where most newcomers contradict that, at that of the standard deviations. Cost: two or three
-//! warm motion-only optimisations. It does not judge the established ones: the optimisation's own outlier test does.
+//! Input: the pairs of one frame (world point, undistorted observation), which of them are of mature landmarks, the solution over all and the
+//! options that it was made with. Output: the solution over the mature ones and the immature ones that agree. Test: chi-square of the
+//! innovation, `e' (s² I + J P J')⁻¹ e`, P the covariance of the mature solution (Bar-Shalom, Li, Kirubarajan 2001, section 5.4): at
+//! the scale of its own residuals, or, where most immature ones contradict that, at that of the standard deviations. Cost: two or three
+//! warm motion-only optimisations. It does not judge the mature ones: the optimisation's own outlier test does.
 //!
 //! Kept by ablation (35 sequences: recordings, parts, cuts and reversals of them, simulated walks at 5 Hz): without it errors are 8 % larger
 //! in the geometric mean, those of a desk and of two walks about twice as large.
@@ -18,77 +18,77 @@
 use nalgebra::{Matrix6, Vector6};
 
 use super::pose::{PoseOptions, PoseSolution, optimise_pose};
-use crate::reconstruction::measurement::{CHI2_2D_95, PosePair};
+use crate::reconstruction::measurement::{CHI2_2D_95, Correspondence};
 
-/// A landmark is established once it was found in as many frames as this time holds, s, and in that many at the least.
-const ESTABLISHED_S: f64 = 0.65;
-const ESTABLISHED_FRAMES: u32 = 5;
+/// A landmark is mature once it was found in as many frames as this time holds, s, and in that many at the least.
+const MATURE_S: f64 = 0.65;
+const MATURE_FRAMES: u32 = 5;
 /// The same in frames where the time between them is not known.
-const ESTABLISHED_FOUND: u32 = 20;
-/// Established pairs that must agree to be asked.
-const MIN_ESTABLISHED: usize = 15;
+const MATURE_FOUND: u32 = 20;
+/// Mature landmarks that must agree before they judge the others.
+const MIN_MATURE: usize = 15;
 
 /// 99 % limit of chi-square with six degrees of freedom.
 const CHI2_6D_99: f64 = 16.812;
 
-/// Frames in which a landmark must have been found to be established; `step_s`: time from frame to frame.
-pub fn established_found(step_s: Option<f64>) -> u32 {
-    step_s.map_or(ESTABLISHED_FOUND, |s| ((ESTABLISHED_S / s).ceil() as u32).max(ESTABLISHED_FRAMES))
+/// Frames in which a landmark must have been found to be mature; `step_s`: time from frame to frame.
+pub fn mature_after(step_s: Option<f64>) -> u32 {
+    step_s.map_or(MATURE_FOUND, |s| ((MATURE_S / s).ceil() as u32).max(MATURE_FRAMES))
 }
 
 /// Buffers, kept between frames.
 #[derive(Debug, Default)]
-pub struct Newcomers {
-    established: Vec<bool>,
+pub struct MaturityGate {
+    mature: Vec<bool>,
     /// For each pair: may it take part?
-    heard: Vec<bool>,
-    pairs: Vec<PosePair>,
+    included: Vec<bool>,
+    pairs: Vec<Correspondence>,
     inlier: Vec<bool>,
 }
 
-impl Newcomers {
+impl MaturityGate {
     /// Room for `n` pairs.
     pub fn with_capacity(n: usize) -> Self {
         let flags = || Vec::with_capacity(n);
-        Self { established: flags(), heard: flags(), pairs: Vec::with_capacity(n), inlier: flags() }
+        Self { mature: flags(), included: flags(), pairs: Vec::with_capacity(n), inlier: flags() }
     }
 
-    /// `landmarks`: so many pairs are of landmarks, seeds come after them. `established` and `inlier`: one flag a pair; `inlier` comes from `solution` and is overwritten with the result's. `None`
-    /// leaves everything as it was: no newcomer takes part, or the established are too few to speak.
+    /// `landmarks`: so many pairs are of landmarks, seeds come after them. `mature` and `inlier`: one flag a pair; `inlier` comes from `solution` and is overwritten with the result's. `None`
+    /// leaves everything as it was: no immature landmark takes part, or the mature ones are too few to decide.
     pub fn judge(
         &mut self,
-        pairs: &[PosePair],
+        pairs: &[Correspondence],
         landmarks: usize,
-        established: impl Fn(usize) -> bool,
+        mature: impl Fn(usize) -> bool,
         solution: &PoseSolution,
         options: &PoseOptions,
         inlier: &mut [bool],
     ) -> Option<PoseSolution> {
-        self.established.clear();
-        self.established.extend((0..pairs.len()).map(established));
-        if !inlier.iter().zip(&self.established).any(|(&inlier, &established)| inlier && !established) {
+        self.mature.clear();
+        self.mature.extend((0..pairs.len()).map(mature));
+        if !inlier.iter().zip(&self.mature).any(|(&inlier, &mature)| inlier && !mature) {
             return None;
         }
-        take(pairs, &self.established, &mut self.pairs);
+        take(pairs, &self.mature, &mut self.pairs);
         let own = optimise_pose(&solution.camera_from_world, &self.pairs, options, &mut self.inlier)?;
-        if own.inliers < MIN_ESTABLISHED || 2 * own.inliers < self.pairs.len() {
+        if own.inliers < MIN_MATURE || 2 * own.inliers < self.pairs.len() {
             return None;
         }
         let doubt = own.information.cholesky()?.inverse();
-        // The established pose is as sure as its own residuals say, unless most newcomers say that it is not: they are seldom wrong
+        // The mature pose is as sure as its own residuals say, unless most immature landmarks say that it is not: they are seldom wrong
         // all over, it is where a turn leaves it little at the edge of the picture.
         let sure = doubt * (own.scale * own.scale);
-        let doubt = if 2 * self.hear(pairs, landmarks, &own, &sure) < self.hear(pairs, landmarks, &own, &doubt) {
+        let doubt = if 2 * self.include(pairs, landmarks, &own, &sure) < self.include(pairs, landmarks, &own, &doubt) {
             doubt
         } else {
             sure
         };
         let mut agreed = own;
-        // Together they may still pull further than one alone could: then only those count that lie just where the established
+        // Together they may still pull further than one alone could: then only those count that lie just where the mature
         // pose puts them.
         for doubt in [doubt, Matrix6::zeros()] {
-            self.hear(pairs, landmarks, &own, &doubt);
-            take(pairs, &self.heard, &mut self.pairs);
+            self.include(pairs, landmarks, &own, &doubt);
+            take(pairs, &self.included, &mut self.pairs);
             agreed = optimise_pose(&own.camera_from_world, &self.pairs, options, &mut self.inlier)?;
             let step = agreed.camera_from_world * own.camera_from_world.inverse();
             let (w, v) = (step.rotation.scaled_axis(), step.translation);
@@ -98,29 +98,35 @@ impl Newcomers {
             }
         }
         let mut flags = self.inlier.iter();
-        for (to, heard) in inlier.iter_mut().zip(&self.heard) {
-            *to = *heard && flags.next().copied().unwrap_or(false);
+        for (to, included) in inlier.iter_mut().zip(&self.included) {
+            *to = *included && flags.next().copied().unwrap_or(false);
         }
         Some(agreed)
     }
 
-    /// Hears the established, and the newcomers that lie where a pose of that covariance lets them lie; how many of these are
+    /// Includes the mature ones, and the immature ones that lie where a pose of that covariance lets them lie; how many of these are
     /// landmarks.
-    fn hear(&mut self, pairs: &[PosePair], landmarks: usize, own: &PoseSolution, doubt: &Matrix6<f64>) -> usize {
-        let mut newcomers = 0;
-        self.heard.clear();
-        for (i, (pair, &established)) in pairs.iter().zip(&self.established).enumerate() {
+    fn include(
+        &mut self,
+        pairs: &[Correspondence],
+        landmarks: usize,
+        own: &PoseSolution,
+        doubt: &Matrix6<f64>,
+    ) -> usize {
+        let mut immature = 0;
+        self.included.clear();
+        for (i, (pair, &mature)) in pairs.iter().zip(&self.mature).enumerate() {
             let agrees =
-                !established && pair.innovation(&own.camera_from_world, doubt).is_some_and(|chi2| chi2 <= CHI2_2D_95);
-            newcomers += usize::from(agrees && i < landmarks);
-            self.heard.push(established || agrees);
+                !mature && pair.innovation(&own.camera_from_world, doubt).is_some_and(|chi2| chi2 <= CHI2_2D_95);
+            immature += usize::from(agrees && i < landmarks);
+            self.included.push(mature || agrees);
         }
-        newcomers
+        immature
     }
 }
 
 /// The pairs whose flag is set.
-fn take(pairs: &[PosePair], flags: &[bool], out: &mut Vec<PosePair>) {
+fn take(pairs: &[Correspondence], flags: &[bool], out: &mut Vec<Correspondence>) {
     out.clear();
     out.extend(pairs.iter().zip(flags).filter(|(_, flag)| **flag).map(|(pair, _)| *pair));
 }
@@ -137,7 +143,7 @@ mod tests {
     const FOCAL: Vector2<f64> = Vector2::new(500.0, 500.0);
 
     /// `still` points of a room, seen from the true pose, then `moved` near ones that went `by` since they were mapped.
-    fn scene(seed: u64, still: usize, moved: usize, by: Vector3<f64>) -> (Se3<Camera, World>, Vec<PosePair>) {
+    fn scene(seed: u64, still: usize, moved: usize, by: Vector3<f64>) -> (Se3<Camera, World>, Vec<Correspondence>) {
         let mut generator = Random::new(seed);
         let mut random = move || generator.uniform(-1.0, 1.0);
         let truth = Se3::new(
@@ -153,20 +159,20 @@ mod tests {
                 let noise = Vector2::new(random(), random()) * 0.5;
                 let normalised = Vector2::new(seen.x, seen.y) / seen.z + noise.component_div(&FOCAL);
                 let point = truth.inverse().transform(&mapped);
-                PosePair::new(point, normalised, Matrix2::from_diagonal(&FOCAL), 1.0 / 0.3)
+                Correspondence::new(point, normalised, Matrix2::from_diagonal(&FOCAL), 1.0 / 0.3)
             })
             .collect();
         (truth, pairs)
     }
 
-    fn solved(start: &Se3<Camera, World>, pairs: &[PosePair]) -> (PoseSolution, Vec<bool>) {
+    fn solved(start: &Se3<Camera, World>, pairs: &[Correspondence]) -> (PoseSolution, Vec<bool>) {
         let mut inlier = Vec::new();
         let solution = optimise_pose(start, pairs, &PoseOptions::default(), &mut inlier).expect("a pose");
         (solution, inlier)
     }
 
     #[test]
-    fn something_near_that_moves_bends_the_pose_until_the_established_are_asked() {
+    fn something_near_that_moves_bends_the_pose_until_the_mature_are_asked() {
         for seed in 1..20 {
             let (truth, pairs) = scene(seed, 60, 90, Vector3::new(0.006, 0.0, 0.0));
             let (all, mut inlier) = solved(&truth, &pairs);
@@ -175,25 +181,25 @@ mod tests {
                 e.rotation.angle().max(e.translation.norm())
             };
             let bent = off(&all);
-            let newcomers = |inlier: &[bool]| inlier[60..].iter().filter(|i| **i).count();
-            assert!(bent > 0.004 && newcomers(&inlier) > 60, "seed {seed}: the scene is too easy, off by {bent}");
-            let asked = Newcomers::default()
+            let immature = |inlier: &[bool]| inlier[60..].iter().filter(|i| **i).count();
+            assert!(bent > 0.004 && immature(&inlier) > 60, "seed {seed}: the scene is too easy, off by {bent}");
+            let asked = MaturityGate::default()
                 .judge(&pairs, pairs.len(), |i| i < 60, &all, &PoseOptions::default(), &mut inlier)
                 .expect("a judgement");
             assert!(off(&asked) < 0.5 * bent, "seed {seed}: off by {} and before by {bent}", off(&asked));
-            assert!(newcomers(&inlier) < 45, "seed {seed}: {} newcomers took part", newcomers(&inlier));
+            assert!(immature(&inlier) < 45, "seed {seed}: {} immature took part", immature(&inlier));
         }
     }
 
     #[test]
-    fn newcomers_that_stand_still_take_part() {
+    fn immature_ones_that_stand_still_take_part() {
         let (mut before, mut after) = (0, 0);
         let count = |inlier: &[bool]| inlier.iter().filter(|i| **i).count();
         for seed in 1..20 {
             let (truth, pairs) = scene(seed, 60, 90, Vector3::zeros());
             let (all, mut inlier) = solved(&truth, &pairs);
             before += count(&inlier);
-            Newcomers::default()
+            MaturityGate::default()
                 .judge(&pairs, pairs.len(), |i| i < 60, &all, &PoseOptions::default(), &mut inlier)
                 .expect("a judgement");
             after += count(&inlier);
@@ -203,26 +209,26 @@ mod tests {
     }
 
     #[test]
-    fn established_is_a_matter_of_time() {
-        let frames = [60.0, 30.0, 10.0, 5.0].map(|rate_hz: f64| established_found(Some(rate_hz.recip())));
-        assert_eq!((frames, established_found(None)), ([39, 20, 7, 5], 20));
+    fn maturity_is_a_matter_of_time() {
+        let frames = [60.0, 30.0, 10.0, 5.0].map(|rate_hz: f64| mature_after(Some(rate_hz.recip())));
+        assert_eq!((frames, mature_after(None)), ([39, 20, 7, 5], 20));
     }
 
     #[test]
-    fn too_few_established_or_no_newcomers_change_nothing() {
+    fn too_few_mature_or_no_immature_change_nothing() {
         let (truth, pairs) = scene(5, 60, 90, Vector3::new(0.006, 0.0, 0.0));
         let (all, inlier) = solved(&truth, &pairs);
         let mut asked = inlier.clone();
-        for established in [0, MIN_ESTABLISHED - 1, pairs.len()] {
-            let judged = Newcomers::default().judge(
+        for mature in [0, MIN_MATURE - 1, pairs.len()] {
+            let judged = MaturityGate::default().judge(
                 &pairs,
                 pairs.len(),
-                |i| i < established,
+                |i| i < mature,
                 &all,
                 &PoseOptions::default(),
                 &mut asked,
             );
-            assert!(judged.is_none() && asked == inlier, "{established}");
+            assert!(judged.is_none() && asked == inlier, "{mature}");
         }
     }
 }
