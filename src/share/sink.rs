@@ -308,7 +308,6 @@ mod tests {
         assert_eq!(times, [5, 6]);
         // Readers take the whole file to begin where the first of its chunks does.
         let summary = mcap::Summary::read(&bytes).expect("read").expect("there is one");
-        let begin: Vec<u64> = summary.chunk_indexes.iter().map(|chunk| chunk.message_start_time).collect();
-        assert_eq!(begin, [5]);
+        assert_eq!(summary.chunk_indexes.iter().map(|chunk| chunk.message_start_time).min(), Some(5));
     }
 }
