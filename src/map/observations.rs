@@ -57,9 +57,12 @@ struct Packed {
     inv_sigma_px: u16,
 }
 
-/// The upper half of a f32, rounded to nearest.
+/// The largest number of 16 bits that is finite.
+const LARGEST: f32 = f32::from_bits(0x7F7F_0000);
+
+/// The upper half of a f32, rounded to nearest; what is larger than the largest becomes the largest.
 fn half(value: f64) -> u16 {
-    let bits = (value as f32).to_bits();
+    let bits = (value as f32).clamp(-LARGEST, LARGEST).to_bits();
     (bits.saturating_add(0x8000) >> 16) as u16
 }
 
@@ -338,6 +341,15 @@ mod tests {
         again.pack(&lens);
         assert_eq!(format!("{packed:?}"), format!("{again:?}"));
         assert!(packed.bytes() <= 200 * 16 && whole.bytes() >= 200 * 88);
+    }
+
+    #[test]
+    fn however_large_a_number_is_it_stays_finite() {
+        for value in [1e300, f64::from(f32::MAX), 3.395e38, f64::INFINITY] {
+            let packed = [value, -value].map(|v| whole(half(v)));
+            assert_eq!(packed, [f64::from(LARGEST), -f64::from(LARGEST)], "{value}");
+        }
+        assert_eq!(half(whole(half(1.0 / 3.0))), half(1.0 / 3.0));
     }
 
     #[test]
