@@ -34,11 +34,18 @@ pub struct Outputs {
 }
 
 impl Outputs {
-    /// Where pictures of far keyframes may wait: beside the trajectory, else in `fallback`, else where temporary files lie.
+    /// Where pictures of far keyframes may wait: beside a trajectory that is a file, else in `fallback`, else in a folder for temporary files that is
+    /// not memory.
     pub fn spool_folder(&self, fallback: Option<&Path>) -> PathBuf {
-        let beside = self.trajectory.as_deref().or(self.live_trajectory.as_deref()).and_then(Path::parent);
-        beside.or(fallback).map_or_else(std::env::temp_dir, Path::to_path_buf)
+        let files = [&self.trajectory, &self.live_trajectory].into_iter().flatten().filter(|path| is_file(path));
+        files.filter_map(|path| path.parent()).next().or(fallback).unwrap_or(Path::new("/var/tmp")).into()
     }
+}
+
+/// Whether it is one or will be one, not a device or a pipe; also not by one of their names (`/dev/stdout` may lead to a file).
+fn is_file(path: &Path) -> bool {
+    let is_system = ["/dev", "/proc", "/sys"].iter().any(|folder| path.starts_with(folder));
+    !is_system && std::fs::metadata(path).map_or(true, |there| there.is_file())
 }
 
 /// What reconstruction knows at the moment that a file is asked for.
@@ -290,4 +297,30 @@ pub fn serve(mut recorder: Recorder, orders: &Receiver<Order>) -> Recorder {
         }
     }
     recorder
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pictures_wait_beside_files_only() {
+        let dir = tempfile::tempdir().expect("a folder");
+        let spool = |trajectory: &Path, live: Option<PathBuf>, fallback| {
+            let outputs = Outputs { trajectory: Some(trajectory.into()), live_trajectory: live, ..Outputs::default() };
+            outputs.spool_folder(fallback)
+        };
+        let [new, there] = ["new.txt", "there.txt"].map(|name| dir.path().join(name));
+        std::fs::write(&there, "").expect("written");
+        let state = Some(Path::new("/state"));
+        assert_eq!(spool(&new, None, state), dir.path());
+        assert_eq!(spool(&there, None, None), dir.path());
+        for device in ["/dev/null", "/dev/stdout", "/dev/none", "/proc/self/fd/1"].map(Path::new) {
+            assert_eq!(spool(device, None, state), Path::new("/state"));
+            assert_eq!(spool(device, None, None), Path::new("/var/tmp"));
+            assert_eq!(spool(device, Some(new.clone()), state), dir.path());
+        }
+        // A folder is no file.
+        assert_eq!(spool(dir.path(), None, state), Path::new("/state"));
+    }
 }
