@@ -18,6 +18,7 @@ pub struct ChangeLog {
     maps_joined: u64,
     loops_closed: u64,
     spool_faults: u64,
+    pictures_unread: u64,
     pictures_lost: u64,
     blind_turns: u64,
     scale: MapScale,
@@ -35,6 +36,7 @@ impl Default for ChangeLog {
             maps_joined: 0,
             loops_closed: 0,
             spool_faults: 0,
+            pictures_unread: 0,
             pictures_lost: 0,
             blind_turns: 0,
             scale: MapScale::Unknown,
@@ -71,6 +73,11 @@ impl ChangeLog {
             let reason = reconstruction.picture_fault();
             warn!(sequence, reason, "pictures of far keyframes stay in memory");
             self.spool_faults = counters.spool_faults;
+        }
+        if counters.pictures_unread != self.pictures_unread {
+            let reason = reconstruction.picture_fault();
+            warn!(sequence, reason, "picture of a far keyframe not read, tried again later");
+            self.pictures_unread = counters.pictures_unread;
         }
         if counters.pictures_lost != self.pictures_lost {
             let (reason, pictures_lost) = (reconstruction.picture_fault(), counters.pictures_lost);

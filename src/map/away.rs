@@ -23,9 +23,22 @@ pub struct Condensed {
 
 /// A copy of a condensed picture, as it was.
 pub trait PictureCopy: Send + Sync + std::fmt::Debug {
-    /// The error says why it cannot be had.
-    fn read(&self) -> Result<Condensed, String>;
+    fn read(&self) -> Result<Condensed, CopyFault>;
 }
+
+/// Why a copy cannot be had.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum CopyFault {
+    /// Not now: the disk says why, and may give it later.
+    #[error("{0}")]
+    NotRead(String),
+    /// What is there is no such copy, and never will be.
+    #[error("{0}")]
+    Senseless(String),
+}
+
+/// Views that a condensed picture has at the most, as they are numbered in a byte.
+pub const MOST_NUMBERED: usize = 1 << u8::BITS;
 
 /// What is known of a copy.
 #[derive(Debug, Clone)]
@@ -62,13 +75,13 @@ impl Away {
     }
 
     /// All of it, with the views that are still asked for under the names that they have now.
-    pub fn read(&self) -> Result<Condensed, String> {
+    pub fn read(&self) -> Result<Condensed, CopyFault> {
         let copy = self.copy.read()?;
         let view = |s: &Shown| Some(View { landmark: s.landmark, ..copy.views.get(usize::from(s.number))?.clone() });
         let views: Vec<View> = self.shown.iter().filter_map(view).collect();
         match views.len() == self.shown.len() {
             true => Ok(Condensed { views: Arc::new(views), ..copy }),
-            false => Err("the copy of a picture is another".into()),
+            false => Err(CopyFault::Senseless("the copy of a picture is another".into())),
         }
     }
 

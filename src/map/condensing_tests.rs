@@ -2,7 +2,7 @@ use std::sync::Arc;
 
 use nalgebra::Matrix2;
 
-use super::away::{Condensed, PictureCopy};
+use super::away::CopyFault;
 use super::picture::Detail;
 use super::reduction::MOST_VIEWS;
 use super::*;
@@ -169,21 +169,11 @@ fn pyramid_again(random: &mut Random, of: &Pyramid) -> Pyramid {
     pyramid
 }
 
-/// A copy in memory, or none any more.
-#[derive(Debug)]
-struct Copied(Option<KeyframePicture>);
-
-impl PictureCopy for Copied {
-    fn read(&self) -> Result<Condensed, String> {
-        self.0.as_ref().and_then(KeyframePicture::condensed).ok_or_else(|| "a bad block".into())
-    }
-}
-
 #[test]
 fn a_picture_that_was_away_comes_back_with_what_became_of_its_landmarks_meanwhile() {
     let (mut map, ids) = map(&mut Random::new(23), 40, |n| if n < 20 { vec![0, 1] } else { vec![0, 1, 2] });
     condense(&mut map, ids[0]);
-    let copied = |picture: &KeyframePicture| Some(Arc::new(Copied(Some(picture.clone()))) as Arc<dyn PictureCopy>);
+    let copied = |picture: &KeyframePicture| examples::copied(picture, 0);
     let own = |map: &Map| map.keyframe(ids[0]).expect("there").picture.clone();
     let before = own(&map);
     let shown: Vec<u32> = before.views().iter().map(|v| v.landmark).collect();
@@ -229,18 +219,41 @@ fn a_picture_that_was_away_comes_back_with_what_became_of_its_landmarks_meanwhil
 }
 
 #[test]
-fn a_picture_that_cannot_be_read_any_more_is_gone_with_what_it_alone_showed() {
+fn a_picture_that_cannot_be_read_now_stays_away_and_one_whose_copy_is_spoiled_is_gone_with_what_it_alone_showed() {
     let (mut map, ids) = map(&mut Random::new(24), 40, |n| if n < 20 { vec![0, 1] } else { vec![0, 3] });
     condense(&mut map, ids[0]);
     condense(&mut map, ids[1]);
-    let bad = |_: &KeyframePicture| Some(Arc::new(Copied(None)) as Arc<dyn PictureCopy>);
     let before = map.landmarks.len();
+    let views = map.keyframe(ids[0]).expect("there").picture.views().to_vec();
+    map.take_changed();
+    assert!(map.put_picture_away(ids[0], |picture| examples::copied(picture, 2)));
+    for _ in 0..2 {
+        assert_eq!(map.bring_picture_back(ids[0]), Err(CopyFault::NotRead("a bad block".into())));
+        let first = &map.keyframe(ids[0]).expect("there").picture;
+        assert!(first.is_away() && !first.is_lost() && views.iter().all(|v| first.detail(v.landmark) > Detail::None));
+        assert_eq!((map.landmarks.len(), map.away(), map.condensed_here().count()), (before, 1, 1));
+    }
+    assert_eq!(map.bring_picture_back(ids[0]), Ok(true));
+    assert_eq!(map.keyframe(ids[0]).expect("there").picture.views(), views);
+    assert!(!map.has_changed(), "no file needs to be told");
+
+    // The copy would be as good as it was: another one is made once something has another name.
+    let shown = views[0].landmark;
+    let seen = map.keyframe(ids[3]).expect("there").observations.landmarks().next().expect("one");
+    let observation = map.keyframe(ids[3]).expect("there").observation(seen).expect("seen");
+    let new = map.add_landmark(examples::landmark(Vector3::z(), ids[3]), &[(ids[3], observation)]);
+    map.fuse(new, LandmarkId(shown));
+    let before = map.landmarks.len();
+    let bad = |_: &KeyframePicture| examples::copied(&KeyframePicture::default(), 0);
+    let revision = map.keyframe(ids[0]).expect("there").picture.revision();
     assert!(map.put_picture_away(ids[0], bad));
-    assert!(map.bring_picture_back(ids[0]).is_err_and(|reason| reason == "a bad block"));
+    assert_eq!(map.bring_picture_back(ids[0]), Err(CopyFault::Senseless("no picture".into())));
     let first = &map.keyframe(ids[0]).expect("there").picture;
-    assert!(!first.is_away() && !first.can_be_away() && first.is_condensed() && first.kept().is_none());
+    assert!(first.is_lost() && !first.is_away() && !first.can_be_away() && first.is_condensed());
+    assert_eq!((first.revision(), map.away(), map.condensed_here().count()), (revision, 0, 1));
     assert!(map.landmarks.len() < before, "{before}");
-    assert!((20..40).all(|l| map.landmark(LandmarkId(l)).is_some()), "the whole one shows these");
+    let renamed = |l: u32| if l == shown { new } else { LandmarkId(l) };
+    assert!((20..40).all(|l| map.landmark(renamed(l)).is_some()), "the whole one shows these");
     map.check_consistency().expect("consistent");
     assert!(!map.put_picture_away(ids[0], bad) && map.bring_picture_back(ids[0]) == Ok(false));
 }

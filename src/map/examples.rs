@@ -1,9 +1,11 @@
 //! Keyframes and landmarks for tests: what a test does not speak of is nothing.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::away::{Condensed, CopyFault, PictureCopy};
 use super::picture::KeyframePicture;
 use super::{Keyframe, KeyframeId, Landmark, MapId};
 use crate::geometry::frames::{Camera, World};
@@ -43,5 +45,27 @@ pub fn landmark(position: Vector3<f64>, created_by: KeyframeId) -> Landmark {
         sought: 1,
         found: 1,
         disagreed: 0,
+    }
+}
+
+/// A copy of this picture in memory, which cannot be read the first few times.
+pub fn copied(picture: &KeyframePicture, failures: u32) -> Option<Arc<dyn PictureCopy>> {
+    Some(Arc::new(Copied { picture: picture.clone(), failures: failures.into() }))
+}
+
+#[derive(Debug)]
+struct Copied {
+    picture: KeyframePicture,
+    failures: AtomicU32,
+}
+
+impl PictureCopy for Copied {
+    fn read(&self) -> Result<Condensed, CopyFault> {
+        let fails = self.failures.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |n| n.checked_sub(1)).is_ok();
+        match self.picture.condensed() {
+            _ if fails => Err(CopyFault::NotRead("a bad block".into())),
+            Some(picture) => Ok(picture),
+            None => Err(CopyFault::Senseless("no picture".into())),
+        }
     }
 }

@@ -19,7 +19,7 @@ use std::sync::Arc;
 
 use nalgebra::Vector2;
 
-use super::away::{Away, Condensed, PictureCopy};
+use super::away::{Away, Condensed, CopyFault, PictureCopy};
 pub use super::view::Detail;
 use super::view::{PATCH_LEVELS, PLACE_DESCRIPTORS, ROOM, Room, SmallPatch, View};
 use crate::features::descriptor::Descriptor;
@@ -330,24 +330,29 @@ impl KeyframePicture {
         true
     }
 
-    /// Reads what is elsewhere. After an error nothing is left of the picture.
-    pub fn bring_back(&mut self) -> Result<(), String> {
+    /// Reads what is elsewhere. A copy that cannot be read now leaves the picture away; one that makes no sense leaves it
+    /// [lost](Self::is_lost), with the revision that it had: what a file kept of it is better than nothing.
+    pub fn bring_back(&mut self) -> Result<(), CopyFault> {
         let Some(away) = self.away() else { return Ok(()) };
-        let read = away.read();
-        self.is_away = false;
-        match read {
+        match away.read() {
             Ok(Condensed { pyramid, views, place }) => {
                 (self.pyramid, self.views, self.place) = (pyramid, views, place);
+                self.is_away = false;
                 Ok(())
             }
-            Err(reason) => {
-                self.pyramid =
-                    Arc::new(Pyramid::from_level(GreyImage::default(), CONDENSED_LEVEL, CONDENSED_LEVEL + 1));
-                self.copy = None;
-                self.revision += 1;
-                Err(reason)
+            Err(fault) => {
+                if let CopyFault::Senseless(_) = fault {
+                    let none = Pyramid::from_level(GreyImage::default(), CONDENSED_LEVEL, CONDENSED_LEVEL + 1);
+                    (self.pyramid, self.copy, self.is_away) = (Arc::new(none), None, false);
+                }
+                Err(fault)
             }
         }
+    }
+
+    /// A condensed one of which nothing is left, as its copy was spoiled.
+    pub fn is_lost(&self) -> bool {
+        self.is_condensed() && !self.is_away && !self.has_level(CONDENSED_LEVEL)
     }
 
     /// All that there is of a condensed one.

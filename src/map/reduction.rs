@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use nalgebra::Vector3;
 
-use super::away::PictureCopy;
+use super::away::{CopyFault, PictureCopy};
 use super::picture::{Detail, KeyframePicture};
 use super::view::{Description, View};
 use super::{Keyframe, KeyframeId, Landmark, LandmarkId, Map};
@@ -122,21 +122,23 @@ impl Map {
         is_away
     }
 
-    /// Whether a keyframe's picture was elsewhere and is here again. After an error, which says why, it is gone, and so are the landmarks that nothing
-    /// else shows.
-    pub fn bring_picture_back(&mut self, id: KeyframeId) -> Result<bool, String> {
+    /// Whether a keyframe's picture was elsewhere and is here again. One that cannot be read now stays away, and all is as it was. One whose copy makes
+    /// no sense is lost, and so are the landmarks that nothing else shows.
+    pub fn bring_picture_back(&mut self, id: KeyframeId) -> Result<bool, CopyFault> {
         let Some(k) = self.keyframes.get_mut_unnoticed(id.0).filter(|k| k.picture.is_away()) else { return Ok(false) };
         let brought = k.picture.bring_back();
-        self.condensed_here.insert(id);
-        self.away.remove(&id);
-        if brought.is_err() {
+        if brought.is_ok() {
+            self.condensed_here.insert(id);
+            self.away.remove(&id);
+        } else if k.picture.is_lost() {
+            self.away.remove(&id);
             let seen: Vec<LandmarkId> = k.observations.landmarks().collect();
             self.remove_hidden(&seen);
         }
         brought.map(|()| true)
     }
 
-    /// Brings back all pictures that are elsewhere, for a copy of a part of the map; what cannot be read stays out.
+    /// Brings back all pictures that are elsewhere, for a copy of a part of the map; what cannot be read stays away.
     pub fn bring_pictures_back(&mut self) {
         for (_, k) in self.keyframes.iter_mut() {
             // Who keeps the map itself says why.

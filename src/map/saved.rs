@@ -260,7 +260,7 @@ impl Map {
             match keyframe.picture.is_condensed() {
                 false => map.detailed.insert(KeyframeId(id)),
                 true if keyframe.picture.is_away() => map.away.insert(KeyframeId(id)),
-                true => map.condensed_here.insert(KeyframeId(id)),
+                true => keyframe.picture.can_be_away() && map.condensed_here.insert(KeyframeId(id)),
             };
             map.keyframes.restore(id, keyframe);
             for landmark in observed {

@@ -4,7 +4,7 @@
 //! nothing is left behind however the process ends; it is made with the first picture. A picture takes the room of [`BLOCK`]s that it needs, some 20 kB,
 //! which others may have once nobody holds its copy. At [`MAX_SPOOL_BYTES`] nothing more is taken: pictures stay in memory then.
 //!
-//! Cost: 0.2 ms to write one, 0.1 ms to read it, and the disk's own time. Memory: 32 bytes a copy here.
+//! Cost: 0.2 ms to write one, 0.1 ms to read it, and the disk's own time, which of an SD card may be many times that. Memory: 32 bytes a copy here.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::fs::File;
@@ -15,7 +15,7 @@ use std::sync::{Arc, Weak};
 
 use super::store::picture::{decode_condensed, encode_condensed};
 use crate::atomic_file::create_unique;
-use crate::map::away::{Condensed, PictureCopy};
+use crate::map::away::{Condensed, CopyFault, PictureCopy};
 use crate::map::picture::KeyframePicture;
 
 /// Size at which a spool stops growing: a hundred thousand pictures.
@@ -46,11 +46,11 @@ struct Place {
 }
 
 impl PictureCopy for Place {
-    fn read(&self) -> Result<Condensed, String> {
+    fn read(&self) -> Result<Condensed, CopyFault> {
         let mut record = vec![0; self.bytes];
-        self.file.read_exact_at(&mut record, self.offset).map_err(|e| e.to_string())?;
+        self.file.read_exact_at(&mut record, self.offset).map_err(|e| CopyFault::NotRead(e.to_string()))?;
         let picture = decode_condensed(&record).and_then(|picture| picture.condensed());
-        picture.ok_or_else(|| "what was spooled makes no sense any more".into())
+        picture.ok_or_else(|| CopyFault::Senseless("what was spooled makes no sense any more".into()))
     }
 }
 
@@ -81,7 +81,7 @@ impl PictureSpool {
             }
         };
         let blocks = (record.len() as u64).div_ceil(BLOCK);
-        let offset = self.place(blocks)?;
+        let (offset, blocks) = self.place(blocks)?;
         if let Err(error) = file.write_all_at(&record, offset) {
             self.free.entry(blocks).or_default().push(offset);
             return Err(error);
@@ -91,8 +91,8 @@ impl PictureSpool {
         Ok(Some(place))
     }
 
-    /// Room for so many blocks.
-    fn place(&mut self, blocks: u64) -> io::Result<u64> {
+    /// Room for so many blocks, and how many it has: a place that was given back stays as large as it is.
+    fn place(&mut self, blocks: u64) -> io::Result<(u64, u64)> {
         for _ in 0..SWEPT.min(self.given.len()) {
             let Some(given) = self.given.pop_front() else { break };
             match given.0.strong_count() {
@@ -100,15 +100,16 @@ impl PictureSpool {
                 _ => self.given.push_back(given),
             }
         }
-        if let Some(offset) = self.free.get_mut(&blocks).and_then(Vec::pop) {
-            return Ok(offset);
+        // The smallest that is large enough.
+        if let Some(place) = self.free.range_mut(blocks..).find_map(|(has, places)| Some((places.pop()?, *has))) {
+            return Ok(place);
         }
         let offset = self.end;
         if offset + blocks * BLOCK > self.limit_bytes {
             return Err(io::Error::other(format!("limit of {} bytes reached", self.limit_bytes)));
         }
         self.end += blocks * BLOCK;
-        Ok(offset)
+        Ok((offset, blocks))
     }
 }
 
@@ -154,7 +155,8 @@ mod tests {
     #[test]
     fn at_its_limit_and_without_a_folder_it_takes_nothing_and_says_so() {
         let (dir, mut random) = (tempfile::tempdir().expect("folder"), Random::new(5));
-        let picture = picture(&mut random, 3);
+        let mut picture_with = |views| picture(&mut random, views);
+        let picture = picture_with(3);
         let mut spool = PictureSpool::new(dir.path());
         spool.limit_bytes = 4 * BLOCK;
         let mut held = Vec::new();
@@ -164,6 +166,13 @@ mod tests {
         assert!(!held.is_empty() && spool.end <= 4 * BLOCK);
         held.clear();
         assert!(spool.put(&picture).is_ok(), "there is room again");
+        // A smaller one fits into a larger one's place as well.
+        let (large, small) = (picture_with(60), picture_with(0));
+        let mut spool = PictureSpool::new(dir.path());
+        drop(spool.put(&large).expect("written"));
+        let end = spool.end;
+        let held = spool.put(&small).expect("written").expect("a copy");
+        assert_eq!((spool.end, text(&held.read().expect("read"))), (end, text(&small.condensed().expect("it is one"))));
         assert!(PictureSpool::new(&dir.path().join("missing")).put(&picture).is_err());
         assert!(spool.put(&KeyframePicture::default()).is_ok_and(|copy| copy.is_none()));
     }

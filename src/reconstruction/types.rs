@@ -137,8 +137,10 @@ pub struct Counters {
     pub maps_joined: u64,
     /// Loops that were closed: places of the same map that were recognised after drift, and corrected.
     pub loops_closed: u64,
-    /// Times that the disk did not take pictures of far keyframes, which stay in memory, and pictures that it did not give back.
+    /// Times that the disk did not take pictures of far keyframes, which stay in memory, and that it did not give one back, which stays away; and
+    /// pictures whose copies were spoiled.
     pub spool_faults: u64,
+    pub pictures_unread: u64,
     pub pictures_lost: u64,
     /// Turns on the spot that left all behind whose distance was known: the scale of what follows is an assumption.
     pub blind_turns: u64,

@@ -17,6 +17,7 @@ use crate::features::gradients::{GradientDescriptor, NUMBERS};
 use crate::geometry::random::Random;
 use crate::geometry::{CameraModel, LensModel, Se3};
 use crate::image::{GreyImage, Pyramid};
+use crate::map::picture::KeyframePicture;
 use crate::map::saved::{MapChanges, MapHead, SavedOptics};
 use crate::map::scale::MapScale;
 use crate::map::view::{CoarseDescriptor, Description, View};
@@ -261,4 +262,36 @@ fn of_a_large_map_that_is_gone_on_with_most_pictures_wait_beside_it() {
         drop(file);
         assert!(std::fs::read(&path).expect("bytes") == bytes, "the file stays as it is");
     }
+}
+
+#[test]
+fn a_spool_that_fails_takes_nothing_out_of_the_file() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let path = dir.path().join("a.map");
+    let mut random = Random::new(77);
+    let mut map = map(&mut random);
+    (0..3).for_each(|id| condense(&mut map, id, &mut random));
+    MapFile::create(&path, &changes(&mut map, true)).expect("made").close().expect("closed");
+    let stored = || read(&path).expect("whole").saved.maps.remove(0).map;
+    let whole = views(&stored());
+    // Whoever opens it anew does not know what pictures it has, and gets all of them.
+    let write = |map: &mut Map| {
+        let (mut file, _) = MapFile::open(&path).expect("whole");
+        file.write(&changes(map, true)).map(|_| ())
+    };
+    assert!(map.put_picture_away(KeyframeId(0), |picture| examples::copied(picture, 1)));
+    assert!(matches!(write(&mut map), Err(StoreError { fault: Fault::Spool(_), .. })));
+    assert!(views(&stored()) == whole, "nothing of it is in the file");
+    write(&mut map).expect("it is read at the second attempt");
+    assert!(views(&stored()) == whole);
+
+    let spoiled = |_: &KeyframePicture| examples::copied(&KeyframePicture::default(), 0);
+    assert!(map.put_picture_away(KeyframeId(1), spoiled));
+    write(&mut map).expect("written");
+    assert!(views(&stored()) == whole, "the map does not know yet");
+    map.bring_picture_back(KeyframeId(1)).expect_err("it is spoiled");
+    assert!(map.keyframe(KeyframeId(1)).is_some_and(|k| k.picture.is_lost()));
+    write(&mut map).expect("written");
+    assert!(stored().keyframe(KeyframeId(1)).is_some_and(|k| k.picture.can_be_away()), "what the file had");
+    map.check_consistency().expect("consistent");
 }

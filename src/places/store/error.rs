@@ -40,6 +40,9 @@ pub enum Fault {
     /// Somebody has put another file in its place meanwhile; both untouched.
     #[error("is another file now than the one that was opened; it is left as it is")]
     Replaced,
+    /// A picture that is to be written waits in a spool, which does not give it.
+    #[error("cannot be written, as a picture that waits in the spool cannot be read: {0}")]
+    Spool(String),
     /// It went wrong once, and nothing more is tried.
     #[error("is not written any more: {0}")]
     GivenUp(String),

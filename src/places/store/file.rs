@@ -14,6 +14,7 @@ use super::layout::{HeaderOf, HeaderRecord, MOST_IDS, Raw, encode_keyframe, enco
 use super::picture;
 use super::records::{Kind, Records, Tally};
 use crate::atomic_file::create_unique;
+use crate::map::away::CopyFault;
 use crate::map::saved::{MapChanges, SavedMaps};
 use crate::places::spool::PictureSpool;
 use crate::telemetry::contained;
@@ -144,18 +145,23 @@ impl MapFile {
             let revision = keyframe.picture.revision();
             if self.keyframes.get(id) != Some(&revision) {
                 let mut own = keyframe.picture.clone();
-                // What cannot be read any more is none, and the map will hear of it as well.
-                let _ = own.bring_back();
+                // The spool may give it later, and the whole write is tried again.
+                if let Err(CopyFault::NotRead(reason)) = own.bring_back() {
+                    return Err(Fault::Spool(reason));
+                }
                 let (kind, record) = match own.is_condensed() {
                     true => (Kind::Condensed, picture::encode_condensed(&own)),
                     false => (Kind::Picture, picture::encode(&own)),
                 };
-                match own.kept() {
-                    Some(_) => new.push((kind, *id, record.ok_or_else(senseless)?)),
-                    None => bare.push((Kind::Picture, *id)),
+                // Of one that is lost the file may have a record that is better than none.
+                if !own.is_lost() {
+                    match own.kept() {
+                        Some(_) => new.push((kind, *id, record.ok_or_else(senseless)?)),
+                        None => bare.push((Kind::Picture, *id)),
+                    }
+                    // It is of one kind only.
+                    bare.push((if kind == Kind::Picture { Kind::Condensed } else { Kind::Picture }, *id));
                 }
-                // It is of one kind only.
-                bare.push((if kind == Kind::Picture { Kind::Condensed } else { Kind::Picture }, *id));
             }
             revisions.push((*id, revision));
         }

@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::features::descriptor::Descriptor;
 use crate::image::GreyImage;
+use crate::map::away::MOST_NUMBERED;
 use crate::map::picture::{CONDENSED_LEVEL, KeptPatch, KeyframePicture, PATCH_PX};
 use crate::map::view::{CoarseDescriptor, SmallPatch, View};
 
@@ -138,7 +139,8 @@ pub fn decode_condensed(record: &[u8]) -> Option<KeyframePicture> {
         let described = [descriptor(fine)?, descriptor(half)?, descriptor(quarter)?];
         views.push(View { landmark: v.landmark, patches, described });
     }
-    let is_one = usize::from(record.levels) > CONDENSED_LEVEL && !finest.data.is_empty();
+    let is_small = views.len() <= MOST_NUMBERED;
+    let is_one = is_small && usize::from(record.levels) > CONDENSED_LEVEL && !finest.data.is_empty();
     let place = record.place.into_iter().map(|d| Descriptor(d.map(u64::from_le_bytes))).collect();
     is_one.then(|| KeyframePicture::restored_condensed(finest, usize::from(record.levels), views, place))
 }
