@@ -140,7 +140,8 @@ impl Default for Search {
 }
 
 impl Search {
-    /// Projects `local` at `pose` and keeps up to `limit` visible ones, spread over the picture.
+    /// Projects `local` at `pose` and keeps up to `limit` visible ones, spread over the picture. There is nothing to look for where all that shows a
+    /// landmark is elsewhere: it takes no other's place, and is not missed.
     pub fn select(
         &mut self,
         map: &Map,
@@ -153,6 +154,7 @@ impl Search {
         self.chosen.clear();
         let columns = (camera.width as usize).div_ceil(CELL_PX);
         let rows = (camera.height as usize).div_ceil(CELL_PX);
+        let some_are_away = map.away() > 0;
         for &id in local {
             let Some(landmark) = map.landmark(id) else { continue };
             let camera_point = pose.transform(&landmark.position);
@@ -160,7 +162,7 @@ impl Search {
                 continue;
             }
             let Some(pixel) = camera.project(&camera_point) else { continue };
-            if !camera.contains(&pixel, BORDER_PX) {
+            if !camera.contains(&pixel, BORDER_PX) || (some_are_away && !is_shown_here(map, id, &landmark.observers)) {
                 continue;
             }
             let cell = (pixel.y as usize / CELL_PX * columns + pixel.x as usize / CELL_PX) as u32;
@@ -202,7 +204,7 @@ impl Search {
             let candidate = self.candidates[self.chosen[n].2 as usize];
             match align_candidate(map, camera, pose, &centre, pyramid, &candidate, options) {
                 Some(found) => self.matches.push(found),
-                None => self.miss(map, candidate.landmark),
+                None => self.missed.push(candidate.landmark),
             }
         }
         let sought = self.matches.len() + self.missed.len();
@@ -210,14 +212,6 @@ impl Search {
             self.align_blurred(map, camera, pose, &centre, pyramid, options);
         }
         self.matches.sort_unstable_by_key(|m| m.landmark);
-    }
-
-    /// It was not found, if there was anything to look for: pictures may be elsewhere.
-    fn miss(&mut self, map: &Map, landmark: LandmarkId) {
-        let is_here = |k: &KeyframeId| map.keyframe(*k).is_some_and(|k| !k.picture.is_away());
-        if map.landmark(landmark).is_some_and(|l| l.observers.iter().any(is_here)) {
-            self.missed.push(landmark);
-        }
     }
 
     /// Looks again, on coarser levels, for what was missed: there a streak of blur is short.
@@ -240,10 +234,17 @@ impl Search {
             }
             match align_candidate(map, camera, pose, centre, pyramid, &candidate, &options) {
                 Some(found) => self.matches.push(found),
-                None => self.miss(map, candidate.landmark),
+                None => self.missed.push(candidate.landmark),
             }
         }
     }
+}
+
+/// Whether a picture that is in memory shows it.
+fn is_shown_here(map: &Map, landmark: LandmarkId, observers: &[KeyframeId]) -> bool {
+    let shows = |k: &Keyframe| !k.picture.is_away() && k.picture.detail(landmark.0) > Detail::None;
+    // The newest are the likeliest to be here.
+    observers.iter().rev().any(|k| map.keyframe(*k).is_some_and(shows))
 }
 
 fn align_candidate(
@@ -529,5 +530,37 @@ mod tests {
         let found = align_template(keyframe, &observation, &far, &(Matrix2::identity() * 0.25), start, &options)
             .expect("found");
         assert!((found.pixel - there).norm() < 0.3, "{} {there}", found.pixel);
+    }
+
+    #[test]
+    fn nobody_looks_for_a_landmark_while_all_that_shows_it_is_elsewhere() {
+        use crate::map::view::{DESCRIBED_LEVELS, Description};
+        let (mut map, pixel) = (Map::default(), Vector2::new(163.0, 117.0));
+        let seen = [(); 2].map(|()| {
+            let (keyframe, observation) = seen_from(Vector3::zeros(), pixel);
+            (map.add_keyframe(keyframe), observation)
+        });
+        let [showing, other] = seen.map(|s| s.0);
+        let landmark = map.add_landmark(examples::landmark(4.0 * seen[0].1.normalised.push(1.0), showing), &seen);
+        for id in [showing, other] {
+            map.condense_picture(id, &camera(), |_, l| Description {
+                landmarks: vec![[None; DESCRIBED_LEVELS]; l.len()],
+                place: vec![],
+            });
+        }
+        let detail = |map: &Map, id| map.keyframe(id).expect("there").picture.detail(landmark.0);
+        assert_eq!([detail(&map, showing), detail(&map, other)], [Detail::Full, Detail::None]);
+        let sought = |map: &Map| {
+            let mut search = Search::default();
+            let (pose, options) = (Se3::identity(), SearchOptions { limit: 9, ..SearchOptions::precise(0.8) });
+            search.select(map, &[landmark], &camera(), &pose, 9);
+            search.align(map, &camera(), &pose, &picture(0), &options);
+            [search.matches.len(), search.missed.len()]
+        };
+        assert_eq!(sought(&map), [1, 0]);
+        assert!(map.put_picture_away(showing, |picture| examples::copied(picture, 0)));
+        assert_eq!(sought(&map), [0, 0], "the other is here, but shows nothing");
+        assert_eq!(map.bring_picture_back(showing), Ok(true));
+        assert_eq!(sought(&map), [1, 0]);
     }
 }
