@@ -236,6 +236,9 @@ impl Reconstruction {
             let likely = self.loops.likely(map, &features.pyramid, LIKELY);
             self.far.ask(&likely);
             let elsewhere = self.relocaliser.place(&frame, reference, &likely);
+            if elsewhere.is_none() {
+                self.far.ask_ahead(self.relocaliser.ahead(map));
+            }
             let better = |other: &Tracked| tracked.is_none_or(|weak| 5 * other.landmarks > 6 * weak.landmarks);
             if let Some(other) = elsewhere.filter(better) {
                 std::mem::swap(&mut self.tracker, &mut self.relocaliser.tracker);

@@ -9,6 +9,9 @@
 //! Both try the keyframes as well that the index over the places of the map ([`places`](crate::places)) says are likely: in a large map that turn
 //! takes long.
 //!
+//! A keyframe whose picture is elsewhere ([`far_pictures`](super::far_pictures)) is not tried; [`Relocaliser::ahead`] says which ones are to be here when
+//! the rounds come to them.
+//!
 //! The same finds a frame of one map in another (`other_maps`).
 
 pub mod descriptors;
@@ -36,6 +39,9 @@ const MIN_NCC: f32 = 0.6;
 const MATCHED_NEAR: usize = 2;
 const MATCHED_SIMILAR: usize = 1;
 const MATCHED_IN_TURN: usize = 2;
+/// Keyframes that the rounds come to in the next frames: pictures that are elsewhere are to be here by then, and with them those of neighbours, which
+/// have neighbouring numbers for the most part.
+const AHEAD: usize = 12;
 /// A pose with so many inliers needs no competitors.
 const PLENTY: usize = 30;
 /// Guesses from descriptors in one frame.
@@ -79,6 +85,12 @@ impl Relocaliser {
         self.solve_described(map, camera, pyramid, (last_reference, likely), features.sequence);
         let Self { tracker, solved, .. } = self;
         solved.iter().take(DESCRIPTOR_GUESSES).find_map(|(_, guess)| tracker.relocalise(frame, guess, true))
+    }
+
+    /// What the rounds over all keyframes come to next; none is passed over because its picture is elsewhere.
+    pub fn ahead(&self, map: &Map) -> impl Iterator<Item = KeyframeId> {
+        let rounds = [self.next_described, self.next].map(|next| round(map, next, AHEAD.min(map.keyframes.len())));
+        rounds.into_iter().flatten()
     }
 
     /// Places a frame by some keyframes alone.
@@ -195,13 +207,14 @@ impl Relocaliser {
 
 /// Adds the next `count` keyframes of a round over the whole map.
 fn in_turn(map: &Map, next: &mut usize, count: usize, out: &mut Vec<KeyframeId>) {
-    let total = map.keyframes.len();
-    if total == 0 {
-        return;
-    }
-    let round = map.keyframes.ids().chain(map.keyframes.ids()).skip(*next % total).take(count);
-    out.extend(round.map(KeyframeId));
-    *next = (*next + count) % total;
+    out.extend(round(map, *next, count));
+    *next = (*next + count) % map.keyframes.len().max(1);
+}
+
+/// `count` keyframes of a round over the whole map, which is at `next`; no more than there are.
+fn round(map: &Map, next: usize, count: usize) -> impl Iterator<Item = KeyframeId> {
+    let begin = next % map.keyframes.len().max(1);
+    map.keyframes.ids().chain(map.keyframes.ids()).skip(begin).take(count).map(KeyframeId)
 }
 
 /// Rotation of the camera that moves the picture's centre and turns the picture as `motion` does.
@@ -244,6 +257,10 @@ mod tests {
         in_turn(&Map::default(), &mut next, 2, &mut seen);
         assert_eq!(seen.len(), 8, "an empty map has no turn");
         let mut relocaliser = Relocaliser::default();
+        (relocaliser.next, relocaliser.next_described) = (3, 6);
+        let ahead: Vec<u32> = relocaliser.ahead(&map).map(|id| id.0).collect();
+        assert_eq!(ahead, [6, 0, 1, 2, 3, 4, 5, 3, 4, 5, 6, 0, 1, 2]);
+        assert_eq!(relocaliser.ahead(&Map::default()).count(), 0);
         for _ in 0..20 {
             relocaliser.choose_described(&map, KeyframeId(3), &[KeyframeId(5), KeyframeId(3)]);
             let mut chosen = relocaliser.chosen.clone();

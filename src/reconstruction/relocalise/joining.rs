@@ -121,7 +121,10 @@ impl Reconstruction {
             shutter: &self.optics.shutter,
             is_calibrated: self.optics.intrinsics.is_calibrated(),
         };
-        let placed = relocaliser.place(&frame, other.reference, &likely)?;
+        let Some(placed) = relocaliser.place(&frame, other.reference, &likely) else {
+            self.far.ask_ahead(relocaliser.ahead(&other.map));
+            return None;
+        };
         found_in(&frame, &relocaliser.tracker, id, &placed)
     }
 
