@@ -99,6 +99,9 @@
 //!   is reduced to patches around its landmarks (`map/picture.rs`). Of those beyond `detailed_keyframes` that share least with the newest
 //!   only small patches, descriptors and a coarse level remain (`map/view.rs`), and packed observations (`map/observations.rs`); of those far from the
 //!   robot nothing but what they show, the rest waits in a spool on the disk (`reconstruction/far_pictures.rs`). So a map holds thousands.
+//!   Between the decoded picture and its pose no spool is read or written: what is not in memory is not aligned to, and is brought back after the pose
+//!   is published. That may delay the next frame by the reads of a slow disk, of 16 pictures at the most (32 more while the
+//!   index over places is filled from a map that was loaded).
 //! - Two rooms more for recordings: [`share`] is `cairn record`, a process of its own that subscribes like a planner, and [`ros`] the messages of ROS 2 that it
 //!   writes and a replay reads, which knows nothing of ours. Both are in the robot's build: to record is what a robot's owner does on the robot.
 //!   `share` starts no thread; `cli` has the daemon's room start the one that writes to the disk. In `share/bridge`, `cairn bridge`: the same messages to ROS 2 over
