@@ -1556,7 +1556,7 @@ typedef struct cairn_obstacles {
    */
   uint8_t reserved[2];
   /**
-   * Distance of the nearest thing by bearing, m; NaN: none is known, which does not say that there is none.
+   * Distance of the nearest thing by bearing, m; NaN: none is known, which does not say that there is none. With `[obstacles] seen_floor` also of what keyframes saw stand, which is not in `points`.
    */
   float range[CAIRN_OBSTACLE_BEARINGS];
   /**
@@ -1568,7 +1568,7 @@ typedef struct cairn_obstacles {
    */
   float free_from[CAIRN_OBSTACLE_BEARINGS];
   /**
-   * The floor is free up to here, m; 0: not known. Where the robot has been, or (`[obstacles] seen_floor`) keyframes saw that nothing stands.
+   * The floor is free up to here, m; 0: not known. Where the robot has been, or (`[obstacles] seen_floor`) keyframes saw nothing stand: not where what hangs above it has no landmark, and with unknown places filled up to a fifth of the distance.
    */
   float free[CAIRN_OBSTACLE_BEARINGS];
   /**

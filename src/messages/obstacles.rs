@@ -64,13 +64,13 @@ pub struct Obstacles {
     pub clock: u8,
     /// Zero.
     pub reserved: [u8; 2],
-    /// Distance of the nearest thing by bearing, m; NaN: none is known, which does not say that there is none.
+    /// Distance of the nearest thing by bearing, m; NaN: none is known, which does not say that there is none. With `[obstacles] seen_floor` also of what keyframes saw stand, which is not in `points`.
     pub range: [f32; OBSTACLE_BEARINGS],
     /// Standard deviation of `range`, m; NaN as there.
     pub sigma: [f32; OBSTACLE_BEARINGS],
     /// The floor is free from here on, m: a camera looks over the floor at the robot's feet, which is then not known; NaN where `free` is 0.
     pub free_from: [f32; OBSTACLE_BEARINGS],
-    /// The floor is free up to here, m; 0: not known. Where the robot has been, or (`[obstacles] seen_floor`) keyframes saw that nothing stands.
+    /// The floor is free up to here, m; 0: not known. Where the robot has been, or (`[obstacles] seen_floor`) keyframes saw nothing stand: not where what hangs above it has no landmark, and with unknown places filled up to a fifth of the distance.
     pub free: [f32; OBSTACLE_BEARINGS],
     /// Forward, left, up, and the standard deviation along the floor, m; NaN beyond `count`.
     pub points: [[f32; 4]; OBSTACLE_POINTS],

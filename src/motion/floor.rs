@@ -167,6 +167,11 @@ impl Floor {
         Some(ScaleMeasurement { source: ScaleSource::Height, log_metres_per_unit, sigma: plane.sigma })
     }
 
+    /// As configured, m.
+    pub fn camera_height_m(&self) -> f64 {
+        self.config.camera_height_m
+    }
+
     /// What all words share: the measured height's own standard deviation, as a share.
     pub fn common_sigma(&self) -> f64 {
         self.config.camera_height_sigma_m / self.config.camera_height_m

@@ -6,19 +6,22 @@
 //!
 //! - A landmark between [`LEAST_HEIGHT_M`] and the robot's height is in the way. Bearings between two such points less than `LINK_M` apart
 //!   have what lies on the line between them: things are more than their corners.
-//! - So is what keyframes saw stand upright (unless `seen_floor` is off), where two agree.
-//! - **Unknown is never free.** A cell of the floor is free where the robot itself has been, and (unless `seen_floor` is off) where a keyframe proved that
-//!   nothing stands; a bearing is free from the first such cell (a camera that looks ahead may have looked over those before) up to the last one with no
-//!   cell missing in between, less [`MARGIN_M`]. It ends before anything in the way, and where keyframes saw the floor end.
+//! - So is what keyframes saw stand upright (with `seen_floor`), where two agree.
+//! - **Unknown is never free**, but for what `seen` says may hide. A cell of the floor is free where the robot itself has been, and (with `seen_floor`)
+//!   where two keyframes proved that nothing stands; a bearing is free from the first such cell (a camera that looks ahead may have looked over those
+//!   before) up to the last one with no cell missing in between, less [`MARGIN_M`]. It ends before anything in the way, and where keyframes saw the
+//!   floor end. What a keyframe proves has gaps of its own: places in which it knows nothing, up to a fifth of the distance, see `seen`.
+//! - **The newest word counts.** A keyframe that sees the floor end, or something stand, takes back what older ones saw there and that the robot drove
+//!   there; two newer keyframes give it again, once they are more than those that saw it end. A driven cell that no keyframe looked at since stays free.
 //!
 //! Cost: 1 to 2 ms with 60 keyframes and 5,000 landmarks; only while somebody asks. Bounded by its constants.
 //!
-//! Deliberately not here: a map of occupancy that outlives the map (this is made anew from the map as it is), things that move, steps down: where the floor
-//! ends nothing is seen, and unknown is what is said.
+//! Deliberately not here: a map of occupancy that outlives the map (this is made anew from the map as it is), things that move, what hangs above the
+//! floor without a landmark on it (a table's top), and steps down: there the floor is not seen, and unknown is what is said.
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
-use super::floor::seen::{Footing, Seen};
+use super::floor::seen::{Footing, Seen, Stretch};
 use super::floor::{Plane, ScaleConfig};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Body, World};
@@ -52,9 +55,11 @@ const MARGIN_SIGMAS: f64 = 2.0;
 /// Side of a cell of the floor, m, and cells a side.
 const CELL_M: f64 = 0.05;
 const CELLS: usize = (2.0 * RANGE_MAX_M / CELL_M) as usize;
-/// Keyframes that saw the floor end in a cell end what is free there, if no more of them saw it free.
-const ENDED_BY: u8 = 2;
-/// Keyframes that must have seen a thing stand, no farther from each other than this, m, and as many for each that saw the floor free there.
+/// Keyframes that must have seen a cell free, and more than saw the floor end there.
+const FREE_FOR: u8 = 2;
+/// A robot higher than the camera by more than this share does not pass where the camera's rays do.
+const MOST_ABOVE: f64 = 0.05;
+/// Keyframes that must have seen a thing stand, no farther from each other than this, m, and no fewer than saw the floor free there since.
 const STANDS_FOR: u8 = 2;
 const SAME_THING_M: f64 = 0.15;
 /// Half the angle between two bearings of what a keyframe saw, rad.
@@ -68,13 +73,13 @@ pub struct ObstaclesConfig {
     pub robot_height_m: f64,
     /// Of the robot's footprint around its origin, m: where it has been the floor was free. 0.05..=1.0.
     pub robot_radius_m: f64,
-    /// Tell what keyframes saw, too: free floor, and what stands on it.
+    /// Tell what keyframes saw, too: free floor (of a robot no higher than the camera), and what stands on it.
     pub seen_floor: bool,
 }
 
 impl Default for ObstaclesConfig {
     fn default() -> Self {
-        Self { robot_height_m: 0.0, robot_radius_m: 0.12, seen_floor: true }
+        Self { robot_height_m: 0.0, robot_radius_m: 0.12, seen_floor: false }
     }
 }
 
@@ -167,25 +172,40 @@ pub fn bearing_rad(bearing: usize) -> f64 {
     std::f64::consts::TAU * bearing as f64 / BEARINGS as f64 - std::f64::consts::PI
 }
 
-/// What keyframes are counted for in a cell.
+/// What is said of a cell.
 #[derive(Clone, Copy, PartialEq)]
 enum Of {
     Free,
-    End,
+    /// Something else than free floor.
+    Against,
+    /// Something stands near there.
     Standing,
+    Driven,
+}
+
+/// Half the width of what a keyframe saw at this distance, m: at the least the cell that it lies in, half a diagonal.
+fn spread(at: f64) -> f64 {
+    (HALF_BEARING * at).max(0.71 * CELL_M)
+}
+
+/// World, from a bearing and a distance.
+fn along(footing: &Footing, bearing: f32, at: f64) -> Vector3<f64> {
+    let (sin, cos) = f64::from(bearing).sin_cos();
+    footing.place([at * cos, at * sin])
 }
 
 /// Makes scans; its memory is reused.
 #[derive(Debug)]
 pub struct Scanner {
-    /// Keyframes that saw a cell free, and the last one of them.
+    /// Keyframes that saw a cell free since one saw that it is not.
     seen: Vec<u8>,
-    /// Keyframes that saw the floor end there.
+    /// Keyframes that saw the floor end, or something stand, there.
     against: Vec<u8>,
     /// Keyframes that saw something stand near there.
     standing: Vec<u8>,
+    /// The last round that was counted in a cell: a round is what one keyframe saw of one sort.
     last: Vec<u16>,
-    keyframes: u16,
+    rounds: u16,
     /// Places of things that keyframes saw stand, and standard deviations, m.
     things: Vec<(Vector2<f64>, f64)>,
     axes: Footing,
@@ -203,7 +223,7 @@ impl Default for Scanner {
             standing: vec![0; CELLS * CELLS],
             things: Vec::new(),
             last: vec![0; CELLS * CELLS],
-            keyframes: 0,
+            rounds: 0,
             axes,
             nearest: [None; BEARINGS],
             scan: Scan::default(),
@@ -228,7 +248,7 @@ impl Scanner {
         self.standing.fill(0);
         self.things.clear();
         self.last.fill(0);
-        self.keyframes = 0;
+        self.rounds = 0;
         self.nearest = [None; BEARINGS];
         self.scan.points.clear();
         self.scan.total = 0;
@@ -241,45 +261,61 @@ impl Scanner {
         Vector2::new(self.axes.forward.dot(&relative), self.axes.left.dot(&relative))
     }
 
-    /// What a keyframe saw, in heights of its camera.
+    /// What a keyframe saw, in heights of its camera. Oldest first, in turn with [`Self::add_driven`].
     pub fn add_seen(&mut self, footing: &Footing, height_m: f64, seen: &Seen, robot_height_m: f64) {
-        self.keyframes = self.keyframes.saturating_add(1);
-        for (thing, _) in seen.things.iter().filter(|(_, lowest)| f64::from(*lowest) * height_m < robot_height_m) {
-            let (sin, cos) = f64::from(thing.bearing).sin_cos();
-            let [from, to] = [thing.from, thing.to].map(|v| f64::from(v) * height_m);
-            let at = self.local(&footing.place([0.5 * (from + to) * cos, 0.5 * (from + to) * sin]));
-            self.things.push((at, (0.5 * (to - from)).max(HALF_SIZE_M)));
-            self.cover(&at, SAME_THING_M, 1, Of::Standing);
-        }
-        for (stretches, of) in [(&seen.floor, Of::Free), (&seen.ends, Of::End)] {
-            self.keyframes = self.keyframes.saturating_add(1);
-            for stretch in stretches {
-                let (sin, cos) = f64::from(stretch.bearing).sin_cos();
-                let [from, to] = [stretch.from, stretch.to].map(|v| f64::from(v) * height_m);
-                // The cell in which the floor was last seen is not where it ends.
-                let mut at = if of == Of::Free { from } else { from + 0.5 * CELL_M };
-                while at <= to.min(2.0 * RANGE_MAX_M) {
-                    // At the least the cell that it lies in: half a diagonal.
-                    let radius = (HALF_BEARING * at).max(0.71 * CELL_M);
-                    let middle = self.local(&footing.place([at * cos, at * sin]));
-                    self.cover(&middle, radius, 1, of);
-                    at += 0.5 * CELL_M;
-                }
+        self.rounds = self.rounds.saturating_add(1);
+        // The rays that saw the floor passed no higher than the camera.
+        let floor: &[Stretch] = if robot_height_m > height_m * (1.0 + MOST_ABOVE) { &[] } else { &seen.floor };
+        for stretch in floor {
+            let [from, to] = [stretch.from, stretch.to].map(|v| f64::from(v) * height_m);
+            let mut at = from + spread(from);
+            while at + spread(at) <= to.min(2.0 * RANGE_MAX_M) {
+                let middle = self.local(&along(footing, stretch.bearing, at));
+                self.cover(&middle, spread(at), Of::Free);
+                at += 0.5 * CELL_M;
             }
+        }
+        // After what the same keyframe saw free: where it contradicts itself nothing is free.
+        self.rounds = self.rounds.saturating_add(1);
+        for stretch in &seen.ends {
+            let [from, to] = [stretch.from, stretch.to].map(|v| f64::from(v) * height_m);
+            // The cell in which the floor was last seen is not where it ends.
+            let mut at = (from + 0.5 * CELL_M).min(to);
+            while at <= to.min(2.0 * RANGE_MAX_M) {
+                let middle = self.local(&along(footing, stretch.bearing, at));
+                self.cover(&middle, spread(at), Of::Against);
+                at += 0.5 * CELL_M;
+            }
+        }
+        let is_in_the_way = |[lowest, highest]: [f32; 2]| {
+            f64::from(lowest) * height_m < robot_height_m && f64::from(highest) * height_m > LEAST_HEIGHT_M
+        };
+        let things = || seen.things.iter().filter(|(_, heights)| is_in_the_way(*heights)).map(|(thing, _)| thing);
+        let half = |thing: &Stretch| (0.5 * f64::from(thing.to - thing.from) * height_m).max(HALF_SIZE_M);
+        let middle = |thing: &Stretch| 0.5 * f64::from(thing.from + thing.to) * height_m;
+        for thing in things() {
+            let at = self.local(&along(footing, thing.bearing, middle(thing)));
+            self.cover(&at, half(thing) + spread(middle(thing)), Of::Against);
+        }
+        self.rounds = self.rounds.saturating_add(1);
+        for thing in things() {
+            let at = self.local(&along(footing, thing.bearing, middle(thing)));
+            self.things.push((at, half(thing)));
+            self.cover(&at, SAME_THING_M, Of::Standing);
         }
     }
 
     /// The robot has driven from here to there.
     pub fn add_driven(&mut self, from: &Vector3<f64>, to: &Vector3<f64>, radius_m: f64) {
-        self.keyframes = self.keyframes.saturating_add(1);
+        self.rounds = self.rounds.saturating_add(1);
         let (from, to) = (self.local(from), self.local(to));
         let steps = ((to - from).norm() / CELL_M).ceil().clamp(1.0, 100.0) as usize;
         for i in 0..=steps {
-            self.cover(&from.lerp(&to, i as f64 / steps as f64), radius_m, u8::MAX, Of::Free);
+            self.cover(&from.lerp(&to, i as f64 / steps as f64), radius_m, Of::Driven);
         }
     }
 
-    fn cover(&mut self, middle: &Vector2<f64>, radius: f64, times: u8, of: Of) {
+    fn cover(&mut self, middle: &Vector2<f64>, radius: f64, of: Of) {
         let cell = |v: f64| ((v + RANGE_MAX_M) / CELL_M).floor();
         let [x0, x1, y0, y1] = [middle.x - radius, middle.x + radius, middle.y - radius, middle.y + radius].map(cell);
         let inside = |v: f64| v.clamp(0.0, CELLS as f64 - 1.0) as usize;
@@ -290,14 +326,18 @@ impl Scanner {
             for x in inside(x0)..=inside(x1) {
                 let centre = Vector2::new(x as f64 + 0.5, y as f64 + 0.5) * CELL_M - Vector2::repeat(RANGE_MAX_M);
                 let i = y * CELLS + x;
-                if (centre - middle).norm() <= radius && self.last[i] != self.keyframes {
-                    self.last[i] = self.keyframes;
-                    let counts = match of {
-                        Of::Free => &mut self.seen,
-                        Of::End => &mut self.against,
-                        Of::Standing => &mut self.standing,
-                    };
-                    counts[i] = counts[i].saturating_add(times);
+                if (centre - middle).norm() <= radius && self.last[i] != self.rounds {
+                    self.last[i] = self.rounds;
+                    match of {
+                        Of::Free => self.seen[i] = self.seen[i].saturating_add(1),
+                        Of::Against => {
+                            self.seen[i] = 0;
+                            self.against[i] = self.against[i].saturating_add(1);
+                        }
+                        Of::Standing => self.standing[i] = self.standing[i].saturating_add(1),
+                        // What stood there before does not any more.
+                        Of::Driven => (self.seen[i], self.against[i], self.standing[i]) = (u8::MAX, 0, 0),
+                    }
                 }
             }
         }
@@ -350,7 +390,7 @@ impl Scanner {
         }
     }
 
-    /// Things that keyframes saw stand are in the way where several agree, and more than saw the floor free there.
+    /// Things that keyframes saw stand are in the way where several agree, and no fewer than saw the floor free there since.
     fn stand(&mut self) {
         for i in 0..self.things.len() {
             let (at, sigma) = self.things[i];
@@ -361,7 +401,7 @@ impl Scanner {
             let [x, y] = [at.x, at.y].map(|v| ((v + RANGE_MAX_M) / CELL_M) as usize);
             let Some(cell) = (x < CELLS && y < CELLS).then_some(y * CELLS + x) else { continue };
             let standing = self.standing[cell];
-            if standing >= STANDS_FOR && standing / STANDS_FOR > self.seen[cell] {
+            if standing >= STANDS_FOR && standing >= self.seen[cell] {
                 self.in_the_way(&at, sigma);
             }
         }
@@ -424,10 +464,10 @@ impl Scanner {
             let [x, y] = [at * cos, at * sin].map(|v| ((v + RANGE_MAX_M) / CELL_M) as usize);
             let cell = (x < CELLS && y < CELLS).then(|| y * CELLS + x);
             let (seen, against) = cell.map_or((0, 0), |i| (self.seen[i], self.against[i]));
-            if against >= ENDED_BY && against >= seen {
+            if against > 0 && against >= seen {
                 break;
             }
-            if seen > 0 {
+            if seen >= FREE_FOR {
                 stretch = Some((stretch.map_or(at, |(from, _)| from), at));
             }
             at += 0.5 * CELL_M;

@@ -10,8 +10,8 @@ use crate::geometry::Se3;
 use crate::geometry::frames::{Body, Camera, World};
 use crate::image::GreyImage;
 use crate::map::{Keyframe, KeyframeId};
-use crate::motion::floor::seen::{Footing, Picture, floor_seen};
-use crate::motion::obstacles::{ObstaclesConfig, Point, Scan};
+use crate::motion::floor::seen::{Footing, Picture, Seen, floor_seen};
+use crate::motion::obstacles::{ObstaclesConfig, Point, Scan, Scanner};
 
 /// Keyframes whose floor is kept: of a way of 10 m and more.
 const KEPT: usize = 60;
@@ -46,7 +46,8 @@ impl Reconstruction {
         if !self.surroundings.wanted {
             return;
         }
-        let Some(plane) = self.floor.as_ref().and_then(|floor| floor.plane(self.active.id)) else { return };
+        let Some(floor) = self.floor.as_ref() else { return };
+        let Some(plane) = floor.plane(self.active.id) else { return };
         let map = &self.active.map;
         let Some(keyframe) = map.keyframe(id) else { return };
         let Some(level) = keyframe.picture.pyramid().levels.iter().position(|l| l.width < FINEST_PX) else { return };
@@ -54,9 +55,10 @@ impl Reconstruction {
         let size = |pixels: usize| u32::try_from(pixels).unwrap_or(0);
         let Ok(camera) = self.optics.camera.scaled(size(image.width), size(image.height)) else { return };
         let here = keyframe.centre();
+        // Of the part of the map that has the same unit: poses of another are not where the floor's homography has them.
         let near = |other: &&Keyframe| {
             let step = (other.centre() - here).norm() / plane.height;
-            (LEAST_STEP..MOST_STEP).contains(&step)
+            other.scale_from == keyframe.scale_from && (LEAST_STEP..MOST_STEP).contains(&step)
         };
         let first = id.0.saturating_sub(KEPT as u32);
         let before = (first..id.0).rev().filter_map(|id| map.keyframe(KeyframeId(id))).filter(near);
@@ -69,7 +71,7 @@ impl Reconstruction {
         let mut places = oldest.map(|(_, places)| places).unwrap_or_default();
         places.clear();
         let now = Picture { camera_from_world: &keyframe.camera_from_world, image };
-        floor_seen(plane, &camera, &now, &pictures, &mut places);
+        floor_seen(plane, floor.camera_height_m(), &camera, &now, &pictures, &mut places);
         seen.push_back((id, places));
     }
 
@@ -101,18 +103,26 @@ impl Reconstruction {
         // Of the part of the map that has the present unit, and on this floor: one that was carried, or stood on something else, has not been on it.
         let part = map.keyframe(self.active.reference).and_then(|k| k.scale_from);
         let stood = |id: KeyframeId| map.keyframe(id).filter(|k| k.scale_from == part && plane.carries(&k.centre()));
-        for (id, places) in self.surroundings.seen.iter().filter(|_| config.seen_floor) {
+        let add_seen = |scanner: &mut Scanner, (id, places): &(KeyframeId, Seen)| {
             if let Some(footing) = stood(*id).and_then(|k| Footing::of(plane, &k.camera_from_world)) {
                 scanner.add_seen(&footing, plane.height, places, robot_height_m);
             }
-        }
+        };
+        let mut seen = self.surroundings.seen.iter().filter(|_| config.seen_floor).peekable();
+        // What has taken a driven cell back must not be forgotten sooner than that it was driven.
+        let full = config.seen_floor && self.surroundings.seen.len() >= KEPT;
+        let oldest = self.surroundings.seen.front().filter(|_| full).map_or(0, |(id, _)| id.0);
         let body = |camera_from_world: &Se3<Camera, World>| -> Vector3<f64> {
             (*body_from_camera * *camera_from_world).inverse().translation
         };
         // Where keyframes in between are gone it may have driven around something, unless its footprints touch.
         let mut before: Option<(u32, Vector3<f64>)> = None;
         let newest = map.keyframes.next_id();
-        for id in newest.saturating_sub(4 * KEPT as u32).max(self.surroundings.first)..newest {
+        for id in newest.saturating_sub(4 * KEPT as u32).max(self.surroundings.first).max(oldest)..newest {
+            // In order of time: what was seen later than driven may take it back.
+            while let Some(one) = seen.next_if(|(of, _)| of.0 <= id) {
+                add_seen(scanner, one);
+            }
             let Some(keyframe) = stood(KeyframeId(id)) else { continue };
             let here = body(&keyframe.camera_from_world);
             let from = before.replace((id, here)).filter(|(before, from)| {
@@ -121,6 +131,7 @@ impl Reconstruction {
             });
             scanner.add_driven(&from.map_or(here, |(_, from)| from), &here, config.robot_radius_m);
         }
+        seen.for_each(|one| add_seen(scanner, one));
         for (_, l) in map.landmarks.iter().filter(|(_, l)| l.assumed.is_none() && l.observers.len() >= LEAST_OBSERVERS)
         {
             scanner.add_landmark(plane, &Point { position: l.position, covariance: l.covariance }, robot_height_m);

@@ -217,7 +217,7 @@ def metres(data, short):
     wheels = "test --locked --release --test wheels"
     intervals = f"SEEDS={'331..331' if short else '331..350'} cargo {wheels} -- --ignored --nocapture intervals"
     rooms = "601" if short else ",".join(map(str, range(601, 609)))
-    obstacles = f"SEEDS={rooms} SECONDS=25 cargo {test} -- --ignored --nocapture obstacles::table"
+    obstacles = f"SEEN_FLOOR=1 SEEDS={rooms} SECONDS=25 cargo {test} -- --ignored --nocapture obstacles::table"
     config = r"[tag]\nsize_m = 0.0945\nsize_sigma_m = 0.0005\n"
     board = "$CAIRN_DATA/visp_rbt"
     replay = with_config(config, "visp_rbt-tags", f"cairn replay --lockstep --quiet --trajectory {OUT}/visp_rbt-metres.txt {board} >&2")
@@ -229,7 +229,7 @@ def metres(data, short):
              "Tours of the simulator's rooms, 40 s; what is said of metres is wrong by what its standard deviation says, drawn for each seed: 1 % of the "
              "wheels' radii (which slip in bursts, too), 0.3 mm of the tags' 160, 3 mm of the camera's 500.", build=f"{wheels} --no-run"),
         Step("Obstacles and free floor", obstacles,
-             "Rooms of the simulator, a scan a second, each bearing beside the simulator's own geometry: a distance is reported where it is within 0.2 m or 10 % "
+             "Rooms of the simulator, `seen_floor` on, a scan a second, each bearing beside the simulator's own geometry: a distance is reported where it is within 0.2 m or 10 % "
              "of it, a bearing on which nothing stands up to 1.5 m where the floor is said to be free up to 1 m; a free report is right where nothing "
              "stands before its end, but for 5 cm.", build=f"{test} --no-run", read=rows_of_table),
         Step("By tags: a recording with a board of them", f"{replay}\ncairn evaluate --metric {OUT}/visp_rbt-metres.txt {board}/groundtruth.txt",

@@ -10,20 +10,24 @@
 //!
 //! `Λ(h) = n Σ (e(h) - e(floor)) / s²`, `s² = max(NOISE², mean e(floor))`
 //!
-//! is twice the logarithm of the likelihood ratio (Gaussian noise, n independent pixels of a patch, sum over the earlier pictures). The place is floor if
-//! `Λ(h) >` [`SURE`] for every face of `FACES` but the lowest, and something else if one of them is better than the floor by as much. A bare patch, or a
-//! line along the camera's motion, tells neither.
+//! is twice the logarithm of the likelihood ratio (Gaussian noise, n independent pixels of a patch, sum over the earlier pictures, as if these were
+//! independent: they share the newest patch's noise, so the ratio is larger than what is known by up to the number of pictures). The same is asked of
+//! levels beneath the floor (`DROPS`): a step down fits the floor better than any face does. The place is floor if `Λ >` [`SURE`] for every drop and for
+//! every face of `FACES` but the lowest, and none of these is better than the floor by as much; it is something else if a drop, or a face but the very
+//! lowest, is. A bare patch, or a line along the camera's motion, tells neither.
 //!
 //! What that proves is the ray and not the place: faces lower than the lowest that is excluded, `h`, look like the floor, so a place at distance d
-//! proves that nothing stands nearer than `d (1 - h)`. Between two proven distances there may be something as high as a share [`HIDES`] of the camera's
-//! height: what is farther apart than that allows ends the stretch, as does something else.
+//! proves that nothing stands nearer than `d (1 - h)`; and of the ray only that nothing that reaches down to the floor crosses it: what hangs above it is
+//! not seen. Between the last proven distance p and what the next place, at d, proves, the ray to d is `1 - p / d` of the camera's height above p: so
+//! high a thing may hide there, and a hole. More than a share [`HIDES`] of the camera's height, or [`HIDES_M`], ends the stretch, as does something
+//! else. Unknown places in between are filled: up to a share [`HIDES`] of the distance.
 //!
 //! Where a face is better than the floor and than all faces but its neighbours, it tells how far away it is. What stands upright does so alike at several
 //! heights: places of one bearing, one beyond the other, whose faces are at one distance (to `ONE_FACE`) are a thing.
 //!
 //! Pictures of about 320 pixels' width do best (noise); whoever calls takes that level of the pyramids, and the camera to it.
 //!
-//! Cost: 1000 places in view, 4 pictures and 8 hypotheses each: some 15 ms a keyframe, while somebody asks. Not here: what becomes of it; a floor that moves.
+//! Cost: 1000 places in view, 4 pictures and 11 hypotheses each: some 15 ms a keyframe with 8 of them, while somebody asks. Not here: what becomes of it; a floor that moves.
 
 use nalgebra::{Matrix2, Vector2, Vector3};
 
@@ -53,6 +57,8 @@ const INDEPENDENT: f64 = (PATCH_PX * PATCH_PX) as f64 / 4.0;
 /// Heights, shares of the camera's, at which upright faces meet a pixel's ray. All but the lowest of these, fewer than the second number, must be excluded.
 const FACES: [f64; 7] = [0.06, 0.12, 0.18, 0.27, 0.40, 0.55, 0.70];
 const LOWEST: usize = 3;
+/// Levels beneath the floor that must be excluded, shares of the camera's height: half the first looks like the floor.
+const DROPS: [f64; 3] = [0.15, 0.3, 0.6];
 /// Least standard deviation of what two pictures of one patch differ by, grey levels.
 const NOISE: f64 = 3.0;
 /// Twice the logarithm of a likelihood ratio that decides: four sigmas.
@@ -60,8 +66,9 @@ const SURE: f64 = 16.0;
 /// Shares of a patch's variance that the floor, and what is taken for something else, may leave unexplained.
 const FLOOR_UNEXPLAINED: f64 = 0.7;
 const OTHER_UNEXPLAINED: f64 = 0.4;
-/// What may hide between two proven distances, a share of the camera's height.
+/// What may hide between two proven distances at the most: a share of the camera's height, and m.
 const HIDES: f64 = 0.2;
+const HIDES_M: f64 = 0.1;
 /// Places of a bearing, and how far apart at the most the nearest and the farthest of their faces are (a share), that make a thing.
 const LEAST_PLACES: usize = 3;
 const ONE_FACE: f64 = 0.07;
@@ -108,8 +115,8 @@ pub struct Seen {
     pub floor: Vec<Stretch>,
     /// On these something else begins.
     pub ends: Vec<Stretch>,
-    /// Within these something stands, from this height on, heights.
-    pub things: Vec<(Stretch, f32)>,
+    /// Within these something stands, seen from this height to that one, heights.
+    pub things: Vec<(Stretch, [f32; 2])>,
 }
 
 impl Seen {
@@ -129,8 +136,16 @@ enum Place {
     Unknown,
 }
 
-/// Appends what was seen.
-pub fn floor_seen(plane: &Plane, camera: &CameraModel, now: &Picture<'_>, before: &[Picture<'_>], out: &mut Seen) {
+/// Appends what was seen. `camera_height_m`: metres, whatever the plane's unit.
+pub fn floor_seen(
+    plane: &Plane,
+    camera_height_m: f64,
+    camera: &CameraModel,
+    now: &Picture<'_>,
+    before: &[Picture<'_>],
+    out: &mut Seen,
+) {
+    let hides = HIDES.min(HIDES_M / camera_height_m);
     let Some(footing) = Footing::of(plane, now.camera_from_world) else { return };
     let bearings = (WIDEST_DEG / BEARING_STEP_DEG) as i32;
     // Of a bearing: distance and height.
@@ -147,7 +162,8 @@ pub fn floor_seen(plane: &Plane, camera: &CameraModel, now: &Picture<'_>, before
                 Place::Floor(height) if !ended => {
                     let proven = distance * (1.0 - height);
                     let (from, last) = free.unwrap_or((proven, proven));
-                    ended = 1.0 - last / proven > HIDES;
+                    // The ray to the place, and not to what it proves, passes over what may hide.
+                    ended = free.is_some() && 1.0 - last / distance > hides;
                     if !ended {
                         free = Some((from, last.max(proven)));
                     }
@@ -155,7 +171,9 @@ pub fn floor_seen(plane: &Plane, camera: &CameraModel, now: &Picture<'_>, before
                 Place::Other(face) => {
                     faces.extend(face.map(|height| (distance * (1.0 - height), height)));
                     if !ended {
-                        out.ends.extend(free.map(|(_, last)| stretch(last, distance)));
+                        // Where no floor was seen before it, too: an older keyframe may have seen some.
+                        let foot = distance * (1.0 - face.unwrap_or(FACES[0]));
+                        out.ends.push(stretch(free.map_or(foot, |(_, last)| last.min(foot)), distance));
                     }
                     ended = true;
                 }
@@ -172,17 +190,24 @@ pub fn floor_seen(plane: &Plane, camera: &CameraModel, now: &Picture<'_>, before
         if let Some(first) = (0..faces.len()).find(|first| one(*first) >= LEAST_PLACES) {
             let thing = &faces[first..first + one(first)];
             let lowest = thing.iter().map(|(_, height)| *height).fold(f64::INFINITY, f64::min);
-            out.things.push((stretch(thing[0].0, thing[thing.len() - 1].0), lowest as f32));
+            let highest = thing.iter().map(|(_, height)| *height).fold(0.0, f64::max);
+            out.things.push((stretch(thing[0].0, thing[thing.len() - 1].0), [lowest as f32, highest as f32]));
         }
     }
 }
 
-/// What an upright face leaves unexplained beyond the floor, and in all, and in how many pictures it was looked for.
+/// What an upright face, or a level beneath the floor, leaves unexplained beyond the floor, and in all, and in how many pictures it was looked for.
 #[derive(Clone, Copy, Default)]
 struct Face {
     more: f64,
     all: f64,
     pictures: usize,
+}
+
+impl Face {
+    fn add(&mut self, by_face: f64, by_floor: f64) {
+        *self = Self { more: self.more + by_face - by_floor, all: self.all + by_face, pictures: self.pictures + 1 };
+    }
 }
 
 fn judged(
@@ -199,7 +224,7 @@ fn judged(
     }
     let Some(pencil) = Pencil::through(plane, camera, now, pixel) else { return Place::Unknown };
     let (mut floor, mut pictures) = (0.0, 0_usize);
-    let mut faces = [Face::default(); FACES.len()];
+    let (mut faces, mut drops) = ([Face::default(); FACES.len()], [Face::default(); DROPS.len()]);
     for earlier in before {
         let left = |normal: &Vector3<f64>, height: f64| {
             let (at, warp) = pencil.lead(normal, height, earlier)?;
@@ -210,8 +235,12 @@ fn judged(
         pictures += 1;
         for (face, height) in faces.iter_mut().zip(FACES) {
             if let Some(by_face) = left(&pencil.towards, height) {
-                *face =
-                    Face { more: face.more + by_face - by_floor, all: face.all + by_face, pictures: face.pictures + 1 };
+                face.add(by_face, by_floor);
+            }
+        }
+        for (drop, depth) in drops.iter_mut().zip(DROPS) {
+            if let Some(by_drop) = left(&plane.normal, -depth) {
+                drop.add(by_drop, by_floor);
             }
         }
     }
@@ -221,18 +250,20 @@ fn judged(
     let (variance, mean) = (patch.contrast().powi(2), floor / pictures as f64);
     // What a hypothesis must leave unexplained beyond one that leaves so much a picture.
     let clearly = |mean: f64| SURE * (NOISE * NOISE).max(mean) / INDEPENDENT;
-    if mean < FLOOR_UNEXPLAINED * variance {
-        let excluded = |faces: &[Face]| faces.iter().all(|face| face.pictures > 0 && face.more > clearly(mean));
+    let left = |face: &Face| face.all / face.pictures.max(1) as f64;
+    let is_better = |face: &Face| face.pictures > 0 && -face.more > clearly(left(face));
+    let excluded = |faces: &[Face]| faces.iter().all(|face| face.pictures > 0 && face.more > clearly(mean));
+    if mean < FLOOR_UNEXPLAINED * variance && excluded(&drops) && !faces[..LOWEST].iter().any(is_better) {
         for (lowest, height) in FACES.iter().enumerate().take(LOWEST) {
             if excluded(&faces[lowest..]) {
                 return Place::Floor(*height);
             }
         }
     }
-    let is_seen = |face: &Face| {
-        let mean = face.all / face.pictures.max(1) as f64;
-        face.pictures > 0 && mean < OTHER_UNEXPLAINED * variance && -face.more > clearly(mean)
-    };
+    let is_seen = |face: &Face| is_better(face) && left(face) < OTHER_UNEXPLAINED * variance;
+    if drops.iter().any(is_seen) {
+        return Place::Other(None);
+    }
     if !faces[1..].iter().any(is_seen) {
         return Place::Unknown;
     }

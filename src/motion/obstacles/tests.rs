@@ -54,7 +54,7 @@ fn free_is_where_a_keyframe_saw_the_floor_without_a_gap() {
     let seen = |pieces: &[[f64; 2]]| {
         let mut scanner = begun();
         for [from, to] in pieces {
-            scanner.add_seen(&axes(), 0.5, &line(*from, *to), 0.5);
+            (0..2).for_each(|_| scanner.add_seen(&axes(), 0.5, &line(*from, *to), 0.5));
         }
         let scan = scanner.finish(0.12);
         assert!(scan.free_m.iter().zip(&scan.free_from_m).all(|(to, from)| (*to == 0.0) == from.is_nan()));
@@ -88,7 +88,7 @@ fn where_keyframes_saw_the_floor_end_nothing_is_free() {
     for _ in 0..3 {
         scanner.add_seen(&axes(), 0.5, &Seen { ends: vec![stretch(1.3, 1.5)], ..line(0.2, 1.3) }, 0.5);
     }
-    // One that looked past it from elsewhere.
+    // One that looked past it from elsewhere, later.
     scanner.add_seen(&axes(), 0.5, &line(0.2, 3.0), 0.5);
     let free = scanner.finish(0.12).free_m[AHEAD];
     assert!((1.15..=1.32).contains(&free), "{free}");
@@ -96,11 +96,17 @@ fn where_keyframes_saw_the_floor_end_nothing_is_free() {
 
 #[test]
 fn what_two_keyframes_saw_stand_is_in_the_way_of_a_robot_that_is_as_high() {
+    // Heights of 0.5 m.
     let range = |times: usize, lowest: f32, free: usize| {
         let mut scanner = begun();
         for i in 0..times {
             let thing = stretch(1.5 + 0.02 * i as f64, 1.54 + 0.02 * i as f64);
-            scanner.add_seen(&axes(), 0.5, &Seen { things: vec![(thing, lowest)], ..Seen::default() }, 0.3);
+            scanner.add_seen(
+                &axes(),
+                0.5,
+                &Seen { things: vec![(thing, [lowest, lowest + 0.1])], ..Seen::default() },
+                0.3,
+            );
         }
         (0..free).for_each(|_| scanner.add_seen(&axes(), 0.5, &line(0.2, 3.0), 0.3));
         scanner.finish(0.12).range_m[AHEAD]
@@ -109,7 +115,76 @@ fn what_two_keyframes_saw_stand_is_in_the_way_of_a_robot_that_is_as_high() {
     assert!((1.5..1.56).contains(&found), "{found}");
     assert!(range(1, 0.2, 0).is_nan(), "one keyframe is not enough");
     assert!(range(2, 0.7, 0).is_nan(), "it begins above the robot");
-    assert!(range(2, 0.2, 2).is_nan(), "others saw the floor there");
+    assert!(range(2, 0.0, 0).is_nan(), "it is driven over");
+    assert!(!range(2, 0.2, 2).is_nan(), "as many saw the floor there since");
+    assert!(range(2, 0.2, 3).is_nan(), "more saw the floor there since");
+}
+
+/// Ahead, of a robot of this height.
+fn free_ahead(robot_height_m: f64, told: &[&Seen]) -> f32 {
+    let mut scanner = begun();
+    told.iter().for_each(|seen| scanner.add_seen(&axes(), 0.5, seen, robot_height_m));
+    scanner.finish(0.12).free_m[AHEAD]
+}
+
+fn ended(at_m: f64) -> Seen {
+    Seen { ends: vec![stretch(at_m, at_m + 0.1)], ..Seen::default() }
+}
+
+fn standing(at_m: f64) -> Seen {
+    Seen { things: vec![(stretch(at_m, at_m + 0.04), [0.2, 0.5])], ..Seen::default() }
+}
+
+#[test]
+fn one_keyframe_proves_nothing_and_a_tie_is_not_free() {
+    let (free, end) = (line(0.2, 2.0), ended(1.0));
+    assert_eq!(free_ahead(0.5, &[&free]), 0.0);
+    assert!(free_ahead(0.5, &[&free, &free]) > 1.8);
+    let tie = free_ahead(0.5, &[&end, &end, &free, &free]);
+    assert!(tie < 1.05, "{tie}: as many saw it end");
+    assert!(free_ahead(0.5, &[&end, &end, &free, &free, &free]) > 1.8, "more saw it free since");
+    assert!(free_ahead(0.5, &[&end, &free]) < 1.05);
+}
+
+#[test]
+fn what_is_put_down_later_is_not_free_however_often_the_floor_was_seen_there() {
+    let free = line(0.2, 2.0);
+    for bag in [ended(1.0), standing(1.0)] {
+        let mut told = vec![&free; 20];
+        told.push(&bag);
+        let before = free_ahead(0.5, &told);
+        assert!((0.8..1.05).contains(&before), "{before}");
+        // One that saw the floor there since may be wrong.
+        told.push(&free);
+        let one = free_ahead(0.5, &told);
+        assert!((0.8..1.05).contains(&one), "{one}");
+        told.push(&free);
+        assert!(free_ahead(0.5, &told) > 1.8, "it was taken away");
+    }
+}
+
+#[test]
+fn what_was_driven_long_ago_is_taken_back_too() {
+    let drive = |scanner: &mut Scanner| scanner.add_driven(&Vector3::zeros(), &Vector3::new(2.0, 0.0, 0.0), 0.12);
+    for bag in [ended(1.0), standing(1.0)] {
+        let free = |before: usize, after: usize| {
+            let mut scanner = begun();
+            (0..before).for_each(|_| drive(&mut scanner));
+            scanner.add_seen(&axes(), 0.5, &bag, 0.5);
+            (0..after).for_each(|_| drive(&mut scanner));
+            scanner.finish(0.12).free_m[AHEAD]
+        };
+        let before = free(3, 0);
+        assert!((0.8..1.05).contains(&before), "{before}");
+        assert!(free(0, 1) > 1.8, "the robot has been there since");
+    }
+}
+
+#[test]
+fn a_robot_higher_than_the_camera_has_no_free_floor_by_what_was_seen() {
+    let free = line(0.2, 2.0);
+    assert!(free_ahead(0.5, &[&free; 3]) > 1.8);
+    assert_eq!(free_ahead(0.6, &[&free; 3]), 0.0);
 }
 
 #[test]

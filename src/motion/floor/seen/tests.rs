@@ -42,7 +42,18 @@ fn paint(noise: &[f64], u: f64, v: f64) -> f64 {
     at(u / 0.03, v / 0.03) + at(u / 0.12 + 7.0, v / 0.12 + 3.0)
 }
 
-fn picture(pose: &Se3<Camera, World>, noise: &[f64], contrast: f64) -> GreyImage {
+/// What the camera looks at: a painted floor with the box on it, or one that lies `drop` m lower from `EDGE_M` on.
+#[derive(Clone, Copy)]
+struct Scene {
+    contrast: f64,
+    drop: f64,
+}
+
+const EDGE_M: f64 = 1.5;
+const FLAT: Scene = Scene { contrast: 40.0, drop: 0.0 };
+
+fn picture(pose: &Se3<Camera, World>, noise: &[f64], scene: Scene) -> GreyImage {
+    let Scene { contrast, drop } = scene;
     let (camera, world_from_camera) = (lens(), pose.inverse());
     let origin = world_from_camera.translation;
     let mut image = GreyImage::new(320, 240);
@@ -52,10 +63,11 @@ fn picture(pose: &Se3<Camera, World>, noise: &[f64], contrast: f64) -> GreyImage
             let ray = world_from_camera.rotation * ray;
             let front = (BOX_M - origin.x) / ray.x;
             let at = origin + ray * front;
-            let value = if at.y > 0.0 && at.z > 0.0 && at.z < 0.4 {
+            let value = if drop == 0.0 && at.y > 0.0 && at.z > 0.0 && at.z < 0.4 {
                 paint(noise, at.y + 11.0, at.z + 5.0)
             } else if ray.z < 0.0 {
-                let at = origin - ray * (origin.z / ray.z);
+                let level = |z: f64| origin - ray * ((origin.z - z) / ray.z);
+                let at = if level(0.0).x < EDGE_M { level(0.0) } else { level(-drop) };
                 paint(noise, at.x, at.y)
             } else {
                 0.0
@@ -66,22 +78,22 @@ fn picture(pose: &Se3<Camera, World>, noise: &[f64], contrast: f64) -> GreyImage
     image
 }
 
-fn seen(contrast: f64) -> Seen {
+fn seen(scene: Scene) -> Seen {
     let mut random = Random::new(5);
     let noise: Vec<f64> = (0..64 * 64).map(|_| random.normal()).collect();
     let (now, earlier) = (camera(0.0), [camera(-0.25), camera(-0.45)]);
-    let images: Vec<_> = earlier.iter().map(|pose| picture(pose, &noise, contrast)).collect();
+    let images: Vec<_> = earlier.iter().map(|pose| picture(pose, &noise, scene)).collect();
     let before: Vec<_> =
         earlier.iter().zip(&images).map(|(camera_from_world, image)| Picture { camera_from_world, image }).collect();
-    let image = picture(&now, &noise, contrast);
+    let image = picture(&now, &noise, scene);
     let mut out = Seen::default();
-    floor_seen(&floor(), &lens(), &Picture { camera_from_world: &now, image: &image }, &before, &mut out);
+    floor_seen(&floor(), HEIGHT_M, &lens(), &Picture { camera_from_world: &now, image: &image }, &before, &mut out);
     out
 }
 
 #[test]
 fn a_painted_floor_is_seen_up_to_a_box_on_it_and_no_farther() {
-    let Seen { floor, ends, things } = seen(40.0);
+    let Seen { floor, ends, things } = seen(FLAT);
     assert!(floor.len() > 15, "{} bearings", floor.len());
     let (mut before_box, mut beside) = (0, 0);
     for stretch in &floor {
@@ -110,6 +122,36 @@ fn a_painted_floor_is_seen_up_to_a_box_on_it_and_no_farther() {
 
 #[test]
 fn a_bare_floor_tells_nothing() {
-    let Seen { floor, ends, things } = seen(0.5);
+    let Seen { floor, ends, things } = seen(Scene { contrast: 0.5, ..FLAT });
     assert!(floor.is_empty() && ends.is_empty() && things.is_empty());
+}
+
+#[test]
+fn a_step_down_is_never_floor() {
+    for drop in [0.05, 0.08, 0.15, 0.3, 0.5] {
+        let Seen { floor, .. } = seen(Scene { drop, ..FLAT });
+        let reach = |stretch: &Stretch| f64::from(stretch.to) * HEIGHT_M * f64::from(stretch.bearing).cos();
+        let farthest = floor.iter().map(reach).fold(0.0, f64::max);
+        // Half a patch across the edge is the floor's.
+        assert!(farthest > EDGE_M - 0.4 && farthest < EDGE_M + 0.05, "{drop} m: {farthest} m");
+    }
+}
+
+#[test]
+fn of_a_tall_camera_no_more_hides_than_of_a_low_one() {
+    let longest = |camera_height_m: f64| {
+        let (now, earlier) = (camera(0.0), [camera(-0.25), camera(-0.45)]);
+        let mut random = Random::new(5);
+        let noise: Vec<f64> = (0..64 * 64).map(|_| random.normal()).collect();
+        let images: Vec<_> = earlier.iter().map(|pose| picture(pose, &noise, FLAT)).collect();
+        let pictures = earlier.iter().zip(&images);
+        let before: Vec<_> = pictures.map(|(camera_from_world, image)| Picture { camera_from_world, image }).collect();
+        let image = picture(&now, &noise, FLAT);
+        let mut out = Seen::default();
+        let now = Picture { camera_from_world: &now, image: &image };
+        floor_seen(&floor(), camera_height_m, &lens(), &now, &before, &mut out);
+        out.floor.iter().map(|stretch| f64::from(stretch.to - stretch.from)).sum::<f64>()
+    };
+    let (low, tall) = (longest(HEIGHT_M), longest(4.0 * HEIGHT_M));
+    assert!(tall < 0.5 * low, "{tall} of {low}: between its rings 10 cm could hide");
 }
