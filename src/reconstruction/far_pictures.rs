@@ -292,8 +292,8 @@ mod tests {
     #[test]
     fn what_is_remembered_of_pictures_that_are_away_is_bounded() {
         let (map, ids) = map([9; 4]);
-        let mut far = FarPictures::default();
-        far.wanted_at = (0..1000).map(|id| (KeyframeId(id), 3)).collect();
+        let mut far =
+            FarPictures { wanted_at: (0..1000).map(|id| (KeyframeId(id), 3)).collect(), ..FarPictures::default() };
         far.bound(&map, &OtherMaps::default(), 500, 9);
         assert_eq!(far.wanted_at.len(), 1000, "few are not worth it");
         far.bound(&map, &OtherMaps::default(), 20, 9);
