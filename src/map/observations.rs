@@ -1,6 +1,6 @@
 //! What a keyframe saw: in full while the keyframe is detailed, packed once its picture is condensed.
 //!
-//! An observation takes 88 bytes, most of them what follows from its pixel and the lens. Packed it takes [`size_of::<Packed>`](Packed): the
+//! An observation takes 88 bytes, most of them what follows from its pixel and the lens. Packed it takes `size_of::<Packed>()`: the
 //! landmark, the pixel in steps of 1/32 px (1/16 of pictures wider than 2047 px; off by 0.01 px in the mean, a thirtieth of what an alignment is
 //! sure to), displacement and weight as f32 cut to 16 bits (off by 0.2 %). The rest is computed anew whenever one is asked for: some 0.1 us.
 //! Packing what was packed before changes nothing, so a map that is stored and loaded again is the same to the bit.

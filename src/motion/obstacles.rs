@@ -9,7 +9,7 @@
 //! - So is what keyframes saw stand upright (with `seen_floor`), where two agree.
 //! - **Unknown is never free**, but for what `seen` says may hide. A cell of the floor is free where the robot itself has been, and (with `seen_floor`)
 //!   where two keyframes proved that nothing stands; a bearing is free from the first such cell (a camera that looks ahead may have looked over those
-//!   before) up to the last one with no cell missing in between, less [`MARGIN_M`]. It ends before anything in the way, and where keyframes saw the
+//!   before) up to the last one with no cell missing in between, less `MARGIN_M`. It ends before anything in the way, and where keyframes saw the
 //!   floor end. What a keyframe proves has gaps of its own: places in which it knows nothing, up to a fifth of the distance, see `seen`.
 //! - **The newest word counts.** A keyframe that sees the floor end, or something stand, takes back what older ones saw there and that the robot drove
 //!   there; two newer keyframes give it again, once they are more than those that saw it end. A driven cell that no keyframe looked at since stays free.

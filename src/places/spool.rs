@@ -1,8 +1,8 @@
 //! Pictures of keyframes far from the robot, on disk for as long as a run lasts.
 //!
 //! In: condensed pictures. Out: copies ([`PictureCopy`]) by which any thread can read them again, the same to the bit. One file without a name, so that
-//! nothing is left behind however the process ends; it is made with the first picture. A picture takes the room of [`BLOCK`]s that it needs, some 20 kB,
-//! which others may have once nobody holds its copy. At [`MAX_SPOOL_BYTES`] nothing more is taken: pictures stay in memory then.
+//! nothing is left behind however the process ends; it is made with the first picture. A picture takes the room of `BLOCK`s that it needs, some 20 kB,
+//! which others may have once nobody holds its copy. At `MAX_SPOOL_BYTES` nothing more is taken: pictures stay in memory then.
 //!
 //! Cost: 0.2 ms to write one, 0.1 ms to read it, and the disk's own time, which of an SD card may be many times that. Memory: 32 bytes a copy here.
 

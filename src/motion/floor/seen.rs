@@ -12,15 +12,15 @@
 //!
 //! is twice the logarithm of the likelihood ratio (Gaussian noise, n independent pixels of a patch, sum over the earlier pictures, as if these were
 //! independent: they share the newest patch's noise, so the ratio is larger than what is known by up to the number of pictures). The same is asked of
-//! levels beneath the floor (`DROPS`): a step down fits the floor better than any face does. The place is floor if `Λ >` [`SURE`] for every drop and for
+//! levels beneath the floor (`DROPS`): a step down fits the floor better than any face does. The place is floor if `Λ >` `SURE` for every drop and for
 //! every face of `FACES` but the lowest, and none of these is better than the floor by as much; it is something else if a drop, or a face but the very
 //! lowest, is. A bare patch, or a line along the camera's motion, tells neither.
 //!
 //! What that proves is the ray and not the place: faces lower than the lowest that is excluded, `h`, look like the floor, so a place at distance d
 //! proves that nothing stands nearer than `d (1 - h)`; and of the ray only that nothing that reaches down to the floor crosses it: what hangs above it is
 //! not seen. Between the last proven distance p and what the next place, at d, proves, the ray to d is `1 - p / d` of the camera's height above p: so
-//! high a thing may hide there, and a hole. More than a share [`HIDES`] of the camera's height, or [`HIDES_M`], ends the stretch, as does something
-//! else. Unknown places in between are filled: up to a share [`HIDES`] of the distance.
+//! high a thing may hide there, and a hole. More than a share `HIDES` of the camera's height, or `HIDES_M`, ends the stretch, as does something
+//! else. Unknown places in between are filled: up to a share `HIDES` of the distance.
 //!
 //! Where a face is better than the floor and than all faces but its neighbours, it tells how far away it is. What stands upright does so alike at several
 //! heights: places of one bearing, one beyond the other, whose faces are at one distance (to `ONE_FACE`) are a thing.
