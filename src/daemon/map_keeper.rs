@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use crossbeam::channel::{Receiver, Sender};
-use tracing::{debug, error, info};
+use tracing::{debug, error, info, warn};
 
 use super::map_folder::MapFolder;
 use super::request::{CopyTo, Loaded, Reply, Request};
@@ -22,6 +22,7 @@ use crate::places::store::{Fault, MOST_IDS, MapFile, StoreError, read_to_locate}
 const MEANWHILE: Ids = Ids { maps: 16, keyframes: 1 << 10, landmarks: 1 << 17 };
 /// A stage that does not take a request for so long hangs.
 const PATIENCE: Duration = Duration::from_secs(5);
+const WITHOUT_PICTURES: &str = "the map file is without pictures that the spool does not give: its disk has bad blocks";
 
 /// What whoever writes tells the desk.
 #[derive(Debug, Default)]
@@ -94,12 +95,18 @@ impl Keeper {
             self.word.wants_everything.store(true, Ordering::Release);
             return;
         }
-        let outcome = self.ready(changes).and_then(|file| match file {
+        // At the second attempt a picture that cannot be read holds up nothing else.
+        let without_unread = matches!(&self.failed, Some(StoreError { fault: Fault::Spool(_), .. }));
+        let outcome = self.ready(changes, without_unread).and_then(|file| match file {
             Some(file) => file.write(changes),
             None => Ok(0),
         });
         match outcome {
             Ok(bytes) => {
+                let left_out = self.file.as_ref().map_or(0, MapFile::left_out);
+                if left_out > 0 && without_unread {
+                    warn!(path = %self.path.display(), left_out, "{WITHOUT_PICTURES}");
+                }
                 let keyframes = changes.keyframes.len();
                 debug!(path = %self.path.display(), keyframes, bytes, "map file written");
                 self.failed = None;
@@ -116,17 +123,21 @@ impl Keeper {
     }
 
     /// The file, to write the changes to; `None` if they are in it already, as it was made with them.
-    fn ready(&mut self, changes: &MapChanges) -> Result<Option<&mut MapFile>, StoreError> {
+    fn ready(&mut self, changes: &MapChanges, without_unread: bool) -> Result<Option<&mut MapFile>, StoreError> {
         if self.file.is_none() {
-            let file = match self.exists {
-                true => MapFile::open(&self.path)?.0,
-                false => MapFile::create(&self.path, changes)?,
+            let file = match (self.exists, without_unread) {
+                (true, _) => MapFile::open(&self.path)?.0,
+                (false, false) => MapFile::create(&self.path, changes)?,
+                (false, true) => MapFile::create_without_unread(&self.path, changes)?,
             };
             let made = !std::mem::replace(&mut self.exists, true);
             self.file = Some(file);
             if made {
                 return Ok(None);
             }
+        }
+        if let Some(file) = self.file.as_mut().filter(|_| without_unread) {
+            file.do_without_unread();
         }
         Ok(self.file.as_mut())
     }
@@ -252,8 +263,16 @@ fn load(path: PathBuf, given: Ids, localise_only: bool, keeper: Option<&Keeper>)
 
 fn copy(everything: &MapChanges, to: CopyTo, keeper: Option<&Keeper>) -> Result<String, String> {
     let write = |path: &PathBuf| {
-        let file = MapFile::create(path, everything).and_then(MapFile::close);
-        file.map_err(|e| e.to_string())
+        let file = match MapFile::create(path, everything) {
+            Err(StoreError { fault: Fault::Spool(_), .. }) => {
+                let file = MapFile::create_without_unread(path, everything);
+                file.inspect(|file| {
+                    warn!(path = %path.display(), left_out = file.left_out(), "{WITHOUT_PICTURES}");
+                })
+            }
+            other => other,
+        };
+        file.and_then(MapFile::close).map_err(|e| e.to_string())
     };
     match to {
         CopyTo::Named(path, folder) => {

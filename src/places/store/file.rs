@@ -69,15 +69,23 @@ pub struct MapFile {
     keyframes: BTreeMap<u32, u32>,
     /// Pages of landmarks in the file.
     pages: BTreeSet<u32>,
+    /// What the spool does not give is left out, and how many pictures that were.
+    without_unread: bool,
+    left_out: usize,
 }
 
 impl MapFile {
     /// Makes a file with these maps in it; it is whole from the first moment on that it has its name.
     pub fn create(path: &Path, first: &MapChanges) -> Result<Self, StoreError> {
-        Self::make(path, first).map_err(|fault| fault.of(path))
+        Self::make(path, first, false).map_err(|fault| fault.of(path))
     }
 
-    fn make(path: &Path, first: &MapChanges) -> Result<Self, Fault> {
+    /// The same, without pictures that the spool does not give.
+    pub fn create_without_unread(path: &Path, first: &MapChanges) -> Result<Self, StoreError> {
+        Self::make(path, first, true).map_err(|fault| fault.of(path))
+    }
+
+    fn make(path: &Path, first: &MapChanges, without_unread: bool) -> Result<Self, Fault> {
         let mut id = [0; 16];
         File::open("/dev/urandom").and_then(|mut r| std::io::Read::read_exact(&mut r, &mut id)).map_err(Fault::Read)?;
         let (file, temporary) = nameless(path)?;
@@ -93,6 +101,8 @@ impl MapFile {
                 tally: Tally::default(),
                 keyframes: BTreeMap::new(),
                 pages: BTreeSet::new(),
+                without_unread,
+                left_out: 0,
             };
             own.put(first)?;
             file.sync_all().map_err(Fault::Write)?;
@@ -114,14 +124,27 @@ impl MapFile {
             let (contents, tally, pages) = look(&file, Some(folder_of(path)))?;
             let keyframes = contents.saved.maps.iter().flat_map(|m| m.map.keyframes.iter());
             let keyframes = keyframes.map(|(id, k)| (id, k.picture.revision())).collect();
-            let verified = Some(file);
-            Ok((Self { path: path.into(), verified, records: None, tally, keyframes, pages }, contents))
+            let (path, verified) = (path.into(), Some(file));
+            let own =
+                Self { path, verified, records: None, tally, keyframes, pages, without_unread: false, left_out: 0 };
+            Ok((own, contents))
         };
         open().map_err(|fault: Fault| fault.of(path))
     }
 
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// From now on a picture that the spool does not give is left out, instead of nothing being written: one bad block of a disk must not keep a
+    /// whole map from it. What the file has of that picture stays.
+    pub fn do_without_unread(&mut self) {
+        self.without_unread = true;
+    }
+
+    /// Pictures that were left out.
+    pub fn left_out(&self) -> usize {
+        self.left_out
     }
 
     /// Writes what has changed; it is on the disk when this returns. Bytes that were handed over to be written.
@@ -145,16 +168,20 @@ impl MapFile {
             let revision = keyframe.picture.revision();
             if self.keyframes.get(id) != Some(&revision) {
                 let mut own = keyframe.picture.clone();
-                // The spool may give it later, and the whole write is tried again.
-                if let Err(CopyFault::NotRead(reason)) = own.bring_back() {
-                    return Err(Fault::Spool(reason));
+                let mut is_unread = false;
+                match own.bring_back() {
+                    // The spool may give it later, and the whole write is tried again.
+                    Err(CopyFault::NotRead(reason)) if !self.without_unread => return Err(Fault::Spool(reason)),
+                    Err(CopyFault::NotRead(_)) => is_unread = true,
+                    Ok(_) | Err(CopyFault::Senseless(_)) => {}
                 }
+                self.left_out += usize::from(is_unread);
                 let (kind, record) = match own.is_condensed() {
                     true => (Kind::Condensed, picture::encode_condensed(&own)),
                     false => (Kind::Picture, picture::encode(&own)),
                 };
-                // Of one that is lost the file may have a record that is better than none.
-                if !own.is_lost() {
+                // Of one that cannot be had the file may have a record that is better than none.
+                if !own.is_lost() && !is_unread {
                     match own.kept() {
                         Some(_) => new.push((kind, *id, record.ok_or_else(senseless)?)),
                         None => bare.push((Kind::Picture, *id)),
