@@ -11,13 +11,13 @@
 //! Does not: follow pixels, know the daemon, invent a position. Users' page: `docs/ros2.md`.
 
 pub(super) mod attachment;
+mod anchors;
 mod commands;
 mod error;
 mod inbox;
 pub(super) mod names;
 mod node;
 mod on_demand;
-mod origin;
 mod rates;
 mod relay;
 mod scans;
@@ -26,6 +26,7 @@ pub(super) mod topic;
 
 pub use commands::Commands;
 pub use error::BridgeError;
+pub(super) use anchors::MOST_ANCHORS;
 pub(super) use error::reason;
 pub use names::Robot;
 pub use node::{Network, Node};

@@ -14,7 +14,7 @@ use super::error::BridgeError;
 use super::inbox::Inbox;
 use super::node::{Network, Node};
 use super::on_demand::OnDemand;
-use super::origin::Origin;
+use super::anchors::Anchors;
 use super::rates::Rates;
 use super::scans::LastPoses;
 use super::session::Link;
@@ -71,7 +71,7 @@ pub struct Bridge {
     /// The tag that is the dock of this run, as one word; other robots with the same one have the same frame.
     dock: Option<String>,
     /// Of the map that was published last.
-    origin: Option<Origin>,
+    anchors: Option<Anchors>,
     /// The daemon believes what wheels tell.
     has_wheels: bool,
     /// What was sent of it.
@@ -149,7 +149,7 @@ impl Bridge {
             mount: None,
             is_docked: false,
             dock: None,
-            origin: None,
+            anchors: None,
             has_wheels: false,
             told_mount: None,
             diagnosed: Diagnosed::default(),
@@ -179,7 +179,7 @@ impl Bridge {
         }
         let client = &self.client;
         if let Some(keyframes) = self.keyframes.try_next(|| client.keyframes().polled(TURN), Keyframes::try_next)? {
-            self.origin = Origin::of(keyframes.header(), &keyframes);
+            self.anchors = Anchors::of(keyframes.header(), &keyframes);
         }
         if let Some(obstacles) = scan {
             self.take_obstacles(&obstacles);
@@ -225,7 +225,7 @@ impl Bridge {
         if self.run.replace(pose.run_id) != Some(pose.run_id) {
             self.mount = None;
             self.dock = None;
-            self.origin = None;
+            self.anchors = None;
         }
         self.scale = Some(pose.scale());
         let is_metric = pose.scale() == Scale::Metric;
@@ -284,9 +284,8 @@ impl Bridge {
         let mut tell = |key, value| status.values.push(ros::KeyValue { key, value });
         if self.is_docked {
             self.dock.iter().for_each(|dock| tell("map_frame", dock.clone()));
-        } else if let Some(origin) = self.origin.filter(|origin| origin.map_id == health.map_id) {
-            tell("map_frame", origin.frame());
-            tell("map_origin", origin.place());
+        } else if let Some(anchors) = self.anchors.as_ref().filter(|anchors| anchors.map_id == health.map_id) {
+            tell("map_anchors", anchors.text());
         }
         // Whoever waits for the next one knows how long.
         let period_s = self.out.rates.period_s(Topic::Diagnostics).max(DIAGNOSTICS_EVERY_S);

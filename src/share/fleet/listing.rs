@@ -41,7 +41,7 @@ pub struct Row {
     pub scale: Option<String>,
     pub health: Option<Level>,
     pub faults: Vec<String>,
-    /// The frame of its map, where that is one that several robots may have: the dock's, or that of the map's first keyframe.
+    /// The frame of its map, where that is one that several robots may have: the dock's, or that of the map of one of those that share keyframes.
     pub map_frame: Option<String>,
     /// Where it is in that frame; `None` as well where poses are not listened to.
     pub place: Option<Place>,

@@ -10,6 +10,7 @@
 //!
 //! Does not: command robots, know the daemon. Users' page: `docs/fleet.md`.
 
+mod anchors;
 mod listener;
 mod listing;
 mod path;

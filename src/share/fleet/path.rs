@@ -26,7 +26,7 @@ pub struct Path {
 }
 
 impl Path {
-    /// Of a map that is in metres; anything else is no place in a frame that others have. `origin`: of that frame, in the map.
+    /// Of a map that is in metres; anything else is no place in a frame that others have. `origin`: of the trail's frame, in the map.
     pub fn add(&mut self, message: &[u8], origin: &Transform, now: Instant) {
         let Ok(Some(place)) = place(message, origin) else { return };
         self.last = Some((place, now));
@@ -39,12 +39,22 @@ impl Path {
         }
     }
 
-    pub fn place(&self, now: Instant) -> Option<Place> {
-        self.last.filter(|(_, at)| now.saturating_duration_since(*at) <= FRESH).map(|(place, _)| place)
+    /// The last one, in the frame in which the trail's lies there; a fresh one only.
+    pub fn place(&self, now: Instant, there: &Transform) -> Option<Place> {
+        let (Place { x_m, y_m, yaw_rad }, _) =
+            self.last.filter(|(_, at)| now.saturating_duration_since(*at) <= FRESH)?;
+        let place = *there * Transform::level(x_m, y_m, yaw_rad);
+        let [x_m, y_m, _] = place.position;
+        Some(Place { x_m, y_m, yaw_rad: place.yaw_rad() })
     }
 
-    pub fn points(&self) -> Vec<[f64; 2]> {
-        self.points.iter().copied().collect()
+    /// Oldest first, in the same frame.
+    pub fn points(&self, there: &Transform) -> Vec<[f64; 2]> {
+        let point = |[x, y]: [f64; 2]| {
+            let [x, y, _] = there.apply(&[x, y, 0.0]);
+            [x, y]
+        };
+        self.points.iter().copied().map(point).collect()
     }
 }
 
@@ -80,12 +90,12 @@ pub mod tests {
         for i in 0..20 * MOST_POINTS as u32 {
             path.add(&pose("map", f64::from(i), 1.0, 0.5), &HERE, start + i * Duration::from_millis(50));
         }
-        assert_eq!(path.points().len(), MOST_POINTS);
-        assert_eq!(path.points()[MOST_POINTS - 1][0] - path.points()[MOST_POINTS - 2][0], 10.0);
+        assert_eq!(path.points(&HERE).len(), MOST_POINTS);
+        assert_eq!(path.points(&HERE)[MOST_POINTS - 1][0] - path.points(&HERE)[MOST_POINTS - 2][0], 10.0);
         let end = start + 20 * MOST_POINTS as u32 * Duration::from_millis(50);
-        let place = path.place(end).expect("a place");
+        let place = path.place(end, &HERE).expect("a place");
         assert!((place.yaw_rad - 0.5).abs() < 1e-12 && place.x_m == 20.0 * MOST_POINTS as f64 - 1.0, "{place:?}");
-        assert_eq!(path.place(end + 2 * FRESH), None);
+        assert_eq!(path.place(end + 2 * FRESH, &HERE), None);
     }
 
     #[test]
@@ -108,7 +118,7 @@ pub mod tests {
         for end in 0..whole.len() - 8 * 36 {
             path.add(&whole[..end], &HERE, now);
         }
-        assert_eq!((path.place(now), path.points().len()), (None, 0));
+        assert_eq!((path.place(now), path.points(&HERE).len()), (None, 0));
         path.add(&whole, &HERE, now);
         assert!(path.place(now).is_some());
     }

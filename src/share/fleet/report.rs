@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use crate::messages::Transform;
 use crate::ros::{CdrError, Reader};
+use crate::share::bridge::MOST_ANCHORS;
 
 /// A bridge's diagnostics have some 500 bytes; what is longer than this is not copied.
 pub const MOST_BYTES: usize = 16 * 1024;
@@ -35,8 +36,8 @@ pub enum ReportError {
     Word { key: &'static str },
     #[error("`period_s` is no time, or longer than a day")]
     Period,
-    #[error("`map_origin` is no place: x and y, m, and yaw, rad")]
-    Origin,
+    #[error("`map_anchors` are no places: a name, x and y, m, and yaw, rad, of {MOST_ANCHORS} at most")]
+    Anchors,
     #[error("no `state`")]
     NoState,
 }
@@ -61,21 +62,27 @@ pub struct Report {
     pub scale: Option<String>,
     /// `NO_CAMERA`, ...
     pub faults: Vec<String>,
-    /// The frame of the map that others may have, too: that of a dock, or of the map's first keyframe.
+    /// The map's frame, where others may have it: that of a dock.
     pub map_frame: Option<String>,
-    /// Where that frame is in the robot's published map, on level ground.
-    pub map_origin: Transform,
+    /// Keyframes of the map that others may have, too, by their names, and where they are in it, on level ground.
+    pub anchors: Vec<(u64, Transform)>,
     /// From one to the next while nothing changes; zero: not said.
     pub period: Duration,
 }
 
-fn origin(text: &str) -> Result<Transform, ReportError> {
-    let numbers: Vec<f64> =
-        text.split(' ').map(str::parse).collect::<Result<_, _>>().map_err(|_| ReportError::Origin)?;
-    match numbers[..] {
-        [x, y, yaw] if numbers.iter().all(|v| v.abs() <= FARTHEST_M) => Ok(Transform::level(x, y, yaw)),
-        _ => Err(ReportError::Origin),
-    }
+fn anchors(text: &str) -> Result<Vec<(u64, Transform)>, ReportError> {
+    let anchor = |text: &str| {
+        let (name, place) = text.split_once(' ')?;
+        let numbers: Vec<f64> = place.split(' ').map(|number| number.parse().ok()).collect::<Option<_>>()?;
+        match numbers[..] {
+            [x, y, yaw] if numbers.iter().all(|v| v.abs() <= FARTHEST_M) => {
+                Some((u64::from_str_radix(name, 16).ok()?, Transform::level(x, y, yaw)))
+            }
+            _ => None,
+        }
+    };
+    let told: Option<Vec<_>> = text.split(',').take(MOST_ANCHORS + 1).map(anchor).collect();
+    told.filter(|told| told.len() <= MOST_ANCHORS).ok_or(ReportError::Anchors)
 }
 
 fn period(text: &str) -> Result<Duration, ReportError> {
@@ -115,13 +122,13 @@ impl Report {
         }
         let (mut state, mut scale, mut map_frame, mut faults, mut every) =
             (None, None, None, Vec::new(), Duration::ZERO);
-        let mut map_origin = Transform::IDENTITY;
+        let mut told = Vec::new();
         for _ in 0..count {
             match (reader.text()?, reader.text()?) {
                 ("state", text) => state = Some(word(text, "state")?),
                 ("scale", text) => scale = Some(word(text, "scale")?),
                 ("map_frame", text) => map_frame = Some(word(text, "map_frame")?),
-                ("map_origin", text) => map_origin = origin(text)?,
+                ("map_anchors", text) => told = anchors(text)?,
                 ("period_s", text) => every = period(text)?,
                 ("faults", text) => {
                     let words = text.split_ascii_whitespace().take(MOST_FAULTS + 1);
@@ -139,7 +146,7 @@ impl Report {
             scale,
             faults,
             map_frame,
-            map_origin,
+            anchors: told,
             period: every,
         })
     }
@@ -192,9 +199,15 @@ pub mod tests {
         for text in ["", "-1", "NaN", "inf", "86401", "1e30"] {
             assert_eq!(refused(&[("period_s", text)]), ReportError::Period, "{text}");
         }
-        for text in ["", "1 2", "1 2 3 4", "1 2 NaN", "1e9 0 0", "1  2 3", "1 2 x"] {
-            assert_eq!(refused(&[("map_origin", text)]), ReportError::Origin, "{text}");
+        let many = ["1 2 3 4"; MOST_ANCHORS + 1].join(",");
+        for text in
+            ["", "a", "a 1 2", "a 1 2 3 4", "a 1 2 NaN", "a 1e9 0 0", "a 1  2 3", "x 1 2 3", "a 1 2 3,", many.as_str()]
+        {
+            assert_eq!(refused(&[("map_anchors", text)]), ReportError::Anchors, "{text}");
         }
+        let told = Report::of(&message(&Health::default(), &[("map_anchors", "1f 1 2 0.5,20 -1 0 0")]));
+        let told = told.expect("a report").anchors;
+        assert_eq!((told.len(), told[0], told[1].0), (2, (0x1f, Transform::level(1.0, 2.0, 0.5)), 0x20));
         assert_eq!(refused(&[("faults", "F ".repeat(MOST_FAULTS + 1).as_str())]), ReportError::Word { key: "faults" });
         assert_eq!(refused(&[("x", ""); 100]), ReportError::Many { count: 110 });
         assert_eq!(Report::of(&array(Vec::new())), Err(ReportError::Empty));

@@ -8,7 +8,9 @@ use std::time::{Duration, Instant};
 
 use super::listing::{Listing, Presence, Row};
 use super::path::Path;
+use super::anchors::common_frames;
 use super::report::Report;
+use crate::messages::Transform;
 use crate::share::bridge::attachment::{GID_BYTES, gid};
 use crate::share::bridge::names::{Robot, owner};
 use crate::share::bridge::session::Link;
@@ -30,18 +32,33 @@ struct Entry {
     heard: Option<Instant>,
     /// The last, or why it is none.
     told: Option<Result<Report, String>>,
-    /// In the frame of the last report, if that is one that others have.
     path: Path,
+    /// The anchor in whose frame the path is; `None`: the map's own, which has a dock.
+    path_in: Option<u64>,
 }
 
 impl Entry {
+    fn report(&self) -> Option<&Report> {
+        self.told.as_ref().and_then(|told| told.as_ref().ok())
+    }
+
+    /// Frame of a dock.
     fn map_frame(&self) -> Option<&str> {
-        self.told.as_ref().and_then(|told| told.as_ref().ok()).and_then(|report| report.map_frame.as_deref())
+        self.report().and_then(|report| report.map_frame.as_deref())
+    }
+
+    /// Where the path's frame is in the robot's map; `None`: no frame of it may be another robot's as well.
+    fn origin(&self) -> Option<Transform> {
+        let report = self.report()?;
+        match self.path_in {
+            Some(name) => report.anchors.iter().find(|anchor| anchor.0 == name).map(|anchor| anchor.1),
+            None => report.map_frame.as_ref().map(|_| Transform::IDENTITY),
+        }
     }
 
     /// How long it may say nothing.
     fn patience(&self) -> Duration {
-        let period = self.told.as_ref().and_then(|told| told.as_ref().ok()).map_or(Duration::ZERO, |told| told.period);
+        let period = self.report().map_or(Duration::ZERO, |report| report.period);
         SILENT_AFTER.max(SILENT_PERIODS * period)
     }
 }
@@ -101,8 +118,8 @@ impl Table {
             self.robots.remove(&oldest);
         }
         let (name, session) = (name.to_owned(), session.to_owned());
-        self.robots
-            .insert(id, Entry { name, session, came: now, gone: None, heard: None, told: None, path: Path::default() });
+        let (gone, heard, told, path, path_in) = (None, None, None, Path::default(), None);
+        self.robots.insert(id, Entry { name, session, came: now, gone, heard, told, path, path_in });
     }
 
     pub fn token_down(&mut self, token: &str, now: Instant) {
@@ -119,9 +136,11 @@ impl Table {
             entry.heard = Some(now);
             let before = entry.map_frame().map(str::to_owned);
             entry.told = Some(Report::of(message).map_err(|e| e.to_string()));
-            if entry.map_frame() != before.as_deref() {
+            if entry.map_frame() != before.as_deref() || entry.origin().is_none() {
                 // What was told before is of another frame.
                 entry.path = Path::default();
+                let first = entry.report().filter(|report| report.map_frame.is_none());
+                entry.path_in = first.and_then(|report| report.anchors.first()).map(|anchor| anchor.0);
             }
         }
     }
@@ -146,10 +165,8 @@ impl Table {
         }
         let entry = publisher.robot.and_then(|robot| self.robots.get_mut(&robot));
         let Some(entry) = entry else { return };
-        if let Some(Ok(report)) = &entry.told
-            && report.map_frame.is_some()
-        {
-            entry.path.add(message, &report.map_origin, now);
+        if let Some(origin) = entry.origin() {
+            entry.path.add(message, &origin, now);
         }
     }
 
@@ -159,8 +176,13 @@ impl Table {
 
     pub fn listing(&self, now: Instant) -> Listing {
         let shared = self.shared_names();
-        let mut robots: Vec<Row> = self.robots.values().map(|entry| self.row(entry, &shared, now)).collect();
-        robots.sort_by(|a, b| (&a.name, &a.session).cmp(&(&b.name, &b.session)));
+        let mut entries: Vec<&Entry> = self.robots.values().collect();
+        entries.sort_by(|a, b| (&a.name, &a.session).cmp(&(&b.name, &b.session)));
+        let here = |entry: &&Entry| Some(*entry).filter(|entry| self.presence(entry, now) == Presence::Here);
+        let in_maps: Vec<&[(u64, Transform)]> =
+            entries.iter().map(|entry| here(entry).and_then(Entry::report).map_or(&[][..], |r| &r.anchors)).collect();
+        let placed = common_frames(&in_maps);
+        let robots = entries.iter().zip(placed).map(|(entry, place)| self.row(entry, place, &shared, now)).collect();
         Listing {
             domain: self.domain,
             has_router: self.link == Link::Router,
@@ -191,10 +213,20 @@ impl Table {
         }
     }
 
-    fn row(&self, entry: &Entry, shared: &BTreeMap<&str, BTreeSet<&str>>, now: Instant) -> Row {
+    /// `common`: the frame that its map has in common with others, by what they see in both, and where its own is in it.
+    fn row(
+        &self,
+        entry: &Entry,
+        common: Option<(u64, Transform)>,
+        shared: &BTreeMap<&str, BTreeSet<&str>>,
+        now: Instant,
+    ) -> Row {
         let presence = self.presence(entry, now);
         let is_here = presence == Presence::Here;
-        let told = entry.told.as_ref().and_then(|told| told.as_ref().ok());
+        let told = entry.report();
+        let dock = entry.map_frame().map(|dock| (dock.to_owned(), Transform::IDENTITY));
+        let frame = dock.or_else(|| common.map(|(name, place)| (format!("map_{name:x}"), place))).filter(|_| is_here);
+        let drawn = frame.as_ref().zip(entry.origin()).map(|((_, place), origin)| *place * origin);
         let current = told.filter(|_| is_here);
         let problem = entry.told.as_ref().and_then(|told| told.as_ref().err()).filter(|_| is_here);
         Row {
@@ -206,9 +238,9 @@ impl Table {
             scale: current.and_then(|report| report.scale.clone()),
             health: current.map(|report| report.level),
             faults: current.map(|report| report.faults.clone()).unwrap_or_default(),
-            map_frame: entry.map_frame().filter(|_| is_here).map(str::to_owned),
-            place: entry.path.place(now).filter(|_| is_here),
-            trail: if is_here { entry.path.points() } else { Vec::new() },
+            map_frame: frame.map(|(name, _)| name),
+            place: drawn.and_then(|drawn| entry.path.place(now, &drawn)),
+            trail: drawn.map(|drawn| entry.path.points(&drawn)).unwrap_or_default(),
             last_state: told.filter(|_| !is_here).map(|report| report.state.clone()),
             heard_s_ago: entry.heard.map(|heard| now.saturating_duration_since(heard).as_secs_f64()),
             problem: problem.map(|reason| format!("its diagnostics are not understood: {reason}")),
@@ -327,17 +359,26 @@ mod tests {
         table.diagnostics(&gid(&token), &docked("dock_36h11_5"), now);
         pose(&mut table, 2.0);
         assert_eq!((place(&table), table.listing(now).robots[0].trail.len()), (Some(2.0), 1));
-        // Its map was put elsewhere; to others it is where it is.
-        let moved = [("map_frame", "dock_36h11_5"), ("map_origin", "10 0 0")];
-        table.diagnostics(&gid(&token), &message(&Health::default(), &moved), now);
-        pose(&mut table, 12.5);
-        assert_eq!((place(&table), table.listing(now).robots[0].trail.len()), (Some(2.5), 1));
         // In another frame it is somewhere else.
         table.diagnostics(&gid(&token), &docked("dock_36h11_6"), now);
         assert_eq!(place(&table), None);
         table.diagnostics(&gid(&token), &metric(), now);
         pose(&mut table, 3.0);
         assert_eq!((place(&table), table.listing(now).robots[0].map_frame.clone()), (None, None));
+        // In a map whose keyframes others may have it is where it is, wherever that map is put.
+        let anchored = |anchors| message(&Health::default(), &[("map_anchors", anchors)]);
+        let lies = |table: &Table| {
+            let row = table.listing(now).robots.remove(0);
+            (row.map_frame, row.place.map(|place| (place.x_m, place.y_m)), row.trail.len())
+        };
+        table.diagnostics(&gid(&token), &anchored("a 1 0 0,b 2 0 0"), now);
+        assert_eq!(lies(&table), (Some("map_a".into()), None, 0));
+        pose(&mut table, 2.0);
+        assert_eq!(lies(&table), (Some("map_a".into()), Some((2.0, 0.0)), 1));
+        table.diagnostics(&gid(&token), &anchored("a 11 0 0,b 12 0 0"), now);
+        assert_eq!(lies(&table).1, Some((12.0, 0.0)), "the map was put elsewhere, and it with it");
+        table.diagnostics(&gid(&token), &anchored("b 12 0 0"), now);
+        assert_eq!(lies(&table).1, None, "it is known by another keyframe");
         table.diagnostics(&gid(&token), &docked("dock_36h11_5"), now);
         table.pose_token_down(&publisher);
         pose(&mut table, 4.0);
