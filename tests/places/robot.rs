@@ -77,6 +77,7 @@ pub struct Robot {
     feedback: Feedback,
     now_ns: i64,
     sequence: u64,
+    pub rate_hz: f64,
     /// Where each frame was taken, by its timestamp.
     pub truths: BTreeMap<i64, Pose>,
     /// Keyframes of the map that it is to be known in.
@@ -94,6 +95,7 @@ impl Robot {
             feedback: Feedback::default(),
             now_ns: 1_000_000_000,
             sequence: 0,
+            rate_hz: RATE_HZ,
             truths: BTreeMap::new(),
             mapped: BTreeSet::new(),
         }
@@ -122,16 +124,32 @@ impl Robot {
 
     /// One frame; a covered lens has no truth.
     pub fn see(&mut self, picture: &GreyImage, truth: Option<Pose>) -> PoseEstimate {
+        self.look(picture);
+        self.truths.extend(truth.map(|truth| (self.now_ns, truth)));
+        let estimate = self.place();
+        self.map();
+        estimate
+    }
+
+    /// The first step of a frame: corners and tracks. Its timestamp.
+    pub fn look(&mut self, picture: &GreyImage) -> i64 {
         self.stage.step_grey(picture, &mut self.features);
-        self.now_ns += (1e9 / RATE_HZ) as i64;
+        self.now_ns += (1e9 / self.rate_hz) as i64;
         self.sequence += 1;
         (self.features.sequence, self.features.timestamp_ns) = (self.sequence, self.now_ns);
-        self.truths.extend(truth.map(|truth| (self.now_ns, truth)));
-        let estimate = self.reconstruction.track(&self.features);
+        self.now_ns
+    }
+
+    /// The second: its pose.
+    pub fn place(&mut self) -> PoseEstimate {
+        self.reconstruction.track(&self.features)
+    }
+
+    /// The third: what the map has of it.
+    pub fn map(&mut self) {
         self.reconstruction.map(&self.features, &mut self.feedback);
         self.stage.feedback(&self.feedback);
         self.reconstruction.take_trajectory_events(&mut Vec::new());
-        estimate
     }
 
     /// Drives along a simulator's frames; the last pose that was told.

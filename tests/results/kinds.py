@@ -102,6 +102,14 @@ def derived(data, short):
     ]
 
 
+def hours(data, short):
+    words, known = "DAYS=2 DAY_S=120 " if short else "", "test --locked --release --test places"
+    command = f"{words}cargo {known} -- --ignored --nocapture --exact hours::hours"
+    return [Step("Four hours in three rooms", command, "Lap after lap of a simulated building at ten pictures a second, in lock-step, the map's file kept as a "
+                 "daemon keeps it; every row is another day, with other lamps and a third of the furniture elsewhere, and begins at the first place again. Memory is "
+                 "the process's above what the simulator takes. Adjustments and recognitions are in the same thread as the rest.", build=f"{known} --no-run")]
+
+
 def uncalibrated(data, short):
     names = recordings(data)[:2 if short else None]
     suite = f"cairn evaluate --suite {places(names)}"
@@ -492,6 +500,7 @@ KINDS = {
     "simulator_long": Kind("Hard cases in the simulator, long form", "3 h", simulator_long),
     "drives": Kind("Simulated drives", "5 min", drives),
     "places": Kind("Places known again", "1 h", places_known),
+    "hours": Kind("Hours in one building", "30 min", hours),
     "metres": Kind("Metres", "10 min", metres),
     "uncalibrated": Kind("Without a calibration", "2 min", uncalibrated),
     "calibration": Kind("Calibration", "3 min", calibration),
