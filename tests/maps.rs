@@ -1,12 +1,16 @@
 //! Maps on disk, through the binary: written while it runs, whole after `kill -9`, the same bytes twice, and good to be located in.
 //! `CAIRN_BINARY` names another build of the program.
 
+#[path = "support/recordings.rs"]
+mod recordings;
+
 use std::ffi::OsString;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
+use recordings::recording;
 use serde_json::Value;
 
 fn cairn() -> Command {
@@ -15,17 +19,6 @@ fn cairn() -> Command {
     command.env("CAIRN_PREFIX", format!("test-maps-{}", std::process::id()));
     command.stdin(Stdio::null()).stderr(Stdio::null()).stdout(Stdio::null());
     command
-}
-
-fn recording(name: &str) -> Option<PathBuf> {
-    let data = std::env::var_os("CAIRN_DATA")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
-    let folder = data.join(name);
-    if folder.is_dir() {
-        return Some(folder);
-    }
-    println!("skipped: {} is not there; CAIRN_DATA names the folder of recordings", folder.display());
-    None
 }
 
 /// A hand-held camera at a desk, 8 s at 30 Hz, as a recording.

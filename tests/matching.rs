@@ -1,8 +1,10 @@
 //! Matchers on a real rectified stereo pair with known disparity (Middlebury's motorcycle).
 //! Skipped with a message where the pictures are not there (`CAIRN_DATA`).
 
+#[path = "support/recordings.rs"]
+mod recordings;
+
 use std::io::Read;
-use std::path::{Path, PathBuf};
 
 use cairn::features::Corner;
 use cairn::features::correlation::{CornerCorrelator, CorrelationMatching, EpipolarCorrelator, EpipolarSearch};
@@ -12,6 +14,7 @@ use cairn::frame::{PixelFormat, RawFrame};
 use cairn::image::decode::Decoder;
 use cairn::image::{GreyImage, Pyramid};
 use nalgebra::{Matrix3, Vector2};
+use recordings::recording;
 
 /// Left, right, and the left picture's disparity: x_right = x_left - disparity; not finite where unknown.
 struct Stereo {
@@ -21,13 +24,7 @@ struct Stereo {
 }
 
 fn stereo() -> Option<Stereo> {
-    let data = std::env::var_os("CAIRN_DATA")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
-    let folder = data.join("two_view/motorcycle");
-    if !folder.is_dir() {
-        println!("skipped: {} is not there; CAIRN_DATA names the folder of recordings", folder.display());
-        return None;
-    }
+    let folder = recording("two_view/motorcycle")?;
     let picture = |name: &str| {
         let mut grey = GreyImage::default();
         let data = std::fs::read(folder.join(name)).expect("picture");

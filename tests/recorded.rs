@@ -1,19 +1,13 @@
 //! Recorded sequences, lock-step, through the binary: coverage and error that must not be lost again, and the same bytes twice.
 //! Skipped with a message where the recordings are not there (`CAIRN_DATA`).
 
-use std::path::{Path, PathBuf};
+#[path = "support/recordings.rs"]
+mod recordings;
+
+use std::path::Path;
 use std::process::{Command, Stdio};
 
-fn recording(name: &str) -> Option<PathBuf> {
-    let data = std::env::var_os("CAIRN_DATA")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
-    let folder = data.join(name);
-    if folder.is_dir() {
-        return Some(folder);
-    }
-    println!("skipped: {} is not there; CAIRN_DATA names the folder of recordings", folder.display());
-    None
-}
+use recordings::recording;
 
 fn cairn() -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_cairn"));

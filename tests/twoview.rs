@@ -1,6 +1,9 @@
 //! `cairn twoview` and `cairn compare` through the binary: two simulated pictures to their true motion, and every kind of bad
 //! input to an outcome with a name. Tests on recorded pairs are skipped with a message where those are not there (`CAIRN_DATA`).
 
+#[path = "support/recordings.rs"]
+mod recordings;
+
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::sync::OnceLock;
@@ -12,6 +15,7 @@ use cairn::geometry::Se3;
 use cairn::geometry::frames::{First, Second};
 use cairn::image::GreyImage;
 use nalgebra::{Matrix3, Vector3};
+use recordings::recording;
 use serde_json::Value;
 
 /// Pictures of one simulated drive and what is true of them.
@@ -399,14 +403,7 @@ fn a_comparison_of_a_simulated_sequence_has_every_row_and_good_poses() {
 }
 
 fn data(name: &str) -> Option<PathBuf> {
-    let data = std::env::var_os("CAIRN_DATA")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
-    let folder = data.join("two_view").join(name);
-    if folder.is_dir() {
-        return Some(folder);
-    }
-    println!("skipped: {} is not there; CAIRN_DATA names the folder of recordings", folder.display());
-    None
+    recording(&format!("two_view/{name}"))
 }
 
 /// `cairn compare` on a folder: the scores.

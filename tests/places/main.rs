@@ -7,6 +7,8 @@ mod hours;
 mod recordings;
 mod robot;
 mod rooms;
+#[path = "../support/recordings.rs"]
+mod support;
 
 use std::ops::Range;
 

@@ -18,6 +18,7 @@ use cairn::reconstruction::{
 use cairn::trajectory::{TrajectorySpool, read_tum};
 
 use super::number;
+use super::support::recording;
 use super::robot::Pose;
 
 const NAMES: [&str; 8] = [
@@ -32,17 +33,6 @@ const NAMES: [&str; 8] = [
 ];
 /// Frames that are looked at from a start.
 const LOOKED: usize = 30;
-
-fn folder(name: &str) -> Option<PathBuf> {
-    let data = std::env::var_os("CAIRN_DATA")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
-    let folder = data.join(name);
-    if folder.is_dir() {
-        return Some(folder);
-    }
-    println!("skipped: {} is not there; CAIRN_DATA names the folder of recordings", folder.display());
-    None
-}
 
 /// What goes through a recording.
 struct Viewer {
@@ -174,7 +164,7 @@ fn told(name: &str, found: &[Start]) -> [usize; 2] {
 
 #[test]
 fn a_recording_is_located_in_its_own_map_from_anywhere() {
-    let Some(recording) = folder("new_tsukuba") else { return };
+    let Some(recording) = recording("new_tsukuba") else { return };
     let found = starts(&recording, 8, 1);
     let [within, exact] = told("new_tsukuba", &found);
     assert!(within >= 7 && exact >= 7, "{found:?}");
@@ -189,7 +179,7 @@ fn own_maps() {
     );
     println!("|---|---:|---:|---:|---:|---:|---:|");
     for name in NAMES {
-        let Some(recording) = folder(name) else { return };
+        let Some(recording) = recording(name) else { return };
         let found = starts(&recording, trials.div_ceil(NAMES.len()), 501);
         let [within, exact] = told(name, &found);
         let mut firsts: Vec<f64> = found.iter().filter(|s| s.after.is_some()).map(|s| s.first_off).collect();
@@ -198,5 +188,88 @@ fn own_maps() {
         let middle = firsts.get(located / 2).copied().unwrap_or(f64::NAN);
         let worst = found.iter().map(|s| s.worst_off).fold(0.0, f64::max);
         println!("| {name} | {} | {within} | {located} | {exact} | {middle:.2}, {most:.2} | {worst:.2} |", found.len());
+    }
+}
+
+/// EXPERIMENT
+fn parts(viewer: &Viewer, camera: &CameraModel) -> usize {
+    let mut seen = [false; 12];
+    for (_, [x, y]) in viewer.reconstruction.matches() {
+        let c = ((x / camera.width as f32 * 4.0) as usize).min(3);
+        let r = ((y / camera.height as f32 * 3.0) as usize).min(2);
+        seen[r * 4 + c] = true;
+    }
+    seen.iter().filter(|s| **s).count()
+}
+
+fn mirrored(raw: &RawFrame) -> RawFrame {
+    let (mut stage, mut features) = (FeatureStage::new(&FeaturesConfig::default()), FrameFeatures::default());
+    stage.step(raw, &mut features).unwrap();
+    let mut grey = features.pyramid.levels[0].clone();
+    for row in grey.data.chunks_exact_mut(grey.width) {
+        row.reverse();
+    }
+    let (width, height) = (grey.width as u32, grey.height as u32);
+    RawFrame { format: cairn::frame::PixelFormat::Grey, width, height, stride: width, data: grey.data, ..raw.clone() }
+}
+
+#[test]
+#[ignore = "experiment"]
+fn verification() {
+    let trials = number("TRIALS", 40);
+    let names: Vec<&str> = NAMES.to_vec();
+    let folder = tempfile::tempdir().unwrap();
+    let maps: Vec<Mapped> = names
+        .iter()
+        .map(|n| {
+            let f = folder.path().join(n);
+            std::fs::create_dir(&f).unwrap();
+            mapped(&recording(n).unwrap(), &f)
+        })
+        .collect();
+    let mut random = Random::new(number("SEED", 1) as u64);
+    for (i, name) in names.iter().enumerate() {
+        for (j, other) in names.iter().enumerate() {
+            let size = |m: &Mapped| (m.camera.width, m.camera.height);
+            if size(&maps[i]) != size(&maps[j]) {
+                continue;
+            }
+            let (count, looked) = if i == j { (trials, 30) } else { (trials / 4, 15) };
+            for mirror in [false, true] {
+                if mirror && i != j {
+                    continue;
+                }
+                for _ in 0..count {
+                    let source = &maps[j];
+                    let at = random.below(source.frames.len().saturating_sub(looked));
+                    let mut viewer = Viewer::new(&maps[i].camera);
+                    viewer.reconstruction.resume(store::read(&maps[i].file).unwrap().saved, true);
+                    let mut told_before = false;
+                    for raw in source.frames.iter().skip(at).take(looked) {
+                        let flipped = mirror.then(|| mirrored(raw));
+                        let estimate = viewer.see(flipped.as_ref().unwrap_or(raw));
+                        let told =
+                            estimate.world_from_camera.filter(|_| estimate.state == TrackingState::Tracking);
+                        let Some(told) = told else {
+                            told_before = false;
+                            continue;
+                        };
+                        let own = maps[i].poses.get(&raw.timestamp_ns).filter(|_| i == j && !mirror);
+                        let off = own.map_or(999.0, |own| {
+                            100.0 * (told.translation - own.translation).norm() / viewer.depth(&told).unwrap()
+                        });
+                        println!(
+                            "V {name} {other} {} {at} {} {} {} {} {off:.2}",
+                            if mirror { "mirror" } else { "plain" },
+                            if told_before { "next" } else { "first" },
+                            estimate.landmarks,
+                            estimate.landmarks_sought,
+                            parts(&viewer, &maps[i].camera)
+                        );
+                        told_before = true;
+                    }
+                }
+            }
+        }
     }
 }

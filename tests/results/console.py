@@ -2,6 +2,7 @@
 """What the console costs the daemon: replays at the camera's pace, each with other pages connected, round by round.
 
     tests/results/console.py ROUNDS RECORDING CONFIG
+    tests/results/console.py ROUNDS RECORDING CONFIG count      the daemon's instructions instead of its time
 
 A round is a replay with none, 1, 20 and 20 bad pages, and with one that shows obstacles, too, in an order that moves on with each round; `cairn`
 is looked for in PATH. CONFIG is the replays' configuration: obstacles want to know the camera's height. A page shows video, map and log and
@@ -212,14 +213,16 @@ class Crowd(threading.Thread):
         self.join()
 
 
-def replay(way, address, console, recording, config, log):
+def replay(way, address, console, recording, config, log, count):
     """One replay with these pages."""
     crowd = Crowd(address, KINDS[way])
     crowd.start()
-    told = paired.replay(way, recording, config, log, {"console": console.pid})
+    told = paired.instructions(way, recording, config, log) if count else paired.replay(way, recording, config, log, {"console": console.pid})
     crowd.end()
     if console.poll() is not None:
         sys.exit("the console has ended")
+    if count:
+        return told
     good = [page for page in crowd.pages if type(page) in (Page, Whole)]
     told["bytes"] = statistics.median([p.got / told["seconds"] / 1000 for p in good]) if good else None
     told["pictures"] = min([p.pictures / told["seconds"] for p in good]) if good else None
@@ -233,10 +236,14 @@ def row(way, runs, base):
 
 
 def main():
-    if len(sys.argv) != 4 or not sys.argv[1].isdigit():
+    count = sys.argv[4:] == ["count"]
+    if len(sys.argv) != 4 + count or not sys.argv[1].isdigit():
         sys.exit(__doc__)
     rounds, recording, config = int(sys.argv[1]), sys.argv[2], sys.argv[3]
     with tempfile.TemporaryDirectory() as folder:
+        if count:
+            recording = os.path.join(folder, "slowed")
+            paired.slowed(sys.argv[2], recording)
         log = os.path.join(folder, "log")
         open(log, "w", encoding="utf-8").close()
         told = open(os.path.join(folder, "console"), "w+", encoding="utf-8")
@@ -249,11 +256,13 @@ def main():
             if not found:
                 sys.exit("the console does not say where it listens")
             address = (found[1], int(found[2]))
-            runs = paired.rounds(WAYS, rounds, lambda way: replay(way, address, console, recording, config, log))
+            runs = paired.rounds(WAYS, rounds, lambda way: replay(way, address, console, recording, config, log, count))
         finally:
             console.terminate()
             console.wait(10)
     base = runs[WAYS[0]]
+    if count:
+        return paired.show_instructions("pages", runs, base)
     heads = ["pages", *paired.DAEMON_HEADS, "console's CPU, % of a core", "pictures a second of the poorest page", "kB a second a page", "pages sent away"]
     paired.show(heads, [row(way, runs[way], base) for way in WAYS])
     paired.tell_spread(base, "Without a page")

@@ -455,25 +455,38 @@ def beside(script, name, short):
     return f"rm -rf {drive}\n{simulate}\n{height}\ntests/results/{script} {1 if short else 5} {drive} {drive}.toml", drive
 
 
+def needs_valgrind():
+    if not shutil.which("valgrind"):
+        raise Missing("no valgrind, which counts instructions: apt-get install valgrind")
+
+
 def sharing(data, short):
     if not importlib.util.find_spec("PIL"):
         raise Missing("no Pillow in this python3, which makes the recording's pictures JPEG: pip install pillow")
+    needs_valgrind()
     command, drive = beside("sharing.py", "sharing", short)
+    count = f"tests/results/sharing.py {1 if short else 3} {drive} {drive}-unscaled.toml count"
     without = f"printf '' >{drive}-unscaled.toml\ntests/results/sharing.py {1 if short else 5} {drive} {drive}-unscaled.toml"
     return [
         Step("With scans of obstacles", command, "Replays of a simulated drive at the camera's pace, its pictures as JPEG. The camera's height is told, so the recorder "
              "gets scans, which the daemon makes only while somebody asks. `cairn fleet --plot` hears the bridge. All share the machine.",
              build="build --locked --release --features bridge"),
         Step("Without", without, "The same where nobody has told the camera's height: there is no scale, and so there are neither scans nor transforms."),
+        Step("In instructions", count, "Without scans, which are work of their own, as in the second table: times differ by more from one replay to the next than "
+             "what is sought."),
         Step("A recorder of raw pictures", f"tests/results/sharing.py raw {15 if short else 60}", "Beside a demo."),
     ]
 
 
 def console(data, short):
+    needs_valgrind()
+    command, drive = beside("console.py", "console", short)
     return [
-        Step("What pages cost the daemon", beside("console.py", "console", short)[0],
+        Step("What pages cost the daemon", command,
              "Replays of a simulated drive at the camera's pace, with scripted pages that show video, map and log, and one that shows obstacles, too; what "
              "bad pages do stands at the head of `console.py`. Pages, console and daemon share the machine."),
+        Step("In instructions", f"tests/results/console.py {1 if short else 3} {drive} {drive}.toml count",
+             "The same: times differ by more from one replay to the next than what is sought."),
         Step("The page in a browser", f"tests/console/browser/run {OUT}/console load.js",
              "Headless Chromium with software GL beside a running demo, each time with an empty cache."),
     ]

@@ -1,8 +1,14 @@
-"""Replays at the camera's pace beside other programs, round by round: what is compared is compared within its round, in an order that moves on with each."""
+"""Replays at the camera's pace beside other programs, round by round: what is compared is compared within its round, in an order that moves on with each.
+
+Times wobble by 10 % from one replay to the next on a machine that is shared; instructions do not. So the same replays are counted under valgrind, at a third of
+the pace, as it takes that much longer: what comes by the clock and not by the frame (health, a page's video) weighs three times as much there as it does.
+"""
 
 import json
 import os
 import pathlib
+import re
+import shutil
 import statistics
 import subprocess
 import sys
@@ -29,6 +35,50 @@ def replay(way, recording, config, log, beside):
         "dropped": summary["dropped"], "frames": summary["frames"],
         **{name: 100 * (cpu_s(pid) - before[name]) / seconds for name, pid in beside.items()},
     }
+
+
+# Of the camera's time to the recording's when instructions are counted; frames of 30 Hz then come with less than the 0.11 s between them that change what is done.
+SLOWED = 3
+
+
+def slowed(recording, folder):
+    """The same recording, its pictures farther apart."""
+    shutil.copytree(recording, folder)
+    for name in ("rgb.txt", "groundtruth.txt", "odometry.txt"):
+        listed = pathlib.Path(folder, name)
+        if not listed.is_file():
+            continue
+        lines, first = [], None
+        for line in listed.read_text().splitlines():
+            stamp, _, rest = line.partition(" ")
+            if line and not line.startswith("#"):
+                first = float(stamp) if first is None else first
+                line = f"{first + SLOWED * (float(stamp) - first):.6f} {rest}"
+            lines.append(line)
+        listed.write_text("\n".join(lines) + "\n")
+
+
+def instructions(way, recording, config, log):
+    """Millions of instructions a frame of a replay of what was slowed, in all of its threads."""
+    words = ["valgrind", "--tool=cachegrind", "--cache-sim=no", "--cachegrind-out-file=/dev/null", "--log-fd=9", "cairn", "replay", recording, "--config", config, "--json", "--log", "info"]
+    counted, told = os.pipe()
+    os.set_inheritable(told, True)
+    with open(log, "a", encoding="utf-8") as said:
+        done = subprocess.run(["bash", "-c", f'exec 9>&{told}; exec "$@"', "-", *words], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=said, text=True, pass_fds=[told])
+    os.close(told)
+    with os.fdopen(counted, encoding="utf-8") as said:
+        found = re.search(r"I\s+refs:\s+([\d,]+)", said.read())
+    if done.returncode or not found:
+        sys.exit(f"the replay under valgrind ended with {done.returncode}; see {log}")
+    summary = json.loads(done.stdout)
+    return {"way": way, "minstr": int(found[1].replace(",", "")) / 1e6 / summary["frames"], "frames": summary["frames"], "dropped": summary["dropped"]}
+
+
+def show_instructions(what, runs, base):
+    rows = [[way, mid("minstr", told, "{:.2f}"), "–" if told is base else change("minstr", told, base), sum(r["dropped"] for r in told)] for way, told in runs.items()]
+    show([what, "daemon's instructions a frame, millions", "more than without, %", "frames dropped"], rows)
+    spread = 100 * (max(r["minstr"] for r in base) / min(r["minstr"] for r in base) - 1)
+    print(f"\n{len(base)} rounds of {base[0]['frames']} frames at a third of the camera's pace under valgrind. Without, the rounds differ by up to {spread:.1f} %.")
 
 
 def rounds(ways, count, run):

@@ -3,6 +3,7 @@
 
     tests/results/sharing.py ROUNDS RECORDING CONFIG
     tests/results/sharing.py raw SECONDS        the recorder beside a demo, whose pictures are raw: it makes PNG of them
+    tests/results/sharing.py ROUNDS RECORDING CONFIG count      the daemon's instructions instead of its time
 
 `cairn`, with the bridge in it, is looked for in PATH. The recording's pictures become JPEG first, as most webcams send them. Whoever hears the bridge
 is `cairn fleet --plot`, whose session is the router, too. CONFIG is the replays' configuration: obstacles, which a recorder asks for, want to know the camera's
@@ -68,15 +69,16 @@ class Folder:
         return start(["cairn", "record", self.path / "run.mcap", "--quiet"], self.log)
 
 
-def replay(way, recording, config, folder):
+def replay(way, recording, config, folder, count=False):
     """One replay beside these."""
     words = {"bridge": ["cairn", "bridge", "--robot", "robot", "--zenoh", folder.path / "peer.json5", "--log", "warn"]}
     company = {name: folder.record() if name == "recorder" else start(words[name], folder.log) for name in WAYS[way]}
     time.sleep(2)
-    told = paired.replay(way, recording, config, folder.log, {name: process.pid for name, process in company.items()})
+    beside = {name: process.pid for name, process in company.items()}
+    told = paired.instructions(way, recording, config, folder.log) if count else paired.replay(way, recording, config, folder.log, beside)
     for name, process in company.items():
         end(process, name, folder.log)
-    if "recorder" in company:
+    if "recorder" in company and not count:
         told["mb_min"] = (folder.path / "run.mcap").stat().st_size / 1e6 * 60 / told["seconds"]
     return told
 
@@ -103,20 +105,26 @@ def main():
         folder = Folder(path)
         if len(sys.argv) == 3 and sys.argv[1] == "raw" and sys.argv[2].isdigit():
             return raw(int(sys.argv[2]), folder)
-        if len(sys.argv) != 4 or not sys.argv[1].isdigit():
+        count = sys.argv[4:] == ["count"]
+        if len(sys.argv) != 4 + count or not sys.argv[1].isdigit():
             sys.exit(__doc__)
         rounds, recording, config = int(sys.argv[1]), f"{path}/recording", sys.argv[3]
         as_jpeg(sys.argv[2], recording)
+        if count:
+            recording = f"{path}/slowed"
+            paired.slowed(f"{path}/recording", recording)
         words = ["cairn", "fleet", "--json", "--plot", folder.path / "fleet.svg", "--zenoh", folder.path / "router.json5"]
         fleet = start(words, os.devnull)
         try:
-            runs = paired.rounds(list(WAYS), rounds, lambda way: replay(way, recording, config, folder))
+            runs = paired.rounds(list(WAYS), rounds, lambda way: replay(way, recording, config, folder, count))
             if fleet.poll() is not None:
                 sys.exit("the fleet, which is the router, has ended")
         finally:
             fleet.terminate()
             fleet.wait(10)
     base = runs["nothing"]
+    if count:
+        return paired.show_instructions("beside it", runs, base)
     heads = ["beside it", *paired.DAEMON_HEADS, "recorder's CPU, % of a core", "recording, MB a minute", "bridge's CPU, % of a core"]
     paired.show(heads, [[way, *paired.daemon_columns(runs[way], base), paired.mid("recorder", runs[way], "{:.1f}"), paired.mid("mb_min", runs[way], "{:.0f}"),
                          paired.mid("bridge", runs[way], "{:.1f}")] for way in WAYS])
