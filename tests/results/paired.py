@@ -71,7 +71,7 @@ def instructions(way, recording, config, log):
     if done.returncode or not found:
         sys.exit(f"the replay under valgrind ended with {done.returncode}; see {log}")
     summary = json.loads(done.stdout)
-    return {"way": way, "minstr": int(found[1].replace(",", "")) / 1e6 / summary["frames"], "frames": summary["frames"], "dropped": summary["dropped"]}
+    return {"way": way, "minstr": int(found[1].replace(",", "")) / 1e6 / (summary["frames"] - summary["dropped"]), "frames": summary["frames"], "dropped": summary["dropped"]}
 
 
 def show_instructions(what, runs, base):
