@@ -28,7 +28,7 @@ pub struct RecordArgs {
     /// End when the file has so many megabytes
     #[arg(long, value_name = "MB", value_parser = clap::value_parser!(u64).range(1..), conflicts_with = "ring")]
     pub max_size: Option<u64>,
-    /// Keep only the last so many minutes, and write them to a file of their own when tracking is lost, on SIGUSR1 and at the end
+    /// Keep only the last so many minutes, and write them to a file of their own when tracking is lost or the daemon gone, on SIGUSR1 and at the end
     #[arg(long, value_name = "MINUTES", value_parser = clap::value_parser!(u64).range(1..=1440))]
     pub ring: Option<u64>,
     #[command(flatten)]

@@ -13,6 +13,7 @@ pub mod bridge;
 mod conversion;
 mod copy;
 mod error;
+mod events;
 mod file;
 #[cfg(feature = "bridge")]
 pub mod fleet;

@@ -1,6 +1,6 @@
 //! What need not be told twice.
 
-use crate::messages::{Health, KeyframesHeader, MapHeader};
+use crate::messages::{GraphHeader, Health, KeyframesHeader, MapHeader, Tags};
 
 /// Diagnostics that say the same are told once in so many s.
 pub const DIAGNOSTICS_EVERY_S: f64 = 1.0;
@@ -37,7 +37,7 @@ impl Diagnosed {
     }
 }
 
-/// What a map, or keyframes, hold.
+/// What a map, or what is told with it, holds.
 pub type Content = (u64, u64, u32, u32);
 
 pub fn content_of_map(header: &MapHeader) -> Content {
@@ -46,6 +46,14 @@ pub fn content_of_map(header: &MapHeader) -> Content {
 
 pub fn content_of_keyframes(header: &KeyframesHeader) -> Content {
     (header.run_id, header.content_revision, header.map_revision, header.reset_counter)
+}
+
+pub fn content_of_graph(header: &GraphHeader) -> Content {
+    (header.run_id, header.content_revision, header.map_revision, header.reset_counter)
+}
+
+pub fn content_of_tags(tags: &Tags) -> Content {
+    (tags.run_id, tags.content_revision, tags.map_revision, tags.reset_counter)
 }
 
 /// The content that was told last.

@@ -8,14 +8,16 @@ use std::time::{Duration, Instant};
 use tracing::{info, warn};
 
 use super::ShareError;
+use super::events::Events;
 use super::picture::compressed;
 use super::records::{Converter, Record};
 use super::sink::{Queue, Queued};
 use crate::client::{
-    Client, Encodeds, Healths, Keyframes, Map, ObstacleScans, Poses, Subscription, Topic, WheelReports, monotonic_ns,
+    Client, Encodeds, Graphs, Healths, Keyframes, Map, ObstacleScans, Poses, Subscription, TagLists, Topic,
+    WheelReports, monotonic_ns,
 };
 use crate::messages::services::{MAX_WHEEL_PUBLISHERS, WHEEL};
-use crate::messages::{EncodedHeader, Endpoint, Health, Pose, State};
+use crate::messages::{EncodedHeader, Endpoint, Health, Pose};
 
 /// Longest sleep: how late a signal is noticed while nothing comes.
 pub const TURN: Duration = Duration::from_millis(50);
@@ -47,6 +49,8 @@ pub struct Recorder {
     poses: Poses,
     map: Map,
     keyframes: Keyframes,
+    graph: Graphs,
+    tags: TagLists,
     health: Healths,
     obstacles: ObstacleScans,
     /// While a daemon is there: a driver would take this reader for one.
@@ -59,7 +63,7 @@ pub struct Recorder {
     /// Run and number of the last picture.
     last_picture: Option<(u64, u64)>,
     last_run: Option<u64>,
-    last_state: Option<State>,
+    events: Events,
     has_stepped: bool,
     said: Option<Instant>,
     records: Vec<Record>,
@@ -76,6 +80,9 @@ impl Recorder {
             poses: client.poses(),
             map: client.map(),
             keyframes: client.keyframes(),
+            // Nobody waits for these, so the daemon need not wake anybody by them.
+            graph: client.graph().polled(TURN),
+            tags: client.tags().polled(TURN),
             health: client.health(),
             obstacles: client.obstacles(),
             wheels: None,
@@ -86,7 +93,7 @@ impl Recorder {
             heard: Heard::default(),
             last_picture: None,
             last_run: None,
-            last_state: None,
+            events: Events::default(),
             has_stepped: false,
             said: None,
             records: Vec::new(),
@@ -117,16 +124,16 @@ impl Recorder {
                 picture = self.encoded.try_next()?;
             }
         }
-        let Self { converter, records, .. } = self;
-        let mut poses = Vec::new();
+        self.take_map()?;
+        let (mut poses, mut healths) = (Vec::new(), Vec::new());
         drain(&mut self.poses, |pose| poses.push(pose))?;
-        drain(&mut self.map, |map| converter.map(map.header(), &map, records))?;
-        drain(&mut self.keyframes, |k| converter.keyframes(k.header(), &k, records))?;
-        let mut healths = Vec::new();
         drain(&mut self.health, |health| healths.push(health))?;
         for pose in poses {
             self.note_pose(&pose);
             self.converter.pose(&pose, &mut self.records);
+        }
+        if let Some(event) = self.events.look(self.poses.is_connected(), Instant::now()) {
+            self.queue.event(event.name());
         }
         for health in healths {
             self.note_clock(&health);
@@ -136,6 +143,18 @@ impl Recorder {
         let Self { converter, records, .. } = self;
         drain(&mut self.obstacles, |obstacles| converter.obstacles(&obstacles, records))?;
         Ok(self.hand_over())
+    }
+
+    /// The map, with what is sent just before it.
+    fn take_map(&mut self) -> Result<(), ShareError> {
+        let Self { converter, records, events, .. } = self;
+        drain(&mut self.graph, |graph| converter.graph(graph.header(), &graph, records))?;
+        drain(&mut self.tags, |tags| converter.tags(&tags, records))?;
+        drain(&mut self.map, |map| converter.map(map.header(), &map, records))?;
+        drain(&mut self.keyframes, |k| {
+            events.keyframes(k.header());
+            converter.keyframes(k.header(), &k, records);
+        })
     }
 
     fn take_wheels(&mut self) -> Result<(), ShareError> {
@@ -187,10 +206,8 @@ impl Recorder {
             self.heard.daemons += 1;
             info!(run_id = pose.run_id, daemons = self.heard.daemons, "recording a daemon");
         }
-        let before = self.last_state.replace(pose.state());
-        // A map that is young is given up at once: its end is told as INITIALIZING or ORIENTATION.
-        if same_run && before == Some(State::Tracking) && pose.state() != State::Tracking {
-            self.queue.event("LOST");
+        if let Some(event) = self.events.pose(pose) {
+            self.queue.event(event.name());
         }
     }
 

@@ -8,11 +8,11 @@
 
 use super::conversion::{camera_info, diagnostics, landmark_bytes, laser_scan, odometry, point_cloud, wheel_twist};
 use super::frames::{METRIC, Place, SCAN_FRAME, UnixTime, frames, mount, ros_name, scan_place, transform};
-use super::news::{Diagnosed, Told, content_of_keyframes, content_of_map};
-use super::wire::Keyframes;
+use super::news::{Diagnosed, Told, content_of_graph, content_of_keyframes, content_of_map, content_of_tags};
+use super::wire::{Graph, Keyframes};
 use crate::messages::{
-    CLOCK_MONOTONIC, EncodedHeader, Health, Keyframe, KeyframesHeader, Landmark, MapHeader, Obstacles, Pose, Scale,
-    Transform, WheelOdometry,
+    CLOCK_MONOTONIC, EncodedHeader, GraphEdge, GraphHeader, Health, Keyframe, KeyframesHeader, Landmark, MapHeader,
+    Obstacles, Pose, Scale, Tags, Transform, WheelOdometry,
 };
 use crate::ros::standard::{self as ros, Header, Time};
 use crate::ros::{Bytes, Message};
@@ -30,6 +30,8 @@ pub enum Topic {
     MapHeader,
     Keyframes,
     Path,
+    Graph,
+    Tags,
     Health,
     Diagnostics,
     Scan,
@@ -39,7 +41,7 @@ pub enum Topic {
 }
 
 impl Topic {
-    pub const ALL: [Self; 16] = [
+    pub const ALL: [Self; 18] = [
         Self::Image,
         Self::CameraInfo,
         Self::EncodedHeader,
@@ -50,6 +52,8 @@ impl Topic {
         Self::MapHeader,
         Self::Keyframes,
         Self::Path,
+        Self::Graph,
+        Self::Tags,
         Self::Health,
         Self::Diagnostics,
         Self::Scan,
@@ -72,6 +76,8 @@ impl Topic {
             Self::MapHeader => own("map"),
             Self::Keyframes => own("keyframes"),
             Self::Path => own("path"),
+            Self::Graph => own("graph"),
+            Self::Tags => own("tags"),
             Self::Health => own("health"),
             Self::Diagnostics => "/diagnostics".into(),
             Self::Scan => own("scan"),
@@ -97,6 +103,8 @@ impl Topic {
             Self::MapHeader => of::<MapHeader>(),
             Self::Keyframes => of::<Keyframes>(),
             Self::Path => of::<ros::Path>(),
+            Self::Graph => of::<Graph>(),
+            Self::Tags => of::<Tags>(),
             Self::Health => of::<Health>(),
             Self::Diagnostics => of::<ros::DiagnosticArray>(),
             Self::Scan => of::<ros::LaserScan>(),
@@ -132,6 +140,10 @@ pub struct Converter {
     map: Told,
     /// Of the last keyframes that were written.
     keyframes: Told,
+    /// Of the last graph that was written.
+    graph: Told,
+    /// Of the last tags that were written.
+    tags: Told,
 }
 
 impl Converter {
@@ -145,6 +157,8 @@ impl Converter {
             diagnosed: Diagnosed::default(),
             map: Told::default(),
             keyframes: Told::default(),
+            graph: Told::default(),
+            tags: Told::default(),
         }
     }
 
@@ -240,6 +254,22 @@ impl Converter {
         };
         let path = ros::Path { header: at(header.timestamp_ns), poses: keyframes.iter().map(place).collect() };
         out.push(Record { topic: Topic::Path, time_ns, data: path.to_cdr() });
+    }
+
+    /// What holds the map together, unless it is what was written last.
+    pub fn graph(&mut self, header: &GraphHeader, edges: &[GraphEdge], out: &mut Vec<Record>) {
+        if self.graph.is_news(content_of_graph(header)) {
+            let time_ns = self.time.ns(header.published_ns);
+            out.push(Record { topic: Topic::Graph, time_ns, data: Graph { header: *header, edges }.to_cdr() });
+        }
+    }
+
+    /// The tags of the map, unless they are those that were written last.
+    pub fn tags(&mut self, tags: &Tags, out: &mut Vec<Record>) {
+        if self.tags.is_news(content_of_tags(tags)) {
+            let time_ns = self.time.ns(tags.published_ns);
+            out.push(Record { topic: Topic::Tags, time_ns, data: tags.to_cdr() });
+        }
     }
 
     /// Health; as diagnostics when something else is to be said, and once a second.
@@ -400,6 +430,12 @@ mod tests {
         assert_eq!(topics(&out), [Topic::MapHeader, Topic::Points]);
         converter.map(&MapHeader { content_revision: 5, ..header }, &[], &mut out);
         assert_eq!(out.len(), 4);
+        out.clear();
+        for published_ns in [1, 2] {
+            converter.graph(&GraphHeader { published_ns, ..Default::default() }, &[GraphEdge::default()], &mut out);
+            converter.tags(&Tags { published_ns, ..Tags::default() }, &mut out);
+        }
+        assert_eq!(topics(&out), [Topic::Graph, Topic::Tags]);
         out.clear();
         let health = Health::default();
         converter.health(&health, &mut out);

@@ -1,8 +1,8 @@
 //! The wire's own messages as ROS 2 messages: every field as it is on the wire (`cairn_msgs/msg/...`), NaN and all; what is reserved is left out.
 
 use crate::messages::{
-    EncodedHeader, Health, Keyframe, KeyframesHeader, MapHeader, OBSTACLE_BEARINGS, OBSTACLE_POINTS, Obstacles, Pose,
-    STAGES, StageHealth, WheelOdometry,
+    EncodedHeader, GraphEdge, GraphHeader, Health, Keyframe, KeyframesHeader, MAX_TAGS, MapHeader, OBSTACLE_BEARINGS,
+    OBSTACLE_POINTS, Obstacles, Pose, STAGES, StageHealth, Tag, Tags, WheelOdometry,
 };
 use crate::ros_fields;
 
@@ -62,6 +62,32 @@ pub struct Keyframes<'a> {
 
 ros_fields!(['a] Keyframes<'a>, "cairn_msgs/msg/Keyframes", { header: KeyframesHeader, keyframes: &'a [Keyframe] });
 
+mirror!(GraphHeader, "cairn_msgs/msg/GraphHeader", {
+    run_id: u64, content_revision: u64, timestamp_ns: i64, published_ns: i64, count: u32, total: u32, map_id: u32,
+    reset_counter: u32, map_revision: u32, clock: u8, map_mode: u8,
+});
+
+mirror!(GraphEdge, "cairn_msgs/msg/GraphEdge", { from: u32, to: u32, shared: u32, joined_map: u32, kind: u8 });
+
+/// A graph message whole.
+pub struct Graph<'a> {
+    pub header: GraphHeader,
+    pub edges: &'a [GraphEdge],
+}
+
+ros_fields!(['a] Graph<'a>, "cairn_msgs/msg/Graph", { header: GraphHeader, edges: &'a [GraphEdge] });
+
+mirror!(Tag, "cairn_msgs/msg/Tag", {
+    position: [f64; 3], orientation: [f64; 4], size: f32, edge: f32, position_sigma: f32, orientation_sigma: f32,
+    id: u32, sightings: u32, family: u8, is_dock: u8,
+});
+
+mirror!(Tags, "cairn_msgs/msg/Tags", {
+    run_id: u64, content_revision: u64, timestamp_ns: i64, published_ns: i64, count: u32, map_id: u32,
+    reset_counter: u32, map_revision: u32, scale_sigma: f32, scale: u8, scale_source: u8, clock: u8, map_mode: u8,
+    tags: [Tag; MAX_TAGS],
+});
+
 mirror!(EncodedHeader, "cairn_msgs/msg/EncodedHeader", {
     run_id: u64, sequence: u64, timestamp_ns: i64, arrival_ns: i64, focal_px: [f64; 2], centre_px: [f64; 2],
     distortion: [f64; 5], camera_position: [f64; 3], camera_orientation: [f64; 4], width: u32, height: u32, stride: u32,
@@ -100,5 +126,6 @@ mod tests {
             ($($type:ty),+) => { $(check::<$type>(<$type>::FIELDS, <$type>::TYPE_NAME);)+ };
         }
         all!(Pose, StageHealth, Health, MapHeader, KeyframesHeader, Keyframe, EncodedHeader, Obstacles, WheelOdometry);
+        all!(GraphHeader, GraphEdge, Tag, Tags);
     }
 }
