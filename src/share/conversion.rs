@@ -58,6 +58,21 @@ fn unknown_covariance() -> [f64; 36] {
     unknown
 }
 
+/// Variance of a velocity that is not known, m²/s² and rad²/s². ROS has no sign for it: a message of zeros says that the robot stands, and of a covariance
+/// that begins with -1 `robot_localization` takes 1 for the first variance and 1e-9 for the others. What is so large no filter hears; Nav2 reads no covariance of velocities.
+const UNKNOWN_VELOCITY: f64 = 1e6;
+
+fn twist(pose: &Pose) -> ros::TwistWithCovariance {
+    let known = |v: [f64; 3]| if v.iter().all(|v| v.is_finite()) { Some(v) } else { None };
+    let (linear, angular) = (known(pose.linear_velocity), known(pose.angular_velocity));
+    let mut covariance = unknown_covariance();
+    if linear.is_none() || angular.is_none() {
+        (0..6).for_each(|i| covariance[7 * i] = UNKNOWN_VELOCITY);
+    }
+    let [linear, angular] = [linear, angular].map(|v| v.unwrap_or_default().into());
+    ros::TwistWithCovariance { twist: ros::Twist { linear, angular }, covariance }
+}
+
 /// `place`: the pose's in the map or in odom, in whose axes its covariance is then.
 pub fn pose_with_covariance(pose: &Pose, place: &Transform) -> ros::PoseWithCovariance {
     // The method turns into the axes of whatever the orientation leads to.
@@ -77,20 +92,7 @@ pub fn odometry<'a>(
     header: Header<'a>,
     child_frame_id: &'a str,
 ) -> ros::Odometry<'a> {
-    let (pose_in_odom, unknown) = (pose_with_covariance(pose, odom_from_body), unknown_covariance());
-    let known = |v: [f64; 3]| v.map(|v| if v.is_finite() { v } else { 0.0 });
-    ros::Odometry {
-        header,
-        child_frame_id,
-        pose: pose_in_odom,
-        twist: ros::TwistWithCovariance {
-            twist: ros::Twist {
-                linear: known(pose.linear_velocity).into(),
-                angular: known(pose.angular_velocity).into(),
-            },
-            covariance: unknown,
-        },
-    }
+    ros::Odometry { header, child_frame_id, pose: pose_with_covariance(pose, odom_from_body), twist: twist(pose) }
 }
 
 /// `None` before anything is known of the lens. One that is only a guess is not told as a calibration: `k` is zero then, as ROS has it.
@@ -195,6 +197,24 @@ pub fn wheel_twist(wheel: &WheelOdometry) -> Option<ros::TwistWithCovariance> {
 mod tests {
     use super::*;
     use crate::messages::{INTRINSICS_CALIBRATED, INTRINSICS_GUESSED, LENS_KANNALA_BRANDT};
+
+    #[test]
+    fn a_velocity_that_is_not_known_does_not_pass_for_standing() {
+        let known = Pose { linear_velocity: [0.4, 0.0, -0.1], angular_velocity: [0.0, 0.0, 0.3], ..Pose::default() };
+        let told = twist(&known);
+        assert_eq!((told.twist.linear.x, told.twist.angular.z), (0.4, 0.3));
+        assert_eq!((told.covariance[0], told.covariance[1..].iter().sum::<f64>()), (-1.0, 0.0));
+        for unknown in
+            [Pose { linear_velocity: [f64::NAN; 3], ..known }, Pose { angular_velocity: [f64::NAN; 3], ..known }]
+        {
+            let told = twist(&unknown);
+            let all = [told.twist.linear, told.twist.angular].map(|v| [v.x, v.y, v.z]).concat();
+            assert!(all.iter().all(|v| v.is_finite()), "{all:?}");
+            for (i, variance) in told.covariance.iter().enumerate() {
+                assert_eq!(*variance, if i % 7 == 0 { UNKNOWN_VELOCITY } else { 0.0 }, "{i}");
+            }
+        }
+    }
 
     #[test]
     fn a_guessed_lens_is_no_calibration() {
