@@ -1,6 +1,6 @@
 //! An MCAP recording as a [`FrameSource`]: a file, or a rosbag2 folder of them, whoever wrote it.
 //!
-//! Input: a topic of sensor_msgs/Image (mono8, mono16, bgr8, rgb8, bgra8, rgba8, yuv422_yuy2, yuv422) or CompressedImage (JPEG, PNG) in CDR, and a
+//! Input: a topic of sensor_msgs/Image (mono8, mono16, bgr8, rgb8, bgra8, rgba8, yuv422_yuy2, yuv422, bayer_*) or CompressedImage (JPEG, PNG) in CDR, and a
 //! CameraInfo beside it. Output: pictures unchanged where the decoder takes them (grey, YUYV, JPEG, PNG), colour as BT.601 luma like that of a PNG;
 //! times are the headers' stamps to the nanosecond (where the first is zero: the log times), so a lock-step replay equals that of the same
 //! pictures in a folder, byte for byte.
@@ -12,6 +12,7 @@
 //! Skipped with a reason: what a folder's recording skips, and a message that is not what its topic says. Not here: sqlite3 bags, ROS 1,
 //! other messages than pictures, the first CameraInfo and the twists of one topic (`wheels`).
 
+mod bayer;
 mod picture;
 mod records;
 mod stream;

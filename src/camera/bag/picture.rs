@@ -1,6 +1,7 @@
 //! A message with a picture into a frame, and a CameraInfo into a camera model.
 
 use super::super::recording::MAX_PICTURE_BYTES;
+use super::bayer::{self, Mosaic};
 use crate::frame::{PixelFormat, RawFrame};
 use crate::geometry::{CameraModel, LensModel};
 use crate::image::decode::{luma, sniff};
@@ -65,20 +66,16 @@ fn raw(reader: &mut Reader, slot: &mut RawFrame) -> Result<(), String> {
         Ok((height, width, encoding, is_bigendian, step, reader.bytes()?))
     };
     let (height, width, encoding, is_bigendian, step, data) = parts().map_err(|e| e.to_string())?;
-    let bytes_per_pixel = match encoding {
-        "mono8" | "8UC1" => 1,
-        "yuyv" | "yuv422_yuy2" | "uyvy" | "yuv422" | "mono16" | "16UC1" => 2,
-        "bgr8" | "rgb8" | "8UC3" => 3,
-        "bgra8" | "rgba8" | "8UC4" => 4,
-        other => {
-            return Err(format!(
-                "encoding {other:?} is not read; mono8, mono16, bgr8, rgb8, bgra8, rgba8, yuv422_yuy2 (yuyv) and yuv422 (uyvy) are"
-            ));
-        }
-    };
+    let bytes_per_pixel = bytes_per_pixel(encoding).ok_or_else(|| {
+        format!(
+            "encoding {encoding:?} is not read; mono8, mono16, bgr8, rgb8, bgra8, rgba8, yuv422_yuy2 (yuyv), yuv422 (uyvy) and bayer_* are"
+        )
+    })?;
+    let is_mosaic = encoding.starts_with("bayer_");
     let row = u64::from(width) * bytes_per_pixel;
     let needed = (u64::from(height).saturating_sub(1) * u64::from(step)).saturating_add(row);
-    if width == 0 || height == 0 || u64::from(step) < row || (data.len() as u64) < needed {
+    let least = if is_mosaic { 2 } else { 1 };
+    if width < least || height < least || u64::from(step) < row || (data.len() as u64) < needed {
         let have = data.len();
         return Err(format!("{width}x{height} px of {encoding} with rows of {step} bytes are not in {have} bytes"));
     }
@@ -95,6 +92,13 @@ fn raw(reader: &mut Reader, slot: &mut RawFrame) -> Result<(), String> {
     (slot.format, slot.stride) = (PixelFormat::Grey, width);
     // A two-byte grey keeps its upper byte, as of a PNG; UYVY has its luma second.
     let upper = usize::from(!is_bigendian || matches!(encoding, "uyvy" | "yuv422"));
+    if is_mosaic {
+        let (step, width, height) = (step as usize, width as usize, height as usize);
+        let bytes_per_pixel = bytes_per_pixel as usize;
+        let byte = if bytes_per_pixel == 2 { upper } else { 0 };
+        bayer::grey(&Mosaic { data, step, width, height, bytes_per_pixel, byte }, &mut slot.data);
+        return Ok(());
+    }
     for line in rows {
         match encoding {
             "bgr8" | "8UC3" => slot.data.extend(line.chunks_exact(3).map(|p| luma(p[2], p[1], p[0]))),
@@ -105,6 +109,18 @@ fn raw(reader: &mut Reader, slot: &mut RawFrame) -> Result<(), String> {
         }
     }
     Ok(())
+}
+
+/// Of an encoding of sensor_msgs; `None`: it is not read.
+fn bytes_per_pixel(encoding: &str) -> Option<u64> {
+    Some(match encoding {
+        "mono8" | "8UC1" | "bayer_rggb8" | "bayer_bggr8" | "bayer_gbrg8" | "bayer_grbg8" => 1,
+        "yuyv" | "yuv422_yuy2" | "uyvy" | "yuv422" | "mono16" | "16UC1" => 2,
+        "bayer_rggb16" | "bayer_bggr16" | "bayer_gbrg16" | "bayer_grbg16" => 2,
+        "bgr8" | "rgb8" | "8UC3" => 3,
+        "bgra8" | "rgba8" | "8UC4" => 4,
+        _ => return None,
+    })
 }
 
 /// The camera of a sensor_msgs/CameraInfo, of its raw or its rectified pictures; `None` if it says that there is no calibration (`k` all zero).

@@ -56,6 +56,18 @@ fn every_encoding_becomes_the_grey_that_it_shows() {
     assert_eq!(grey(&image(2, 1, "yuv422", false, 4, &[128, 10, 128, 20])), [10, 20]);
     assert_eq!(grey(&image(2, 1, "mono16", false, 4, &[1, 2, 3, 4])), [2, 4]);
     assert_eq!(grey(&image(2, 1, "mono16", true, 4, &[1, 2, 3, 4])), [1, 3]);
+    // An even red of 200, green of 60 and blue of 20, in rows of five bytes; then the same with a byte below each.
+    for (pattern, [a, b, c, d]) in [
+        ("bayer_rggb", [200, 60, 60, 20]),
+        ("bayer_bggr", [20, 60, 60, 200]),
+        ("bayer_gbrg", [60, 20, 200, 60]),
+        ("bayer_grbg", [60, 200, 20, 60]),
+    ] {
+        assert_eq!(grey(&image(2, 2, &format!("{pattern}8"), false, 5, &[a, b, 99, 99, 99, c, d])), [85; 4]);
+        let (little, big) = ([9, a, 9, b, 9, c, 9, d], [a, 9, b, 9, c, 9, d, 9]);
+        assert_eq!(grey(&image(2, 2, &format!("{pattern}16"), false, 4, &little)), [85; 4]);
+        assert_eq!(grey(&image(2, 2, &format!("{pattern}16"), true, 4, &big)), [85; 4]);
+    }
 }
 
 #[test]
@@ -68,7 +80,9 @@ fn a_message_that_is_not_what_it_says_is_refused_with_its_reason() {
     refuse(Kind::Raw, &image(2, 2, "mono8", false, 2, &[1, 2, 3]), "3 bytes");
     refuse(Kind::Raw, &image(2, 2, "mono8", false, 1, &[1, 2, 3, 4]), "rows of 1 bytes");
     refuse(Kind::Raw, &image(u32::MAX, u32::MAX, "bgr8", false, u32::MAX, &[1]), "1 bytes");
-    refuse(Kind::Raw, &image(2, 1, "bayer_rggb8", false, 2, &[1, 2]), "bayer_rggb8");
+    refuse(Kind::Raw, &image(2, 1, "bayer_rggb8", false, 2, &[1, 2]), "2x1 px of bayer_rggb8");
+    refuse(Kind::Raw, &image(2, 2, "bayer_rggb16", false, 4, &[1; 6]), "6 bytes");
+    refuse(Kind::Raw, &image(2, 2, "nv12", false, 2, &[1; 6]), "nv12");
     refuse(Kind::Raw, &image(2, 2, "mono8", false, 2, &[1; 4])[..30], "ends at byte");
     refuse(Kind::Raw, &[0, 0, 0, 0], "CDR");
     let mut w = Writer::default();
