@@ -6,7 +6,8 @@ what `cairn record` writes, and `cairn replay` reads what `rosbags` writes.
 1. A demo is recorded while the Python client listens to the same services. All readers decode every message of the file, and their fields are those
    of the wire, whose bytes the client got by another way. Beside it a driver tells of wheels.
 2. The same of a demo with its camera at a known height, whose scale becomes metric: obstacles, and the scan that is made of them.
-3. Bags in the dialects of Humble and Jazzy, with Image in mono8, bgr8 and yuyv, are replayed. mono8 must come to the same bytes as the
+3. A folder of JPEGs, as a camera compresses, is replayed at the camera's pace and recorded: each picture in the file has the bytes of its JPEG.
+4. Bags in the dialects of Humble and Jazzy, with Image in mono8, bgr8 and yuyv, are replayed. mono8 must come to the same bytes as the
    folder of the same pictures.
 """
 
@@ -14,6 +15,8 @@ import argparse
 import importlib.util
 import math
 import os
+import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -42,18 +45,25 @@ def run(*words, **options):
 
 
 class Listener(threading.Thread):
-    """What the Python client hears of poses, health and pictures, by their numbers."""
+    """What the Python client hears of poses, health and pictures, by their numbers; graphs and tags by when they were sent."""
 
     def __init__(self):
         super().__init__(daemon=True)
         self.stop, self.poses, self.health, self.pictures, self.obstacles, self.wheels = False, {}, {}, {}, {}, {}
+        self.graphs, self.tags = {}, {}
 
     def run(self):
         import cairn
 
         client = cairn.Client()
         poses, health, encoded, obstacles = client.poses(), client.health(), client.encoded(), client.obstacles()
+        graphs, tags = client.graph(), client.tags()
         while not self.stop:
+            graph, told = graphs.wait(0), tags.wait(0)
+            if graph is not None:
+                self.graphs[graph.published_ns] = graph.raw, graph.copy()
+            if told is not None:
+                self.tags[told.published_ns] = told.raw
             scan = obstacles.wait(0)
             if scan is not None:
                 self.obstacles[scan.sequence] = scan
@@ -110,6 +120,10 @@ POSE = ("run_id timestamp_ns arrival_ns published_ns latency_arrival_ns frames_d
         "covariance linear_velocity angular_velocity quality landmarks landmarks_sought reset_counter map_id anchor_keyframe state scale").split()
 OBSTACLES = ("run_id timestamp_ns published_ns position orientation angle_min angle_increment range_min range_max robot_height scale_sigma map_id "
              "reset_counter map_revision count total told clock range sigma free_from free").split()
+GRAPH = "run_id content_revision timestamp_ns count total map_id reset_counter map_revision clock map_mode".split()
+EDGE = "from to shared joined_map kind".split()
+TAGS = "run_id content_revision timestamp_ns count map_id reset_counter map_revision scale_sigma scale scale_source clock map_mode".split()
+TAG = "position orientation size edge position_sigma orientation_sigma id sightings family is_dock".split()
 HEALTH = "run_id published_ns uptime_ns realtime_minus_monotonic_ns errors frames_captured state focal_px centre_px focal_sigma".split()
 
 
@@ -151,6 +165,54 @@ def check_scans(messages, listener, offset, prefix, reader):
     print(f"{reader}: {whole} obstacles as on the wire, {len(scans)} scans, {known} with something in the way")
 
 
+def field(message, name):
+    """Some readers write a word of Python's own with a line behind it."""
+    return getattr(message, name) if hasattr(message, name) else getattr(message, name + "_")
+
+
+def check_graph(m, listener, reader):
+    """Edges that were compared."""
+    if m.header.published_ns not in listener.graphs:
+        return 0
+    header, edges = listener.graphs[m.header.published_ns]
+    same(m.header, header, GRAPH, f"{reader}: graph {m.header.content_revision}")
+    got = [[field(edge, name) for name in EDGE] for edge in m.edges]
+    assert got == [[int(edge[name]) for name in EDGE] for edge in edges], f"{reader}: {got} is not {edges}"
+    return len(got)
+
+
+def check_tags(m, listener, reader):
+    """Whether they were compared: those that are there, and what stands in the places of the others."""
+    if m.published_ns not in listener.tags:
+        return False
+    wire = listener.tags[m.published_ns]
+    same(m, wire, TAGS, f"{reader}: tags {m.content_revision}")
+    assert len(m.tags) == len(wire.tags)
+    for number, (tag, on_wire) in enumerate(zip(m.tags, wire.tags)):
+        for name in TAG:
+            ours, theirs = np.float64(getattr(tag, name)), np.float64(np.asarray(getattr(on_wire, name)))
+            assert np.array_equal(ours, theirs, equal_nan=True), f"{reader}: tag {number}: {name}: {ours} is not {theirs}"
+    return True
+
+
+def check_odometry(m, wire):
+    p, q = m.pose.pose.position, m.pose.pose.orientation
+    assert finite(p, q) and m.header.frame_id == "odom_unscaled" and m.child_frame_id == "base_link_unscaled"
+    assert [p.x, p.y, p.z] == list(wire.odom_position) and [q.x, q.y, q.z, q.w] == list(wire.odom_orientation)
+    is_known = np.isfinite([*wire.linear_velocity, *wire.angular_velocity]).all()
+    assert m.twist.covariance[0] == (-1 if is_known else 1e6) and finite(m.twist.twist.linear, m.twist.twist.angular)
+
+
+def check_path(m, keyframes, offset):
+    """Whether there is anything in it."""
+    assert m.header.frame_id == "map_unscaled" and len(m.poses) == keyframes.header.count
+    for pose, k in zip(m.poses, keyframes.keyframes):
+        p, q, stamp = pose.pose.position, pose.pose.orientation, pose.header.stamp
+        assert [p.x, p.y, p.z] == list(k.position) and [q.x, q.y, q.z, q.w] == list(k.orientation)
+        assert stamp.sec * 10**9 + stamp.nanosec == k.timestamp_ns + offset and pose.header.frame_id == "map_unscaled"
+    return len(m.poses) > 0
+
+
 def check(messages, listener, offset, prefix, reader):
     """`messages`: (topic, message), decoded by somebody else."""
     seen, compared, headers, poses = Counter(), Counter(), {}, {}
@@ -171,12 +233,12 @@ def check(messages, listener, offset, prefix, reader):
         elif topic == f"/{prefix}/image/compressed":
             images.append((m.header.stamp.sec * 10**9 + m.header.stamp.nanosec, m.format, bytes(m.data)))
         elif topic == f"/{prefix}/odom":
-            p, q = m.pose.pose.position, m.pose.pose.orientation
-            assert finite(p, q) and m.header.frame_id == "odom_unscaled" and m.child_frame_id == "base_link_unscaled"
-            wire = poses[m.header.stamp.sec * 10**9 + m.header.stamp.nanosec]
-            assert [p.x, p.y, p.z] == list(wire.odom_position) and [q.x, q.y, q.z, q.w] == list(wire.odom_orientation)
-            assert m.twist.covariance[0] == -1
+            check_odometry(m, poses[m.header.stamp.sec * 10**9 + m.header.stamp.nanosec])
             compared["odom"] += 1
+        elif topic == f"/{prefix}/graph":
+            compared["graph"] += check_graph(m, listener, reader)
+        elif topic == f"/{prefix}/tags":
+            compared["tags"] += check_tags(m, listener, reader)
         elif topic == "/tf":
             assert all(finite(t.transform.translation, t.transform.rotation) for t in m.transforms)
             assert [t.child_frame_id for t in m.transforms[:2]] == ["odom_unscaled", "base_link_unscaled"]
@@ -196,12 +258,7 @@ def check(messages, listener, offset, prefix, reader):
             keyframes = m
         elif topic == f"/{prefix}/path":
             # With the keyframes that it is made of, which come before it.
-            assert m.header.frame_id == "map_unscaled" and len(m.poses) == keyframes.header.count
-            for pose, k in zip(m.poses, keyframes.keyframes):
-                p, q, stamp = pose.pose.position, pose.pose.orientation, pose.header.stamp
-                assert [p.x, p.y, p.z] == list(k.position) and [q.x, q.y, q.z, q.w] == list(k.orientation)
-                assert stamp.sec * 10**9 + stamp.nanosec == k.timestamp_ns + offset and pose.header.frame_id == "map_unscaled"
-            compared["path"] += len(m.poses) > 0
+            compared["path"] += check_path(m, keyframes, offset)
         elif topic == f"/{prefix}/camera_info":
             assert m.width > 0 and m.distortion_model == "plumb_bob" and len(m.d) == 5 and m.k[0] > 100
     for stamp, format, data in images:
@@ -214,8 +271,8 @@ def check(messages, listener, offset, prefix, reader):
             width, height, rows, _ = png.Reader(bytes=data).read()
             assert (width, height) == (header.width, header.height) and b"".join(rows) == raw
             compared["picture"] += 1
-    for kind in ("pose", "health", "odom", "picture", "wheel", "twist", "path"):
-        if compared[kind] < 5:
+    for kind in ("pose", "health", "odom", "picture", "wheel", "twist", "path", "graph", "tags"):
+        if compared[kind] < (3 if kind == "tags" else 5):
             sys.exit(f"{reader}: only {compared[kind]} of {kind} compared; seen {seen}")
     print(f"{reader}: {sum(seen.values())} messages decoded, as on the wire: {dict(compared)}")
 
@@ -266,6 +323,46 @@ def pictures(folder):
             width, height, rows, info = png.Reader(filename=str(folder / file)).read()
             assert info["planes"] == 1
             yield int(seconds), int(fraction.ljust(9, "0")), np.vstack([np.asarray(r, np.uint8) for r in rows])
+
+
+def jpegs(folder, out):
+    """The same pictures in a folder as a camera's JPEGs, in colour with its chroma at half the size; the bytes by time, ns."""
+    from PIL import Image
+
+    (out / "rgb").mkdir(parents=True)
+    shutil.copy(folder / "camera.yaml", out)
+    lines, files = [], {}
+    for number, (sec, nanosec, grey) in enumerate(pictures(folder)):
+        name = f"rgb/{number:04}.jpg"
+        colour = Image.fromarray(np.dstack([grey, grey // 2 + 64, 255 - grey]))
+        # Another quality is other tables: nothing that is compressed anew could have the same bytes.
+        colour.save(out / name, quality=75 + number % 20, subsampling="4:2:0")
+        lines.append(f"{sec}.{nanosec:09} {name}\n")
+        files[sec * 10**9 + nanosec] = (out / name).read_bytes()
+    (out / "rgb.txt").write_text("".join(lines))
+    return files
+
+
+def camera_jpegs(cairn, out, prefix):
+    folder, file = out / "camera", out / "jpeg.mcap"
+    run(cairn, "simulate", "--scenario", "hand_held", "--seconds", 4, "--size", "320x240", "--output", folder)
+    files = jpegs(folder, out / "jpegs")
+    recorder = subprocess.Popen([str(cairn), "record", str(file), "--json"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    try:
+        run(cairn, "replay", out / "jpegs", "--quiet")
+    finally:
+        recorder.send_signal(signal.SIGTERM)
+        told, _ = recorder.communicate(timeout=30)
+    assert recorder.returncode == 0, recorder.returncode
+    for reader, _, messages in readers(file):
+        recorded = [m for topic, m in messages if topic == f"/{prefix}/image/compressed"]
+        for m in recorded:
+            time = m.header.stamp.sec * 10**9 + m.header.stamp.nanosec
+            assert m.format == "jpeg" and bytes(m.data) == files[time], f"{reader}: the picture at {time} ns is not its file"
+        # It subscribes while the first come.
+        if len(recorded) < len(files) // 2:
+            sys.exit(f"{reader}: only {len(recorded)} of {len(files)} JPEGs recorded: {told}")
+        print(f"{reader}: {len(recorded)} of {len(files)} JPEGs recorded, each byte for byte")
 
 
 def write_bag(path, folder, store, version, encoding, camera):
@@ -329,6 +426,7 @@ def main():
     os.environ["CAIRN_PREFIX"] = prefix
     with tempfile.TemporaryDirectory() as out:
         foreign_readers(cairn, Path(out), prefix)
+        camera_jpegs(cairn, Path(out), prefix)
         foreign_bags(cairn, Path(out))
 
 
