@@ -5,7 +5,7 @@
 #   service.sh DEB                 everything up to the reboot; leaves the service enabled
 #   service.sh DEB after-reboot    what must have survived; purges at the end
 #
-# Beside DEB may lie cairn-tools.deb, and of both a later version, cairn-next.deb and cairn-tools-next.deb.
+# Beside DEB may lie cairn-tools.deb, of both a later version, cairn-next.deb and cairn-tools-next.deb, and cairn-bridge.deb.
 #
 # One line a check, `ok NAME` or `FAIL NAME: why`; exits 1 if one failed. Times are this machine's clock.
 deb=${1:?usage: service.sh DEB [after-reboot]}
@@ -114,6 +114,30 @@ if [ -f "$tools" ]; then
     check "tools: purge" dpkg --purge cairn-tools
     check "console: purged while it ran" bash -c '! pgrep -x cairn-tools && ! test -e /usr/lib/systemd/system/cairn-console.service'
     check "tools: only they are gone" test ! -e /usr/bin/cairn-tools -a -x /usr/bin/cairn -a -e /etc/cairn/cairn.toml
+fi
+
+# --- the bridge beside it
+bridge=${deb%/*}/cairn-bridge.deb
+check "a command of the bridge is answered with where it is" says '`cairn-bridge bridge`' cairn bridge
+if [ -f "$bridge" ]; then
+    unit=/usr/lib/systemd/system/cairn-bridge.service
+    is_bridge() { test "$(systemctl show cairn-bridge -p "$1" --value)" = "$2"; }
+    verified() { # nothing is said of the unit
+        local text
+        text=$(systemd-analyze verify --man=no "$unit" 2>&1) || { echo "$text"; return 1; }
+        if grep -F cairn-bridge <<<"$text"; then return 1; fi
+    }
+    check "bridge: install" dpkg -i "$bridge"
+    check "bridge: of the same version" test "$(cairn --version)" = "$(cairn-bridge --version)"
+    check "bridge: help" cairn-bridge --help
+    check "bridge: what the robot's build lacks" says "--robot" cairn-bridge bridge --help
+    check "bridge: its unit" test -f "$unit"
+    check "bridge: the unit is right" verified
+    check "bridge: the unit starts what the package brings" grep -qx "ExecStart=/usr/bin/cairn-bridge bridge" "$unit"
+    check "bridge: off as installed" is_bridge ActiveState inactive
+    check "bridge: not enabled" is_bridge UnitFileState disabled
+    check "bridge: purge" dpkg --purge cairn-bridge
+    check "bridge: only it is gone" test ! -e /usr/bin/cairn-bridge -a ! -e "$unit" -a -x /usr/bin/cairn -a -e /etc/cairn/cairn.toml
 fi
 
 # --- no camera yet

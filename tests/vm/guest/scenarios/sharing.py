@@ -12,6 +12,8 @@ from scenarios.kill import Watcher
 from scenarios.reboot import install
 
 STATE = pathlib.Path("/var/lib/cairn")
+# Of the current map, for whoever fetches it.
+COPIES = STATE / "maps" / "copies"
 BRIDGE = "/usr/bin/cairn-bridge"
 # The router's port is rmw_zenoh's, to which the unit connects.
 ROUTER = {"mode": "router", "listen": {"endpoints": ["tcp/[::]:7447"]}, "scouting": {"multicast": {"enabled": False}}}
@@ -141,7 +143,7 @@ class Fleet:
         self.out.close()
 
 
-def bridge(stage):
+def start_bridge(stage):
     """Copied as the package would install it; it starts before the daemon, before there is a map or a router."""
     install()
     shutil.copy("/mnt/stage/cairn-bridge", BRIDGE)
@@ -150,52 +152,63 @@ def bridge(stage):
     shutil.rmtree(STATE, ignore_errors=True)
     status, text = sh("systemctl daemon-reload; systemd-tmpfiles --create cairn.conf; systemctl start cairn-bridge", 60)
     check(status == 0, f"systemctl start: {text} {sh('journalctl -u cairn-bridge -n 20 --no-pager')[1]}")
-    copies = STATE / "maps" / "copies"
-    owners = {str(path): path.owner() for path in (STATE, STATE / "maps", copies)}
+    owners = {str(path): path.owner() for path in (STATE, STATE / "maps", COPIES)}
     check(set(owners.values()) == {"cairn"}, f"whose folders: {owners}")
     camera = stage.usb("mjpeg", rate=15)
     check(sh("systemctl start cairn", 60)[0] == 0, "the daemon's start")
     health, began = stage.listener(), now()
     health.flowing(began, 20)
-    fleet = stage.keep(Fleet())
-    session = fleet.session()
+    return camera, health, began
+
+
+def pull(health, began):
+    """The current map by the bridge, and what it may not write meanwhile; what the table says of it."""
     health.wait(lambda r: r["landmarks"] > 20 and r["state"] == "TRACKING", 40, "a map", began)
     stored = lambda: json.loads(sh(f"{CAIRN} map list --json", 40, "cairn")[1] or "[]")
     until(lambda: [m for m in stored() if m["current"]], 40, "the map has a file", 1.0)
     name = next(m["name"] for m in stored() if m["current"])
-
     pulled = now()
     status, text = sh(f"{BRIDGE} map pull cairn:{name} --output {STATE}/pulled.map", 120, "cairn")
     check(status == 0 and "verified" in text, f"map pull: {status} {text}")
     took = now() - pulled
-    check(not os.listdir(copies), f"the copy that was made for the bridge is left: {os.listdir(copies)}")
+    check(not os.listdir(COPIES), f"the copy that was made for the bridge is left: {os.listdir(COPIES)}")
     # Not even as root, where the unit's view of the files refuses.
     refused = [f"{folder}/x" for folder in ("/etc", "/usr", "/opt", STATE, STATE / "maps", "/var/log", "/root", "/home")]
     for path in refused:
         check(not within(f"echo > {path}") and not os.path.exists(path), f"it may write {path}")
     check(not within(f"rm {STATE}/maps/{name}.map") and not within(f"echo >> {STATE}/maps/{name}.map"), "it may change the robot's maps")
-    check(within(f"echo > {copies}/x && rm {copies}/x") and within("echo > /dev/shm/x && rm /dev/shm/x"), "it cannot write where it has to")
+    check(within(f"echo > {COPIES}/x && rm {COPIES}/x") and within("echo > /dev/shm/x && rm /dev/shm/x"), "it cannot write where it has to")
+    return f"{os.path.getsize(STATE / 'pulled.map') / 1e6:.1f} MB of map in {took:.1f} s; {len(refused)} places and the maps cannot be written"
 
-    recording = stage.keep(Recorder("beside.mcap"))
-    recording.grown()
-    since, pid = now(), {unit: property_of(unit, "MainPID") for unit in ("cairn", "cairn-bridge")}
+
+def killed_bridge(fleet):
+    """systemd starts it again, the fleet lists it again, and the daemon does not notice; seconds that it took."""
+    session, since = fleet.session(), now()
+    pid = {unit: property_of(unit, "MainPID") for unit in ("cairn", "cairn-bridge")}
     sh(f"kill -9 {pid['cairn-bridge']}")
     until(lambda: property_of("cairn-bridge", "NRestarts") == "1" and property_of("cairn-bridge", "MainPID") not in ("0", pid["cairn-bridge"]), 20,
           "systemd starts the bridge again")
-    session = fleet.session(session)
+    fleet.session(session)
     recovery = now() - since
-    recording.grown()
     check(property_of("cairn", "MainPID") == pid["cairn"] and property_of("cairn", "NRestarts") == "0", "the daemon noticed")
-    done = row(health, since, "cairn-bridge.service: first to start, map pull of the current map; kill -9 of bridge, recorder, router and daemon; stop", recovery)
+    return recovery
 
-    pid["cairn-bridge"] = property_of("cairn-bridge", "MainPID")
-    recording.kill()
+
+def killed_router(stage, fleet):
+    """The same session of the bridge once there is another one, which it returns."""
+    session = fleet.session()
     fleet.process.kill()
     fleet.process.wait(10)
     fleet.close()
     time.sleep(3)
     fleet = stage.keep(Fleet())
     check(fleet.session() == session, "the bridge has another session once the router is back")
+    return fleet
+
+
+def killed_daemon(health):
+    """The same bridge goes on with the next one."""
+    pid = {unit: property_of(unit, "MainPID") for unit in ("cairn", "cairn-bridge")}
     bridged = lambda: sh("journalctl -q -u cairn-bridge -o cat --no-pager")[1].count("bridging a daemon")
     restarted, before = now(), bridged()
     sh(f"kill -9 {pid['cairn']}")
@@ -203,18 +216,43 @@ def bridge(stage):
     until(lambda: property_of("cairn", "MainPID") not in ("0", pid["cairn"]), 20, "systemd starts the daemon again")
     until(lambda: bridged() > before, 60, "the next daemon is bridged", 0.5)
     check(property_of("cairn-bridge", "MainPID") == pid["cairn-bridge"], "the bridge was started again with another")
-    frames = replayed(recording.path)
-    check(frames > 10, f"{frames} pictures in the killed recording")
+
+
+def bridge(stage):
+    """kill -9 of bridge and daemon beside each other; in the full form of router and recorder, too, and the current map by the bridge."""
+    camera, health, began = start_bridge(stage)
+    fleet = stage.keep(Fleet())
+    fleet.session()
+    notes, victims = ["recovery: the fleet lists it again after kill -9 of the bridge"], "bridge and daemon"
+    recording = None
+    if stage.full:
+        notes, victims = notes + [pull(health, began)], "bridge, recorder, router and daemon"
+        recording = stage.keep(Recorder("beside.mcap"))
+        recording.grown()
+    since = now()
+    recovery = killed_bridge(fleet)
+    if recording:
+        recording.grown()
+    first = "first to start, map pull of the current map; " if stage.full else "first to start; "
+    done = row(health, since, f"cairn-bridge.service: {first}kill -9 of {victims}; stop", recovery)
+    if recording:
+        recording.kill()
+        fleet = killed_router(stage, fleet)
+    killed_daemon(health)
+    if recording:
+        frames = replayed(recording.path)
+        check(frames > 10, f"{frames} pictures in the killed recording")
+        notes.append(f"{frames} pictures in the killed recording")
     stop = now()
     status, text = sh("systemctl stop cairn-bridge", 60)
     stopped = now() - stop
     check(status == 0 and stopped < 10 and property_of("cairn-bridge", "Result") == "success", f"stop: {status} {text} {stopped:.2f} s")
-    # It is the router itself, so it cannot tell who has gone from who cannot be reached.
-    until(lambda: fleet.robot() is None, 30, "the robot is no longer in the fleet", 0.1)
+    if stage.full:
+        # It is the router itself, so it cannot tell who has gone from who cannot be reached.
+        until(lambda: fleet.robot() is None, 30, "the robot is no longer in the fleet", 0.1)
     camera.close()
     sh("systemctl stop cairn", 30)
-    done["note"] = (f"recovery: the fleet lists it again after kill -9 of the bridge; {os.path.getsize(STATE / 'pulled.map') / 1e6:.1f} MB of map in {took:.1f} s; "
-                    f"{len(refused)} places and the maps cannot be written; {frames} pictures in the killed recording; stopped in {stopped:.2f} s")
+    done["note"] = "; ".join([*notes, f"stopped in {stopped:.2f} s"])
     return done
 
 
