@@ -2,6 +2,8 @@
 const $ = (id) => document.getElementById(id);
 const MOST = 600;
 const RANK = { ERROR: 0, WARN: 1, INFO: 2, NOTE: 0, DEBUG: 3, TRACE: 3 };
+/** What the console says of the log: where it comes from, why it cannot be read. */
+const isNote = (record) => record.level === "NOTE";
 
 export class Log {
   constructor() {
@@ -14,9 +16,8 @@ export class Log {
     if (replace) this.records = [];
     this.records.push(...records);
     this.records.splice(0, this.records.length - MOST);
-    if (replace) return this.redraw();
+    if (replace || this.isEmpty) return this.redraw();
     const list = $("records");
-    list.querySelector(".nothing")?.remove();
     list.append(...records.filter((r) => this.shows(r)).map(item));
     while (list.childElementCount > MOST) list.firstElementChild.remove();
     this.follow();
@@ -28,10 +29,13 @@ export class Log {
   }
 
   redraw() {
-    const items = this.records.filter((r) => this.shows(r)).map(item);
-    if (items.length === 0) {
+    const shown = this.records.filter((r) => this.shows(r));
+    this.isEmpty = shown.every(isNote);
+    // Whoever sees no record is told where they come from, whatever the filter.
+    const items = (this.isEmpty ? this.records.filter(isNote) : shown).map(item);
+    if (this.isEmpty) {
       const li = document.createElement("li");
-      [li.className, li.textContent] = ["nothing", this.records.length ? "No record passes the filter." : "No record so far."];
+      [li.className, li.textContent] = ["nothing", this.records.every(isNote) ? "No record so far." : "No record passes the filter."];
       items.push(li);
     }
     $("records").replaceChildren(...items);
@@ -60,7 +64,8 @@ function item(record) {
   const text = document.createElement("span");
   text.textContent = record.message ?? "";
   const fields = Object.entries(record.fields ?? {}).map(([k, v]) => `${k}=${typeof v === "string" ? v : JSON.stringify(v)}`).join(" ");
-  if (fields) text.append(Object.assign(document.createElement("span"), { className: "fields", textContent: fields }));
+  // With a space for whoever copies it, or hears it.
+  if (fields) text.append(" ", Object.assign(document.createElement("span"), { className: "fields", textContent: fields }));
   li.append(time, level, text);
   return li;
 }

@@ -1,45 +1,19 @@
 // The page against a stand-in: states in words, layout, keyboard, labels, and maps of 100,000 landmarks. Prints a line for each check, and
 // fails with the first that does not hold.
-import { mkdirSync, readFileSync } from "node:fs";
-import { createRequire } from "node:module";
+import { mkdirSync } from "node:fs";
 import { join } from "node:path";
 import { chromium } from "playwright-core";
-import { check, image, open, passed, pixels, troubles } from "./page.js";
-import { URL_OF_PAGE, standIn } from "./stand_in.js";
+import { calibrationOrders, cameraControls, emptyLog } from "./buttons.js";
+import { keyboard, labels, layouts } from "./layouts.js";
+import { check, image, passed, pixels, troubles } from "./page.js";
+import { DESKTOP, begin, busy, drawn, text } from "./stand_in.js";
 
-const [pictures, folder] = process.argv.slice(2);
-const AXE = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
+const pictures = process.argv[2];
 const LANDMARKS = 100_000;
-const DESKTOP = { viewport: { width: 1360, height: 1000 } };
-const PHONE = { viewport: { width: 360, height: 780 }, deviceScaleFactor: 2, hasTouch: true };
 mkdirSync(pictures, { recursive: true });
 
-const text = (page, id) => page.locator(`#${id}`).innerText();
 const isBlue = (r, g, b) => b > 100 && b > r + 50;
 const median = (values) => [...values].sort((a, b) => a - b)[Math.floor(values.length / 2)];
-
-/** What the page draws next has been drawn. */
-const drawn = (page) => page.evaluate(() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done()))));
-
-/** A page that hears a robot at work. */
-async function begin(browser, options, query = "") {
-  const page = await open(browser, `${URL_OF_PAGE}${query}`, options, (p) => standIn(p, folder));
-  await page.waitForFunction(() => window.stage.socket?.readyState === 1);
-  return page;
-}
-
-async function busy(page) {
-  await page.evaluate(async () => {
-    const { stage } = window;
-    for (let i = 0; i < 60; i++) stage.pose(i);
-    stage.state("connected", "Tracking: the pose rests on landmarks seen in this frame.", stage.daemon());
-    stage.say(stage.keyframes(40));
-    stage.say(stage.map(3000));
-    stage.obstacles();
-    for (let i = 1; i < 9; i++) await stage.frame(i);
-  });
-  await page.waitForTimeout(300);
-}
 
 async function states(page) {
   check((await text(page, "video-empty")) === "No picture yet." && /No map yet/.test(await text(page, "map-empty")), "an empty page says that it is empty");
@@ -292,24 +266,8 @@ async function obstacles(page) {
   check((await shown("obstacles")) === 0, "without a daemon nothing is said to be free");
 }
 
-async function keyboard(page) {
-  await page.evaluate(() => document.activeElement.blur());
-  const reached = new Set();
-  for (let i = 0; i < 80; i++) {
-    await page.keyboard.press("Tab");
-    const at = await page.evaluate(() => {
-      const e = document.activeElement;
-      if (e === document.body) return null;
-      e.dataset.reached = "yes";
-      return { name: e.id || e.textContent || e.title, ring: getComputedStyle(e).outlineStyle !== "none" };
-    });
-    if (!at) break;
-    if (!at.ring) throw new Error(`does not hold: ${at.name} shows that it has the focus`);
-    reached.add(at.name);
-  }
-  const missed = await page.evaluate(() => [...document.querySelectorAll("a, button, input, select, canvas[tabindex], ol[tabindex]")]
-    .filter((e) => e.checkVisibility() && !e.disabled && !e.dataset.reached).map((e) => e.id || e.textContent));
-  check(reached.size > 10 && missed.length === 0, `the keyboard reaches all ${reached.size} controls ${missed}`);
+/** The map is moved by keys, too. */
+async function arrows(page) {
   const map = page.locator("#map");
   await map.focus();
   const before = await image(map);
@@ -318,49 +276,18 @@ async function keyboard(page) {
   check((await common(before, await image(map))) < 0.9, "arrow keys move the map");
 }
 
-/** What axe finds of WCAG 2.2 A and AA, and its advice. */
-async function labels(page, what) {
-  const found = await page.evaluate(async (source) => {
-    (0, eval)(source);
-    const { violations } = await window.axe.run(document, { resultTypes: ["violations"] });
-    return violations.map((v) => `${v.id} (${v.impact}): ${v.nodes.slice(0, 4).map((n) => n.target.join(" ")).join(", ")}`);
-  }, AXE);
-  check(found.length === 0, `axe finds nothing: ${what} ${found.join("; ")}`);
-}
-
-async function layouts(browser) {
-  const schemes = [["desktop", DESKTOP], ["dark", { ...DESKTOP, colorScheme: "dark" }], ["phone", PHONE], ["phone-dark", { ...PHONE, colorScheme: "dark" }]];
-  for (const [name, options] of schemes) {
-    const page = await begin(browser, options);
-    await busy(page);
-    for (const view of ["live", "pair", "log"]) {
-      await page.evaluate((v) => { location.hash = v; }, view);
-      await page.waitForTimeout(200);
-      await labels(page, `${name}, ${view}`);
-      await page.screenshot({ path: join(pictures, `scripted-${name}-${view}.png`), fullPage: view === "live" });
-    }
-    await page.context().close();
-  }
-  const page = await begin(browser, DESKTOP);
-  await busy(page);
-  for (const width of [320, 360, 414, 600, 768, 960, 1024, 1360, 1920, 2560]) {
-    await page.setViewportSize({ width, height: 900 });
-    for (const view of ["live", "pair", "log"]) {
-      await page.evaluate((v) => { location.hash = v; }, view);
-      const wide = await page.evaluate(() => document.documentElement.scrollWidth);
-      if (wide > width) throw new Error(`does not hold: ${view} fits ${width} px, it is ${wide} px wide`);
-    }
-  }
-  check(true, "every view fits 320 to 2560 px");
-  await page.context().close();
-}
-
 const browser = await chromium.launch({ executablePath: "/usr/bin/chromium", args: ["--no-sandbox", "--enable-unsafe-swiftshader"] });
 try {
   const page = await begin(browser, DESKTOP);
   await states(page);
-  await keyboard(page);
+  await arrows(page);
   await page.context().close();
+  const orders = await begin(browser, DESKTOP);
+  await busy(orders);
+  await cameraControls(orders, pictures);
+  await calibrationOrders(orders);
+  await emptyLog(orders, pictures);
+  await orders.context().close();
   const map = await begin(browser, DESKTOP, "?card");
   await busy(map);
   await corrected(map);
@@ -377,7 +304,8 @@ try {
   await busy(software);
   await smooth(software);
   await software.context().close();
-  await layouts(browser);
+  await keyboard(browser);
+  await layouts(browser, pictures);
   check(troubles.length === 0, `no error and no foreign request ${troubles.join("; ")}`);
   console.log(`${passed} passed, 0 failed`);
 } catch (error) {

@@ -1,20 +1,50 @@
 // The page from its sources, with a WebSocket that says what a test wants it to say: states that a daemon cannot be made to have at will, and maps
-// larger than a demo's. `inPage` runs in the page, before its own code.
+// larger than a demo's. `inPage` runs in the page, before its own code; `stage.hears` gets each word that the page says.
 import { readFileSync } from "node:fs";
 import { join } from "node:path";
 import { gunzipSync } from "node:zlib";
+import { open } from "./page.js";
 
-export const URL_OF_PAGE = "http://127.0.0.1:7979/";
+const URL_OF_PAGE = "http://127.0.0.1:7979/";
+const FOLDER = process.argv[3];
+export const DESKTOP = { viewport: { width: 1360, height: 1000 } };
+export const PHONE = { viewport: { width: 360, height: 780 }, deviceScaleFactor: 2, hasTouch: true };
 const TYPES = { html: "text/html; charset=utf-8", js: "text/javascript", css: "text/css", svg: "image/svg+xml" };
 
+export const text = (page, id) => page.locator(`#${id}`).innerText();
+
+/** What the page draws next has been drawn. */
+export const drawn = (page) => page.evaluate(() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done()))));
+
+/** A page whose console is the stand-in. */
+export async function begin(browser, options, query = "") {
+  const page = await open(browser, `${URL_OF_PAGE}${query}`, options, standIn);
+  await page.waitForFunction(() => window.stage.socket?.readyState === 1);
+  return page;
+}
+
+/** It hears a robot at work. */
+export async function busy(page) {
+  await page.evaluate(async () => {
+    const { stage } = window;
+    for (let i = 0; i < 60; i++) stage.pose(i);
+    stage.state("connected", "Tracking: the pose rests on landmarks seen in this frame.", stage.daemon());
+    stage.say(stage.keyframes(40));
+    stage.say(stage.map(3000));
+    stage.obstacles();
+    for (let i = 1; i < 9; i++) await stage.frame(i);
+  });
+  await page.waitForTimeout(300);
+}
+
 /** Serves the page's folder in place of a console. */
-export async function standIn(page, folder) {
+async function standIn(page) {
   await page.addInitScript(inPage);
   await page.route(`${URL_OF_PAGE}**`, (route) => {
     const { pathname } = new URL(route.request().url());
     if (pathname === "/access") return route.fulfill({ body: "open" });
     const file = pathname === "/" ? "index.html" : pathname.slice(1);
-    const body = file === "vendor/three.js" ? gunzipSync(readFileSync(join(folder, `${file}.gz`))) : readFileSync(join(folder, file));
+    const body = file === "vendor/three.js" ? gunzipSync(readFileSync(join(FOLDER, `${file}.gz`))) : readFileSync(join(FOLDER, file));
     return route.fulfill({ body, contentType: TYPES[file.split(".").at(-1)] });
   });
 }
@@ -34,7 +64,11 @@ function inPage() {
         this.onopen();
       });
     }
-    send(text) { stage.sent.push(JSON.parse(text)); }
+    send(text) {
+      const word = JSON.parse(text);
+      stage.sent.push(word);
+      stage.hears?.(word);
+    }
     close(code = 1006) {
       this.readyState = 3;
       this.onclose({ code });
@@ -87,6 +121,24 @@ function inPage() {
     return json(1, { link, sentence, prefix: "cairn", console_version: "0", daemon });
   };
   stage.calibration = (told) => json(12, told);
+  stage.log = (records, replace = false) => json(6, { records, replace });
+  /** What became of the order with this `id`. */
+  stage.reply = (id, ok, text, more = {}) => json(7, { id, ok, text, terminal: "", chain: false, ...more });
+  /** A picture of the two-picture chain, a PNG that the page itself makes. */
+  stage.picture = async (name, width, height) => {
+    const canvas = new OffscreenCanvas(width, height);
+    const context = canvas.getContext("2d");
+    context.fillStyle = "#666";
+    context.fillRect(0, 0, width, height);
+    context.fillStyle = "#30e070";
+    for (let i = 0; i < 200; i++) context.fillRect((i * 97) % width, (i * 61) % height, 4, 4);
+    const png = new Uint8Array(await (await canvas.convertToBlob({ type: "image/png" })).arrayBuffer());
+    const said = new TextEncoder().encode(JSON.stringify({ name }));
+    const view = head(8, said.length, 8 + said.length + png.length);
+    new Uint8Array(view.buffer, 8).set(said);
+    new Uint8Array(view.buffer, 8 + said.length).set(png);
+    return stage.say(view.buffer);
+  };
   stage.daemon = (more = {}) => ({
     version: "0.1.0", pid: 1, run_id: "1", uptime_s: 83, realtime_minus_monotonic_s: 0, state: "TRACKING", faults: [], frames_captured: 900,
     frames_dropped: 0, frames_corrupt: 0, frames_tracked: 880, keyframes: 40, landmarks: 3000, maps: 1, resets: 0, relocalisations: 0,
