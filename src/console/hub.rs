@@ -102,10 +102,10 @@ impl Hub {
         page.replace(Kind::Log, wire::json(Kind::Log, &serde_json::json!({ "replace": true, "records": *log })));
     }
 
-    /// The log is read anew from its end: what pages show of it comes again.
-    pub fn clear_log(&self) {
+    /// The log is read anew from its end, behind these records: what pages show of it comes again.
+    pub fn begin_log(&self, records: Vec<serde_json::Value>) {
         let mut log = lock(&self.log);
-        log.clear();
+        *log = records.into();
         let message = wire::json(Kind::Log, &serde_json::json!({ "replace": true, "records": *log }));
         for page in lock(&self.pages).iter().filter(|page| page.demand() & demand::LOG != 0) {
             page.replace(Kind::Log, message.clone());

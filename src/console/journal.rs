@@ -30,8 +30,11 @@ const NOISE: [&str; 7] = ["SYSLOG_", "CODE_", "TARGET", "TID", "INVOCATION_ID", 
 /// Where records come from.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum LogSource {
-    /// A program that prints a JSON object a line, and goes on.
-    Program(Vec<String>),
+    /// A program that prints a JSON object a line, and goes on; in words, what its records are of.
+    Program {
+        words: Vec<String>,
+        of: String,
+    },
     File(PathBuf),
 }
 
@@ -39,8 +42,25 @@ impl LogSource {
     /// The journal of a unit.
     pub fn journal(unit: &str) -> Self {
         let words = ["journalctl", "--quiet", "--follow", "--output=json", "--lines", BEFORE, "--unit", unit];
-        Self::Program(words.map(String::from).to_vec())
+        let of = format!(
+            "The journal of the unit {unit}, as far as this user may read it. A daemon that runs in a terminal is not in it: write its log to a \
+             file (cairn demo --log info 2>FILE) and start the console with --log-file FILE to see it here."
+        );
+        Self::Program { words: words.map(String::from).to_vec(), of }
     }
+
+    /// Where records come from, before any does: whoever sees none is to know where to look.
+    fn origin(&self) -> Value {
+        match self {
+            Self::Program { of, .. } => note(of),
+            Self::File(path) => note(&format!("The file {}.", path.display())),
+        }
+    }
+}
+
+/// What the console itself says of the log.
+fn note(text: &str) -> Value {
+    json!({ "level": "NOTE", "message": text })
 }
 
 /// Until `stop`.
@@ -50,14 +70,14 @@ pub fn run(hub: &Hub, source: &LogSource, stop: &AtomicBool) {
             std::thread::sleep(NAP);
             continue;
         }
-        hub.clear_log();
+        hub.begin_log(vec![source.origin()]);
         let wanted = || hub.wants(demand::LOG) && !stop.load(Ordering::Relaxed);
         let end = match source {
-            LogSource::Program(words) => follow_program(words, &wanted, &mut |records| hub.tell_log(records)),
+            LogSource::Program { words, .. } => follow_program(words, &wanted, &mut |records| hub.tell_log(records)),
             LogSource::File(path) => follow_file(path, &wanted, &mut |records| hub.tell_log(records)),
         };
         if let Err(reason) = end {
-            hub.tell_log(vec![json!({ "level": "NOTE", "message": reason })]);
+            hub.tell_log(vec![note(&reason)]);
             super::feed::wait(stop, PAUSE);
         }
     }
@@ -246,6 +266,7 @@ fn level(priority: Option<&str>) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::console::outbox::Next;
 
     #[test]
     fn records_of_journal_and_file_look_alike() {
@@ -312,6 +333,44 @@ mod tests {
             .expect("file");
         assert_eq!(got.first(), Some(&json!("1")));
         assert_eq!(got.last(), Some(&json!("3")));
+    }
+
+    /// What a page is told of the log once it shows it, until this many records have come.
+    fn shown(source: &LogSource, count: usize) -> Vec<Value> {
+        let (hub, stop) = (Hub::default(), AtomicBool::new(false));
+        let page = hub.join().expect("a page");
+        page.open();
+        page.set_demand(demand::LOG);
+        let mut got = Vec::new();
+        std::thread::scope(|scope| {
+            scope.spawn(|| run(&hub, source, &stop));
+            while got.len() < count
+                && let Next::Send(message) = page.next(Duration::from_secs(20))
+            {
+                let told: Value = serde_json::from_slice(&message[8..]).expect("JSON");
+                got.extend(told["records"].as_array().expect("records").iter().cloned());
+            }
+            stop.store(true, Ordering::Relaxed);
+        });
+        got
+    }
+
+    #[test]
+    fn a_journal_without_records_says_whose_it_is_and_where_others_are() {
+        let LogSource::Program { of, .. } = LogSource::journal("cairn") else { panic!("a program") };
+        let told = shown(&LogSource::Program { words: vec!["sleep".into(), "60".into()], of }, 1);
+        assert_eq!(told[0]["level"], "NOTE");
+        let words = told[0]["message"].as_str().expect("text");
+        assert!(words.contains("the unit cairn,") && words.contains("--log-file FILE"), "{words}");
+    }
+
+    #[test]
+    fn a_file_says_which_it_is_before_its_records() {
+        let file = tempfile::NamedTempFile::new().expect("file");
+        std::fs::write(file.path(), "{\"message\":\"1\"}\n").expect("written");
+        let told = shown(&LogSource::File(file.path().into()), 2);
+        assert_eq!(told[0], note(&format!("The file {}.", file.path().display())));
+        assert_eq!(told[1]["message"], "1");
     }
 
     #[test]
