@@ -12,6 +12,7 @@
 //!   that is looked at shows them, so that without one the daemon copies no picture. A picture is encoded once for all.
 //! - A page that is slow gets fewer pictures: an `outbox` keeps the newest message of a kind, and at most `outbox::IN_FLIGHT` pictures are under
 //!   way to a page that has not said that it has drawn them.
+//! - Who has not said who he is waits at a `door`, whose limits keep nobody else out.
 //! - Everything is bounded: connections, pages, sizes and times of requests, messages of a page a second, and what waits for it.
 //!
 //! Threads, because 32 pages are few: one a connection and one more a page. The bytes of the WebSocket are described in `docs/console.md`.
@@ -20,6 +21,7 @@
 pub mod assets;
 pub mod calibration;
 mod commands;
+mod door;
 mod error;
 mod feed;
 pub mod guard;

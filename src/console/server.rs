@@ -12,9 +12,10 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use tracing::warn;
 
 use super::calibration::{self, Calibrator, Desk};
+use super::door::{self, Door, Stay};
 use super::feed::{Source, graph, obstacles, pictures, robot, tags};
 use super::guard::{Access, Token};
-use super::hub::{Hub, lock};
+use super::hub::{Hub, MAX_PAGES, lock};
 use super::journal::{self, LogSource};
 use super::pair::Pair;
 use super::session::{self, Order};
@@ -23,8 +24,8 @@ use crate::client::monotonic_ns;
 use crate::messages::Endpoint;
 use crate::telemetry::RateLimiter;
 
-/// Connections at a time, pages among them; others wait to be accepted.
-const MAX_CONNECTIONS: usize = 128;
+/// Connections at a time; others wait to be accepted, for a moment, as strangers give way to each other.
+const MAX_CONNECTIONS: usize = MAX_PAGES + door::OF_ALL;
 /// How soon the end is noticed while nobody connects.
 const NAP: Duration = Duration::from_millis(200);
 /// Stack of a connection's thread, bytes: it parses a few kilobytes.
@@ -108,7 +109,7 @@ impl Console {
     fn accept(&self, hub: &Arc<Hub>, order: Order, stop: &AtomicBool) {
         let order = Arc::new(order);
         let connections = Arc::new(AtomicUsize::new(0));
-        let refused = Arc::new(Mutex::new(BTreeMap::new()));
+        let (door, refusals) = (Arc::new(Door::default()), Arc::new(Refusals::default()));
         let nap = Timespec { tv_sec: 0, tv_nsec: NAP.as_nanos() as i64 };
         while !stop.load(Ordering::Relaxed) {
             if connections.load(Ordering::Relaxed) >= MAX_CONNECTIONS {
@@ -119,8 +120,10 @@ impl Console {
             if !matches!(poll(&mut waiting, Some(&nap)), Ok(1..)) {
                 continue;
             }
-            let stream = match self.listener.accept() {
-                Ok((stream, _)) => stream,
+            // The second one is the door's, to end it by.
+            let accepted = self.listener.accept().and_then(|(stream, peer)| Ok((stream.try_clone()?, stream, peer)));
+            let (end, stream, peer) = match accepted {
+                Ok(accepted) => accepted,
                 Err(error) => {
                     // Of one connection that has gone, or too many files are open: neither ends the console.
                     warn!(%error, "console: connection not accepted");
@@ -128,13 +131,15 @@ impl Console {
                     continue;
                 }
             };
+            let stay = door.enter(peer.ip(), end, &|peer, why| refusals.tell(peer, why));
             let place = Place::take(&connections);
             let visit = Visit {
                 hub: hub.clone(),
                 access: self.access.clone(),
                 assets: self.assets.clone(),
                 order: order.clone(),
-                refused: refused.clone(),
+                refusals: refusals.clone(),
+                stay,
             };
             let spawned = std::thread::Builder::new().name("console-page".into()).stack_size(STACK).spawn(move || {
                 let _place = place;
@@ -169,8 +174,21 @@ struct Visit {
     access: Arc<Access>,
     assets: Arc<Assets>,
     order: Arc<Order>,
-    /// By reason, so that a storm of one hides no other. Reasons are this program's own words, so they are few.
-    refused: Arc<Mutex<BTreeMap<&'static str, RateLimiter>>>,
+    refusals: Arc<Refusals>,
+    stay: Stay,
+}
+
+/// The log of what is refused: of each reason at most a line a second, so that a storm of one hides no other. Reasons are this program's own words,
+/// so they are few.
+#[derive(Default)]
+struct Refusals(Mutex<BTreeMap<&'static str, RateLimiter>>);
+
+impl Refusals {
+    fn tell(&self, peer: Option<SocketAddr>, why: &'static str) {
+        if let Some(requests) = lock(&self.0).entry(why).or_default().event(monotonic_ns()) {
+            warn!(requests, why, ?peer, "console: request refused");
+        }
+    }
 }
 
 impl Visit {
@@ -182,7 +200,7 @@ impl Visit {
         let request = match http::read(&mut stream) {
             Ok(request) => request,
             Err(http::Bad::Refuse(status, sentence)) => {
-                self.refuse(stream.peer_addr().ok(), status);
+                self.refusals.tell(stream.peer_addr().ok(), status);
                 if http::say(&mut stream, status, sentence).is_ok() {
                     http::linger(&mut stream);
                 }
@@ -191,18 +209,18 @@ impl Visit {
             Err(http::Bad::Gone) => return,
         };
         if let Err(refused) = self.access.judge(&request.host, request.origin.as_deref()) {
-            self.refuse(stream.peer_addr().ok(), refused.name());
+            self.refusals.tell(stream.peer_addr().ok(), refused.name());
             let _ = http::say(&mut stream, "403 Forbidden", refused.sentence());
             return;
         }
         let _ = match (request.path.as_str(), &request.websocket_key) {
             ("/ws", Some(key)) => http::upgrade(&mut stream, key).and_then(|()| {
                 let peer = stream.peer_addr().ok();
-                let refuse = |why: &'static str| self.refuse(peer, why);
-                session::run(stream, request.rest, &self.hub, &self.access, &self.order, &refuse)
+                let refuse = |why: &'static str| self.refusals.tell(peer, why);
+                session::run(stream, request.rest, &self.hub, &self.access, &self.order, &self.stay, &refuse)
             }),
             ("/ws", None) => {
-                self.refuse(stream.peer_addr().ok(), "426 Upgrade Required");
+                self.refusals.tell(stream.peer_addr().ok(), "426 Upgrade Required");
                 http::say(&mut stream, "426 Upgrade Required", "Here is a WebSocket.")
             }
             ("/access", _) => {
@@ -210,11 +228,5 @@ impl Visit {
             }
             _ => http::serve(&mut stream, &request, &self.assets),
         };
-    }
-
-    fn refuse(&self, peer: Option<SocketAddr>, why: &'static str) {
-        if let Some(requests) = lock(&self.refused).entry(why).or_default().event(monotonic_ns()) {
-            warn!(requests, why, ?peer, "console: request refused");
-        }
     }
 }

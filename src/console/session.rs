@@ -17,6 +17,7 @@ use tungstenite::{Message, WebSocket};
 
 use super::calibration;
 use super::commands::Action;
+use super::door::Stay;
 use super::guard::Access;
 use super::http;
 use super::hub::{Hub, demand};
@@ -144,13 +145,14 @@ fn config() -> WebSocketConfig {
         .write_buffer_size(0)
 }
 
-/// Serves a page until it goes. `rest`: bytes that came with the request; `refuse` says why a page is sent away.
+/// Serves a page until it goes. `rest`: bytes that came with the request; `stay`: its place at the door; `refuse` says why a page is sent away.
 pub fn run(
     stream: TcpStream,
     rest: Vec<u8>,
     hub: &Hub,
     access: &Access,
     order: &Order,
+    stay: &Stay,
     refuse: &dyn Fn(&'static str),
 ) -> io::Result<()> {
     stream.set_nodelay(true)?;
@@ -174,6 +176,7 @@ pub fn run(
         refuse("too many pages");
         return close(&mut writer, CLOSE_FULL, "too many pages");
     };
+    stay.let_in();
     page.open();
     hub.greet(&page);
     let (end, taken) = std::thread::scope(|scope| {

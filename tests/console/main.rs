@@ -2,7 +2,7 @@
 
 mod support;
 
-use std::io::Write;
+use std::io::{ErrorKind, Read, Write};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
@@ -86,6 +86,51 @@ fn a_token_is_asked_for_and_never_written() {
     assert_eq!(page.state()["link"], "waiting");
     let said = console.end();
     assert!(said.contains("wrong token") && !said.contains("horse"), "{said}");
+}
+
+/// They come from one address, as the owner does: behind a tunnel or a proxy all have one.
+#[test]
+fn strangers_who_say_nothing_lock_nobody_out() {
+    let place = Place::new();
+    let mut file = tempfile::NamedTempFile::new().expect("file");
+    file.write_all(b"correct-horse-battery").expect("written");
+    let console = Console::start(&place, &["--token-file", file.path().to_str().expect("text")]);
+    let hello = r#"{"hello":{"token":"correct-horse-battery"}}"#;
+    let mut first = console.connect();
+    first.send(hello);
+    first.state();
+    let begun = |_| {
+        let mut stream = console.stream();
+        // One that was ended at once takes nothing.
+        let _ = stream.write_all(b"GET / HTTP/1.1\r\nHost: loc");
+        stream
+    };
+    let mut strangers: Vec<_> = (0..300).map(begun).collect();
+    let start = Instant::now();
+    let request = format!("GET / HTTP/1.1\r\nHost: 127.0.0.1:{}\r\n\r\n", console.port);
+    assert!(console.raw(request.as_bytes()).starts_with("HTTP/1.1 200 "));
+    let mut page = console.connect();
+    page.send(hello);
+    assert_eq!(page.state()["link"], "waiting");
+    strangers[299].set_nonblocking(true).expect("a flag");
+    let newest = strangers[299].read(&mut [0]);
+    assert!(newest.is_err_and(|e| e.kind() == ErrorKind::WouldBlock), "the newest one has its time");
+    // Those who guess pause for half a second, and hold their connections meanwhile.
+    let guess = |_| {
+        let mut page = console.connect();
+        page.send(r#"{"hello":{"token":"wrong"}}"#);
+        page
+    };
+    let _guessing: Vec<Page> = (0..100).map(guess).collect();
+    let mut page = console.connect();
+    page.send(hello);
+    assert_eq!(page.state()["link"], "waiting");
+    // A head has five seconds.
+    assert!(start.elapsed() < Duration::from_secs(3), "{:?}", start.elapsed());
+    assert!(!matches!(strangers[0].read(&mut [0]), Ok(1..)), "the oldest stranger is ended without an answer");
+    assert_eq!(first.state()["link"], "waiting");
+    let said = console.end();
+    assert!(said.contains("\"why\":\"too many connections\"") && !said.contains("horse"), "{said}");
 }
 
 #[test]

@@ -99,7 +99,8 @@ impl Console {
         Self { process, port, said }
     }
 
-    fn stream(&self) -> TcpStream {
+    /// A connection on which nothing was said so far.
+    pub fn stream(&self) -> TcpStream {
         let stream = TcpStream::connect(("127.0.0.1", self.port)).expect("connected");
         stream.set_read_timeout(Some(PATIENCE)).expect("time-out");
         stream

@@ -231,7 +231,8 @@ async function log(page) {
   check(true, "by a field and its value, too");
   await page.locator("#log-filter").fill("");
   await page.locator("#log-level").selectOption("1");
-  await every("^(WARN|ERROR) ");
+  // A note is the console's: which file it is.
+  await every("^(WARN|ERROR|NOTE) ");
   check(true, "and by level");
   await page.locator("#log-level").selectOption("2");
   await page.getByRole("link", { name: "Live" }).click();
@@ -265,6 +266,16 @@ async function token(browser) {
   child.kill("SIGKILL");
   await page.getByText("The console is gone").waitFor();
   check(true, "a console that has gone is told");
+}
+
+/** All of one browser, and so of one address. Of the log, as twenty maps are more than software GL draws. */
+async function manyPages(context, url) {
+  context.setDefaultTimeout(PATIENCE_MS);
+  const pages = await Promise.all(Array.from({ length: 20 }, () => context.newPage()));
+  await Promise.all(pages.map((page) => page.goto(`${url}#log`)));
+  await Promise.all(pages.map((page) => stateIs(page, "tracking")));
+  check(true, "twenty pages that are opened at once are all served");
+  await Promise.all(pages.map((page) => page.close()));
 }
 
 /** A robot that knows its camera's height: what stands around it, and where it has driven. */
@@ -446,6 +457,10 @@ try {
     check(wide <= wanted, `nothing is wider than the screen (${name})`);
     await other.context().close();
   }
+  const context = await browser.newContext();
+  await manyPages(context, url);
+  await context.close();
+  await stateIs(page, "tracking");
   await killed(page, demo);
   check(troubles.length === 0, `no error and no foreign request ${troubles.join("; ")}`);
   // The browser tells refused connections as errors; here they are meant.
