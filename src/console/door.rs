@@ -1,18 +1,20 @@
-//! Connections of strangers, who have not said `hello` with the token: so many of one address, so many of all, and the oldest gives way.
+//! Connections of strangers, who have not said `hello` with the token: so many at a time, and the oldest of the address that has most gives way.
 //!
-//! Whoever reaches the console can open connections and say nothing on them. Were one more refused, they would keep the owner out; so the oldest one
-//! of the address that has most is ended instead. A request is answered in milliseconds: those who want something are the newest ones, and are served
-//! however many others wait, from their own address as well (behind a tunnel or a proxy all have one).
+//! Whoever reaches the console can open connections and say nothing on them. Were one more refused, they would keep the owner out; so an address has
+//! more than its share only while nobody else comes. A request is answered in milliseconds: those who want something are the newest ones, and are
+//! served however many others wait, from their own address as well (behind a tunnel or a proxy all have one). Many who come at once and want
+//! something are not ended within a second, but wait for each other.
 
 use std::net::{IpAddr, Shutdown, SocketAddr, TcpStream};
 use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
 
-use super::hub::{MAX_PAGES, lock};
+use super::hub::lock;
 
-/// Strangers of one address: all the pages that there may be come at once when the console starts anew, and a browser has six requests under way.
-const OF_ONE: usize = MAX_PAGES;
-/// Strangers of all addresses.
-pub const OF_ALL: usize = 96;
+/// Strangers at a time, of all addresses.
+pub const STRANGERS: usize = 96;
+/// Who has come within this does not give way.
+const GRACE: Duration = Duration::from_secs(1);
 /// For the log.
 const CROWDED: &str = "too many connections";
 
@@ -31,6 +33,7 @@ struct Crowd {
 struct Stranger {
     number: u64,
     peer: IpAddr,
+    since: Instant,
     /// By which it is ended.
     stream: TcpStream,
 }
@@ -43,42 +46,44 @@ pub struct Stay {
 }
 
 impl Door {
+    /// Whether one more finds a place, or one that gives way.
+    pub fn is_open(&self, now: Instant) -> bool {
+        let crowd = lock(&self.0);
+        let gives_way = |i: usize| now.saturating_duration_since(crowd.strangers[i].since) >= GRACE;
+        crowd.strangers.len() < STRANGERS || crowd.first_to_go().is_some_and(gives_way)
+    }
+
     /// A stranger comes. Where there are too many another one is ended, and `refuse` says of whom that was.
     pub fn enter(
         self: &Arc<Self>,
         peer: IpAddr,
         stream: TcpStream,
+        now: Instant,
         refuse: &dyn Fn(Option<SocketAddr>, &'static str),
     ) -> Stay {
-        // An IPv4 address is one whether the console listens on IPv6, too, or not.
-        let peer = peer.to_canonical();
         let mut crowd = lock(&self.0);
-        let of_one = crowd.count(peer) >= OF_ONE;
-        if (of_one || crowd.strangers.len() >= OF_ALL)
-            && let Some(oldest) = crowd.oldest(of_one.then_some(peer))
+        if crowd.strangers.len() >= STRANGERS
+            && let Some(first) = crowd.first_to_go()
         {
-            let gone = crowd.strangers.remove(oldest).stream;
+            let gone = crowd.strangers.remove(first).stream;
             refuse(gone.peer_addr().ok(), CROWDED);
             // Its thread wakes, and ends; one that pauses after a wrong token pauses on. It may have gone by itself.
             let _ = gone.shutdown(Shutdown::Both);
         }
         crowd.came += 1;
         let number = crowd.came;
-        crowd.strangers.push(Stranger { number, peer, stream });
+        // An IPv4 address is one whether the console listens on IPv6, too, or not.
+        crowd.strangers.push(Stranger { number, peer: peer.to_canonical(), since: now, stream });
         Stay { door: self.clone(), number }
     }
 }
 
 impl Crowd {
-    fn count(&self, peer: IpAddr) -> usize {
-        self.strangers.iter().filter(|s| s.peer == peer).count()
-    }
-
-    /// Who gives way: the oldest one of this address, or of the one that has most.
-    fn oldest(&self, of: Option<IpAddr>) -> Option<usize> {
+    /// The oldest one of the address that has most.
+    fn first_to_go(&self) -> Option<usize> {
+        let count = |peer: IpAddr| self.strangers.iter().filter(|s| s.peer == peer).count();
         // Of equals the last one counts here, so they come in reverse.
-        let giving = self.strangers.iter().enumerate().rev().filter(|(_, s)| of.is_none_or(|of| of == s.peer));
-        giving.max_by_key(|(_, s)| self.count(s.peer)).map(|(i, _)| i)
+        self.strangers.iter().enumerate().rev().max_by_key(|(_, s)| count(s.peer)).map(|(i, _)| i)
     }
 }
 
@@ -99,7 +104,6 @@ impl Drop for Stay {
 mod tests {
     use std::io::Read;
     use std::net::TcpListener;
-    use std::time::Duration;
 
     use super::*;
 
@@ -113,7 +117,7 @@ mod tests {
 
     impl Visitor {
         fn is_ended(&mut self) -> bool {
-            self.stream.set_read_timeout(Some(Duration::from_millis(20))).expect("time-out");
+            self.stream.set_read_timeout(Some(Duration::from_millis(2))).expect("time-out");
             matches!(self.stream.read(&mut [0]), Ok(0))
         }
     }
@@ -121,18 +125,21 @@ mod tests {
     struct Street {
         listener: TcpListener,
         door: Arc<Door>,
+        now: Instant,
     }
 
     impl Street {
         fn new() -> Self {
-            Self { listener: TcpListener::bind("127.0.0.1:0").expect("listener"), door: Arc::default() }
+            let listener = TcpListener::bind("127.0.0.1:0").expect("listener");
+            Self { listener, door: Arc::default(), now: Instant::now() }
         }
 
         fn come(&self, peer: &str) -> Visitor {
             let stream = TcpStream::connect(self.listener.local_addr().expect("address")).expect("connected");
             let (ours, _) = self.listener.accept().expect("accepted");
             let end = ours.try_clone().expect("a second handle");
-            let stay = self.door.enter(peer.parse().expect("address"), end, &|_, why| assert_eq!(why, CROWDED));
+            let stay =
+                self.door.enter(peer.parse().expect("address"), end, self.now, &|_, why| assert_eq!(why, CROWDED));
             Visitor { stream, stay, _served: ours }
         }
 
@@ -146,38 +153,46 @@ mod tests {
     }
 
     #[test]
-    fn of_one_address_the_oldest_gives_way_and_others_stay() {
+    fn the_oldest_of_the_address_that_has_most_gives_way() {
         let street = Street::new();
-        let (mut many, mut other) = (street.crowd("10.0.0.1", OF_ONE), street.crowd("10.0.0.2", 2));
-        assert!(ended(&mut many).is_empty());
+        let (mut few, mut many) = (street.crowd("10.0.0.1", 2), street.crowd("10.0.0.2", 40));
+        let mut rest: Vec<Visitor> = (0..STRANGERS - 43).map(|i| street.come(&format!("10.0.1.{i}"))).collect();
         // The same address as an IPv6 socket has it.
-        let newer = [street.come("10.0.0.1"), street.come("::ffff:10.0.0.1")];
-        assert_eq!((ended(&mut many), ended(&mut other)), (vec![0, 1], vec![]));
-        assert!(newer.into_iter().all(|mut v| !v.is_ended()));
+        many.push(street.come("::ffff:10.0.0.2"));
+        assert!([&mut few, &mut many, &mut rest].into_iter().all(|crowd| ended(crowd).is_empty()));
+        let mut owner = street.crowd("10.0.0.9", 3);
+        assert_eq!((ended(&mut many), ended(&mut owner)), (vec![0, 1, 2], vec![]));
+        assert_eq!((ended(&mut few), ended(&mut rest)), (vec![], vec![]));
     }
 
     #[test]
-    fn of_all_addresses_the_one_that_has_most_gives_way() {
+    fn of_one_address_alone_the_oldest_gives_way() {
         let street = Street::new();
-        let mut few = street.crowd("10.0.0.1", 2);
-        let mut many = [street.crowd("10.0.0.2", OF_ONE), street.crowd("10.0.0.3", OF_ONE - 2)];
-        let mut rest: Vec<Visitor> = (0..OF_ALL - 2 * OF_ONE).map(|i| street.come(&format!("10.0.1.{i}"))).collect();
-        let mut owner = street.come("10.0.0.9");
-        assert!(!owner.is_ended());
-        assert_eq!((ended(&mut many[0]), ended(&mut many[1])), (vec![0], vec![]));
-        assert_eq!((ended(&mut few), ended(&mut rest)), (vec![], vec![]));
+        let (mut many, mut owner) = (street.crowd("127.0.0.1", STRANGERS), street.crowd("127.0.0.1", 2));
+        assert_eq!((ended(&mut many), ended(&mut owner)), (vec![0, 1], vec![]));
+    }
+
+    #[test]
+    fn many_who_come_at_once_wait_for_each_other() {
+        let mut street = Street::new();
+        let mut many = street.crowd("10.0.0.1", STRANGERS);
+        assert!(!street.door.is_open(street.now + GRACE / 2), "nobody is ended so soon");
+        assert!(street.door.is_open(street.now + GRACE));
+        many.pop();
+        assert!(street.door.is_open(street.now), "one has gone");
+        street.now += GRACE;
+        many.push(street.come("10.0.0.1"));
+        assert!(street.door.is_open(street.now) && ended(&mut many).is_empty());
     }
 
     #[test]
     fn who_is_let_in_or_has_gone_does_not_count() {
         let street = Street::new();
-        let mut pages = street.crowd("10.0.0.1", OF_ONE);
-        for page in &pages {
-            page.stay.let_in();
-        }
-        let mut more = street.crowd("10.0.0.1", OF_ONE);
+        let mut pages = street.crowd("10.0.0.1", STRANGERS);
+        pages.iter().for_each(|page| page.stay.let_in());
+        let mut more = street.crowd("10.0.0.1", STRANGERS);
         more.truncate(1);
-        more.extend(street.crowd("10.0.0.1", OF_ONE - 1));
+        more.extend(street.crowd("10.0.0.1", STRANGERS - 1));
         assert_eq!((ended(&mut pages), ended(&mut more)), (vec![], vec![]));
     }
 }

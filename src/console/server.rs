@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use tracing::warn;
@@ -25,7 +25,7 @@ use crate::messages::Endpoint;
 use crate::telemetry::RateLimiter;
 
 /// Connections at a time; others wait to be accepted, for a moment, as strangers give way to each other.
-const MAX_CONNECTIONS: usize = MAX_PAGES + door::OF_ALL;
+const MAX_CONNECTIONS: usize = MAX_PAGES + door::STRANGERS;
 /// How soon the end is noticed while nobody connects.
 const NAP: Duration = Duration::from_millis(200);
 /// Stack of a connection's thread, bytes: it parses a few kilobytes.
@@ -112,7 +112,7 @@ impl Console {
         let (door, refusals) = (Arc::new(Door::default()), Arc::new(Refusals::default()));
         let nap = Timespec { tv_sec: 0, tv_nsec: NAP.as_nanos() as i64 };
         while !stop.load(Ordering::Relaxed) {
-            if connections.load(Ordering::Relaxed) >= MAX_CONNECTIONS {
+            if connections.load(Ordering::Relaxed) >= MAX_CONNECTIONS || !door.is_open(Instant::now()) {
                 std::thread::sleep(Duration::from_millis(20));
                 continue;
             }
@@ -131,7 +131,7 @@ impl Console {
                     continue;
                 }
             };
-            let stay = door.enter(peer.ip(), end, &|peer, why| refusals.tell(peer, why));
+            let stay = door.enter(peer.ip(), end, Instant::now(), &|peer, why| refusals.tell(peer, why));
             let place = Place::take(&connections);
             let visit = Visit {
                 hub: hub.clone(),

@@ -105,15 +105,15 @@ fn strangers_who_say_nothing_lock_nobody_out() {
         let _ = stream.write_all(b"GET / HTTP/1.1\r\nHost: loc");
         stream
     };
-    let mut strangers: Vec<_> = (0..300).map(begun).collect();
     let start = Instant::now();
+    let mut strangers: Vec<_> = (0..140).map(begun).collect();
     let request = format!("GET / HTTP/1.1\r\nHost: 127.0.0.1:{}\r\n\r\n", console.port);
     assert!(console.raw(request.as_bytes()).starts_with("HTTP/1.1 200 "));
     let mut page = console.connect();
     page.send(hello);
     assert_eq!(page.state()["link"], "waiting");
-    strangers[299].set_nonblocking(true).expect("a flag");
-    let newest = strangers[299].read(&mut [0]);
+    strangers[139].set_nonblocking(true).expect("a flag");
+    let newest = strangers[139].read(&mut [0]);
     assert!(newest.is_err_and(|e| e.kind() == ErrorKind::WouldBlock), "the newest one has its time");
     // Those who guess pause for half a second, and hold their connections meanwhile.
     let guess = |_| {
@@ -121,12 +121,12 @@ fn strangers_who_say_nothing_lock_nobody_out() {
         page.send(r#"{"hello":{"token":"wrong"}}"#);
         page
     };
-    let _guessing: Vec<Page> = (0..100).map(guess).collect();
+    let _guessing: Vec<Page> = (0..40).map(guess).collect();
     let mut page = console.connect();
     page.send(hello);
     assert_eq!(page.state()["link"], "waiting");
     // A head has five seconds.
-    assert!(start.elapsed() < Duration::from_secs(3), "{:?}", start.elapsed());
+    assert!(start.elapsed() < Duration::from_secs(4), "{:?}", start.elapsed());
     assert!(!matches!(strangers[0].read(&mut [0]), Ok(1..)), "the oldest stranger is ended without an answer");
     assert_eq!(first.state()["link"], "waiting");
     let said = console.end();
