@@ -5,7 +5,7 @@ use cairn::messages::{Pose, STATE_LOST, STATE_TRACKING};
 use super::*;
 
 /// The lens is covered for a second and a half, again and again: the first map may take its time.
-const BLACKOUT: &str = "[simulator.blackout]\nenabled = true\nstart_s = 6.0\nframes = 45\nperiod_s = 12.0\n";
+const BLACKOUT: &str = "[simulator.blackout]\nenabled = true\nstart_s = 6.0\nframes = 45\nperiod_s = 20.0\n";
 
 /// Waits for a file that was kept for this event; whole, as it gets its name at its beginning.
 fn kept(folder: &Path, event: &str) -> PathBuf {
