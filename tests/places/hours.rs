@@ -49,7 +49,14 @@ fn ms(since_ns: i64) -> f64 {
 }
 
 /// Drives for a day.
-fn day(robot: &mut Robot, file: &mut Option<MapFile>, folder: &std::path::Path, seed: u64, day: u64, seconds: usize) -> Row {
+fn day(
+    robot: &mut Robot,
+    file: &mut Option<MapFile>,
+    folder: &std::path::Path,
+    seed: u64,
+    day: u64,
+    seconds: usize,
+) -> Row {
     let mut config = SimulatorConfig { rate_hz: HOURS_RATE_HZ, ..webcam(Scenario::ThreeRooms, seed) };
     config.speed = [1.0, 1.15, 0.9][day as usize % 3];
     config.another_day.enabled = day > 0;

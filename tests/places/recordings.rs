@@ -18,8 +18,8 @@ use cairn::reconstruction::{
 use cairn::trajectory::{TrajectorySpool, read_tum};
 
 use super::number;
-use super::support::recording;
 use super::robot::Pose;
+use super::support::recording;
 
 const NAMES: [&str; 8] = [
     "new_tsukuba",

@@ -10,8 +10,8 @@
 //!
 //! Does not: follow pixels, know the daemon, invent a position. Users' page: `docs/ros2.md`.
 
-pub(super) mod attachment;
 mod anchors;
+pub(super) mod attachment;
 mod commands;
 mod error;
 mod inbox;
@@ -24,9 +24,9 @@ mod scans;
 pub(super) mod session;
 pub(super) mod topic;
 
+pub(super) use anchors::MOST_ANCHORS;
 pub use commands::Commands;
 pub use error::BridgeError;
-pub(super) use anchors::MOST_ANCHORS;
 pub(super) use error::reason;
 pub use names::Robot;
 pub use node::{Network, Node};

@@ -9,12 +9,12 @@ use std::time::{Duration, Instant};
 
 use tracing::{info, warn};
 
+use super::anchors::Anchors;
 use super::commands::Commands;
 use super::error::BridgeError;
 use super::inbox::Inbox;
 use super::node::{Network, Node};
 use super::on_demand::OnDemand;
-use super::anchors::Anchors;
 use super::rates::Rates;
 use super::scans::LastPoses;
 use super::session::Link;

@@ -10,7 +10,7 @@ use crate::messages::Transform;
 
 /// Of each map, by its anchors' names and places in it: the frame that it is laid in (named after the first anchor of the first map there), and where its
 /// own is in that. `None`: it has no anchors.
-pub fn common_frames(maps: &[&[(u64, Transform)]]) -> Vec<Option<(u64, Transform)>> {
+pub fn common_frames(maps: &[Vec<(u64, Transform)>]) -> Vec<Option<(u64, Transform)>> {
     let mut by_anchor: BTreeMap<u64, Vec<usize>> = BTreeMap::new();
     for (map, anchors) in maps.iter().enumerate() {
         anchors.iter().for_each(|(name, _)| by_anchor.entry(*name).or_default().push(map));
@@ -21,7 +21,7 @@ pub fn common_frames(maps: &[&[(u64, Transform)]]) -> Vec<Option<(u64, Transform
         laid[first] = Some((*frame, Transform::IDENTITY));
         let mut next = VecDeque::from([(first, Transform::IDENTITY)]);
         while let Some((map, frame_from_map)) = next.pop_front() {
-            for (name, in_map) in maps[map] {
+            for (name, in_map) in &maps[map] {
                 for &other in by_anchor.get(name).into_iter().flatten() {
                     let in_other = maps[other].iter().find(|anchor| anchor.0 == *name).map(|anchor| anchor.1);
                     let Some(in_other) = in_other.filter(|_| laid[other].is_none()) else { continue };
@@ -48,7 +48,7 @@ mod tests {
         let second = [(2, turned.inverse() * first[1].1), (3, at(7.0, 1.0, 0.0))];
         let third = [(3, at(0.0, 0.0, 0.0))];
         let fourth = [(9, at(0.0, 0.0, 0.0))];
-        let laid = common_frames(&[&first, &[], &fourth, &third, &second]);
+        let laid = common_frames(&[first.to_vec(), Vec::new(), fourth.to_vec(), third.to_vec(), second.to_vec()]);
         assert_eq!((laid[0], laid[1], laid[2]), (Some((1, Transform::IDENTITY)), None, Some((9, Transform::IDENTITY))));
         let near = |laid: Option<(u64, Transform)>, place: Transform| {
             let (frame, there) = laid.expect("a frame");

@@ -102,7 +102,7 @@ pub mod tests {
     fn a_place_is_in_the_frame_that_others_have() {
         let (mut path, now) = (Path::default(), Instant::now());
         path.add(&pose("map", 50.0, -18.0, 2.0), &Transform::level(50.0, -20.0, std::f64::consts::FRAC_PI_2), now);
-        let place = path.place(now).expect("a place");
+        let place = path.place(now, &HERE).expect("a place");
         let off = [place.x_m - 2.0, place.y_m, place.yaw_rad - (2.0 - std::f64::consts::FRAC_PI_2)];
         assert!(off.iter().all(|v| v.abs() < 1e-12), "{place:?}");
     }
@@ -118,8 +118,8 @@ pub mod tests {
         for end in 0..whole.len() - 8 * 36 {
             path.add(&whole[..end], &HERE, now);
         }
-        assert_eq!((path.place(now), path.points(&HERE).len()), (None, 0));
+        assert_eq!((path.place(now, &HERE), path.points(&HERE).len()), (None, 0));
         path.add(&whole, &HERE, now);
-        assert!(path.place(now).is_some());
+        assert!(path.place(now, &HERE).is_some());
     }
 }

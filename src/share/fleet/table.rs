@@ -6,9 +6,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
+use super::anchors::common_frames;
 use super::listing::{Listing, Presence, Row};
 use super::path::Path;
-use super::anchors::common_frames;
 use super::report::Report;
 use crate::messages::Transform;
 use crate::share::bridge::attachment::{GID_BYTES, gid};
@@ -178,10 +178,11 @@ impl Table {
         let shared = self.shared_names();
         let mut entries: Vec<&Entry> = self.robots.values().collect();
         entries.sort_by(|a, b| (&a.name, &a.session).cmp(&(&b.name, &b.session)));
-        let here = |entry: &&Entry| Some(*entry).filter(|entry| self.presence(entry, now) == Presence::Here);
-        let in_maps: Vec<&[(u64, Transform)]> =
-            entries.iter().map(|entry| here(entry).and_then(Entry::report).map_or(&[][..], |r| &r.anchors)).collect();
-        let placed = common_frames(&in_maps);
+        let anchors = |entry: &&'_ Entry| match entry.report() {
+            Some(report) if self.presence(entry, now) == Presence::Here => report.anchors.clone(),
+            _ => Vec::new(),
+        };
+        let placed = common_frames(&entries.iter().map(anchors).collect::<Vec<_>>());
         let robots = entries.iter().zip(placed).map(|(entry, place)| self.row(entry, place, &shared, now)).collect();
         Listing {
             domain: self.domain,
