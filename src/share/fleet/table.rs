@@ -178,7 +178,7 @@ impl Table {
         let shared = self.shared_names();
         let mut entries: Vec<&Entry> = self.robots.values().collect();
         entries.sort_by(|a, b| (&a.name, &a.session).cmp(&(&b.name, &b.session)));
-        let anchors = |entry: &&'_ Entry| match entry.report() {
+        let anchors = |entry: &&Entry| match entry.report() {
             Some(report) if self.presence(entry, now) == Presence::Here => report.anchors.clone(),
             _ => Vec::new(),
         };
