@@ -4,7 +4,7 @@
 //! queue, and goes on only if these are on the disk. Reading a file, verifying it and giving its maps ids of this run happens here;
 //! reconstruction gets maps that it only has to take.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -22,7 +22,6 @@ use crate::places::store::{Fault, MOST_IDS, MapFile, StoreError, read_to_locate}
 const MEANWHILE: Ids = Ids { maps: 16, keyframes: 1 << 10, landmarks: 1 << 17 };
 /// A stage that does not take a request for so long hangs.
 const PATIENCE: Duration = Duration::from_secs(5);
-const WITHOUT_PICTURES: &str = "the map file is without pictures that the spool does not give: its disk has bad blocks";
 
 /// What whoever writes tells the desk.
 #[derive(Debug, Default)]
@@ -96,7 +95,7 @@ impl Keeper {
             return;
         }
         // At the second attempt a picture that cannot be read holds up nothing else.
-        let without_unread = matches!(&self.failed, Some(StoreError { fault: Fault::Spool(_), .. }));
+        let without_unread = self.lacks_pictures();
         let outcome = self.ready(changes, without_unread).and_then(|file| match file {
             Some(file) => file.write(changes),
             None => Ok(0),
@@ -104,9 +103,7 @@ impl Keeper {
         match outcome {
             Ok(bytes) => {
                 let left_out = self.file.as_ref().map_or(0, MapFile::left_out);
-                if left_out > 0 && without_unread {
-                    warn!(path = %self.path.display(), left_out, "{WITHOUT_PICTURES}");
-                }
+                tell_left_out(&self.path, left_out);
                 let keyframes = changes.keyframes.len();
                 debug!(path = %self.path.display(), keyframes, bytes, "map file written");
                 self.failed = None;
@@ -120,6 +117,19 @@ impl Keeper {
             }
         }
         self.word.fails.store(self.failed.is_some(), Ordering::Release);
+    }
+
+    /// The same of a run's last changes, which nothing repeats later: twice where a spool did not give a picture.
+    pub fn keep_last(&mut self, everything: &MapChanges) {
+        self.keep(everything);
+        if self.lacks_pictures() {
+            self.keep(everything);
+        }
+    }
+
+    /// The last write failed for want of a picture.
+    fn lacks_pictures(&self) -> bool {
+        matches!(&self.failed, Some(StoreError { fault: Fault::Spool(_), .. }))
     }
 
     /// The file, to write the changes to; `None` if they are in it already, as it was made with them.
@@ -261,14 +271,18 @@ fn load(path: PathBuf, given: Ids, localise_only: bool, keeper: Option<&Keeper>)
     Ok(Loaded { path, file, saved })
 }
 
+fn tell_left_out(path: &Path, left_out: usize) {
+    if left_out > 0 {
+        warn!(path = %path.display(), left_out, "map file without pictures that the spool does not give");
+    }
+}
+
 fn copy(everything: &MapChanges, to: CopyTo, keeper: Option<&Keeper>) -> Result<String, String> {
     let write = |path: &PathBuf| {
         let file = match MapFile::create(path, everything) {
             Err(StoreError { fault: Fault::Spool(_), .. }) => {
                 let file = MapFile::create_without_unread(path, everything);
-                file.inspect(|file| {
-                    warn!(path = %path.display(), left_out = file.left_out(), "{WITHOUT_PICTURES}");
-                })
+                file.inspect(|file| tell_left_out(path, file.left_out()))
             }
             other => other,
         };

@@ -42,8 +42,8 @@ struct Last {
 #[derive(Debug, Default)]
 pub struct Events {
     last: Option<Last>,
-    /// The map that the last pose was in is known to have had [`KEPT_KEYFRAMES`].
-    is_grown: bool,
+    /// Run and reset counter of the map that is known to have had [`KEPT_KEYFRAMES`] last.
+    grown: Option<(u64, u32)>,
     away_since: Option<Instant>,
     /// The daemon's end was told.
     is_told: bool,
@@ -58,22 +58,22 @@ impl Events {
         self.away_since = None;
         let same_run = before.filter(|before| before.run_id == now.run_id);
         let same_map = same_run.is_some_and(|before| before.reset_counter == now.reset_counter);
-        let was_grown = self.is_grown;
-        self.is_grown &= same_map;
         let Some(before) = same_run else {
             return (before.is_some() && !is_told).then_some(Event::Gone);
         };
         if before.state != State::Tracking || now.state == State::Tracking {
             return None;
         }
+        let was_grown = self.grown == Some((before.run_id, before.reset_counter));
         let may_be_young = matches!(now.state, State::Initializing | State::Orientation) && !was_grown;
         (same_map || may_be_young).then_some(Event::Lost)
     }
 
     /// With each message of keyframes.
     pub fn keyframes(&mut self, header: &KeyframesHeader) {
-        let of_last = |last: Last| (last.run_id, last.reset_counter) == (header.run_id, header.reset_counter);
-        self.is_grown |= header.total >= KEPT_KEYFRAMES && self.last.is_some_and(of_last);
+        if header.total >= KEPT_KEYFRAMES {
+            self.grown = Some((header.run_id, header.reset_counter));
+        }
     }
 
     /// Several times a second: whether a daemon is there.

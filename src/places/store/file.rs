@@ -14,6 +14,7 @@ use super::layout::{HeaderOf, HeaderRecord, MOST_IDS, Raw, encode_keyframe, enco
 use super::picture;
 use super::records::{Kind, Records, Tally};
 use crate::atomic_file::create_unique;
+use crate::map::Keyframe;
 use crate::map::away::CopyFault;
 use crate::map::saved::{MapChanges, SavedMaps};
 use crate::places::spool::PictureSpool;
@@ -57,6 +58,28 @@ fn read_with(path: &Path, spool: Option<&Path>) -> Result<Contents, StoreError> 
     open().map_err(|fault| fault.of(path))
 }
 
+/// What the file has of a keyframe.
+#[derive(Debug, Clone, Copy)]
+struct Stored {
+    /// Of its picture; that of none, where the spool did not give the one that is to be stored.
+    revision: u32,
+    /// Says which keyframe it is: maps that are gone on in get other numbers.
+    timestamp_ns: i64,
+}
+
+/// Of one keyframe.
+#[derive(Default)]
+struct PictureRecords {
+    new: Option<(Kind, u32, Vec<u8>)>,
+    /// To be removed.
+    bare: Vec<(Kind, u32)>,
+    /// The spool did not give it.
+    is_unread: bool,
+}
+
+/// No picture has as many.
+const NOT_STORED: u32 = u32::MAX;
+
 /// A map file that this process writes to; another one that opens it is told so.
 pub struct MapFile {
     path: PathBuf,
@@ -65,8 +88,8 @@ pub struct MapFile {
     /// `None` before the first write, and once it is given up.
     records: Option<Records>,
     tally: Tally,
-    /// Keyframes in the file, and which revision of their pictures.
-    keyframes: BTreeMap<u32, u32>,
+    /// Keyframes in the file.
+    keyframes: BTreeMap<u32, Stored>,
     /// Pages of landmarks in the file.
     pages: BTreeSet<u32>,
     /// What the spool does not give is left out, and how many pictures that were.
@@ -123,7 +146,8 @@ impl MapFile {
             lock(file.try_lock())?;
             let (contents, tally, pages) = look(&file, Some(folder_of(path)))?;
             let keyframes = contents.saved.maps.iter().flat_map(|m| m.map.keyframes.iter());
-            let keyframes = keyframes.map(|(id, k)| (id, k.picture.revision())).collect();
+            let stored = |k: &Keyframe| Stored { revision: k.picture.revision(), timestamp_ns: k.timestamp_ns };
+            let keyframes = keyframes.map(|(id, k)| (id, stored(k))).collect();
             let (path, verified) = (path.into(), Some(file));
             let own =
                 Self { path, verified, records: None, tally, keyframes, pages, without_unread: false, left_out: 0 };
@@ -136,13 +160,13 @@ impl MapFile {
         &self.path
     }
 
-    /// From now on a picture that the spool does not give is left out, instead of nothing being written: one bad block of a disk must not keep a
-    /// whole map from it. What the file has of that picture stays.
+    /// In the next write a picture that the spool does not give is left out, instead of nothing being written: one bad block of a disk must not keep a
+    /// whole map from it. What the file has of that picture stays; where it has nothing of that keyframe, nothing is written all the same.
     pub fn do_without_unread(&mut self) {
         self.without_unread = true;
     }
 
-    /// Pictures that were left out.
+    /// Pictures that were left out of the last write.
     pub fn left_out(&self) -> usize {
         self.left_out
     }
@@ -162,35 +186,18 @@ impl MapFile {
         }
         let camera = &changes.optics.camera;
         let senseless = || Fault::GivenUp("a record cannot be made of the map".into());
-        let (mut new, mut revisions, mut bare) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut new, mut stored, mut bare) = (Vec::new(), Vec::new(), Vec::new());
+        let (without_unread, mut left_out) = (std::mem::take(&mut self.without_unread), 0);
         for (id, keyframe) in &changes.keyframes {
             new.push((Kind::Keyframe, *id, encode_keyframe(keyframe, camera).ok_or_else(senseless)?));
-            let revision = keyframe.picture.revision();
-            if self.keyframes.get(id) != Some(&revision) {
-                let mut own = keyframe.picture.clone();
-                let mut is_unread = false;
-                match own.bring_back() {
-                    // The spool may give it later, and the whole write is tried again.
-                    Err(CopyFault::NotRead(reason)) if !self.without_unread => return Err(Fault::Spool(reason)),
-                    Err(CopyFault::NotRead(_)) => is_unread = true,
-                    Ok(_) | Err(CopyFault::Senseless(_)) => {}
-                }
-                self.left_out += usize::from(is_unread);
-                let (kind, record) = match own.is_condensed() {
-                    true => (Kind::Condensed, picture::encode_condensed(&own)),
-                    false => (Kind::Picture, picture::encode(&own)),
-                };
-                // Of one that cannot be had the file may have a record that is better than none.
-                if !own.is_lost() && !is_unread {
-                    match own.kept() {
-                        Some(_) => new.push((kind, *id, record.ok_or_else(senseless)?)),
-                        None => bare.push((Kind::Picture, *id)),
-                    }
-                    // It is of one kind only.
-                    bare.push((if kind == Kind::Picture { Kind::Condensed } else { Kind::Picture }, *id));
-                }
+            let (mut revision, timestamp_ns) = (keyframe.picture.revision(), keyframe.timestamp_ns);
+            let records = self.picture_records(*id, keyframe, without_unread)?;
+            if records.is_unread {
+                (left_out, revision) = (left_out + 1, NOT_STORED);
             }
-            revisions.push((*id, revision));
+            new.extend(records.new);
+            bare.extend(records.bare);
+            stored.push((*id, Stored { revision, timestamp_ns }));
         }
         let (filled, emptied): (Vec<_>, Vec<_>) = changes.landmarks.iter().partition(|(_, page)| !page.is_empty());
         for (page, landmarks) in &filled {
@@ -225,11 +232,51 @@ impl MapFile {
                 return Err(fault);
             }
         }
-        self.keyframes.extend(revisions);
+        self.left_out = left_out;
+        self.keyframes.extend(stored);
         self.keyframes.retain(|id, _| kept.contains(id));
         self.pages.extend(filled.iter().map(|(page, _)| **page));
         self.pages.retain(|page| !emptied.contains(page));
         Ok(new.iter().map(|(_, _, bytes)| bytes.len() as u64).sum())
+    }
+
+    /// What is to be written and removed of a keyframe's picture, if the file has not this one.
+    fn picture_records(&self, id: u32, keyframe: &Keyframe, without_unread: bool) -> Result<PictureRecords, Fault> {
+        let mut records = PictureRecords::default();
+        let before = self.keyframes.get(&id);
+        let same = before.filter(|before| before.timestamp_ns == keyframe.timestamp_ns);
+        if same.is_some_and(|before| before.revision == keyframe.picture.revision()) {
+            return Ok(records);
+        }
+        let mut own = keyframe.picture.clone();
+        let may_lack = without_unread && (same.is_some() || self.keyframes.is_empty());
+        match own.bring_back() {
+            Err(CopyFault::NotRead(_)) if may_lack => records.is_unread = true,
+            // The spool may give it later, and the whole write is tried again.
+            Err(CopyFault::NotRead(reason)) => return Err(Fault::Spool(reason)),
+            Ok(_) | Err(CopyFault::Senseless(_)) => {}
+        }
+        if own.is_lost() || records.is_unread {
+            // Of one that cannot be had the file may have a record that is better than none; another keyframe's is not.
+            if before.is_some() && same.is_none() {
+                records.bare.extend([Kind::Picture, Kind::Condensed].map(|kind| (kind, id)));
+            }
+            return Ok(records);
+        }
+        let (kind, other, record) = match own.is_condensed() {
+            true => (Kind::Condensed, Kind::Picture, picture::encode_condensed(&own)),
+            false => (Kind::Picture, Kind::Condensed, picture::encode(&own)),
+        };
+        match own.kept() {
+            Some(_) => {
+                let record = record.ok_or_else(|| Fault::GivenUp("a record cannot be made of a picture".into()))?;
+                records.new = Some((kind, id, record));
+            }
+            None => records.bare.push((Kind::Picture, id)),
+        }
+        // It is of one kind only.
+        records.bare.push((other, id));
+        Ok(records)
     }
 
     /// Closes it; the next one to open it has nothing to repair.

@@ -22,9 +22,10 @@ pub fn common_frames(maps: &[Vec<(u64, Transform)>]) -> Vec<Option<(u64, Transfo
         let mut next = VecDeque::from([(first, Transform::IDENTITY)]);
         while let Some((map, frame_from_map)) = next.pop_front() {
             for (name, in_map) in &maps[map] {
-                for &other in by_anchor.get(name).into_iter().flatten() {
-                    let in_other = maps[other].iter().find(|anchor| anchor.0 == *name).map(|anchor| anchor.1);
-                    let Some(in_other) = in_other.filter(|_| laid[other].is_none()) else { continue };
+                // Whoever has it is laid now, so it is asked for once.
+                for other in by_anchor.remove(name).into_iter().flatten().filter(|other| *other != map) {
+                    let in_other = || maps[other].iter().find(|anchor| anchor.0 == *name).map(|anchor| anchor.1);
+                    let Some(in_other) = laid[other].is_none().then(in_other).flatten() else { continue };
                     let frame_from_other = frame_from_map * *in_map * in_other.inverse();
                     laid[other] = Some((*frame, frame_from_other));
                     next.push_back((other, frame_from_other));

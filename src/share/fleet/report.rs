@@ -8,7 +8,7 @@ use crate::messages::Transform;
 use crate::ros::{CdrError, Reader};
 use crate::share::bridge::MOST_ANCHORS;
 
-/// A bridge's diagnostics have some 500 bytes; what is longer than this is not copied.
+/// A bridge's diagnostics have some 1000 bytes at the most; what is longer than this is not copied.
 pub const MOST_BYTES: usize = 16 * 1024;
 /// Of the values of a status, of which a bridge tells fourteen.
 const MOST_VALUES: u32 = 64;
