@@ -1,5 +1,6 @@
 //! Places that are known again, without threads and in lock-step: after a covered lens, on another day, in rooms that look alike, and
-//! recordings in their own maps. Short forms are tests; the ignored ones print the tables of `tests/results/make places`.
+//! recordings in their own maps; and hours in one building. Short forms are tests but for the hours; the ignored ones print the tables of
+//! `tests/results/make places` and `hours`.
 //!
 //! `TRIALS`: how many there are in a table; `FIRST_SEED`: of the rooms. 1 to 20 are for development.
 

@@ -92,7 +92,7 @@ pub struct MapFile {
     keyframes: BTreeMap<u32, Stored>,
     /// Pages of landmarks in the file.
     pages: BTreeSet<u32>,
-    /// What the spool does not give is left out, and how many pictures that were.
+    /// What the spool does not give is left out of the next write, and how many pictures that were in the last one.
     without_unread: bool,
     left_out: usize,
 }
