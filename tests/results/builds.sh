@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# Builds the three releases, each cleanly in a folder of its own, and prints how large they are and how long it took,
+# Builds the four releases, each cleanly in a folder of its own, and prints how large they are and how long it took,
 # as a Markdown table.
 #
-#   tests/results/make builds     about ten minutes on two cores, 3 GB in the temporary folder meanwhile; CARGO names another cargo
+#   tests/results/make builds     about twenty minutes on two cores, 3 GB in the temporary folder meanwhile; CARGO names another cargo
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 cargo=${CARGO:-cargo}
@@ -27,6 +27,7 @@ row() { # WHAT, FILE in release/, a cargo command with its options
 }
 row '`robot`, the package `cairn`' cairn build --release --bin cairn --no-default-features --features robot
 row '`tools` (default), the package `cairn-tools`' cairn build --release --bin cairn
+row '`bridge`, the package `cairn-bridge`' cairn build --release --bin cairn --no-default-features --features bridge
 row '`client` with its C interface (`c`), `libcairn.so`' libcairn.so \
     rustc --release --lib --crate-type cdylib --no-default-features --features c
 

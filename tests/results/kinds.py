@@ -447,12 +447,12 @@ def fleet(data, short):
                  build=f"bench --locked --no-run {features}")]
 
 
-def beside(script, name, short):
-    """The command of a script that replays a drive beside other programs, and the drive's folder; beside it lies a configuration that knows the camera's height."""
+def drive_of(name, seconds):
+    """The commands that make a drive, and its folder; beside it lies a configuration that knows the camera's height."""
     drive = f"{OUT}/{name}-drive"
-    simulate = f"cairn simulate --scenario room_tour --seconds {8 if short else 20} --output {drive} >&2"
+    simulate = f"cairn simulate --scenario room_tour --seconds {seconds} --output {drive} >&2"
     height = f"printf '[scale]\\ncamera_height_m = 0.5\\ncamera_height_sigma_m = 0.003\\n' >{drive}.toml"
-    return f"rm -rf {drive}\n{simulate}\n{height}\ntests/results/{script} {1 if short else 5} {drive} {drive}.toml", drive
+    return f"rm -rf {drive}\n{simulate}\n{height}", drive
 
 
 def needs_valgrind():
@@ -464,25 +464,27 @@ def sharing(data, short):
     if not importlib.util.find_spec("PIL"):
         raise Missing("no Pillow in this python3, which makes the recording's pictures JPEG: pip install pillow")
     needs_valgrind()
-    command, drive = beside("sharing.py", "sharing", short)
-    count = f"tests/results/sharing.py {1 if short else 3} {drive} {drive}-unscaled.toml count"
-    without = f"printf '' >{drive}-unscaled.toml\ntests/results/sharing.py {1 if short else 5} {drive} {drive}-unscaled.toml"
+    make, drive = drive_of("sharing", 60 if short else 240)
+    make_short, short_drive = drive_of("sharing-short", 8)
+    replays = 1 if short else 2
     return [
-        Step("With scans of obstacles", command, "Replays of a simulated drive at the camera's pace, its pictures as JPEG. The camera's height is told, so the recorder "
+        Step("With scans of obstacles", f"{make}\ntests/results/sharing.py {replays} {drive} {drive}.toml",
+             "Replays of a simulated drive at the camera's pace, its pictures as JPEG. The camera's height is told, so the recorder "
              "gets scans, which the daemon makes only while somebody asks. `cairn fleet --plot` hears the bridge. All share the machine.",
              build="build --locked --release --features bridge"),
-        Step("Without", without, "The same where nobody has told the camera's height: there is no scale, and so there are neither scans nor transforms."),
-        Step("In instructions", count, "Without scans, which are work of their own, as in the second table: times differ by more from one replay to the next than "
-             "what is sought."),
+        Step("Without", f"printf '' >{drive}-unscaled.toml\ntests/results/sharing.py {replays} {drive} {drive}-unscaled.toml",
+             "The same where nobody has told the camera's height: there is no scale, and so there are neither scans nor transforms."),
+        Step("In instructions", f"{make_short}\ntests/results/sharing.py {1 if short else 3} {short_drive} {drive}-unscaled.toml count",
+             "Without scans, which are work of their own, as in the second table; whole replays."),
         Step("A recorder of raw pictures", f"tests/results/sharing.py raw {15 if short else 60}", "Beside a demo."),
     ]
 
 
 def console(data, short):
     needs_valgrind()
-    command, drive = beside("console.py", "console", short)
+    make, drive = drive_of("console", 8 if short else 20)
     return [
-        Step("What pages cost the daemon", command,
+        Step("What pages cost the daemon", f"{make}\ntests/results/console.py {1 if short else 5} {drive} {drive}.toml",
              "Replays of a simulated drive at the camera's pace, with scripted pages that show video, map and log, and one that shows obstacles, too; what "
              "bad pages do stands at the head of `console.py`. Pages, console and daemon share the machine."),
         Step("In instructions", f"tests/results/console.py {1 if short else 3} {drive} {drive}.toml count",
@@ -521,8 +523,8 @@ KINDS = {
     "two_pictures": Kind("Two pictures", "10 min", two_pictures),
     "wire": Kind("The wire", "2 min", wire),
     "fleet": Kind("A fleet", "3 min", fleet),
-    "sharing": Kind("Recorder and bridge", "18 min", sharing),
+    "sharing": Kind("Recorder and bridge", "35 min", sharing),
     "console": Kind("The console", "15 min", console),
     "faults": Kind("Faults on real device nodes", "40 min", faults),
-    "builds": Kind("Builds", "15 min", builds),
+    "builds": Kind("Builds", "25 min", builds),
 }
