@@ -21,6 +21,8 @@ use crate::messages::{EncodedHeader, Endpoint, Health, Pose};
 
 /// Longest sleep: how late a signal is noticed while nothing comes.
 pub const TURN: Duration = Duration::from_millis(50);
+/// Between two looks for pictures: of six that wait for a reader none is lost at 200 a second, with room for a busy machine.
+const LOOK_EVERY: Duration = Duration::from_millis(20);
 /// Both clocks may come apart so far, by a time server's nudges, before it is worth a word, ns.
 const CLOCK_STEP_NS: i64 = 500_000_000;
 /// Readings of the wheels taken in one turn: as many as the queues of all drivers hold that there may be.
@@ -76,15 +78,15 @@ impl Recorder {
         let prefix = endpoint.prefix().to_owned();
         let client = Client::with_endpoint(endpoint)?;
         Ok(Self {
-            encoded: client.encoded(),
-            poses: client.poses(),
-            map: client.map(),
-            keyframes: client.keyframes(),
-            // Nobody waits for these, so the daemon need not wake anybody by them.
+            // A recording is in no hurry, so the daemon need not wake anybody: not by a picture, which comes before the pose that it is for.
+            encoded: client.encoded().polled(LOOK_EVERY),
+            poses: client.poses().polled(TURN),
+            map: client.map().polled(TURN),
+            keyframes: client.keyframes().polled(TURN),
             graph: client.graph().polled(TURN),
             tags: client.tags().polled(TURN),
-            health: client.health(),
-            obstacles: client.obstacles(),
+            health: client.health().polled(TURN),
+            obstacles: client.obstacles().polled(TURN),
             wheels: None,
             client,
             converter: Converter::new(&prefix, realtime_minus_monotonic_ns),

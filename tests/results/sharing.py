@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""What recorder and bridge cost the daemon: they come and go beside replays at the camera's pace, some seconds with none, either or both of them.
+"""What recorder and bridge cost the daemon: both come and go beside replays at the camera's pace, some seconds with them, some without.
 
     tests/results/sharing.py REPLAYS RECORDING CONFIG
     tests/results/sharing.py raw SECONDS        the recorder beside a demo, whose pictures are raw: it makes PNG of them
@@ -28,9 +28,10 @@ sys.dont_write_bytecode = True
 import paired  # noqa: E402
 
 WAYS = {"nothing": [], "recorder": ["recorder"], "bridge": ["bridge"], "recorder and bridge": ["recorder", "bridge"]}
+TIMED = ["nothing", "recorder and bridge"]
 QUALITY = 90
 # Of a stretch: until who has come is at work, and what is measured then. Before the first one the map begins.
-SETTLE_S, STRETCH_S, BEGIN_S = 2.0, 4.0, 8.0
+SETTLE_S, STRETCH_S, BEGIN_S = 1.2, 2.4, 8.0
 
 
 def as_jpeg(recording, folder):
@@ -153,18 +154,18 @@ def replay(recording, config, folder, turn):
         running = subprocess.Popen(["cairn", "replay", recording, "--config", config, "--json", "--log", "warn"], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
                                    stderr=said, text=True)
     time.sleep(BEGIN_S)
-    stretches, ways = [], list(WAYS)
+    stretches = []
     for n in range(turn, 10_000):
-        # Each way comes as often in each place, and both ways round.
-        order = ways[n % len(ways):] + ways[:n % len(ways)]
-        for way in order if n // len(ways) % 2 == 0 else reversed(order):
+        # One way round, then the other: what drifts weighs as much on both. The next replay begins the other way round, too: each of its stretches
+        # shows what the other way was measured on.
+        for way in TIMED if n % 2 == 0 else reversed(TIMED):
             told = stretch(way, running, poses, folder)
             if told is None:
                 out, _ = running.communicate(timeout=60)
                 poses.close()
                 if running.returncode:
                     sys.exit(f"the replay ended with {running.returncode}: {pathlib.Path(folder.log).read_text()[-2000:]}")
-                return stretches, json.loads(out)["dropped"], n
+                return stretches, json.loads(out)["dropped"]
             print(f"{way}: {told}", file=sys.stderr, flush=True)
             stretches.append((way, told))
     raise AssertionError("a recording of days")
@@ -202,7 +203,7 @@ def middle(values):
 
 def show_stretches(replays, dropped):
     rows = []
-    for way in WAYS:
+    for way in TIMED:
         here = [told for stretches in replays for name, told in stretches if name == way]
         mid = lambda key, form: form.format(statistics.median(t[key] for t in here)) if key in here[0] else "–"  # noqa: E731
         change = lambda key: middle(more(replays, way, key))  # noqa: E731
@@ -210,7 +211,7 @@ def show_stretches(replays, dropped):
                      mid("recorder", "{:.1f}"), mid("mb_min", "{:.0f}"), mid("bridge", "{:.1f}")])
     paired.show(["beside it", "stretches", "daemon's CPU ms a frame", "more than beside nothing, %", "latency p50 ms", "more, %", "p95 ms", "more, %",
                  "recorder's CPU, % of a core", "recording, MB a minute", "bridge's CPU, % of a core"], rows)
-    print(f"\nMedians over stretches of {STRETCH_S:.0f} s each, {SETTLE_S:.0f} s after who has come; in brackets where that median lies with 95 %. In the row of nothing each "
+    print(f"\nMedians over stretches of {STRETCH_S:.1f} s each, {SETTLE_S:.1f} s after who has come; in brackets where that median lies with 95 %. In the row of nothing each "
           f"stretch is compared with its own neighbours of the kind: what a difference looks like where there is none. {dropped} frames were dropped in {len(replays)} "
           "replays. The CPU is that of the whole replay, which also reads and inflates the recording's pictures.")
 
@@ -251,9 +252,9 @@ def main():
             if count:
                 runs = paired.rounds(list(WAYS), rounds, lambda way: counted(way, recording, config, folder))
                 return paired.show_instructions("beside it", runs, runs["nothing"])
-            replays, dropped, turn = [], 0, 0
-            for _ in range(rounds):
-                stretches, lost, turn = replay(recording, config, folder, turn + 1)
+            replays, dropped = [], 0
+            for turn in range(rounds):
+                stretches, lost = replay(recording, config, folder, turn)
                 replays.append(stretches)
                 dropped += lost
             if fleet.poll() is not None:

@@ -220,12 +220,14 @@ fn a_building_of_ten_thousand_keyframes_costs_no_more_time_a_keyframe_and_bounde
     for made in 1..=10_000 {
         took.push(drive.step());
         if [1_000, 3_000, 10_000].contains(&made) {
-            println!("{made} keyframes: {:?} bytes counted, {} kB resident", drive.bytes(), resident_kb());
+            let lately = median(took[made - 200..].to_vec());
+            println!("{made} keyframes: {:?} bytes counted, {} kB resident, {lately:.6} s", drive.bytes(), resident_kb());
         }
     }
     drive.map.check_consistency().expect("consistent");
     assert_eq!((drive.map.keyframes.len(), drive.gone), (10_000, 0), "a drive forgets nothing");
-    let (early, late) = (median(took[210..400].to_vec()), median(took[9_800..].to_vec()));
+    // From some 600 on pictures are put away as well.
+    let (early, late) = (median(took[800..1_000].to_vec()), median(took[9_800..].to_vec()));
     let bytes = drive.bytes();
     let landmarks = drive.map.landmarks.len();
     println!(
@@ -250,7 +252,7 @@ fn a_building_of_ten_thousand_keyframes_costs_no_more_time_a_keyframe_and_bounde
     assert!(drive.map.condensed_here().len() <= 2 * drive.config.detailed_keyframes);
     assert_eq!((drive.counters.spool_faults, drive.counters.pictures_lost), (0, 0));
     drive.map.check_consistency().expect("consistent");
-    assert!(late < 3.0 * early, "{early} s at 300 keyframes, {late} s at 10,000");
+    assert!(late < 2.0 * early, "{early} s at 1,000 keyframes, {late} s at 10,000");
     let total: usize = bytes.iter().sum();
     assert!(total < 10_000 * MOST_BYTES, "{total} bytes");
 }
