@@ -465,17 +465,14 @@ def sharing(data, short):
         raise Missing("no Pillow in this python3, which makes the recording's pictures JPEG: pip install pillow")
     needs_valgrind()
     make, drive = drive_of("sharing", 60 if short else 240)
-    make_short, short_drive = drive_of("sharing-short", 8)
-    replays = 1 if short else 2
+    make_short, counted = drive_of("sharing-short", 8)
+    rounds = 1 if short else 2
     return [
-        Step("With scans of obstacles", f"{make}\ntests/results/sharing.py {replays} {drive} {drive}.toml",
-             "Replays of a simulated drive at the camera's pace, its pictures as JPEG. The camera's height is told, so the recorder "
-             "gets scans, which the daemon makes only while somebody asks. `cairn fleet --plot` hears the bridge. All share the machine.",
+        Step("Time", f"{make}\nprintf '' >{drive}-unscaled.toml\ntests/results/sharing.py {rounds} {drive} {drive}-unscaled.toml",
+             "Replays of a simulated drive at the camera's pace, its pictures as JPEG. Nobody has told the camera's height: there is no scale, and so there are "
+             "neither scans of obstacles nor transforms. `cairn fleet --plot` hears the bridge. All share the machine.",
              build="build --locked --release --features bridge"),
-        Step("Without", f"printf '' >{drive}-unscaled.toml\ntests/results/sharing.py {replays} {drive} {drive}-unscaled.toml",
-             "The same where nobody has told the camera's height: there is no scale, and so there are neither scans nor transforms."),
-        Step("In instructions", f"{make_short}\ntests/results/sharing.py {1 if short else 3} {short_drive} {drive}-unscaled.toml count",
-             "Without scans, which are work of their own, as in the second table; whole replays."),
+        Step("Instructions", f"{make_short}\ntests/results/sharing.py {rounds} {counted} {drive}-unscaled.toml count", "Of whole replays of a shorter drive."),
         Step("A recorder of raw pictures", f"tests/results/sharing.py raw {15 if short else 60}", "Beside a demo."),
     ]
 
@@ -523,7 +520,7 @@ KINDS = {
     "two_pictures": Kind("Two pictures", "10 min", two_pictures),
     "wire": Kind("The wire", "2 min", wire),
     "fleet": Kind("A fleet", "3 min", fleet),
-    "sharing": Kind("Recorder and bridge", "35 min", sharing),
+    "sharing": Kind("Recorder and bridge", "25 min", sharing),
     "console": Kind("The console", "15 min", console),
     "faults": Kind("Faults on real device nodes", "40 min", faults),
     "builds": Kind("Builds", "25 min", builds),
