@@ -68,6 +68,8 @@
 //!   and where nothing of the map is in view the same map does, by a start that is brought in at the dead-reckoned place.
 //! - A map that was lost is kept while the next one grows, recognised from its keyframes as a lost frame is, and joined to it: the old one is
 //!   carried over into the present one, so that no published pose jumps and neither map number nor reset counter goes back.
+//!   A stored map that a command merges waits in the same way, and older keyframes of the present one are looked for in it as well, so that a robot that stands
+//!   need not move (`relocalise::merging`). It has numbers above this run's, so numbers are an order of time within a run only (`map::Numbers`).
 //! - What the base's wheels tell (`odometry.txt` beside the pictures, the simulator's base, a driver on `PREFIX/wheel`) waits in one bounded queue
 //!   ([`motion::wheel`]); the reconstruction step takes from it, before it tracks a frame, all that ended at that frame's timestamp or earlier.
 //! - With `[reconstruction] loops`: a keyframe that shows a place of the same map from long ago is recognised by an index over binary descriptors ([`places`]), verified as a lost frame

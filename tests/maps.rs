@@ -367,13 +367,16 @@ fn a_running_daemon_stores_lists_loads_and_begins_maps() {
         (&["map", "load", "../attic"], 64, "no name"),
         (&["map", "save", "/tmp/attic"], 64, "no name"),
         (&["map", "new", ".attic"], 64, "no name"),
+        (&["map", "merge", "../attic"], 64, "no name"),
+        (&["map", "merge", "cellar"], 1, "cellar.map"),
+        (&["map", "merge", "attic"], 1, "already"),
     ] {
         let (got, text) = answer(arguments);
         assert!(got == Some(code) && text.contains(word), "{arguments:?}: {got:?} {text}");
     }
     // Broken, and foreign: refused, left as it is, and the daemon goes on.
     std::fs::write(dir.path().join("demo/maps/broken.map"), "no map").unwrap();
-    assert_eq!(answer(&["map", "load", "broken"]).0, Some(1));
+    assert_eq!([answer(&["map", "load", "broken"]).0, answer(&["map", "merge", "broken"]).0], [Some(1); 2]);
     let resets = || -> (u64, u64) {
         let text = answer(&["watch", "--health", "--json", "--count", "1", "--timeout", "20"]).1;
         let health: Value = serde_json::from_str(text.lines().next().unwrap()).unwrap();
@@ -402,6 +405,7 @@ fn a_running_daemon_stores_lists_loads_and_begins_maps() {
 
     assert_eq!(answer(&["map", "localise", "on"]).0, Some(0));
     assert_eq!(answer(&["map", "new", "cellar"]).0, Some(1), "only located in");
+    assert!(answer(&["map", "merge", "attic"]).1.contains("only located in"));
     assert_eq!(answer(&["map", "localise", "off"]).0, Some(0));
     assert_eq!(answer(&["map", "new", "cellar"]).0, Some(0));
     assert_eq!(answer(&["map", "save"]).0, Some(0));

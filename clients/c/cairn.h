@@ -219,6 +219,12 @@
 #define CAIRN_COMMAND_KEEP_CALIBRATION 14
 
 /**
+ * Keep what is in the stored map of this name (`path`) beside the present one, and make it a part of that once a place of both is known. The
+ * present map's frame and number stay; the stored one stays as it is.
+ */
+#define CAIRN_COMMAND_MERGE_MAP 15
+
+/**
  * Done.
  */
 #define CAIRN_REPLY_OK 0

@@ -159,7 +159,7 @@ class Client {
         detail::came(cairn_send_command(client_.get(), &command, detail::ns(timeout), &reply));
         return reply;
     }
-    // A command on stored maps: CAIRN_COMMAND_LOAD_MAP, _STORE_MAP, _NEW_MAP, _LIST_MAPS and _COPY_MAP with a map's name (or nothing),
+    // A command on stored maps: CAIRN_COMMAND_LOAD_MAP, _STORE_MAP, _NEW_MAP, _MERGE_MAP, _LIST_MAPS and _COPY_MAP with a map's name (or nothing),
     // CAIRN_COMMAND_LOCALISE with "on" or "off".
     cairn_command_reply map_command(std::uint32_t kind, std::string_view name, Duration timeout) {
         return text_command(kind, name, timeout);

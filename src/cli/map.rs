@@ -2,6 +2,7 @@
 //!
 //! A file is read, verified in full and left as it is. One that a daemon holds changes all the time, so that daemon is asked for a copy.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -123,6 +124,8 @@ struct MapInfo {
     observations: usize,
     /// Frames that were tracked in it.
     frames: u64,
+    /// Maps that have become a part of it, and how many keyframes of each are left.
+    joined: Vec<JoinedInfo>,
     /// Standard deviation of the scale, as a share, where lengths are metres; null: they are map units.
     scale_sigma: Option<f64>,
     /// Who told it; empty: nobody.
@@ -134,6 +137,22 @@ struct MapInfo {
     /// keyframe); null: there are none.
     low: Option<[f64; 3]>,
     high: Option<[f64; 3]>,
+}
+
+#[derive(Debug, Serialize)]
+struct JoinedInfo {
+    id: u32,
+    keyframes: usize,
+}
+
+impl JoinedInfo {
+    fn of(saved: &SavedMap) -> Vec<Self> {
+        let mut counts = BTreeMap::<u32, usize>::new();
+        for (_, k) in saved.map.keyframes.iter().filter(|(_, k)| k.map != saved.head.id) {
+            *counts.entry(k.map.0).or_default() += 1;
+        }
+        counts.into_iter().map(|(id, keyframes)| Self { id, keyframes }).collect()
+    }
 }
 
 fn info(args: &InfoArgs, endpoint: &EndpointArgs) -> Result<ExitCode, CliError> {
@@ -304,6 +323,7 @@ impl MapInfo {
             landmarks: map.landmarks.len(),
             observations: map.keyframes.iter().map(|(_, k)| k.observations.len()).sum(),
             frames: saved.head.frames,
+            joined: JoinedInfo::of(saved),
             scale_sigma,
             scale_source,
             from_s: times().min().map(format_timestamp),
@@ -320,6 +340,9 @@ impl MapInfo {
         );
         if let (Some(from), Some(to)) = (&self.from_s, &self.to_s) {
             text += &format!("    keyframes from {from} to {to} s\n");
+        }
+        for JoinedInfo { id, keyframes } in &self.joined {
+            text += &format!("    {keyframes} of these keyframes were made in map {id}, which was joined to it\n");
         }
         match self.scale_sigma {
             Some(sigma) => {

@@ -37,6 +37,11 @@ pub enum DaemonAction {
         /// The new map's name
         name: String,
     },
+    /// Have the running daemon make a stored map a part of its own, as soon as a place of both is known; the stored one stays as it is
+    Merge {
+        /// Name of the map, as `cairn map list` shows it
+        name: String,
+    },
     /// Have the running daemon only locate frames in its map, which stays as it is, or let it grow again
     Localise {
         /// on or off
@@ -57,6 +62,7 @@ pub fn run(action: &DaemonAction, endpoint: &EndpointArgs) -> Result<ExitCode, C
         DaemonAction::Save { name } => client.store_map(name.as_deref(), PATIENCE)?,
         DaemonAction::Load { name } => client.load_map(name, PATIENCE)?,
         DaemonAction::New { name } => client.new_map(name, PATIENCE)?,
+        DaemonAction::Merge { name } => client.merge_map(name, PATIENCE)?,
         DaemonAction::Localise { switch } => client.localise_only(*switch == Switch::On, PATIENCE)?,
     };
     command::outcome(&reply)

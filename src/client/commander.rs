@@ -79,6 +79,12 @@ impl Client {
         self.command(with_path(command_kind::NEW_MAP, name)?, timeout)
     }
 
+    /// Makes what is in the stored map of this name a part of the present one as soon as a place of both is known; the answer comes before that. The
+    /// present map's frame and number stay.
+    pub fn merge_map(&self, name: &str, timeout: Duration) -> Result<CommandReply, ClientError> {
+        self.command(with_path(command_kind::MERGE_MAP, name)?, timeout)
+    }
+
     /// Whether frames are only located in the map, which stays as it is.
     pub fn localise_only(&self, on: bool, timeout: Duration) -> Result<CommandReply, ClientError> {
         self.command(with_path(command_kind::LOCALISE, if on { "on" } else { "off" })?, timeout)

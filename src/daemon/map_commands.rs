@@ -11,8 +11,8 @@ use super::map_folder::MapFolder;
 use super::map_keeper::{Keeper, Order};
 use super::request::{CopyTo, Loaded, Reply, Request};
 use crate::geometry::CameraModel;
-use crate::map::saved::MapChanges;
-use crate::reconstruction::{LensPrior, Reconstruction};
+use crate::map::saved::{MapChanges, SavedMaps};
+use crate::reconstruction::{LensPrior, Reconstruction, Waiting};
 
 const NOBODY_WRITES: &str = "this run keeps no maps";
 const SLOW_DISK: &str = "the disk is too slow for what is asked of it; try again";
@@ -76,6 +76,13 @@ impl MapDesk {
         send(orders, Order::Load { path, given, localise_only, requests, reply })
     }
 
+    /// A file to be read; what is in it becomes a part of the present map.
+    pub(super) fn merge(&self, reconstruction: &Reconstruction, path: PathBuf, reply: Reply) -> Result<(), String> {
+        let (orders, requests) = (self.orders(1)?, self.requests()?);
+        reconstruction.can_merge()?;
+        send(orders, Order::Merge { path, given: reconstruction.given_ids(), requests, reply })
+    }
+
     /// The last of the present map, then a new one.
     pub(super) fn new_map(
         &self,
@@ -125,10 +132,7 @@ impl MapDesk {
         let Loaded { path, file, saved } = loaded;
         let shown = path.display().to_string();
         check_camera(&saved.optics, camera, prior).map_err(|reason| format!("{shown}: {reason}"))?;
-        let (given, first) = (reconstruction.given_ids(), saved.first_ids().unwrap_or_default());
-        if given.maps > first.maps || given.keyframes > first.keyframes || given.landmarks > first.landmarks {
-            return Err(format!("{shown}: it took too long to read; try again"));
-        }
+        check_ids(reconstruction, &saved).map_err(|reason| format!("{shown}: {reason}"))?;
         let orders = self.orders(2)?.clone();
         if self.is_kept() {
             // What has come while the file was read.
@@ -169,6 +173,58 @@ impl MapDesk {
     }
 }
 
+/// Keeps maps that were read beside the present one. In the error's case everything is as it was.
+pub(super) fn keep_merged(
+    reconstruction: &mut Reconstruction,
+    camera: &CameraModel,
+    prior: LensPrior,
+    loaded: Loaded,
+) -> Result<String, String> {
+    let Loaded { path, saved, .. } = loaded;
+    let path = path.display().to_string();
+    let keep = || {
+        check_camera(&saved.optics, camera, prior)?;
+        check_ids(reconstruction, &saved)?;
+        reconstruction.merge(saved)
+    };
+    let Waiting { maps, keyframes } = keep().map_err(|reason| format!("{path}: {reason}"))?;
+    info!(path, maps, keyframes, "map waits to be joined");
+    Ok(format!(
+        "{keyframes} keyframes of {path} are kept beside the present map; they are a part of it, and in its file, once a place of both is known"
+    ))
+}
+
+/// Whether this run has given none of these ids meanwhile.
+fn check_ids(reconstruction: &Reconstruction, saved: &SavedMaps) -> Result<(), String> {
+    let (given, first) = (reconstruction.given_ids(), saved.first_ids().unwrap_or_default());
+    if given.maps > first.maps || given.keyframes > first.keyframes || given.landmarks > first.landmarks {
+        return Err("it took too long to read; try again".into());
+    }
+    Ok(())
+}
+
 fn send(orders: &Sender<Order>, order: Order) -> Result<(), String> {
     orders.try_send(order).map_err(|_| SLOW_DISK.into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::reconstruction::{InlineWorker, ReconstructionConfig};
+
+    #[test]
+    fn a_map_of_another_camera_is_not_merged() {
+        let camera = |fx: f64| CameraModel::new(320, 240, fx, 300.0, 159.5, 119.5, [0.0; 5]).expect("camera");
+        let config = ReconstructionConfig::default();
+        let mut r = Reconstruction::new(&config, &camera(300.0), Box::new(InlineWorker::default()), true);
+        let optics = r.take_changes(true).optics;
+        let told = |r: &mut Reconstruction, own: &CameraModel| {
+            let saved = SavedMaps { frame_ns: 0, optics: optics.clone(), maps: Vec::new() };
+            let loaded = Loaded { path: "barn.map".into(), file: None, saved };
+            keep_merged(r, own, LensPrior::Calibrated, loaded).expect_err("refused")
+        };
+        let other = told(&mut r, &camera(310.0));
+        assert!(other.starts_with("barn.map: the map is another camera's"), "{other}");
+        assert!(!told(&mut r, &camera(300.0)).contains("camera's"), "the same one, and nothing in it");
+    }
 }

@@ -14,7 +14,7 @@ use tracing::{debug, error, info, warn};
 
 use super::map_folder::MapFolder;
 use super::request::{CopyTo, Loaded, Reply, Request};
-use crate::map::saved::{Ids, MapChanges};
+use crate::map::saved::{Ids, MapChanges, SavedMaps};
 use crate::messages::TEXT_LEN;
 use crate::places::store::{Fault, MOST_IDS, MapFile, StoreError, read_to_locate};
 
@@ -57,6 +57,13 @@ pub enum Order {
         path: PathBuf,
         given: Ids,
         localise_only: bool,
+        requests: Sender<Request>,
+        reply: Reply,
+    },
+    /// Read maps that are to be merged with those of reconstruction, whose ids are these so far.
+    Merge {
+        path: PathBuf,
+        given: Ids,
         requests: Sender<Request>,
         reply: Reply,
     },
@@ -198,6 +205,14 @@ pub fn serve(mut keeper: Option<Keeper>, orders: &Receiver<Order>) -> Result<Opt
                     &reply,
                 );
             }
+            Order::Merge { path, given, requests, reply } => {
+                let loaded = read_to_merge(path, given, keeper.as_ref());
+                pass_on(
+                    loaded.map(|loaded| Request::TakeMerged { loaded: Box::new(loaded), reply: reply.clone() }),
+                    &requests,
+                    &reply,
+                );
+            }
             Order::Begin { path, folder, requests, reply } => {
                 let ready = left(keeper.as_ref()).and_then(|()| folder.new_file(&path));
                 pass_on(ready.map(|()| Request::BeginMap { path, reply: reply.clone() }), &requests, &reply);
@@ -243,9 +258,7 @@ fn left(keeper: Option<&Keeper>) -> Result<(), String> {
 }
 
 fn load(path: PathBuf, given: Ids, localise_only: bool, keeper: Option<&Keeper>) -> Result<Loaded, String> {
-    if keeper.is_some_and(|keeper| keeper.path == path) {
-        return Err(format!("{}: it is the present map", path.display()));
-    }
+    other_than_present(&path, keeper)?;
     let (file, saved) = match localise_only {
         true => (None, read_to_locate(&path).map_err(|e| e.to_string())?.saved),
         false => {
@@ -253,8 +266,29 @@ fn load(path: PathBuf, given: Ids, localise_only: bool, keeper: Option<&Keeper>)
             (Some(file), contents.saved)
         }
     };
+    let saved = of_this_run(saved, given).map_err(|reason| format!("{}: {reason}", path.display()))?;
+    Ok(Loaded { path, file, saved })
+}
+
+/// Only read: it stays as it is, and nobody's.
+fn read_to_merge(path: PathBuf, given: Ids, keeper: Option<&Keeper>) -> Result<Loaded, String> {
+    other_than_present(&path, keeper)?;
+    let saved = read_to_locate(&path).map_err(|e| e.to_string())?.saved;
+    let saved = of_this_run(saved, given).map_err(|reason| format!("{}: {reason}", path.display()))?;
+    Ok(Loaded { path, file: None, saved })
+}
+
+fn other_than_present(path: &Path, keeper: Option<&Keeper>) -> Result<(), String> {
+    match keeper.is_some_and(|keeper| keeper.path == path) {
+        true => Err(format!("{}: it is the present map", path.display())),
+        false => Ok(()),
+    }
+}
+
+/// Maps with ids above those that the run has given, and gives while they are on their way.
+fn of_this_run(saved: SavedMaps, given: Ids) -> Result<SavedMaps, String> {
     if saved.maps.is_empty() {
-        return Err(format!("{}: there is no map in it yet", path.display()));
+        return Err("there is no map in it yet".into());
     }
     let above = |given: u32, margin: u32| given.checked_add(margin);
     let from = || {
@@ -265,10 +299,8 @@ fn load(path: PathBuf, given: Ids, localise_only: bool, keeper: Option<&Keeper>)
         })
     };
     let used_up = || "the ids of this run are used up; restart the daemon".to_owned();
-    let saved = from().ok_or_else(used_up).and_then(|from| saved.renumbered(from));
-    let saved = saved.and_then(|saved| if saved.next_id() < MOST_IDS { Ok(saved) } else { Err(used_up()) });
-    let saved = saved.map_err(|reason| format!("{}: {reason}", path.display()))?;
-    Ok(Loaded { path, file, saved })
+    let saved = from().ok_or_else(used_up).and_then(|from| saved.renumbered(from))?;
+    if saved.next_id() < MOST_IDS { Ok(saved) } else { Err(used_up()) }
 }
 
 fn tell_left_out(path: &Path, left_out: usize) {
@@ -314,6 +346,9 @@ fn copy(everything: &MapChanges, to: CopyTo, keeper: Option<&Keeper>) -> Result<
 mod tests {
     use super::*;
     use crate::geometry::CameraModel;
+    use crate::map::saved::{MapHead, SavedMap};
+    use crate::map::scale::MapScale;
+    use crate::map::{KeyframeId, Map, MapId};
     use crate::reconstruction::{InlineWorker, Reconstruction, ReconstructionConfig};
 
     fn begun() -> Reconstruction {
@@ -338,6 +373,34 @@ mod tests {
         assert!(word.wants_everything.load(Ordering::Acquire) && word.fails.load(Ordering::Acquire));
         keeper.keep(&reconstruction.take_changes(true));
         assert!(keeper.outcome().is_ok() && path.exists() && !word.fails.load(Ordering::Acquire));
+    }
+
+    #[test]
+    fn a_map_to_be_merged_is_nobody_elses_no_other_one_and_left_as_it_is() {
+        let dir = tempfile::tempdir().expect("folder");
+        let (path, empty) = (dir.path().join("a.map"), dir.path().join("b.map"));
+        let given = Ids::default();
+        let told =
+            |path: &PathBuf, keeper: Option<&Keeper>| read_to_merge(path.clone(), given, keeper).expect_err("refused");
+        assert!(told(&path, None).contains("cannot be read"));
+        let changes = begun().take_changes(true);
+        let held = MapFile::create(&path, &changes).expect("made");
+        assert!(told(&path, None).contains("another process"));
+        let keeper = Keeper::new(path.clone(), None, true, Arc::default());
+        assert!(told(&path, Some(&keeper)).contains("the present map"));
+        held.close().expect("closed");
+        MapFile::create(&empty, &changes).and_then(MapFile::close).expect("made");
+        let bytes = std::fs::read(&empty).expect("read");
+        assert!(told(&empty, Some(&keeper)).contains("no map in it"));
+        assert_eq!(std::fs::read(&empty).expect("read"), bytes);
+        let full = Ids { maps: 0, keyframes: u32::MAX - 5, landmarks: 0 };
+        let one = SavedMap { head: head(), map: Map::default() };
+        let saved = || SavedMaps { frame_ns: 0, optics: changes.optics.clone(), maps: vec![one] };
+        assert!(of_this_run(saved(), full).err().is_some_and(|told| told.contains("used up")));
+    }
+
+    fn head() -> MapHead {
+        MapHead { id: MapId(0), reference: KeyframeId(0), frames: 0, scale: MapScale::Unknown, turns: vec![] }
     }
 
     #[test]

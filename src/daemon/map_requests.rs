@@ -8,6 +8,7 @@ use std::time::Instant;
 
 use tracing::info;
 
+use super::map_commands::keep_merged;
 use super::reconstruct::ReconstructStep;
 use super::request::{Loaded, MapRequest, Reply};
 use crate::geometry::Se3;
@@ -43,6 +44,7 @@ impl ReconstructStep {
             MapRequest::Store => desk.store(reconstruction, reply.clone()),
             MapRequest::Copy(to) => desk.copy(reconstruction, to, reply.clone()),
             MapRequest::Load(path) => desk.load(reconstruction, path, reply.clone()),
+            MapRequest::Merge(path) => desk.merge(reconstruction, path, reply.clone()),
             MapRequest::New(path, folder) => desk.new_map(reconstruction, path, folder, reply.clone()),
             MapRequest::Localise(_) | MapRequest::List(..) => Ok(()),
         };
@@ -69,6 +71,22 @@ impl ReconstructStep {
         tracing::debug!(took_us = begin.elapsed().as_micros() as u64, "map exchanged");
         // Whoever asked may have gone.
         drop(reply.try_send(outcome));
+    }
+
+    /// Maps that were read are kept beside the present one, if they are of this camera.
+    pub(super) fn take_merged(&mut self, loaded: Loaded, reply: &Reply) {
+        let begin = Instant::now();
+        let outcome = self.keep_merged(loaded);
+        tracing::debug!(took_us = begin.elapsed().as_micros() as u64, "map kept to be merged");
+        // Whoever asked may have gone.
+        drop(reply.try_send(outcome));
+    }
+
+    fn keep_merged(&mut self, loaded: Loaded) -> Result<String, String> {
+        let (width, height) = self.size;
+        let reconstruction = self.reconstruction.as_mut().ok_or(NO_PICTURE)?;
+        let camera = self.calibration.fit(width, height)?;
+        keep_merged(reconstruction, &camera, self.calibration.prior, loaded)
     }
 
     fn exchange(&mut self, loaded: Loaded) -> Result<String, String> {

@@ -446,6 +446,7 @@ impl ReconstructStep {
             }
             Request::Map { request, reply } => self.map_request(request, reply),
             Request::TakeMap { loaded, reply } => self.take_map(*loaded, &reply),
+            Request::TakeMerged { loaded, reply } => self.take_merged(*loaded, &reply),
             Request::BeginMap { path, reply } => self.begin_map(path, &reply),
             Request::SetPose { map_from_body, reply } => self.set_pose(&map_from_body, &reply),
         }

@@ -31,6 +31,8 @@ pub enum Request {
     Map { request: MapRequest, reply: Reply },
     /// A map that was asked for has been read.
     TakeMap { loaded: Box<Loaded>, reply: Reply },
+    /// Maps that are to be merged with the present one have been read.
+    TakeMerged { loaded: Box<Loaded>, reply: Reply },
     /// The old map is stored: a new one may begin, kept in this file.
     BeginMap { path: PathBuf, reply: Reply },
 }
@@ -42,6 +44,7 @@ pub enum MapRequest {
     Store,
     Copy(CopyTo),
     Load(PathBuf),
+    Merge(PathBuf),
     New(PathBuf, MapFolder),
     Localise(bool),
     List(MapFolder, String),
@@ -56,10 +59,10 @@ pub enum CopyTo {
     Sender(MapFolder),
 }
 
-/// A map that is to be gone on in, with ids of this run.
+/// A map that is to be gone on in, or merged, with ids of this run.
 pub struct Loaded {
     pub path: PathBuf,
-    /// Open for writing; `None`: it is only to be located in.
+    /// Open for writing; `None`: it is only to be located in, or its maps are to be parts of another one.
     pub file: Option<MapFile>,
     pub saved: SavedMaps,
 }

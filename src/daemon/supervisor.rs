@@ -258,6 +258,7 @@ impl Bench {
             command_kind::SAVE_MAP => SaveKind::Map,
             command_kind::SET_POSE => return self.set_pose(request),
             command_kind::LOAD_MAP
+            | command_kind::MERGE_MAP
             | command_kind::STORE_MAP
             | command_kind::NEW_MAP
             | command_kind::LOCALISE
@@ -340,6 +341,7 @@ fn map_request(command: &Command, folder: &MapFolder) -> Result<MapRequest, Stri
     let text = command.path().ok_or("the name is not UTF-8")?;
     Ok(match command.kind {
         command_kind::LOAD_MAP => MapRequest::Load(folder.file(text)?),
+        command_kind::MERGE_MAP => MapRequest::Merge(folder.file(text)?),
         command_kind::STORE_MAP if text.is_empty() => MapRequest::Store,
         command_kind::STORE_MAP => MapRequest::Copy(CopyTo::Named(folder.file(text)?, folder.clone())),
         command_kind::NEW_MAP => MapRequest::New(folder.file(text)?, folder.clone()),

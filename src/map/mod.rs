@@ -9,10 +9,12 @@ mod consistency;
 mod correction;
 pub mod export;
 pub mod graph;
+mod numbers;
 pub mod observations;
 mod part;
 pub mod picture;
 pub mod reduction;
+pub mod remade;
 pub mod saved;
 pub mod scale;
 mod snapshot;
@@ -31,6 +33,7 @@ use crate::geometry::frames::{Camera, World};
 use crate::geometry::sim3::Sim3;
 use crate::geometry::{CameraModel, Se3};
 pub use correction::Correction;
+pub use numbers::Numbers;
 use observations::Observations;
 pub use observations::{LandmarkId, Observation};
 use picture::KeyframePicture;
@@ -140,6 +143,8 @@ pub struct Map {
     pub landmarks: Store<Landmark>,
     /// Grows with every change that is worth publishing.
     pub revision: u64,
+    /// Which keyframes are this run's.
+    pub numbers: Numbers,
     /// Keyframes whose pictures are not condensed.
     detailed: BTreeSet<KeyframeId>,
     /// Keyframes whose pictures are condensed and here, not elsewhere.
@@ -368,9 +373,15 @@ impl Map {
         touched.into_iter().map(LandmarkId).collect()
     }
 
-    /// The newest keyframe.
+    /// The newest keyframe of this run.
     pub fn newest(&self) -> Option<KeyframeId> {
-        self.keyframes.last_before(self.keyframes.next_id()).map(KeyframeId)
+        let mut end = self.keyframes.next_id();
+        loop {
+            end = self.keyframes.last_before(end)?;
+            if !self.numbers.is_merged(KeyframeId(end)) {
+                return Some(KeyframeId(end));
+            }
+        }
     }
 
     /// An empty map whose ids go on after this one's, so that both can be joined later.
@@ -379,6 +390,7 @@ impl Map {
             keyframes: self.keyframes.successor(),
             landmarks: self.landmarks.successor(),
             revision: self.revision + 1,
+            numbers: self.numbers.clone(),
             ..Self::default()
         }
     }
@@ -418,6 +430,7 @@ impl Map {
         self.detailed.extend(other.detailed);
         self.condensed_here.extend(other.condensed_here);
         self.away.extend(other.away);
+        self.numbers.absorb(other.numbers);
         self.revision = self.revision.max(other.revision) + 1;
     }
 

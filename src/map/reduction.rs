@@ -47,6 +47,14 @@ impl Map {
         self.detailed.iter().copied()
     }
 
+    /// The last of these that was made before a keyframe; `None`: before the next one.
+    pub fn detailed_before(&self, id: Option<KeyframeId>) -> Option<KeyframeId> {
+        match id {
+            Some(id) => self.detailed.range(..id).next_back().copied(),
+            None => self.detailed.last().copied(),
+        }
+    }
+
     /// Condenses a keyframe's picture to the views of at most [`MOST_VIEWS`] landmarks, those of the most keyframes first; `describe` gives
     /// the descriptors of the picture, and of what it is told of the keyframe's landmarks, in the same order. Its observations, undistorted by
     /// `camera`, are packed. Landmarks that nothing shows any

@@ -40,6 +40,9 @@ pub mod command_kind {
     /// Keep the calibration in the file `path` for the camera, which has it from the next map on that a command begins. The message says where it
     /// lies.
     pub const KEEP_CALIBRATION: u32 = 14;
+    /// Keep what is in the stored map of this name (`path`) beside the present one, and make it a part of that once a place of both is known. The
+    /// present map's frame and number stay; the stored one stays as it is.
+    pub const MERGE_MAP: u32 = 15;
 }
 
 /// Values of [`CommandReply::code`].

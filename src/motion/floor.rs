@@ -208,9 +208,8 @@ impl Floor {
         let Some(last) = map.keyframe(newest) else { return Err(NoFloor::FewMetres) };
         // Behind a turn on the spot lengths may be those of an assumption: other ones than before it.
         let recent = |id: &u32| map.keyframe(KeyframeId(*id)).filter(|k| k.scale_from == last.scale_from);
-        let first = newest.0.saturating_sub(4 * KEYFRAMES as u32);
-        let mut keyframes: Vec<&Keyframe> =
-            (first..=newest.0).rev().filter_map(|id| recent(&id)).take(KEYFRAMES).collect();
+        let lately = map.numbers.below(newest.0 + 1).take(4 * KEYFRAMES + 1);
+        let mut keyframes: Vec<&Keyframe> = lately.filter_map(|id| recent(&id)).take(KEYFRAMES).collect();
         keyframes.reverse();
         let mut seen: Vec<LandmarkId> = keyframes.iter().flat_map(|k| k.observations.landmarks()).collect();
         seen.sort_unstable();

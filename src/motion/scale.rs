@@ -68,6 +68,14 @@ impl ScaleFusion {
         fusion
     }
 
+    /// Of a map that was stored with this.
+    pub fn of_stored(scale: MapScale) -> Self {
+        match scale {
+            MapScale::Unknown => Self::default(),
+            MapScale::Metric { sigma, sources } => Self::restored(sigma, sources),
+        }
+    }
+
     /// Takes a word on the present map as it is now. A second one of the wheels' or of tags replaces the one before, those of heights add to it. `false`, and nothing
     /// taken: it is not finite, or contradicts its own source.
     pub fn add(&mut self, measurement: &ScaleMeasurement) -> bool {

@@ -5,7 +5,8 @@
 //! section VII): the way, the strongest links of each keyframe to older ones, all links that are strong anyway, and loops that were closed before. A link
 //! says that the two lie as they do now and have one scale, as surely as the landmarks that they share tell it: where the camera passed a bare wall or
 //! saw far things only, there most of the drift came in, and there it is taken out. A turn that told no scale is the utmost of that.
-//! The oldest keyframe of the map that the newest one was made in stays where it is.
+//! The way ends where another map begins, of whatever run: numbers go on, but nobody knows how the camera moved there. Only where nothing else holds
+//! two parts of the graph together do they stay as they lie there. The oldest keyframe of the map that the newest one was made in stays where it is.
 //!
 //! It is a piece of work on a copy, so that it can run anywhere and be merged later; cost as [`pose_graph`](crate::geometry::pose_graph).
 //! Not here: who recognises, and what is fused afterwards (`reconstruction`).
@@ -53,6 +54,8 @@ pub struct LoopClosure {
     keyframes: Vec<KeyframeId>,
     poses: Vec<Se3<Camera, World>>,
     fixed: Vec<bool>,
+    /// Of this run; of a map that was merged numbers may be greater.
+    youngest: usize,
     edges: Vec<Edge>,
 }
 
@@ -77,6 +80,7 @@ impl LoopClosure {
         let place = |id: KeyframeId| keyframes.binary_search(&id).ok();
         let own = map.keyframe(newest)?.map;
         let oldest = map.keyframes.iter().position(|(_, k)| k.map == own)?;
+        let youngest = place(map.newest()?)?;
         let mut edges = Vec::new();
         let depths: Vec<f64> = map.keyframes.iter().map(|(_, k)| depth(k, map)).collect();
         let mut link = |a: KeyframeId, b: KeyframeId| {
@@ -84,16 +88,22 @@ impl LoopClosure {
             edges.extend(ends.and_then(|(from, to)| held(map, (a, from), (b, to), &depths)));
         };
         let mut around = Vec::new();
-        for (i, &id) in keyframes.iter().enumerate() {
+        for &id in &keyframes {
             older_links(map, id, &mut around);
             around.iter().for_each(|&other| link(other, id));
             // The way, wherever nothing is shared.
-            if let Some(&before) = i.checked_sub(1).and_then(|i| keyframes.get(i)).filter(|k| !around.contains(k)) {
+            if let Some(before) = followed(map, id).filter(|k| !around.contains(k)) {
                 link(before, id);
             }
         }
         for &(old, recognised) in closed {
             link(old, recognised);
+        }
+        let mut parts = Parts::new(keyframes.len(), &edges);
+        for (i, ids) in keyframes.windows(2).enumerate() {
+            if parts.unite(i, i + 1) {
+                edges.extend(held(map, (ids[0], i), (ids[1], i + 1), &depths));
+            }
         }
         let first = edges.len();
         for told in told {
@@ -107,7 +117,7 @@ impl LoopClosure {
         }
         let poses = map.keyframes.iter().map(|(_, k)| k.camera_from_world).collect();
         let fixed = (0..keyframes.len()).map(|i| i == oldest).collect();
-        Some(Self { keyframes, poses, fixed, edges })
+        Some(Self { keyframes, poses, fixed, youngest, edges })
     }
 
     /// Bounded in iterations, not in time. `None` if nothing better was found, or nothing that can be.
@@ -120,9 +130,59 @@ impl LoopClosure {
         }
         let moved = |(pose, new): (&Se3<Camera, World>, &Sim3<Camera, World>)| new.inverse() * Sim3::from_se3(pose);
         let moved: Vec<_> = self.poses.iter().zip(&solved).map(moved).collect();
-        let younger = moved.last().copied();
+        let younger = moved.get(self.youngest).copied();
         let keyframes = self.keyframes.iter().copied().zip(moved).collect();
         Some(ClosedLoop { correction: Correction { keyframes, younger }, summary })
+    }
+}
+
+/// The keyframe from which the camera was followed to this one: the one before it in the same map. Where that began it was lost, or another run's.
+pub(super) fn followed(map: &Map, id: KeyframeId) -> Option<KeyframeId> {
+    let own = map.keyframe(id)?.map;
+    let mut before = id.0;
+    loop {
+        before = map.keyframes.last_before(before)?;
+        if map.keyframe(KeyframeId(before))?.map == own {
+            return Some(KeyframeId(before));
+        }
+    }
+}
+
+/// The reverse.
+pub(super) fn following(map: &Map, id: KeyframeId) -> Option<KeyframeId> {
+    let own = map.keyframe(id)?.map;
+    let mut after = map.keyframes.ids_from(id.0 + 1).map(KeyframeId);
+    after.find(|id| map.keyframe(*id).is_some_and(|k| k.map == own))
+}
+
+/// Nodes that edges hold together.
+struct Parts {
+    /// Another node of the same part, or the node itself.
+    of: Vec<usize>,
+}
+
+impl Parts {
+    fn new(nodes: usize, edges: &[Edge]) -> Self {
+        let mut parts = Self { of: (0..nodes).collect() };
+        for edge in edges {
+            parts.unite(edge.from, edge.to);
+        }
+        parts
+    }
+
+    fn find(&mut self, mut node: usize) -> usize {
+        while self.of[node] != node {
+            self.of[node] = self.of[self.of[node]];
+            node = self.of[node];
+        }
+        node
+    }
+
+    /// Whether they were two.
+    fn unite(&mut self, a: usize, b: usize) -> bool {
+        let (a, b) = (self.find(a), self.find(b));
+        self.of[a.max(b)] = a.min(b);
+        a != b
     }
 }
 

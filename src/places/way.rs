@@ -2,7 +2,8 @@
 //!
 //! What a map can have drifted by between two of its places is a matter of the way between them, not of all that was driven meanwhile:
 //! laps that are tied to each other drift no further. The way here is the shortest one over the links of the map: keyframes that share
-//! landmarks, that follow one another, or that ended a loop which was closed.
+//! landmarks, that follow one another in one map, or that ended a loop which was closed. Where none leads there, maps that were joined are
+//! taken to follow one another, too.
 //!
 //! Input: the map, pairs of keyframes that closed loops. Output: a length, map units. Dijkstra's algorithm; cost: a millisecond for each 1,000
 //! keyframes that are nearer than the other end.
@@ -10,6 +11,7 @@
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
 
+use super::loops::{followed, following};
 use crate::map::{KeyframeId, Map};
 
 /// Keyframes that share fewer landmarks do not hold each other.
@@ -17,6 +19,19 @@ const HELD: u32 = 15;
 
 /// The shortest way between two keyframes; `None` if none leads there.
 pub fn shortest_way(map: &Map, closed: &[(KeyframeId, KeyframeId)], from: KeyframeId, to: KeyframeId) -> Option<f64> {
+    way_over(map, closed, (from, to), |id| [followed(map, id), following(map, id)]).or_else(|| {
+        let beside = |id: KeyframeId| [map.keyframes.last_before(id.0), map.keyframes.ids_from(id.0 + 1).next()];
+        way_over(map, closed, (from, to), |id| beside(id).map(|id| id.map(KeyframeId)))
+    })
+}
+
+/// `beside`: the keyframes that one follows and is followed by.
+fn way_over(
+    map: &Map,
+    closed: &[(KeyframeId, KeyframeId)],
+    (from, to): (KeyframeId, KeyframeId),
+    beside: impl Fn(KeyframeId) -> [Option<KeyframeId>; 2],
+) -> Option<f64> {
     let mut tied: BTreeMap<KeyframeId, Vec<KeyframeId>> = BTreeMap::new();
     for &(a, b) in closed {
         tied.entry(a).or_default().push(b);
@@ -37,8 +52,7 @@ pub fn shortest_way(map: &Map, closed: &[(KeyframeId, KeyframeId)], from: Keyfra
         let Some(keyframe) = map.keyframe(at) else { continue };
         let here = keyframe.centre();
         let held = keyframe.covisible.iter().filter(|c| c.1 >= HELD).map(|c| c.0);
-        let beside = [map.keyframes.last_before(at.0), map.keyframes.ids_from(at.0 + 1).next()];
-        let links = held.chain(beside.into_iter().flatten().map(KeyframeId));
+        let links = held.chain(beside(at).into_iter().flatten());
         let links = links.chain(tied.get(&at).into_iter().flatten().copied());
         for neighbour in links.filter(|n| !reached.contains_key(n)) {
             let Some(step) = map.keyframe(neighbour).map(|k| (k.centre() - here).norm()) else { continue };
@@ -83,6 +97,20 @@ mod tests {
             });
         }
         map
+    }
+
+    #[test]
+    fn maps_that_were_joined_follow_one_another_only_where_nothing_else_leads_there() {
+        let mut map = lap();
+        // The second half was made in another map.
+        let second: Vec<Keyframe> = (20..40).filter_map(|id| map.remove_keyframe(KeyframeId(id))).collect();
+        second.into_iter().for_each(|k| {
+            map.add_keyframe(Keyframe { map: MapId(1), ..k });
+        });
+        let way = |closed: &[(KeyframeId, KeyframeId)]| shortest_way(&map, closed, KeyframeId(19), KeyframeId(40));
+        assert!((way(&[]).expect("as they lie") - 1.0).abs() < 1e-12);
+        // The other ends, 0 and 59, were seen to be near each other.
+        assert!((way(&[(KeyframeId(0), KeyframeId(59))]).expect("round the lap") - 39.0).abs() < 1e-12);
     }
 
     #[test]

@@ -101,11 +101,14 @@ impl Loops {
     pub fn expect(&mut self, map: &Map, others: &OtherMaps) {
         self.follow(map, others);
         self.to_enter.clear();
-        for map in std::iter::once(map).chain(others.maps()) {
-            let before = self.to_enter.len();
-            self.to_enter.extend(map.keyframes.ids().map(KeyframeId));
-            self.to_enter.make_contiguous()[before..].reverse();
-        }
+        std::iter::once(map).chain(others.maps()).for_each(|map| self.expect_more(map));
+    }
+
+    /// The same of one more map.
+    pub fn expect_more(&mut self, map: &Map) {
+        let before = self.to_enter.len();
+        self.to_enter.extend(map.keyframes.ids().map(KeyframeId));
+        self.to_enter.make_contiguous()[before..].reverse();
     }
 
     /// Keyframes in the index.
@@ -182,7 +185,8 @@ impl Loops {
         let Self { index, seen, ranked, near, around, .. } = self;
         note_near(map, id, near, around);
         index.query(seen, usize::MAX, |k| map.keyframes.contains(k.0), ranked);
-        let is_old = |c: &Candidate| c.keyframe.0 + RECENT <= id.0 && near.binary_search(&c.keyframe).is_err();
+        let is_recent = |k: KeyframeId| map.numbers.since(k, id) < RECENT;
+        let is_old = |c: &Candidate| !is_recent(c.keyframe) && near.binary_search(&c.keyframe).is_err();
         let familiar = ranked.iter().find(|c| !is_old(c)).map_or(0.0, |c| c.score);
         let mut scores: Vec<(KeyframeId, f32)> = ranked.iter().map(|c| (c.keyframe, c.score)).collect();
         scores.sort_unstable_by_key(|s| s.0);

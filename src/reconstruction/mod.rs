@@ -37,6 +37,7 @@ pub use config::ReconstructionConfig;
 pub use corrections::Corrections;
 pub use dead_reckoning::Reckoned;
 pub use loops::recognition::{PlaceWorker, Recognised, Recognition};
+pub use relocalise::merging::Waiting;
 pub use surroundings::NoScan;
 pub use types::*;
 
@@ -374,6 +375,8 @@ impl Reconstruction {
         if let Some(pose) = placed.or_else(|| self.pending.keyframe.take()) {
             self.insert_keyframe(features, pose, feedback);
             feedback.forget.sort_unstable();
+        } else {
+            self.ask_older();
         }
         self.merge_adjustment(Merge::WhenDue);
         self.hear_recognition(Merge::WhenDue);

@@ -19,15 +19,13 @@ use super::types::TrackingState;
 use crate::features::FrameFeatures;
 use crate::map::MapId;
 use crate::map::saved::{Ids, MapChanges, MapHead, SavedMap, SavedMaps, Taken};
-use crate::map::scale::MapScale;
 use crate::motion::scale::ScaleFusion;
 
 impl Reconstruction {
     /// What has changed in all maps since the last call; `everything`, and the first time, all there is.
     pub fn take_changes(&mut self, everything: bool) -> MapChanges {
         let optics = self.optics.saved();
-        let ids = std::iter::once(self.active.id).chain(self.others.kept.iter().map(|other| other.id)).collect();
-        let taken = Taken { maps: ids, camera: optics.camera.clone() };
+        let taken = Taken { maps: self.own_maps(), camera: optics.camera.clone() };
         // Of a map that has gone the changes are not known, and with another camera what follows from it is another.
         let is_known =
             |before: &Taken| before.camera == taken.camera && before.maps.iter().all(|id| taken.maps.contains(id));
@@ -36,7 +34,7 @@ impl Reconstruction {
         let ActiveMap { map, id, reference, frames, scale, fusion, .. } = &mut self.active;
         let (told, turns) = (fusion.scale(), scale.saved());
         let head = MapHead { id: *id, reference: *reference, frames: *frames, scale: told, turns };
-        let others = self.others.kept.iter_mut().map(|other| {
+        let others = self.others.kept.iter_mut().filter(|other| !other.is_merged).map(|other| {
             let OtherMap { map, id, reference, scale, fusion, frames, .. } = other;
             let (told, turns) = (fusion.scale(), scale.saved());
             (MapHead { id: *id, reference: *reference, frames: *frames, scale: told, turns }, map)
@@ -45,10 +43,16 @@ impl Reconstruction {
         MapChanges::take(optics, self.frame_ns, maps, is_everything)
     }
 
+    /// Those that a file of this run is about: what is to be merged becomes a part of one when it is joined.
+    fn own_maps(&self) -> Vec<MapId> {
+        let others = self.others.kept.iter().filter(|other| !other.is_merged).map(|other| other.id);
+        std::iter::once(self.active.id).chain(others).collect()
+    }
+
     /// Whether keyframes or landmarks have been added, changed or removed since changes were taken last.
     pub fn has_changes(&self) -> bool {
-        let maps = std::iter::once(&self.active.map).chain(self.others.maps());
-        self.taken.is_none() || maps.into_iter().any(crate::map::Map::has_changed)
+        let others = self.others.kept.iter().filter(|other| !other.is_merged).map(|other| &other.map);
+        self.taken.is_none() || std::iter::once(&self.active.map).chain(others).any(crate::map::Map::has_changed)
     }
 
     /// Goes on in the maps of another run; to be called before the first frame. Of several maps the first is the one that frames are looked for in
@@ -68,7 +72,7 @@ impl Reconstruction {
             reference: head.reference,
             frames: head.frames,
             scale: ScaleUncertainty::restored(&head.turns),
-            fusion: restored(head.scale),
+            fusion: ScaleFusion::of_stored(head.scale),
             next_global,
             next_id: MapId(next_id),
             ..ActiveMap::new(map, head.id)
@@ -77,16 +81,12 @@ impl Reconstruction {
         // It speaks for nothing that a frame is near: landmarks must.
         self.active.odometry.lost_frames = 1;
         self.state = TrackingState::Lost;
-        for SavedMap { head, map } in maps {
-            let MapHead { id, reference, frames, scale: told, turns } = head;
-            let (scale, fusion) = (ScaleUncertainty::restored(&turns), restored(told));
-            let other = OtherMap { map, id, reference, scale, fusion, frames, sightings: Vec::new() };
+        for saved in maps {
             // All of them were kept before.
-            self.others.keep(other, usize::MAX);
+            self.others.keep(OtherMap::of_another_run(saved, false), usize::MAX);
         }
         self.loops.expect(&self.active.map, &self.others);
-        let ids = std::iter::once(self.active.id).chain(self.others.kept.iter().map(|other| other.id)).collect();
-        self.taken = Some(Taken { maps: ids, camera: self.optics.camera.clone() });
+        self.taken = Some(Taken { maps: self.own_maps(), camera: self.optics.camera.clone() });
     }
 
     /// Leaves all maps of this run, as a reset does, and goes on in those of another one. None of their ids may be one that this run
@@ -140,13 +140,5 @@ impl Reconstruction {
                 bindings.set(track.id, Target::Landmark(m.landmark));
             }
         }
-    }
-}
-
-/// What is known of the scale of a map that was stored with this.
-fn restored(scale: MapScale) -> ScaleFusion {
-    match scale {
-        MapScale::Unknown => ScaleFusion::default(),
-        MapScale::Metric { sigma, sources } => ScaleFusion::restored(sigma, sources),
     }
 }

@@ -14,8 +14,10 @@
 //!
 //! The same finds a frame of one map in another (`other_maps`).
 
+pub mod asked;
 pub mod descriptors;
 pub mod joining;
+pub mod merging;
 pub mod other_maps;
 
 use nalgebra::{UnitQuaternion, Vector3};

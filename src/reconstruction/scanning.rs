@@ -60,8 +60,7 @@ impl Reconstruction {
             let step = (other.centre() - here).norm() / plane.height;
             other.scale_from == keyframe.scale_from && (LEAST_STEP..MOST_STEP).contains(&step)
         };
-        let first = id.0.saturating_sub(KEPT as u32);
-        let before = (first..id.0).rev().filter_map(|id| map.keyframe(KeyframeId(id))).filter(near);
+        let before = map.numbers.below(id.0).take(KEPT).filter_map(|id| map.keyframe(KeyframeId(id))).filter(near);
         let pictures: Vec<_> = before
             .filter_map(|k| Some(Picture { camera_from_world: &k.camera_from_world, image: picture(k, level)? }))
             .take(COMPARED)
@@ -117,8 +116,13 @@ impl Reconstruction {
         };
         // Where keyframes in between are gone it may have driven around something, unless its footprints touch.
         let mut before: Option<(u32, Vector3<f64>)> = None;
-        let newest = map.keyframes.next_id();
-        for id in newest.saturating_sub(4 * KEPT as u32).max(self.surroundings.first).max(oldest)..newest {
+        let end = map.keyframes.next_id();
+        let lately = map.numbers.below(end).take(4 * KEPT).last().unwrap_or(end);
+        for id in lately.max(self.surroundings.first).max(oldest)..end {
+            // A merged map is another run's.
+            if map.numbers.is_merged(KeyframeId(id)) {
+                continue;
+            }
             // In order of time: what was seen later than driven may take it back.
             while let Some(one) = seen.next_if(|(of, _)| of.0 <= id) {
                 add_seen(scanner, one);
@@ -126,7 +130,8 @@ impl Reconstruction {
             let Some(keyframe) = stood(KeyframeId(id)) else { continue };
             let here = body(&keyframe.camera_from_world);
             let from = before.replace((id, here)).filter(|(before, from)| {
-                let straight_m = if before + 1 == id { MOST_DRIVEN_M } else { 2.0 * config.robot_radius_m };
+                let is_next = map.numbers.since(KeyframeId(*before), KeyframeId(id)) == 1;
+                let straight_m = if is_next { MOST_DRIVEN_M } else { 2.0 * config.robot_radius_m };
                 (here - from).norm() <= straight_m
             });
             scanner.add_driven(&from.map_or(here, |(_, from)| from), &here, config.robot_radius_m);

@@ -5,6 +5,7 @@
 //! `TRIALS`: how many there are in a table; `FIRST_SEED`: of the rooms. 1 to 20 are for development.
 
 mod hours;
+mod merging;
 mod recordings;
 mod robot;
 mod rooms;

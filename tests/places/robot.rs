@@ -101,11 +101,17 @@ impl Robot {
         }
     }
 
+    /// So many days later.
+    pub fn on_day(camera: &CameraModel, day: i64) -> Self {
+        let mut robot = Self::new(camera);
+        robot.now_ns += day * 86_400_000_000_000;
+        robot
+    }
+
     /// Starts a day later in what is in a file, only to be located in it. `truths`: of the frames that it was made of.
     pub fn next_day(file: &Path, camera: &CameraModel, truths: &BTreeMap<i64, Pose>) -> Self {
-        let mut robot = Self::new(camera);
+        let mut robot = Self::on_day(camera, 1);
         robot.reconstruction.resume(store::read(file).unwrap().saved, true);
-        robot.now_ns += 86_400_000_000_000;
         robot.truths = truths.clone();
         robot.note_map();
         robot

@@ -155,6 +155,10 @@ class Client:
         """Begins a new map, which is kept under this name; the map before is stored first."""
         return self.command("NEW_MAP", name, timeout=timeout)
 
+    def merge_map(self, name, timeout=30.0):
+        """Makes what is in the stored map of this name a part of the present one as soon as a place of both is known; the answer comes before that."""
+        return self.command("MERGE_MAP", name, timeout=timeout)
+
     def localise_only(self, on, timeout=10.0):
         """Whether frames are only located in the map, which stays as it is."""
         return self.command("LOCALISE", "on" if on else "off", timeout=timeout)

@@ -331,6 +331,8 @@ def test_maps_are_stored_listed_left_and_gone_on_in(daemon):
     assert [(name, current) for name, _, _, current in client.list_maps()] == [("room", False)]
     with pytest.raises(cairn.Refused, match="already"):
         client.store_map("room")
+    with pytest.raises(cairn.Refused, match="already"):  # it is the present map
+        client.merge_map("room")
     copy, own = client.copy_map()
     assert os.path.getsize(copy) > 4096 and own == ""
     os.remove(copy)

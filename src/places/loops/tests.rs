@@ -173,3 +173,31 @@ fn a_loop_whose_end_is_gone_is_none() {
     assert!(LoopClosure::new(&map, ids[KEYFRAMES - 1], &[], &[], false).is_none());
     assert!(LoopClosure::new(&map, ids[0], &[told(&ids)], &[], false).is_none());
 }
+
+#[test]
+fn neighbours_by_number_of_different_maps_are_not_tied_unless_nothing_else_holds_them() {
+    let mut map = Map::default();
+    let made_in = [0, 0, 0, 1, 1, 0];
+    let at = |i: usize| Se3::new(UnitQuaternion::identity(), Vector3::x() * i as f64);
+    let ids: Vec<KeyframeId> = (0..)
+        .zip(made_in)
+        .map(|(i, map)| (at(i), MapId(map)))
+        .map(|(pose, id)| map.add_keyframe(Keyframe { map: id, ..keyframe(pose) }))
+        .collect();
+    let told = LoopEdge {
+        old: ids[0],
+        recognised: ids[5],
+        recognised_from_old: Sim3::identity(),
+        log_scale_sigma: 0.01,
+        landmarks: 60,
+    };
+    let tied = |closed: &[(KeyframeId, KeyframeId)]| -> Vec<(usize, usize)> {
+        let job = LoopClosure::new(&map, ids[5], &[told], closed, false).expect("a loop");
+        let mut ends: Vec<_> = job.edges.iter().map(|e| (e.from, e.to)).collect();
+        assert_eq!(ends.pop(), Some((0, 5)), "what was told comes last");
+        ends
+    };
+    // The robot went on in its own map behind the other one.
+    assert_eq!(tied(&[(ids[1], ids[4])]), [(0, 1), (1, 2), (3, 4), (2, 5), (1, 4)]);
+    assert_eq!(tied(&[]), [(0, 1), (1, 2), (3, 4), (2, 5), (2, 3)], "somewhere it has to hang");
+}

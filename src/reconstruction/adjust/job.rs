@@ -139,7 +139,7 @@ impl Adjustment {
     pub fn global(map: &Map, camera: &CameraModel, shutter: &Shutter, steps: usize) -> Option<Self> {
         let mut keyframes: Vec<(KeyframeId, bool)> =
             map.keyframes.iter().map(|(id, _)| (KeyframeId(id), false)).collect();
-        let newest = keyframes.last()?.0;
+        let newest = map.newest()?;
         hold_oldest(map, newest, &mut keyframes)?;
         let landmarks = map.landmarks.iter().map(|(id, _)| LandmarkId(id)).collect();
         let options = BundleOptions { steps, relative_gain: GLOBAL_GAIN, ..BundleOptions::default() };
@@ -223,6 +223,10 @@ impl Adjustment {
     pub fn hold_lengths(&mut self, map: &Map, mut length: impl FnMut(i64, i64) -> Option<(f64, f64)>) {
         for i in 1..self.keyframes.len() {
             if self.problem.fixed[i - 1] && self.problem.fixed[i] {
+                continue;
+            }
+            // Another run's times may be those of these wheels by chance.
+            if [i - 1, i].iter().any(|i| map.numbers.is_merged(self.keyframes[*i])) {
                 continue;
             }
             let times = [i - 1, i].map(|i| map.keyframe(self.keyframes[i]).map(|k| k.timestamp_ns));

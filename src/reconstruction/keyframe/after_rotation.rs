@@ -11,7 +11,7 @@
 
 use nalgebra::Vector2;
 
-use super::distance_prior::{assumed_among, is_held, mostly_assumed};
+use super::distance_prior::{is_blind, is_held};
 use crate::features::FrameFeatures;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::two_view::{TwoViewOptions, reconstruct_two_views};
@@ -82,11 +82,11 @@ impl Reconstruction {
     fn doubt_scale_behind(&mut self, from: KeyframeId, assumed: bool) {
         let before = self.active.map.keyframe(from).and_then(|k| k.scale_from);
         let Some(turn) = self.active.scale.add(&self.active.map, from, before, assumed) else { return };
-        let mut behind: Vec<KeyframeId> = self.active.map.keyframes.iter().map(|(id, _)| KeyframeId(id)).collect();
-        let blind = |id: &KeyframeId| {
-            let (assumed, all) = assumed_among(&self.active.map, *id);
-            mostly_assumed(assumed, all) || is_held(&self.active.map, *id)
-        };
+        let map = &self.active.map;
+        let mut behind: Vec<KeyframeId> = map.keyframes.iter().map(|(id, _)| KeyframeId(id)).collect();
+        // What another run did not know has nothing to do with this turn.
+        behind.retain(|id| !map.numbers.is_merged(*id));
+        let blind = |id: &KeyframeId| is_blind(&self.active.map, *id);
         let before_turn = behind.iter().rposition(|id| *id < from && !blind(id));
         behind.drain(..before_turn.map_or(0, |last| last + 1));
         behind.retain(|id| *id == from || blind(id));
@@ -145,7 +145,7 @@ fn place(
     let mut votes: Vec<(KeyframeId, usize)> = Vec::new();
     for m in matches {
         let Some(landmark) = map.landmark(m.landmark).filter(|l| l.assumed.is_some()) else { continue };
-        for &k in &landmark.observers {
+        for &k in landmark.observers.iter().filter(|k| !map.numbers.is_merged(**k)) {
             match votes.iter_mut().find(|v| v.0 == k) {
                 Some(v) => v.1 += 1,
                 None => votes.push((k, 1)),
@@ -205,8 +205,8 @@ fn place(
 
 /// Keyframes after `from` were placed against distances that were wrong.
 fn resolve_between(map: &mut Map, from: KeyframeId, camera: &CameraModel, readout_s: f64) {
-    let later: Vec<KeyframeId> =
-        map.keyframes.iter().map(|(id, _)| KeyframeId(id)).filter(|id| *id > from && is_held(map, *id)).collect();
+    let is_later = |id: &KeyframeId| *id > from && !map.numbers.is_merged(*id) && is_held(map, *id);
+    let later: Vec<KeyframeId> = map.keyframes.iter().map(|(id, _)| KeyframeId(id)).filter(is_later).collect();
     let mut inlier = Vec::new();
     for id in later {
         let Some(keyframe) = map.keyframe(id) else { continue };

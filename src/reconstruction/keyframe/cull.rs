@@ -20,7 +20,8 @@ const LOOKED_AT: usize = 48;
 
 /// Landmarks that were made lately and did not prove themselves, and those that disagree all the time, go.
 pub fn cull_landmarks(map: &mut Map, newest: KeyframeId) -> u64 {
-    let age = |l: &Landmark| newest.0.saturating_sub(l.created_by.0);
+    let numbers = map.numbers.clone();
+    let age = |l: &Landmark| numbers.since(l.created_by, newest);
     // What nothing has touched since was judged before, but for its age.
     let touched = map.take_touched_landmarks(|l| age(l) < 6);
     let is_doomed = |l: &Landmark| {
@@ -46,7 +47,7 @@ pub fn cull_keyframes(
     let mut around = Vec::new();
     map.covisible(newest, 1, usize::MAX, &mut around);
     for (id, _) in around {
-        if id.0 + YOUNG_KEYFRAMES > newest.0 {
+        if map.numbers.since(id, newest) < YOUNG_KEYFRAMES {
             continue;
         }
         let is_redundant = |(redundant, total): (f64, f64)| redundant > config.redundant_share * total;
@@ -103,7 +104,7 @@ pub fn thin_out(
     let looked = map.keyframes.ids().skip(*turn as usize % apart).step_by(apart).map(KeyframeId);
     *turn = turn.wrapping_add(1);
     let mut ranked: Vec<(bool, f64, KeyframeId)> = looked
-        .filter(|id| is_old(*id, newest, &near))
+        .filter(|id| is_old(map, *id, newest, &near))
         .map(|id| {
             // One that sees nothing is of no use to anybody.
             let needed = spared(map, id).map_or(0.0, |(spared, total)| (total - spared) / total);

@@ -98,6 +98,12 @@ pub fn mostly_assumed(assumed: usize, landmarks: usize) -> bool {
     3 * assumed > 2 * landmarks
 }
 
+/// A keyframe whose place rests on assumed distances.
+pub fn is_blind(map: &Map, keyframe: KeyframeId) -> bool {
+    let (assumed, all) = assumed_among(map, keyframe);
+    mostly_assumed(assumed, all) || is_held(map, keyframe)
+}
+
 /// Landmarks at assumed distances that a keyframe sees, and all that it sees.
 pub fn assumed_among(map: &Map, keyframe: KeyframeId) -> (usize, usize) {
     let Some(keyframe) = map.keyframe(keyframe) else { return (0, 0) };

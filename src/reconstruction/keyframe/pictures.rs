@@ -19,15 +19,15 @@ pub(super) fn nearest(map: &Map, newest: KeyframeId) -> Vec<KeyframeId> {
 }
 
 /// Neither young nor one of the `nearest`.
-pub(super) fn is_old(id: KeyframeId, newest: KeyframeId, nearest: &[KeyframeId]) -> bool {
-    id.0 + YOUNG_KEYFRAMES <= newest.0 && !nearest.contains(&id)
+pub(super) fn is_old(map: &Map, id: KeyframeId, newest: KeyframeId, nearest: &[KeyframeId]) -> bool {
+    map.numbers.since(id, newest) >= YOUNG_KEYFRAMES && !nearest.contains(&id)
 }
 
 /// Reduces the pictures of all keyframes but the newest ones and those that the newest shares most with, so that at most `YOUNG_KEYFRAMES` and
 /// [`NEIGHBOURS`] are whole.
 pub fn reduce_pictures(map: &mut Map, newest: KeyframeId) {
     let nearest = nearest(map, newest);
-    let old: Vec<KeyframeId> = map.detailed().filter(|id| is_old(*id, newest, &nearest)).collect();
+    let old: Vec<KeyframeId> = map.detailed().filter(|id| is_old(map, *id, newest, &nearest)).collect();
     for id in old {
         map.reduce_picture(id);
     }
@@ -48,7 +48,7 @@ pub fn condense_pictures(
     let nearest = nearest(map, newest);
     let covisible = map.keyframe(newest).map(|k| k.covisible.as_slice()).unwrap_or_default();
     let shared = |id: KeyframeId| covisible.binary_search_by_key(&id, |c| c.0).map_or(0, |i| covisible[i].1);
-    let old = map.detailed().filter(|id| is_old(*id, newest, &nearest));
+    let old = map.detailed().filter(|id| is_old(map, *id, newest, &nearest));
     let mut ranked: Vec<(u32, KeyframeId)> = old.map(|id| (shared(id), id)).collect();
     ranked.sort_unstable();
     let condensed: Vec<KeyframeId> = ranked.into_iter().take(over).map(|(_, id)| id).collect();

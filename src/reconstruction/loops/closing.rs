@@ -129,7 +129,7 @@ impl Reconstruction {
         let (readout_s, min_parallax) = (self.optics.shutter.readout_s, self.config.min_parallax_deg.to_radians());
         let id = sighting.keyframe;
         let Loops { sightings, closed, .. } = &mut self.loops;
-        sightings.retain(|s| s.keyframe.0 + SOON > id.0 && map.keyframe(s.keyframe).is_some());
+        sightings.retain(|s| map.numbers.since(s.keyframe, id) < SOON && map.keyframe(s.keyframe).is_some());
         let is_metric = self.active.fusion.is_metric();
         let told = sightings.iter().enumerate().rev().find_map(|(i, before)| {
             let told = similarity(map, map, [before, &sighting], readout_s, min_parallax)?;

@@ -69,8 +69,13 @@ impl Recognition {
         };
         let placed = relocaliser.place_among(&frame, &self.places)?;
         let sighting = found_in(&frame, &relocaliser.tracker, self.keyframe, &placed)?;
-        (parts_seen(&sighting, camera) >= MIN_PARTS).then_some(sighting)
+        shows_a_place(&sighting, camera).then_some(sighting)
     }
+}
+
+/// What was found is not on one poster.
+pub fn shows_a_place(sighting: &Sighting, camera: &CameraModel) -> bool {
+    parts_seen(sighting, camera) >= MIN_PARTS
 }
 
 /// Parts of the picture in which something was found.

@@ -10,9 +10,10 @@
 //! the pose was published. Not here: a kept map is not asked while the present one is lost.
 
 use super::LIKELY;
+use super::asked::Asked;
 use super::other_maps::{
-    ATTEMPT_GAP, Join, LONGEST_GAP, MAX_SCALE_SIGMA, OtherMap, OtherMaps, REMEMBERED, Sighting, at_corner, found_in,
-    log_ratio, retire, seen_most_by, similarity, turned_only,
+    ATTEMPT_GAP, Join, LONGEST_GAP, OtherMap, OtherMaps, REMEMBERED, Sighting, at_corner, found_in, log_ratio, retire,
+    seen_most_by, similarity, turned_only,
 };
 use crate::features::FrameFeatures;
 use crate::geometry::CameraModel;
@@ -74,24 +75,43 @@ impl Reconstruction {
             others.turn += 1;
         }
         let index = others.turn % others.kept.len();
-        let sighting = self.find_in(index, features, id);
+        let likely = self.likely_in(index, features);
+        let sighting = self.find_in(index, features, id, &likely);
         let others = &mut self.others;
         match sighting.is_some() && others.warm < REMEMBERED {
             true => (others.warm, others.gap) = (others.warm + 1, ATTEMPT_GAP),
             false => (others.warm, others.gap) = (0, (2 * others.gap).min(LONGEST_GAP)),
         }
         others.next_attempt = self.counters.frames + others.gap;
-        let Some(sighting) = sighting else { return };
+        if let Some(sighting) = sighting {
+            self.hear_sighting(index, sighting);
+        }
+    }
+
+    /// Joins a map kept aside if two keyframes of the present one that were recognised in it tell the same; else remembers the later one.
+    pub(super) fn hear_sighting(&mut self, index: usize, sighting: Sighting) {
         let other = &self.others.kept[index];
+        if !self.may_tell(other, &sighting) {
+            return;
+        }
         let (readout_s, min_parallax) = (self.optics.shutter.readout_s, self.config.min_parallax_deg.to_radians());
-        let tell = |before| similarity(&self.active.map, &other.map, [before, &sighting], readout_s, min_parallax);
-        let told = other.sightings.iter().rev().find_map(tell);
+        let tell = |(i, before)| {
+            let pair = [before, &sighting];
+            let told = similarity(&self.active.map, &other.map, pair, readout_s, min_parallax)?;
+            Some((i, told, self.join_sigma(other, pair, &told)?))
+        };
+        let told = other.sightings.iter().enumerate().rev().find_map(tell);
         match told {
-            Some(told) => {
+            Some((before, told, scale_sigma)) => {
                 let mut other = self.others.kept.remove(index);
+                if other.is_merged {
+                    // Of the others nobody knows whether they were right. And there are keyframes more to ask.
+                    other.sightings = vec![other.sightings.swap_remove(before)];
+                    self.others.asked = Asked::default();
+                }
                 other.sightings.push(sighting);
                 self.others.warm = 0;
-                self.join(other, &told.present_from_other);
+                self.join(other, &told.present_from_other, scale_sigma);
             }
             None => {
                 let sightings = &mut self.others.kept[index].sightings;
@@ -103,12 +123,23 @@ impl Reconstruction {
         }
     }
 
-    /// Where the keyframe `id` is in a map kept aside, if it is.
-    fn find_in(&mut self, index: usize, features: &FrameFeatures, id: KeyframeId) -> Option<Sighting> {
+    /// Keyframes of a map kept aside that a picture may show the place of.
+    pub(super) fn likely_in(&mut self, index: usize, features: &FrameFeatures) -> Vec<KeyframeId> {
+        let Some(other) = self.others.kept.get(index) else { return Vec::new() };
+        self.loops.likely(&other.map, &features.pyramid, LIKELY)
+    }
+
+    /// Where the keyframe `id` is in a map kept aside, if it is; perhaps near the `likely` ones.
+    pub(super) fn find_in(
+        &mut self,
+        index: usize,
+        features: &FrameFeatures,
+        id: KeyframeId,
+        likely: &[KeyframeId],
+    ) -> Option<Sighting> {
         let OtherMaps { kept, relocaliser, .. } = &mut self.others;
         let other = kept.get(index)?;
-        let likely = self.loops.likely(&other.map, &features.pyramid, LIKELY);
-        self.far.ask(&likely);
+        self.far.ask(likely);
         let bindings = Bindings::default();
         let frame = Frame {
             features,
@@ -121,15 +152,15 @@ impl Reconstruction {
             shutter: &self.optics.shutter,
             is_calibrated: self.optics.intrinsics.is_calibrated(),
         };
-        let Some(placed) = relocaliser.place(&frame, other.reference, &likely) else {
+        let Some(placed) = relocaliser.place(&frame, other.reference, likely) else {
             self.far.ask_ahead(relocaliser.ahead(&other.map));
             return None;
         };
         found_in(&frame, &relocaliser.tracker, id, &placed)
     }
 
-    /// Makes the other map a part of this one.
-    fn join(&mut self, mut other: OtherMap, present_from_other: &Sim3<World, World>) {
+    /// Makes the other map a part of this one. `scale_sigma`: of the logarithm of the ratio of their units.
+    fn join(&mut self, mut other: OtherMap, present_from_other: &Sim3<World, World>, scale_sigma: f64) {
         self.discard_job();
         let active = &mut self.active;
         // The lens may be known better by now.
@@ -139,7 +170,7 @@ impl Reconstruction {
         let through = newest.and_then(|id| active.map.keyframe(id)?.scale_from);
         active.scale.absorb(&other.scale, &mut other.map, present_from_other, through);
         // A length of one here is 1 / scale there.
-        active.fusion.inherit(&other.fusion, -present_from_other.scale.ln(), MAX_SCALE_SIGMA);
+        active.fusion.inherit(&other.fusion, -present_from_other.scale.ln(), scale_sigma);
         let own = |s: &Sighting| active.map.keyframe(s.keyframe).map(|k| k.observations.clone()).unwrap_or_default();
         let seen: Vec<Observations> = other.sightings.iter().map(own).collect();
         let by = other.sightings.last().and_then(|s| Some((seen_most_by(&other.map, s)?, s.keyframe)));
@@ -159,7 +190,7 @@ impl Reconstruction {
         self.corrections.join();
         active.frames += other.frames;
         active.next_global = 0;
-        active.unadjusted = newest;
+        active.unadjusted = active.map.newest();
     }
 }
 

@@ -12,11 +12,13 @@
 use nalgebra::Vector3;
 
 use super::Relocaliser;
+use super::asked::Asked;
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::sim3::Sim3;
 use crate::geometry::{Se3, median};
 use crate::map::observations::Observations;
+use crate::map::saved::{MapHead, SavedMap};
 use crate::map::{KeyframeId, LandmarkId, Map, MapId};
 use crate::motion::scale::ScaleFusion;
 use crate::reconstruction::active_map::ActiveMap;
@@ -85,19 +87,28 @@ pub struct OtherMap {
     pub frames: u64,
     /// Keyframes of the present map that were recognised in it, the newest last.
     pub sightings: Vec<Sighting>,
+    /// It came by a command ([`merging`](super::merging)).
+    pub is_merged: bool,
 }
 
 impl OtherMap {
     pub fn new(lost: ActiveMap) -> Self {
         let ActiveMap { map, id, reference, scale, fusion, frames, .. } = lost;
-        Self { map, id, reference, scale, fusion, frames, sightings: Vec::new() }
+        Self { map, id, reference, scale, fusion, frames, sightings: Vec::new(), is_merged: false }
+    }
+
+    /// A map of another run.
+    pub fn of_another_run(saved: SavedMap, is_merged: bool) -> Self {
+        let SavedMap { head: MapHead { id, reference, frames, scale, turns }, map } = saved;
+        let (scale, fusion) = (ScaleUncertainty::restored(&turns), ScaleFusion::of_stored(scale));
+        Self { map, id, reference, scale, fusion, frames, sightings: Vec::new(), is_merged }
     }
 }
 
 /// All maps kept aside, and what looks for them.
 #[derive(Default)]
 pub struct OtherMaps {
-    /// Ascending id.
+    /// In the order in which they came.
     pub kept: Vec<OtherMap>,
     pub relocaliser: Relocaliser,
     /// Frame before which nothing is asked again, and how many frames that was from the last time.
@@ -109,6 +120,7 @@ pub struct OtherMaps {
     pub warm: usize,
     /// Those that were joined to others, the newest last.
     pub joins: Vec<Join>,
+    pub asked: Asked,
 }
 
 /// By which keyframes a map was joined to the present one.
@@ -134,17 +146,34 @@ impl OtherMaps {
         self.kept.iter().map(|other| &other.map)
     }
 
-    /// Keeps a map; returns those that have to go for it.
+    /// Those that came by a command.
+    pub fn merged(&self) -> impl Iterator<Item = &OtherMap> {
+        self.kept.iter().filter(|other| other.is_merged)
+    }
+
+    /// Keeps a map; returns those that have to go for it. Those that came by a command neither go nor take the room of others.
     pub fn keep(&mut self, other: OtherMap, max_keyframes: usize) -> Vec<Map> {
-        self.kept.push(other);
-        (self.next_attempt, self.gap, self.warm) = (0, ATTEMPT_GAP, 0);
+        self.add(other);
         let mut gone = Vec::new();
-        let keyframes = |kept: &[OtherMap]| kept.iter().map(|other| other.map.keyframes.len()).sum::<usize>();
-        while self.kept.len() > MAX_KEPT || self.kept.len() > 1 && keyframes(&self.kept) > max_keyframes {
-            let smallest = (0..self.kept.len()).min_by_key(|&i| self.kept[i].map.keyframes.len()).unwrap_or(0);
+        loop {
+            let own: Vec<(usize, usize)> = self
+                .kept
+                .iter()
+                .enumerate()
+                .filter(|(_, other)| !other.is_merged)
+                .map(|(i, other)| (other.map.keyframes.len(), i))
+                .collect();
+            let keyframes: usize = own.iter().map(|(keyframes, _)| keyframes).sum();
+            let is_full = own.len() > MAX_KEPT || own.len() > 1 && keyframes > max_keyframes;
+            let Some((_, smallest)) = own.into_iter().min().filter(|_| is_full) else { return gone };
             gone.push(self.kept.remove(smallest).map);
         }
-        gone
+    }
+
+    /// Keeps a map beside all others, and asks again at once.
+    pub fn add(&mut self, other: OtherMap) {
+        self.kept.push(other);
+        (self.next_attempt, self.gap, self.warm) = (0, ATTEMPT_GAP, 0);
     }
 }
 
@@ -406,24 +435,25 @@ mod tests {
         assert!(told(&torn).is_none(), "depths that have nothing in common");
     }
 
+    fn map(id: u32, keyframes: usize) -> OtherMap {
+        let mut map = Map::default();
+        (0..keyframes).for_each(|_| {
+            map.add_keyframe(keyframe(Se3::identity()));
+        });
+        OtherMap {
+            map,
+            id: MapId(id),
+            reference: KeyframeId(0),
+            scale: ScaleUncertainty::default(),
+            fusion: Default::default(),
+            frames: 100,
+            sightings: Vec::new(),
+            is_merged: false,
+        }
+    }
+
     #[test]
     fn as_many_maps_are_kept_as_there_is_room_for_and_the_smallest_go() {
-        let map = |id: u32, keyframes: usize| {
-            let mut map = Map::default();
-            (0..keyframes).for_each(|_| {
-                map.add_keyframe(keyframe(Se3::identity()));
-            });
-            let (reference, scale) = (KeyframeId(0), ScaleUncertainty::default());
-            OtherMap {
-                map,
-                id: MapId(id),
-                reference,
-                scale,
-                fusion: Default::default(),
-                frames: 100,
-                sightings: Vec::new(),
-            }
-        };
         let mut others = OtherMaps::default();
         for (id, keyframes) in [(0, 5), (1, 9), (2, 7), (3, 6)] {
             assert!(others.keep(map(id, keyframes), 40).is_empty());
@@ -434,5 +464,17 @@ mod tests {
         let kept: Vec<u32> = others.kept.iter().map(|other| other.id.0).collect();
         assert_eq!(kept, [1, 5], "in the order in which they were lost");
         assert_eq!(sizes(&others.keep(map(6, 50), 40)), [9, 30], "the last one stays, however large");
+    }
+
+    #[test]
+    fn a_map_that_came_by_a_command_stays_until_it_is_joined_and_takes_no_room() {
+        let mut others = OtherMaps::default();
+        (10..15).for_each(|id| others.add(OtherMap { is_merged: true, ..map(id, 4) }));
+        for id in 0..4 {
+            assert!(others.keep(map(id, 9), 40).is_empty());
+        }
+        let gone: Vec<usize> = others.keep(map(4, 20), 40).iter().map(|m| m.keyframes.len()).collect();
+        assert_eq!((gone, others.merged().count()), (vec![9, 9], 5));
+        assert!(others.keep(map(5, 80), 40).len() == 3 && others.kept.len() == 6);
     }
 }
