@@ -221,7 +221,11 @@ fn a_building_of_ten_thousand_keyframes_costs_no_more_time_a_keyframe_and_bounde
         took.push(drive.step());
         if [1_000, 3_000, 10_000].contains(&made) {
             let lately = median(took[made - 200..].to_vec());
-            println!("{made} keyframes: {:?} bytes counted, {} kB resident, {lately:.6} s", drive.bytes(), resident_kb());
+            println!(
+                "{made} keyframes: {:?} bytes counted, {} kB resident, {lately:.6} s",
+                drive.bytes(),
+                resident_kb()
+            );
         }
     }
     drive.map.check_consistency().expect("consistent");
