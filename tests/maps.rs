@@ -410,6 +410,12 @@ fn a_running_daemon_stores_lists_loads_and_begins_maps() {
     assert_eq!(answer(&["map", "new", "cellar"]).0, Some(0));
     assert_eq!(answer(&["map", "save"]).0, Some(0));
     assert_eq!(listed(), [("attic".into(), false), ("broken".into(), false), ("cellar".into(), true)]);
+    // Once the new map has begun, the old one can become a part of it; its file stays as it is.
+    let bytes = std::fs::read(&file).unwrap();
+    let told = until("a map to merge with", &["map", "merge", "attic"], &|code, _| code == Some(0));
+    assert!(told.contains("beside the present map"), "{told}");
+    assert!(answer(&["map", "merge", "attic"]).1.contains("already"));
+    assert_eq!(std::fs::read(&file).unwrap(), bytes);
     assert!(info(&file)["maps"][0]["keyframes"].as_u64() > Some(1), "whole, and nobody's now");
 }
 

@@ -19,18 +19,21 @@ const HELD: u32 = 15;
 
 /// The shortest way between two keyframes; `None` if none leads there.
 pub fn shortest_way(map: &Map, closed: &[(KeyframeId, KeyframeId)], from: KeyframeId, to: KeyframeId) -> Option<f64> {
-    way_over(map, closed, (from, to), |id| [followed(map, id), following(map, id)]).or_else(|| {
-        let beside = |id: KeyframeId| [map.keyframes.last_before(id.0), map.keyframes.ids_from(id.0 + 1).next()];
-        way_over(map, closed, (from, to), |id| beside(id).map(|id| id.map(KeyframeId)))
-    })
+    let driven = |id: KeyframeId| [followed(map, id), following(map, id)].into_iter().flatten();
+    let beside = |id: KeyframeId| {
+        let numbered = [map.keyframes.last_before(id.0), map.keyframes.ids_from(id.0 + 1).next()];
+        numbered.into_iter().flatten().map(KeyframeId)
+    };
+    let way = way_over(map, closed, (from, to), driven);
+    way.or_else(|| way_over(map, closed, (from, to), |id| driven(id).chain(beside(id))))
 }
 
 /// `beside`: the keyframes that one follows and is followed by.
-fn way_over(
+fn way_over<N: Iterator<Item = KeyframeId>>(
     map: &Map,
     closed: &[(KeyframeId, KeyframeId)],
     (from, to): (KeyframeId, KeyframeId),
-    beside: impl Fn(KeyframeId) -> [Option<KeyframeId>; 2],
+    beside: impl Fn(KeyframeId) -> N,
 ) -> Option<f64> {
     let mut tied: BTreeMap<KeyframeId, Vec<KeyframeId>> = BTreeMap::new();
     for &(a, b) in closed {
@@ -52,7 +55,7 @@ fn way_over(
         let Some(keyframe) = map.keyframe(at) else { continue };
         let here = keyframe.centre();
         let held = keyframe.covisible.iter().filter(|c| c.1 >= HELD).map(|c| c.0);
-        let links = held.chain(beside(at).into_iter().flatten());
+        let links = held.chain(beside(at));
         let links = links.chain(tied.get(&at).into_iter().flatten().copied());
         for neighbour in links.filter(|n| !reached.contains_key(n)) {
             let Some(step) = map.keyframe(neighbour).map(|k| (k.centre() - here).norm()) else { continue };

@@ -16,7 +16,8 @@ impl Reconstruction {
             return self.forget_place();
         }
         let others = std::mem::take(&mut self.others);
-        others.maps().for_each(|map| retire(map, &mut self.events));
+        // No pose of this run hangs on what waits to be merged.
+        others.kept.iter().filter(|other| !other.is_merged).for_each(|other| retire(&other.map, &mut self.events));
         self.end_map();
     }
 

@@ -1,8 +1,9 @@
 //! Two drives through one room, on two days and in two maps, which a command makes one; and two rooms, which it does not.
 
+use std::ops::Range;
 use std::path::Path;
 
-use cairn::camera::simulator::Scenario;
+use cairn::camera::simulator::{Scenario, SimulatorConfig};
 use cairn::map::KeyframeId;
 use cairn::map::saved::{Ids, SavedMaps};
 use cairn::places::store;
@@ -22,14 +23,37 @@ fn read(file: &Path, robot: &Robot) -> SavedMaps {
     saved.renumbered(Ids { maps, keyframes, landmarks }).unwrap()
 }
 
-/// A drive along some frames of a room's tour, so many days later.
-fn driven(seed: u64, frames: std::ops::Range<u64>, day: i64) -> Robot {
-    let config = webcam(Scenario::RoomTour, seed);
-    let mut simulator = simulator(&config);
-    let mut robot = Robot::on_day(simulator.camera_model(), day);
-    robot.drive(&mut simulator, frames);
-    robot
+/// A drive through a room.
+#[derive(Clone)]
+struct Drive {
+    room: SimulatorConfig,
+    frames: Range<u64>,
 }
+
+impl Drive {
+    fn new(seed: u64, frames: Range<u64>) -> Self {
+        Self { room: webcam(Scenario::RoomTour, seed), frames }
+    }
+
+    /// Under other lamps, a third of the furniture moved.
+    fn on_another_day(mut self) -> Self {
+        self.room.another_day.enabled = true;
+        self.room.another_day.seed = 77 + self.room.seed;
+        self
+    }
+
+    /// So many days later by the clock.
+    fn driven(&self, day: i64) -> Robot {
+        let mut simulator = simulator(&self.room);
+        let mut robot = Robot::on_day(simulator.camera_model(), day);
+        robot.drive(&mut simulator, self.frames.clone());
+        robot
+    }
+}
+
+/// The first third of a lap, and most of the next lap, which is some 10 cm beside it.
+const OWN: Range<u64> = 0..360;
+const OTHERS: Range<u64> = 960..1480;
 
 /// What came of it.
 #[derive(Debug)]
@@ -43,16 +67,14 @@ struct Merged {
 }
 
 /// Merges the map of one drive with that of another, whose robot stands where it came to.
-fn merged(seeds: [u64; 2], frames: [std::ops::Range<u64>; 2]) -> Merged {
+fn merged(own: &Drive, others: &Drive) -> Merged {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("other.map");
-    let [own, others] = frames;
-    let mut other = driven(seeds[1], others, 1);
+    let mut other = others.driven(1);
     other.save(&file);
     let bytes = std::fs::read(&file).unwrap();
-    let mut robot = driven(seeds[0], own.clone(), 0);
-    let mut room = simulator(&webcam(Scenario::RoomTour, seeds[0]));
-    let (picture, truth) = shown(&mut room, own.end);
+    let mut robot = own.driven(0);
+    let (picture, truth) = shown(&mut simulator(&own.room), own.frames.end);
     let before: PoseEstimate = robot.see(&picture, Some(truth));
     robot.note_map();
     let keyframes: Vec<KeyframeId> = robot.reconstruction.keyframe_poses().into_iter().map(|(id, _)| id).collect();
@@ -82,14 +104,14 @@ fn merged(seeds: [u64; 2], frames: [std::ops::Range<u64>; 2]) -> Merged {
 
 #[test]
 fn two_drives_through_one_room_become_one_map_while_the_robot_stands() {
-    let merged = merged([3, 3], [0..360, 180..700]);
+    let merged = merged(&Drive::new(3, OWN), &Drive::new(3, OTHERS));
     println!("{merged:?}");
     assert!(merged.joined == 1 && merged.after < STANDING && merged.worst_m < 0.05 * merged.way_m, "{merged:?}");
 }
 
 #[test]
 fn two_rooms_stay_two_maps() {
-    let merged = merged([3, 4], [0..360, 0..400]);
+    let merged = merged(&Drive::new(3, OWN), &Drive::new(4, OTHERS));
     println!("{merged:?}");
     assert_eq!(merged.joined, 0);
 }
@@ -98,7 +120,10 @@ fn two_rooms_stay_two_maps() {
 #[ignore = "a table of results"]
 fn merges() {
     for seed in super::seeds(number("TRIALS", 10)) {
-        println!("seed {seed}: one room {:?}", merged([seed, seed], [0..360, 180..700]));
-        println!("seed {seed}: two rooms {:?}", merged([seed, seed + 1000], [0..360, 180..700]));
+        let own = Drive::new(seed, OWN);
+        let next_lap = Drive::new(seed, OTHERS);
+        println!("seed {seed}: next lap {:?}", merged(&own, &next_lap));
+        println!("seed {seed}: another day {:?}", merged(&own, &next_lap.on_another_day()));
+        println!("seed {seed}: another room {:?}", merged(&own, &Drive::new(seed + 1000, OTHERS)));
     }
 }

@@ -6,11 +6,14 @@
 //! the other one is carried over into the present one, whose poses, unit and number stay as they are. A planner sees its map grow, and
 //! nothing jumps. Landmarks of both that are one corner are fused, and the whole is adjusted soon, if it is not too large.
 //!
+//! A seam that an older keyframe told lies where the robot may not be: beyond 240 keyframes nothing adjusts it until the robot is there again.
+//!
 //! Cost: nothing while no map is kept; else one attempt of relocalisation for every few keyframes, rarer while nothing is recognised, after
 //! the pose was published. Not here: a kept map is not asked while the present one is lost.
 
 use super::LIKELY;
 use super::asked::Asked;
+use super::merging::is_sure;
 use super::other_maps::{
     ATTEMPT_GAP, Join, LONGEST_GAP, OtherMap, OtherMaps, REMEMBERED, Sighting, at_corner, found_in, log_ratio, retire,
     seen_most_by, similarity, turned_only,
@@ -91,16 +94,15 @@ impl Reconstruction {
     /// Joins a map kept aside if two keyframes of the present one that were recognised in it tell the same; else remembers the later one.
     pub(super) fn hear_sighting(&mut self, index: usize, sighting: Sighting) {
         let other = &self.others.kept[index];
-        if !self.may_tell(other, &sighting) {
-            return;
-        }
         let (readout_s, min_parallax) = (self.optics.shutter.readout_s, self.config.min_parallax_deg.to_radians());
         let tell = |(i, before)| {
             let pair = [before, &sighting];
             let told = similarity(&self.active.map, &other.map, pair, readout_s, min_parallax)?;
             Some((i, told, self.join_sigma(other, pair, &told)?))
         };
-        let told = other.sightings.iter().enumerate().rev().find_map(tell);
+        // One keyframe that is asked again is no second witness.
+        let others = other.sightings.iter().enumerate().rev().filter(|(_, s)| s.keyframe != sighting.keyframe);
+        let told = others.into_iter().find_map(tell);
         match told {
             Some((before, told, scale_sigma)) => {
                 let mut other = self.others.kept.remove(index);
@@ -115,6 +117,7 @@ impl Reconstruction {
             }
             None => {
                 let sightings = &mut self.others.kept[index].sightings;
+                sightings.retain(|s| s.keyframe != sighting.keyframe);
                 if sightings.len() == REMEMBERED {
                     sightings.remove(0);
                 }
@@ -156,7 +159,9 @@ impl Reconstruction {
             self.far.ask_ahead(relocaliser.ahead(&other.map));
             return None;
         };
-        found_in(&frame, &relocaliser.tracker, id, &placed)
+        let sighting = found_in(&frame, &relocaliser.tracker, id, &placed)?;
+        let counts = !other.is_merged || is_sure(&placed, &sighting, &self.optics.camera);
+        counts.then_some(sighting)
     }
 
     /// Makes the other map a part of this one. `scale_sigma`: of the logarithm of the ratio of their units.

@@ -5,8 +5,8 @@
 //! looked for as well, by the pictures that they keep: one at a time, after a pose was published and while the robot may stand still. First those that
 //! the index over places knows, then all; one round after the other, rarer each time that nothing came of it.
 //!
-//! Another building may look alike, so more is asked of a sighting than of a map that was lost: it must fill the picture, and where both maps are
-//! metric their units must agree. And more is doubted: what the other map knows of metres is handed down with the error of the ratio that was measured
+//! Another building may look alike, so more is asked of a sighting than of a map that was lost: most of what should be in view must be found, all over the
+//! picture, and where both maps are metric their units must agree. And more is doubted: what the other map knows of metres is handed down with the error of the ratio that was measured
 //! and of all turns on the spot between that place and where either map begins.
 //!
 //! Until it is joined such a map is held, however many others are lost, and stands in no file of this run: the next one is asked for it again.
@@ -18,18 +18,29 @@ use std::collections::BTreeMap;
 use super::asked::Asked;
 use super::other_maps::{MAX_SCALE_SIGMA, OtherMap, Sighting, Similarity, WORTH_KEEPING, seen_most_by};
 use crate::features::FrameFeatures;
+use crate::geometry::CameraModel;
 use crate::map::remade::remade;
-use crate::map::saved::{SavedMap, SavedMaps};
+use crate::map::saved::{SavedMap, SavedMaps, SavedOptics};
 use crate::map::{Keyframe, KeyframeId, Map, MapId};
 use crate::reconstruction::Reconstruction;
 use crate::reconstruction::keyframe::distance_prior::is_blind;
 use crate::reconstruction::loops::recognition::shows_a_place;
+use crate::reconstruction::track::Tracked;
 use crate::reconstruction::types::TrackingState;
 
 /// Maps that wait to be joined, at the most.
 const MOST_WAITING: usize = 8;
 /// Keyframes of which the index is asked until one is known to it, after one frame: 2 ms each.
 const LOOKED_AT: usize = 4;
+/// Of what should be in view so much is found at the least. In the simulator's rooms, on another day among them, it was 0.85 to 0.98 at the median; in
+/// rooms of the same plan with other pictures and patterns 0.47 at the most.
+const FOUND_SHARE: f64 = 0.6;
+/// Focal lengths that differ by less in their logarithm are one, whatever their sigmas say.
+const SAME_FOCAL_LOG: f64 = 0.02;
+/// Keyframes of the same moment whose pictures are compared, which may have to be read from the disk.
+const MOST_COMPARED: usize = 64;
+/// No map's scale is the same throughout: how surely one ratio at one place tells that of the maps, at the best.
+const LEAST_SCALE_SIGMA: f64 = 0.02;
 /// Both maps are metric: so much of the logarithm of the ratio of their units is nobody's sigma.
 const MOST_UNIT_LOG: f64 = 0.1;
 
@@ -56,6 +67,7 @@ impl Reconstruction {
     /// it. In the error's case everything is as it was.
     pub fn merge(&mut self, saved: SavedMaps) -> Result<Waiting, String> {
         self.can_merge()?;
+        self.is_same_lens(&saved.optics)?;
         let new: Vec<SavedMap> = saved.maps.into_iter().filter(|m| m.map.keyframes.len() >= WORTH_KEEPING).collect();
         let keyframes: usize = new.iter().map(|m| m.map.keyframes.len()).sum();
         if new.is_empty() {
@@ -87,6 +99,19 @@ impl Reconstruction {
         Ok(waiting)
     }
 
+    /// Two cameras that nobody calibrated are compared by what was found of their lenses: the present map's is the one that stays.
+    fn is_same_lens(&self, theirs: &SavedOptics) -> Result<(), String> {
+        let own = self.optics.saved();
+        let [here, there] = [own.camera.fx, theirs.camera.fx];
+        let sigma = own.refined_sigma[0].hypot(theirs.refined_sigma[0]);
+        if theirs.is_guessed && (there / here).ln().abs() > SAME_FOCAL_LOG + 3.0 * sigma {
+            return Err(format!(
+                "its focal length was found to be {there:.0} px, that of the present map {here:.0} px"
+            ));
+        }
+        Ok(())
+    }
+
     /// Some keyframe is the same picture of the same moment as one that is there.
     fn knows(&self, new: &[SavedMap]) -> bool {
         let key = |k: &Keyframe| (k.timestamp_ns, k.sequence);
@@ -97,6 +122,7 @@ impl Reconstruction {
         let keyframes = new.iter().flat_map(|m| m.map.keyframes.iter()).map(|(_, k)| k);
         keyframes
             .filter_map(|k| Some((k, there.get(&key(k))?)))
+            .take(MOST_COMPARED)
             .any(|(k, same)| same.iter().any(|s| shows_the_same(k, s)))
     }
 
@@ -154,11 +180,6 @@ impl Reconstruction {
         None
     }
 
-    /// Whether a sighting counts.
-    pub(super) fn may_tell(&self, other: &OtherMap, sighting: &Sighting) -> bool {
-        !other.is_merged || shows_a_place(sighting, &self.optics.camera)
-    }
-
     /// Standard deviation of the logarithm of the ratio of both maps' units, where they begin; `None`: they cannot be one.
     pub(super) fn join_sigma(&self, other: &OtherMap, by: [&Sighting; 2], told: &Similarity) -> Option<f64> {
         if !other.is_merged {
@@ -172,7 +193,7 @@ impl Reconstruction {
             other.scale.sigma_behind(seen, false)
         };
         let worst = |of: &dyn Fn(&Sighting) -> f64| of(by[0]).max(of(by[1]));
-        let sigma = told.log_scale_sigma.hypot(worst(&here)).hypot(worst(&there));
+        let sigma = told.log_scale_sigma.max(LEAST_SCALE_SIGMA).hypot(worst(&here)).hypot(worst(&there));
         let are_metric = active.fusion.is_metric() && other.fusion.is_metric();
         let Some(((own, own_sigma, _), (others, others_sigma, _))) = active.fusion.fused().zip(other.fusion.fused())
         else {
@@ -182,6 +203,11 @@ impl Reconstruction {
         let most = MOST_UNIT_LOG + 3.0 * sigma.hypot(own_sigma).hypot(others_sigma);
         (!are_metric || off <= most).then_some(sigma)
     }
+}
+
+/// Whether a sighting counts, by what was placed: rooms of one plan share their edges and corners, and no more.
+pub(super) fn is_sure(placed: &Tracked, sighting: &Sighting, camera: &CameraModel) -> bool {
+    placed.share() >= FOUND_SHARE && shows_a_place(sighting, camera)
 }
 
 /// What was seen at a keyframe, if its place is measured and enough of its picture is kept.
