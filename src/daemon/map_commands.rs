@@ -196,7 +196,8 @@ pub(super) fn keep_merged(
 
 /// Whether this run has given none of these ids meanwhile.
 fn check_ids(reconstruction: &Reconstruction, saved: &SavedMaps) -> Result<(), String> {
-    let (given, first) = (reconstruction.given_ids(), saved.first_ids().unwrap_or_default());
+    let Some(first) = saved.first_ids() else { return Ok(()) };
+    let given = reconstruction.given_ids();
     if given.maps > first.maps || given.keyframes > first.keyframes || given.landmarks > first.landmarks {
         return Err("it took too long to read; try again".into());
     }

@@ -19,6 +19,7 @@ pub mod descriptors;
 pub mod joining;
 pub mod merging;
 pub mod other_maps;
+pub mod spread;
 
 use nalgebra::{UnitQuaternion, Vector3};
 

@@ -13,13 +13,9 @@ use crate::reconstruction::config::ReconstructionConfig;
 use crate::reconstruction::measurement::rolling_shutter::Shutter;
 use crate::reconstruction::relocalise::Relocaliser;
 use crate::reconstruction::relocalise::other_maps::{Sighting, found_in};
+use crate::reconstruction::relocalise::spread::shows_a_place;
 use crate::reconstruction::track::association::Bindings;
 use crate::reconstruction::track::frame::Frame;
-
-/// The picture is parted into so many columns and rows, and what was found of a place lies in so many of these parts at the least: landmarks
-/// on one poster say that this is the poster, and not where it hangs.
-const PARTS: [usize; 2] = [4, 3];
-const MIN_PARTS: usize = 5;
 
 /// Work to be done. See the module.
 pub struct Recognition {
@@ -71,24 +67,6 @@ impl Recognition {
         let sighting = found_in(&frame, &relocaliser.tracker, self.keyframe, &placed)?;
         shows_a_place(&sighting, camera).then_some(sighting)
     }
-}
-
-/// What was found is not on one poster.
-pub fn shows_a_place(sighting: &Sighting, camera: &CameraModel) -> bool {
-    parts_seen(sighting, camera) >= MIN_PARTS
-}
-
-/// Parts of the picture in which something was found.
-fn parts_seen(sighting: &Sighting, camera: &CameraModel) -> usize {
-    let [columns, rows] = PARTS;
-    let mut seen = [false; PARTS[0] * PARTS[1]];
-    for m in &sighting.found {
-        let share = |at: f32, size: u32, parts: usize| {
-            ((f64::from(at) / f64::from(size) * parts as f64).max(0.0) as usize).min(parts - 1)
-        };
-        seen[share(m.pixel.y, camera.height, rows) * columns + share(m.pixel.x, camera.width, columns)] = true;
-    }
-    seen.iter().filter(|seen| **seen).count()
 }
 
 /// Who recognises places: a thread of the daemon's, or the caller itself. At most one piece of work is under way.
@@ -176,34 +154,5 @@ impl Recogniser {
         self.posted = None;
         self.relocaliser = Some(relocaliser);
         Some(sighting)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::geometry::Se3;
-    use crate::map::LandmarkId;
-    use crate::reconstruction::track::search::Match;
-    use nalgebra::{Vector2, Vector3};
-
-    #[test]
-    fn what_lies_on_one_poster_is_no_place() {
-        let camera = CameraModel::new(640, 480, 500.0, 500.0, 319.5, 239.5, [0.0; 5]).expect("a camera");
-        let at = |x: f32, y: f32| Match {
-            landmark: LandmarkId(0),
-            template: KeyframeId(0),
-            point: Vector3::z(),
-            pixel: Vector2::new(x, y),
-            normalised: Vector2::zeros(),
-            displacement: Vector2::zeros(),
-            inv_sigma_px: 1.0,
-            inlier: true,
-        };
-        let sighting = |found| Sighting { keyframe: KeyframeId(0), there: Se3::identity(), found };
-        let poster = (0..60).map(|i| at(330.0 + i as f32, 170.0 + i as f32)).collect();
-        assert!(parts_seen(&sighting(poster), &camera) < MIN_PARTS);
-        let room = (0..60).map(|i| at(-0.4 + (i * 97 % 641) as f32, (i * 61 % 481) as f32)).collect();
-        assert_eq!(parts_seen(&sighting(room), &camera), PARTS[0] * PARTS[1]);
     }
 }

@@ -17,6 +17,7 @@ use std::collections::BTreeMap;
 
 use super::asked::Asked;
 use super::other_maps::{MAX_SCALE_SIGMA, OtherMap, Sighting, Similarity, WORTH_KEEPING, seen_most_by};
+use super::spread::shows_a_place;
 use crate::features::FrameFeatures;
 use crate::geometry::CameraModel;
 use crate::map::remade::remade;
@@ -24,7 +25,6 @@ use crate::map::saved::{SavedMap, SavedMaps, SavedOptics};
 use crate::map::{Keyframe, KeyframeId, Map, MapId};
 use crate::reconstruction::Reconstruction;
 use crate::reconstruction::keyframe::distance_prior::is_blind;
-use crate::reconstruction::loops::recognition::shows_a_place;
 use crate::reconstruction::track::Tracked;
 use crate::reconstruction::types::TrackingState;
 
