@@ -5,7 +5,8 @@
 //! section VII): the way, the strongest links of each keyframe to older ones, all links that are strong anyway, and loops that were closed before. A link
 //! says that the two lie as they do now and have one scale, as surely as the landmarks that they share tell it: where the camera passed a bare wall or
 //! saw far things only, there most of the drift came in, and there it is taken out. A turn that told no scale is the utmost of that.
-//! The way ends where another map begins, of whatever run: numbers go on, but nobody knows how the camera moved there. Only where nothing else holds
+//! The way ends where a map of another number begins: keyframes are numbered on, but nobody knows how the camera moved there. (A map that was
+//! loaded keeps its number, so runs that went on in it are one way.) Only where nothing else holds
 //! two parts of the graph together do they stay as they lie there. The oldest keyframe of the map that the newest one was made in stays where it is.
 //!
 //! It is a piece of work on a copy, so that it can run anywhere and be merged later; cost as [`pose_graph`](crate::geometry::pose_graph).
