@@ -145,6 +145,7 @@ impl Reconstruction {
             camera: &self.optics.camera,
             config: &self.config,
             before: None,
+            was_here: true,
             motion: None,
             shutter: &self.optics.shutter,
             is_calibrated: self.optics.intrinsics.is_calibrated(),

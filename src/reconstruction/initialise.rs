@@ -101,6 +101,7 @@ impl Reconstruction {
             shutter: &self.optics.shutter,
             is_calibrated: self.optics.intrinsics.is_calibrated(),
             before: None,
+            was_here: true,
             motion: None,
         };
         let Some(tracked) = self.tracker.track(&frame, self.active.reference, &[guess]) else {

@@ -218,6 +218,7 @@ impl Reconstruction {
             camera: &self.optics.camera,
             config: &self.config,
             before: odometry.before(features.timestamp_ns),
+            was_here: odometry.last.is_some(),
             motion: odometry.motion().or_else(|| ahead.and_then(|ahead| ahead.motion)),
             shutter: &self.optics.shutter,
             is_calibrated: self.optics.intrinsics.is_calibrated(),
@@ -231,7 +232,7 @@ impl Reconstruction {
                     ahead.zip(odometry.last).map(|(a, last)| a.agrees(&last.camera_from_world, &t.camera_from_world));
                 t.share() >= WEAK_SHARE && agrees == Some(true)
             };
-            tracked = tracked.filter(|t| t.speaks_for_itself(self.config.min_landmarks) || expected(t));
+            tracked = tracked.filter(|t| t.speaks_for_itself(&frame) || expected(t));
         }
         if tracked.as_ref().is_none_or(|t| t.share() < WEAK_SHARE) {
             let likely = self.loops.likely(map, &features.pyramid, LIKELY);

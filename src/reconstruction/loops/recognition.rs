@@ -13,7 +13,6 @@ use crate::reconstruction::config::ReconstructionConfig;
 use crate::reconstruction::measurement::rolling_shutter::Shutter;
 use crate::reconstruction::relocalise::Relocaliser;
 use crate::reconstruction::relocalise::other_maps::{Sighting, found_in};
-use crate::reconstruction::relocalise::spread::shows_a_place;
 use crate::reconstruction::track::association::Bindings;
 use crate::reconstruction::track::frame::Frame;
 
@@ -59,13 +58,13 @@ impl Recognition {
             camera,
             config: &self.config,
             before: None,
+            was_here: true,
             motion: self.motion,
             shutter: &self.shutter,
             is_calibrated: self.is_calibrated,
         };
         let placed = relocaliser.place_among(&frame, &self.places)?;
-        let sighting = found_in(&frame, &relocaliser.tracker, self.keyframe, &placed)?;
-        shows_a_place(&sighting, camera).then_some(sighting)
+        found_in(&frame, &relocaliser.tracker, self.keyframe, &placed)
     }
 }
 

@@ -13,7 +13,6 @@
 
 use super::LIKELY;
 use super::asked::Asked;
-use super::merging::is_sure;
 use super::other_maps::{
     ATTEMPT_GAP, Join, LONGEST_GAP, OtherMap, OtherMaps, REMEMBERED, Sighting, at_corner, found_in, log_ratio, retire,
     seen_most_by, similarity, turned_only,
@@ -151,6 +150,7 @@ impl Reconstruction {
             camera: &self.optics.camera,
             config: &self.config,
             before: None,
+            was_here: false,
             motion: self.active.map.keyframe(id)?.motion.map(turned_only),
             shutter: &self.optics.shutter,
             is_calibrated: self.optics.intrinsics.is_calibrated(),
@@ -159,9 +159,7 @@ impl Reconstruction {
             self.far.ask_ahead(relocaliser.ahead(&other.map));
             return None;
         };
-        let sighting = found_in(&frame, &relocaliser.tracker, id, &placed)?;
-        let counts = !other.is_merged || is_sure(&placed, &sighting, &self.optics.camera);
-        counts.then_some(sighting)
+        found_in(&frame, &relocaliser.tracker, id, &placed)
     }
 
     /// Makes the other map a part of this one. `scale_sigma`: of the logarithm of the ratio of their units.

@@ -5,8 +5,7 @@
 //! looked for as well, by the pictures that they keep: one at a time, after a pose was published and while the robot may stand still. First those that
 //! the index over places knows, then all; one round after the other, rarer each time that nothing came of it.
 //!
-//! Another building may look alike, so more is asked of a sighting than of a map that was lost: most of what should be in view must be found, all over the
-//! picture, and where both maps are metric their units must agree. And more is doubted: what the other map knows of metres is handed down with the error of the ratio that was measured
+//! Another building may look alike, so where both maps are metric their units must agree. And more is doubted than of a map that was lost: what the other map knows of metres is handed down with the error of the ratio that was measured
 //! and of all turns on the spot between that place and where either map begins.
 //!
 //! Until it is joined such a map is held, however many others are lost, and stands in no file of this run: the next one is asked for it again.
@@ -17,24 +16,18 @@ use std::collections::BTreeMap;
 
 use super::asked::Asked;
 use super::other_maps::{MAX_SCALE_SIGMA, OtherMap, Sighting, Similarity, WORTH_KEEPING, seen_most_by};
-use super::spread::shows_a_place;
 use crate::features::FrameFeatures;
-use crate::geometry::CameraModel;
 use crate::map::remade::remade;
 use crate::map::saved::{SavedMap, SavedMaps, SavedOptics};
 use crate::map::{Keyframe, KeyframeId, Map, MapId};
 use crate::reconstruction::Reconstruction;
 use crate::reconstruction::keyframe::distance_prior::is_blind;
-use crate::reconstruction::track::Tracked;
 use crate::reconstruction::types::TrackingState;
 
 /// Maps that wait to be joined, at the most.
 const MOST_WAITING: usize = 8;
 /// Keyframes of which the index is asked until one is known to it, after one frame: 2 ms each.
 const LOOKED_AT: usize = 4;
-/// Of what should be in view so much is found at the least. In the simulator's rooms, on another day among them, it was 0.85 to 0.98 at the median; in
-/// rooms of the same plan with other pictures and patterns 0.47 at the most.
-const FOUND_SHARE: f64 = 0.6;
 /// Focal lengths that differ by less in their logarithm are one, whatever their sigmas say.
 const SAME_FOCAL_LOG: f64 = 0.02;
 /// Keyframes of the same moment whose pictures are compared, which may have to be read from the disk.
@@ -203,11 +196,6 @@ impl Reconstruction {
         let most = MOST_UNIT_LOG + 3.0 * sigma.hypot(own_sigma).hypot(others_sigma);
         (!are_metric || off <= most).then_some(sigma)
     }
-}
-
-/// Whether a sighting counts, by what was placed: rooms of one plan share their edges and corners, and no more.
-pub(super) fn is_sure(placed: &Tracked, sighting: &Sighting, camera: &CameraModel) -> bool {
-    placed.share() >= FOUND_SHARE && shows_a_place(sighting, camera)
 }
 
 /// What was seen at a keyframe, if its place is measured and enough of its picture is kept.

@@ -245,6 +245,22 @@ fn another_place_is_never_joined() {
 }
 
 #[test]
+fn a_keyframe_that_is_asked_again_is_no_second_witness() {
+    let mut r = tracking();
+    let loaded = for_run(&r, vec![another_day()]);
+    r.merge(loaded).expect("kept");
+    let see = |r: &mut Reconstruction, id: u32| {
+        let features = seen_from(&r.active.map, KeyframeId(id)).expect("a picture");
+        let sighting = r.find_in(0, &features, KeyframeId(id), &[]).expect("known");
+        r.hear_sighting(0, sighting);
+    };
+    (0..3).for_each(|_| see(&mut r, 1));
+    assert_eq!((r.maps(), r.others.kept[0].sightings.len()), (2, 1));
+    see(&mut r, 2);
+    assert_eq!((r.maps(), r.counters().maps_joined), (1, 1));
+}
+
+#[test]
 fn nothing_is_asked_in_a_turn_on_the_spot_or_while_the_robot_is_lost() {
     let mut r = tracking();
     stand(&mut r, 0..2);

@@ -13,6 +13,7 @@ use nalgebra::Vector3;
 
 use super::Relocaliser;
 use super::asked::Asked;
+use super::spread::shows_a_place;
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::sim3::Sim3;
@@ -182,11 +183,13 @@ pub fn turned_only(motion: CameraMotion) -> CameraMotion {
     CameraMotion { shift: Vector3::zeros(), ..motion }
 }
 
-/// What was found of a keyframe that a tracker has placed elsewhere, but for assumed distances, which tell nothing.
+/// What was found of a keyframe that a tracker has placed elsewhere, but for assumed distances, which tell nothing; `None` if that is too little of its
+/// picture to tell a place.
 pub fn found_in(frame: &Frame<'_>, tracker: &Tracker, keyframe: KeyframeId, placed: &Tracked) -> Option<Sighting> {
     let is_measured = |m: &&Match| frame.map.landmark(m.landmark).is_some_and(|l| l.assumed.is_none());
     let found: Vec<Match> = tracker.inliers().filter(is_measured).copied().collect();
-    (!found.is_empty()).then_some(Sighting { keyframe, there: placed.camera_from_world, found })
+    let sighting = Sighting { keyframe, there: placed.camera_from_world, found };
+    shows_a_place(&sighting, frame.camera).then_some(sighting)
 }
 
 /// The keyframe, other than the one that was recognised, that sees most of what was found.

@@ -155,6 +155,7 @@ mod tests {
                 camera: &camera,
                 config: &ReconstructionConfig::default(),
                 before: None,
+                was_here: true,
                 motion: None,
                 shutter: &Shutter::new(0.0, 480, false),
                 is_calibrated: true,
