@@ -472,7 +472,7 @@ def sharing(data, short):
              "Replays of a simulated drive at the camera's pace, its pictures as JPEG. Nobody has told the camera's height: there is no scale, and so there are "
              "neither scans of obstacles nor transforms. `cairn fleet --plot` hears the bridge. All share the machine.",
              build="build --locked --release --features bridge"),
-        Step("Instructions", f"{make_short}\ntests/results/sharing.py {rounds} {counted} {drive}-unscaled.toml count", "Of whole replays of a shorter drive."),
+        Step("Instructions", f"{make_short}\ntests/results/sharing.py {3 * rounds} {counted} {drive}-unscaled.toml count", "Of whole replays of a shorter drive."),
         Step("A recorder of raw pictures", f"tests/results/sharing.py raw {15 if short else 60}", "Beside a demo."),
     ]
 

@@ -27,8 +27,7 @@ import time
 sys.dont_write_bytecode = True
 import paired  # noqa: E402
 
-WAYS = {"nothing": [], "recorder": ["recorder"], "bridge": ["bridge"], "recorder and bridge": ["recorder", "bridge"]}
-TIMED = ["nothing", "recorder and bridge"]
+WAYS = {"nothing": [], "recorder and bridge": ["recorder", "bridge"]}
 QUALITY = 90
 # Of a stretch: until who has come is at work, and what is measured then. Before the first one the map begins.
 SETTLE_S, STRETCH_S, BEGIN_S = 1.2, 2.4, 8.0
@@ -158,7 +157,7 @@ def replay(recording, config, folder, turn):
     for n in range(turn, 10_000):
         # One way round, then the other: what drifts weighs as much on both. The next replay begins the other way round, too: each of its stretches
         # shows what the other way was measured on.
-        for way in TIMED if n % 2 == 0 else reversed(TIMED):
+        for way in WAYS if n % 2 == 0 else reversed(WAYS):
             told = stretch(way, running, poses, folder)
             if told is None:
                 out, _ = running.communicate(timeout=60)
@@ -203,7 +202,7 @@ def middle(values):
 
 def show_stretches(replays, dropped):
     rows = []
-    for way in TIMED:
+    for way in WAYS:
         here = [told for stretches in replays for name, told in stretches if name == way]
         mid = lambda key, form: form.format(statistics.median(t[key] for t in here)) if key in here[0] else "–"  # noqa: E731
         change = lambda key: middle(more(replays, way, key))  # noqa: E731
