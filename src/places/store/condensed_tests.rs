@@ -314,4 +314,19 @@ fn a_spool_that_fails_takes_nothing_out_of_the_file() {
     let copied = read(&copy).expect("whole").saved.maps.remove(0).map;
     assert!(copied.keyframe(KeyframeId(2)).is_some_and(|k| k.picture.kept().is_none()));
     copied.check_consistency().expect("consistent");
+
+    // Nor does one of a keyframe that the file does not have yet, as of a map that was merged: it is written without.
+    let later = dir.path().join("later.map");
+    let (whole, mut fewer) = (changes(&mut map, true), changes(&mut map, true));
+    fewer.keyframes.retain(|(id, _)| *id != 2);
+    fewer.maps.iter_mut().for_each(|(_, keyframes)| keyframes.retain(|id| *id != 2));
+    let mut file = MapFile::create(&later, &fewer).expect("made");
+    assert!(matches!(file.write(&whole), Err(StoreError { fault: Fault::Spool(_), .. })));
+    file.do_without_unread();
+    file.write(&whole).expect("written");
+    assert_eq!(file.left_out(), 1);
+    file.close().expect("closed");
+    let written = read(&later).expect("whole").saved.maps.remove(0).map;
+    assert!(written.keyframe(KeyframeId(2)).is_some_and(|k| k.picture.kept().is_none()));
+    written.check_consistency().expect("consistent");
 }

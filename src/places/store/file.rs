@@ -161,7 +161,7 @@ impl MapFile {
     }
 
     /// In the next write a picture that the spool does not give is left out, instead of nothing being written: one bad block of a disk must not keep a
-    /// whole map from it. What the file has of that picture stays; where it has nothing of that keyframe, nothing is written all the same.
+    /// whole map from it. What the file has of that picture stays; a keyframe of which it has nothing is written without one.
     pub fn do_without_unread(&mut self) {
         self.without_unread = true;
     }
@@ -249,9 +249,8 @@ impl MapFile {
             return Ok(records);
         }
         let mut own = keyframe.picture.clone();
-        let may_lack = without_unread && (same.is_some() || self.keyframes.is_empty());
         match own.bring_back() {
-            Err(CopyFault::NotRead(_)) if may_lack => records.is_unread = true,
+            Err(CopyFault::NotRead(_)) if without_unread => records.is_unread = true,
             // The spool may give it later, and the whole write is tried again.
             Err(CopyFault::NotRead(reason)) => return Err(Fault::Spool(reason)),
             Ok(_) | Err(CopyFault::Senseless(_)) => {}
