@@ -114,8 +114,11 @@ impl GradientMap {
                 let at = angle * (TURNS as f32 / TAU);
                 let low = at as usize;
                 let share = at - low as f32;
-                bins[low % TURNS] += window * size * (1.0 - share);
-                bins[(low + 1) % TURNS] += window * size * share;
+                // It is at most `TURNS`, and comparing is cheaper than dividing.
+                let low = if low >= TURNS { 0 } else { low };
+                let high = if low + 1 == TURNS { 0 } else { low + 1 };
+                bins[low] += window * size * (1.0 - share);
+                bins[high] += window * size * share;
             }
         }
         for _ in 0..2 {
@@ -160,10 +163,11 @@ impl GradientMap {
             let share = towards - d as f32;
             let (low, high) = (d % DIRECTIONS, (d + 1) % DIRECTIONS);
             let (to_low, to_high) = (size * (1.0 - share), size * share);
-            for (cell, weight) in sample.cells {
-                let cell = usize::from(cell) * DIRECTIONS;
-                sums[cell + low] += weight * to_low;
-                sums[cell + high] += weight * to_high;
+            for (cell, weight) in &sample.cells[..sample.inside] {
+                // Taken modulo its length, which it is below, an array is not asked for it.
+                let cell = usize::from(*cell) * DIRECTIONS;
+                sums[(cell + low) % NUMBERS] += weight * to_low;
+                sums[(cell + high) % NUMBERS] += weight * to_high;
             }
         }
         let length = sums.iter().map(|s| s * s).sum::<f32>().sqrt();
@@ -180,8 +184,9 @@ impl GradientMap {
 struct Sample {
     /// From the patch's middle, along its own axes.
     offset_px: [f32; 2],
-    /// The nearest four, with the patch's window; those outside of it weigh nothing.
+    /// The nearest four, with the patch's window; the first so many are inside of it.
     cells: [(u8, f32); 4],
+    inside: usize,
 }
 
 /// What is the same for all patches.
@@ -212,12 +217,15 @@ impl Tables {
                 [(low as i32, 1.0 - share), (low as i32 + 1, share)]
             };
             let (across, down) = (near(u), near(v));
-            let cells = std::array::from_fn(|k| {
+            let (mut cells, mut inside) = ([(0, 0.0); 4], 0);
+            for k in 0..4 {
                 let ((column, a), (row, b)) = (across[k % 2], down[k / 2]);
-                let inside = (0..CELLS as i32).contains(&column) && (0..CELLS as i32).contains(&row);
-                if inside { ((row * CELLS as i32 + column) as u8, window * a * b) } else { (0, 0.0) }
-            });
-            Sample { offset_px: [u * CELL_PX, v * CELL_PX], cells }
+                if (0..CELLS as i32).contains(&column) && (0..CELLS as i32).contains(&row) {
+                    cells[inside] = ((row * CELLS as i32 + column) as u8, window * a * b);
+                    inside += 1;
+                }
+            }
+            Sample { offset_px: [u * CELL_PX, v * CELL_PX], cells, inside }
         };
         let samples = (0..count * count).map(|i| sample(place(i % count), place(i / count))).collect();
         Self { samples, turn_window }

@@ -4,7 +4,7 @@
 //! - by thumbnails: the most similar keyframe's pose, turned by the plane motion between the thumbnails (Klein & Murray 2008,
 //!   section 5): a view near one that is known, however blurred;
 //! - by descriptors (`descriptors`): a pose from the landmarks of a few keyframes, the ones around the last known place first,
-//!   then the ones whose thumbnails are most similar, then all others in turn.
+//!   then the ones whose thumbnails are most similar, then all others in turn: half of the likely ones in a frame, the others in the next.
 //!
 //! Both try the keyframes as well that the index over the places of the map ([`places`](crate::places)) says are likely: in a large map that turn
 //! takes long.
@@ -38,10 +38,9 @@ const COMPARED: usize = 6;
 const GUESSES: usize = 1;
 /// Thumbnails that correlate less are of another place.
 const MIN_NCC: f32 = 0.6;
-/// Keyframes whose descriptors are matched in one frame: around the last place, by thumbnail, in turn.
+/// Keyframes whose descriptors are matched in two frames, every second one of these in each: around the last place, by thumbnail.
 const MATCHED_NEAR: usize = 2;
 const MATCHED_SIMILAR: usize = 1;
-const MATCHED_IN_TURN: usize = 2;
 /// Keyframes that the rounds come to in the next frames: pictures that are elsewhere are to be here by then, and with them those of neighbours, which
 /// have neighbouring numbers for the most part.
 const AHEAD: usize = 12;
@@ -69,8 +68,10 @@ pub struct Relocaliser {
     /// Where the round over all keyframes goes on.
     next: usize,
     descriptors: DescriptorSearch,
-    /// Where the round of descriptors goes on.
+    /// Where the round of descriptors goes on, a keyframe a frame.
     next_described: usize,
+    /// Which half of the likeliest keyframes is matched in the next frame.
+    second_half: bool,
     solved: Vec<(usize, Guess)>,
 }
 
@@ -190,21 +191,22 @@ impl Relocaliser {
         self.solved.sort_by_key(|s| std::cmp::Reverse(s.0));
     }
 
-    /// Which keyframes to match, the likeliest first, none twice.
+    /// Which keyframes to match in this frame, the likeliest first, none twice. Each costs several times what a frame does that is tracked, so the likeliest
+    /// take turns: one half in this frame, the other in the next.
     fn choose_described(&mut self, map: &Map, last_reference: KeyframeId, likely: &[KeyframeId]) {
+        let mut likeliest: Vec<KeyframeId> = Vec::new();
+        likeliest.extend(std::iter::once(last_reference).chain(self.around.iter().map(|a| a.0)).take(MATCHED_NEAR));
+        likeliest.extend(likely.first().filter(|id| !likeliest.contains(*id)).copied());
+        let similar = self.ranked.iter().map(|r| r.1.reference).filter(|id| !likeliest.contains(id));
+        likeliest.extend(similar.take(MATCHED_SIMILAR).collect::<Vec<_>>());
+        likeliest.extend(likely.iter().skip(1).filter(|id| !likeliest.contains(id)).copied().collect::<Vec<_>>());
         self.chosen.clear();
-        let near = std::iter::once(last_reference).chain(self.around.iter().map(|a| a.0)).take(MATCHED_NEAR);
-        self.chosen.extend(near);
-        let similar = self.ranked.iter().map(|r| r.1.reference).filter(|id| !self.chosen.contains(id));
-        let similar: Vec<KeyframeId> = similar.take(MATCHED_SIMILAR).collect();
-        self.chosen.extend(similar);
-        self.chosen.extend(likely.iter().filter(|id| !self.chosen.contains(id)).copied().collect::<Vec<_>>());
-        let likeliest = self.chosen.len();
-        in_turn(map, &mut self.next_described, MATCHED_IN_TURN.min(map.keyframes.len()), &mut self.chosen);
-        let (first, last) = self.chosen.split_at(likeliest);
-        let again: Vec<KeyframeId> = last.iter().filter(|id| !first.contains(id)).copied().collect();
-        self.chosen.truncate(likeliest);
-        self.chosen.extend(again);
+        self.chosen.extend(likeliest.iter().skip(usize::from(self.second_half)).step_by(2));
+        self.second_half = !self.second_half;
+        let mut next = Vec::new();
+        in_turn(map, &mut self.next_described, 1, &mut next);
+        next.retain(|id| !self.chosen.contains(id));
+        self.chosen.append(&mut next);
     }
 }
 
