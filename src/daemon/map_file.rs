@@ -229,7 +229,7 @@ impl MapDesk {
         match link {
             KeeperLink::Inline(mut keeper) => {
                 if let Some(changes) = changes {
-                    keeper.keep_last(&changes);
+                    keeper.keep(&changes);
                 }
                 Some(*keeper)
             }

@@ -89,8 +89,16 @@ impl Keeper {
         Self { path, file, exists, failed: None, word }
     }
 
-    /// Writes changes; everything, if the file is to be made or opened anew.
+    /// Writes changes; everything, if the file is to be made or opened anew. Everything is written twice where a spool did not give a picture: what was
+    /// handed over last nothing repeats later.
     pub fn keep(&mut self, changes: &MapChanges) {
+        self.keep_once(changes);
+        if changes.is_everything && self.lacks_pictures() {
+            self.keep_once(changes);
+        }
+    }
+
+    fn keep_once(&mut self, changes: &MapChanges) {
         if matches!(&self.failed, Some(StoreError { fault: Fault::Replaced, .. })) {
             // It is somebody else's now, however whole; everything handed over again would not change that.
             self.word.wants_everything.store(false, Ordering::Release);
@@ -124,14 +132,6 @@ impl Keeper {
             }
         }
         self.word.fails.store(self.failed.is_some(), Ordering::Release);
-    }
-
-    /// The same of a run's last changes, which nothing repeats later: twice where a spool did not give a picture.
-    pub fn keep_last(&mut self, everything: &MapChanges) {
-        self.keep(everything);
-        if self.lacks_pictures() {
-            self.keep(everything);
-        }
     }
 
     /// The last write failed for want of a picture.

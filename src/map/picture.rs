@@ -211,7 +211,8 @@ impl KeyframePicture {
             return Detail::Full;
         }
         if !self.is_condensed() {
-            return Detail::Half;
+            // There is none of a keyframe whose picture could not be had.
+            return if self.pyramid.levels.is_empty() { Detail::None } else { Detail::Half };
         }
         if let Some(away) = self.away() {
             return away.detail(landmark);

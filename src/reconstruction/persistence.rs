@@ -1,7 +1,7 @@
 //! Maps beyond this run: what has changed in them, and going on in what another run left.
 //!
 //! A map of another run is what a lost map is: frames are looked for in it as they are after a loss ([`relocalise`](super::relocalise)),
-//! the state is LOST until one is located, and unless the map is to stay as it is a second one begins beside it after as many
+//! but more of it must be found until one is located, the state is LOST until one is located, and unless the map is to stay as it is a second one begins beside it after as many
 //! frames as always, to be joined to it once it is recognised.
 //!
 //! The index over places is made anew with the frames that follow, some keyframes at each.

@@ -76,8 +76,25 @@ pub struct Relocaliser {
 }
 
 impl Relocaliser {
-    /// Places a frame that prediction could not place, or does not; `likely`: where it may be.
+    /// Places a frame that prediction could not place, or does not; `likely`: where it may be. By descriptors it tries half of the likeliest keyframes,
+    /// and the others in the next frame: each costs several times what a frame does that is tracked.
     pub fn place(&mut self, frame: &Frame<'_>, last_reference: KeyframeId, likely: &[KeyframeId]) -> Option<Tracked> {
+        let half = Some(usize::from(self.second_half));
+        self.second_half = !self.second_half;
+        self.place_by(frame, (last_reference, likely), half)
+    }
+
+    /// The same of a picture that is not tried again soon: by all of the likeliest keyframes.
+    pub fn place_once(&mut self, frame: &Frame<'_>, reference: KeyframeId, likely: &[KeyframeId]) -> Option<Tracked> {
+        self.place_by(frame, (reference, likely), None)
+    }
+
+    fn place_by(
+        &mut self,
+        frame: &Frame<'_>,
+        (last_reference, likely): (KeyframeId, &[KeyframeId]),
+        half: Option<usize>,
+    ) -> Option<Tracked> {
         let Frame { features, map, camera, .. } = *frame;
         let pyramid = &features.pyramid;
         self.look(map, camera, pyramid, last_reference, likely);
@@ -86,7 +103,10 @@ impl Relocaliser {
         if similar.is_some() {
             return similar;
         }
-        self.solve_described(map, camera, pyramid, (last_reference, likely), features.sequence);
+        self.solved.clear();
+        self.choose_described(map, last_reference, likely, half);
+        // The frame's number is the seed.
+        self.solve_chosen(map, camera, pyramid, features.sequence);
         let Self { tracker, solved, .. } = self;
         solved.iter().take(DESCRIPTOR_GUESSES).find_map(|(_, guess)| tracker.relocalise(frame, guess, true))
     }
@@ -164,20 +184,7 @@ impl Relocaliser {
         self.ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
     }
 
-    /// Poses from descriptors, the best supported first, after [`look`](Self::look); `seed`: the frame's number.
-    fn solve_described(
-        &mut self,
-        map: &Map,
-        camera: &CameraModel,
-        pyramid: &Pyramid,
-        (last_reference, likely): (KeyframeId, &[KeyframeId]),
-        seed: u64,
-    ) {
-        self.solved.clear();
-        self.choose_described(map, last_reference, likely);
-        self.solve_chosen(map, camera, pyramid, seed);
-    }
-
+    /// Poses from the chosen keyframes' descriptors, the best supported first.
     fn solve_chosen(&mut self, map: &Map, camera: &CameraModel, pyramid: &Pyramid, seed: u64) {
         if self.descriptors.describe_frame(pyramid) {
             for &id in &self.chosen {
@@ -191,22 +198,31 @@ impl Relocaliser {
         self.solved.sort_by_key(|s| std::cmp::Reverse(s.0));
     }
 
-    /// Which keyframes to match in this frame, the likeliest first, none twice. Each costs several times what a frame does that is tracked, so the likeliest
-    /// take turns: one half in this frame, the other in the next.
-    fn choose_described(&mut self, map: &Map, last_reference: KeyframeId, likely: &[KeyframeId]) {
-        let mut likeliest: Vec<KeyframeId> = Vec::new();
-        likeliest.extend(std::iter::once(last_reference).chain(self.around.iter().map(|a| a.0)).take(MATCHED_NEAR));
-        likeliest.extend(likely.first().filter(|id| !likeliest.contains(*id)).copied());
-        let similar = self.ranked.iter().map(|r| r.1.reference).filter(|id| !likeliest.contains(id));
-        likeliest.extend(similar.take(MATCHED_SIMILAR).collect::<Vec<_>>());
-        likeliest.extend(likely.iter().skip(1).filter(|id| !likeliest.contains(id)).copied().collect::<Vec<_>>());
-        self.chosen.clear();
-        self.chosen.extend(likeliest.iter().skip(usize::from(self.second_half)).step_by(2));
-        self.second_half = !self.second_half;
-        let mut next = Vec::new();
-        in_turn(map, &mut self.next_described, 1, &mut next);
-        next.retain(|id| !self.chosen.contains(id));
-        self.chosen.append(&mut next);
+    /// Which keyframes to match, the likeliest first, none twice; `half`: every second one of the likeliest from that one on.
+    fn choose_described(&mut self, map: &Map, last_reference: KeyframeId, likely: &[KeyframeId], half: Option<usize>) {
+        let Self { around, ranked, chosen, next_described, .. } = self;
+        chosen.clear();
+        let (best, others) = likely.split_at(likely.len().min(1));
+        let add = |chosen: &mut Vec<KeyframeId>, id: KeyframeId| (!chosen.contains(&id)).then(|| chosen.push(id));
+        for id in std::iter::once(last_reference)
+            .chain(around.iter().map(|a| a.0))
+            .take(MATCHED_NEAR)
+            .chain(best.iter().copied())
+        {
+            add(chosen, id);
+        }
+        ranked.iter().filter_map(|r| add(chosen, r.1.reference)).take(MATCHED_SIMILAR).for_each(drop);
+        others.iter().for_each(|id| _ = add(chosen, *id));
+        if let Some(first) = half.filter(|_| chosen.len() > 1) {
+            let mut n = 0;
+            chosen.retain(|_| {
+                n += 1;
+                n % 2 != first
+            });
+        }
+        let next = round(map, *next_described, 1).next();
+        *next_described = (*next_described + 1) % map.keyframes.len().max(1);
+        next.into_iter().for_each(|id| _ = add(chosen, id));
     }
 }
 
@@ -266,13 +282,24 @@ mod tests {
         let ahead: Vec<u32> = relocaliser.ahead(&map).map(|id| id.0).collect();
         assert_eq!(ahead, [6, 0, 1, 2, 3, 4, 5, 3, 4, 5, 6, 0, 1, 2]);
         assert_eq!(relocaliser.ahead(&Map::default()).count(), 0);
-        for _ in 0..20 {
-            relocaliser.choose_described(&map, KeyframeId(3), &[KeyframeId(5), KeyframeId(3)]);
-            let mut chosen = relocaliser.chosen.clone();
+        let likely = [5, 3, 1].map(KeyframeId);
+        let mut chosen = |half| {
+            relocaliser.choose_described(&map, KeyframeId(3), &likely, half);
+            let mut chosen: Vec<u32> = relocaliser.chosen.iter().map(|id| id.0).collect();
+            let count = chosen.len();
             chosen.sort_unstable();
             chosen.dedup();
-            assert_eq!(chosen.len(), relocaliser.chosen.len(), "none twice");
+            assert_eq!(chosen.len(), count, "none twice");
+            chosen
+        };
+        let mut in_turn = Vec::new();
+        for _ in 0..20 {
+            let (all, first, second) = (chosen(None), chosen(Some(0)), chosen(Some(1)));
+            assert!([1, 3, 5].iter().all(|id| all.contains(id) && (first.contains(id) || second.contains(id))));
+            assert!(first.len() <= 3 && second.len() <= 2, "half of three, and one more in turn");
+            in_turn.extend([all, first, second].concat());
         }
+        assert!((0..7).all(|id| in_turn.contains(&id)), "every keyframe gets its turn");
     }
 
     #[test]

@@ -83,7 +83,7 @@ pub struct Tracker {
 const LOCAL_KEYFRAMES: usize = 20;
 /// Landmarks (counted once for each local keyframe) that there is room for at once.
 const LOCAL_ROOM: usize = 16_384;
-/// Of what should be in view, the share that must be found where nothing but that speaks for a pose: in a map in which this run has been, and in any other.
+/// Of what should be in view, the share that must be found where nothing but that speaks for a pose: in the map that this run is in, and in any other.
 /// Places of one build share their edges: rooms of the same plan show up to 0.47 of each other, a corridor up to 0.43 of another stretch of it
 /// (`tests/places`). A place itself shows 0.85 to 0.98 in the median, on another day too, but 0.35 to 0.5 where a hand has moved quickly on.
 const SHARE_HERE: f64 = 1.0 / 3.0;

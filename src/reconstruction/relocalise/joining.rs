@@ -155,7 +155,7 @@ impl Reconstruction {
             shutter: &self.optics.shutter,
             is_calibrated: self.optics.intrinsics.is_calibrated(),
         };
-        let Some(placed) = relocaliser.place(&frame, other.reference, likely) else {
+        let Some(placed) = relocaliser.place_once(&frame, other.reference, likely) else {
             self.far.ask_ahead(relocaliser.ahead(&other.map));
             return None;
         };

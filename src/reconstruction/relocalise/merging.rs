@@ -5,7 +5,8 @@
 //! looked for as well, by the pictures that they keep: one at a time, after a pose was published and while the robot may stand still. First those that
 //! the index over places knows, then all; one round after the other, rarer each time that nothing came of it.
 //!
-//! Another building may look alike, so where both maps are metric their units must agree. And more is doubted than of a map that was lost: what the other map knows of metres is handed down with the error of the ratio that was measured
+//! Another building may look alike, so most of what should be in view must be found (as of any map that this run is not in), and where both maps are metric
+//! their units must agree. And more is doubted than of a map that was lost: what the other map knows of metres is handed down with the error of the ratio that was measured
 //! and of all turns on the spot between that place and where either map begins.
 //!
 //! Until it is joined such a map is held, however many others are lost, and stands in no file of this run: the next one is asked for it again.

@@ -24,7 +24,7 @@ pub struct Frame<'a> {
     pub config: &'a ReconstructionConfig,
     /// Pose of the frame before and how long ago it was taken (s), if it was tracked just before.
     pub before: Option<(Se3<Camera, World>, f64)>,
-    /// A frame of this run was tracked in the map, if not the one before: the camera is likely to be in it still.
+    /// The map is the one that is tracked in, and a frame of this run was tracked in it, if not the one before: the camera is likely to be in it still.
     pub was_here: bool,
     /// Motion that is expected (that of the frame before).
     pub motion: Option<CameraMotion>,
