@@ -188,8 +188,7 @@ pub fn turned_only(motion: CameraMotion) -> CameraMotion {
 pub fn found_in(frame: &Frame<'_>, tracker: &Tracker, keyframe: KeyframeId, placed: &Tracked) -> Option<Sighting> {
     let is_measured = |m: &&Match| frame.map.landmark(m.landmark).is_some_and(|l| l.assumed.is_none());
     let found: Vec<Match> = tracker.inliers().filter(is_measured).copied().collect();
-    let sighting = Sighting { keyframe, there: placed.camera_from_world, found };
-    shows_a_place(&sighting, frame.camera).then_some(sighting)
+    shows_a_place(&found, frame.camera).then_some(Sighting { keyframe, there: placed.camera_from_world, found })
 }
 
 /// The keyframe, other than the one that was recognised, that sees most of what was found.

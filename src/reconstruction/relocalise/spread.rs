@@ -1,7 +1,7 @@
 //! How far over a picture that was found lies of which a place is to be known.
 
-use super::other_maps::Sighting;
 use crate::geometry::CameraModel;
+use crate::reconstruction::track::search::Match;
 
 /// The picture is parted into so many columns and rows, and what was found of a place lies in so many of these parts at the least: landmarks
 /// on one poster say that this is the poster, and not where it hangs.
@@ -9,15 +9,15 @@ const PARTS: [usize; 2] = [4, 3];
 const MIN_PARTS: usize = 5;
 
 /// What was found is not on one poster.
-pub fn shows_a_place(sighting: &Sighting, camera: &CameraModel) -> bool {
-    parts_seen(sighting, camera) >= MIN_PARTS
+pub fn shows_a_place(found: &[Match], camera: &CameraModel) -> bool {
+    parts_seen(found, camera) >= MIN_PARTS
 }
 
 /// Parts of the picture in which something was found.
-fn parts_seen(sighting: &Sighting, camera: &CameraModel) -> usize {
+fn parts_seen(found: &[Match], camera: &CameraModel) -> usize {
     let [columns, rows] = PARTS;
     let mut seen = [false; PARTS[0] * PARTS[1]];
-    for m in &sighting.found {
+    for m in found {
         let share = |at: f32, size: u32, parts: usize| {
             ((f64::from(at) / f64::from(size) * parts as f64).max(0.0) as usize).min(parts - 1)
         };
@@ -29,9 +29,7 @@ fn parts_seen(sighting: &Sighting, camera: &CameraModel) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::Se3;
     use crate::map::{KeyframeId, LandmarkId};
-    use crate::reconstruction::track::search::Match;
     use nalgebra::{Vector2, Vector3};
 
     #[test]
@@ -47,10 +45,9 @@ mod tests {
             inv_sigma_px: 1.0,
             inlier: true,
         };
-        let sighting = |found| Sighting { keyframe: KeyframeId(0), there: Se3::identity(), found };
-        let poster = (0..60).map(|i| at(330.0 + i as f32, 170.0 + i as f32)).collect();
-        assert!(parts_seen(&sighting(poster), &camera) < MIN_PARTS);
-        let room = (0..60).map(|i| at(-0.4 + (i * 97 % 641) as f32, (i * 61 % 481) as f32)).collect();
-        assert_eq!(parts_seen(&sighting(room), &camera), PARTS[0] * PARTS[1]);
+        let poster: Vec<Match> = (0..60).map(|i| at(330.0 + i as f32, 170.0 + i as f32)).collect();
+        assert!(parts_seen(&poster, &camera) < MIN_PARTS);
+        let room: Vec<Match> = (0..60).map(|i| at(-0.4 + (i * 97 % 641) as f32, (i * 61 % 481) as f32)).collect();
+        assert_eq!(parts_seen(&room, &camera), PARTS[0] * PARTS[1]);
     }
 }
