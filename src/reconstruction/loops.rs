@@ -1,7 +1,7 @@
 //! Loops: a place of the map that is seen again after a long way, and what follows from it.
 //!
 //! Every keyframe is entered into the index of [`places`](crate::places::index), also where no loops are looked for: frames that were lost in a large map
-//! ask it, too. Those of another run's map are entered in pieces, with the frames after it was loaded. What a keyframe shows is first asked for there; of the keyframes that are
+//! ask it, too. Those of another run's map are entered when it is loaded, of a large one the rest with the frames after that. What a keyframe shows is first asked for there; of the keyframes that are
 //! neither covisible with it nor covisible with one that is, and not recent, the likeliest place (a keyframe and what it shares landmarks with) is tried
 //! as for a lost frame ([`relocalise`](super::relocalise)): thumbnails, descriptors and P3P, then the search by projection, which must speak for
 //! itself; in a thread of its own ([`recognition`]). Keyframes recognised one soon after the other must tell the same similarity, by the depths that are known on both sides, as
@@ -44,7 +44,10 @@ const TRIED: usize = 3;
 
 /// Keyframes of another run's map that are entered into the index after one frame, and as how many of these one counts that has to be described
 /// (1 ms; a condensed one takes 0.04 ms), or read (0.1 ms): 4 to 5 ms.
-const ENTERED_AT_ONCE: usize = 128;
+const ENTERED_WITH_FRAME: usize = 128;
+/// The same before the first frame: a map of 1000 of which 200 are not condensed, in a quarter of a second. A robot that does not know where it is waits for
+/// the keyframe that shows it.
+const ENTERED_AT_START: usize = 9600;
 const DESCRIBED_AS: usize = 32;
 const READ_AS: usize = 4;
 
@@ -96,15 +99,16 @@ impl Loops {
         ranked.iter().filter(|c| c.votes >= MIN_VOTES).map(|c| c.keyframe).collect()
     }
 
-    /// The maps are those of another run: their keyframes are entered with the next frames, the newest first, as the robot is likely to begin where it
-    /// ended.
+    /// The maps are those of another run: their keyframes are entered, the newest first, as the robot is likely to begin where it ended; of a large map
+    /// what is left comes with the next frames.
     pub fn expect(&mut self, map: &Map, others: &OtherMaps) {
         self.follow(map, others);
         self.to_enter.clear();
         std::iter::once(map).chain(others.maps()).for_each(|map| self.expect_more(map));
+        self.enter(map, others, ENTERED_AT_START);
     }
 
-    /// The same of one more map.
+    /// One more map, entered with the next frames.
     pub fn expect_more(&mut self, map: &Map) {
         let before = self.to_enter.len();
         self.to_enter.extend(map.keyframes.ids().map(KeyframeId));
@@ -138,9 +142,13 @@ impl Loops {
 
     /// Enters some of those that wait and are in a map still.
     pub fn enter_some(&mut self, map: &Map, others: &OtherMaps) {
+        self.enter(map, others, ENTERED_WITH_FRAME);
+    }
+
+    fn enter(&mut self, map: &Map, others: &OtherMaps, most: usize) {
         let Self { index, describer, seen, to_enter, .. } = self;
         let mut work = 0;
-        while work < ENTERED_AT_ONCE
+        while work < most
             && let Some(id) = to_enter.pop_front()
         {
             let keyframe = map.keyframe(id).or_else(|| others.maps().find_map(|map| map.keyframe(id)));

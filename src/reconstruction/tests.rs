@@ -306,19 +306,20 @@ fn of_maps_that_were_only_located_in_none_is_left_when_others_are_loaded() {
 }
 
 #[test]
-fn keyframes_of_another_run_come_into_the_index_piece_by_piece_however_few() {
+fn keyframes_of_another_run_come_into_the_index_at_once_and_of_a_large_map_the_rest_with_the_next_frames() {
     let mut mapped = before_the_wall(Se3::identity());
     let optics = mapped.take_changes(true).optics;
     let saved = || {
         let mut map = Map::default();
-        for shift in 0..20 {
-            map.add_keyframe(keyframe(Se3::identity(), wall(20 * shift)));
+        let pictures: Vec<_> = (0..20).map(|shift| wall(20 * shift)).collect();
+        for n in 0..314 {
+            map.add_keyframe(keyframe(Se3::identity(), pictures[n.min(19)].clone()));
         }
         // Old ones, condensed.
         for id in (0..10).map(KeyframeId) {
             map.condense_picture(id, &camera(), describe_kept);
         }
-        assert_eq!(map.detailed().len(), 10);
+        assert_eq!(map.detailed().len(), 304);
         let scale = MapScale::Unknown;
         let head = MapHead { id: MapId(3), reference: KeyframeId(0), frames: 9, scale, turns: Vec::new() };
         SavedMaps { frame_ns: 0, optics: optics.clone(), maps: vec![SavedMap { head, map }] }
@@ -329,18 +330,18 @@ fn keyframes_of_another_run_come_into_the_index_piece_by_piece_however_few() {
         r.resume(saved(), localise_only);
         let mut counts = vec![r.loops.entered()];
         let dark = FrameFeatures { pyramid: Arc::new(Pyramid::new(4)), ..frame(FRAME_NS, 0) };
-        while r.loops.entered() < 20 && counts.len() < 20 {
+        while r.loops.entered() < 314 && counts.len() < 20 {
             r.map(&dark, &mut Feedback::default());
             counts.push(r.loops.entered());
         }
-        // Four with pictures at a frame, the newest first, and then ten without.
-        assert_eq!(counts, [0, 4, 8, 20], "{localise_only} {loops}");
+        // The newest first; then four with pictures at a frame, and then ten without.
+        assert_eq!(counts, [300, 304, 314], "{localise_only} {loops}");
         let likely = r.loops.likely(&r.active.map, &wall(20 * 4), LIKELY);
         assert_eq!(likely.first(), Some(&KeyframeId(4)), "a condensed one is known: {likely:?}");
         if !localise_only {
             let id = r.active.map.add_keyframe(keyframe(Se3::identity(), wall(7)));
             r.look_for_loop(&frame(2 * FRAME_NS, 7), id);
-            assert_eq!(r.loops.entered(), 21, "new ones are entered, whether loops are closed or not");
+            assert_eq!(r.loops.entered(), 315, "new ones are entered, whether loops are closed or not");
         }
     }
 }
