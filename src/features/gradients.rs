@@ -7,11 +7,13 @@
 //! Paper: Lowe, "Distinctive image features from scale-invariant keypoints", IJCV 2004 (sections 5 and 6: histogram of directions,
 //! 4x4 cells of 8 directions, clipped at 0.2); the square root of the L1-normalised numbers instead of themselves is Arandjelović and
 //! Zisserman, "Three things everyone should know", CVPR 2012.
-//! Cost: 15 ns a pixel for the map, 20 us a corner, 10 ns a comparison of two.
+//! Cost: 15 ns a pixel for the map, 20 us a corner, 5 ns a comparison of two.
 //! It deliberately does not do: finding corners and their scale, the frame path (fifty times a binary descriptor's cost).
 
 use std::f32::consts::TAU;
 use std::sync::LazyLock;
+
+use wide::{i16x8, i32x4};
 
 use super::dispatch::simd_kernel;
 use crate::image::GreyImage;
@@ -30,6 +32,8 @@ const STEP_PX: f32 = 1.5;
 pub const BORDER: usize = 16;
 /// One sigma of the smoothing, pixels.
 const SMOOTHING_PX: f32 = 1.6;
+/// Its weights: three sigmas to either side.
+const TAPS: usize = 11;
 /// Bins of the histogram that gives the patch its direction.
 const TURNS: usize = 36;
 /// One sigma of that histogram's window, pixels.
@@ -276,9 +280,8 @@ fn direction(x: f32, y: f32) -> f32 {
 /// The picture under a Gaussian of [`SMOOTHING_PX`]; its edge is repeated outwards.
 fn smoothed(picture: &GreyImage) -> Vec<f32> {
     let (width, height) = (picture.width, picture.height);
-    let radius = (3.0 * SMOOTHING_PX).ceil() as usize;
-    let weight = |k: usize| (-((k as f32 - radius as f32) / SMOOTHING_PX).powi(2) / 2.0).exp();
-    let mut taps: Vec<f32> = (0..=2 * radius).map(weight).collect();
+    let radius = TAPS / 2;
+    let mut taps = std::array::from_fn(|k| (-((k as f32 - radius as f32) / SMOOTHING_PX).powi(2) / 2.0).exp());
     let total: f32 = taps.iter().sum();
     taps.iter_mut().for_each(|t| *t /= total);
     let mut across = vec![0.0f32; width * height];
@@ -288,29 +291,60 @@ fn smoothed(picture: &GreyImage) -> Vec<f32> {
         for (x, p) in padded.iter_mut().enumerate() {
             *p = f32::from(row[x.saturating_sub(radius).min(width - 1)]);
         }
-        for (k, tap) in taps.iter().enumerate() {
-            to.iter_mut().zip(&padded[k..]).for_each(|(t, p)| *t += tap * p);
-        }
+        weighted(&std::array::from_fn(|k| &padded[k..]), &taps, to);
     }
     let mut out = vec![0.0f32; width * height];
     for (y, to) in out.chunks_exact_mut(width.max(1)).enumerate() {
-        for (k, tap) in taps.iter().enumerate() {
-            let from = (y + k).saturating_sub(radius).min(height - 1) * width;
-            to.iter_mut().zip(&across[from..from + width]).for_each(|(t, p)| *t += tap * p);
-        }
+        let row = |k: usize| &across[(y + k).saturating_sub(radius).min(height - 1) * width..][..width];
+        weighted(&std::array::from_fn(row), &taps, to);
     }
     out
 }
 
 simd_kernel! {
-    /// Squared distances of one descriptor to all others, in their order.
-    pub fn distances_squared(of: &GradientDescriptor, to: &[GradientDescriptor], out: &mut [u32]) = distances_body
+    /// The weighted sum of rows.
+    fn weighted(rows: &[&[f32]; TAPS], taps: &[f32; TAPS], out: &mut [f32]) = weighted_body
 }
 
 #[inline(always)]
-fn distances_body(of: &GradientDescriptor, to: &[GradientDescriptor], out: &mut [u32]) {
-    for (distance, other) in out.iter_mut().zip(to) {
-        *distance = of.distance_squared(other);
+fn weighted_body(rows: &[&[f32]; TAPS], taps: &[f32; TAPS], out: &mut [f32]) {
+    let rows = rows.map(|row| &row[..out.len()]);
+    for (x, out) in out.iter_mut().enumerate() {
+        *out = (0..TAPS).fold(0.0, |sum, k| sum + taps[k] * rows[k][x]);
+    }
+}
+
+/// Descriptors whose numbers are as wide as what multiplies them, eight at a time, so that comparing two is half of the work:
+/// |a - b|² = |a|² + |b|² - 2 a·b.
+#[derive(Debug, Default)]
+pub struct Widened {
+    numbers: Vec<[i16x8; NUMBERS / 8]>,
+    squares: Vec<i32>,
+}
+
+impl Widened {
+    pub fn new(all: &[GradientDescriptor]) -> Self {
+        let eight = |d: &GradientDescriptor, i: usize| i16x8::new(std::array::from_fn(|k| i16::from(d.0[8 * i + k])));
+        let square = |d: &GradientDescriptor| d.0.iter().map(|v| i32::from(*v).pow(2)).sum();
+        let numbers = all.iter().map(|d| std::array::from_fn(|i| eight(d, i))).collect();
+        Self { numbers, squares: all.iter().map(square).collect() }
+    }
+
+    /// Squared distances of one to all others, in their order.
+    pub fn distances_squared(&self, one: usize, to: &Self, out: &mut [u32]) {
+        distances_squared(&self.numbers[one], self.squares[one], to, out);
+    }
+}
+
+simd_kernel! {
+    fn distances_squared(of: &[i16x8; NUMBERS / 8], square: i32, to: &Widened, out: &mut [u32]) = distances_body
+}
+
+#[inline(always)]
+fn distances_body(of: &[i16x8; NUMBERS / 8], square: i32, to: &Widened, out: &mut [u32]) {
+    for ((distance, other), other_square) in out.iter_mut().zip(&to.numbers).zip(&to.squares) {
+        let product = of.iter().zip(other).fold(i32x4::ZERO, |sum, (a, b)| sum + a.dot(*b)).reduce_add();
+        *distance = (square + other_square - 2 * product) as u32;
     }
 }
 

@@ -66,7 +66,8 @@ fn a_row_of_distances_is_the_distances() {
         .map(|d| d.descriptor)
         .collect();
     let mut row = vec![0; all.len()];
-    distances_squared(&all[0], &all, &mut row);
+    let many = Widened::new(&all);
+    many.distances_squared(0, &many, &mut row);
     for (found, other) in row.iter().zip(&all) {
         let plain: i64 = all[0].0.iter().zip(&other.0).map(|(a, b)| (i64::from(*a) - i64::from(*b)).pow(2)).sum();
         assert_eq!(i64::from(*found), plain);

@@ -11,7 +11,7 @@
 use super::Match;
 use crate::features::descriptor::Descriptor;
 use crate::features::dispatch::simd_kernel;
-use crate::features::gradients::{self, GradientDescriptor};
+use crate::features::gradients::{self, GradientDescriptor, Widened};
 
 /// Nearer than this many pixels of the coarser scale is the same place: half a patch of either descriptor is the same picture there.
 const SAME_PLACE_PX: f32 = 4.0;
@@ -23,16 +23,27 @@ pub trait Comparable: Sized {
     /// What a [`Match::distance`] of 1 is.
     const UNIT: f32;
 
-    /// Squared distances to all others, in their order.
-    fn distances_squared(&self, others: &[Self], out: &mut [u32]);
+    /// Many, in the form in which they are compared fastest.
+    type Many;
+
+    fn many(all: &[Self]) -> Self::Many;
+
+    /// Squared distances of one of `own` to all of `others`, in their order.
+    fn distances_squared(own: &Self::Many, one: usize, others: &Self::Many, out: &mut [u32]);
 }
 
 /// Distances are shares of a descriptor's length.
 impl Comparable for GradientDescriptor {
     const UNIT: f32 = gradients::LENGTH;
 
-    fn distances_squared(&self, others: &[Self], out: &mut [u32]) {
-        gradients::distances_squared(self, others, out);
+    type Many = Widened;
+
+    fn many(all: &[Self]) -> Widened {
+        Widened::new(all)
+    }
+
+    fn distances_squared(own: &Widened, one: usize, others: &Widened, out: &mut [u32]) {
+        own.distances_squared(one, others, out);
     }
 }
 
@@ -40,8 +51,14 @@ impl Comparable for GradientDescriptor {
 impl Comparable for Descriptor {
     const UNIT: f32 = 1.0;
 
-    fn distances_squared(&self, others: &[Self], out: &mut [u32]) {
-        bits_squared(self, others, out);
+    type Many = Vec<Self>;
+
+    fn many(all: &[Self]) -> Vec<Self> {
+        all.to_vec()
+    }
+
+    fn distances_squared(own: &Vec<Self>, one: usize, others: &Vec<Self>, out: &mut [u32]) {
+        bits_squared(&own[one], others, out);
     }
 }
 
@@ -94,9 +111,8 @@ impl Default for PlaceMatching {
     }
 }
 
-/// Index of the nearest of the others, its squared distance, and that of the nearest elsewhere; `row`: room for all distances.
-fn nearest<D: Comparable>(of: &D, others: &[D], places: &[Place], row: &mut [u32]) -> Option<(usize, u32, u32)> {
-    of.distances_squared(others, row);
+/// Index of the nearest of the others, its squared distance, and that of the nearest elsewhere, of all distances.
+fn nearest(row: &[u32], places: &[Place]) -> Option<(usize, u32, u32)> {
     // Of equally near ones the first.
     let (index, least) = row.iter().enumerate().min_by_key(|(_, distance)| **distance)?;
     let own = places.get(index)?;
@@ -125,14 +141,19 @@ pub fn match_places<D: Comparable>(
     let mut found: Vec<Match> = Vec::new();
     let (mut row, mut column) = (vec![0; second.len()], vec![0; first.len()]);
     let mut backward: Vec<Option<Option<(usize, u32, u32)>>> = vec![None; second.len()];
-    for (i, descriptor) in first.iter().enumerate() {
-        let Some((j, distance, elsewhere)) = nearest(descriptor, second, second_places, &mut row) else { continue };
+    let (first, second) = (D::many(first), D::many(second));
+    for i in 0..column.len() {
+        D::distances_squared(&first, i, &second, &mut row);
+        let Some((j, distance, elsewhere)) = nearest(&row, second_places) else { continue };
         let share = (distance as f32).sqrt() / D::UNIT;
         if share > rule.max_distance || !clear(distance, elsewhere) {
             continue;
         }
         // Asked back only where it matters.
-        let back = *backward[j].get_or_insert_with(|| nearest(&second[j], first, first_places, &mut column));
+        let back = *backward[j].get_or_insert_with(|| {
+            D::distances_squared(&second, j, &first, &mut column);
+            nearest(&column, first_places)
+        });
         let Some((back, _, elsewhere_back)) = back else { continue };
         let mutual = back == i || first_places[back].is_within(&first_places[i], SAME_PLACE_PX);
         if mutual && clear(distance, elsewhere_back) {
