@@ -7,7 +7,9 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::away::{Condensed, CopyFault, PictureCopy};
 use super::picture::KeyframePicture;
-use super::{Keyframe, KeyframeId, Landmark, MapId};
+use super::saved::{MapChanges, MapHead, SavedOptics};
+use super::scale::MapScale;
+use super::{Keyframe, KeyframeId, Landmark, Map, MapId};
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::image::Pyramid;
@@ -32,6 +34,27 @@ pub fn keyframe(picture: Arc<Pyramid>, camera_from_world: Se3<Camera, World>) ->
 /// Of pictures of 640 x 480 pixels.
 pub fn lens() -> CameraModel {
     CameraModel::new(640, 480, 500.0, 500.0, 319.5, 239.5, [0.0; 5]).expect("a camera")
+}
+
+/// All that there is of a map that this camera made, or what has changed in it.
+pub fn changes(camera: &CameraModel, map: &mut Map, is_everything: bool) -> MapChanges {
+    let optics = SavedOptics {
+        calibration: camera.clone(),
+        is_guessed: false,
+        camera: camera.clone(),
+        expected: camera.clone(),
+        sigma: [0.0; 7],
+        refined_sigma: [0.0; 7],
+        begun_with_px: camera.focal_px(),
+        restarts: 0,
+        found_before: Vec::new(),
+        unsettled: 0.0,
+        readout_s: 0.0,
+        readout_information: 0.0,
+    };
+    let (scale, turns) = (MapScale::Unknown, Vec::new());
+    let head = MapHead { id: MapId(0), reference: KeyframeId(0), frames: 9, scale, turns };
+    MapChanges::take(optics, 5, vec![(head, map)], is_everything)
 }
 
 /// Found the one time that it was sought; a unit uncertain.

@@ -1,6 +1,7 @@
-//! Condensed pictures in a file, and files of the format before there were any.
+//! Condensed pictures in a file, and files of older formats.
 
 use crate::map::examples;
+use std::borrow::Cow;
 use std::os::unix::fs::FileExt;
 use std::path::Path;
 use std::sync::Arc;
@@ -8,9 +9,10 @@ use std::sync::Arc;
 use nalgebra::{Vector2, Vector3};
 
 use super::backend::Access;
-use super::error::FORMAT;
+use super::error::{FORMAT, OLDEST_FORMAT};
 use super::file::MOST_READ;
-use super::records::{Kind, Records};
+use super::layout::HeaderRecord;
+use super::records::{Kind, Records, Tally};
 use super::*;
 use crate::features::descriptor::Descriptor;
 use crate::features::gradients::{GradientDescriptor, NUMBERS};
@@ -18,30 +20,12 @@ use crate::geometry::random::Random;
 use crate::geometry::{CameraModel, LensModel, Se3};
 use crate::image::{GreyImage, Pyramid};
 use crate::map::picture::KeyframePicture;
-use crate::map::saved::{MapChanges, MapHead, SavedOptics};
-use crate::map::scale::MapScale;
+use crate::map::saved::MapChanges;
 use crate::map::view::{CoarseDescriptor, Description, View};
-use crate::map::{Keyframe, KeyframeId, LandmarkId, Map, MapId, Observation};
+use crate::map::{Keyframe, KeyframeId, LandmarkId, Map, Observation};
 
 fn camera() -> CameraModel {
     CameraModel::new(320, 240, 300.0, 300.0, 159.5, 119.5, LensModel::PINHOLE).expect("a camera")
-}
-
-fn optics() -> SavedOptics {
-    SavedOptics {
-        calibration: camera(),
-        is_guessed: false,
-        camera: camera(),
-        expected: camera(),
-        sigma: [0.0; 7],
-        refined_sigma: [0.0; 7],
-        begun_with_px: 300.0,
-        restarts: 0,
-        found_before: Vec::new(),
-        unsettled: 0.0,
-        readout_s: 0.0,
-        readout_information: 0.0,
-    }
 }
 
 /// Three keyframes with 40 landmarks that all of them see.
@@ -85,9 +69,7 @@ fn condense(map: &mut Map, id: u32, random: &mut Random) {
 }
 
 fn changes(map: &mut Map, everything: bool) -> MapChanges {
-    let turns = Vec::new();
-    let head = MapHead { id: MapId(0), reference: KeyframeId(0), frames: 9, scale: MapScale::Unknown, turns };
-    MapChanges::take(optics(), 5, vec![(head, map)], everything)
+    examples::changes(&camera(), map, everything)
 }
 
 fn views(map: &Map) -> Vec<(u32, Vec<View>, Vec<GreyImage>)> {
@@ -120,13 +102,32 @@ fn a_condensed_keyframe_comes_back_whenever_it_was_condensed() {
     assert!(views(&read(&path).expect("nothing of it is left").saved.maps[0].map) == views(&map));
 }
 
-/// A file of the older format, which is this one without condensed pictures.
-fn make_older(path: &Path, map: &mut Map) {
+/// A file of an older format, which is this one with nothing deflated, and for the first format without condensed pictures.
+fn make_older(path: &Path, map: &mut Map, format: u32) {
     MapFile::create(path, &changes(map, true)).expect("made").close().expect("closed");
-    let raw = std::fs::OpenOptions::new().read(true).write(true).open(path).expect("there");
+    let open = || std::fs::OpenOptions::new().read(true).write(true).open(path).expect("there");
+    let mut records = Records::open(open(), Access::Write).expect("opened");
+    let (mut header, mut all) = (None, Vec::new());
+    let kinds = [Kind::Keyframe, Kind::Picture, Kind::Landmarks, Kind::Condensed];
+    let tally = records.read_all(|kind, number, bytes, _| {
+        match kind {
+            0 => header = HeaderRecord::decode(bytes),
+            kind => all.push((kinds[usize::from(kind) - 1], number, bytes.to_vec())),
+        }
+        Ok(())
+    });
+    let with_tally = |Tally { records, sum }| {
+        let mut header: HeaderRecord = header?;
+        (header.records, header.checksums) = (records, sum);
+        postcard::to_stdvec(&header).ok()
+    };
+    let plain = |kind, bytes: &[u8]| (kind as u8, Cow::Owned(bytes.to_vec()));
+    records.write_as(plain, tally.expect("sound"), &all, &[], with_tally).expect("written");
+    records.close().expect("closed");
+    let raw = open();
     let mut page = [0; 4096];
     raw.read_exact_at(&mut page, 0).expect("a front page");
-    page[8..12].copy_from_slice(&1_u32.to_le_bytes());
+    page[8..12].copy_from_slice(&format.to_le_bytes());
     let checksum = crc32fast::hash(&page[..4092]);
     page[4092..].copy_from_slice(&checksum.to_le_bytes());
     raw.write_all_at(&page, 0).expect("written");
@@ -134,13 +135,23 @@ fn make_older(path: &Path, map: &mut Map) {
 
 #[test]
 fn a_file_of_the_format_before_is_read_and_gone_on_with_as_one_of_this() {
+    for format in OLDEST_FORMAT..FORMAT {
+        goes_on_with(format);
+    }
+}
+
+fn goes_on_with(format: u32) {
     let dir = tempfile::tempdir().expect("a folder");
     let path = dir.path().join("a.map");
     let mut random = Random::new(72);
     let mut map = map(&mut random);
-    make_older(&path, &mut map);
+    if format > 1 {
+        condense(&mut map, 1, &mut random);
+    }
+    make_older(&path, &mut map, format);
     let old = std::fs::read(&path).expect("bytes");
-    assert_eq!(read(&path).expect("read").format, 1);
+    let before = read(&path).expect("read");
+    assert!(before.format == format && views(&before.saved.maps[0].map) == views(&map));
     let link = dir.path().join("link.map");
     std::os::unix::fs::symlink(&path, &link).expect("a link");
     let (mut file, contents) = MapFile::open(&link).expect("opened");
@@ -152,6 +163,15 @@ fn a_file_of_the_format_before_is_read_and_gone_on_with_as_one_of_this() {
     let renewed = read(&path).expect("whole");
     assert_eq!((renewed.format, renewed.id, renewed.created_ns), (FORMAT, contents.id, contents.created_ns));
     assert!(views(&renewed.saved.maps[0].map) == views(&map));
+    // Everything is written anew once: each record is there in one form.
+    let (mut file, _) = MapFile::open(&path).expect("opened");
+    file.write(&changes(&mut map, true)).expect("written");
+    drop(file);
+    let deflated = read(&path).expect("whole");
+    assert!(views(&deflated.saved.maps[0].map) == views(&map));
+    for of in [0, 2] {
+        assert!(deflated.record_bytes[of] < before.record_bytes[of], "{of}");
+    }
     assert!(link.is_symlink() && std::fs::read_dir(dir.path()).expect("a folder").count() == 2, "nothing else is left");
 }
 
@@ -162,7 +182,7 @@ fn a_map_that_was_put_in_the_place_of_an_older_file_meanwhile_is_not_written_ove
     let mut random = Random::new(73);
     let mut map = map(&mut random);
     for taken_away in [false, true] {
-        make_older(&path, &mut map);
+        make_older(&path, &mut map, 1);
         let old = std::fs::read(&path).expect("bytes");
         let (mut file, _) = MapFile::open(&path).expect("opened");
         std::fs::rename(&path, &aside).expect("moved");
@@ -188,7 +208,7 @@ fn changes_that_cannot_be_written_leave_a_file_of_the_format_before_as_it_is() {
     let dir = tempfile::tempdir().expect("a folder");
     let path = dir.path().join("a.map");
     let mut map = map(&mut Random::new(74));
-    make_older(&path, &mut map);
+    make_older(&path, &mut map, 1);
     let old = std::fs::read(&path).expect("bytes");
     let (mut file, _) = MapFile::open(&path).expect("opened");
     let too_many = MapChanges { next_landmark: MOST_IDS + 1, ..changes(&mut map, true) };
@@ -213,7 +233,7 @@ fn a_keyframe_with_two_pictures_is_refused() {
     let raw = std::fs::OpenOptions::new().read(true).write(true).open(&path).expect("there");
     let mut records = Records::open(raw, Access::Write).expect("opened");
     let mut header = Vec::new();
-    let tally = records.read_all(|kind, _, bytes| {
+    let tally = records.read_all(|kind, _, bytes, _| {
         if kind == Kind::Header as u8 {
             header = bytes.to_vec();
         }

@@ -3,8 +3,8 @@
 use std::io;
 
 /// Version of everything in a map file: front page, table and records. A reader refuses newer ones; it reads those since [`OLDEST_FORMAT`], and who
-/// goes on in such a file makes it one of this version first. 1: no condensed pictures.
-pub const FORMAT: u32 = 2;
+/// goes on in such a file makes it one of this version first. 1: no condensed pictures; 2: nothing is deflated.
+pub const FORMAT: u32 = 3;
 pub const OLDEST_FORMAT: u32 = 1;
 
 /// Names the file.

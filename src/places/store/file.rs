@@ -413,10 +413,10 @@ fn look_inside(file: &File, spool: Option<&Path>) -> Result<(Contents, Tally, BT
     let (mut raw, mut pages) = (Raw::default(), BTreeSet::new());
     let (mut spool, mut condensed) = (spool.map(PictureSpool::new), VecDeque::new());
     let mut record_bytes = [0; 3];
-    let tally = records.read_all(|kind, number, bytes| {
+    let tally = records.read_all(|kind, number, bytes, stored| {
         let like = if kind == Kind::Condensed as u8 { Kind::Picture as u8 } else { kind };
         if let Some(sum) = usize::from(like).checked_sub(1).and_then(|i| record_bytes.get_mut(i)) {
-            *sum += bytes.len() as u64;
+            *sum += stored as u64;
         }
         let sense = match kind {
             k if k == Kind::Header as u8 => {
@@ -424,7 +424,9 @@ fn look_inside(file: &File, spool: Option<&Path>) -> Result<(Contents, Tally, BT
                 raw.header.is_some()
             }
             k if k == Kind::Keyframe as u8 => {
-                raw.keyframes.insert(number, bytes.to_vec());
+                if raw.keyframes.insert(number, bytes.to_vec()).is_some() {
+                    return Err(Fault::Broken(format!("keyframe {number} is there twice")));
+                }
                 true
             }
             k if k == Kind::Picture as u8 || k == Kind::Condensed as u8 => {
@@ -437,7 +439,7 @@ fn look_inside(file: &File, spool: Option<&Path>) -> Result<(Contents, Tally, BT
                 if k == Kind::Condensed as u8 {
                     condensed.push_back(number);
                 }
-                // The newest, which come last, are the likeliest to be asked for first.
+                // The newest, which come last (but for those that were not deflated), are the likeliest to be asked for first.
                 if condensed.len() > MOST_READ
                     && let Some(picture) = condensed.pop_front().and_then(|oldest| raw.pictures.get_mut(&oldest))
                     && let Some(open) = &mut spool
@@ -450,10 +452,7 @@ fn look_inside(file: &File, spool: Option<&Path>) -> Result<(Contents, Tally, BT
                 }
                 sense
             }
-            k if k == Kind::Landmarks as u8 => {
-                pages.insert(number);
-                raw.add_landmarks(number, bytes).is_some()
-            }
+            k if k == Kind::Landmarks as u8 => pages.insert(number) && raw.add_landmarks(number, bytes).is_some(),
             _ => false,
         };
         sense.then_some(()).ok_or_else(|| Fault::Broken(format!("record {number} of kind {kind} makes no sense")))

@@ -1,14 +1,20 @@
 //! Records by kind and number in a database of one table, each with a checksum of its own; the one place where the library's panics end.
 //!
-//! A record is its bytes behind their CRC-32 (of kind, number and bytes), in pieces of [`PIECE`] bytes: the library gives a value that is
-//! larger than its pages of 4 kB a power of two of them, which would waste a quarter of the file. [`Tally`] counts the records and adds up their
+//! A record is its bytes, since format 3 deflated where that makes them fewer (the header and what is a PNG are not), behind their CRC-32 (of kind,
+//! number and these bytes), in pieces of [`PIECE`] bytes: the library gives a value that is larger than its pages of 4 kB a power of two of them, which
+//! would waste a quarter of the file. [`Tally`] counts the records and adds up their
 //! checksums, and the header record says what that has to be: so a record that is missing, old or of somewhere else is noticed although it is
 //! sound by itself.
 //!
 //! One write is one transaction: after a crash all of it is there or nothing.
 
+use std::borrow::Cow;
 use std::fs::File;
+use std::io::{Read, Write};
 
+use flate2::Compression;
+use flate2::read::DeflateDecoder;
+use flate2::write::DeflateEncoder;
 use redb::{Builder, Database, ReadableDatabase, ReadableTable, TableDefinition};
 
 use super::backend::{Access, Backend};
@@ -24,6 +30,12 @@ const PIECE: usize = 4000;
 const CACHE_BYTES: usize = 4 << 20;
 /// A record with more pieces is none of ours (16 MB).
 const MOST_PIECES: u16 = 4096;
+const MOST_BYTES: usize = PIECE * MOST_PIECES as usize - 4;
+/// The kind of a deflated record has this bit as well.
+const DEFLATED: u8 = 0x80;
+/// Beyond so many bytes a record becomes at most so many times as long as it is in the file: ours become two to five times as long.
+const MOST_PLAIN: usize = 1 << 16;
+const MOST_INFLATED: usize = 64;
 
 /// What a record is about.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -73,8 +85,12 @@ impl Records {
         Ok(Self { database: Some(database) })
     }
 
-    /// All records, ascending, given to `each`: kind, number, bytes. What they add up to.
-    pub fn read_all(&mut self, mut each: impl FnMut(u8, u32, &[u8]) -> Result<(), Fault>) -> Result<Tally, Fault> {
+    /// All records given to `each`: kind, number, bytes, and how many these are in the file. First those that are not deflated, then the others, both
+    /// ascending. What they add up to.
+    pub fn read_all(
+        &mut self,
+        mut each: impl FnMut(u8, u32, &[u8], usize) -> Result<(), Fault>,
+    ) -> Result<Tally, Fault> {
         let database = self.database.as_ref().ok_or_else(closed)?;
         let mut refused = None;
         let mut tally = Tally::default();
@@ -113,11 +129,22 @@ impl Records {
         gone: &[(Kind, u32)],
         header: impl FnOnce(Tally) -> Option<Vec<u8>>,
     ) -> Result<Tally, Fault> {
+        self.write_as(deflated, tally, records, gone, header)
+    }
+
+    /// `form`: what of a record goes into the file, and as which kind.
+    pub(super) fn write_as(
+        &mut self,
+        form: fn(Kind, &[u8]) -> (u8, Cow<'_, [u8]>),
+        tally: Tally,
+        records: &[(Kind, u32, Vec<u8>)],
+        gone: &[(Kind, u32)],
+        header: impl FnOnce(Tally) -> Option<Vec<u8>>,
+    ) -> Result<Tally, Fault> {
         for (kind, number, bytes) in records {
-            let most = PIECE * usize::from(MOST_PIECES) - 4;
-            if bytes.len() > most {
-                let error =
-                    format!("record {number} of kind {} has {} bytes, more than {most}", *kind as u8, bytes.len());
+            if bytes.len() > MOST_BYTES {
+                let (kind, size) = (*kind as u8, bytes.len());
+                let error = format!("record {number} of kind {kind} has {size} bytes, more than {MOST_BYTES}");
                 return Err(Fault::Write(std::io::Error::other(error)));
             }
         }
@@ -128,14 +155,18 @@ impl Records {
             {
                 let mut table = writing.open_table(TABLE)?;
                 for &(kind, number) in gone {
-                    remove(&mut table, kind, number, 0, &mut tally)?;
+                    for kind in [kind as u8, kind as u8 | DEFLATED] {
+                        remove(&mut table, kind, number, 0, &mut tally)?;
+                    }
                 }
                 for (kind, number, bytes) in records {
-                    put(&mut table, *kind, *number, bytes, &mut tally)?;
+                    let (kind, bytes) = form(*kind, bytes);
+                    put(&mut table, kind, *number, &bytes, &mut tally)?;
+                    remove(&mut table, kind ^ DEFLATED, *number, 0, &mut tally)?;
                 }
                 let mut aside = Tally::default();
                 let header = header(tally).ok_or_else(|| redb::Error::Corrupted("no header can be made".into()))?;
-                put(&mut table, Kind::Header, 0, &header, &mut aside)?;
+                put(&mut table, Kind::Header as u8, 0, &header, &mut aside)?;
             }
             writing.commit()?;
             Ok((database, tally))
@@ -186,7 +217,7 @@ impl Gathered {
     fn finish(
         &self,
         tally: &mut Tally,
-        each: &mut impl FnMut(u8, u32, &[u8]) -> Result<(), Fault>,
+        each: &mut impl FnMut(u8, u32, &[u8], usize) -> Result<(), Fault>,
     ) -> Result<(), Fault> {
         let Some((kind, number)) = self.key else { return Ok(()) };
         let (told, bytes) = self.bytes.split_at_checked(4).ok_or_else(|| broken(kind, number, "is cut off"))?;
@@ -197,12 +228,32 @@ impl Gathered {
         if kind != Kind::Header as u8 {
             tally.add(checksum);
         }
-        each(kind, number, bytes)
+        if kind & DEFLATED == 0 {
+            return each(kind, number, bytes, bytes.len());
+        }
+        let (own, mut inflated) = (kind & !DEFLATED, Vec::new());
+        let most = MOST_BYTES.min(MOST_INFLATED * bytes.len() + MOST_PLAIN);
+        let read = DeflateDecoder::new(bytes).take(most as u64 + 1).read_to_end(&mut inflated);
+        if read.is_err() || inflated.len() > most || [Kind::Header, Kind::Picture].iter().any(|k| *k as u8 == own) {
+            return Err(broken(kind, number, "cannot be inflated"));
+        }
+        each(own, number, &inflated, bytes.len())
     }
 }
 
+/// A record as it is kept. What is deflated already, and the header, by which all else is judged, stay as they are.
+fn deflated(kind: Kind, bytes: &[u8]) -> (u8, Cow<'_, [u8]>) {
+    let own = (kind as u8, Cow::Borrowed(bytes));
+    if matches!(kind, Kind::Header | Kind::Picture) {
+        return own;
+    }
+    let mut encoder = DeflateEncoder::new(Vec::with_capacity(bytes.len()), Compression::fast());
+    let smaller = encoder.write_all(bytes).and_then(|()| encoder.finish()).ok().filter(|d| d.len() < bytes.len());
+    smaller.map_or(own, |smaller| (kind as u8 | DEFLATED, Cow::Owned(smaller)))
+}
+
 fn broken(kind: u8, number: u32, how: &str) -> Fault {
-    let what = match kind {
+    let what = match kind & !DEFLATED {
         0 => "the header".into(),
         1 => format!("keyframe {number}"),
         2 | 4 => format!("the picture of keyframe {number}"),
@@ -226,12 +277,12 @@ fn checksum(kind: u8, number: u32, bytes: &[u8]) -> u32 {
 
 type Table<'a> = redb::Table<'a, Key, &'static [u8]>;
 
-fn put(table: &mut Table<'_>, kind: Kind, number: u32, bytes: &[u8], tally: &mut Tally) -> Result<(), redb::Error> {
-    let checksum = checksum(kind as u8, number, bytes);
+fn put(table: &mut Table<'_>, kind: u8, number: u32, bytes: &[u8], tally: &mut Tally) -> Result<(), redb::Error> {
+    let checksum = checksum(kind, number, bytes);
     let framed = [&checksum.to_le_bytes()[..], bytes].concat();
     let mut pieces = 0;
     for piece in framed.chunks(PIECE) {
-        let old = table.insert((kind as u8, number, pieces), piece)?;
+        let old = table.insert((kind, number, pieces), piece)?;
         if let (0, Some(old)) = (pieces, old) {
             tally.take(first_word(old.value()));
         }
@@ -242,9 +293,9 @@ fn put(table: &mut Table<'_>, kind: Kind, number: u32, bytes: &[u8], tally: &mut
 }
 
 /// Removes the pieces of a record from this one on.
-fn remove(table: &mut Table<'_>, kind: Kind, number: u32, from: u16, tally: &mut Tally) -> Result<(), redb::Error> {
+fn remove(table: &mut Table<'_>, kind: u8, number: u32, from: u16, tally: &mut Tally) -> Result<(), redb::Error> {
     for piece in from..MOST_PIECES {
-        let Some(old) = table.remove((kind as u8, number, piece))? else { break };
+        let Some(old) = table.remove((kind, number, piece))? else { break };
         if piece == 0 {
             tally.take(first_word(old.value()));
         }

@@ -17,6 +17,7 @@ use crate::map::picture::KeyframePicture;
 use crate::map::view::{CoarseDescriptor, DESCRIBED_LEVELS, Description, PLACE_DESCRIPTORS};
 use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, MapId, Observation, Sought};
 use crate::places::index::{DESCRIPTORS, PlaceIndex};
+use crate::places::store::MapFile;
 use crate::reconstruction::far_pictures::FarPictures;
 use crate::reconstruction::relocalise::other_maps::OtherMaps;
 use crate::reconstruction::{Counters, ReconstructionConfig, TrajectoryEvent};
@@ -259,10 +260,19 @@ fn a_building_of_ten_thousand_keyframes_costs_no_more_time_a_keyframe_and_bounde
     assert!(late < 2.0 * early, "{early} s at 1,000 keyframes, {late} s at 10,000");
     let total: usize = bytes.iter().sum();
     assert!(total < 10_000 * MOST_BYTES, "{total} bytes");
+    // On the disk; the pictures are noise, of which nothing can be deflated.
+    let (path, lens) = (folder.path().join("building.map"), drive.lens.clone());
+    let file = MapFile::create(&path, &examples::changes(&lens, &mut drive.map, true)).expect("made");
+    file.close().expect("closed");
+    let bytes = std::fs::metadata(&path).expect("there").len();
+    println!("a file of {bytes} bytes");
+    assert!(bytes < MOST_FILE_BYTES, "a file of {bytes} bytes");
 }
 
 /// Of a keyframe with all that belongs to it. 200 detailed keyframes (26 MB) and 400 condensed pictures (9 MB) are among the 10,000.
 const MOST_BYTES: usize = 12_500;
+/// Of the whole map's file.
+const MOST_FILE_BYTES: u64 = 300_000_000;
 
 #[test]
 fn a_map_at_its_limit_is_thinned_evenly_and_never_where_the_robot_is() {
