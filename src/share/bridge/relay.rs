@@ -62,6 +62,7 @@ pub struct Bridge {
     is_metric: Arc<AtomicBool>,
     last_poses: LastPoses,
     run: Option<u64>,
+    run_before: Option<u64>,
     /// Of the last pose.
     scale: Option<Scale>,
     /// `body_from_camera` of this run, and when it was told.
@@ -78,7 +79,8 @@ pub struct Bridge {
     told_mount: Option<Transform>,
     diagnosed: Diagnosed,
     told_map: Told,
-    has_daemon: Option<bool>,
+    /// It was said that there is no daemon.
+    is_waiting: bool,
     link: Option<Link>,
     looked: Option<Instant>,
     png: Vec<u8>,
@@ -145,6 +147,7 @@ impl Bridge {
             is_metric,
             last_poses: LastPoses::default(),
             run: None,
+            run_before: None,
             scale: None,
             mount: None,
             is_docked: false,
@@ -154,7 +157,7 @@ impl Bridge {
             told_mount: None,
             diagnosed: Diagnosed::default(),
             told_map: Told::default(),
-            has_daemon: None,
+            is_waiting: false,
             link: None,
             looked: None,
             png: Vec::new(),
@@ -199,12 +202,27 @@ impl Bridge {
         self.is_metric.load(Ordering::Relaxed)
     }
 
-    /// Says what comes and goes, once.
+    /// What comes is of this run: the next daemon may be there before the last one's services are gone.
+    fn take_run(&mut self, run_id: u64) {
+        let is_known = self.run == Some(run_id) && !self.is_waiting;
+        // The last words of the one before are no other's.
+        if is_known || self.run_before == Some(run_id) || !self.poses.is_connected() {
+            return;
+        }
+        if self.run != Some(run_id) {
+            self.run_before = self.run.replace(run_id);
+            self.mount = None;
+            self.dock = None;
+            self.anchors = None;
+        }
+        self.is_waiting = false;
+        info!(prefix = self.prefix, "bridging a daemon");
+    }
+
+    /// Says what goes and comes, once.
     fn look_around(&mut self) {
-        let has_daemon = self.poses.is_connected();
-        if self.has_daemon.replace(has_daemon) != Some(has_daemon) {
-            let prefix = &self.prefix;
-            if has_daemon { info!(prefix, "bridging a daemon") } else { info!(prefix, "waiting for a daemon") }
+        if !self.poses.is_connected() && !std::mem::replace(&mut self.is_waiting, true) {
+            info!(prefix = self.prefix, "waiting for a daemon");
         }
         if self.looked.is_some_and(|at| at.elapsed() < LOOK_EVERY) {
             return;
@@ -222,11 +240,7 @@ impl Bridge {
     }
 
     fn take_pose(&mut self, pose: &Pose) {
-        if self.run.replace(pose.run_id) != Some(pose.run_id) {
-            self.mount = None;
-            self.dock = None;
-            self.anchors = None;
-        }
+        self.take_run(pose.run_id);
         self.scale = Some(pose.scale());
         let is_metric = pose.scale() == Scale::Metric;
         self.is_metric.store(is_metric, Ordering::Relaxed);
@@ -264,6 +278,7 @@ impl Bridge {
     }
 
     fn take_health(&mut self, health: &Health) {
+        self.take_run(health.run_id);
         self.time = UnixTime { realtime_minus_monotonic_ns: health.realtime_minus_monotonic_ns };
         self.has_wheels = health.wheel_messages > 0;
         self.is_docked = health.map_mode & map_mode::DOCK_FRAME != 0;
