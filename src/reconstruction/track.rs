@@ -41,6 +41,8 @@ pub struct Tracked {
     /// Landmarks that were found and agree.
     pub landmarks: usize,
     pub sought: usize,
+    /// The same of those that should look as they did.
+    pub alike: [usize; 2],
     pub rms_px: f64,
 }
 
@@ -52,8 +54,11 @@ impl Tracked {
 
     /// Twice the landmarks that a frame with a good prediction needs, and enough of those looked for.
     pub fn speaks_for_itself(&self, frame: &Frame<'_>) -> bool {
-        let least = if frame.was_here { SHARE_HERE } else { SHARE_ANYWHERE };
-        self.landmarks >= 2 * frame.config.min_landmarks && self.share() >= least
+        let [found, sought] = self.alike;
+        // Not of those alone that should look as they did: from a wrong place most are seen from aside.
+        let min = frame.config.min_landmarks;
+        let is_enough = self.landmarks >= 2 * min && self.share() >= SHARE_HERE;
+        is_enough && (frame.was_here || found >= min && found as f64 >= SHARE_ANYWHERE * sought as f64)
     }
 }
 
@@ -83,7 +88,8 @@ pub struct Tracker {
 const LOCAL_KEYFRAMES: usize = 20;
 /// Landmarks (counted once for each local keyframe) that there is room for at once.
 const LOCAL_ROOM: usize = 16_384;
-/// Of what should be in view, the share that must be found where nothing but that speaks for a pose: in the map that this run is in, and in any other.
+/// Of what should be in view, the share that must be found where nothing but that speaks for a pose: in the map that this run is in; and in any other,
+/// of what should look as it did.
 /// Places of one build share their edges: rooms of the same plan show up to 0.47 of each other, a corridor up to 0.43 of another stretch of it
 /// (`tests/places`). A place itself shows 0.85 to 0.98 in the median, on another day too, but 0.35 to 0.5 where a hand has moved quickly on.
 const SHARE_HERE: f64 = 1.0 / 3.0;
@@ -310,6 +316,8 @@ impl Tracker {
         solution = self.include_immature(frame, solution);
         let landmarks = self.search.matches.iter().filter(|m| m.inlier).count();
         let sought = self.search.matches.len() + self.search.missed.len();
+        let found_alike = self.inliers().filter(|m| m.is_alike).count();
+        let sought_alike = self.search.matches.iter().filter(|m| m.is_alike).count() + self.search.missed_alike;
         if landmarks < config.min_landmarks {
             return None;
         }
@@ -319,6 +327,7 @@ impl Tracker {
             information: PoseInformation::of(frame, self.inliers(), &pose),
             landmarks,
             sought,
+            alike: [found_alike, sought_alike],
             rms_px: solution.rms_px,
         })
     }

@@ -305,6 +305,7 @@ mod tests {
                 displacement: Vector2::zeros(),
                 inv_sigma_px: 1.25,
                 inlier: true,
+                is_alike: true,
             });
         }
         (map, matches)

@@ -350,6 +350,7 @@ mod tests {
                 displacement,
                 inv_sigma_px,
                 inlier: true,
+                is_alike: true,
             });
         }
         let sighting = |at: usize, x: f64| Sighting {

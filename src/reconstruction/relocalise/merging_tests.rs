@@ -315,6 +315,7 @@ fn what_is_inherited_is_as_unsure_as_the_join_and_the_turns_on_both_sides() {
             displacement: Vector2::zeros(),
             inv_sigma_px: 1.0,
             inlier: true,
+            is_alike: true,
         });
         Sighting { keyframe: KeyframeId(keyframe), there: Se3::identity(), found: found.collect() }
     };

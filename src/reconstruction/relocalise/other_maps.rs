@@ -382,6 +382,7 @@ mod tests {
                     displacement: Vector2::zeros(),
                     inv_sigma_px: 1.0,
                     inlier: true,
+                    is_alike: true,
                 });
             }
         }

@@ -44,6 +44,7 @@ mod tests {
             displacement: Vector2::zeros(),
             inv_sigma_px: 1.0,
             inlier: true,
+            is_alike: true,
         };
         let poster: Vec<Match> = (0..60).map(|i| at(330.0 + i as f32, 170.0 + i as f32)).collect();
         assert!(parts_seen(&poster, &camera) < MIN_PARTS);
