@@ -2,7 +2,8 @@
 //! recordings in their own maps; and hours in one building. Short forms are tests but for the hours; the ignored ones print the tables of
 //! `tests/results/make places` and `hours`.
 //!
-//! `TRIALS`: how many there are in a table; `FIRST_SEED`: of the rooms. 1 to 20 are for development.
+//! `TRIALS`: how many there are in a table; `FIRST_SEED`: of the rooms, 1 to 20 are for development; `DETAILED`: keyframes of the recordings that are not
+//! condensed.
 
 mod hours;
 mod merging;
