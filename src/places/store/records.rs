@@ -67,6 +67,9 @@ impl Tally {
     }
 }
 
+/// What of a record goes into the file, and as which kind.
+type Kept<'a> = (u8, Cow<'a, [u8]>);
+
 /// See the module.
 pub struct Records {
     /// `None` once it has failed: what the library holds then is not to be trusted.
@@ -132,10 +135,10 @@ impl Records {
         self.write_as(deflated, tally, records, gone, header)
     }
 
-    /// `form`: what of a record goes into the file, and as which kind.
+    /// `form`: how a record is kept.
     pub(super) fn write_as(
         &mut self,
-        form: fn(Kind, &[u8]) -> (u8, Cow<'_, [u8]>),
+        form: fn(Kind, &[u8]) -> Kept<'_>,
         tally: Tally,
         records: &[(Kind, u32, Vec<u8>)],
         gone: &[(Kind, u32)],
@@ -242,7 +245,7 @@ impl Gathered {
 }
 
 /// A record as it is kept. What is deflated already, and the header, by which all else is judged, stay as they are.
-fn deflated(kind: Kind, bytes: &[u8]) -> (u8, Cow<'_, [u8]>) {
+fn deflated(kind: Kind, bytes: &[u8]) -> Kept<'_> {
     let own = (kind as u8, Cow::Borrowed(bytes));
     if matches!(kind, Kind::Header | Kind::Picture) {
         return own;
