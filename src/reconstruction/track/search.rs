@@ -206,61 +206,42 @@ impl Search {
         options: &SearchOptions,
     ) {
         self.matches.clear();
-        self.missed.clear();
-        self.missed_alike = 0;
-        let centre = pose.inverse().translation;
-        for n in 0..self.chosen.len().min(options.limit) {
-            let candidate = self.candidates[self.chosen[n].2 as usize];
-            self.seek(map, camera, pose, &centre, pyramid, &candidate, options);
-        }
+        self.seek(map, camera, pose, pyramid, options);
         let sought = self.matches.len() + self.missed.len();
         if (self.matches.len() as f64) < BLURRED_SHARE * sought as f64 {
-            self.align_blurred(map, camera, pose, &centre, pyramid, options);
+            // On coarser levels a streak of blur is short.
+            let blurred = SearchOptions { blurred_levels: BLURRED_LEVELS, ..*options };
+            self.seek(map, camera, pose, pyramid, &blurred);
         }
         self.matches.sort_unstable_by_key(|m| m.landmark);
     }
 
-    #[allow(clippy::too_many_arguments)]
+    /// Looks for the selected landmarks that were not found yet.
     fn seek(
         &mut self,
         map: &Map,
         camera: &CameraModel,
         pose: &Se3<Camera, World>,
-        centre: &Vector3<f64>,
-        pyramid: &Pyramid,
-        candidate: &Candidate,
-        options: &SearchOptions,
-    ) {
-        let view = closest_view(map, centre, candidate);
-        match view.as_ref().and_then(|view| align_candidate(view, camera, pose, pyramid, candidate, options)) {
-            Some(found) => self.matches.push(found),
-            None => {
-                self.missed.push(candidate.landmark);
-                self.missed_alike += usize::from(view.is_some_and(|view| view.is_alike));
-            }
-        }
-    }
-
-    /// Looks again, on coarser levels, for what was missed: there a streak of blur is short.
-    fn align_blurred(
-        &mut self,
-        map: &Map,
-        camera: &CameraModel,
-        pose: &Se3<Camera, World>,
-        centre: &Vector3<f64>,
         pyramid: &Pyramid,
         options: &SearchOptions,
     ) {
-        let options = SearchOptions { blurred_levels: BLURRED_LEVELS, ..*options };
         self.missed.clear();
         self.missed_alike = 0;
+        let centre = pose.inverse().translation;
         let found = self.matches.len();
         for n in 0..self.chosen.len().min(options.limit) {
             let candidate = self.candidates[self.chosen[n].2 as usize];
             if self.matches[..found].iter().any(|m| m.landmark == candidate.landmark) {
                 continue;
             }
-            self.seek(map, camera, pose, centre, pyramid, &candidate, &options);
+            let view = closest_view(map, &centre, &candidate);
+            match view.as_ref().and_then(|view| align_candidate(view, camera, pose, pyramid, &candidate, options)) {
+                Some(found) => self.matches.push(found),
+                None => {
+                    self.missed.push(candidate.landmark);
+                    self.missed_alike += usize::from(view.is_some_and(|view| view.is_alike));
+                }
+            }
         }
     }
 }
