@@ -225,15 +225,16 @@ impl Reconstruction {
         };
         let (guesses, n) = odometry.guesses(features.timestamp_ns, ahead.map(|ahead| &ahead.now_from_last));
         let mut tracked = self.tracker.track(&frame, reference, &guesses[..n]);
-        if odometry.lost_frames > 0 {
-            // Only an old pose speaks for it, so the landmarks must: another place, or this one in a mirror, has a few that fit.
-            let expected = |t: &Tracked| {
-                let agrees =
-                    ahead.zip(odometry.last).map(|(a, last)| a.agrees(&last.camera_from_world, &t.camera_from_world));
-                t.share() >= WEAK_SHARE && agrees == Some(true)
-            };
-            tracked = tracked.filter(|t| t.speaks_for_itself(&frame) || expected(t));
-        }
+        // Where no tracks lead to it only an older pose speaks for it, so landmarks must. Any picture has a few that fit (15 of 220, by 3 px, where the camera
+        // was put elsewhere between two frames), and another place, or this one in a mirror, some more.
+        let expected = |t: &Tracked| {
+            let agrees =
+                ahead.zip(odometry.last).map(|(a, last)| a.agrees(&last.camera_from_world, &t.camera_from_world));
+            t.share() >= WEAK_SHARE && agrees == Some(true)
+        };
+        let follows = |t: &Tracked| t.by_flow || t.share() >= WEAK_SHARE || self.tracker.is_next(&frame, t);
+        let follows = |t: &Tracked| odometry.lost_frames == 0 && follows(t);
+        tracked = tracked.filter(|t| follows(t) || t.speaks_for_itself(&frame) || expected(t));
         if tracked.as_ref().is_none_or(|t| t.share() < WEAK_SHARE) {
             let likely = self.loops.likely(map, &features.pyramid, LIKELY);
             self.far.ask(&likely);

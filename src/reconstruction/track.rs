@@ -44,6 +44,8 @@ pub struct Tracked {
     /// The same of those that should look as they did.
     pub alike: [usize; 2],
     pub rms_px: f64,
+    /// Tracks of the frame before led there.
+    pub by_flow: bool,
 }
 
 impl Tracked {
@@ -137,13 +139,13 @@ impl Tracker {
         self.refresh_local(frame.map, reference);
         let radius_px = frame.config.search_radius_px;
         self.seeds.collect(frame, guesses);
-        let by_flow = guesses.iter().find_map(|guess| self.predict_by_flow(frame, guess));
-        if let Some(pose) = by_flow
-            && let Some(tracked) = self.refine(frame, &pose, radius_px, 0)
-        {
-            return Some(tracked);
+        if let Some(pose) = guesses.iter().find_map(|guess| self.predict_by_flow(frame, guess)) {
+            let near = self.refine(frame, &pose, radius_px, 0);
+            if let Some(tracked) = near.or_else(|| self.refine(frame, &pose, WIDE * radius_px, 3)) {
+                return Some(Tracked { by_flow: true, ..tracked });
+            }
         }
-        by_flow.iter().chain(guesses).find_map(|guess| self.refine(frame, guess, WIDE * radius_px, 3))
+        guesses.iter().find_map(|guess| self.refine(frame, guess, WIDE * radius_px, 3))
     }
 
     /// Places a frame at a guess anywhere in the map; asks for more landmarks, as nothing else speaks for it but that it may lie near the
@@ -153,18 +155,20 @@ impl Tracker {
         self.seeds.clear();
         self.refresh_local(frame.map, guess.reference);
         let (radius, coarse_levels) = if precise { (2.0, 1) } else { (WIDE, 3) };
-        let min_landmarks = frame.config.min_landmarks;
         let placed =
             self.refine(frame, &guess.camera_from_world, radius * frame.config.search_radius_px, coarse_levels)?;
-        let near = || {
-            let pose = placed.camera_from_world;
-            let expected = |dt: f64| frame.motion.map_or(0.0, |motion| motion.turn.norm() * dt);
-            frame.before.is_some_and(|(before, dt)| {
+        (placed.speaks_for_itself(frame) || self.is_next(frame, &placed)).then_some(placed)
+    }
+
+    /// Whether what was just placed lies where the camera can have come to since the frame before, by twice the landmarks that a frame with a good prediction
+    /// needs.
+    pub fn is_next(&self, frame: &Frame<'_>, placed: &Tracked) -> bool {
+        let pose = placed.camera_from_world;
+        let expected = |dt: f64| frame.motion.map_or(0.0, |motion| motion.turn.norm() * dt);
+        placed.landmarks >= 2 * frame.config.min_landmarks
+            && frame.before.is_some_and(|(before, dt)| {
                 is_near(&(pose * before.inverse()).relabel(), expected(dt), self.mean_depth(&pose))
             })
-        };
-        let believed = placed.speaks_for_itself(frame) || placed.landmarks >= 2 * min_landmarks && near();
-        believed.then_some(placed)
     }
 
     /// Mean depth of the landmarks found, map units.
@@ -329,6 +333,7 @@ impl Tracker {
             sought,
             alike: [found_alike, sought_alike],
             rms_px: solution.rms_px,
+            by_flow: false,
         })
     }
 

@@ -43,8 +43,8 @@ impl Room {
         frames(self.random.uniform(1.0, LAPS_S - 5.0))
     }
 
-    /// The lens is covered for 0.2 to 1 s, and then sees another place.
-    fn kidnap(&mut self, from: u64) -> (Outcome, u64) {
+    /// The lens is covered for 0.2 to 1 s, or not at all, and then sees another place.
+    fn kidnap(&mut self, from: u64, is_covered: bool) -> (Outcome, u64) {
         let before = shown(&mut self.simulator, from).1;
         let place = loop {
             let frame = self.anywhere();
@@ -54,7 +54,7 @@ impl Room {
                 break frame;
             }
         };
-        let covered = frames(self.random.uniform(0.2, 1.0));
+        let covered = if is_covered { frames(self.random.uniform(0.2, 1.0)) } else { 0 };
         (0..covered).for_each(|_| _ = self.robot.see(&dark(), None));
         let outcome = look_around(&mut self.robot, &mut self.simulator, place..place + KIDNAPPED);
         (outcome, place)
@@ -62,10 +62,19 @@ impl Room {
 }
 
 fn kidnapped(seed: u64, trials: usize) -> Tally {
+    carried_off(seed, trials, true)
+}
+
+/// From one frame to the next, as after a camera that stood still or a clock that lies.
+fn elsewhere_at_once(seed: u64, trials: usize) -> Tally {
+    carried_off(seed, trials, false)
+}
+
+fn carried_off(seed: u64, trials: usize, is_covered: bool) -> Tally {
     let mut room = Room::mapped(seed);
     let (mut tally, mut from) = (Tally::default(), frames(LAP_S));
     for trial in 0..trials {
-        let (outcome, place) = room.kidnap(from);
+        let (outcome, place) = room.kidnap(from, is_covered);
         if outcome.is_wrong || outcome.after.is_none_or(|n| n > 15) {
             eprintln!("seed {seed}, trial {trial}, to frame {place}: {outcome:?}");
         }
@@ -105,6 +114,13 @@ fn a_robot_that_was_kidnapped_knows_where_it_is() {
 }
 
 #[test]
+fn a_robot_that_is_elsewhere_from_one_frame_to_the_next_is_never_told_a_wrong_place() {
+    let tally = elsewhere_at_once(3, 10);
+    println!("{} of 10 within 15 frames, {}", tally.within(15), tally.errors());
+    assert!(tally.within(15) >= 8 && tally.wrong() == 0, "{:?}", tally.trials);
+}
+
+#[test]
 fn a_room_is_known_on_another_day() {
     let tally = another_day(3, 6);
     println!("{} of 6, {}", tally.within(ANOTHER_DAY as usize), tally.errors());
@@ -124,13 +140,16 @@ fn in_rooms(trials: usize, of: impl Fn(u64, usize) -> Tally) -> Tally {
 #[ignore = "a table of results; an hour with its hundreds of trials"]
 fn table() {
     let trials = number("TRIALS", 100);
-    let kidnapped = in_rooms(trials, kidnapped);
-    let later = in_rooms(trials, another_day);
+    let all = [
+        ("kidnapped", in_rooms(trials, kidnapped)),
+        ("elsewhere at once", in_rooms(trials, elsewhere_at_once)),
+        ("another day", in_rooms(trials, another_day)),
+    ];
     println!(
         "\n| trial | trials | within 15 frames | within 30 | within 60 | within 90 | wrong | largest error, median and most |"
     );
     println!("|---|---:|---:|---:|---:|---:|---:|---:|");
-    for (name, tally) in [("kidnapped", kidnapped), ("another day", later)] {
+    for (name, tally) in all {
         let within = [15, 30, 60, 90].map(|n| tally.within(n).to_string()).join(" | ");
         println!("| {name} | {} | {within} | {} | {} |", tally.trials.len(), tally.wrong(), tally.errors());
     }

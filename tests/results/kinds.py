@@ -297,7 +297,7 @@ def places_known(data, short):
     return [
         Step("Places of a room", of(known, "rooms::table", few),
              "Rooms of the simulator from seed 501 on, ten trials each, 320 x 240 pixels at 30 Hz, mapped in one lap. Kidnapped: the lens is covered for "
-             "0.2 to 1 s, then sees another place of the room. Another day: a new start in the saved map, only to be located, under other light and with a "
+             "0.2 to 1 s, then sees another place of the room; elsewhere at once: it sees it in the next frame. Another day: a new start in the saved map, only to be located, under other light and with a "
              "third of the furniture moved, 90 frames each. Wrong: off by more than 5 % of the mapped way or 10 degrees in any frame.", build=f"{known} --no-run"),
         Step("Long drives", of(known, "rooms::drives", few),
              "A room each. Carried: one of three rooms is mapped, the lens is covered, and the robot drives on from somewhere on the way back through the others. "
