@@ -1,6 +1,6 @@
 """The scenarios by name, in the order in which they run. The host reads ORDER from this text."""
 
-from . import access, console, delivery, doctor, injection, kill, lens, package, reboot, sharing, streaming, unplug
+from . import access, console, delivery, doctor, injection, kill, lens, map_file, package, reboot, sharing, streaming, unplug
 
 ORDER = [
     "usb_mjpeg",
@@ -27,6 +27,7 @@ ORDER = [
     "squatting_in_shm",
     "kill_rounds",
     "power_cut",
+    "map_file",
     "service",
     "console",
     "recorder",
@@ -35,6 +36,6 @@ ORDER = [
     "package"
 ]
 KNOWN = {}
-for module in (access, console, delivery, doctor, injection, kill, lens, package, reboot, sharing, streaming, unplug):
+for module in (access, console, delivery, doctor, injection, kill, lens, map_file, package, reboot, sharing, streaming, unplug):
     KNOWN.update(module.SCENARIOS)
 SCENARIOS = {name: KNOWN[name] for name in ORDER}
