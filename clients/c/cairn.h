@@ -1570,7 +1570,7 @@ typedef struct cairn_obstacles {
    */
   float sigma[CAIRN_OBSTACLE_BEARINGS];
   /**
-   * The floor is free from here on, m: a camera looks over the floor at the robot's feet, which is then not known; NaN where `free` is 0.
+   * The floor is free from here on, m: the longest stretch of those that begin near the robot; before it nothing is known, as a camera looks over the floor at the robot's feet; NaN where `free` is 0.
    */
   float free_from[CAIRN_OBSTACLE_BEARINGS];
   /**

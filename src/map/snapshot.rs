@@ -37,9 +37,8 @@ pub struct KeyframeView {
 /// What stands around the robot in a metric map, for pictures: world, m.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Around {
-    /// Ends of the stretches from the robot's foot on that are seen free, and the foot itself.
-    pub free: Vec<Vector3<f64>>,
-    pub foot: Vector3<f64>,
+    /// Both ends of the stretches of the floor that are seen free.
+    pub free: Vec<[Vector3<f64>; 2]>,
     pub in_the_way: Vec<Vector3<f64>>,
 }
 

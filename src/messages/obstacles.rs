@@ -68,7 +68,7 @@ pub struct Obstacles {
     pub range: [f32; OBSTACLE_BEARINGS],
     /// Standard deviation of `range`, m; NaN as there.
     pub sigma: [f32; OBSTACLE_BEARINGS],
-    /// The floor is free from here on, m: a camera looks over the floor at the robot's feet, which is then not known; NaN where `free` is 0.
+    /// The floor is free from here on, m: the longest stretch of those that begin near the robot; before it nothing is known, as a camera looks over the floor at the robot's feet; NaN where `free` is 0.
     pub free_from: [f32; OBSTACLE_BEARINGS],
     /// The floor is free up to here, m; 0: not known. Where the robot has been, or (`[obstacles] seen_floor`) keyframes saw nothing stand: not where what hangs above it has no landmark, and with unknown places filled up to a fifth of the distance.
     pub free: [f32; OBSTACLE_BEARINGS],

@@ -8,9 +8,9 @@
 //!   have what lies on the line between them: things are more than their corners.
 //! - So is what keyframes saw stand upright (with `seen_floor`), where two agree.
 //! - **Unknown is never free**, but for what `seen` says may hide. A cell of the floor is free where the robot itself has been, and (with `seen_floor`)
-//!   where two keyframes proved that nothing stands; a bearing is free from the first such cell (a camera that looks ahead may have looked over those
-//!   before) up to the last one with no cell missing in between, less `MARGIN_M`. It ends before anything in the way, and where keyframes saw the
-//!   floor end. What a keyframe proves has gaps of its own: places in which it knows nothing, up to a fifth of the distance, see `seen`.
+//!   where two keyframes proved that nothing stands; a bearing is free along a row of such cells with none missing in between, less `MARGIN_M`: of those that
+//!   begin near the robot the longest (a camera that looks ahead may have looked over what is before). All end before anything in the way, and where keyframes
+//!   saw the floor end. What a keyframe proves has gaps of its own: places in which it knows nothing, up to a fifth of the distance, see `seen`.
 //! - **The newest word counts.** A keyframe that sees the floor end, or something stand, takes back what older ones saw there and that the robot drove
 //!   there; two newer keyframes give it again, once they are more than those that saw it end. A driven cell that no keyframe looked at since stays free.
 //!
@@ -151,13 +151,13 @@ impl Scan {
     /// For a picture of the map.
     pub fn around(&self) -> Around {
         let world = |x: f64, y: f64, z: f64| self.world_from_scan.transform(&Vector3::new(x, y, z));
-        let end = |(bearing, free): (usize, &f32)| {
+        let at = |bearing: usize, distance: f32| {
             let (sin, cos) = bearing_rad(bearing).sin_cos();
-            world(f64::from(*free) * cos, f64::from(*free) * sin, 0.0)
+            world(f64::from(distance) * cos, f64::from(distance) * sin, 0.0)
         };
+        let told = (0..BEARINGS).filter(|i| self.free_m[*i] > 0.0);
         Around {
-            free: self.free_m.iter().enumerate().filter(|(_, free)| **free > 0.0).map(end).collect(),
-            foot: world(0.0, 0.0, 0.0),
+            free: told.map(|i| [self.free_from_m[i], self.free_m[i]].map(|v| at(i, v))).collect(),
             in_the_way: self
                 .points
                 .iter()
@@ -456,11 +456,11 @@ impl Scanner {
         }
     }
 
-    /// From where to where the floor is seen free, at most to `limit`, m: the stretch nearest to the robot.
+    /// From where to where the floor is seen free, at most to `limit`, m: of the stretches that begin near the robot the longest.
     fn free(&self, angle: f64, radius_m: f64, limit: f64) -> Option<(f64, f64)> {
         let (sin, cos) = angle.sin_cos();
-        let (mut stretch, mut at): (Option<(f64, f64)>, f64) = (None, radius_m);
-        while at < limit && stretch.map_or(at < FIRST_M, |(_, last)| at - last <= CELL_M) {
+        let (mut longest, mut stretch, mut at) = (None::<(f64, f64)>, None::<(f64, f64)>, radius_m);
+        while at < limit && (stretch.is_some() || at < FIRST_M) {
             let [x, y] = [at * cos, at * sin].map(|v| ((v + RANGE_MAX_M) / CELL_M) as usize);
             let cell = (x < CELLS && y < CELLS).then(|| y * CELLS + x);
             let (seen, against) = cell.map_or((0, 0), |i| (self.seen[i], self.against[i]));
@@ -468,11 +468,16 @@ impl Scanner {
                 break;
             }
             if seen >= FREE_FOR {
-                stretch = Some((stretch.map_or(at, |(from, _)| from), at));
+                let from = stretch.map_or(at, |(from, _)| from);
+                stretch = Some((from, at));
+                if longest.is_none_or(|(a, b)| at - from > b - a) {
+                    longest = stretch;
+                }
             }
             at += 0.5 * CELL_M;
+            stretch = stretch.filter(|(_, last)| at - last <= CELL_M);
         }
-        let told = stretch.filter(|(from, last)| last - from >= LEAST_STRETCH_M);
+        let told = longest.filter(|(from, last)| last - from >= LEAST_STRETCH_M);
         told.map(|(from, last)| (from, last - MARGIN_M))
     }
 }

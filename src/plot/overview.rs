@@ -287,8 +287,8 @@ impl Scene {
 
     /// Stretches that are seen free, and what is in the way, around the robot at the end.
     fn surroundings(&self, canvas: &mut Canvas, place: &impl Fn(&Vector3<f64>) -> Point) {
-        for end in self.around.free.iter().filter(|p| finite(p)) {
-            canvas.line(&[place(&self.around.foot), place(end)], 3.0, palette::START, 0.3, None);
+        for [from, to] in self.around.free.iter().filter(|ends| ends.iter().all(finite)) {
+            canvas.line(&[place(from), place(to)], 3.0, palette::START, 0.3, None);
         }
         for thing in self.around.in_the_way.iter().filter(|p| finite(p)) {
             canvas.disc(place(thing), 3.6, palette::LOST, 0.8);

@@ -150,7 +150,7 @@ impl Reconstruction {
             shutter: &self.optics.shutter,
             is_calibrated: self.optics.intrinsics.is_calibrated(),
         };
-        let tracked: Option<Tracked> = self.tracker.track(&frame, self.active.reference, &[here]);
+        let tracked: Option<Tracked> = self.tracker.track(&frame, self.active.reference, &[here], |_, _| true);
         let Some(tracked) = tracked else {
             self.state = TrackingState::Lost;
             return Some(self.estimate_none(features));

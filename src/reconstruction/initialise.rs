@@ -104,7 +104,7 @@ impl Reconstruction {
             was_here: true,
             motion: None,
         };
-        let Some(tracked) = self.tracker.track(&frame, self.active.reference, &[guess]) else {
+        let Some(tracked) = self.tracker.track(&frame, self.active.reference, &[guess], |_, _| true) else {
             self.active.clear();
             self.initialiser.clear();
             return None;

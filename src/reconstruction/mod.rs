@@ -224,17 +224,21 @@ impl Reconstruction {
             is_calibrated: self.optics.intrinsics.is_calibrated(),
         };
         let (guesses, n) = odometry.guesses(features.timestamp_ns, ahead.map(|ahead| &ahead.now_from_last));
-        let mut tracked = self.tracker.track(&frame, reference, &guesses[..n]);
-        // Where no tracks lead to it only an older pose speaks for it, so landmarks must. Any picture has a few that fit (15 of 220, by 3 px, where the camera
-        // was put elsewhere between two frames), and another place, or this one in a mirror, some more.
-        let expected = |t: &Tracked| {
-            let agrees =
-                ahead.zip(odometry.last).map(|(a, last)| a.agrees(&last.camera_from_world, &t.camera_from_world));
-            t.share() >= WEAK_SHARE && agrees == Some(true)
+        let by_wheels = |t: &Tracked| {
+            let told = ahead.zip(odometry.last);
+            told.is_some_and(|(a, last)| a.agrees(&last.camera_from_world, &t.camera_from_world))
         };
-        let follows = |t: &Tracked| t.by_flow || t.share() >= WEAK_SHARE || self.tracker.is_next(&frame, t);
-        let follows = |t: &Tracked| odometry.lost_frames == 0 && follows(t);
-        tracked = tracked.filter(|t| follows(t) || t.speaks_for_itself(&frame) || expected(t));
+        // Something must speak for a pose beside a few landmarks that fit: any picture has some (15 of 220, by 3 px, where the camera was put elsewhere between
+        // two frames). After lost frames that is the landmarks themselves: another place, or this one in a mirror, has more.
+        let followed = odometry.followed().map(|last| {
+            let dt = (features.timestamp_ns - last.timestamp_ns) as f64 * 1e-9;
+            (last.camera_from_world, dt)
+        });
+        let believed = |tracker: &Tracker, t: &Tracked| match followed {
+            Some(_) => t.by_flow || t.share() >= WEAK_SHARE || by_wheels(t) || tracker.is_next(&frame, t, followed),
+            None => t.speaks_for_itself(&frame) || t.share() >= WEAK_SHARE && by_wheels(t),
+        };
+        let mut tracked = self.tracker.track(&frame, reference, &guesses[..n], believed);
         if tracked.as_ref().is_none_or(|t| t.share() < WEAK_SHARE) {
             let likely = self.loops.likely(map, &features.pyramid, LIKELY);
             self.far.ask(&likely);

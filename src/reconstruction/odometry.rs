@@ -104,7 +104,7 @@ impl Odometry {
     }
 
     /// The last frame, if it is the one just before.
-    fn followed(&self) -> Option<&LastFrame> {
+    pub fn followed(&self) -> Option<&LastFrame> {
         self.last.as_ref().filter(|_| self.lost_frames == 0)
     }
 

@@ -17,13 +17,13 @@ use crate::motion::obstacles::{ObstaclesConfig, Point, Scan, Scanner};
 const KEPT: usize = 60;
 /// Earlier pictures that a keyframe is compared with, and how far the camera has come since, in heights: nearer there is no parallax, farther it
 /// looks different.
-const COMPARED: usize = 4;
+const COMPARED: usize = 6;
 const LEAST_STEP: f64 = 0.35;
 const MOST_STEP: f64 = 2.5;
 /// The level of the pictures that is compared: the finest that is narrower than this, px.
 const FINEST_PX: usize = 480;
 /// Fewer keyframes have not seen enough of a landmark.
-const LEAST_OBSERVERS: usize = 3;
+const LEAST_OBSERVERS: usize = 2;
 /// Keyframes in a row farther apart than this, m, are no way that is known to be driven straight.
 const MOST_DRIVEN_M: f64 = 1.0;
 

@@ -105,7 +105,7 @@ const WIDE: f64 = 4.0;
 const MAX_ELIMINATIONS: usize = 8;
 const SETTLED: f64 = 1e-5;
 /// A frame is taken to lie within so much of a turn beyond the expected one (rad), and within this share of the mean depth, of the
-/// frame before: there half as many landmarks as anywhere else speak for a pose.
+/// frame before: there no share of the landmarks looked for is asked.
 const NEAR_RAD: f64 = 0.3;
 const NEAR_DEPTHS: f64 = 0.3;
 /// Standard deviation of a frame-to-frame track's position, px (drifts; templates do not).
@@ -129,23 +129,30 @@ impl Default for Tracker {
 }
 
 impl Tracker {
-    /// Places a frame near a known pose. `guesses`: constant velocity, last pose, ..., the most likely first.
+    /// Places a frame near a known pose. `guesses`: constant velocity, last pose, ..., the most likely first; what is not `believed` is as if it was not found.
     pub fn track(
         &mut self,
         frame: &Frame<'_>,
         reference: KeyframeId,
         guesses: &[Se3<Camera, World>],
+        believed: impl Fn(&Self, &Tracked) -> bool,
     ) -> Option<Tracked> {
         self.refresh_local(frame.map, reference);
         let radius_px = frame.config.search_radius_px;
         self.seeds.collect(frame, guesses);
-        if let Some(pose) = guesses.iter().find_map(|guess| self.predict_by_flow(frame, guess)) {
-            let near = self.refine(frame, &pose, radius_px, 0);
-            if let Some(tracked) = near.or_else(|| self.refine(frame, &pose, WIDE * radius_px, 3)) {
-                return Some(Tracked { by_flow: true, ..tracked });
+        let by_flow = guesses.iter().find_map(|guess| self.predict_by_flow(frame, guess));
+        if let Some(pose) = by_flow
+            && let Some(tracked) = self.refine(frame, &pose, radius_px, 0)
+        {
+            let tracked = Tracked { by_flow: true, ..tracked };
+            if believed(self, &tracked) {
+                return Some(tracked);
             }
         }
-        guesses.iter().find_map(|guess| self.refine(frame, guess, WIDE * radius_px, 3))
+        by_flow.iter().chain(guesses).find_map(|guess| {
+            let tracked = self.refine(frame, guess, WIDE * radius_px, 3)?;
+            believed(self, &tracked).then_some(tracked)
+        })
     }
 
     /// Places a frame at a guess anywhere in the map; asks for more landmarks, as nothing else speaks for it but that it may lie near the
@@ -157,18 +164,18 @@ impl Tracker {
         let (radius, coarse_levels) = if precise { (2.0, 1) } else { (WIDE, 3) };
         let placed =
             self.refine(frame, &guess.camera_from_world, radius * frame.config.search_radius_px, coarse_levels)?;
-        (placed.speaks_for_itself(frame) || self.is_next(frame, &placed)).then_some(placed)
+        (placed.speaks_for_itself(frame) || self.is_next(frame, &placed, frame.before)).then_some(placed)
     }
 
-    /// Whether what was just placed lies where the camera can have come to since the frame before, by twice the landmarks that a frame with a good prediction
-    /// needs.
-    pub fn is_next(&self, frame: &Frame<'_>, placed: &Tracked) -> bool {
+    /// Whether the frame that was just placed lies where the camera can have come to since one `before`, so many seconds ago, by twice the landmarks that a
+    /// frame with a good prediction needs.
+    pub fn is_next(&self, frame: &Frame<'_>, placed: &Tracked, before: Option<(Se3<Camera, World>, f64)>) -> bool {
         let pose = placed.camera_from_world;
         let expected = |dt: f64| frame.motion.map_or(0.0, |motion| motion.turn.norm() * dt);
-        placed.landmarks >= 2 * frame.config.min_landmarks
-            && frame.before.is_some_and(|(before, dt)| {
-                is_near(&(pose * before.inverse()).relabel(), expected(dt), self.mean_depth(&pose))
-            })
+        let is_near = |before: Se3<Camera, World>, dt| {
+            is_near(&(pose * before.inverse()).relabel(), expected(dt), self.mean_depth(&pose))
+        };
+        placed.landmarks >= 2 * frame.config.min_landmarks && before.is_some_and(|(before, dt)| is_near(before, dt))
     }
 
     /// Mean depth of the landmarks found, map units.

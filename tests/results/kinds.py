@@ -224,7 +224,7 @@ def metres(data, short):
     floor = f"SCENARIOS=room_tour,corridor,square SEEDS={seeds} SECONDS={25 if short else 60} cargo {test} -- --ignored --nocapture scale::table"
     wheels = "test --locked --release --test wheels"
     intervals = f"SEEDS={'331..331' if short else '331..350'} cargo {wheels} -- --ignored --nocapture intervals"
-    rooms = "601" if short else ",".join(map(str, range(601, 609)))
+    rooms = "605" if short else ",".join(map(str, range(605, 613)))
     obstacles = f"SEEN_FLOOR=1 SEEDS={rooms} SECONDS=25 cargo {test} -- --ignored --nocapture obstacles::table"
     config = r"[tag]\nsize_m = 0.0945\nsize_sigma_m = 0.0005\n"
     board = "$CAIRN_DATA/visp_rbt"

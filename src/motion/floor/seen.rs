@@ -19,15 +19,16 @@
 //! What that proves is the ray and not the place: faces lower than the lowest that is excluded, `h`, look like the floor, so a place at distance d
 //! proves that nothing stands nearer than `d (1 - h)`; and of the ray only that nothing that reaches down to the floor crosses it: what hangs above it is
 //! not seen. Between the last proven distance p and what the next place, at d, proves, the ray to d is `1 - p / d` of the camera's height above p: so
-//! high a thing may hide there, and a hole. More than a share `HIDES` of the camera's height, or `HIDES_M`, ends the stretch, as does something
-//! else. Unknown places in between are filled: up to a share `HIDES` of the distance.
+//! high a thing may hide there, and a hole. Where that is more than a share `HIDES` of the camera's height, or `HIDES_M`, the stretch ends at p, and another
+//! begins where the ray to d is that low; the first one begins so, too. Something else ends them all. So unknown places in between are filled up to a share
+//! `HIDES` of the distance.
 //!
 //! Where a face is better than the floor and than all faces but its neighbours, it tells how far away it is. What stands upright does so alike at several
 //! heights: places of one bearing, one beyond the other, whose faces are at one distance (to `ONE_FACE`) are a thing.
 //!
 //! Pictures of about 320 pixels' width do best (noise); whoever calls takes that level of the pyramids, and the camera to it.
 //!
-//! Cost: 1000 places in view, 4 pictures and 11 hypotheses each: some 15 ms a keyframe with 8 of them, while somebody asks. Not here: what becomes of it; a floor that moves.
+//! Cost: 1000 places in view, 6 pictures and 11 hypotheses each: some 20 ms a keyframe, while somebody asks. Not here: what becomes of it; a floor that moves.
 
 use nalgebra::{Matrix2, Vector2, Vector3};
 
@@ -72,8 +73,6 @@ const HIDES_M: f64 = 0.1;
 /// Places of a bearing, and how far apart at the most the nearest and the farthest of their faces are (a share), that make a thing.
 const LEAST_PLACES: usize = 3;
 const ONE_FACE: f64 = 0.07;
-/// Earlier pictures that must show a place.
-const LEAST_PICTURES: usize = 2;
 
 /// The camera over the floor: foot point, and forward and left on the floor.
 #[derive(Debug, Clone, Copy)]
@@ -153,6 +152,9 @@ pub fn floor_seen(
     for step in -bearings..=bearings {
         let bearing = (f64::from(step) * BEARING_STEP_DEG).to_radians();
         let stretch = |from: f64, to: f64| Stretch { bearing: bearing as f32, from: from as f32, to: to as f32 };
+        let tell = |out: &mut Seen, free: Option<(f64, f64)>| {
+            out.floor.extend(free.map(|(from, to)| stretch(from, to)));
+        };
         let (mut free, mut ended): (Option<(f64, f64)>, bool) = (None, false);
         faces.clear();
         let mut distance = NEAREST;
@@ -161,11 +163,15 @@ pub fn floor_seen(
             match judged(plane, camera, now, before, &footing.place(at.map(|v| v * plane.height))) {
                 Place::Floor(height) if !ended => {
                     let proven = distance * (1.0 - height);
-                    let (from, last) = free.unwrap_or((proven, proven));
-                    // The ray to the place, and not to what it proves, passes over what may hide.
-                    ended = free.is_some() && 1.0 - last / distance > hides;
-                    if !ended {
-                        free = Some((from, last.max(proven)));
+                    // The ray to the place, and not to what it proves, passes over what may hide: from here on not too much.
+                    let low = distance * (1.0 - hides);
+                    match &mut free {
+                        Some((_, last)) if *last >= low => *last = last.max(proven),
+                        _ if proven > low => {
+                            tell(out, free);
+                            free = Some((low, proven));
+                        }
+                        _ => {}
                     }
                 }
                 Place::Other(face) => {
@@ -181,7 +187,7 @@ pub fn floor_seen(
             }
             distance *= RING_FACTOR;
         }
-        out.floor.extend(free.filter(|(from, to)| to > from).map(|(from, to)| stretch(from, to)));
+        tell(out, free);
         faces.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
         let one = |first: usize| {
             let nearest = faces[first].0;
@@ -244,7 +250,7 @@ fn judged(
             }
         }
     }
-    if pictures < LEAST_PICTURES {
+    if pictures == 0 {
         return Place::Unknown;
     }
     let (variance, mean) = (patch.contrast().powi(2), floor / pictures as f64);

@@ -63,8 +63,10 @@ fn free_is_where_a_keyframe_saw_the_floor_without_a_gap() {
     let (ahead, aside) = seen(&[[0.2, 2.0]]);
     assert!((1.85..=2.0).contains(&ahead) && aside == 0.0, "{ahead} {aside}");
     assert_eq!(seen(&[[1.8, 3.0]]).0, 0.0, "too far from the robot");
-    let gap = seen(&[[0.2, 1.0], [1.2, 2.0]]).0;
+    let gap = seen(&[[0.2, 1.0], [1.2, 1.9]]).0;
     assert!((0.85..=1.0).contains(&gap), "{gap}: not beyond a gap");
+    let longer = seen(&[[0.2, 0.8], [1.2, 2.0]]);
+    assert!((1.85..=2.0).contains(&longer.0), "{longer:?}: the longest");
     let overlap = seen(&[[0.2, 1.0], [0.9, 2.0]]).0;
     assert!(overlap > 1.8, "{overlap}");
 }

@@ -47,12 +47,12 @@ def after_a_cut(stage):
         return {**cut, "left": "nothing"}
     check(os.path.exists(FILE), "the map's file is gone")
     told = info()
-    newest = float(told["newest_frame_s"])
-    # Every boot begins its clock anew: a later frame than the cut's is of a boot before, and all of this one is lost.
-    lost = cut["at_s"] - (newest if newest <= cut["at_s"] else cut["began_s"])
-    check(lost <= MOST_LOST_S, f"{lost:.2f} s of the map are lost by cut {stage.phase}: {cut}, {newest}")
-    # The write that was cut carries frames of its last two seconds.
-    return {**cut, "left": "the write" if lost < 1.0 + cut["after_s"] else "what was before", "lost_s": lost, "keyframes": sum(m["keyframes"] for m in told["maps"])}
+    # Every boot begins its clock anew: what is told as before this boot's first write is of a boot before.
+    newest = told["newest_frame_s"]
+    lost = cut["at_s"] - (cut["tracked_s"] if newest is None or newest == cut["before"] else float(newest))
+    check(lost <= MOST_LOST_S, f"{lost:.2f} s of the map are lost by cut {stage.phase}: {cut}, newest {newest}")
+    # The map is written every two seconds: what is newer than one is of the write that was cut.
+    return {**cut, "left": "the write" if lost < 1.0 else "what was before", "lost_s": lost, "keyframes": sum(m["keyframes"] for m in told["maps"])}
 
 
 def cut_in_a_write(stage):
@@ -64,24 +64,26 @@ def cut_in_a_write(stage):
     sh(f"mkdir -p {FOLDER}; chown cairn:cairn {FOLDER}")
     if made:
         sh(f"rm -f {FILE}; sync")
+    before = info()["newest_frame_s"] if os.path.exists(FILE) else None
     stage.usb("mjpeg")
-    began = now()
+    began = tracked_s = now()
     stage.daemon(config=f'[map]\nfile = "{FILE}"\n')
     health = stage.listener()
     if not made:
         tracked = health.wait(lambda r: r["state"] == "TRACKING", 60, "tracking, in the map that was kept if there is one", began)
+        tracked_s = tracked["t"]
         if stage.phase == cuts:
-            return told(stage, health, began, tracked["t"] - began)
+            return told(stage, health, began, tracked_s - began)
         until(lambda: os.path.exists(FILE), 30, "the map's file is made")
     wait, after = random_.uniform(0.0, 6.0), random_.uniform(0.0, LONGEST_S)
 
     def moment():
         if not made:
             time.sleep(wait)
-        before = state()
-        until(lambda: state() != before, 60, "a write begins", pause_s=0.001)
+        untouched = state()
+        until(lambda: state() != untouched, 60, "a write begins", pause_s=0.001)
         time.sleep(after)
-        CUT.write_text(json.dumps({"at_s": now(), "began_s": began, "after_s": after, "made": made}))
+        CUT.write_text(json.dumps({"at_s": now(), "tracked_s": tracked_s, "before": before, "after_s": after, "made": made}))
 
     raise power.Reboot(stage.memory, orderly=False, moment=moment)
 
