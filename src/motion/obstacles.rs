@@ -470,7 +470,8 @@ impl Scanner {
             if seen >= FREE_FOR {
                 let from = stretch.map_or(at, |(from, _)| from);
                 stretch = Some((from, at));
-                if longest.is_none_or(|(a, b)| at - from > b - a) {
+                // Of two alike the nearer.
+                if longest.is_none_or(|(start, end)| start == from || at - from > end - start + CELL_M) {
                     longest = stretch;
                 }
             }
