@@ -28,6 +28,8 @@ const DIRECTIONS: usize = 8;
 const CELL_PX: f32 = 6.0;
 /// Distance of the places at which a patch is sampled, pixels: below the smoothing's sigma, so that nothing falls between them.
 const STEP_PX: f32 = 1.5;
+/// Such places to a side: of the patch and half a cell around it.
+const SAMPLES: usize = ((CELLS + 1) as f32 * CELL_PX / STEP_PX) as usize;
 /// Positions nearer to the edge than this many pixels have no descriptor. Only the very corners of a turned patch may be cut off.
 pub const BORDER: usize = 16;
 /// One sigma of the smoothing, pixels.
@@ -36,6 +38,8 @@ const SMOOTHING_PX: f32 = 1.6;
 const TAPS: usize = 11;
 /// Bins of the histogram that gives the patch its direction.
 const TURNS: usize = 36;
+/// With room beyond the last, as a power of two, which a number need not be divided by to stay below.
+const BINS: usize = 64;
 /// One sigma of that histogram's window, pixels.
 const TURN_SIGMA_PX: f32 = 4.0;
 const TURN_RADIUS: i32 = 12;
@@ -76,23 +80,34 @@ pub struct TurnedGradients {
 pub struct GradientMap {
     width: usize,
     height: usize,
-    /// Grey levels a pixel.
-    size: Vec<f32>,
-    /// Radians from x towards y, 0 to 2 pi.
-    angle: Vec<f32>,
+    /// Grey levels a pixel; radians from x towards y, 0 to 2 pi.
+    gradients: Vec<[f32; 2]>,
+    smoother: Smoother,
 }
 
 impl GradientMap {
     pub fn new(picture: &GreyImage) -> Self {
+        let mut map = Self::default();
+        map.fill(picture);
+        map
+    }
+
+    /// The same of another picture, in the memory that it has.
+    pub fn fill(&mut self, picture: &GreyImage) {
         let (width, height) = (picture.width, picture.height);
-        let smooth = smoothed(picture);
-        let (mut size, mut angle) = (vec![0.0; width * height], vec![0.0; width * height]);
-        for y in 1..height.saturating_sub(1) {
-            let row = |y: usize| y * width..(y + 1) * width;
-            let [above, middle, below] = [y - 1, y, y + 1].map(|y| &smooth[row(y)]);
-            gradients_of_row(above, middle, below, &mut size[row(y)], &mut angle[row(y)]);
+        (self.width, self.height) = (width, height);
+        if self.gradients.len() != width * height {
+            self.gradients = vec![[0.0; 2]; width * height];
         }
-        Self { width, height, size, angle }
+        let smooth = self.smoother.smoothed(picture);
+        for (y, gradients) in self.gradients.chunks_exact_mut(width.max(1)).enumerate() {
+            let row = |y: usize| &smooth[y * width..(y + 1) * width];
+            // None at the edge.
+            match y > 0 && y + 1 < height {
+                true => gradients_of_row(row(y - 1), row(y), row(y + 1), gradients),
+                false => gradients.fill([0.0; 2]),
+            }
+        }
     }
 
     /// Descriptors of the surroundings of (`x`, `y`), the strongest direction's first; nothing within [`BORDER`] of the edge, where
@@ -108,23 +123,28 @@ impl GradientMap {
     /// The one or two directions in which most gradients point, radians.
     #[inline(always)]
     fn turns(&self, x: f32, y: f32, tables: &Tables) -> Vec<f32> {
-        let mut bins = [0.0f32; TURNS];
+        let mut bins = [0.0f32; BINS];
         let (cx, cy) = (x.round() as i32, y.round() as i32);
         for (dy, windows) in (-TURN_RADIUS..=TURN_RADIUS).zip(&tables.turn_window) {
             // A corner is `BORDER` from the edge, which is more.
             let begin = (cy + dy) as usize * self.width + (cx - TURN_RADIUS) as usize;
             let row = begin..begin + TURN_SIDE;
-            for ((window, size), angle) in windows.iter().zip(&self.size[row.clone()]).zip(&self.angle[row]) {
+            // As on a chessboard: places that are the root of two apart, below the smoothing's sigma.
+            let others = (dy & 1) as usize;
+            let row = &self.gradients[row];
+            for k in (others..TURN_SIDE).step_by(2) {
+                let [size, angle] = row[k];
                 let at = angle * (TURNS as f32 / TAU);
-                let low = at as usize;
-                let share = at - low as f32;
-                // It is at most `TURNS`, and comparing is cheaper than dividing.
-                let low = if low >= TURNS { 0 } else { low };
-                let high = if low + 1 == TURNS { 0 } else { low + 1 };
-                bins[low] += window * size * (1.0 - share);
-                bins[high] += window * size * share;
+                // Half of a direction is shared out alike, whichever is the nearest below.
+                let low = nearest((at - 0.5).max(0.0));
+                let (strength, to_high) = (windows[k] * size, windows[k] * size * (at - low as f32));
+                bins[low as usize % BINS] += strength - to_high;
+                bins[(low as usize + 1) % BINS] += to_high;
             }
         }
+        // The first again, from below and from above.
+        let mut bins: [f32; TURNS] =
+            std::array::from_fn(|k| bins[k] + if k < BINS - TURNS { bins[TURNS + k] } else { 0.0 });
         for _ in 0..2 {
             let from = bins;
             for k in 0..TURNS {
@@ -150,52 +170,90 @@ impl GradientMap {
     #[inline(always)]
     fn histograms(&self, x: f32, y: f32, turn: f32, tables: &Tables) -> Option<GradientDescriptor> {
         let (sin, cos) = turn.sin_cos();
-        let mut sums = [0.0f32; NUMBERS];
-        let (last_x, last_y) = (self.width as f32 - 1.0, self.height as f32 - 1.0);
-        for sample in &tables.samples {
-            let [u, v] = sample.offset_px;
-            let (px, py) = (x + cos * u - sin * v + 0.5, y + sin * u + cos * v + 0.5);
-            // Only the very corners of a turned patch lie outside.
-            if !(px >= 0.0 && py >= 0.0 && px <= last_x && py <= last_y) {
-                continue;
+        let mut cells = [[[0.0f32; DIRECTIONS]; CELLS]; CELLS];
+        for v in 0..SAMPLES {
+            let mut columns = [[0.0f32; DIRECTIONS]; CELLS];
+            let (sizes, towards) = self.gradients_along([x, y], [sin, cos], turn, v, tables);
+            for (u, (size, towards)) in sizes.into_iter().zip(towards).enumerate() {
+                // A gradient's share of a direction falls from one to nothing at the next one, to either side.
+                let mut shares = [0.0; DIRECTIONS];
+                for (k, share) in shares.iter_mut().enumerate() {
+                    let apart = (towards - k as f32).abs();
+                    *share = size * (1.0 - apart.min(DIRECTIONS as f32 - apart)).max(0.0);
+                }
+                for (cell, weight) in &tables.cells[u] {
+                    add(&mut columns[*cell % CELLS], *weight, &shares);
+                }
             }
-            let i = py as usize * self.width + px as usize;
-            let (size, angle) = (self.size[i], self.angle[i]);
-            // Both are in 0..2 pi.
-            let towards = if angle < turn { angle - turn + TAU } else { angle - turn } * (DIRECTIONS as f32 / TAU);
-            let d = towards as usize;
-            let share = towards - d as f32;
-            let (low, high) = (d % DIRECTIONS, (d + 1) % DIRECTIONS);
-            let (to_low, to_high) = (size * (1.0 - share), size * share);
-            for (cell, weight) in &sample.cells[..sample.inside] {
-                // Taken modulo its length, which it is below, an array is not asked for it.
-                let cell = usize::from(*cell) * DIRECTIONS;
-                sums[(cell + low) % NUMBERS] += weight * to_low;
-                sums[(cell + high) % NUMBERS] += weight * to_high;
+            for (cell, weight) in &tables.cells[v] {
+                cells[*cell].iter_mut().zip(&columns).for_each(|(to, from)| add(to, *weight, from));
             }
         }
+        let sums = cells.as_flattened().as_flattened();
         let length = sums.iter().map(|s| s * s).sum::<f32>().sqrt();
         if !(length > 0.0 && length.is_finite()) {
             return None;
         }
-        sums.iter_mut().for_each(|s| *s = s.min(CLIP * length));
-        let total: f32 = sums.iter().sum();
-        Some(GradientDescriptor(sums.map(|s| (LENGTH * (s / total).sqrt()).round().min(255.0) as u8)))
+        let mut clipped = [0.0f32; NUMBERS];
+        clipped.iter_mut().zip(sums).for_each(|(to, s)| *to = s.min(CLIP * length));
+        let total: f32 = clipped.iter().sum();
+        Some(GradientDescriptor(clipped.map(|s| (LENGTH * (s / total).sqrt()).round().min(255.0) as u8)))
+    }
+
+    /// Size and direction (in directions of a histogram from the patch's own) of the gradients at one row of a turned patch's samples.
+    #[inline(always)]
+    fn gradients_along(
+        &self,
+        [x, y]: [f32; 2],
+        [sin, cos]: [f32; 2],
+        turn: f32,
+        row: usize,
+        tables: &Tables,
+    ) -> ([f32; SAMPLES], [f32; SAMPLES]) {
+        let v = tables.offset_px[row];
+        let (last_x, last_y) = (self.width as f32 - 1.0, self.height as f32 - 1.0);
+        let (mut places, mut inside) = ([0u32; SAMPLES], [0.0f32; SAMPLES]);
+        for k in 0..SAMPLES {
+            let u = tables.offset_px[k];
+            let (px, py) = (x + cos * u - sin * v, y + sin * u + cos * v);
+            // Only the very corners of a turned patch lie outside.
+            let is_inside = px >= 0.0 && py >= 0.0 && px <= last_x && py <= last_y;
+            places[k] = nearest(py.clamp(0.0, last_y)) * self.width as u32 + nearest(px.clamp(0.0, last_x));
+            inside[k] = if is_inside { 1.0 } else { 0.0 };
+        }
+        let (mut sizes, mut towards) = ([0.0; SAMPLES], [0.0; SAMPLES]);
+        for k in 0..SAMPLES {
+            [sizes[k], towards[k]] = self.gradients[places[k] as usize];
+        }
+        for k in 0..SAMPLES {
+            sizes[k] *= inside[k];
+            // Both angles are in 0..2 pi.
+            let from = towards[k] - turn;
+            towards[k] = (if from < 0.0 { from + TAU } else { from }) * (DIRECTIONS as f32 / TAU);
+        }
+        (sizes, towards)
     }
 }
 
-/// Where a patch is sampled, and which cells the gradient there counts in by how much.
-struct Sample {
-    /// From the patch's middle, along its own axes.
-    offset_px: [f32; 2],
-    /// The nearest four, with the patch's window; the first so many are inside of it.
-    cells: [(u8, f32); 4],
-    inside: usize,
+/// The nearest whole number of one in 0..2^22: the language's conversion saturates, which takes ten times as long.
+#[inline(always)]
+fn nearest(v: f32) -> u32 {
+    const MANTISSA: u32 = 1 << f32::MANTISSA_DIGITS - 1;
+    (v + MANTISSA as f32).to_bits() & (MANTISSA - 1)
 }
 
-/// What is the same for all patches.
+/// `to += weight * from`.
+#[inline(always)]
+fn add(to: &mut [f32; DIRECTIONS], weight: f32, from: &[f32; DIRECTIONS]) {
+    to.iter_mut().zip(from).for_each(|(to, from)| *to += weight * from);
+}
+
+/// What is the same for all patches, along either of their axes.
 struct Tables {
-    samples: Vec<Sample>,
+    /// Where a patch is sampled, from its middle.
+    offset_px: [f32; SAMPLES],
+    /// Two cells that the gradient there counts in and by how much, with the patch's window: the nearest ones, the second by nothing where there is one.
+    cells: [[(usize, f32); 2]; SAMPLES],
     turn_window: [[f32; TURN_SIDE]; TURN_SIDE],
 }
 
@@ -209,30 +267,19 @@ impl Tables {
                 (-(dx * dx + dy * dy) / (2.0 * TURN_SIGMA_PX * TURN_SIGMA_PX)).exp()
             })
         });
-        // The patch and half a cell around it, whose gradients count in the outermost cells as well.
         let half = 0.5 * CELLS as f32;
-        let count = ((CELLS + 1) as f32 * CELL_PX / STEP_PX) as usize;
-        let place = |i: usize| (i as f32 + 0.5) * STEP_PX / CELL_PX - half - 0.5;
-        let sample = |u: f32, v: f32| {
-            let window = (-(u * u + v * v) / (2.0 * half * half)).exp();
-            let near = |at: f32| {
-                let low = (at + half - 0.5).floor();
-                let share = at + half - 0.5 - low;
-                [(low as i32, 1.0 - share), (low as i32 + 1, share)]
-            };
-            let (across, down) = (near(u), near(v));
-            let (mut cells, mut inside) = ([(0, 0.0); 4], 0);
-            for k in 0..4 {
-                let ((column, a), (row, b)) = (across[k % 2], down[k / 2]);
-                if (0..CELLS as i32).contains(&column) && (0..CELLS as i32).contains(&row) {
-                    cells[inside] = ((row * CELLS as i32 + column) as u8, window * a * b);
-                    inside += 1;
-                }
-            }
-            Sample { offset_px: [u * CELL_PX, v * CELL_PX], cells, inside }
+        // In cells. The patch and half a cell around it, whose gradients count in the outermost cells as well.
+        let place = |k: usize| (k as f32 + 0.5) * STEP_PX / CELL_PX - half - 0.5;
+        let cells = |k: usize| {
+            let window = (-place(k).powi(2) / (2.0 * half * half)).exp();
+            let at = place(k) + half - 0.5;
+            let share = at - at.floor();
+            [(at.floor(), 1.0 - share), (at.floor() + 1.0, share)].map(|(cell, share)| {
+                let is_inside = (0.0..CELLS as f32).contains(&cell);
+                if is_inside { (cell as usize, window * share) } else { (0, 0.0) }
+            })
         };
-        let samples = (0..count * count).map(|i| sample(place(i % count), place(i / count))).collect();
-        Self { samples, turn_window }
+        Self { offset_px: std::array::from_fn(|k| place(k) * CELL_PX), cells: std::array::from_fn(cells), turn_window }
     }
 }
 
@@ -242,25 +289,32 @@ simd_kernel! {
 
 #[inline(always)]
 fn describe_body(map: &GradientMap, x: f32, y: f32, tables: &Tables) -> Vec<TurnedGradients> {
-    let described = |turn| Some(TurnedGradients { descriptor: map.histograms(x, y, turn, tables)?, turn_rad: turn });
-    map.turns(x, y, tables).into_iter().filter_map(described).collect()
+    let mut described = Vec::new();
+    // A closure would be compiled without the wider registers.
+    for turn_rad in map.turns(x, y, tables) {
+        if let Some(descriptor) = map.histograms(x, y, turn_rad, tables) {
+            described.push(TurnedGradients { descriptor, turn_rad });
+        }
+    }
+    described
 }
 
 simd_kernel! {
     /// Size and direction (radians from x towards y, 0 to 2 pi) of the gradients of a row between those above and below it.
-    fn gradients_of_row(above: &[f32], row: &[f32], below: &[f32], size: &mut [f32], angle: &mut [f32]) = row_body
+    fn gradients_of_row(above: &[f32], row: &[f32], below: &[f32], gradients: &mut [[f32; 2]]) = row_body
 }
 
 #[inline(always)]
-fn row_body(above: &[f32], row: &[f32], below: &[f32], size: &mut [f32], angle: &mut [f32]) {
-    let Some(inner) = row.len().checked_sub(2).filter(|n| *n > 0) else { return };
+fn row_body(above: &[f32], row: &[f32], below: &[f32], gradients: &mut [[f32; 2]]) {
+    let Some(inner) = row.len().checked_sub(2).filter(|n| *n > 0) else { return gradients.fill([0.0; 2]) };
     let (above, below) = (&above[1..1 + inner], &below[1..1 + inner]);
     let (left, right) = (&row[..inner], &row[2..2 + inner]);
-    let (size, angle) = (&mut size[1..1 + inner], &mut angle[1..1 + inner]);
+    gradients[0] = [0.0; 2];
+    gradients[1 + inner] = [0.0; 2];
+    let gradients = &mut gradients[1..1 + inner];
     for x in 0..inner {
         let (gx, gy) = (0.5 * (right[x] - left[x]), 0.5 * (below[x] - above[x]));
-        size[x] = (gx * gx + gy * gy).sqrt();
-        angle[x] = direction(gx, gy);
+        gradients[x] = [(gx * gx + gy * gy).sqrt(), direction(gx, gy)];
     }
 }
 
@@ -277,28 +331,40 @@ fn direction(x: f32, y: f32) -> f32 {
     if y < 0.0 { TAU - half } else { half }
 }
 
-/// The picture under a Gaussian of [`SMOOTHING_PX`]; its edge is repeated outwards.
-fn smoothed(picture: &GreyImage) -> Vec<f32> {
-    let (width, height) = (picture.width, picture.height);
-    let radius = TAPS / 2;
-    let mut taps = std::array::from_fn(|k| (-((k as f32 - radius as f32) / SMOOTHING_PX).powi(2) / 2.0).exp());
-    let total: f32 = taps.iter().sum();
-    taps.iter_mut().for_each(|t| *t /= total);
-    let mut across = vec![0.0f32; width * height];
-    let mut padded = vec![0.0f32; width + 2 * radius];
-    for (y, to) in across.chunks_exact_mut(width.max(1)).enumerate() {
-        let row = picture.row(y);
-        for (x, p) in padded.iter_mut().enumerate() {
-            *p = f32::from(row[x.saturating_sub(radius).min(width - 1)]);
+/// The picture under a Gaussian of [`SMOOTHING_PX`], and memory to make it in.
+#[derive(Debug, Clone, Default)]
+struct Smoother {
+    padded: Vec<f32>,
+    across: Vec<f32>,
+    smoothed: Vec<f32>,
+}
+
+impl Smoother {
+    /// Its edge is repeated outwards.
+    fn smoothed(&mut self, picture: &GreyImage) -> &[f32] {
+        let (width, height) = (picture.width, picture.height);
+        let radius = TAPS / 2;
+        let mut taps = std::array::from_fn(|k| (-((k as f32 - radius as f32) / SMOOTHING_PX).powi(2) / 2.0).exp());
+        let total: f32 = taps.iter().sum();
+        taps.iter_mut().for_each(|t| *t /= total);
+        let Self { padded, across, smoothed } = self;
+        across.resize(width * height, 0.0);
+        smoothed.resize(width * height, 0.0);
+        padded.resize(width + 2 * radius, 0.0);
+        for (y, to) in across.chunks_exact_mut(width.max(1)).enumerate() {
+            let row = picture.row(y);
+            let (Some(first), Some(last)) = (row.first(), row.last()) else { break };
+            padded[..radius].fill(f32::from(*first));
+            padded[radius..radius + width].iter_mut().zip(row).for_each(|(p, grey)| *p = f32::from(*grey));
+            padded[radius + width..].fill(f32::from(*last));
+            weighted(&std::array::from_fn(|k| &padded[k..]), &taps, to);
         }
-        weighted(&std::array::from_fn(|k| &padded[k..]), &taps, to);
+        for (y, to) in smoothed.chunks_exact_mut(width.max(1)).enumerate() {
+            let row = |k: usize| &across[(y + k).saturating_sub(radius).min(height - 1) * width..][..width];
+            weighted(&std::array::from_fn(row), &taps, to);
+        }
+        smoothed
     }
-    let mut out = vec![0.0f32; width * height];
-    for (y, to) in out.chunks_exact_mut(width.max(1)).enumerate() {
-        let row = |k: usize| &across[(y + k).saturating_sub(radius).min(height - 1) * width..][..width];
-        weighted(&std::array::from_fn(row), &taps, to);
-    }
-    out
 }
 
 simd_kernel! {

@@ -111,19 +111,47 @@ impl Default for PlaceMatching {
     }
 }
 
+/// So many distances are looked at together.
+const LOOKED_AT: usize = 16;
+
+simd_kernel! {
+    /// The least of each so many distances.
+    fn least_of(row: &[u32], out: &mut [u32]) = least_body
+}
+
+#[inline(always)]
+fn least_body(row: &[u32], out: &mut [u32]) {
+    let (whole, rest) = row.as_chunks::<LOOKED_AT>();
+    for (least, distances) in out.iter_mut().zip(whole) {
+        *least = distances.iter().fold(u32::MAX, |least, d| least.min(*d));
+    }
+    if let (Some(least), true) = (out.get_mut(whole.len()), !rest.is_empty()) {
+        *least = rest.iter().fold(u32::MAX, |least, d| least.min(*d));
+    }
+}
+
 /// Index of the nearest of the others, its squared distance, and that of the nearest elsewhere, of all distances.
-fn nearest(row: &[u32], places: &[Place]) -> Option<(usize, u32, u32)> {
+/// `each` is memory to work in.
+fn nearest(row: &[u32], places: &[Place], each: &mut Vec<u32>) -> Option<(usize, u32, u32)> {
+    each.resize(row.len().div_ceil(LOOKED_AT), 0);
+    least_of(row, each);
+    let least = *each.iter().min()?;
     // Of equally near ones the first.
-    let (index, least) = row.iter().enumerate().min_by_key(|(_, distance)| **distance)?;
+    let index = row.iter().position(|distance| *distance == least)?;
     let own = places.get(index)?;
     // Few are near enough to be asked where they are.
     let mut second = u32::MAX;
-    for (distance, place) in row.iter().zip(places) {
-        if *distance < second && !place.is_within(own, SAME_PLACE_PX) {
-            second = *distance;
+    for (k, distances) in row.chunks(LOOKED_AT).enumerate() {
+        if each[k] >= second {
+            continue;
+        }
+        for (distance, place) in distances.iter().zip(&places[k * LOOKED_AT..]) {
+            if *distance < second && !place.is_within(own, SAME_PLACE_PX) {
+                second = *distance;
+            }
         }
     }
-    Some((index, *least, second))
+    Some((index, least, second))
 }
 
 /// Matches; see the module. Descriptors without a place (a shorter slice) are left out.
@@ -139,12 +167,12 @@ pub fn match_places<D: Comparable>(
         rule.max_ratio >= 1.0 || distance < rule.max_ratio * rule.max_ratio * other as f32
     };
     let mut found: Vec<Match> = Vec::new();
-    let (mut row, mut column) = (vec![0; second.len()], vec![0; first.len()]);
+    let (mut row, mut column, mut each) = (vec![0; second.len()], vec![0; first.len()], Vec::new());
     let mut backward: Vec<Option<Option<(usize, u32, u32)>>> = vec![None; second.len()];
     let (first, second) = (D::many(first), D::many(second));
     for i in 0..column.len() {
         D::distances_squared(&first, i, &second, &mut row);
-        let Some((j, distance, elsewhere)) = nearest(&row, second_places) else { continue };
+        let Some((j, distance, elsewhere)) = nearest(&row, second_places, &mut each) else { continue };
         let share = (distance as f32).sqrt() / D::UNIT;
         if share > rule.max_distance || !clear(distance, elsewhere) {
             continue;
@@ -152,7 +180,7 @@ pub fn match_places<D: Comparable>(
         // Asked back only where it matters.
         let back = *backward[j].get_or_insert_with(|| {
             D::distances_squared(&second, j, &first, &mut column);
-            nearest(&column, first_places)
+            nearest(&column, first_places, &mut each)
         });
         let Some((back, _, elsewhere_back)) = back else { continue };
         let mutual = back == i || first_places[back].is_within(&first_places[i], SAME_PLACE_PX);

@@ -107,6 +107,7 @@ pub struct DescriptorSearch {
     detector: FastDetector,
     corners: Vec<Corner>,
     spread: Spread,
+    gradients: GradientMap,
     frame: Described<Vector2<f32>>,
     remembered: Vec<Remembered>,
     uses: u64,
@@ -120,11 +121,11 @@ impl DescriptorSearch {
         for level in 0..LEVELS {
             let Some(image) = pyramid.levels.get(level) else { break };
             self.detector.detect_all(image, THRESHOLD, &mut self.corners);
-            let gradients = GradientMap::new(image);
+            self.gradients.fill(image);
             let spread = self.spread.over_cells((image.width, image.height), CELL_PX, &mut self.corners);
             for corner in spread.take(CORNERS[level]) {
                 let pixel = base_from_level(level, Vector2::new(corner.x, corner.y));
-                self.frame.push(&gradients, level, pixel, pixel);
+                self.frame.push(&self.gradients, level, pixel, pixel);
             }
         }
         self.frame.of.len() >= MIN_MATCHES
@@ -190,7 +191,7 @@ impl DescriptorSearch {
         };
         let entry = &mut self.remembered[place];
         (entry.keyframe, entry.landmarks, entry.last_used) = (id, landmarks, self.uses);
-        entry.is_partial = describe_keyframe(map, keyframe, &mut entry.described);
+        entry.is_partial = describe_keyframe(map, keyframe, &mut self.gradients, &mut entry.described);
         Some(place)
     }
 
@@ -211,16 +212,21 @@ impl DescriptorSearch {
 }
 
 /// Whether something that it would be described by is elsewhere.
-fn describe_keyframe(map: &Map, keyframe: &Keyframe, out: &mut Described<LandmarkId>) -> bool {
+fn describe_keyframe(
+    map: &Map,
+    keyframe: &Keyframe,
+    gradients: &mut GradientMap,
+    out: &mut Described<LandmarkId>,
+) -> bool {
     out.clear();
     if keyframe.picture.is_condensed() {
         return describe_by_views(map, keyframe, out);
     }
     for level in 0..LEVELS {
         let Some(image) = keyframe.picture.level(level) else { break };
-        let gradients = GradientMap::new(&image);
+        gradients.fill(&image);
         for (landmark, pixel) in keyframe.observations.pixels() {
-            out.push(&gradients, level, pixel, landmark);
+            out.push(gradients, level, pixel, landmark);
         }
     }
     false
