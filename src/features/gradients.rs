@@ -7,8 +7,8 @@
 //! Paper: Lowe, "Distinctive image features from scale-invariant keypoints", IJCV 2004 (sections 5 and 6: histogram of directions,
 //! 4x4 cells of 8 directions, clipped at 0.2); the square root of the L1-normalised numbers instead of themselves is Arandjelović and
 //! Zisserman, "Three things everyone should know", CVPR 2012.
-//! Cost: 15 ns a pixel for the map, 20 us a corner, 5 ns a comparison of two.
-//! It deliberately does not do: finding corners and their scale, the frame path (fifty times a binary descriptor's cost).
+//! Cost: 4 ns a pixel for the map, 5 us a corner, 5 ns a comparison of two.
+//! It deliberately does not do: finding corners and their scale, the frame path (ten times a binary descriptor's cost).
 
 use std::f32::consts::TAU;
 use std::sync::LazyLock;
@@ -96,11 +96,13 @@ impl GradientMap {
     pub fn fill(&mut self, picture: &GreyImage) {
         let (width, height) = (picture.width, picture.height);
         (self.width, self.height) = (width, height);
-        if self.gradients.len() != width * height {
+        // What there is of a larger picture beyond stays unused.
+        if self.gradients.len() < width * height {
             self.gradients = vec![[0.0; 2]; width * height];
         }
         let smooth = self.smoother.smoothed(picture);
-        for (y, gradients) in self.gradients.chunks_exact_mut(width.max(1)).enumerate() {
+        let rows = self.gradients[..width * height].chunks_exact_mut(width.max(1));
+        for (y, gradients) in rows.enumerate() {
             let row = |y: usize| &smooth[y * width..(y + 1) * width];
             // None at the edge.
             match y > 0 && y + 1 < height {
@@ -137,14 +139,15 @@ impl GradientMap {
                 let at = angle * (TURNS as f32 / TAU);
                 // Half of a direction is shared out alike, whichever is the nearest below.
                 let low = nearest((at - 0.5).max(0.0));
-                let (strength, to_high) = (windows[k] * size, windows[k] * size * (at - low as f32));
+                let strength = windows[k] * size;
+                let to_high = strength * (at - low as f32);
                 bins[low as usize % BINS] += strength - to_high;
                 bins[(low as usize + 1) % BINS] += to_high;
             }
         }
-        // The first again, from below and from above.
-        let mut bins: [f32; TURNS] =
-            std::array::from_fn(|k| bins[k] + if k < BINS - TURNS { bins[TURNS + k] } else { 0.0 });
+        // A full turn is none.
+        let (one_turn, beyond) = bins.split_at(TURNS);
+        let mut bins: [f32; TURNS] = std::array::from_fn(|k| one_turn[k] + if k < 2 { beyond[k] } else { 0.0 });
         for _ in 0..2 {
             let from = bins;
             for k in 0..TURNS {
@@ -235,10 +238,10 @@ impl GradientMap {
     }
 }
 
-/// The nearest whole number of one in 0..2^22: the language's conversion saturates, which takes ten times as long.
+/// The nearest whole number of one in 0..2^23, halves to the even one: the language's conversion saturates, which takes ten times as long.
 #[inline(always)]
 fn nearest(v: f32) -> u32 {
-    const MANTISSA: u32 = 1 << f32::MANTISSA_DIGITS - 1;
+    const MANTISSA: u32 = 1 << (f32::MANTISSA_DIGITS - 1);
     (v + MANTISSA as f32).to_bits() & (MANTISSA - 1)
 }
 
@@ -252,7 +255,7 @@ fn add(to: &mut [f32; DIRECTIONS], weight: f32, from: &[f32; DIRECTIONS]) {
 struct Tables {
     /// Where a patch is sampled, from its middle.
     offset_px: [f32; SAMPLES],
-    /// Two cells that the gradient there counts in and by how much, with the patch's window: the nearest ones, the second by nothing where there is one.
+    /// Two cells that the gradient there counts in and by how much, with the patch's window: the nearest ones; one that there is not by nothing.
     cells: [[(usize, f32); 2]; SAMPLES],
     turn_window: [[f32; TURN_SIDE]; TURN_SIDE],
 }
@@ -348,9 +351,11 @@ impl Smoother {
         let total: f32 = taps.iter().sum();
         taps.iter_mut().for_each(|t| *t /= total);
         let Self { padded, across, smoothed } = self;
-        across.resize(width * height, 0.0);
-        smoothed.resize(width * height, 0.0);
+        for (buffer, size) in [(&mut *across, width * height), (&mut *smoothed, width * height)] {
+            buffer.resize(size.max(buffer.len()), 0.0);
+        }
         padded.resize(width + 2 * radius, 0.0);
+        let (across, smoothed) = (&mut across[..width * height], &mut smoothed[..width * height]);
         for (y, to) in across.chunks_exact_mut(width.max(1)).enumerate() {
             let row = picture.row(y);
             let (Some(first), Some(last)) = (row.first(), row.last()) else { break };

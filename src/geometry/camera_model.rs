@@ -159,6 +159,14 @@ impl CameraModel {
             && pixel.y <= f64::from(self.height) - 1.0 - border_px
     }
 
+    /// Which of so many equal columns and rows of the picture a pixel is in, counted row by row; the nearest one for a pixel outside.
+    pub fn part_of(&self, pixel: &Vector2<f64>, [columns, rows]: [usize; 2]) -> usize {
+        let share = |at: f64, size: u32, parts: usize| {
+            ((at / f64::from(size) * parts as f64).max(0.0) as usize).min(parts.saturating_sub(1))
+        };
+        share(pixel.y, self.height, rows) * columns + share(pixel.x, self.width, columns)
+    }
+
     /// Can every pixel of the picture be undistorted? The four corners are the farthest from the axis. `false` tells of
     /// a calibration that was fitted to corners near the middle only. Pixels of a wide-angle lens beyond
     /// [`MAX_ANGLE_DEG`](super::lens_model::MAX_ANGLE_DEG) (the corners of a circular fisheye picture, too) do not count against it,

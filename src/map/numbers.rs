@@ -13,12 +13,24 @@ use super::{KeyframeId, Map};
 pub struct Numbers {
     /// Ascending.
     merged: Vec<Range<u32>>,
+    /// What was there when this run loaded the map has numbers below.
+    loaded_below: u32,
 }
 
 impl Numbers {
     /// It is of a map that was merged.
     pub fn is_merged(&self, id: KeyframeId) -> bool {
         self.merged.iter().any(|range| range.contains(&id.0))
+    }
+
+    /// It was made in this run.
+    pub fn is_new(&self, id: KeyframeId) -> bool {
+        id.0 >= self.loaded_below && !self.is_merged(id)
+    }
+
+    /// All that have numbers below are another run's.
+    pub fn load_below(&mut self, next: u32) {
+        self.loaded_below = next;
     }
 
     /// How many keyframes of this run before `newest` it was made (0: not before); one of a merged map longer ago than any.
@@ -42,6 +54,8 @@ impl Numbers {
         if other.merged.len() > self.merged.len() {
             self.merged = other.merged;
         }
+        // Beside a merged map's, which are known as such, too much counts as loaded.
+        self.loaded_below = self.loaded_below.max(other.loaded_below);
     }
 }
 

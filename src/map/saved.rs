@@ -278,6 +278,7 @@ impl Map {
             return Err("keyframes are in no order".into());
         }
         map.take_changed();
+        map.numbers.load_below(map.keyframes.next_id());
         Ok(map)
     }
 

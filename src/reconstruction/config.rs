@@ -40,7 +40,8 @@ pub struct ReconstructionConfig {
     /// Keyframes that keep pictures of half the resolution or more, at the most: the newest, their neighbours, and those before; older ones are
     /// condensed to patches of their landmarks. 20..=2000.
     pub detailed_keyframes: usize,
-    /// A keyframe goes when this share of its landmarks is seen by three others at the least. 0.5..=1.0 (1 = never).
+    /// A keyframe goes when more than this share of its landmarks is seen by three others, or made up for by what newer keyframes of the same place see.
+    /// 0.5..=1.0 (1 = never).
     pub redundant_share: f64,
     /// Rotation-compensated median flow from the reference frame at which a start is tried, px. 3.0..=100.0.
     pub start_flow_px: f64,

@@ -13,6 +13,7 @@ pub mod epipolar;
 mod growth_tests;
 pub mod pictures;
 pub mod point;
+mod superseded;
 
 use std::sync::Arc;
 

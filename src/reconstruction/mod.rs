@@ -426,10 +426,11 @@ impl Reconstruction {
         active.reference = id;
         active.scale.follow(map);
         counters.landmarks_culled += cull::cull_landmarks(map, id);
-        counters.keyframes_culled += cull::cull_keyframes((map, active.id), id, config, &mut self.events);
         let mut held = self.tags.as_ref().map_or_else(Vec::new, |tags| tags.rest_on(map));
         held.extend(self.loops.ends());
         held.sort_unstable();
+        counters.keyframes_culled +=
+            cull::cull_keyframes((map, active.id), id, (camera, &held), config, &mut self.events);
         let (most, turn) = ((config.max_keyframes, held.as_slice()), &mut active.thinned);
         counters.keyframes_culled += cull::thin_out((map, active.id), id, most, turn, &mut self.events);
         reduce_pictures(map, id);

@@ -9,7 +9,7 @@ use cairn::map::MapSnapshot;
 use cairn::places::store::MapFile;
 
 use super::number;
-use super::robot::{Robot, shown, simulator, webcam};
+use super::robot::{Robot, Standing, shown, simulator, webcam};
 
 const HOURS_RATE_HZ: f64 = 10.0;
 /// s of a row of the table, which is a day.
@@ -29,6 +29,8 @@ struct Row {
     placed: f64,
     /// Median and most of what poses were off, cm; laid on the truth by all keyframes.
     off_cm: [f64; 2],
+    /// The median, laid on the truth as the map of the first day was: what a goal is off that a planner has kept since then.
+    off_since_cm: f64,
 }
 
 /// Median and 99th percentile.
@@ -51,7 +53,7 @@ fn ms(since_ns: i64) -> f64 {
 /// Drives for a day.
 fn day(
     robot: &mut Robot,
-    file: &mut Option<MapFile>,
+    (file, first): (&mut Option<MapFile>, &mut Option<Standing>),
     folder: &std::path::Path,
     seed: u64,
     day: u64,
@@ -88,8 +90,13 @@ fn day(
         }
     }
     let (standing, _) = robot.standing(true).unwrap();
-    let mut off: Vec<f64> = poses.iter().map(|(told, truth)| 100.0 * standing.error(told, truth).0).collect();
-    off.sort_by(f64::total_cmp);
+    let first = first.get_or_insert(standing);
+    let off_by = |standing: &Standing| -> Vec<f64> {
+        let mut off: Vec<f64> = poses.iter().map(|(told, truth)| 100.0 * standing.error(told, truth).0).collect();
+        off.sort_by(f64::total_cmp);
+        off
+    };
+    let (off, since) = (off_by(&standing), off_by(first));
     let mut map = MapSnapshot::default();
     robot.reconstruction.snapshot(&mut map);
     Row {
@@ -101,6 +108,7 @@ fn day(
         keyframe_ms: quantiles(keyframe_ms),
         placed: poses.len() as f64 / frames as f64,
         off_cm: [off.get(off.len() / 2), off.last()].map(|v| v.copied().unwrap_or(f64::NAN)),
+        off_since_cm: since.get(since.len() / 2).copied().unwrap_or(f64::NAN),
     }
 }
 
@@ -119,15 +127,15 @@ fn hours() {
     let before_mb = rss_mb();
     drop(first);
     println!(
-        "\n| hours | keyframes | landmarks | memory, MB | file, MB | pose ms, p50 and p99 | keyframe and adjustments ms, p50 and p99 | placed, % | off, cm: median, most | loops | maps | turns to assumed scale |"
+        "\n| hours | keyframes | landmarks | memory, MB | file, MB | pose ms, p50 and p99 | keyframe and adjustments ms, p50 and p99 | placed, % | off, cm: median, most | median in the first day's frame | loops | maps | turns to assumed scale |"
     );
-    println!("|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|");
-    let mut file = None;
+    println!("|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|");
+    let (mut file, mut first) = (None, None);
     for n in 0..days {
-        let row = day(&mut robot, &mut file, folder.path(), seed, n as u64, number("DAY_S", DAY_S));
+        let row = day(&mut robot, (&mut file, &mut first), folder.path(), seed, n as u64, number("DAY_S", DAY_S));
         let counters = robot.reconstruction.counters();
         println!(
-            "| {:.2} | {} | {} | {:.0} | {:.1} | {:.2}, {:.2} | {:.1}, {:.1} | {:.2} | {:.1}, {:.1} | {} | {} | {} |",
+            "| {:.2} | {} | {} | {:.0} | {:.1} | {:.2}, {:.2} | {:.1}, {:.1} | {:.2} | {:.1}, {:.1} | {:.1} | {} | {} | {} |",
             (n + 1) as f64 * number("DAY_S", DAY_S) as f64 / 3600.0,
             row.keyframes,
             row.landmarks,
@@ -140,6 +148,7 @@ fn hours() {
             100.0 * row.placed,
             row.off_cm[0],
             row.off_cm[1],
+            row.off_since_cm,
             counters.loops_closed,
             robot.reconstruction.maps(),
             counters.blind_turns,

@@ -73,3 +73,40 @@ fn a_row_of_distances_is_the_distances() {
         assert_eq!(i64::from(*found), plain);
     }
 }
+
+#[test]
+fn a_map_that_is_filled_again_is_that_of_the_new_picture_alone() {
+    let of = |size: usize, seed: u64| {
+        let (grey, mut image) = (texture(seed), GreyImage::new(size, size - 10));
+        let pixels = image.data.iter_mut().enumerate();
+        pixels.for_each(|(i, v)| *v = grey((i % size) as f32, (i / size) as f32).clamp(0.0, 255.0) as u8);
+        image
+    };
+    let mut map = GradientMap::default();
+    for (size, seed) in [(90, 1), (60, 2), (120, 3), (90, 4)] {
+        let picture = of(size, seed);
+        map.fill(&picture);
+        let fresh = GradientMap::new(&picture);
+        for (x, y) in [(16.0, 16.0), (30.0, 25.0), (size as f32 - 17.0, size as f32 - 27.0)] {
+            let described = map.describe(x, y);
+            assert!(!described.is_empty() && described == fresh.describe(x, y), "{size} {x} {y}");
+        }
+    }
+}
+
+/// Turned by a quarter the same pixels are sampled, to a half of one: directions and histograms go round.
+#[test]
+fn a_quarter_turn_of_the_picture_turns_the_direction_and_little_else() {
+    for seed in 0..10 {
+        let grey = texture(seed);
+        let upright = GradientMap::new(&picture(&grey)).describe(40.0, 40.0);
+        let turned = GradientMap::new(&picture(|x, y| grey(y, 80.0 - x))).describe(40.0, 40.0);
+        assert_eq!(upright.len(), turned.len(), "seed {seed}");
+        for (a, b) in upright.iter().zip(&turned) {
+            let turn = (b.turn_rad - a.turn_rad).rem_euclid(TAU);
+            let off = (turn - 0.25 * TAU).abs();
+            let apart = (a.descriptor.distance_squared(&b.descriptor) as f32).sqrt() / LENGTH;
+            assert!(off < 0.02 && apart < 0.1, "seed {seed}: turned by {turn}, {apart} apart");
+        }
+    }
+}

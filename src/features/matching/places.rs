@@ -261,4 +261,23 @@ mod tests {
         assert!(match_places::<GradientDescriptor>((&[], &[]), (&more, &places), &rule).is_empty());
         assert!(match_places((&all, &places), (&more, &[]), &rule).is_empty());
     }
+
+    #[test]
+    fn the_nearest_and_the_nearest_elsewhere_are_those_of_a_plain_search() {
+        let (mut random, mut each) = (crate::geometry::random::Random::new(5), Vec::new());
+        for length in [0, 1, 2, 15, 16, 17, 32, 100, 6000] {
+            // Few distances, so that many are equal; few places, so that many are the same.
+            let row: Vec<u32> = (0..length).map(|_| random.below(40) as u32).collect();
+            let places: Vec<Place> =
+                (0..length).map(|_| Place { at: [10.0 * random.below(9) as f32, 0.0], size_px: 1.0 }).collect();
+            let least = row.iter().copied().min();
+            let index = row.iter().position(|d| Some(*d) == least);
+            let elsewhere = |i: usize| {
+                let others = row.iter().zip(&places).filter(|(_, p)| !p.is_within(&places[i], SAME_PLACE_PX));
+                others.map(|(d, _)| *d).min().unwrap_or(u32::MAX)
+            };
+            let plain = index.zip(least).map(|(i, least)| (i, least, elsewhere(i)));
+            assert_eq!(super::nearest(&row, &places, &mut each), plain, "{length}");
+        }
+    }
 }

@@ -6,8 +6,9 @@
 
 use super::YOUNG_KEYFRAMES;
 use super::pictures::{is_old, nearest};
-use crate::geometry::Se3;
+use super::superseded;
 use crate::geometry::frames::Keyframe as KeyframeFrame;
+use crate::geometry::{CameraModel, Se3};
 use crate::map::picture::Detail;
 use crate::map::{KeyframeId, Landmark, LandmarkId, Map, MapId};
 use crate::reconstruction::config::ReconstructionConfig;
@@ -15,6 +16,8 @@ use crate::reconstruction::types::TrajectoryEvent;
 
 /// Of a map that is too large, as one that was joined may be, so many keyframes go with each new one: what it was joined by is needed yet.
 const MOST_AT_ONCE: usize = 2;
+/// Keyframes that are compared with newer ones of the same place, at a keyframe: all in turn. 0.2 ms each.
+const COMPARED: usize = 8;
 /// Keyframes that are looked at for one to go. Half a millisecond.
 const LOOKED_AT: usize = 48;
 
@@ -36,29 +39,32 @@ pub fn cull_landmarks(map: &mut Map, newest: KeyframeId) -> u64 {
     doomed.len() as u64
 }
 
-/// Removes keyframes around `newest` whose landmarks are nearly all seen by three others.
+/// Removes keyframes around `newest` whose landmarks are nearly all seen by three others; and one at the most of those that what newer ones of the same
+/// place see makes up for, none that something else rests on (`held`, ascending).
 pub fn cull_keyframes(
     (map, map_id): (&mut Map, MapId),
     newest: KeyframeId,
+    (camera, held): (&CameraModel, &[KeyframeId]),
     config: &ReconstructionConfig,
     events: &mut Vec<TrajectoryEvent>,
 ) -> u64 {
-    let mut culled = 0;
+    let is_redundant = |(redundant, total): (f64, f64)| redundant > config.redundant_share * total;
     let mut around = Vec::new();
     map.covisible(newest, 1, usize::MAX, &mut around);
-    for (id, _) in around {
-        if map.numbers.since(id, newest) < YOUNG_KEYFRAMES {
-            continue;
-        }
-        let is_redundant = |(redundant, total): (f64, f64)| redundant > config.redundant_share * total;
-        if seen_enough(map, id).is_some_and(is_redundant)
-            && spared(map, id).is_some_and(is_redundant)
-            && remove((map, map_id), id, events)
-        {
-            culled += 1;
-        }
-    }
-    culled
+    around.retain(|(id, _)| map.numbers.since(*id, newest) >= YOUNG_KEYFRAMES);
+    let all = around.len();
+    around.retain(|(id, _)| {
+        let is_spared = seen_enough(map, *id).is_some_and(is_redundant) && spared(map, *id).is_some_and(is_redundant);
+        !(is_spared && remove((map, map_id), *id, events))
+    });
+    let mut culled = all - around.len();
+    // Some of them at each keyframe, others at the next.
+    let apart = around.len().div_ceil(COMPARED).max(1);
+    let compared = around.iter().skip(newest.0 as usize % apart).step_by(apart).map(|a| a.0);
+    let mut superseded = compared.filter(|id| held.binary_search(id).is_err());
+    let superseded = superseded.find(|id| spared_or_made_up_for(map, camera, *id, newest).is_some_and(is_redundant));
+    culled += usize::from(superseded.is_some_and(|id| remove((map, map_id), id, events)));
+    culled as u64
 }
 
 fn is_seen_enough(landmark: &Landmark) -> bool {
@@ -75,14 +81,26 @@ fn seen_enough(map: &Map, id: KeyframeId) -> Option<(f64, f64)> {
 /// The same of those that another one shows as well: the others could not be found again, however many see them. Where nothing is condensed these are
 /// none.
 fn spared(map: &Map, id: KeyframeId) -> Option<(f64, f64)> {
-    let observations = &map.keyframe(id)?.observations;
-    let is_spared = |seen: &LandmarkId| {
+    let total = map.keyframe(id)?.observations.len();
+    (total > 0).then(|| ((total - needed(map, id).len()) as f64, total as f64))
+}
+
+/// The same with those that newer keyframes make up for.
+fn spared_or_made_up_for(map: &Map, camera: &CameraModel, id: KeyframeId, newest: KeyframeId) -> Option<(f64, f64)> {
+    let (needed, total) = (needed(map, id), map.keyframe(id)?.observations.len());
+    let made_up = superseded::made_up_for(map, camera, id, newest, &needed);
+    (total > 0).then(|| ((total - needed.len() + made_up) as f64, total as f64))
+}
+
+/// Landmarks of a keyframe that three others do not see, or none of them shows; ascending.
+fn needed(map: &Map, id: KeyframeId) -> Vec<LandmarkId> {
+    let is_spared = |seen: LandmarkId| {
         let shows = |k: &KeyframeId| map.keyframe(*k).is_some_and(|k| k.picture.detail(seen.0) > Detail::None);
-        let landmark = map.landmark(*seen).filter(|l| is_seen_enough(l));
+        let landmark = map.landmark(seen).filter(|l| is_seen_enough(l));
         landmark.is_some_and(|l| l.observers.iter().any(|k| *k != id && shows(k)))
     };
-    let spared = observations.landmarks().filter(is_spared).count();
-    (!observations.is_empty()).then_some((spared as f64, observations.len() as f64))
+    let seen = map.keyframe(id).map(|k| k.observations.landmarks());
+    seen.into_iter().flatten().filter(|l| !is_spared(*l)).collect()
 }
 
 /// Where a map holds more than `max_keyframes`, removes of a few keyframes, one here and one there all over the map and others each time (`turn`

@@ -153,7 +153,7 @@ impl Drive {
         let (map, config) = (&mut self.map, &self.config);
         let mut events = Vec::new();
         cull_landmarks(map, id);
-        let culled = cull_keyframes((map, MapId(0)), id, config, &mut events)
+        let culled = cull_keyframes((map, MapId(0)), id, (&self.lens, &self.held), config, &mut events)
             + thin_out((map, MapId(0)), id, (config.max_keyframes, &self.held), &mut self.thinned, &mut events);
         self.removed.extend(events.iter().filter_map(|event| match event {
             TrajectoryEvent::KeyframeRemoved { keyframe, parent, .. } => Some((*keyframe, *parent)),

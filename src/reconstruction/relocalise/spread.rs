@@ -15,13 +15,9 @@ pub fn shows_a_place(found: &[Match], camera: &CameraModel) -> bool {
 
 /// Parts of the picture in which something was found.
 fn parts_seen(found: &[Match], camera: &CameraModel) -> usize {
-    let [columns, rows] = PARTS;
     let mut seen = [false; PARTS[0] * PARTS[1]];
     for m in found {
-        let share = |at: f32, size: u32, parts: usize| {
-            ((f64::from(at) / f64::from(size) * parts as f64).max(0.0) as usize).min(parts - 1)
-        };
-        seen[share(m.pixel.y, camera.height, rows) * columns + share(m.pixel.x, camera.width, columns)] = true;
+        seen[camera.part_of(&m.pixel.cast(), PARTS)] = true;
     }
     seen.iter().filter(|seen| **seen).count()
 }
