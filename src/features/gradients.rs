@@ -130,16 +130,12 @@ impl GradientMap {
         for (dy, windows) in (-TURN_RADIUS..=TURN_RADIUS).zip(&tables.turn_window) {
             // A corner is `BORDER` from the edge, which is more.
             let begin = (cy + dy) as usize * self.width + (cx - TURN_RADIUS) as usize;
-            let row = begin..begin + TURN_SIDE;
-            // As on a chessboard: places that are the root of two apart, below the smoothing's sigma.
-            let others = (dy & 1) as usize;
-            let row = &self.gradients[row];
-            for k in (others..TURN_SIDE).step_by(2) {
-                let [size, angle] = row[k];
+            let row = &self.gradients[begin..begin + TURN_SIDE];
+            for (window, [size, angle]) in windows.iter().zip(row) {
                 let at = angle * (TURNS as f32 / TAU);
                 // Half of a direction is shared out alike, whichever is the nearest below.
                 let low = nearest((at - 0.5).max(0.0));
-                let strength = windows[k] * size;
+                let strength = window * size;
                 let to_high = strength * (at - low as f32);
                 bins[low as usize % BINS] += strength - to_high;
                 bins[(low as usize + 1) % BINS] += to_high;

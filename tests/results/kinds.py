@@ -294,6 +294,8 @@ def places_known(data, short):
         return f"TRIALS={trials} cargo {test} -- --ignored --nocapture --test-threads 1 --exact {name}"
 
     few = 4 if short else 100
+    drive = f"{OUT}/loops-drive"
+    make = f"rm -rf {drive}\ncairn simulate --scenario three_rooms --seconds {15 if short else 150} --output {drive} >&2"
     return [
         Step("Places of a room", of(known, "rooms::table", few),
              "Rooms of the simulator from seed 501 on, ten trials each, 320 x 240 pixels at 30 Hz, mapped in one lap. Kidnapped: the lens is covered for "
@@ -302,6 +304,8 @@ def places_known(data, short):
         Step("Long drives", of(known, "rooms::drives", few),
              "A room each. Carried: one of three rooms is mapped, the lens is covered, and the robot drives on from somewhere on the way back through the others. "
              "Alike: 60 m through three rooms that are the same but for three things each. A loop is wrong that ties places more than 3 m apart."),
+        Step("What loops cost a pose", f"{make}\ntests/results/loops.py {1 if short else 3} {drive}",
+             "Replays of 60 m through three rooms at the camera's pace, with `[reconstruction] loops` and without, by turns."),
         Step("Recordings in their own maps", of(known, "recordings::own_maps", 8 if short else 160),
              "From shuffled starts, against the poses of the mapping run at its end."),
         Step("Killed while it writes", of(maps, "kills", 6 if short else 200), build=f"{maps} --no-run"),
