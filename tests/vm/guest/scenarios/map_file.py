@@ -47,7 +47,8 @@ def after_a_cut(stage):
         return {**cut, "left": "nothing"}
     check(os.path.exists(FILE), "the map's file is gone")
     told = info()
-    lost = cut["at_s"] - float(told["newest_frame_s"])
+    newest = float(told["newest_frame_s"])
+    lost = cut["at_s"] - newest
     check(lost <= MOST_LOST_S, f"{lost:.2f} s of the map are lost by cut {stage.phase}: {cut}, newest {newest}")
     # The map is written every two seconds: what is newer than one is of the write that was cut.
     return {**cut, "left": "the write" if lost < 1.0 else "what was before", "lost_s": lost, "keyframes": sum(m["keyframes"] for m in told["maps"])}
