@@ -11,7 +11,7 @@
 //! recently used of [`REMEMBERED`] giving way: nothing is paid while tracking works. A condensed keyframe's are those that were kept with its
 //! landmarks' views ([`View`](crate::map::view::View)), in it and in others.
 //!
-//! Cost: some ten milliseconds for the frame, and as much for each keyframe that is new; a few for each comparison, 0.2 to 1 ms for the
+//! Cost: some seven milliseconds for the frame, and as much for each keyframe that is new; a few for each comparison, 0.2 to 1 ms for the
 //! pose where enough corners match. Not here: an index over thousands of keyframes (loop closing's).
 
 use nalgebra::Vector2;
