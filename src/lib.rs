@@ -67,7 +67,7 @@
 //!   pose that they carry on, `DEAD_RECKONING`, within limits of time, way and doubt (`reconstruction::blind`). When the picture is back the smooth pose goes on,
 //!   and where nothing of the map is in view the same map does, by a start that is brought in at the dead-reckoned place.
 //! - A keyframe goes where three others see its landmarks, or newer ones of the same place see as many others (`keyframe::superseded`): a map of a place that
-//!   changes does not grow with time. Beyond `max_keyframes` it is thinned.
+//!   changes grows little with time. Beyond `max_keyframes` it is thinned.
 //! - A map that was lost is kept while the next one grows, recognised from its keyframes as a lost frame is, and joined to it: the old one is
 //!   carried over into the present one, so that no published pose jumps and neither map number nor reset counter goes back.
 //!   A stored map that a command merges waits in the same way, and older keyframes of the present one are looked for in it as well, so that a robot that stands
