@@ -199,7 +199,7 @@ fn best_along(line: &Segment, corner: &FreeCorner, others: &[FreeCorner], beside
 }
 
 /// Median distance of a keyframe's landmarks, map units.
-fn median_distance(map: &Map, keyframe: &Keyframe) -> Option<f64> {
+pub(super) fn median_distance(map: &Map, keyframe: &Keyframe) -> Option<f64> {
     let centre = keyframe.centre();
     let measured = |id| map.landmark(id).filter(|l| l.assumed.is_none());
     let distances = keyframe.observations.landmarks().filter_map(|id| Some((measured(id)?.position - centre).norm()));

@@ -10,7 +10,7 @@
 use nalgebra::Vector3;
 
 use super::YOUNG_KEYFRAMES;
-use super::epipolar::MIN_SHARED;
+use super::epipolar::{MIN_SHARED, median_distance};
 use crate::geometry::CameraModel;
 use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map};
 
@@ -76,14 +76,6 @@ fn is_later(map: &Map, id: KeyframeId, other: KeyframeId, newest: KeyframeId) ->
 /// Its place rests on what was seen alone, and it was found in most of the frames that looked for it.
 fn is_proven(landmark: &Landmark) -> bool {
     landmark.assumed.is_none() && 2 * landmark.found >= landmark.sought
-}
-
-fn median_distance(map: &Map, keyframe: &Keyframe) -> Option<f64> {
-    let centre = keyframe.centre();
-    let seen = keyframe.observations.landmarks().filter_map(|l| map.landmark(l));
-    let mut distances: Vec<f64> = seen.map(|l| (l.position - centre).norm()).collect();
-    let middle = distances.len() / 2;
-    (!distances.is_empty()).then(|| *distances.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
 fn looks_alike(position: &Vector3<f64>, from: &Vector3<f64>, other: &Vector3<f64>) -> bool {
