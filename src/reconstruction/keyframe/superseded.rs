@@ -12,7 +12,7 @@ use nalgebra::Vector3;
 use super::YOUNG_KEYFRAMES;
 use super::epipolar::{MIN_SHARED, median_distance};
 use crate::geometry::CameraModel;
-use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map};
+use crate::map::{KeyframeId, Landmark, LandmarkId, Map};
 
 /// Another time: so many keyframes of this run later at the least, and so many seconds (clocks of different boots differ by anything).
 const LATER_KEYFRAMES: u32 = 30;
@@ -94,7 +94,7 @@ mod tests {
     use super::*;
     use crate::geometry::Se3;
     use crate::geometry::random::Random;
-    use crate::map::{MapId, Observation, examples};
+    use crate::map::{Keyframe, MapId, Observation, examples};
     use crate::reconstruction::config::ReconstructionConfig;
 
     /// An old keyframe that sees 100 landmarks alone, and newer ones that are `moved` and see so many others in its picture, all over or left of its middle;
