@@ -18,7 +18,7 @@ pub mod seen;
 use nalgebra::{Unit, Vector3};
 
 use super::hand_eye::Robot;
-use super::scale::ScaleMeasurement;
+use super::scale::{ScaleFusion, ScaleMeasurement};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::ros_from_optical;
@@ -180,6 +180,14 @@ impl Floor {
     /// The floor around the newest keyframes of this map, in its unit of now.
     pub fn plane(&self, map: MapId) -> Option<&Plane> {
         self.believed.as_ref().filter(|_| self.map == map)
+    }
+
+    /// The floor under `camera` (its centre), for an adjustment of the map's part that tells metres, and how high cameras are above it there, map units: what
+    /// all sources together make of the height.
+    pub fn held(&self, map: MapId, fusion: &ScaleFusion, camera: &Vector3<f64>) -> Option<(Plane, f64)> {
+        let ((log, ..), own) = fusion.fused().zip(fusion.word(ScaleSource::Height))?;
+        let plane = self.plane(map).filter(|plane| self.part.is_none() && plane.carries(camera))?;
+        Some((*plane, self.config.camera_height_m * (log - own).exp()))
     }
 
     /// Why the newest keyframe told none.

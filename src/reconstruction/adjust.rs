@@ -9,6 +9,8 @@ pub mod job;
 pub mod mapper;
 
 use super::Reconstruction;
+use crate::map::Keyframe;
+use crate::motion::floor::Floor;
 use job::{Adjustment, AdjustmentResult, MappingJob, MappingResult};
 use mapper::Merge;
 
@@ -43,6 +45,11 @@ impl Reconstruction {
                 job.hold_lengths(&active.map, |from_ns, to_ns| self.wheels.held(&active.fusion, from_ns, to_ns));
                 let tags = self.tags.as_ref().map_or_else(Vec::new, |tags| tags.held(&active.map, &active.fusion));
                 job.hold_tags(&active.map, &optics.camera, &optics.shutter, &tags);
+                let centre = active.map.keyframe(newest).map(Keyframe::centre);
+                let under = |floor: &Floor| floor.held(active.id, &active.fusion, &centre?);
+                if let Some((plane, height)) = self.floor.as_ref().and_then(under) {
+                    job.hold_floor(&active.map, &plane, height);
+                }
             }
             self.mapper.post(MappingJob::Adjust(Box::new(job)), self.counters.frames);
         }

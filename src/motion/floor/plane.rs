@@ -13,7 +13,7 @@
 //! Lengths in the tests are shares of H, so they mean the same in any unit. Cost: 2 ms for 400 landmarks, 40 cameras (200 candidates).
 //! Deliberately not here: ramps and thresholds in the house (the cameras would not keep one height), floors that are no planes.
 
-use nalgebra::{Matrix3, Matrix4, Unit, Vector3, Vector4};
+use nalgebra::{Matrix3, Matrix4, Unit, UnitQuaternion, Vector3, Vector4};
 
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
@@ -63,6 +63,20 @@ impl Plane {
         (self.height_of(camera) / self.height - 1.0).abs() <= MOST_OFF
     }
 
+    /// A landmark lies on it, as far as both are known.
+    pub fn bears(&self, point: &FloorPoint) -> bool {
+        let plane = Candidate { normal: self.normal, floor: self.offset, cameras: self.offset + self.height };
+        plane.side(point) == 1
+    }
+
+    /// Axes on it below `point`: z is the height above it.
+    pub fn floor_from_world(&self, point: &Vector3<f64>) -> Se3<Camera, World> {
+        let rotation = UnitQuaternion::rotation_between(&self.normal, &Vector3::z())
+            .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
+        let foot = point - self.normal * self.height_of(point);
+        Se3::new(rotation, -(rotation * foot))
+    }
+
     /// Lengths are `factor` times as long from now on.
     pub fn rescale(&mut self, factor: f64) {
         self.offset *= factor;
@@ -110,13 +124,13 @@ const CANDIDATES: usize = 200;
 /// Landmarks on the plane at the least.
 const LEAST_LANDMARKS: usize = 15;
 /// How even a floor is, one sigma, as a share of the camera's height: carpets' edges, sills, and what poses share of their error.
-const EVENNESS: f64 = 0.015;
+pub const EVENNESS: f64 = 0.015;
 /// A landmark is on the plane within so many of its sigmas.
 const ON_SIGMAS: f64 = 3.0;
 /// A landmark whose place across the plane is less sure than this share of the height says nothing.
 const MOST_LANDMARK_SIGMA: f64 = 0.05;
 /// A camera on wheels keeps its height to this share (one sigma), and a plane above which it strays by more than the second is no floor.
-const KEEPS_HEIGHT: f64 = 0.02;
+pub const KEEPS_HEIGHT: f64 = 0.02;
 const MOST_STRAY: f64 = 0.05;
 /// A camera whose height differs from the floor's by more than this share of it is above another one, or carried: twice what may stray.
 const MOST_OFF: f64 = 0.1;

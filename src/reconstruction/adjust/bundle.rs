@@ -11,6 +11,7 @@
 
 use crate::geometry::least_squares::{LmOptions, minimise};
 
+mod floor;
 mod globals;
 mod lengths;
 mod normal_equations;
@@ -19,6 +20,7 @@ mod problem;
 mod targets;
 mod uncertainty;
 
+pub use floor::HeldFloor;
 pub use globals::{GLOBALS, Globals, INTRINSICS, IntrinsicsJacobian, IntrinsicsVector, READOUT, WITHOUT_DISTORTION};
 pub use lengths::KnownLength;
 use normal_equations::Adjustment;

@@ -9,12 +9,13 @@
 use nalgebra::{SVector, Vector2, Vector3};
 
 use super::bundle::{
-    BundleObservation, BundleOptions, BundleProblem, Globals, INTRINSICS, IntrinsicsJacobian, IntrinsicsVector,
+    BundleObservation, BundleOptions, BundleProblem, Globals, HeldFloor, INTRINSICS, IntrinsicsJacobian, IntrinsicsVector,
     KnownLength, READOUT, TargetCorner,
 };
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
-use crate::map::{KeyframeId, LandmarkId, Map, Observation};
+use crate::map::{Keyframe, KeyframeId, LandmarkId, Map, Observation};
+use crate::motion::floor::plane::{EVENNESS, FloorPoint, KEEPS_HEIGHT, Plane};
 use crate::motion::tag::HeldTag;
 use crate::places::loops::{ClosedLoop, LoopClosure};
 use crate::reconstruction::config::ReconstructionConfig;
@@ -239,6 +240,31 @@ impl Adjustment {
                 self.problem.lengths.push(KnownLength { cameras: [i as u32 - 1, i as u32], length, sigma });
             }
         }
+    }
+
+    /// Lets cameras keep their height (map units) above the floor, and landmarks on it lie on one plane, in the part of the map that tells metres.
+    pub fn hold_floor(&mut self, map: &Map, plane: &Plane, height: f64) {
+        let tells = |id: &KeyframeId| map.keyframe(*id).filter(|k| k.scale_from.is_none() && plane.carries(&k.centre()));
+        let cameras: Vec<usize> = (0..self.keyframes.len()).filter(|i| tells(&self.keyframes[*i]).is_some()).collect();
+        if cameras.iter().all(|i| self.problem.fixed[*i]) {
+            return;
+        }
+        let bears = |id: &LandmarkId| {
+            let landmark = map.landmark(*id);
+            landmark.is_some_and(|l| plane.bears(&FloorPoint { position: l.position, covariance: l.covariance }))
+        };
+        let under = map.keyframe(self.keyframes[self.newest]).map_or_else(Vector3::zeros, Keyframe::centre);
+        let state = &mut self.problem.state;
+        self.problem.floor = Some(HeldFloor {
+            pose: state.poses.len() as u32,
+            height,
+            height_sigma: KEEPS_HEIGHT * height,
+            cameras: cameras.iter().map(|i| *i as u32).collect(),
+            evenness: EVENNESS * height,
+            carries: self.landmarks.iter().map(bears).collect(),
+        });
+        state.poses.push(plane.floor_from_world(&under));
+        self.problem.fixed.push(false);
     }
 
     /// Lets tags of known size take part where cameras that move see them: the place of each is one more unknown. To be said last.

@@ -18,7 +18,7 @@ use crate::reconstruction::measurement::jacobian_rows;
 const FIXED: usize = usize::MAX;
 type Matrix6x3 = SMatrix<f64, 6, 3>;
 /// Derivatives of a residual's x and y by N unknowns.
-type Rows<const N: usize> = [SVector<f64, N>; 2];
+pub(super) type Rows<const N: usize> = [SVector<f64, N>; 2];
 
 /// A bundle adjustment with its first `W` global parameters: one, or all of them.
 pub(super) struct Adjustment<'a, const W: usize> {
@@ -183,6 +183,50 @@ impl<'p, const W: usize> Adjustment<'p, W> {
         }
     }
 
+    /// A point that lies on the floor.
+    fn add_floor_point(
+        &self,
+        state: &BundleState,
+        rotations: &[Matrix3<f64>],
+        point: usize,
+        block: &mut PointBlock<W>,
+        system: &mut System<W>,
+    ) {
+        let Some(held) = self.problem.floor.as_ref().filter(|held| held.carries[point]) else { return };
+        let pose = held.pose as usize;
+        let term = held.point_term(&state.poses[pose], &rotations[pose], &state.points[point]);
+        add_product(&mut block.own, term.weight, &term.by_other, &term.by_other);
+        add_product(&mut block.gradient, term.weight, &term.by_other, &term.residual);
+        let floor = &mut system.cameras[self.slot[pose]];
+        add_product(&mut floor.own, term.weight, &term.by_floor, &term.by_floor);
+        add_product(&mut floor.gradient, term.weight, &term.by_floor, &term.residual);
+        let mut cross = Matrix6x3::zeros();
+        add_product(&mut cross, term.weight, &term.by_floor, &term.by_other);
+        system.cross.push((self.slot[pose], cross));
+    }
+
+    /// Cameras that keep their height above the floor.
+    fn add_heights(&self, state: &BundleState, rotations: &[Matrix3<f64>], system: &mut System<W>) {
+        let Some(held) = &self.problem.floor else { return };
+        let pose = held.pose as usize;
+        for camera in held.cameras.iter().map(|camera| *camera as usize) {
+            let term = held.camera_term((&state.poses[pose], &rotations[pose]), (&state.poses[camera], &rotations[camera]));
+            let slots = [pose, camera].map(|pose| self.slot[pose]);
+            for (slot, by_pose) in slots.into_iter().zip([&term.by_floor, &term.by_other]) {
+                if let Some(block) = system.cameras.get_mut(slot) {
+                    add_product(&mut block.own, term.weight, by_pose, by_pose);
+                    add_product(&mut block.gradient, term.weight, by_pose, &term.residual);
+                }
+            }
+            let [floor, camera] = slots;
+            if camera != FIXED {
+                let mut between = Matrix6::zeros();
+                add_product(&mut between, term.weight, &term.by_floor, &term.by_other);
+                system.pairs.push((floor, camera, between));
+            }
+        }
+    }
+
     /// `rotation`: of the camera. `None` for a point behind it.
     #[inline]
     fn observation(
@@ -248,11 +292,13 @@ impl<const W: usize> LeastSquares for Adjustment<'_, W> {
                     system.cross.push((self.slot[camera], cross));
                 }
             }
+            self.add_floor_point(state, &rotations, i, &mut block, &mut system);
             block.cross_end = system.cross.len();
             system.points.push(block);
         }
         self.add_lengths(state, &mut system);
         self.add_corners(state, &rotations, &mut system);
+        self.add_heights(state, &rotations, &mut system);
         system
     }
 
@@ -262,6 +308,7 @@ impl<const W: usize> LeastSquares for Adjustment<'_, W> {
         let behind = BEHIND_CAMERA * self.limit * self.limit;
         let mut cost = self.problem.globals.prior_cost(&state.globals);
         cost += self.problem.lengths.iter().map(|length| length.cost(&state.poses)).sum::<f64>();
+        cost += self.problem.floor.as_ref().map_or(0.0, |held| held.cost(&state.poses, &state.points));
         for (i, point) in state.points.iter().enumerate() {
             for k in self.problem.inliers(i) {
                 let residual = self.problem.residual(state, point, k);

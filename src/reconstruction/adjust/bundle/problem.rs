@@ -2,6 +2,7 @@
 
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
+use super::floor::HeldFloor;
 use super::globals::{GlobalMatrix, GlobalVector, Globals, READOUT};
 use super::lengths::KnownLength;
 use super::targets::TargetCorner;
@@ -27,7 +28,7 @@ pub struct BundleObservation {
 /// What is adjusted.
 #[derive(Debug, Clone, Default)]
 pub struct BundleState {
-    /// `camera_from_world` of each camera, then `target_from_world` of each target.
+    /// `camera_from_world` of each camera, then `target_from_world` of each target and `floor_from_world`.
     pub poses: Vec<Se3<Camera, World>>,
     /// World coordinates.
     pub points: Vec<Vector3<f64>>,
@@ -48,6 +49,8 @@ pub struct BundleProblem {
     pub globals: Globals,
     /// What the wheels know of distances between cameras.
     pub lengths: Vec<KnownLength>,
+    /// The floor that cameras drive on, where their height is known.
+    pub floor: Option<HeldFloor>,
     /// Set by the adjustment: false = judged an outlier.
     pub inlier: Vec<bool>,
     /// Set by the adjustment: covariance of each point with the cameras held fixed, map units squared.
