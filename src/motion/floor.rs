@@ -86,6 +86,16 @@ pub fn roll_pitch(up_camera: &Unit<Vector3<f64>>) -> (f64, f64) {
     (up.y.atan2(up.z), -up.x.clamp(-1.0, 1.0).asin())
 }
 
+/// The floor under a robot, for an adjustment.
+#[derive(Debug, Clone, Copy)]
+pub struct DrivenFloor<'a> {
+    pub plane: Plane,
+    /// Of cameras above it, map units, as all that tells the scale has it together.
+    pub height: f64,
+    /// What the newest keyframes saw, on the floor or not.
+    pub landmarks: &'a [LandmarkId],
+}
+
 /// What is known of the floor.
 #[derive(Debug, Clone)]
 pub struct Floor {
@@ -104,7 +114,8 @@ pub struct Floor {
     refused: Option<NoFloor>,
     /// Keyframes since the last word; `None`: there was none.
     since_word: Option<usize>,
-    /// Made anew at each keyframe.
+    /// Made anew at each keyframe: the landmarks that it asked, the newest first.
+    landmarks: Vec<LandmarkId>,
     points: Vec<FloorPoint>,
 }
 
@@ -124,6 +135,7 @@ impl Floor {
             up_found: None,
             refused: None,
             since_word: None,
+            landmarks: Vec::new(),
             points: Vec::new(),
         })
     }
@@ -182,12 +194,12 @@ impl Floor {
         self.believed.as_ref().filter(|_| self.map == map)
     }
 
-    /// The floor under `camera` (its centre), for an adjustment of the map's part that tells metres, and how high cameras are above it there, map units: what
-    /// all sources together make of the height.
-    pub fn held(&self, map: MapId, fusion: &ScaleFusion, camera: &Vector3<f64>) -> Option<(Plane, f64)> {
+    /// The floor under `camera` (its centre), for an adjustment of the map's part that tells metres.
+    pub fn driven(&self, map: MapId, fusion: &ScaleFusion, camera: &Vector3<f64>) -> Option<DrivenFloor<'_>> {
         let ((log, ..), own) = fusion.fused().zip(fusion.word(ScaleSource::Height))?;
         let plane = self.plane(map).filter(|plane| self.part.is_none() && plane.carries(camera))?;
-        Some((*plane, self.config.camera_height_m * (log - own).exp()))
+        let height = self.config.camera_height_m * (log - own).exp();
+        Some(DrivenFloor { plane: *plane, height, landmarks: &self.landmarks })
     }
 
     /// Why the newest keyframe told none.
@@ -223,13 +235,16 @@ impl Floor {
         seen.sort_unstable();
         seen.dedup();
         let tells = |id: &LandmarkId| {
-            let l = map.landmark(*id)?;
-            let sure = l.assumed.is_none() && l.observers.len() >= LEAST_OBSERVERS;
-            (sure && l.covariance.iter().all(|v| v.is_finite()))
-                .then_some(FloorPoint { position: l.position, covariance: l.covariance })
+            let l = map.landmark(*id).filter(|l| l.assumed.is_none() && l.observers.len() >= LEAST_OBSERVERS)?;
+            let point = FloorPoint { position: l.position, covariance: l.covariance };
+            l.covariance.iter().all(|v| v.is_finite()).then_some((*id, point))
         };
+        self.landmarks.clear();
         self.points.clear();
-        self.points.extend(seen.iter().rev().filter_map(tells).take(LANDMARKS));
+        for (id, point) in seen.iter().rev().filter_map(tells).take(LANDMARKS) {
+            self.landmarks.push(id);
+            self.points.push(point);
+        }
         let cameras: Vec<Se3<Camera, World>> = keyframes.iter().map(|k| k.camera_from_world).collect();
         // Behind a turn a floor that was found is still there, and the camera sits as it did.
         let (prior, least) = match self.up_found.filter(|_| last.scale_from.is_some()) {

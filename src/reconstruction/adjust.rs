@@ -10,7 +10,6 @@ pub mod mapper;
 
 use super::Reconstruction;
 use crate::map::Keyframe;
-use crate::motion::floor::Floor;
 use job::{Adjustment, AdjustmentResult, MappingJob, MappingResult};
 use mapper::Merge;
 
@@ -46,9 +45,9 @@ impl Reconstruction {
                 let tags = self.tags.as_ref().map_or_else(Vec::new, |tags| tags.held(&active.map, &active.fusion));
                 job.hold_tags(&active.map, &optics.camera, &optics.shutter, &tags);
                 let centre = active.map.keyframe(newest).map(Keyframe::centre);
-                let under = |floor: &Floor| floor.held(active.id, &active.fusion, &centre?);
-                if let Some((plane, height)) = self.floor.as_ref().and_then(under) {
-                    job.hold_floor(&active.map, &plane, height);
+                let floor = self.floor.as_ref().zip(centre);
+                if let Some(floor) = floor.and_then(|(floor, at)| floor.driven(active.id, &active.fusion, &at)) {
+                    job.hold_floor(&active.map, &floor);
                 }
             }
             self.mapper.post(MappingJob::Adjust(Box::new(job)), self.counters.frames);

@@ -122,7 +122,7 @@ pub enum NoFloor {
 /// Candidates that are drawn. With a third of the landmarks below the camera on the floor, one in 27 is good.
 const CANDIDATES: usize = 200;
 /// Landmarks on the plane at the least.
-const LEAST_LANDMARKS: usize = 15;
+pub const LEAST_LANDMARKS: usize = 15;
 /// How even a floor is, one sigma, as a share of the camera's height: carpets' edges, sills, and what poses share of their error.
 pub const EVENNESS: f64 = 0.015;
 /// A landmark is on the plane within so many of its sigmas.
@@ -132,6 +132,8 @@ const MOST_LANDMARK_SIGMA: f64 = 0.05;
 /// A camera on wheels keeps its height to this share (one sigma), and a plane above which it strays by more than the second is no floor.
 pub const KEEPS_HEIGHT: f64 = 0.02;
 const MOST_STRAY: f64 = 0.05;
+/// And its tilt, one sigma, rad: it nods as it starts and stops.
+pub const KEEPS_TILT_RAD: f64 = 0.01;
 /// A camera whose height differs from the floor's by more than this share of it is above another one, or carried: twice what may stray.
 const MOST_OFF: f64 = 0.1;
 /// A landmark farther beneath than this share of the height, and than its sigmas, is beneath; such a share of those on the plane is let pass:
@@ -318,7 +320,7 @@ fn fit(
 }
 
 /// Two unit vectors across a third.
-fn basis(normal: &Unit<Vector3<f64>>) -> (Vector3<f64>, Vector3<f64>) {
+pub fn basis(normal: &Unit<Vector3<f64>>) -> (Vector3<f64>, Vector3<f64>) {
     let axis = if normal.x.abs() < 0.6 { Vector3::x() } else { Vector3::y() };
     let e1 = (axis - normal.into_inner() * normal.dot(&axis)).normalize();
     (e1, normal.cross(&e1))

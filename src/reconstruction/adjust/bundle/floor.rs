@@ -1,23 +1,28 @@
-//! The floor under a camera of known height: cameras that keep one height above a plane, and landmarks that lie on it.
+//! The floor under a driven camera: cameras that keep height and tilt above a plane, and landmarks that lie on it.
 //!
-//! The floor is one more pose of the state, behind the cameras' and beside the targets': `floor_from_world`, whose z is the height above it. With
-//! `q = T_floor x` the residual of a landmark x is `q_z / s_p`, that of a camera with its centre c `(q_z - h) / s_h`. By left perturbations `[w, v]` of the floor
-//! the derivative of `q_z` is `[q_y, -q_x, 0, 0, 0, 1]`, by x it is the floor's third row r, and by `[w, v]` of a camera `[0, -R_k r]`. Turning about the normal and
-//! sliding along the plane move nothing. As a height is a length, it holds the scale, and upright what turns slowly. Cauchy's loss: what stands near
-//! the floor is not on it, and sills are not carpets.
+//! The floor is one more pose of the state, behind the cameras' and beside the targets': `floor_from_world` (rotation R, third row r), whose z is the height
+//! above it. Residuals, with `q = T_floor x`: of a landmark x on it `q_z / s`; of a camera with its centre x `(q_z - h) / s_h`, and of its tilt
+//! `[b1 b2]' u / s_t` with the floor's normal `u = R_k r` in its axes and b1, b2 across the one that it should be. By left perturbations `[w, v]` of
+//! the floor `dq_z = [q_y, -q_x, 0, 0, 0, 1]`, by x it is r, by those of camera k `[0, -R_k r]`; `d(b'u)` is `u x b` by the camera's w and `-e_z x (R R_k' b)` by the
+//! floor's. Turning about the normal and sliding along the plane move nothing.
+//!
+//! A height is a length, so it holds the scale; and it parts rising from nodding, which look alike before a distant wall. Robots on wheels: Zheng and
+//! Liu, "Visual-Odometric Localization and Mapping for Ground Vehicles Using SE(2)-XYZ Constraints", ICRA 2019. Cauchy's loss: what stands near the
+//! floor is not on it, and there are sills.
 
-use nalgebra::{Matrix3, Vector1, Vector3, Vector6};
+use nalgebra::{Matrix3, Unit, Vector1, Vector2, Vector3, Vector6};
 
 use super::normal_equations::Rows;
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::least_squares::Loss;
+use crate::motion::floor::plane::basis;
 
-/// Standard deviations at which a height begins to be doubted.
+/// Standard deviations at which a height or a tilt begins to be doubted.
 const LOSS: Loss = Loss::Cauchy(2.0);
 
 /// A plane that cameras are driven over. Lengths in map units.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub struct HeldFloor {
     /// Index of its pose.
     pub pose: u32,
@@ -26,14 +31,19 @@ pub struct HeldFloor {
     pub height_sigma: f64,
     /// Cameras that drive on it: their indices.
     pub cameras: Vec<u32>,
+    /// The floor's normal in the cameras' axes, and how steadily cameras keep that, one sigma, rad.
+    pub up_camera: Unit<Vector3<f64>>,
+    pub tilt_sigma: f64,
     /// How even it is, one sigma.
     pub evenness: f64,
     /// Of each point: it lies on the floor.
     pub carries: Vec<bool>,
+    /// Points on it that stay where they are.
+    pub around: Vec<Vector3<f64>>,
 }
 
-/// A residual and its derivatives by the floor's pose and by what lies or drives there.
-pub(super) struct HeightTerm<const N: usize> {
+/// Residuals and their derivatives by the floor's pose and by what lies or drives there.
+pub(super) struct FloorTerm<const N: usize> {
     pub residual: Rows<1>,
     pub weight: f64,
     pub by_floor: Rows<6>,
@@ -54,9 +64,14 @@ impl HeldFloor {
     }
 
     /// The term of a point on the floor; `rotation`: of the floor's pose.
-    pub(super) fn point_term(&self, floor: &Se3<Camera, World>, rotation: &Matrix3<f64>, point: &Vector3<f64>) -> HeightTerm<3> {
+    pub(super) fn point_term(
+        &self,
+        floor: &Se3<Camera, World>,
+        rotation: &Matrix3<f64>,
+        point: &Vector3<f64>,
+    ) -> FloorTerm<3> {
         let by_point = rotation.row(2).transpose();
-        HeightTerm::new(self.of_point(floor, point), self.evenness, by_floor(&floor.transform(point)), by_point)
+        FloorTerm::new(self.of_point(floor, point), self.evenness, by_floor(&floor.transform(point)), by_point)
     }
 
     /// The term of a camera above the floor; rotations: of both poses.
@@ -64,23 +79,52 @@ impl HeldFloor {
         &self,
         (floor, floor_rotation): (&Se3<Camera, World>, &Matrix3<f64>),
         (camera, rotation): (&Se3<Camera, World>, &Matrix3<f64>),
-    ) -> HeightTerm<6> {
+    ) -> FloorTerm<6> {
         let along = -(rotation * floor_rotation.row(2).transpose());
         let by_camera = Vector6::new(0.0, 0.0, 0.0, along.x, along.y, along.z);
         let q = floor.transform(&camera.inverse().translation);
-        HeightTerm::new(self.of_camera(floor, camera), self.height_sigma, by_floor(&q), by_camera)
+        FloorTerm::new(self.of_camera(floor, camera), self.height_sigma, by_floor(&q), by_camera)
+    }
+
+    fn tilt(&self, floor: &Se3<Camera, World>, camera: &Se3<Camera, World>) -> Vector2<f64> {
+        let (b1, b2) = basis(&self.up_camera);
+        let up = camera.rotation * (floor.rotation.inverse() * Vector3::z());
+        Vector2::new(b1.dot(&up), b2.dot(&up)) / self.tilt_sigma
+    }
+
+    /// The term of a camera's tilt against the floor; rotations: of both poses.
+    pub(super) fn tilt_term(
+        &self,
+        (floor, floor_rotation): (&Se3<Camera, World>, &Matrix3<f64>),
+        (camera, rotation): (&Se3<Camera, World>, &Matrix3<f64>),
+    ) -> FloorTerm<6> {
+        let residual = self.tilt(floor, camera);
+        let up = rotation * floor_rotation.row(2).transpose();
+        let (b1, b2) = basis(&self.up_camera);
+        let turn = |w: Vector3<f64>| Vector6::new(w.x, w.y, w.z, 0.0, 0.0, 0.0) / self.tilt_sigma;
+        let by_camera = |b: &Vector3<f64>| turn(up.cross(b));
+        let by_floor = |b: &Vector3<f64>| turn(-Vector3::z().cross(&(floor_rotation * rotation.tr_mul(b))));
+        FloorTerm {
+            residual: [Vector1::new(residual.x), Vector1::new(residual.y)],
+            weight: LOSS.evaluate(residual.norm_squared()).1,
+            by_floor: [by_floor(&b1), by_floor(&b2)],
+            by_other: [by_camera(&b1), by_camera(&b2)],
+        }
     }
 
     /// Of everything on the floor.
     pub(super) fn cost(&self, poses: &[Se3<Camera, World>], points: &[Vector3<f64>]) -> f64 {
         let floor = &poses[self.pose as usize];
-        let of_points = points.iter().zip(&self.carries).filter(|(_, on)| **on).map(|(point, _)| self.of_point(floor, point));
-        let of_cameras = self.cameras.iter().map(|camera| self.of_camera(floor, &poses[*camera as usize]));
-        of_points.chain(of_cameras).map(|e| LOSS.evaluate(e * e).0).sum()
+        let on = points.iter().zip(&self.carries).filter(|(_, on)| **on).map(|(point, _)| point);
+        let of_points = on.chain(&self.around).map(|point| self.of_point(floor, point));
+        let cameras = || self.cameras.iter().map(|camera| &poses[*camera as usize]);
+        let heights = of_points.chain(cameras().map(|camera| self.of_camera(floor, camera))).map(|e| e * e);
+        let tilts = cameras().map(|camera| self.tilt(floor, camera).norm_squared());
+        heights.chain(tilts).map(|squared| LOSS.evaluate(squared).0).sum()
     }
 }
 
-impl<const N: usize> HeightTerm<N> {
+impl<const N: usize> FloorTerm<N> {
     fn new(residual: f64, sigma: f64, by_floor: Vector6<f64>, by_other: nalgebra::SVector<f64, N>) -> Self {
         let none = Vector1::new(0.0);
         Self {
@@ -102,11 +146,23 @@ mod tests {
     fn derivatives_of_heights_agree_with_numeric_differences() {
         let mut random = Random::new(23);
         let mut vector = || Vector3::from_fn(|_, _| random.normal());
-        let mut pose = || Se3::<Camera, World>::new(UnitQuaternion::from_scaled_axis(vector()), vector());
-        let (floor, camera, point) = (pose(), pose(), pose().translation);
-        let held = HeldFloor { height: 0.5, height_sigma: 0.01, evenness: 0.02, ..HeldFloor::default() };
+        let [turns, places] = [[vector(), vector()], [vector(), vector()]];
+        let pose = |i: usize| Se3::<Camera, World>::new(UnitQuaternion::from_scaled_axis(turns[i]), places[i]);
+        let (floor, camera, point) = (pose(0), pose(1), vector());
+        let held = HeldFloor {
+            pose: 0,
+            height: 0.5,
+            height_sigma: 0.01,
+            cameras: Vec::new(),
+            up_camera: Unit::new_normalize(vector()),
+            tilt_sigma: 0.01,
+            evenness: 0.02,
+            carries: Vec::new(),
+            around: Vec::new(),
+        };
         let rotation = |pose: &Se3<Camera, World>| *pose.rotation.to_rotation_matrix().matrix();
         let of_point = held.point_term(&floor, &rotation(&floor), &point);
+        let of_tilt = held.tilt_term((&floor, &rotation(&floor)), (&camera, &rotation(&camera)));
         let of_camera = held.camera_term((&floor, &rotation(&floor)), (&camera, &rotation(&camera)));
         let step = 1e-6;
         for i in 0..6 {
@@ -121,7 +177,12 @@ mod tests {
                 (slope(&|sign| held.of_camera(&moved(&floor, sign), &camera)), of_camera.by_floor[0][i]),
                 (slope(&|sign| held.of_camera(&floor, &moved(&camera, sign))), of_camera.by_other[0][i]),
             ];
-            for (numeric, analytic) in pairs {
+            let tilts = [0, 1].map(|axis| {
+                let by_floor = slope(&|sign| held.tilt(&moved(&floor, sign), &camera)[axis]);
+                let by_camera = slope(&|sign| held.tilt(&floor, &moved(&camera, sign))[axis]);
+                [(by_floor, of_tilt.by_floor[axis][i]), (by_camera, of_tilt.by_other[axis][i])]
+            });
+            for (numeric, analytic) in pairs.into_iter().chain(tilts.into_iter().flatten()) {
                 assert!((numeric - analytic).abs() < 1e-4, "{i}: {numeric} {analytic}");
             }
         }

@@ -209,20 +209,29 @@ impl<'p, const W: usize> Adjustment<'p, W> {
     fn add_heights(&self, state: &BundleState, rotations: &[Matrix3<f64>], system: &mut System<W>) {
         let Some(held) = &self.problem.floor else { return };
         let pose = held.pose as usize;
+        for point in &held.around {
+            let term = held.point_term(&state.poses[pose], &rotations[pose], point);
+            let floor = &mut system.cameras[self.slot[pose]];
+            add_product(&mut floor.own, term.weight, &term.by_floor, &term.by_floor);
+            add_product(&mut floor.gradient, term.weight, &term.by_floor, &term.residual);
+        }
         for camera in held.cameras.iter().map(|camera| *camera as usize) {
-            let term = held.camera_term((&state.poses[pose], &rotations[pose]), (&state.poses[camera], &rotations[camera]));
+            let (floor, camera_pose) =
+                ((&state.poses[pose], &rotations[pose]), (&state.poses[camera], &rotations[camera]));
             let slots = [pose, camera].map(|pose| self.slot[pose]);
-            for (slot, by_pose) in slots.into_iter().zip([&term.by_floor, &term.by_other]) {
-                if let Some(block) = system.cameras.get_mut(slot) {
-                    add_product(&mut block.own, term.weight, by_pose, by_pose);
-                    add_product(&mut block.gradient, term.weight, by_pose, &term.residual);
+            for term in [held.camera_term(floor, camera_pose), held.tilt_term(floor, camera_pose)] {
+                for (slot, by_pose) in slots.into_iter().zip([&term.by_floor, &term.by_other]) {
+                    if let Some(block) = system.cameras.get_mut(slot) {
+                        add_product(&mut block.own, term.weight, by_pose, by_pose);
+                        add_product(&mut block.gradient, term.weight, by_pose, &term.residual);
+                    }
                 }
-            }
-            let [floor, camera] = slots;
-            if camera != FIXED {
-                let mut between = Matrix6::zeros();
-                add_product(&mut between, term.weight, &term.by_floor, &term.by_other);
-                system.pairs.push((floor, camera, between));
+                let [floor, camera] = slots;
+                if camera != FIXED {
+                    let mut between = Matrix6::zeros();
+                    add_product(&mut between, term.weight, &term.by_floor, &term.by_other);
+                    system.pairs.push((floor, camera, between));
+                }
             }
         }
     }

@@ -3,8 +3,11 @@
 use nalgebra::{DMatrix, DVector, Matrix2, UnitQuaternion, Vector2, Vector3, Vector6};
 
 use super::normal_equations::Step;
+use super::options::LEAST_PIVOT;
+use super::problem::BundleState;
 use super::*;
 use crate::geometry::Se3;
+use crate::geometry::frames::{Camera, World};
 use crate::geometry::least_squares::{Damped, LeastSquares};
 use crate::geometry::random::Random;
 
@@ -177,10 +180,13 @@ fn a_sure_prior_holds_the_focal_length() {
     assert!((p.state.globals - p.globals.expected).norm() < 1e-4);
 }
 
-/// Four cameras of which two move, twelve points, so many targets, and of the global parameters the readout time and the first `active` intrinsics.
-fn small(readout: bool, active: usize, targets: usize) -> BundleProblem {
+/// Four cameras of which two move, twelve points, so many targets, a floor if asked for, and of the global parameters the readout time and the first `active` intrinsics.
+fn small(readout: bool, active: usize, targets: usize, floor: bool) -> BundleProblem {
     let mut p = problem(3, 4, 12, 1.0);
     add_targets(&mut p, targets, 1.0);
+    if floor {
+        add_floor(&mut p);
+    }
     for (i, o) in p.observations.iter_mut().enumerate() {
         o.displacement = Vector2::new(0.3 + 0.01 * i as f64, -0.2);
     }
@@ -263,6 +269,99 @@ fn a_corner_that_is_seen_wrong_is_named() {
     assert!(!p.inlier[wrong] && seen.iter().filter(|k| !p.inlier[**k]).count() < 4, "{:?}", p.inlier);
 }
 
+/// Adds a plane below the cameras, y down, on which every third point lies; the cameras are not all at the same height above it.
+fn add_floor(p: &mut BundleProblem) {
+    let carries: Vec<bool> = (0..p.state.points.len()).map(|i| i % 3 == 0).collect();
+    let around = (0..8).map(|i| Vector3::new(f64::from(i % 3) - 1.0, 2.0, 2.0 + f64::from(i)));
+    let up = UnitQuaternion::rotation_between(&-Vector3::y(), &Vector3::z()).unwrap();
+    p.floor = Some(HeldFloor {
+        pose: p.state.poses.len() as u32,
+        height: 2.0,
+        height_sigma: 0.1,
+        cameras: (0..p.state.poses.len() as u32 - u32::from(!p.corners.is_empty())).collect(),
+        up_camera: -Vector3::y_axis(),
+        tilt_sigma: 0.1,
+        evenness: 0.5,
+        carries,
+        around: around.collect(),
+    });
+    p.state.poses.push(Se3::new(up, Vector3::new(0.0, 0.0, 2.0)));
+    p.fixed.push(false);
+}
+
+#[test]
+fn a_camera_of_known_height_brings_a_map_of_another_scale_back_to_the_truth() {
+    for seed in 1..6 {
+        let mut random = Random::new(seed);
+        let mut truth = problem(seed, 5, 60, 0.0);
+        // Cameras at one height, upright, and half of the points on the floor.
+        for pose in &mut truth.state.poses {
+            let centre = Vector3::new(pose.inverse().translation.x, 0.0, random.uniform(-0.2, 0.2));
+            let turn = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), random.uniform(-0.1, 0.1));
+            *pose = Se3::new(turn, -(turn * centre));
+        }
+        truth.state.points.iter_mut().step_by(2).for_each(|point| point.y = 1.5);
+        for i in 0..truth.state.points.len() {
+            for k in truth.range(i) {
+                let q = truth.state.poses[truth.observations[k].camera as usize].transform(&truth.state.points[i]);
+                truth.observations[k].normalised = q.xy() / q.z;
+            }
+        }
+        (truth.fixed[1], truth.fixed[0]) = (false, true);
+        let up = UnitQuaternion::rotation_between(&-Vector3::y(), &Vector3::z()).unwrap();
+        let mut p = truth.clone();
+        let held = p.state.poses[0].inverse().translation;
+        p.state.points.iter_mut().for_each(|point| *point = held + (*point - held) * 0.9);
+        for pose in &mut p.state.poses {
+            let centre = held + (pose.inverse().translation - held) * 0.9;
+            pose.translation = -(pose.rotation * centre);
+        }
+        let mut without = p.clone();
+        p.floor = Some(HeldFloor {
+            pose: 5,
+            height: 1.5,
+            height_sigma: 0.03,
+            cameras: (0..5).collect(),
+            up_camera: -Vector3::y_axis(),
+            tilt_sigma: 0.01,
+            evenness: 0.02,
+            carries: (0..60).map(|i| i % 2 == 0).collect(),
+            around: Vec::new(),
+        });
+        p.state.poses.push(Se3::new(up, Vector3::new(0.0, 0.0, 1.35)));
+        p.fixed.push(false);
+        let options = BundleOptions { steps: 60, relative_gain: 0.0, ..BundleOptions::default() };
+        p.adjust(&options);
+        without.adjust(&options);
+        let off = |p: &BundleProblem| {
+            p.state.points.iter().zip(&truth.state.points).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max)
+        };
+        assert!(off(&p) < 1e-4 && off(&without) > 0.3, "seed {seed}: {} off, {} without", off(&p), off(&without));
+    }
+}
+
+/// What the floor adds, each times the root of its weight at the problem's own state.
+fn floor_residuals(p: &BundleProblem, state: &BundleState) -> Vec<f64> {
+    let Some(held) = &p.floor else { return Vec::new() };
+    let rotation = |pose: &Se3<Camera, World>| *pose.rotation.to_rotation_matrix().matrix();
+    let at = |state: &BundleState| {
+        let floor = &state.poses[held.pose as usize];
+        let turn = rotation(floor);
+        let on = state.points.iter().zip(&held.carries).filter(|(_, on)| **on).map(|(point, _)| point);
+        let of_points = on.chain(&held.around).map(|point| held.point_term(floor, &turn, point));
+        let mut all: Vec<([f64; 2], f64)> = of_points.map(|term| (term.residual.map(|r| r.x), term.weight)).collect();
+        for camera in held.cameras.iter().map(|camera| &state.poses[*camera as usize]) {
+            let pair = ((floor, &turn), (camera, &rotation(camera)));
+            let terms = [held.camera_term(pair.0, pair.1), held.tilt_term(pair.0, pair.1)];
+            all.extend(terms.map(|term| (term.residual.map(|r| r.x), term.weight)));
+        }
+        all
+    };
+    let weighted =
+        |((residual, _), (_, weight)): (([f64; 2], f64), ([f64; 2], f64))| residual.map(|r| r * weight.sqrt());
+    at(state).into_iter().zip(at(&p.state)).flat_map(weighted).collect()
+}
+
 /// All unknowns as one vector: those of the free poses, the global parameters, 36 of the points. Residuals, those of the priors last, and
 /// their numeric Jacobian.
 fn dense<const W: usize>(p: &BundleProblem) -> (DVector<f64>, DMatrix<f64>) {
@@ -279,6 +378,7 @@ fn dense<const W: usize>(p: &BundleProblem) -> (DVector<f64>, DMatrix<f64>) {
         for (k, point) in observed.chain(corners) {
             r.extend(p.residual(&state, &point, k).unwrap().0.iter());
         }
+        r.extend(floor_residuals(p, &state));
         for i in (0..W).filter(|&i| !p.globals.is_held(i)) {
             r.push((state.globals[i] - p.globals.expected[i]) * p.globals.information[i].sqrt());
         }
@@ -289,8 +389,11 @@ fn dense<const W: usize>(p: &BundleProblem) -> (DVector<f64>, DMatrix<f64>) {
     for c in (0..n).filter(|c| !(poses..poses + W).contains(c) || !p.globals.is_held(c - poses)) {
         let mut d = DVector::zeros(n);
         d[c] = 1e-6;
-        let column = (residuals(&d) - residuals(&-&d)) / 2e-6;
-        j.set_column(c, &column);
+        let column: DVector<f64> = (residuals(&d) - residuals(&-&d)) / 2e-6;
+        // What moves nothing but rounding moves nothing.
+        if column.norm() > 1e-6 {
+            j.set_column(c, &column);
+        }
     }
     (r0, j)
 }
@@ -307,6 +410,8 @@ fn compare_with_the_full_system<const W: usize>(p: &BundleProblem) {
     for i in (poses..at).filter(|i| p.globals.is_held(i - poses)) {
         h[(i, i)] = 1.0;
     }
+    // Nothing tells where on the floor its own axes are, nor how they are turned about its normal.
+    h += DMatrix::identity(h.nrows(), h.ncols()) * LEAST_PIVOT;
     let undamped = h.clone();
     for i in (0..poses).chain(at..h.nrows()) {
         h[(i, i)] *= 1.0 + lambda;
@@ -329,11 +434,13 @@ fn compare_with_the_full_system<const W: usize>(p: &BundleProblem) {
 
 #[test]
 fn elimination_gives_step_and_covariance_of_the_full_system_from_numeric_jacobians() {
-    for (readout, targets) in [(false, 0), (true, 0), (false, 1), (true, 2)] {
-        compare_with_the_full_system::<1>(&small(readout, 0, targets));
+    for (readout, targets, floor) in
+        [(false, 0, false), (true, 0, false), (false, 1, false), (true, 2, false), (false, 0, true), (true, 1, true)]
+    {
+        compare_with_the_full_system::<1>(&small(readout, 0, targets, floor));
         // Without and with distortion.
-        compare_with_the_full_system::<GLOBALS>(&small(readout, WITHOUT_DISTORTION, targets));
-        compare_with_the_full_system::<GLOBALS>(&small(readout, 4, targets));
+        compare_with_the_full_system::<GLOBALS>(&small(readout, WITHOUT_DISTORTION, targets, floor));
+        compare_with_the_full_system::<GLOBALS>(&small(readout, 4, targets, floor));
     }
 }
 

@@ -1,0 +1,138 @@
+//! What an adjustment of a metric map is told beside the pictures: lengths by the wheels, tags of known size, the floor under the robot.
+
+use nalgebra::{Vector2, Vector3};
+
+use super::{Adjustment, intrinsics_jacobian, seen_by};
+use crate::geometry::CameraModel;
+use crate::map::{Keyframe, LandmarkId, Map, Observation};
+use crate::motion::floor::DrivenFloor;
+use crate::motion::floor::plane::{EVENNESS, FloorPoint, KEEPS_HEIGHT, KEEPS_TILT_RAD, LEAST_LANDMARKS};
+use crate::motion::tag::HeldTag;
+use crate::reconstruction::adjust::bundle::{HeldFloor, KnownLength, TargetCorner};
+use crate::reconstruction::measurement::rolling_shutter::Shutter;
+
+/// Keyframes further apart, ns, are held by no length: over a long way the distance of its ends is not what wheels know best.
+const LONGEST_STEP_NS: i64 = 5_000_000_000;
+/// A length is held no harder than this, m, and as a share of it: wheels that roll unevenly or are dented are no better, whatever their driver says.
+const LEAST_HELD_M: f64 = 0.002;
+const LEAST_HELD_SHARE: f64 = 0.01;
+
+/// Standard deviation that a length of a metric map is held with, m.
+fn held_sigma(length: f64, sigma: f64) -> f64 {
+    sigma.max(LEAST_HELD_M).max(LEAST_HELD_SHARE * length)
+}
+
+impl Adjustment {
+    /// Holds distances between keyframes that follow one another, at the places that `length` knows (times of both, ns): its length and standard
+    /// deviation, m. Those of them that stay where they are or lie further apart than `LONGEST_STEP_NS` are left alone.
+    pub fn hold_lengths(&mut self, map: &Map, mut length: impl FnMut(i64, i64) -> Option<(f64, f64)>) {
+        for i in 1..self.keyframes.len() {
+            if self.problem.fixed[i - 1] && self.problem.fixed[i] {
+                continue;
+            }
+            // Another run's times may be those of these wheels by chance.
+            if [i - 1, i].iter().any(|i| map.numbers.is_merged(self.keyframes[*i])) {
+                continue;
+            }
+            let times = [i - 1, i].map(|i| map.keyframe(self.keyframes[i]).map(|k| k.timestamp_ns));
+            let [Some(from_ns), Some(to_ns)] = times else { continue };
+            if !(1..=LONGEST_STEP_NS).contains(&to_ns.saturating_sub(from_ns)) {
+                continue;
+            }
+            if let Some((length, sigma)) = length(from_ns, to_ns) {
+                let sigma = held_sigma(length, sigma);
+                self.problem.lengths.push(KnownLength { cameras: [i as u32 - 1, i as u32], length, sigma });
+            }
+        }
+    }
+
+    /// Lets tags of known size take part where cameras that move see them: the place of each is one more unknown. To be said last.
+    pub fn hold_tags(&mut self, map: &Map, camera: &CameraModel, shutter: &Shutter, tags: &[HeldTag]) {
+        for tag in tags {
+            let Some(from) = map.keyframe(tag.from.0) else { continue };
+            let mut lies = tag.from.1;
+            lies.translation *= tag.places[1].x - tag.places[0].x;
+            let tag_from_world = lies * from.camera_from_world;
+            let seen = tag.seen.iter().filter_map(|(id, corners)| {
+                let index = self.keyframes.binary_search(id).ok()?;
+                Some((index, map.keyframe(*id)?, corners))
+            });
+            let seen: Vec<_> = seen.collect();
+            if seen.iter().all(|(index, ..)| self.problem.fixed[*index]) {
+                continue;
+            }
+            let target = self.problem.state.poses.len() as u32;
+            self.problem.state.poses.push(tag_from_world);
+            self.problem.fixed.push(false);
+            for (index, keyframe, corners) in seen {
+                for (place, pixel) in tag.places.iter().zip(corners) {
+                    let corner = TargetCorner { target, place: *place };
+                    let point = keyframe.camera_from_world.transform(&corner.in_world(&tag_from_world));
+                    let Some((normalised, normalised_from_pixel)) = camera.undistort_jacobian(pixel) else { continue };
+                    let row = pixel.y as f32;
+                    let o = Observation {
+                        landmark: LandmarkId(u32::MAX),
+                        pixel: pixel.cast(),
+                        normalised,
+                        displacement: keyframe
+                            .motion
+                            .map_or_else(Vector2::zeros, |motion| shutter.displacement(&motion, &point, row)),
+                        inv_sigma_px: tag.sigma_px.recip(),
+                        normalised_from_pixel,
+                    };
+                    if !self.problem.globals.jacobians.is_empty() {
+                        self.problem.globals.jacobians.push(intrinsics_jacobian(&o, camera));
+                    }
+                    self.problem.observations.push(seen_by(index, &o, camera));
+                    self.problem.corners.push(corner);
+                }
+            }
+        }
+    }
+
+    /// Lets cameras keep height and tilt above the floor, and landmarks on it lie on one plane, in the part of the map that tells metres. Not where too few
+    /// landmarks show the floor: cameras alone would keep a height above nothing by going a shorter way. To be said last.
+    pub fn hold_floor(&mut self, map: &Map, floor: &DrivenFloor<'_>) {
+        let (plane, height) = (&floor.plane, floor.height);
+        let drives = |k: &Keyframe| k.scale_from.is_none() && plane.carries(&k.centre());
+        let drive = self.keyframes.iter().map(|id| map.keyframe(*id).is_some_and(drives));
+        let cameras: Vec<u32> = (0..).zip(drive).filter_map(|(i, drives)| drives.then_some(i)).collect();
+        let place = |id: &LandmarkId| {
+            let l = map.landmark(*id)?;
+            plane.bears(&FloorPoint { position: l.position, covariance: l.covariance }).then_some(l.position)
+        };
+        let carries: Vec<bool> = self.landmarks.iter().map(|id| place(id).is_some()).collect();
+        let others = floor.landmarks.iter().filter(|id| self.landmarks.binary_search(id).is_err());
+        let around: Vec<Vector3<f64>> = others.filter_map(place).collect();
+        let shown = carries.iter().filter(|on| **on).count() + around.len();
+        let Some(newest) = map.keyframe(self.keyframes[self.newest]) else { return };
+        if shown < LEAST_LANDMARKS || cameras.iter().all(|i| self.problem.fixed[*i as usize]) {
+            return;
+        }
+        let poses = &mut self.problem.state.poses;
+        self.problem.floor = Some(HeldFloor {
+            pose: poses.len() as u32,
+            height,
+            height_sigma: KEEPS_HEIGHT * height,
+            cameras,
+            up_camera: plane.up_camera,
+            tilt_sigma: KEEPS_TILT_RAD,
+            evenness: EVENNESS * height,
+            carries,
+            around,
+        });
+        poses.push(plane.floor_from_world(&newest.centre()));
+        self.problem.fixed.push(false);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_length_is_held_as_if_it_were_exact() {
+        let found = [held_sigma(0.05, 0.0), held_sigma(1.0, 1e-9), held_sigma(1.0, 0.03)];
+        assert_eq!(found, [0.002, 0.01, 0.03]);
+    }
+}
