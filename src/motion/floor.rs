@@ -22,6 +22,7 @@ use super::scale::{ScaleFusion, ScaleMeasurement};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::ros_from_optical;
+use crate::geometry::sim3::Sim3;
 use crate::map::scale::ScaleSource;
 use crate::map::{Keyframe, KeyframeId, LandmarkId, Map, MapId, TurnId};
 pub use plane::{Driven, FloorPoint, NoFloor, Plane, UpPrior};
@@ -84,6 +85,13 @@ impl ScaleConfig {
 pub fn roll_pitch(up_camera: &Unit<Vector3<f64>>) -> (f64, f64) {
     let up = ros_from_optical() * up_camera.into_inner();
     (up.y.atan2(up.z), -up.x.clamp(-1.0, 1.0).asin())
+}
+
+/// A landmark that may lie on a floor: nothing of it is assumed, and keyframes enough agree on it.
+pub fn floor_point(map: &Map, id: LandmarkId) -> Option<FloorPoint> {
+    let l = map.landmark(id).filter(|l| l.assumed.is_none() && l.observers.len() >= LEAST_OBSERVERS)?;
+    let known = l.covariance.iter().all(|v| v.is_finite());
+    known.then_some(FloorPoint { position: l.position, covariance: l.covariance })
 }
 
 /// The floor under a robot, for an adjustment.
@@ -197,7 +205,9 @@ impl Floor {
     /// The floor under `camera` (its centre), for an adjustment of the map's part that tells metres.
     pub fn driven(&self, map: MapId, fusion: &ScaleFusion, camera: &Vector3<f64>) -> Option<DrivenFloor<'_>> {
         let ((log, ..), own) = fusion.fused().zip(fusion.word(ScaleSource::Height))?;
-        let plane = self.plane(map).filter(|plane| self.part.is_none() && plane.carries(camera))?;
+        // Carried, or on a table: not where there is merely little to see.
+        let elsewhere = matches!(self.refused, Some(NoFloor::NotParallel(_) | NoFloor::SomethingBeneath(_)));
+        let plane = self.plane(map).filter(|plane| self.part.is_none() && !elsewhere && plane.carries(camera))?;
         let height = self.config.camera_height_m * (log - own).exp();
         Some(DrivenFloor { plane: *plane, height, landmarks: &self.landmarks })
     }
@@ -210,6 +220,11 @@ impl Floor {
     /// The part that was asked last has the unit of the map's beginning now: what is known of it holds on.
     pub fn unify(&mut self) {
         self.part = None;
+    }
+
+    /// The map where the robot is was moved by this, as by a loop: the floor with it.
+    pub fn follow(&mut self, motion: &Sim3<World, World>) {
+        self.told.iter_mut().chain(&mut self.believed).for_each(|plane| plane.follow(motion));
     }
 
     /// Lengths of the map were multiplied by `factor`, and it has this number now.
@@ -234,11 +249,7 @@ impl Floor {
         let mut seen: Vec<LandmarkId> = keyframes.iter().flat_map(|k| k.observations.landmarks()).collect();
         seen.sort_unstable();
         seen.dedup();
-        let tells = |id: &LandmarkId| {
-            let l = map.landmark(*id).filter(|l| l.assumed.is_none() && l.observers.len() >= LEAST_OBSERVERS)?;
-            let point = FloorPoint { position: l.position, covariance: l.covariance };
-            l.covariance.iter().all(|v| v.is_finite()).then_some((*id, point))
-        };
+        let tells = |id: &LandmarkId| Some((*id, floor_point(map, *id)?));
         self.landmarks.clear();
         self.points.clear();
         for (id, point) in seen.iter().rev().filter_map(tells).take(LANDMARKS) {

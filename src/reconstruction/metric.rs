@@ -199,7 +199,11 @@ impl Reconstruction {
             self.events.push(TrajectoryEvent::KeyframeScaled { keyframe: *keyframe, scale: motion.scale });
         }
         active.map.correct(&correction);
-        active.odometry.correct_scaled(&correction.of(active.reference));
+        let here = correction.of(active.reference);
+        active.odometry.correct_scaled(&here);
+        if let Some(floor) = &mut self.floor {
+            floor.follow(&here);
+        }
         for (id, _) in marked.iter().filter(|(_, part)| told(*part)) {
             active.map.set_scale_origin(*id, None);
         }

@@ -18,6 +18,7 @@ use nalgebra::{Matrix3, Matrix4, Unit, UnitQuaternion, Vector3, Vector4};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::random::Random;
+use crate::geometry::sim3::Sim3;
 
 /// A landmark, in the map's unit.
 #[derive(Debug, Clone, Copy)]
@@ -67,6 +68,14 @@ impl Plane {
     pub fn bears(&self, point: &FloorPoint) -> bool {
         let plane = Candidate { normal: self.normal, floor: self.offset, cameras: self.offset + self.height };
         plane.side(point) == 1
+    }
+
+    /// The part of the map that it lies in was moved by this.
+    pub fn follow(&mut self, motion: &Sim3<World, World>) {
+        let on_it = motion.transform(&(self.normal * self.offset));
+        self.normal = motion.rotation * self.normal;
+        self.offset = self.normal.dot(&on_it);
+        self.height *= motion.scale;
     }
 
     /// Axes on it below `point`: z is the height above it.

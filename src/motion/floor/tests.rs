@@ -129,3 +129,19 @@ fn impossible_heights_are_refused() {
         assert!(with(height, sigma).validate().is_err(), "{height} {sigma}");
     }
 }
+
+#[test]
+fn axes_on_the_floor_are_below_the_camera_and_a_floor_follows_the_map() {
+    let up_camera = -Vector3::y_axis();
+    for normal in [Vector3::z(), -Vector3::z(), -Vector3::y(), Vector3::new(0.2, -0.9, 0.3).normalize()] {
+        let plane = Plane { normal, offset: -0.3, height: 0.5, sigma: 0.01, up_camera, landmarks: 20 };
+        let camera = normal * 0.2 + plane::basis(&Unit::new_normalize(normal)).0 * 3.0;
+        let on_it = plane.floor_from_world(&camera).transform(&camera);
+        assert!((on_it - Vector3::new(0.0, 0.0, 0.5)).norm() < 1e-12, "{normal:?}: {on_it:?}");
+        let motion = Sim3::new(1.3, UnitQuaternion::from_euler_angles(0.2, -0.4, 1.0), Vector3::new(1.0, 2.0, -3.0));
+        let mut moved = plane;
+        moved.follow(&motion);
+        assert!((moved.height_of(&motion.transform(&camera)) - 1.3 * 0.5).abs() < 1e-12, "{normal:?}");
+        assert!((moved.height - 0.65).abs() < 1e-12 && moved.carries(&motion.transform(&camera)));
+    }
+}

@@ -1,4 +1,4 @@
-//! Bundle adjustment: keyframe poses, landmark positions, targets of known size and global parameters together, landmarks eliminated by the Schur
+//! Bundle adjustment: keyframe poses, landmark positions, targets of known size, the floor and global parameters together, landmarks eliminated by the Schur
 //! complement.
 //!
 //! Input: cameras (some held fixed), points, observations grouped by point; undistorted coordinates on z = 1. Output: the

@@ -178,7 +178,11 @@ impl Reconstruction {
         }
         active.map.correct(&correction);
         let before = active.odometry.last.map(|last| last.camera_from_world);
-        active.odometry.correct_scaled(&correction.of(active.reference));
+        let here = correction.of(active.reference);
+        active.odometry.correct_scaled(&here);
+        if let Some(floor) = &mut self.floor {
+            floor.follow(&here);
+        }
         if let Some((old, new)) = before.zip(active.odometry.last.map(|last| last.camera_from_world)) {
             self.corrections.close_loop(&old, &new);
         }

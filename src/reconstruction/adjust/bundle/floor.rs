@@ -10,9 +10,8 @@
 //! Liu, "Visual-Odometric Localization and Mapping for Ground Vehicles Using SE(2)-XYZ Constraints", ICRA 2019. Cauchy's loss: what stands near the
 //! floor is not on it, and there are sills.
 
-use nalgebra::{Matrix3, Unit, Vector1, Vector2, Vector3, Vector6};
+use nalgebra::{Matrix3, SVector, Unit, Vector1, Vector2, Vector3, Vector6};
 
-use super::normal_equations::Rows;
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::least_squares::Loss;
@@ -37,10 +36,13 @@ pub struct HeldFloor {
     /// How even it is, one sigma.
     pub evenness: f64,
     /// Of each point: it lies on the floor.
-    pub carries: Vec<bool>,
+    pub on_floor: Vec<bool>,
     /// Points on it that stay where they are.
     pub around: Vec<Vector3<f64>>,
 }
+
+/// Derivatives of a residual's two rows by N unknowns; a height has one row, the other is zero.
+type Rows<const N: usize> = [SVector<f64, N>; 2];
 
 /// Residuals and their derivatives by the floor's pose and by what lies or drives there.
 pub(super) struct FloorTerm<const N: usize> {
@@ -115,7 +117,7 @@ impl HeldFloor {
     /// Of everything on the floor.
     pub(super) fn cost(&self, poses: &[Se3<Camera, World>], points: &[Vector3<f64>]) -> f64 {
         let floor = &poses[self.pose as usize];
-        let on = points.iter().zip(&self.carries).filter(|(_, on)| **on).map(|(point, _)| point);
+        let on = points.iter().zip(&self.on_floor).filter(|(_, on)| **on).map(|(point, _)| point);
         let of_points = on.chain(&self.around).map(|point| self.of_point(floor, point));
         let cameras = || self.cameras.iter().map(|camera| &poses[*camera as usize]);
         let heights = of_points.chain(cameras().map(|camera| self.of_camera(floor, camera))).map(|e| e * e);
@@ -125,13 +127,13 @@ impl HeldFloor {
 }
 
 impl<const N: usize> FloorTerm<N> {
-    fn new(residual: f64, sigma: f64, by_floor: Vector6<f64>, by_other: nalgebra::SVector<f64, N>) -> Self {
+    fn new(residual: f64, sigma: f64, by_floor: Vector6<f64>, by_other: SVector<f64, N>) -> Self {
         let none = Vector1::new(0.0);
         Self {
             residual: [Vector1::new(residual), none],
             weight: LOSS.evaluate(residual * residual).1,
             by_floor: [by_floor / sigma, Vector6::zeros()],
-            by_other: [by_other / sigma, nalgebra::SVector::zeros()],
+            by_other: [by_other / sigma, SVector::zeros()],
         }
     }
 }
@@ -157,7 +159,7 @@ mod tests {
             up_camera: Unit::new_normalize(vector()),
             tilt_sigma: 0.01,
             evenness: 0.02,
-            carries: Vec::new(),
+            on_floor: Vec::new(),
             around: Vec::new(),
         };
         let rotation = |pose: &Se3<Camera, World>| *pose.rotation.to_rotation_matrix().matrix();

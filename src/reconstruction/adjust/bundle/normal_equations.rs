@@ -18,7 +18,7 @@ use crate::reconstruction::measurement::jacobian_rows;
 const FIXED: usize = usize::MAX;
 type Matrix6x3 = SMatrix<f64, 6, 3>;
 /// Derivatives of a residual's x and y by N unknowns.
-pub(super) type Rows<const N: usize> = [SVector<f64, N>; 2];
+type Rows<const N: usize> = [SVector<f64, N>; 2];
 
 /// A bundle adjustment with its first `W` global parameters: one, or all of them.
 pub(super) struct Adjustment<'a, const W: usize> {
@@ -59,9 +59,10 @@ pub(super) struct PointBlock<const W: usize> {
 pub(super) struct System<const W: usize> {
     cameras: Vec<CameraBlock<W>>,
     pub(super) points: Vec<PointBlock<W>>,
-    /// Blocks between two free poses, the later one's rows: cameras between which a length is known, a camera and the target that it sees.
+    /// Blocks between two free poses, the later one's rows: cameras between which a length is known, a camera and the target that it sees or the floor
+    /// that it drives on.
     pairs: Vec<(usize, usize, Matrix6<f64>)>,
-    /// Index of a free camera and its block with a point, grouped by point.
+    /// Index of a free camera, or of the floor, and its block with a point, grouped by point.
     cross: Vec<(usize, Matrix6x3)>,
     global: SMatrix<f64, W, W>,
     global_gradient: SVector<f64, W>,
@@ -192,7 +193,7 @@ impl<'p, const W: usize> Adjustment<'p, W> {
         block: &mut PointBlock<W>,
         system: &mut System<W>,
     ) {
-        let Some(held) = self.problem.floor.as_ref().filter(|held| held.carries[point]) else { return };
+        let Some(held) = self.problem.floor.as_ref().filter(|held| held.on_floor[point]) else { return };
         let pose = held.pose as usize;
         let term = held.point_term(&state.poses[pose], &rotations[pose], &state.points[point]);
         add_product(&mut block.own, term.weight, &term.by_other, &term.by_other);
@@ -205,7 +206,7 @@ impl<'p, const W: usize> Adjustment<'p, W> {
         system.cross.push((self.slot[pose], cross));
     }
 
-    /// Cameras that keep their height above the floor.
+    /// The floor under landmarks that stay, and cameras that keep height and tilt above it.
     fn add_heights(&self, state: &BundleState, rotations: &[Matrix3<f64>], system: &mut System<W>) {
         let Some(held) = &self.problem.floor else { return };
         let pose = held.pose as usize;
@@ -271,11 +272,12 @@ impl<const W: usize> LeastSquares for Adjustment<'_, W> {
     fn linearise(&self, state: &BundleState) -> System<W> {
         let none = CameraBlock { own: Matrix6::zeros(), gradient: Vector6::zeros(), global: SMatrix::zeros() };
         let prior: [(f64, f64); W] = std::array::from_fn(|i| self.problem.globals.prior(i, state.globals[i]));
+        let on_floor = self.problem.floor.as_ref().map_or(0, |held| held.on_floor.iter().filter(|on| **on).count());
         let mut system = System {
             cameras: vec![none; self.free],
             points: Vec::with_capacity(state.points.len()),
             pairs: Vec::new(),
-            cross: Vec::with_capacity(self.problem.observations.len()),
+            cross: Vec::with_capacity(self.problem.observations.len() + on_floor),
             global: SMatrix::from_diagonal(&prior.map(|p| p.1).into()),
             global_gradient: prior.map(|p| p.0).into(),
         };

@@ -269,20 +269,20 @@ fn a_corner_that_is_seen_wrong_is_named() {
     assert!(!p.inlier[wrong] && seen.iter().filter(|k| !p.inlier[**k]).count() < 4, "{:?}", p.inlier);
 }
 
-/// Adds a plane below the cameras, y down, on which every third point lies; the cameras are not all at the same height above it.
+/// Adds a plane below the cameras, y down, on which every third point lies; the four cameras are not all at the same height above it.
 fn add_floor(p: &mut BundleProblem) {
-    let carries: Vec<bool> = (0..p.state.points.len()).map(|i| i % 3 == 0).collect();
+    let on_floor: Vec<bool> = (0..p.state.points.len()).map(|i| i % 3 == 0).collect();
     let around = (0..8).map(|i| Vector3::new(f64::from(i % 3) - 1.0, 2.0, 2.0 + f64::from(i)));
     let up = UnitQuaternion::rotation_between(&-Vector3::y(), &Vector3::z()).unwrap();
     p.floor = Some(HeldFloor {
         pose: p.state.poses.len() as u32,
         height: 2.0,
         height_sigma: 0.1,
-        cameras: (0..p.state.poses.len() as u32 - u32::from(!p.corners.is_empty())).collect(),
+        cameras: (0..4).collect(),
         up_camera: -Vector3::y_axis(),
         tilt_sigma: 0.1,
         evenness: 0.5,
-        carries,
+        on_floor,
         around: around.collect(),
     });
     p.state.poses.push(Se3::new(up, Vector3::new(0.0, 0.0, 2.0)));
@@ -325,7 +325,7 @@ fn a_camera_of_known_height_brings_a_map_of_another_scale_back_to_the_truth() {
             up_camera: -Vector3::y_axis(),
             tilt_sigma: 0.01,
             evenness: 0.02,
-            carries: (0..60).map(|i| i % 2 == 0).collect(),
+            on_floor: (0..60).map(|i| i % 2 == 0).collect(),
             around: Vec::new(),
         });
         p.state.poses.push(Se3::new(up, Vector3::new(0.0, 0.0, 1.35)));
@@ -347,7 +347,7 @@ fn floor_residuals(p: &BundleProblem, state: &BundleState) -> Vec<f64> {
     let at = |state: &BundleState| {
         let floor = &state.poses[held.pose as usize];
         let turn = rotation(floor);
-        let on = state.points.iter().zip(&held.carries).filter(|(_, on)| **on).map(|(point, _)| point);
+        let on = state.points.iter().zip(&held.on_floor).filter(|(_, on)| **on).map(|(point, _)| point);
         let of_points = on.chain(&held.around).map(|point| held.point_term(floor, &turn, point));
         let mut all: Vec<([f64; 2], f64)> = of_points.map(|term| (term.residual.map(|r| r.x), term.weight)).collect();
         for camera in held.cameras.iter().map(|camera| &state.poses[*camera as usize]) {

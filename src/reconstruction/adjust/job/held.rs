@@ -4,9 +4,9 @@ use nalgebra::{Vector2, Vector3};
 
 use super::{Adjustment, intrinsics_jacobian, seen_by};
 use crate::geometry::CameraModel;
-use crate::map::{Keyframe, LandmarkId, Map, Observation};
-use crate::motion::floor::DrivenFloor;
-use crate::motion::floor::plane::{EVENNESS, FloorPoint, KEEPS_HEIGHT, KEEPS_TILT_RAD, LEAST_LANDMARKS};
+use crate::map::{KeyframeId, LandmarkId, Map, Observation};
+use crate::motion::floor::plane::{EVENNESS, KEEPS_HEIGHT, KEEPS_TILT_RAD, LEAST_LANDMARKS};
+use crate::motion::floor::{DrivenFloor, floor_point};
 use crate::motion::tag::HeldTag;
 use crate::reconstruction::adjust::bundle::{HeldFloor, KnownLength, TargetCorner};
 use crate::reconstruction::measurement::rolling_shutter::Shutter;
@@ -46,7 +46,8 @@ impl Adjustment {
         }
     }
 
-    /// Lets tags of known size take part where cameras that move see them: the place of each is one more unknown. To be said last.
+    /// Lets tags of known size take part where cameras that move see them: the place of each is one more unknown. To be said after
+    /// [`refine_intrinsics`](Adjustment::refine_intrinsics).
     pub fn hold_tags(&mut self, map: &Map, camera: &CameraModel, shutter: &Shutter, tags: &[HeldTag]) {
         for tag in tags {
             let Some(from) = map.keyframe(tag.from.0) else { continue };
@@ -91,20 +92,23 @@ impl Adjustment {
     }
 
     /// Lets cameras keep height and tilt above the floor, and landmarks on it lie on one plane, in the part of the map that tells metres. Not where too few
-    /// landmarks show the floor: cameras alone would keep a height above nothing by going a shorter way. To be said last.
+    /// landmarks show the floor: cameras alone would keep a height above nothing by going a shorter way. Another run's cameras may have sat elsewhere on the robot.
     pub fn hold_floor(&mut self, map: &Map, floor: &DrivenFloor<'_>) {
         let (plane, height) = (&floor.plane, floor.height);
-        let drives = |k: &Keyframe| k.scale_from.is_none() && plane.carries(&k.centre());
-        let drive = self.keyframes.iter().map(|id| map.keyframe(*id).is_some_and(drives));
+        let drives = |id: &KeyframeId| {
+            let there = map.keyframe(*id).filter(|_| map.numbers.is_new(*id));
+            there.is_some_and(|k| k.scale_from.is_none() && plane.carries(&k.centre()))
+        };
+        let drive = self.keyframes.iter().map(drives);
         let cameras: Vec<u32> = (0..).zip(drive).filter_map(|(i, drives)| drives.then_some(i)).collect();
         let place = |id: &LandmarkId| {
-            let l = map.landmark(*id)?;
-            plane.bears(&FloorPoint { position: l.position, covariance: l.covariance }).then_some(l.position)
+            let point = floor_point(map, *id).filter(|point| plane.bears(point))?;
+            Some(point.position)
         };
-        let carries: Vec<bool> = self.landmarks.iter().map(|id| place(id).is_some()).collect();
+        let on_floor: Vec<bool> = self.landmarks.iter().map(|id| place(id).is_some()).collect();
         let others = floor.landmarks.iter().filter(|id| self.landmarks.binary_search(id).is_err());
         let around: Vec<Vector3<f64>> = others.filter_map(place).collect();
-        let shown = carries.iter().filter(|on| **on).count() + around.len();
+        let shown = on_floor.iter().filter(|on| **on).count() + around.len();
         let Some(newest) = map.keyframe(self.keyframes[self.newest]) else { return };
         if shown < LEAST_LANDMARKS || cameras.iter().all(|i| self.problem.fixed[*i as usize]) {
             return;
@@ -118,7 +122,7 @@ impl Adjustment {
             up_camera: plane.up_camera,
             tilt_sigma: KEEPS_TILT_RAD,
             evenness: EVENNESS * height,
-            carries,
+            on_floor,
             around,
         });
         poses.push(plane.floor_from_world(&newest.centre()));
