@@ -60,7 +60,8 @@
 //!   with nothing beneath, and that it was driven over. Behind a turn on the spot floor and tags are asked of that part of the map alone, and what they
 //!   say makes both parts one (`reconstruction::metric`). While somebody asks what stands on it ([`motion::obstacles`]), keyframes note after their pose where
 //!   their pictures show the floor itself, and scans are made of that and of the map; what is not known is never free.
-//! - Once a map is metric, tags (and a chessboard, one large tag) take part in its adjustments as rigid bodies of known size.
+//! - Once a map is metric, tags (and a chessboard, one large tag) take part in its adjustments as rigid bodies of known size, and the floor by which a camera's
+//!   height told the scale as a plane above which cameras keep height and tilt (`reconstruction::adjust`): words on the scale alone let it drift between them.
 //! - A tag's place is made anew from the keyframes that saw it whenever it is told. With a dock the daemon moves the frame in which the map is *published*, by one
 //!   rigid motion (`daemon::dock`); reconstruction's coordinates and all files stay as they are.
 //! - In a metric map a frame that is not found where the last motion leads is looked for where the wheels say; one that the picture cannot place all the same (dark, covered, blurred) has the

@@ -39,7 +39,8 @@ struct Word {
 
 /// All that is said of one map's scale.
 ///
-/// Words of heights come one by one and are independent but for what they have in common; what wheels and tags say is one word each that is
+/// Words of heights come one by one and count as independent but for what they have in common, which is what bounds their sigma: adjustments hold the floor that
+/// earlier words told; what wheels and tags say is one word each that is
 /// renewed. Sources are independent of each other and are brought together by their variances. An error common to both wheels is
 /// in the wheels' sigma, so beside a tag the tag decides, and the wheels hold what it said.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]

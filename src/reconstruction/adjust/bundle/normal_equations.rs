@@ -47,6 +47,15 @@ struct CameraBlock<const W: usize> {
     global: SMatrix<f64, W, 6>,
 }
 
+impl<const W: usize> CameraBlock<W> {
+    /// A residual and its derivative by this pose.
+    #[inline]
+    fn add(&mut self, weight: f64, by_pose: &Rows<6>, residual: &Rows<1>) {
+        add_product(&mut self.own, weight, by_pose, by_pose);
+        add_product(&mut self.gradient, weight, by_pose, residual);
+    }
+}
+
 /// The same of a point, and where its camera blocks end.
 pub(super) struct PointBlock<const W: usize> {
     pub(super) own: Matrix3<f64>,
@@ -170,8 +179,7 @@ impl<'p, const W: usize> Adjustment<'p, W> {
             let slots = [camera, target].map(|pose| self.slot[pose]);
             for (slot, by_pose) in slots.into_iter().zip([&o.camera, &by_target]) {
                 if let Some(block) = system.cameras.get_mut(slot) {
-                    add_product(&mut block.own, o.weight, by_pose, by_pose);
-                    add_product(&mut block.gradient, o.weight, by_pose, &o.residual);
+                    block.add(o.weight, by_pose, &o.residual);
                     add_product(&mut block.global, o.weight, &o.global, by_pose);
                 }
             }
@@ -198,9 +206,7 @@ impl<'p, const W: usize> Adjustment<'p, W> {
         let term = held.point_term(&state.poses[pose], &rotations[pose], &state.points[point]);
         add_product(&mut block.own, term.weight, &term.by_other, &term.by_other);
         add_product(&mut block.gradient, term.weight, &term.by_other, &term.residual);
-        let floor = &mut system.cameras[self.slot[pose]];
-        add_product(&mut floor.own, term.weight, &term.by_floor, &term.by_floor);
-        add_product(&mut floor.gradient, term.weight, &term.by_floor, &term.residual);
+        system.cameras[self.slot[pose]].add(term.weight, &term.by_floor, &term.residual);
         let mut cross = Matrix6x3::zeros();
         add_product(&mut cross, term.weight, &term.by_floor, &term.by_other);
         system.cross.push((self.slot[pose], cross));
@@ -212,9 +218,7 @@ impl<'p, const W: usize> Adjustment<'p, W> {
         let pose = held.pose as usize;
         for point in &held.around {
             let term = held.point_term(&state.poses[pose], &rotations[pose], point);
-            let floor = &mut system.cameras[self.slot[pose]];
-            add_product(&mut floor.own, term.weight, &term.by_floor, &term.by_floor);
-            add_product(&mut floor.gradient, term.weight, &term.by_floor, &term.residual);
+            system.cameras[self.slot[pose]].add(term.weight, &term.by_floor, &term.residual);
         }
         for camera in held.cameras.iter().map(|camera| *camera as usize) {
             let (floor, camera_pose) =
@@ -223,8 +227,7 @@ impl<'p, const W: usize> Adjustment<'p, W> {
             for term in [held.camera_term(floor, camera_pose), held.tilt_term(floor, camera_pose)] {
                 for (slot, by_pose) in slots.into_iter().zip([&term.by_floor, &term.by_other]) {
                     if let Some(block) = system.cameras.get_mut(slot) {
-                        add_product(&mut block.own, term.weight, by_pose, by_pose);
-                        add_product(&mut block.gradient, term.weight, by_pose, &term.residual);
+                        block.add(term.weight, by_pose, &term.residual);
                     }
                 }
                 let [floor, camera] = slots;
@@ -295,8 +298,7 @@ impl<const W: usize> LeastSquares for Adjustment<'_, W> {
                 add_product(&mut system.global, o.weight, &o.global, &o.global);
                 add_product(&mut system.global_gradient, o.weight, &o.global, &o.residual);
                 if let Some(block) = system.cameras.get_mut(self.slot[camera]) {
-                    add_product(&mut block.own, o.weight, &o.camera, &o.camera);
-                    add_product(&mut block.gradient, o.weight, &o.camera, &o.residual);
+                    block.add(o.weight, &o.camera, &o.residual);
                     add_product(&mut block.global, o.weight, &o.global, &o.camera);
                     let mut cross = Matrix6x3::zeros();
                     add_product(&mut cross, o.weight, &o.camera, &o.point);

@@ -53,7 +53,7 @@ pub struct BundleProblem {
     pub floor: Option<HeldFloor>,
     /// Set by the adjustment: false = judged an outlier.
     pub inlier: Vec<bool>,
-    /// Set by the adjustment: covariance of each point with the cameras held fixed, map units squared.
+    /// Set by the adjustment: covariance of each point with cameras and floor held fixed, map units squared.
     pub point_covariances: Vec<Matrix3<f64>>,
     /// Set by the adjustment: covariance of the global parameters, everything else free, their priors in it (what is held, and what the
     /// problem does not have: no meaning); `None` where it cannot be told, or all are held.

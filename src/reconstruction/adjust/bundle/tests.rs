@@ -230,29 +230,36 @@ fn add_targets(p: &mut BundleProblem, targets: usize, noise_px: f64) {
     }
 }
 
+/// All of it shrinks towards its first camera.
+fn shrink(p: &mut BundleProblem, factor: f64) {
+    let held = p.state.poses[0].inverse().translation;
+    p.state.points.iter_mut().for_each(|point| *point = held + (*point - held) * factor);
+    for pose in &mut p.state.poses {
+        let centre = held + (pose.inverse().translation - held) * factor;
+        pose.translation = -(pose.rotation * centre);
+    }
+}
+
+/// How far a point is from its truth at the most.
+fn farthest(p: &BundleProblem, truth: &BundleProblem) -> f64 {
+    p.state.points.iter().zip(&truth.state.points).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max)
+}
+
 #[test]
 fn a_target_of_known_size_brings_a_map_of_another_scale_back_to_the_truth() {
     for seed in 1..6 {
         let mut truth = problem(seed, 5, 60, 0.0);
         add_targets(&mut truth, 1, 0.0);
         let mut p = truth.clone();
-        // All of it shrinks towards the one camera that is held.
         (p.fixed[1], truth.fixed[1]) = (false, false);
-        let held = p.state.poses[0].inverse().translation;
-        p.state.points.iter_mut().for_each(|point| *point = held + (*point - held) * 0.8);
-        for pose in &mut p.state.poses {
-            let centre = held + (pose.inverse().translation - held) * 0.8;
-            pose.translation = -(pose.rotation * centre);
-        }
+        shrink(&mut p, 0.8);
         let mut without = p.clone();
         without.observations.truncate(without.observations.len() - without.corners.len());
         without.corners.clear();
         let options = BundleOptions { steps: 40, relative_gain: 0.0, ..BundleOptions::default() };
         p.adjust(&options);
         without.adjust(&options);
-        let off = |p: &BundleProblem| {
-            p.state.points.iter().zip(&truth.state.points).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max)
-        };
+        let off = |p: &BundleProblem| farthest(p, &truth);
         assert!(off(&p) < 1e-5 && off(&without) > 0.5, "seed {seed}: {} off, {} without", off(&p), off(&without));
         assert!(p.inlier.iter().all(|ok| *ok), "seed {seed}");
     }
@@ -310,12 +317,7 @@ fn a_camera_of_known_height_brings_a_map_of_another_scale_back_to_the_truth() {
         (truth.fixed[1], truth.fixed[0]) = (false, true);
         let up = UnitQuaternion::rotation_between(&-Vector3::y(), &Vector3::z()).unwrap();
         let mut p = truth.clone();
-        let held = p.state.poses[0].inverse().translation;
-        p.state.points.iter_mut().for_each(|point| *point = held + (*point - held) * 0.9);
-        for pose in &mut p.state.poses {
-            let centre = held + (pose.inverse().translation - held) * 0.9;
-            pose.translation = -(pose.rotation * centre);
-        }
+        shrink(&mut p, 0.9);
         let mut without = p.clone();
         p.floor = Some(HeldFloor {
             pose: 5,
@@ -333,9 +335,7 @@ fn a_camera_of_known_height_brings_a_map_of_another_scale_back_to_the_truth() {
         let options = BundleOptions { steps: 60, relative_gain: 0.0, ..BundleOptions::default() };
         p.adjust(&options);
         without.adjust(&options);
-        let off = |p: &BundleProblem| {
-            p.state.points.iter().zip(&truth.state.points).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max)
-        };
+        let off = |p: &BundleProblem| farthest(p, &truth);
         assert!(off(&p) < 1e-4 && off(&without) > 0.3, "seed {seed}: {} off, {} without", off(&p), off(&without));
     }
 }

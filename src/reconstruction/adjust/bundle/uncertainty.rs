@@ -12,7 +12,7 @@ use crate::geometry::cholesky::DenseCholesky;
 use crate::geometry::least_squares::LeastSquares;
 
 impl<const W: usize> System<W> {
-    /// Covariance of each point with the cameras held.
+    /// Covariance of each point with cameras and floor held.
     pub(super) fn point_covariances(&self) -> Vec<Matrix3<f64>> {
         let unknown = Matrix3::from_element(f64::NAN);
         self.points.iter().map(|point| point.own.try_inverse().unwrap_or(unknown)).collect()
