@@ -69,14 +69,17 @@
 //!   and where nothing of the map is in view the same map does, by a start that is brought in at the dead-reckoned place.
 //! - A keyframe goes where three others see its landmarks, or newer ones of the same place see as many others (`keyframe::superseded`): a map of a place that
 //!   changes grows little with time. Beyond `max_keyframes` it is thinned.
-//! - A map that was lost is kept while the next one grows, recognised from its keyframes as a lost frame is, and joined to it: the old one is
-//!   carried over into the present one, so that no published pose jumps and neither map number nor reset counter goes back.
+//! - A map that was lost is kept while the next one grows, recognised from its keyframes as a lost frame is, and joined to it. Neither map number
+//!   nor reset counter goes back, and the smooth pose goes on; the frame is that of the larger map, so that what a planner has stored in months stays valid:
+//!   the map pose jumps to it, with its revision. (Before, the frame was the present map's: a robot that did not know its rooms at once one morning told them
+//!   6 % larger and half a metre off from then on.)
 //!   A stored map that a command merges waits in the same way, and older keyframes of the present one are looked for in it as well, so that a robot that stands
 //!   need not move (`relocalise::merging`). It has numbers above this run's, so numbers are an order of time within a run only (`map::Numbers`).
 //! - What the base's wheels tell (`odometry.txt` beside the pictures, the simulator's base, a driver on `PREFIX/wheel`) waits in one bounded queue
 //!   ([`motion::wheel`]); the reconstruction step takes from it, before it tracks a frame, all that ended at that frame's timestamp or earlier.
 //! - With `[reconstruction] loops`: a keyframe that shows a place of the same map from long ago is recognised by an index over binary descriptors ([`places`]), verified as a lost frame
 //!   is (on a copy, in a thread of its own beside the mapping worker's), and believed when two keyframes tell the same similarity; a pose graph on a copy in the mapping worker then moves the map, not the smooth pose.
+//!   The oldest keyframe stays where it is, unless most of the map would have to move for it.
 //!
 //! # Invariants
 //! 1. [`messages`] and [`client`] build alone (`default-features = false, features = ["client"]`).

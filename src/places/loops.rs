@@ -7,10 +7,14 @@
 //! saw far things only, there most of the drift came in, and there it is taken out. A turn that told no scale is the utmost of that.
 //! The way ends where a map of another number begins: keyframes are numbered on, but nobody knows how the camera moved there. (A map that was
 //! loaded keeps its number, so runs that went on in it are one way.) Only where nothing else holds
-//! two parts of the graph together do they stay as they lie there. The oldest keyframe of the map that the newest one was made in stays where it is.
+//! two parts of the graph together do they stay as they lie there. The oldest keyframe of the map that the newest one was made in stays where it is,
+//! unless most others would have to move for it: after months it may hang on the rest by a few landmarks, and places that a planner has stored lie
+//! where most keyframes do.
 //!
 //! It is a piece of work on a copy, so that it can run anywhere and be merged later; cost as [`pose_graph`](crate::geometry::pose_graph).
 //! Not here: who recognises, and what is fused afterwards (`reconstruction`).
+
+use nalgebra::Vector3;
 
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::least_squares::{LmOptions, LmSummary};
@@ -34,6 +38,10 @@ const SIGMA_UNTOLD_SCALE: f64 = 0.5;
 const SIGMA_HELD_SCALE: f64 = 1e-4;
 /// Levenberg-Marquardt steps at the most.
 const STEPS: usize = 30;
+/// The oldest keyframe does not stay where the others would then move so many times as far in all as with another one held; one of so many is tried.
+/// (Drift that grows with the way moves twice as much about its beginning as about its middle.)
+const MOVES_MORE: f64 = 3.0;
+const HELD_TRIED: usize = 64;
 
 /// A keyframe that was recognised: where it lies to an old one. Later corrections of the map move both, so of loops that were closed the pair is kept.
 #[derive(Debug, Clone, Copy)]
@@ -54,7 +62,9 @@ pub struct LoopClosure {
     /// Ascending id; the nodes.
     keyframes: Vec<KeyframeId>,
     poses: Vec<Se3<Camera, World>>,
-    fixed: Vec<bool>,
+    /// Median depths of what they see, map units.
+    depths: Vec<f64>,
+    oldest: usize,
     /// Of this run; of a map that was merged numbers may be greater.
     youngest: usize,
     edges: Vec<Edge>,
@@ -117,23 +127,47 @@ impl LoopClosure {
             edges.iter_mut().for_each(hold_scale);
         }
         let poses = map.keyframes.iter().map(|(_, k)| k.camera_from_world).collect();
-        let fixed = (0..keyframes.len()).map(|i| i == oldest).collect();
-        Some(Self { keyframes, poses, fixed, youngest, edges })
+        Some(Self { keyframes, poses, depths, oldest, youngest, edges })
     }
 
     /// Bounded in iterations, not in time. `None` if nothing better was found, or nothing that can be.
     pub fn run(&self) -> Option<ClosedLoop> {
         let options = LmOptions { max_iterations: STEPS, relative_cost: 1e-6, ..LmOptions::default() };
         let start = self.poses.iter().map(Sim3::from_se3).collect();
-        let (solved, summary) = solve(start, &self.fixed, &self.edges, &options).ok()?;
+        let fixed: Vec<bool> = (0..self.poses.len()).map(|i| i == self.oldest).collect();
+        let (solved, summary) = solve(start, &fixed, &self.edges, &options).ok()?;
         if !(summary.final_cost < summary.initial_cost) || !solved.iter().all(Sim3::is_valid) {
             return None;
         }
         let moved = |(pose, new): (&Se3<Camera, World>, &Sim3<Camera, World>)| new.inverse() * Sim3::from_se3(pose);
-        let moved: Vec<_> = self.poses.iter().zip(&solved).map(moved).collect();
+        let mut moved: Vec<_> = self.poses.iter().zip(&solved).map(moved).collect();
+        if let Some(held) = self.held_instead(&moved) {
+            let back = moved[held].inverse();
+            moved.iter_mut().for_each(|moved| *moved = back * *moved);
+        }
         let younger = moved.get(self.youngest).copied();
         let keyframes = self.keyframes.iter().copied().zip(moved).collect();
         Some(ClosedLoop { correction: Correction { keyframes, younger }, summary })
+    }
+
+    /// The keyframe that is to stay where it is instead of the oldest, if most of the map stays with it.
+    fn held_instead(&self, moved: &[Sim3<World, World>]) -> Option<usize> {
+        // Where each camera is, and what lies before it.
+        let shown = |(pose, depth): (&Se3<Camera, World>, &f64)| {
+            let centre = pose.inverse().translation;
+            [centre, pose.inverse().transform(&(Vector3::z() * *depth))]
+        };
+        let before: Vec<[Vector3<f64>; 2]> = self.poses.iter().zip(&self.depths).map(shown).collect();
+        let in_all = |held: usize| -> f64 {
+            let back = moved[held].inverse();
+            let way = |(points, moved): (&[Vector3<f64>; 2], &Sim3<World, World>)| -> f64 {
+                points.iter().map(|x| (back.transform(&moved.transform(x)) - x).norm()).sum()
+            };
+            before.iter().zip(moved).map(way).sum()
+        };
+        let tried = (0..moved.len()).step_by(moved.len().div_ceil(HELD_TRIED));
+        let best = tried.map(|i| (i, in_all(i))).min_by(|a, b| a.1.total_cmp(&b.1))?;
+        (in_all(self.oldest) > MOVES_MORE * best.1).then_some(best.0)
     }
 }
 

@@ -32,6 +32,11 @@ impl Corrections {
         *self = Self { revision: self.revision.wrapping_add(1), distance: 0.0, angle_rad: 0.0, awaited: true };
     }
 
+    /// The same, and both are where the other one was, so that the camera went from there to here.
+    pub(super) fn carried(&mut self, old: &Se3<Camera, World>, new: &Se3<Camera, World>) {
+        (self.distance, self.angle_rad) = moved(old, new);
+    }
+
     /// A loop was closed, which moved the newest camera so; the next adjustment is the first of both its ends together.
     pub(super) fn close_loop(&mut self, old: &Se3<Camera, World>, new: &Se3<Camera, World>) {
         self.moved(old, new);
@@ -47,8 +52,8 @@ impl Corrections {
 
     /// The newest camera was placed anew, and what was seen since a turn with it.
     pub(super) fn moved(&mut self, old: &Se3<Camera, World>, new: &Se3<Camera, World>) {
-        let distance = (old.inverse().translation - new.inverse().translation).norm();
-        self.moved_by(distance, old.rotation.angle_to(&new.rotation));
+        let (distance, angle_rad) = moved(old, new);
+        self.moved_by(distance, angle_rad);
     }
 
     /// The same by numbers.
@@ -61,6 +66,12 @@ impl Corrections {
     pub(super) fn end_map(&mut self) {
         self.awaited = false;
     }
+}
+
+/// How far the newest camera was moved (map units) and turned (rad).
+fn moved(old: &Se3<Camera, World>, new: &Se3<Camera, World>) -> (f64, f64) {
+    let distance = (old.inverse().translation - new.inverse().translation).norm();
+    (distance, old.rotation.angle_to(&new.rotation))
 }
 
 #[cfg(test)]

@@ -223,6 +223,19 @@ impl Reconstruction {
         self.tracker.rescale(factor);
     }
 
+    /// The same in the record of a trajectory, and of what tags and the floor have told. For a map of which nobody knows the scale.
+    pub(super) fn change_unit(&mut self, factor: f64) {
+        self.scale_lengths(factor);
+        let keyframes = self.active.map.keyframes.iter().map(|(id, _)| KeyframeId(id));
+        self.events.extend(keyframes.map(|keyframe| TrajectoryEvent::KeyframeScaled { keyframe, scale: factor }));
+        if let Some(tags) = &mut self.tags {
+            tags.rescale(factor);
+        }
+        if let Some(floor) = &mut self.floor {
+            floor.rescale(factor, self.active.id);
+        }
+    }
+
     /// The present map's lengths become `factor` times as long; they are metres from now on.
     fn rescale(&mut self, factor: f64) {
         let first = !self.active.fusion.is_metric();

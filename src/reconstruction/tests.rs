@@ -5,8 +5,10 @@ use std::sync::Arc;
 use nalgebra::{Matrix3, UnitQuaternion, Vector2, Vector3};
 
 use super::odometry::Odometry;
+use super::track::association::Target;
 use super::track::search::observe;
 use super::*;
+use crate::features::Track;
 use crate::features::thumbnail::Thumbnail;
 use crate::image::{GreyImage, Pyramid};
 use crate::map::saved::{MapHead, SavedMap, SavedMaps};
@@ -131,6 +133,40 @@ fn a_pose_replaced_behind_a_turn_is_replaced_in_the_record() {
     reconstruction.record_pose(300, &at(0.3));
     reconstruction.record_instead(400, &at(0.9));
     assert_eq!(recorded(&mut reconstruction), [(300, Vector3::x() * 0.3)]);
+}
+
+#[test]
+fn a_pose_by_few_tracks_that_finds_little_gives_way_to_constant_velocity() {
+    let mut reconstruction = before_the_wall(Se3::identity());
+    // Twelve tracks have slipped as if the camera had rolled by six degrees: about the picture's middle alone landmarks are near there.
+    let rolled = UnitQuaternion::from_scaled_axis(Vector3::z() * 0.105);
+    let bound = [
+        (25, 0),
+        (60, 1),
+        (75, 2),
+        (81, 3),
+        (83, 4),
+        (97, 5),
+        (112, 6),
+        (3, 7),
+        (11, 8),
+        (150, 9),
+        (161, 10),
+        (45, 11),
+    ];
+    let tracks = bound.map(|(landmark, id)| {
+        let landmark = LandmarkId(landmark);
+        let at = reconstruction.active.map.landmark(landmark).unwrap().position;
+        reconstruction.active.bindings.set(id, Target::Landmark(landmark));
+        let position = camera().project(&(rolled * at)).unwrap().cast();
+        Track { id, position, age: 3 }
+    });
+    let features = FrameFeatures { tracks: tracks.to_vec(), ..frame(FRAME_NS, 2) };
+    let estimate = reconstruction.track(&features);
+    let (found, sought) = (estimate.landmarks, estimate.landmarks_sought);
+    assert!(10 * found >= 9 * sought, "{found} of {sought}");
+    let x = estimate.world_from_camera.unwrap().translation.x;
+    assert!((x - 2.0 / FOCAL_PX).abs() < 1e-3, "{x}");
 }
 
 #[test]

@@ -130,6 +130,22 @@ fn relative(map: &Map, ids: &[KeyframeId]) -> Se3<Camera, Camera> {
 }
 
 #[test]
+fn most_of_the_map_stays_where_the_oldest_keyframe_hangs_on_it_by_little() {
+    let (map, ids) = drifted();
+    let job = LoopClosure::new(&map, ids[KEYFRAMES - 1], &[told(&ids)], &[], false).expect("a loop");
+    let swung = Sim3::new(0.95, UnitQuaternion::from_scaled_axis(Vector3::y() * 0.02), Vector3::new(0.4, 0.0, 0.1));
+    let moved =
+        |first: usize| -> Vec<_> { (0..KEYFRAMES).map(|i| if i < first { Sim3::identity() } else { swung }).collect() };
+    let held = job.held_instead(&moved(3)).expect("another one");
+    assert!(held >= 3);
+    assert_eq!(job.held_instead(&moved(40)), None, "the oldest with most of the map");
+    // Drift along the way is no reason.
+    let along: Vec<_> =
+        (0..KEYFRAMES).map(|i| Sim3::new(1.0, UnitQuaternion::identity(), Vector3::x() * (0.01 * i as f64))).collect();
+    assert_eq!(job.held_instead(&along), None);
+}
+
+#[test]
 fn a_turn_that_told_no_scale_takes_most_of_the_error() {
     let (mut map, ids) = drifted();
     // From the middle on the scale came through a turn.

@@ -5,7 +5,7 @@ use super::recognition::{PlaceWorker, Recognition};
 use super::{FoundLoop, Loops};
 use crate::features::FrameFeatures;
 use crate::geometry::median;
-use crate::map::{KeyframeId, Map};
+use crate::map::{Correction, KeyframeId, Map};
 use crate::places::loops::{ClosedLoop, LoopClosure, LoopEdge};
 use crate::places::way::shortest_way;
 use crate::reconstruction::Reconstruction;
@@ -171,28 +171,33 @@ impl Reconstruction {
     /// Moves the map as a closed loop says, and fuses what is one.
     pub(in crate::reconstruction) fn take_over_loop(&mut self, closed: Option<ClosedLoop>) {
         let (Some(found), Some(ClosedLoop { correction, .. })) = (self.loops.under_way.take(), closed) else { return };
-        let active = &mut self.active;
-        for (id, _) in active.map.keyframes.iter() {
-            let (keyframe, scale) = (KeyframeId(id), correction.of(KeyframeId(id)).scale);
-            self.events.push(TrajectoryEvent::KeyframeScaled { keyframe, scale });
-        }
-        active.map.correct(&correction);
-        let before = active.odometry.last.map(|last| last.camera_from_world);
-        let here = correction.of(active.reference);
-        active.odometry.correct_scaled(&here);
-        if let Some(floor) = &mut self.floor {
-            floor.follow(&here);
-        }
-        if let Some((old, new)) = before.zip(active.odometry.last.map(|last| last.camera_from_world)) {
+        let before = self.active.odometry.last.map(|last| last.camera_from_world);
+        self.move_map(&correction);
+        if let Some((old, new)) = before.zip(self.active.odometry.last.map(|last| last.camera_from_world)) {
             self.corrections.close_loop(&old, &new);
         }
-        active.scale.follow(&active.map);
         self.counters.loops_closed += 1;
         // Not before: of a loop that could not be closed the ends lie as they should not.
         let ties = ties(&self.active.map, &found.sightings, &found.told);
         self.loops.tie(ties);
         self.fuse_found(&found.sightings);
         self.active.next_global = 0;
+    }
+
+    /// Moves the map, the last frame with it, and what is told by them; the smooth pose stays.
+    pub(in crate::reconstruction) fn move_map(&mut self, correction: &Correction) {
+        let active = &mut self.active;
+        for (id, _) in active.map.keyframes.iter() {
+            let (keyframe, scale) = (KeyframeId(id), correction.of(KeyframeId(id)).scale);
+            self.events.push(TrajectoryEvent::KeyframeScaled { keyframe, scale });
+        }
+        active.map.correct(correction);
+        let here = correction.of(active.reference);
+        active.odometry.correct_scaled(&here);
+        if let Some(floor) = &mut self.floor {
+            floor.follow(&here);
+        }
+        active.scale.follow(&active.map);
     }
 
     /// What both keyframes were found to see of the old place is one with what they see.

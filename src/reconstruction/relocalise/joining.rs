@@ -3,8 +3,10 @@
 //! A map in which frames cannot be placed any more is not given up when the next one begins. Keyframes of the present map are looked for
 //! in those kept aside as a lost frame is ([`relocalise`](super::relocalise)): thumbnails, descriptors and P3P, then the search by
 //! projection, which must speak for itself. Two keyframes that tell the same similarity ([`other_maps`](super::other_maps)) join the maps:
-//! the other one is carried over into the present one, whose poses, unit and number stay as they are. A planner sees its map grow, and
-//! nothing jumps. Landmarks of both that are one corner are fused, and the whole is adjusted soon, if it is not too large.
+//! the other one becomes a part of the present one, whose number stays. Where the other one is the larger, both are from then on where that
+//! was, in its frame and, unless something tells the present map's scale, in its unit: there lie the places that a planner has stored. The map pose
+//! then jumps, with its revision; the smooth pose does not. A map that a command merges is carried over into the present one, however large.
+//! Landmarks of both that are one corner are fused, and the whole is adjusted soon, if it is not too large.
 //!
 //! A seam that an older keyframe told lies where the robot may not be: beyond 240 keyframes nothing adjusts it until the robot is there again.
 //!
@@ -22,7 +24,7 @@ use crate::geometry::CameraModel;
 use crate::geometry::frames::World;
 use crate::geometry::sim3::Sim3;
 use crate::map::observations::Observations;
-use crate::map::{KeyframeId, LandmarkId, Map};
+use crate::map::{Correction, KeyframeId, LandmarkId, Map};
 use crate::reconstruction::Reconstruction;
 use crate::reconstruction::keyframe::observe_match;
 use crate::reconstruction::optics::Optics;
@@ -163,7 +165,7 @@ impl Reconstruction {
     }
 
     /// Makes the other map a part of this one. `scale_sigma`: of the logarithm of the ratio of their units.
-    fn join(&mut self, mut other: OtherMap, present_from_other: &Sim3<World, World>, scale_sigma: f64) {
+    pub(super) fn join(&mut self, mut other: OtherMap, present_from_other: &Sim3<World, World>, scale_sigma: f64) {
         self.discard_job();
         let active = &mut self.active;
         // The lens may be known better by now.
@@ -176,6 +178,7 @@ impl Reconstruction {
         active.fusion.inherit(&other.fusion, -present_from_other.scale.ln(), scale_sigma);
         let own = |s: &Sighting| active.map.keyframe(s.keyframe).map(|k| k.observations.clone()).unwrap_or_default();
         let seen: Vec<Observations> = other.sightings.iter().map(own).collect();
+        let is_larger = !other.is_merged && other.map.keyframes.len() > active.map.keyframes.len();
         let by = other.sightings.last().and_then(|s| Some((seen_most_by(&other.map, s)?, s.keyframe)));
         if let Some((from, to)) = by {
             self.others.note_join(Join { map: other.id, from, to });
@@ -194,6 +197,27 @@ impl Reconstruction {
         active.frames += other.frames;
         active.next_global = 0;
         active.unadjusted = active.map.newest();
+        if is_larger {
+            self.go_back_to(&present_from_other.inverse());
+        }
+    }
+
+    /// The whole map moves such that what has just become a part of it lies where it was.
+    fn go_back_to(&mut self, other_from_present: &Sim3<World, World>) {
+        let before = self.active.odometry.last.map(|last| last.camera_from_world);
+        let Sim3 { scale, rotation, translation, .. } = *other_from_present;
+        // A unit that something has told stays; where it was the other map that is metric it becomes metres in a moment.
+        let keeps_unit = self.active.fusion.fused().is_some();
+        if !keeps_unit {
+            self.change_unit(scale);
+        }
+        let shift = if keeps_unit { translation / scale } else { translation };
+        let motion = Sim3::new(1.0, rotation, shift);
+        let keyframes = self.active.map.keyframes.iter().map(|(id, _)| (KeyframeId(id), motion)).collect();
+        self.move_map(&Correction { keyframes, younger: Some(motion) });
+        if let Some((old, new)) = before.zip(self.active.odometry.last.map(|last| last.camera_from_world)) {
+            self.corrections.carried(&old, &new);
+        }
     }
 }
 

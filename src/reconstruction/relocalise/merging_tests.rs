@@ -13,7 +13,7 @@ use crate::image::{GreyImage, Pyramid};
 use crate::map::saved::{Ids, MapHead};
 use crate::map::scale::{MapScale, ScaleSource, ScaleSources};
 use crate::map::{AssumedDistance, Landmark, LandmarkId, TurnId, examples};
-use crate::motion::scale::ScaleFusion;
+use crate::motion::scale::{ScaleFusion, ScaleMeasurement};
 use crate::reconstruction::odometry::Odometry;
 use crate::reconstruction::track::search::{Match, observe};
 use crate::reconstruction::{InlineWorker, PoseEstimate, ReconstructionConfig};
@@ -159,6 +159,45 @@ fn a_merged_map_is_joined_while_the_robot_stands_and_frame_number_and_reset_coun
     // The robot's newest keyframe is its own, and so is the next number.
     let newest = map.newest().expect("there");
     assert!(!map.numbers.is_merged(newest) && map.keyframes.next_id() > others[3].0.0);
+}
+
+#[test]
+fn a_larger_map_that_was_lost_stays_where_it_was_and_the_present_one_goes_there() {
+    let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.2, -0.5, 0.1));
+    let elsewhere = Sim3::<World, World>::new(1.0, turn, Vector3::new(2.0, 0.3, -1.0));
+    for is_told in [false, true] {
+        let mut r = tracking();
+        let before = stand(&mut r, 0..2);
+        if is_told {
+            let word = ScaleMeasurement { source: ScaleSource::Wheels, log_metres_per_unit: 0.4, sigma: 0.2 };
+            assert!(r.add_scale(&word));
+        }
+        let mut lost = OtherMap::of_another_run(for_run(&r, vec![another_day()]).maps.remove(0), false);
+        lost.map.transform(&elsewhere);
+        assert!(lost.map.keyframes.len() > r.active.map.keyframes.len());
+        let there: Vec<(KeyframeId, Vector3<f64>)> =
+            lost.map.keyframes.iter().map(|(id, k)| (KeyframeId(id), k.centre())).collect();
+        let told = Sim3::new(1.0 / OTHER_UNIT, UnitQuaternion::identity(), Vector3::zeros()) * elsewhere.inverse();
+        let revision = r.corrections.revision;
+        r.join(lost, &told, 0.01);
+        // A unit that something has told stays; about its origin the other map lies as it did.
+        let unit = if is_told { OTHER_UNIT.recip() } else { 1.0 };
+        for (id, centre) in &there {
+            let now = r.active.map.keyframe(*id).expect("a part").centre();
+            assert!((now - centre * unit).norm() < 1e-9, "{is_told}: {now} for {centre}");
+        }
+        let here = elsewhere.transform(&(Vector3::x() * (OTHER_UNIT * 124.0 / FOCAL_PX))) * unit;
+        let after = stand(&mut r, 2..3);
+        let x = after.world_from_camera.expect("a pose").translation;
+        assert!((x - here).norm() < 0.01, "{is_told}: {x} for {here}");
+        assert_eq!((after.map, after.reset_counter), (before.map, before.reset_counter));
+        assert_eq!(r.corrections.revision, revision + 1);
+        let was = before.world_from_camera.expect("a pose").translation;
+        assert!((r.corrections.distance - (here - was).norm()).abs() < 0.02, "{}", r.corrections.distance);
+        let odom = |e: &PoseEstimate| e.odom_from_camera.expect("a smooth pose").translation;
+        assert!((odom(&after) - odom(&before)).norm() < 0.01, "the smooth pose does not jump");
+        r.active.map.check_consistency().expect("whole");
+    }
 }
 
 #[test]
