@@ -147,9 +147,9 @@ impl Tracker {
             && let Some(tracked) = self.refine(frame, &pose, radius_px, 0)
         {
             let tracked = Tracked { by_flow: true, ..tracked };
-            let tracked = match guesses.first().filter(|_| tracks < PLENTY_OF_FLOW && tracked.share() < SHARE_ANYWHERE)
-            {
-                Some(guess) => self.refine_instead(frame, (&pose, tracked), guess),
+            let is_doubtful = tracks < PLENTY_OF_FLOW && tracked.share() < SHARE_ANYWHERE;
+            let tracked = match guesses.first().filter(|_| is_doubtful) {
+                Some(guess) => self.refine_instead(frame, (&pose, tracked), guess, &believed),
                 None => tracked,
             };
             if believed(self, &tracked) {
@@ -170,10 +170,11 @@ impl Tracker {
         frame: &Frame<'_>,
         (pose, tracked): (&Se3<Camera, World>, Tracked),
         guess: &Se3<Camera, World>,
+        believed: impl Fn(&Self, &Tracked) -> bool,
     ) -> Tracked {
         let radius_px = frame.config.search_radius_px;
-        if let Some(other) = self.refine(frame, guess, radius_px, 0).filter(|other| other.landmarks > tracked.landmarks)
-        {
+        let other = self.refine(frame, guess, radius_px, 0);
+        if let Some(other) = other.filter(|other| other.landmarks > tracked.landmarks && believed(self, other)) {
             return other;
         }
         // What is told is what was found last.
