@@ -296,7 +296,7 @@ fn a_map_that_was_lost_is_joined_when_its_place_is_seen_again() {
     assert!((1..=2).contains(&revisions[revisions.len() - 1]), "the join, and the adjustment after it: {revisions:?}");
     assert!(coverage > 0.9, "one trajectory: {coverage}");
     assert!(error < 0.02, "error {error} of the path");
-    // Nothing jumps at the join: from frame to frame the pose moves as the camera does.
+    // Nothing jumps at the join, as the present map is the larger one by then: from frame to frame the pose moves as the camera does.
     let published: Vec<_> = run.estimates.iter().filter(|e| e.map.0 == 1).filter_map(|e| e.world_from_camera).collect();
     let steps: Vec<f64> = published.windows(2).map(|w| (w[1].translation - w[0].translation).norm()).collect();
     let mean = steps.iter().sum::<f64>() / steps.len() as f64;

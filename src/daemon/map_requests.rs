@@ -144,6 +144,9 @@ impl ReconstructStep {
             None => Err("nothing is published".into()),
         };
         if moved.is_ok() {
+            if let Some(reconstruction) = self.reconstruction.as_mut() {
+                reconstruction.hold_frame();
+            }
             self.placements = self.placements.wrapping_add(1);
             info!("map put where a planner wants it");
         }

@@ -38,7 +38,8 @@ const SIGMA_UNTOLD_SCALE: f64 = 0.5;
 const SIGMA_HELD_SCALE: f64 = 1e-4;
 /// Levenberg-Marquardt steps at the most.
 const STEPS: usize = 30;
-/// The oldest keyframe does not stay where the others would then move so many times as far in all as with another one held; one of so many is tried.
+/// The oldest keyframe does not stay where the others would then move so many times as far in all as with another one held; so many are tried,
+/// evenly spread.
 /// (Drift that grows with the way moves twice as much about its beginning as about its middle.)
 const MOVES_MORE: f64 = 3.0;
 const HELD_TRIED: usize = 64;

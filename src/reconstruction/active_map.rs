@@ -27,6 +27,8 @@ pub struct ActiveMap {
     pub next_global: usize,
     /// How often it was thinned out, as it is too large.
     pub thinned: u32,
+    /// Somebody has said where the robot is in it: its frame stays, whatever is joined to it.
+    pub is_placed: bool,
     /// Id of the map that begins next.
     pub next_id: MapId,
 }
@@ -52,6 +54,7 @@ impl ActiveMap {
             unadjusted: None,
             next_global: GLOBAL_FIRST,
             thinned: 0,
+            is_placed: false,
             next_id: MapId(id.0 + 1),
         }
     }

@@ -1,6 +1,6 @@
 //! Corrections of the map's published coordinates that are more than ordinary adjustment.
 //!
-//! A join carries what was in another map's coordinates over into the present ones, and the first adjustment of both together then moves
+//! A join carries what was in another map's coordinates over into the present ones, or all into those of a larger one, and the first adjustment of both together then moves
 //! poses and landmarks by more than the usual fraction of a pixel. A planner that keeps things in map coordinates must hear of both: each
 //! raises the revision that pose and map messages carry, and so does a camera that is
 //! placed anew once parallax tells where it went behind a turn on the spot. Ordinary adjustments are left uncounted, as they come several times a second.
@@ -32,7 +32,7 @@ impl Corrections {
         *self = Self { revision: self.revision.wrapping_add(1), distance: 0.0, angle_rad: 0.0, awaited: true };
     }
 
-    /// The same, and both are where the other one was, so that the camera went from there to here.
+    /// Both are where the other one was, and so the camera went from there to here.
     pub(super) fn carried(&mut self, old: &Se3<Camera, World>, new: &Se3<Camera, World>) {
         (self.distance, self.angle_rad) = moved(old, new);
     }

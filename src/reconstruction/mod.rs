@@ -289,7 +289,7 @@ impl Reconstruction {
         self.counters.frames_tracked += 1;
         active.frames += 1;
         active.reference = self.tracker.best_reference(&active.map).unwrap_or(active.reference);
-        self.tracker.note_distance(&pose.inverse().translation);
+        self.tracker.note_accepted(tracked);
         let step = active.odometry.accept(features.timestamp_ns, pose);
         if let Some(odom) = odom_by_wheels {
             active.odometry.odom_from_camera = odom;

@@ -159,6 +159,11 @@ impl ScaleUncertainty {
         parts
     }
 
+    /// The whole map has moved so, also where a turn's keyframe is gone.
+    pub fn carry(&mut self, motion: &Sim3<World, World>) {
+        self.turns.iter_mut().for_each(|turn| turn.centre = motion.transform(&turn.centre));
+    }
+
     /// The map's lengths are `factor` times as long from now on.
     pub fn rescale(&mut self, factor: f64) {
         self.turns.iter_mut().for_each(|turn| turn.centre *= factor);

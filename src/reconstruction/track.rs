@@ -23,6 +23,7 @@ use nalgebra::{Vector2, Vector3};
 use super::measurement::Correspondence;
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, World};
+use crate::geometry::sim3::Sim3;
 use crate::geometry::{Se3, median};
 use crate::map::{KeyframeId, LandmarkId, Map};
 use association::Target;
@@ -84,6 +85,8 @@ pub struct Tracker {
     angles: Vec<f64>,
     maturity: MaturityGate,
     seeds: SeedRays,
+    /// What the last frame that was accepted found of what it sought.
+    share_before: f64,
 }
 
 /// Keyframes around the reference whose landmarks are looked for.
@@ -126,6 +129,7 @@ impl Default for Tracker {
             angles: Vec::with_capacity(1024),
             maturity: MaturityGate::with_capacity(2048),
             seeds: SeedRays::with_capacity(2048),
+            share_before: 0.0,
         }
     }
 }
@@ -147,7 +151,8 @@ impl Tracker {
             && let Some(tracked) = self.refine(frame, &pose, radius_px, 0)
         {
             let tracked = Tracked { by_flow: true, ..tracked };
-            let is_doubtful = tracks < PLENTY_OF_FLOW && tracked.share() < SHARE_ANYWHERE;
+            let is_doubtful =
+                tracks < PLENTY_OF_FLOW && tracked.share() < SHARE_ANYWHERE && self.share_before >= SHARE_ANYWHERE;
             let tracked = match guesses.first().filter(|_| is_doubtful) {
                 Some(guess) => self.refine_instead(frame, (&pose, tracked), guess, &believed),
                 None => tracked,
@@ -163,8 +168,9 @@ impl Tracker {
     }
 
     /// What was found from a pose by flow, or from a guess if that finds more. Few tracks can agree on a wrong pose, from which a share of the landmarks is
-    /// found all the same: where the map has been known for long a frame has some ten tracks that are bound to landmarks. (In a mapped room, 18 tracks, ten of
-    /// which agreed on a pose 6 degrees off: 81 of 220 landmarks from there, 211 from constant velocity.)
+    /// found all the same: where the map has long been known a frame has some ten tracks that are bound to landmarks. (In a mapped room ten of 18 agreed on
+    /// a pose that was 6 degrees off: 81 of 220 landmarks from there, 211 from constant velocity.) It is doubted where the frame before found most of what
+    /// it sought: in blur and quick turns constant velocity knows no better.
     fn refine_instead(
         &mut self,
         frame: &Frame<'_>,
@@ -270,7 +276,8 @@ impl Tracker {
         self.local.dedup();
     }
 
-    /// Pose from the tracks that are bound to landmarks, and in a quick turn from seeds beside them, and how many agree; `None` if too few.
+    /// Pose from the tracks that are bound to landmarks, and in a quick turn from seeds beside them, and how many of the tracks agree; `None` if too
+    /// little does.
     fn predict_by_flow(
         &mut self,
         frame: &Frame<'_>,
@@ -297,8 +304,9 @@ impl Tracker {
         }
         let options = PoseOptions { first_round_relaxation: 25.0, ..pose_options(frame, assumed) };
         let solution = optimise_pose(guess, &self.pairs, &options, &mut self.inlier)?;
-        let agree = solution.inliers;
-        (agree >= MIN_FLOW && 2 * agree >= self.pairs.len()).then_some((solution.camera_from_world, agree))
+        let agree = self.inlier.iter().take(tracks).filter(|agrees| **agrees).count();
+        let is_enough = solution.inliers >= MIN_FLOW && 2 * solution.inliers >= self.pairs.len();
+        is_enough.then_some((solution.camera_from_world, agree))
     }
 
     /// The map's lengths are `factor` times as long from now on.
@@ -307,9 +315,15 @@ impl Tracker {
         self.seeds.rescale(factor);
     }
 
-    /// Notes how far away is what the frame that was accepted has seen, from its place in the world.
-    pub(super) fn note_distance(&mut self, centre: &Vector3<f64>) {
-        self.seeds.note_distance(&self.search.matches, centre);
+    /// The whole map has moved so.
+    pub(super) fn carry(&mut self, motion: &Sim3<World, World>) {
+        self.search.matches.iter_mut().for_each(|m| m.point = motion.transform(&m.point));
+    }
+
+    /// Notes of the frame that was accepted how far away is what it has seen, and how much it has found.
+    pub(super) fn note_accepted(&mut self, tracked: &Tracked) {
+        self.seeds.note_distance(&self.search.matches, &tracked.camera_from_world.inverse().translation);
+        self.share_before = tracked.share();
     }
 
     /// Search at `guess` and optimise; a second search at the result when the first had to look widely.

@@ -8,6 +8,8 @@
 
 mod held;
 
+use std::collections::BTreeMap;
+
 use nalgebra::{SVector, Vector2, Vector3};
 
 use super::bundle::{
@@ -15,7 +17,7 @@ use super::bundle::{
 };
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
-use crate::map::{KeyframeId, LandmarkId, Map, Observation};
+use crate::map::{KeyframeId, LandmarkId, Map, MapId, Observation};
 use crate::places::loops::{ClosedLoop, LoopClosure};
 use crate::reconstruction::config::ReconstructionConfig;
 use crate::reconstruction::keyframe::distance_prior;
@@ -119,18 +121,18 @@ impl Adjustment {
         keyframes.sort_unstable();
         if votes.is_empty() {
             // Nobody outside holds the problem.
-            hold_oldest(map, newest, &mut keyframes)?;
+            hold_oldest(map, &mut keyframes)?;
         }
         let options = BundleOptions { steps: config.adjustment_steps, ..BundleOptions::default() };
         Self::build(map, &keyframes, landmarks, newest, camera, shutter, options)
     }
 
-    /// Global bundle adjustment: the whole map, its first keyframe held (of a map that others were joined to: its own first).
+    /// Global bundle adjustment: the whole map, its first keyframe held (of maps that became one: the first of that which has most).
     pub fn global(map: &Map, camera: &CameraModel, shutter: &Shutter, steps: usize) -> Option<Self> {
         let mut keyframes: Vec<(KeyframeId, bool)> =
             map.keyframes.iter().map(|(id, _)| (KeyframeId(id), false)).collect();
         let newest = map.newest()?;
-        hold_oldest(map, newest, &mut keyframes)?;
+        hold_oldest(map, &mut keyframes)?;
         let landmarks = map.landmarks.iter().map(|(id, _)| LandmarkId(id)).collect();
         let options = BundleOptions { steps, relative_gain: GLOBAL_GAIN, ..BundleOptions::default() };
         Self::build(map, &keyframes, landmarks, newest, camera, shutter, options)
@@ -215,10 +217,15 @@ impl Adjustment {
     }
 }
 
-/// Holds the oldest keyframe that was made in the same map as the newest: what others brought along follows.
-fn hold_oldest(map: &Map, newest: KeyframeId, keyframes: &mut [(KeyframeId, bool)]) -> Option<()> {
-    let own = map.keyframe(newest)?.map;
-    keyframes.iter_mut().find(|(id, _)| map.keyframe(*id).is_some_and(|k| k.map == own))?.1 = true;
+/// Holds the oldest keyframe of the map that most of them were made in, and that no command has brought: what was joined to it follows.
+fn hold_oldest(map: &Map, keyframes: &mut [(KeyframeId, bool)]) -> Option<()> {
+    let made_in = |id: KeyframeId| map.keyframe(id).filter(|_| !map.numbers.is_merged(id)).map(|k| k.map);
+    let mut counts: BTreeMap<MapId, usize> = BTreeMap::new();
+    for made_in in keyframes.iter().filter_map(|(id, _)| made_in(*id)) {
+        *counts.entry(made_in).or_default() += 1;
+    }
+    let (most, _) = counts.into_iter().max_by_key(|(map, count)| (*count, std::cmp::Reverse(*map)))?;
+    keyframes.iter_mut().find(|(id, _)| made_in(*id) == Some(most))?.1 = true;
     Some(())
 }
 

@@ -65,6 +65,11 @@ impl Reconstruction {
         estimate
     }
 
+    /// Somebody has said where the robot is in the present map: when one that was lost is joined to it, it is not told in that one's frame.
+    pub fn hold_frame(&mut self) {
+        self.active.is_placed = true;
+    }
+
     /// Looks for the frame that has just become the keyframe `id` in the maps kept aside; joins the one that it is recognised in.
     pub(in crate::reconstruction) fn recognise(&mut self, features: &FrameFeatures, id: KeyframeId) {
         if self.others.kept.is_empty() || self.pending.turned.is_some() {
@@ -174,11 +179,18 @@ impl Reconstruction {
         let newest = other.sightings.last().map(|s| s.keyframe);
         let through = newest.and_then(|id| active.map.keyframe(id)?.scale_from);
         active.scale.absorb(&other.scale, &mut other.map, present_from_other, through);
-        // A length of one here is 1 / scale there.
-        active.fusion.inherit(&other.fusion, -present_from_other.scale.ln(), scale_sigma);
+        // Goals of a planner that has placed this map lie in its frame.
+        let is_larger = other.map.keyframes.len() > active.map.keyframes.len();
+        let goes_back = is_larger && !other.is_merged && !active.is_placed;
+        // A unit that something has told stays; else it is the other's, whose own words then hold as they are.
+        let takes_unit = goes_back && active.fusion.fused().is_none();
+        match takes_unit {
+            true => active.fusion.inherit(&other.fusion, 0.0, 0.0),
+            // A length of one here is 1 / scale there.
+            false => active.fusion.inherit(&other.fusion, -present_from_other.scale.ln(), scale_sigma),
+        }
         let own = |s: &Sighting| active.map.keyframe(s.keyframe).map(|k| k.observations.clone()).unwrap_or_default();
         let seen: Vec<Observations> = other.sightings.iter().map(own).collect();
-        let is_larger = !other.is_merged && other.map.keyframes.len() > active.map.keyframes.len();
         let by = other.sightings.last().and_then(|s| Some((seen_most_by(&other.map, s)?, s.keyframe)));
         if let Some((from, to)) = by {
             self.others.note_join(Join { map: other.id, from, to });
@@ -197,24 +209,24 @@ impl Reconstruction {
         active.frames += other.frames;
         active.next_global = 0;
         active.unadjusted = active.map.newest();
-        if is_larger {
-            self.go_back_to(&present_from_other.inverse());
+        if goes_back {
+            self.go_back_to(&present_from_other.inverse(), takes_unit);
         }
     }
 
-    /// The whole map moves such that what has just become a part of it lies where it was.
-    fn go_back_to(&mut self, other_from_present: &Sim3<World, World>) {
+    /// The whole map moves such that what has just become a part of it lies where it was; `takes_unit`: and is as large as it was.
+    fn go_back_to(&mut self, other_from_present: &Sim3<World, World>, takes_unit: bool) {
         let before = self.active.odometry.last.map(|last| last.camera_from_world);
         let Sim3 { scale, rotation, translation, .. } = *other_from_present;
-        // A unit that something has told stays; where it was the other map that is metric it becomes metres in a moment.
-        let keeps_unit = self.active.fusion.fused().is_some();
-        if !keeps_unit {
+        if takes_unit {
             self.change_unit(scale);
         }
-        let shift = if keeps_unit { translation / scale } else { translation };
-        let motion = Sim3::new(1.0, rotation, shift);
+        let motion = Sim3::new(1.0, rotation, if takes_unit { translation } else { translation / scale });
         let keyframes = self.active.map.keyframes.iter().map(|(id, _)| (KeyframeId(id), motion)).collect();
+        self.active.scale.carry(&motion);
         self.move_map(&Correction { keyframes, younger: Some(motion) });
+        self.tracker.carry(&motion);
+        self.wheels.interrupt();
         if let Some((old, new)) = before.zip(self.active.odometry.last.map(|last| last.camera_from_world)) {
             self.corrections.carried(&old, &new);
         }

@@ -201,6 +201,39 @@ fn a_larger_map_that_was_lost_stays_where_it_was_and_the_present_one_goes_there(
 }
 
 #[test]
+fn a_larger_map_that_was_lost_is_metric_still_and_comes_over_where_this_one_was_placed() {
+    for is_placed in [false, true] {
+        let mut r = tracking();
+        let before = stand(&mut r, 0..2);
+        if is_placed {
+            r.hold_frame();
+        }
+        let mut saved = for_run(&r, vec![another_day()]).maps.remove(0);
+        saved.head.scale = MapScale::Metric { sigma: 0.01, sources: ScaleSources::default().with(ScaleSource::Wheels) };
+        let lost = OtherMap::of_another_run(saved, false);
+        let last = lost.map.newest().expect("four");
+        let there = lost.map.keyframe(last).expect("there").centre();
+        let told = Sim3::new(1.0 / OTHER_UNIT, UnitQuaternion::identity(), Vector3::zeros());
+        r.join(lost, &told, 0.05);
+        let now = r.active.map.keyframe(last).expect("a part").centre();
+        if is_placed {
+            assert!((now - there / OTHER_UNIT).norm() < 1e-9, "{now}");
+            continue;
+        }
+        assert!((now - there).norm() < 1e-9, "{now} for {there}");
+        let after = stand(&mut r, 2..4);
+        assert!(
+            matches!(after.scale, MapScale::Metric { sigma, .. } if (sigma - 0.01).abs() < 1e-6),
+            "{:?}",
+            after.scale
+        );
+        let x = after.world_from_camera.expect("a pose").translation.x;
+        assert!((x - OTHER_UNIT * 124.0 / FOCAL_PX).abs() < 0.01, "{x}");
+        assert_eq!(after.reset_counter, before.reset_counter + 1, "its lengths are metres now");
+    }
+}
+
+#[test]
 fn what_waits_to_be_joined_is_in_no_file_and_what_was_joined_is() {
     let mut r = tracking();
     stand(&mut r, 0..2);
