@@ -223,7 +223,7 @@ impl Reconstruction {
         self.tracker.rescale(factor);
     }
 
-    /// The same in the record of a trajectory, and of what tags and the floor have told. For a map of which nobody knows the scale.
+    /// The same, and in the record of a trajectory, and what tags and the floor have told. For a map of which nobody knows the scale.
     pub(super) fn change_unit(&mut self, factor: f64) {
         self.scale_lengths(factor);
         let keyframes = self.active.map.keyframes.iter().map(|(id, _)| KeyframeId(id));

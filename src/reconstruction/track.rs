@@ -94,15 +94,15 @@ const LOCAL_KEYFRAMES: usize = 20;
 /// Landmarks (counted once for each local keyframe) that there is room for at once.
 const LOCAL_ROOM: usize = 16_384;
 /// Of what should be in view, the share that must be found where nothing but that speaks for a pose: in the map that this run is in; and in any other,
-/// of what should look as it did.
+/// of what should look as it did. The latter is also what a frame of a known place finds at the least when nothing is wrong with its prediction.
 /// Places of one build share their edges: rooms of the same plan show up to 0.47 of each other, a corridor up to 0.43 of another stretch of it
 /// (`tests/places`). A place itself shows 0.85 to 0.98 in the median, on another day too, but 0.35 to 0.5 where a hand has moved quickly on.
 const SHARE_HERE: f64 = 1.0 / 3.0;
 const SHARE_ANYWHERE: f64 = 0.6;
 /// Bound tracks that a prediction by flow must rest on.
 const MIN_FLOW: usize = 10;
-/// And with which it needs no other prediction beside it.
-const PLENTY_OF_FLOW: usize = 30;
+/// A pose that so many landmarks or tracks agree with needs no competitors.
+pub const PLENTY: usize = 30;
 /// A search without a good prediction looks in this many times the usual radius.
 const WIDE: f64 = 4.0;
 /// Times that assumed distances are eliminated anew at the pose just found, at the most, and the step (rad, and share of the
@@ -152,7 +152,7 @@ impl Tracker {
         {
             let tracked = Tracked { by_flow: true, ..tracked };
             let is_doubtful =
-                tracks < PLENTY_OF_FLOW && tracked.share() < SHARE_ANYWHERE && self.share_before >= SHARE_ANYWHERE;
+                tracks < PLENTY && tracked.share() < SHARE_ANYWHERE && self.share_before >= SHARE_ANYWHERE;
             let tracked = match guesses.first().filter(|_| is_doubtful) {
                 Some(guess) => self.refine_instead(frame, (&pose, tracked), guess, &believed),
                 None => tracked,
