@@ -121,15 +121,15 @@ impl<const N: usize> PatchTemplate<N> {
         Some(template)
     }
 
-    /// Smaller eigenvalue of the structure tensor around `center`, grey²/px², mean over the patch (Shi & Tomasi, Good Features to
-    /// Track, CVPR 1994), after removing what a change of gain or bias could explain; `None` where there is no template. The
-    /// standard deviation of a template's position in the worst direction under pixel noise sigma is about
-    /// sigma * sqrt(2 / (N² * this)) pixels.
+    /// Eigenvalues of the structure tensor around `center`, the smaller one first, grey²/px², mean over the patch (Shi & Tomasi,
+    /// Good Features to Track, CVPR 1994), after removing what a change of gain or bias could explain; `None` where there is no
+    /// template. The standard deviation of a template's position in the worst direction under pixel noise sigma is about
+    /// sigma * sqrt(2 / (N² * the smaller one)) pixels.
     #[inline]
-    pub fn min_eigenvalue_at(image: &GreyImage, center: Vector2<f32>) -> Option<f32> {
+    pub fn eigenvalues_at(image: &GreyImage, center: Vector2<f32>) -> Option<[f32; 2]> {
         let mut buffer = Self::buffer();
         Self::sample_bordered(image, center, buffer.as_flattened_mut().as_flattened_mut())?;
-        Some(Structure::of(buffer.as_flattened().as_flattened(), N).min_eigenvalue)
+        Some(Structure::of(buffer.as_flattened().as_flattened(), N).eigenvalues)
     }
 
     /// Room for (N + 2)² values and more: 2 N².
@@ -172,7 +172,7 @@ impl<const N: usize> PatchTemplate<N> {
             along: [along_x, along_y],
             energy,
             tensor,
-            min_eigenvalue,
+            eigenvalues: [smaller, _],
         } = Structure::of(bordered, N);
         let [xx, xy, yy] = tensor;
         let mut template = Self {
@@ -185,7 +185,7 @@ impl<const N: usize> PatchTemplate<N> {
             energy,
         };
         // Written so that NaN fails.
-        if !(min_eigenvalue > SINGULAR_EIGENVALUE && energy > 0.0 && (xx + yy).is_finite()) {
+        if !(smaller > SINGULAR_EIGENVALUE && energy > 0.0 && (xx + yy).is_finite()) {
             return template;
         }
         let determinant = area * (xx * yy - xy * xy);

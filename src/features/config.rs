@@ -24,7 +24,7 @@ pub struct FeaturesConfig {
     pub cell_px: usize,
     /// Tracks followed at once, at the most. 50..=2000.
     pub max_tracks: usize,
-    /// Smallest eigenvalue of a corner's structure tensor, grey^2/px^2. 0.1..=1000.0.
+    /// Smallest eigenvalue of a corner's structure tensor, grey^2/px^2; weaker ones, down to 1, only where tracks are few. 0.1..=1000.0.
     pub min_eigenvalue: f32,
     /// Correlation of a track's patches in two frames. 0.3..=0.99.
     pub min_ncc: f32,

@@ -20,7 +20,8 @@ pub struct Structure {
     pub energy: f32,
     /// H divided by n²: xx, xy, yy, grey²/px².
     pub tensor: [f32; 3],
-    pub min_eigenvalue: f32,
+    /// Of the tensor: the smaller one and the larger one.
+    pub eigenvalues: [f32; 2],
 }
 
 impl Structure {
@@ -38,8 +39,15 @@ impl Structure {
             (xy - x * mean_y - along_x * along_y * energy) / area,
             (yy - y * mean_y - along_y * along_y * energy) / area,
         ];
-        let min_eigenvalue = 0.5 * (xx + yy - ((xx - yy) * (xx - yy) + 4.0 * xy * xy).sqrt());
-        Self { mean, mean_gradient: [mean_x, mean_y], along: [along_x, along_y], energy, tensor, min_eigenvalue }
+        let smaller = 0.5 * (xx + yy - ((xx - yy) * (xx - yy) + 4.0 * xy * xy).sqrt());
+        Self {
+            mean,
+            mean_gradient: [mean_x, mean_y],
+            along: [along_x, along_y],
+            energy,
+            tensor,
+            eigenvalues: [smaller, xx + yy - smaller],
+        }
     }
 }
 
@@ -108,7 +116,9 @@ mod tests {
                 assert!((f64::from(*got) - defined).abs() < 1e-3 * (xx + yy), "{got} {defined}");
             }
             let smaller = 0.5 * (xx + yy - ((xx - yy).powi(2) + 4.0 * xy * xy).sqrt());
-            assert!((f64::from(structure.min_eigenvalue) - smaller).abs() < 1e-3 * (xx + yy));
+            let [small, large] = structure.eigenvalues.map(f64::from);
+            assert!((small - smaller).abs() < 1e-3 * (xx + yy));
+            assert!((small + large - (xx + yy)).abs() < 1e-3 * (xx + yy));
         }
     }
 

@@ -53,7 +53,7 @@ impl CornerFinder {
         };
         let free = spread.filter_map(|corner| {
             let pixel = Vector2::new(corner.x, corner.y);
-            if is_taken(&pixel) || Template::min_eigenvalue_at(image, pixel)? < MIN_EIGENVALUE {
+            if is_taken(&pixel) || Template::eigenvalues_at(image, pixel)?[0] < MIN_EIGENVALUE {
                 return None;
             }
             let normalised = camera.undistort(&pixel.cast())?;
