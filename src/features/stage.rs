@@ -41,12 +41,15 @@ const QUICK_PX: f32 = 32.0;
 const FILLED_SHARE: f32 = 0.95;
 /// Corners weaker than the configuration asks for are followed, the strongest first, while tracks are fewer than this share of the most
 /// that there may be. Chosen on half of 158 recordings made darker, quicker, shorter and smaller than those that they were made of (0.3 to
-/// 0.7 tried); on the other half 3 % more frames had a pose at once, and errors were a twentieth smaller.
+/// 0.7 tried); on the other half 3 % more frames had a pose at once, and errors were a twenty-fifth smaller.
 const FEW_SHARE: f32 = 0.5;
 /// The smaller eigenvalue of such a corner at the least, grey²/px² (of pure noise of one grey level it is 0.4), and its share of the larger
 /// one: below that a patch slides along its edge, however much stands out from the noise.
 const WEAKEST_EIGENVALUE: f32 = 1.0;
 const EDGE_SHARE: f32 = 0.1;
+/// A first picture is searched down to there at once; later, what is asked sinks by this factor a picture with few tracks and comes back by
+/// a tenth otherwise. A dark room stays, while what blur leaves of strong corners for some frames is not worth following.
+const PATIENCE: f32 = 0.97;
 /// How much a cell without a corner lowers its threshold, and how often at once in a first picture.
 const LOWERED: f32 = 0.7;
 const SETTLING_PASSES: usize = 4;
@@ -105,6 +108,8 @@ pub struct FeatureStage {
     /// Best corner of each cell with its eigenvalue.
     best: Vec<Option<(f32, Vector2<f32>)>>,
     eigenvalues: Vec<f32>,
+    /// Smaller eigenvalue of the weakest corner that is looked at in these pictures, grey²/px².
+    weakest: f32,
 }
 
 impl FeatureStage {
@@ -133,6 +138,7 @@ impl FeatureStage {
             corners: Vec::new(),
             best: Vec::new(),
             eigenvalues: Vec::new(),
+            weakest: WEAKEST_EIGENVALUE,
         }
     }
 
@@ -285,7 +291,7 @@ impl FeatureStage {
             let position = Vector2::new(corner.x, corner.y);
             let Some([smaller, larger]) = Template::eigenvalues_at(image, position) else { continue };
             let is_strong = smaller >= self.config.min_eigenvalue;
-            let is_corner = smaller >= WEAKEST_EIGENVALUE && smaller >= EDGE_SHARE * larger;
+            let is_corner = smaller >= self.weakest && smaller >= EDGE_SHARE * larger;
             if (is_strong || is_corner) && self.best[i].is_none_or(|b| smaller > b.0) {
                 self.best[i] = Some((smaller, position));
             }
@@ -294,15 +300,26 @@ impl FeatureStage {
 
     /// The eigenvalue that a new track's corner must have: with few tracks less than the configuration asks for.
     fn least_eigenvalue(&mut self) -> f32 {
+        let strong = self.config.min_eigenvalue;
         let few = (FEW_SHARE * self.config.max_tracks as f32) as usize;
-        let Some(missing) = few.checked_sub(self.tracks.len()).filter(|n| *n > 0) else {
-            return self.config.min_eigenvalue;
-        };
+        let missing = few.saturating_sub(self.tracks.len());
         let wanted = self.best.iter().zip(&self.grid.cells).filter(|(_, cell)| cell.wanted);
         self.eigenvalues.clear();
         self.eigenvalues.extend(wanted.filter_map(|(best, _)| Some(best.as_ref()?.0)));
         self.eigenvalues.sort_unstable_by(|a, b| b.total_cmp(a));
-        self.eigenvalues.get(missing - 1).map_or(0.0, |e| e.min(self.config.min_eigenvalue))
+        let least = match missing.checked_sub(1) {
+            Some(last) => self.eigenvalues.get(last).map_or(0.0, |e| e.min(strong)),
+            None => strong,
+        };
+        self.adapt_weakest(least < strong);
+        least
+    }
+
+    /// Few corners that are strong enough, or enough of them: next time weaker ones are looked at, or stronger ones alone.
+    fn adapt_weakest(&mut self, are_few: bool) {
+        let factor = if are_few { PATIENCE } else { 1.1 };
+        self.weakest =
+            (self.weakest * factor).clamp(WEAKEST_EIGENVALUE, self.config.min_eigenvalue.max(WEAKEST_EIGENVALUE));
     }
 
     /// One new track in each empty cell that has a corner.
@@ -322,9 +339,11 @@ impl FeatureStage {
         }
         let room = self.config.max_tracks.saturating_sub(self.tracks.len());
         if room == 0 || filled as f32 >= FILLED_SHARE * self.grid.cells.len() as f32 {
+            self.adapt_weakest(false);
             return;
         }
         if std::mem::take(&mut self.fresh) {
+            self.weakest = WEAKEST_EIGENVALUE;
             self.settle_thresholds(image);
         }
         self.detector.detect(image, &self.grid, &mut self.corners);
@@ -447,6 +466,28 @@ mod tests {
         // Where the edges begin is a corner.
         let beside_edges = columns_with_tracks(5, 1000.0);
         assert!(beside_edges.len() > 60 && beside_edges.iter().all(|c| *c <= 5), "{beside_edges:?}");
+    }
+
+    #[test]
+    fn pictures_that_are_weak_for_a_moment_do_not_start_weak_tracks() {
+        let faded = |by: u8| {
+            let mut picture = specks_and_edges(20);
+            picture.data.iter_mut().for_each(|grey| *grey = 100 + (*grey - 100) / by);
+            picture
+        };
+        let mut stage = FeatureStage::new(&FeaturesConfig { min_threshold: 2.0, ..FeaturesConfig::default() });
+        let mut features = FrameFeatures::default();
+        let mut started = |picture: &GreyImage, frames: usize| {
+            for _ in 0..frames {
+                stage.step_grey(picture, &mut features);
+            }
+            features.tracks.len()
+        };
+        assert!(started(&faded(1), 30) > 250);
+        let blank = GreyImage { data: vec![100; 640 * 480], ..faded(1) };
+        assert_eq!(started(&blank, 1), 0);
+        assert!(started(&faded(4), 5) < 20, "{} tracks at once", started(&faded(4), 0));
+        assert!(started(&faded(4), 100) > 140, "{} tracks in the end", started(&faded(4), 0));
     }
 
     #[test]
