@@ -440,8 +440,8 @@ mod tests {
             let (x, y) = (i % 640, i / 640);
             let (column, at) = (x / 32, (x % 32, y % 32));
             let bright = match at {
-                (15..18, 15..18) if column < columns => 30 + column as u8,
-                (15..17, 12..14) if column >= columns => 25,
+                (15..=17, 15..=17) if column < columns => 30 + column as u8,
+                (15..=16, 12..=13) if column >= columns => 25,
                 (_, 15..) if column >= columns => 150,
                 _ => 0,
             };
