@@ -18,7 +18,7 @@ use crate::map::FreeCorner;
 const CORNERS: usize = 500;
 pub const CELL_PX: usize = 24;
 /// Brightness difference of a corner, grey levels, and the smaller eigenvalue of its structure tensor, grey²/px²: an edge would be found
-/// anywhere along itself, and so also where a pose that is wrong puts it. (At 8, which tracks need, two of four walks at 5 Hz were bent by
+/// anywhere along itself, and so also where a pose that is wrong puts it. (At 8, as of tracks, two of four walks at 5 Hz were bent by
 /// it in a turn; at 60 quick recordings run out of corners.)
 const THRESHOLD: u8 = 10;
 const MIN_EIGENVALUE: f32 = 30.0;
