@@ -132,63 +132,33 @@ impl Adjustment {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use nalgebra::{Matrix3, UnitQuaternion};
 
     use super::*;
     use crate::geometry::Se3;
     use crate::geometry::frames::{Camera, World};
-    use crate::map::{Keyframe, Landmark, MapId};
+    use crate::map::{Landmark, examples};
     use crate::motion::floor::plane::Plane;
     use crate::reconstruction::track::search::observe;
 
-    const KEYFRAMES: usize = 4;
-
-    /// Looking along z, y down: one keyframe every 0.2 along x, a metre above a floor of which `on_floor` landmarks are seen, and 20 on a wall.
+    /// Looking along z, y down: four keyframes, one every 0.2 along x, a metre above a floor of which `on_floor` landmarks are seen, and 20 on a wall.
     fn driven(on_floor: usize, camera: &CameraModel) -> Map {
         let mut map = Map::default();
-        let pose =
-            |n: usize| Se3::<Camera, World>::new(UnitQuaternion::identity(), Vector3::new(-0.2 * n as f64, 0.0, 0.0));
-        let keyframes: Vec<KeyframeId> = (0..KEYFRAMES)
-            .map(|n| {
-                map.add_keyframe(Keyframe {
-                    sequence: n as u64,
-                    timestamp_ns: n as i64 * 200_000_000,
-                    map: MapId(0),
-                    camera_from_world: pose(n),
-                    motion: None,
-                    picture: Default::default(),
-                    thumbnail: Default::default(),
-                    scale_from: None,
-                    observations: Default::default(),
-                    covisible: Vec::new(),
-                    corners: Vec::new(),
-                })
-            })
-            .collect();
+        let poses =
+            [0.0, 0.2, 0.4, 0.6].map(|x| Se3::<Camera, World>::new(UnitQuaternion::identity(), -x * Vector3::x()));
+        let keyframes = poses.map(|pose| map.add_keyframe(examples::keyframe(Arc::default(), pose)));
         let floor = (0..on_floor).map(|i| Vector3::new(0.1 * (i % 7) as f64, 1.0, 3.0 + 0.2 * (i / 7) as f64));
         let wall = (0..20).map(|i| Vector3::new(0.1 * (i % 5) as f64, 0.1 * (i / 5) as f64, 4.0));
         for point in floor.chain(wall) {
-            let seen: Vec<_> = keyframes
-                .iter()
-                .enumerate()
-                .map(|(n, k)| {
-                    let pixel = camera.project(&pose(n).transform(&point)).expect("in front");
-                    (*k, observe(camera, LandmarkId::default(), pixel.cast(), 1.0).expect("in the picture"))
-                })
-                .collect();
-            map.add_landmark(
-                Landmark {
-                    position: point,
-                    covariance: Matrix3::identity() * 1e-6,
-                    observers: Vec::new(),
-                    assumed: None,
-                    created_by: keyframes[0],
-                    sought: 1,
-                    found: 1,
-                    disagreed: 0,
-                },
-                &seen,
-            );
+            let seen = std::array::from_fn::<_, 4, _>(|n| {
+                let pixel = camera.project(&poses[n].transform(&point)).expect("in front");
+                let seen = observe(camera, LandmarkId::default(), pixel.cast(), 1.0).expect("in the picture");
+                (keyframes[n], seen)
+            });
+            let known = Matrix3::identity() * 1e-6;
+            map.add_landmark(Landmark { covariance: known, ..examples::landmark(point, keyframes[0]) }, &seen);
         }
         map
     }
@@ -213,7 +183,7 @@ mod tests {
 
     #[test]
     fn a_floor_is_held_where_this_runs_cameras_drove_over_enough_of_it() {
-        let camera = CameraModel::new(640, 480, 500.0, 500.0, 320.0, 240.0, [0.0; 5]).expect("a camera");
+        let camera = examples::lens();
         let map = driven(LEAST_LANDMARKS, &camera);
         let floor = held(&map, &camera, -1.0).expect("a floor");
         assert_eq!(floor.cameras, [0, 1, 2, 3]);
@@ -225,9 +195,9 @@ mod tests {
         assert!(held(&map, &camera, -1.2).is_none(), "no camera is at its height");
 
         let mut yesterdays = driven(LEAST_LANDMARKS, &camera);
-        yesterdays.numbers.load_below(KEYFRAMES as u32 - 1);
+        yesterdays.numbers.load_below(3);
         assert_eq!(held(&yesterdays, &camera, -1.0).expect("a floor").cameras, [3], "of this run alone");
-        yesterdays.numbers.load_below(KEYFRAMES as u32);
+        yesterdays.numbers.load_below(4);
         assert!(held(&yesterdays, &camera, -1.0).is_none(), "nobody has driven here in this run");
     }
 
