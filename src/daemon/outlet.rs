@@ -149,6 +149,13 @@ impl Outlet {
         Ok(())
     }
 
+    /// A map is a part of another one from now on, which has its frame: it lies where it was put.
+    pub fn follow_join(&mut self, map: MapId, into: MapId) {
+        if let Some(placement) = self.placement.as_mut().filter(|placement| placement.map == map) {
+            placement.map = into;
+        }
+    }
+
     /// A placement holds for the map that it was said of.
     fn turn_to(&mut self, map: MapId) {
         self.conversion.map_from_world = self.placement.filter(|p| p.map == map).map(|p| p.map_from_world);

@@ -394,7 +394,13 @@ impl ReconstructStep {
         if let Some(reconstruction) = self.reconstruction.as_mut() {
             reconstruction.take_trajectory_events(&mut self.events);
         }
+        let is_placed = self.reconstruction.as_ref().is_some_and(Reconstruction::is_placed);
         for event in self.events.drain(..) {
+            if let (TrajectoryEvent::MapJoined { map, into, .. }, true, Some(outlet)) =
+                (&event, is_placed, self.outlet.as_mut())
+            {
+                outlet.follow_join(*map, *into);
+            }
             if let Some(desk) = self.map_file.as_mut() {
                 desk.note(&event);
             }

@@ -7,6 +7,7 @@
 mod delivery;
 mod killing;
 mod other_user;
+mod placement;
 mod support;
 mod watching;
 mod wheels;

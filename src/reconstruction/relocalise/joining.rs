@@ -3,8 +3,9 @@
 //! A map in which frames cannot be placed any more is not given up when the next one begins. Keyframes of the present map are looked for
 //! in those kept aside as a lost frame is ([`relocalise`](super::relocalise)): thumbnails, descriptors and P3P, then the search by
 //! projection, which must speak for itself. Two keyframes that tell the same similarity ([`other_maps`](super::other_maps)) join the maps:
-//! the other one becomes a part of the present one, whose number stays. Where the other one is the larger, both are from then on where that
-//! was, in its frame and, unless something tells the present map's scale, in its unit: there lie the places that a planner has stored. The map pose
+//! the other one becomes a part of the present one, whose number stays. Where the other one is the larger, or a planner has placed it and not this
+//! one, both are from then on where that was, in its frame and, unless something tells the present map's scale, in its unit: there lie the places
+//! that a planner has stored. The map pose
 //! then jumps, with its revision; the smooth pose does not. A map that a command merges is carried over into the present one, however large.
 //! Landmarks of both that are one corner are fused, and the whole is adjusted soon, if it is not too large.
 //!
@@ -68,6 +69,11 @@ impl Reconstruction {
     /// Somebody has said where the robot is in the present map: when one that was lost is joined to it, it is not told in that one's frame.
     pub fn hold_frame(&mut self) {
         self.active.is_placed = true;
+    }
+
+    /// Somebody has said where the robot is in the present map, or in one that is a part of it now and has given it its frame.
+    pub fn is_placed(&self) -> bool {
+        self.active.is_placed
     }
 
     /// Looks for the frame that has just become the keyframe `id` in the maps kept aside; joins the one that it is recognised in.
@@ -179,9 +185,10 @@ impl Reconstruction {
         let newest = other.sightings.last().map(|s| s.keyframe);
         let through = newest.and_then(|id| active.map.keyframe(id)?.scale_from);
         active.scale.absorb(&other.scale, &mut other.map, present_from_other, through);
-        // Goals of a planner that has placed this map lie in its frame.
+        // Goals of a planner lie in the frame of the map that it has placed.
         let is_larger = other.map.keyframes.len() > active.map.keyframes.len();
-        let goes_back = is_larger && !other.is_merged && !active.is_placed;
+        let goes_back = (is_larger || other.is_placed) && !other.is_merged && !active.is_placed;
+        active.is_placed |= goes_back && other.is_placed;
         // A unit that something has told stays; else it is the other's, whose own words then hold as they are.
         let takes_unit = goes_back && active.fusion.fused().is_none();
         match takes_unit {

@@ -234,6 +234,33 @@ fn a_larger_map_that_was_lost_is_metric_still_and_comes_over_where_this_one_was_
 }
 
 #[test]
+fn a_smaller_map_that_was_lost_gives_its_frame_back_where_a_planner_had_placed_it_alone() {
+    for [here, there] in [[false, false], [false, true], [true, false], [true, true]] {
+        let mut r = tracking();
+        stand(&mut r, 0..2);
+        if here {
+            r.hold_frame();
+        }
+        let saved = for_run(&r, vec![another_day()]).maps.remove(0);
+        let mut lost = OtherMap { is_placed: there, ..OtherMap::of_another_run(saved, false) };
+        let last = lost.map.newest().expect("four");
+        let others: Vec<u32> = lost.map.keyframes.ids().filter(|id| *id != last.0).collect();
+        others.into_iter().for_each(|id| _ = lost.map.remove_keyframe(KeyframeId(id)));
+        assert!(lost.map.keyframes.len() < r.active.map.keyframes.len());
+        let was = lost.map.keyframe(last).expect("there").centre();
+        let turn = UnitQuaternion::from_scaled_axis(Vector3::z() * 0.3);
+        let told = Sim3::new(1.0 / OTHER_UNIT, turn, Vector3::x());
+        let joined = told.transform(&was);
+        r.join(lost, &told, 0.05);
+        let now = r.active.map.keyframe(last).expect("a part").centre();
+        let gives_back = there && !here;
+        let expected = if gives_back { was } else { joined };
+        assert!((now - expected).norm() < 1e-9, "{here} {there}: {now}");
+        assert_eq!(r.is_placed(), here || there, "a planner's word holds in what is left");
+    }
+}
+
+#[test]
 fn what_waits_to_be_joined_is_in_no_file_and_what_was_joined_is() {
     let mut r = tracking();
     stand(&mut r, 0..2);

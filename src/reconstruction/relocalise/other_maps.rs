@@ -90,19 +90,22 @@ pub struct OtherMap {
     pub sightings: Vec<Sighting>,
     /// It came by a command ([`merging`](super::merging)).
     pub is_merged: bool,
+    /// Somebody has said where the robot was in it.
+    pub is_placed: bool,
 }
 
 impl OtherMap {
     pub fn new(lost: ActiveMap) -> Self {
-        let ActiveMap { map, id, reference, scale, fusion, frames, .. } = lost;
-        Self { map, id, reference, scale, fusion, frames, sightings: Vec::new(), is_merged: false }
+        let ActiveMap { map, id, reference, scale, fusion, frames, is_placed, .. } = lost;
+        Self { map, id, reference, scale, fusion, frames, sightings: Vec::new(), is_merged: false, is_placed }
     }
 
     /// A map of another run.
     pub fn of_another_run(saved: SavedMap, is_merged: bool) -> Self {
         let SavedMap { head: MapHead { id, reference, frames, scale, turns }, map } = saved;
         let (scale, fusion) = (ScaleUncertainty::restored(&turns), ScaleFusion::of_stored(scale));
-        Self { map, id, reference, scale, fusion, frames, sightings: Vec::new(), is_merged }
+        let (sightings, is_placed) = (Vec::new(), false);
+        Self { map, id, reference, scale, fusion, frames, sightings, is_merged, is_placed }
     }
 }
 
@@ -452,6 +455,7 @@ mod tests {
             frames: 100,
             sightings: Vec::new(),
             is_merged: false,
+            is_placed: false,
         }
     }
 
