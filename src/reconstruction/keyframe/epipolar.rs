@@ -4,8 +4,8 @@
 //! depth yet goes with them. The corners themselves are still in the pictures. Those of the covisible keyframes that are no landmark yet
 //! are looked for among the newest keyframe's, near the line on which any distance from [`NEAREST`] of the scene's median one to
 //! infinity puts them, by binary descriptors that must be unambiguous along it. What is found is aligned against the older
-//! keyframe's patch, triangulated and, where other keyframes ought to see it too, looked for there: chance fits two views, seldom
-//! three. (Mur-Artal, Montiel, Tardós, "ORB-SLAM", T-RO 2015, section VI.C, has such a search; alignment and third view are ours.)
+//! keyframe's patch, triangulated, and looked for in the keyframes around as well. (Mur-Artal, Montiel, Tardós, "ORB-SLAM", T-RO 2015, section
+//! VI.C, has such a search; the alignment is ours.)
 //!
 //! Only a keyframe that sees fewer than [`FED`] landmarks is completed so: where tracks live, landmarks made from them are the more
 //! exact ones (from many views, and never a mistaken corner).
@@ -38,8 +38,6 @@ const BESIDE_LINE_PX: f64 = 3.0;
 /// Bits in which descriptors of one corner may differ, and the share of the next best one's along the line.
 const MAX_BITS: u32 = 60;
 const MAX_RATIO: f64 = 0.8;
-/// A corner must be found in one more keyframe where so many others ought to see it.
-const ASKED: usize = 2;
 
 /// What does not change while a keyframe is completed.
 #[derive(Clone, Copy)]
@@ -109,8 +107,7 @@ impl EpipolarMatcher {
         map.drop_corners(newest, &mut new_used);
     }
 
-    /// The landmark that the older and the newest keyframe see at these pixels; `None` where alignment, triangulation or the keyframes
-    /// between them disagree.
+    /// The landmark that the older and the newest keyframe see at these pixels; `None` where alignment or triangulation fails.
     fn confirm(
         &self,
         map: &Map,
@@ -131,19 +128,14 @@ impl EpipolarMatcher {
         let b = refine_in(old, &a, new, &meet(&b)?, b.pixel, camera, &options)?;
         let point = meet(&b)?;
         let mut seen = vec![(old_id, displaced(old, a, &point, shutter))];
-        let mut asked = 0;
         for &(id, _) in self.around.iter().filter(|k| k.0 != old_id) {
             let Some(third) = map.keyframe(id).filter(|k| k.picture.whole().is_some()) else { continue };
             let p = third.camera_from_world.transform(&point);
             let visible = |pixel: &Vector2<f64>| p.z > 1e-6 && camera.contains(pixel, 10.0);
             let Some(pixel) = camera.project(&p).filter(visible) else { continue };
-            asked += 1;
             if let Some(o) = refine_in(old, &a, third, &point, pixel.cast(), camera, &options) {
                 seen.push((id, displaced(third, o, &point, shutter)));
             }
-        }
-        if asked >= ASKED && seen.len() == 1 {
-            return None;
         }
         seen.push((new_id, displaced(new, b, &point, shutter)));
         made_of(map, &seen, new_id, camera, config, shutter.readout_s)
