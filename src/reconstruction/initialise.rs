@@ -30,7 +30,7 @@ use crate::geometry::{CameraModel, Se3};
 use crate::map::picture::KeyframePicture;
 use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, Observation};
 use consensus::agreeing_share;
-use initialiser::Start;
+use initialiser::{START_SIGMA_PX, Start};
 use untracked::is_untracked;
 use views::{PendingFrame, View};
 
@@ -39,15 +39,10 @@ use views::{PendingFrame, View};
 const MAX_DIRECTION_SIGMA: f64 = 0.012;
 const PATIENCE_S: f64 = 0.5;
 const LARGEST_RELAXATION: f64 = 8.0;
-/// Share of the picture that must agree with a start, and that which is enough when the camera has moved so long without one
-/// (something covers a part of the picture for good).
-const AGREEING_SHARE: f64 = 0.85;
-const AGREEING_SHARE_LATE: f64 = 0.7;
-const LENIENT_AFTER_S: f64 = 4.0;
+/// Share of the picture that must agree with a start: something may cover a part of it for good.
+const AGREEING_SHARE: f64 = 0.7;
 /// Steps of the first adjustment's passes.
 const START_STEPS: usize = 20;
-/// Standard deviation of a frame-to-frame track's position, px.
-const TRACK_SIGMA_PX: f64 = 1.5;
 /// How far refinement may move a track's place in the second frame, px.
 const REFINE_PX: f64 = 2.0;
 
@@ -99,7 +94,6 @@ impl Reconstruction {
             camera: &self.optics.camera,
             config: &self.config,
             shutter: &self.optics.shutter,
-            is_calibrated: self.optics.intrinsics.is_calibrated(),
             before: None,
             was_here: true,
             motion: None,
@@ -180,7 +174,7 @@ impl Reconstruction {
             return None;
         }
         if self.optics.intrinsics.is_calibrated() {
-            if !self.most_agrees(&views, start.trying_s) {
+            if !self.most_agrees(&views) {
                 // Look-alikes tell nothing against what the tracks say.
                 if !start.by_corners {
                     self.initialiser.disagree();
@@ -196,14 +190,12 @@ impl Reconstruction {
     }
 
     /// Enough of the picture agrees with the views' motion for a map to begin.
-    fn most_agrees(&self, views: &[(KeyframeId, &PendingFrame)], trying_s: f64) -> bool {
+    fn most_agrees(&self, views: &[(KeyframeId, &PendingFrame)]) -> bool {
         let posed: Vec<_> = views
             .iter()
             .filter_map(|&(k, frame)| Some((frame, self.active.map.keyframe(k)?.camera_from_world)))
             .collect();
-        let relaxed = (trying_s / LENIENT_AFTER_S).min(1.0);
-        let needed = AGREEING_SHARE + relaxed * (AGREEING_SHARE_LATE - AGREEING_SHARE);
-        agreeing_share(&posed, &self.optics.camera).is_some_and(|share| share >= needed)
+        agreeing_share(&posed, &self.optics.camera).is_some_and(|share| share >= AGREEING_SHARE)
     }
 
     fn add_view(&mut self, view: &View, camera_from_world: Se3<Camera, World>) -> KeyframeId {
@@ -348,7 +340,7 @@ impl Reconstruction {
             let Some(point) = position(track) else { continue };
             let Some(normalised) = self.optics.camera.undistort(&pixel.cast()) else { continue };
             let pixel_scale = self.optics.camera.pixel_scale(&normalised);
-            pairs.push(Correspondence::new(point, normalised, pixel_scale, 1.0 / TRACK_SIGMA_PX));
+            pairs.push(Correspondence::new(point, normalised, pixel_scale, 1.0 / START_SIGMA_PX));
         }
         let mut inlier = Vec::new();
         let solution =

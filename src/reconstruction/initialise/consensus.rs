@@ -19,10 +19,9 @@ use crate::geometry::{CameraModel, Se3};
 
 /// Cells across the picture; as many rows as make them about square.
 const COLUMNS: usize = 10;
-/// Sampson distance of a track that agrees, px. Tracks drift over a start's frames, and a rolling shutter bends.
+/// Sampson distance of a track that agrees, and displacement beyond the rotation that makes it tell, px. Tracks drift over a start's
+/// frames, and a rolling shutter bends.
 const AGREEING_PX: f64 = 3.0;
-/// Displacement beyond the rotation that makes a track tell, px.
-const TELLING_PX: f64 = 4.0;
 
 /// A view of a start: its tracks and its pose.
 pub type PosedView<'a> = (&'a PendingFrame, Se3<Camera, World>);
@@ -66,7 +65,7 @@ fn agreement(
     if !(turned.z > 1e-3) {
         return None;
     }
-    if camera.pixels(&x2, &(x2 - turned.xy() / turned.z)) < TELLING_PX {
+    if camera.pixels(&x2, &(x2 - turned.xy() / turned.z)) < AGREEING_PX {
         return None;
     }
     let distance = sampson_squared(&essential_of(&motion), &x1, &x2).sqrt() * camera.focal_px();
