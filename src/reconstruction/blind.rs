@@ -148,7 +148,6 @@ impl Reconstruction {
             was_here: true,
             motion: None,
             shutter: &self.optics.shutter,
-            is_calibrated: self.optics.intrinsics.is_calibrated(),
         };
         let tracked: Option<Tracked> = self.tracker.track(&frame, self.active.reference, &[here], |_, _| true);
         let Some(tracked) = tracked else {

@@ -29,8 +29,6 @@ pub struct Correspondence {
     pub sqrt_information: Matrix2<f64>,
     /// Variance of a place in the picture, px².
     pub variance_px2: f64,
-    /// Share of that in what its point's uncertainty makes of it, mean of both axes: 1 where the point is certain.
-    pub certainty: f64,
 }
 
 impl Correspondence {
@@ -38,7 +36,7 @@ impl Correspondence {
     /// standard deviation of a place in the picture, 1/px.
     pub fn new(point: Vector3<f64>, normalised: Vector2<f64>, pixel_scale: Matrix2<f64>, inv_sigma_px: f64) -> Self {
         let (sqrt_information, variance_px2) = (pixel_scale * inv_sigma_px, inv_sigma_px.powi(-2));
-        Self { point, normalised, sqrt_information, variance_px2, certainty: 1.0 }
+        Self { point, normalised, sqrt_information, variance_px2 }
     }
 
     /// What it tells of a pose near `pose` when its point is uncertain itself: `e' W e`, `W = (s² I + J P J')⁻¹` with P the point's
@@ -63,11 +61,7 @@ impl Correspondence {
     fn whitened(self, added: &Matrix2<f64>) -> Self {
         let whitening = (Matrix2::identity() + added).cholesky().and_then(|c| c.l().try_inverse());
         match whitening.filter(|w| w.iter().all(|v| v.is_finite())) {
-            Some(whitening) => Self {
-                sqrt_information: whitening * self.sqrt_information,
-                certainty: self.certainty / (1.0 + 0.5 * added.trace()),
-                ..self
-            },
+            Some(whitening) => Self { sqrt_information: whitening * self.sqrt_information, ..self },
             None => self,
         }
     }

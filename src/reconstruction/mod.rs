@@ -221,7 +221,6 @@ impl Reconstruction {
             was_here: odometry.last.is_some(),
             motion: odometry.motion().or_else(|| ahead.and_then(|ahead| ahead.motion)),
             shutter: &self.optics.shutter,
-            is_calibrated: self.optics.intrinsics.is_calibrated(),
         };
         let (guesses, n) = odometry.guesses(features.timestamp_ns, ahead.map(|ahead| &ahead.now_from_last));
         let by_wheels = |t: &Tracked| {
@@ -246,7 +245,7 @@ impl Reconstruction {
             if elsewhere.is_none() {
                 self.far.ask_ahead(self.relocaliser.ahead(map));
             }
-            let better = |other: &Tracked| tracked.is_none_or(|weak| 5 * other.landmarks > 6 * weak.landmarks);
+            let better = |other: &Tracked| tracked.is_none_or(|weak| other.landmarks > weak.landmarks);
             if let Some(other) = elsewhere.filter(better) {
                 std::mem::swap(&mut self.tracker, &mut self.relocaliser.tracker);
                 tracked = Some(other);

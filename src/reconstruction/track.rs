@@ -105,10 +105,6 @@ const MIN_FLOW: usize = 10;
 pub const PLENTY: usize = 30;
 /// A search without a good prediction looks in this many times the usual radius.
 const WIDE: f64 = 4.0;
-/// Times that assumed distances are eliminated anew at the pose just found, at the most, and the step (rad, and share of the
-/// way from the origin) below which that pose has settled.
-const MAX_ELIMINATIONS: usize = 8;
-const SETTLED: f64 = 1e-5;
 /// A frame is taken to lie within so much of a turn beyond the expected one (rad), and within this share of the mean depth, of the
 /// frame before: there no share of the landmarks looked for is asked.
 const NEAR_RAD: f64 = 0.3;
@@ -293,16 +289,12 @@ impl Tracker {
             self.pairs.push(Correspondence::new(landmark.position, normalised, pixel_scale, 1.0 / FLOW_SIGMA_PX));
         }
         let tracks = self.pairs.len();
-        let assumed = features
-            .tracks
-            .iter()
-            .any(|t| matches!(bindings.get(t.id), Some(Target::Landmark(id)) if is_assumed(frame, *id)));
         self.seeds.append_pairs(guess, frame.motion.as_ref(), frame.shutter, &mut self.pairs);
         // Seeds alone would rest on a distance that nobody knows.
         if tracks == 0 || self.pairs.len() < MIN_FLOW {
             return None;
         }
-        let options = PoseOptions { first_round_relaxation: 25.0, ..pose_options(frame, assumed) };
+        let options = PoseOptions { first_round_relaxation: 25.0, ..PoseOptions::default() };
         let solution = optimise_pose(guess, &self.pairs, &options, &mut self.inlier)?;
         let agree = self.inlier.iter().take(tracks).filter(|agrees| **agrees).count();
         let is_enough = solution.inliers >= MIN_FLOW && 2 * solution.inliers >= self.pairs.len();
@@ -335,21 +327,14 @@ impl Tracker {
         coarse_levels: usize,
     ) -> Option<Tracked> {
         let Frame { map, features, camera, config, .. } = *frame;
-        let mut options = SearchOptions {
-            radius_px,
-            coarse_levels,
-            limit: if coarse_levels > 0 { config.landmarks_per_frame / 2 } else { config.landmarks_per_frame },
-            sigma_px: config.sigma_px,
-            blurred_levels: 0,
-        };
+        let mut options = SearchOptions { radius_px, coarse_levels, sigma_px: config.sigma_px, blurred_levels: 0 };
         self.search.select(map, &self.local, camera, guess, config.landmarks_per_frame);
         self.search.align(map, camera, guess, &features.pyramid, &options);
         let mut solution = self.solve(frame, guess, frame.motion.as_ref())?;
         if coarse_levels > 0 {
-            options.limit = config.landmarks_per_frame;
             options.coarse_levels = 0;
             options.radius_px = config.search_radius_px;
-            self.search.select(map, &self.local, camera, &solution.camera_from_world, options.limit);
+            self.search.select(map, &self.local, camera, &solution.camera_from_world, config.landmarks_per_frame);
             self.search.align(map, camera, &solution.camera_from_world, &features.pyramid, &options);
             solution = self.solve(frame, &solution.camera_from_world, frame.motion.as_ref())?;
         }
@@ -359,16 +344,9 @@ impl Tracker {
             solution = self.solve(frame, &solution.camera_from_world, motion.as_ref())?;
         }
         if self.assumes(frame) {
-            // Distances were eliminated at poses that did not know that the camera has moved.
-            for _ in 0..MAX_ELIMINATIONS {
-                let before = solution.camera_from_world;
-                let Some(next) = self.solve(frame, &before, motion.as_ref().or(frame.motion.as_ref())) else { break };
-                solution = next;
-                let step = solution.camera_from_world * before.inverse();
-                if step.rotation.angle() < SETTLED && step.translation.norm() < SETTLED * before.translation.norm() {
-                    break;
-                }
-            }
+            // Distances were eliminated at a pose that did not know that the camera has moved.
+            let pose = solution.camera_from_world;
+            solution = self.solve(frame, &pose, motion.as_ref().or(frame.motion.as_ref())).unwrap_or(solution);
         }
         solution = self.include_immature(frame, solution);
         let landmarks = self.search.matches.iter().filter(|m| m.inlier).count();
@@ -410,7 +388,7 @@ impl Tracker {
             self.pairs.push(measurement_of(frame, m.landmark, start, pair));
         }
         self.seeds.append_pairs(start, motion, shutter, &mut self.pairs);
-        let solution = optimise_pose(start, &self.pairs, &pose_options(frame, self.assumes(frame)), &mut self.inlier)?;
+        let solution = optimise_pose(start, &self.pairs, &PoseOptions::default(), &mut self.inlier)?;
         // Seeds come after the matches.
         for (m, &ok) in self.search.matches.iter_mut().zip(&self.inlier) {
             m.inlier = ok;
@@ -430,19 +408,12 @@ impl Tracker {
         // Nothing vouches for seeds, which come after the matches.
         let mature =
             |i: usize| matches.get(i).and_then(|m| frame.map.landmark(m.landmark)).is_some_and(|l| l.found >= enough);
-        let options = pose_options(frame, self.assumes(frame));
-        let judged = self.maturity.judge(&self.pairs, matches.len(), mature, &solution, &options, &mut self.inlier);
+        let judged = self.maturity.judge(&self.pairs, mature, &solution, &PoseOptions::default(), &mut self.inlier);
         for (m, &ok) in self.search.matches.iter_mut().zip(&self.inlier) {
             m.inlier = ok;
         }
         judged.unwrap_or(solution)
     }
-}
-
-/// Leverage is judged through a lens that is known (a wrong one bends the picture most where leverage is), and where no landmark's
-/// distance is assumed: those agree with every way of the camera and would contradict the few that know it.
-fn pose_options(frame: &Frame<'_>, assumed: bool) -> PoseOptions {
-    PoseOptions { leverage: frame.is_calibrated && !assumed, ..PoseOptions::default() }
 }
 
 /// Whether the camera can have made this step (it was expected to turn by `expected_rad`) among landmarks at this mean depth.

@@ -92,7 +92,6 @@ impl Reconstruction {
             motion: keyframe.motion.map(turned_only),
             camera: optics.camera.clone(),
             shutter: optics.shutter,
-            is_calibrated: optics.intrinsics.is_calibrated(),
             config: config.clone(),
             relocaliser,
         };

@@ -28,7 +28,6 @@ pub struct Recognition {
     pub motion: Option<CameraMotion>,
     pub camera: CameraModel,
     pub shutter: Shutter,
-    pub is_calibrated: bool,
     pub config: ReconstructionConfig,
     /// Lent: its buffers, and the descriptors that it remembers.
     pub relocaliser: Box<Relocaliser>,
@@ -61,7 +60,6 @@ impl Recognition {
             was_here: true,
             motion: self.motion,
             shutter: &self.shutter,
-            is_calibrated: self.is_calibrated,
         };
         let placed = relocaliser.place_among(&frame, &self.places)?;
         found_in(&frame, &relocaliser.tracker, self.keyframe, &placed)

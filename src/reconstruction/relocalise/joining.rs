@@ -166,7 +166,6 @@ impl Reconstruction {
             was_here: false,
             motion: self.active.map.keyframe(id)?.motion.map(turned_only),
             shutter: &self.optics.shutter,
-            is_calibrated: self.optics.intrinsics.is_calibrated(),
         };
         let Some(placed) = relocaliser.place_once(&frame, other.reference, likely) else {
             self.far.ask_ahead(relocaliser.ahead(&other.map));

@@ -29,8 +29,6 @@ pub struct Frame<'a> {
     /// Motion that is expected (that of the frame before).
     pub motion: Option<CameraMotion>,
     pub shutter: &'a Shutter,
-    /// The lens is not one that is still being found.
-    pub is_calibrated: bool,
 }
 
 /// Motion from the frame before to `pose`.

@@ -159,7 +159,6 @@ mod tests {
                 was_here: true,
                 motion: None,
                 shutter: &Shutter::new(0.0, 480, false),
-                is_calibrated: true,
             };
             let pairs: Vec<_> =
                 matches.iter().map(|m| measurement_of(&frame, m.landmark, &truth, m.pair(&camera, 0.0))).collect();

@@ -8,9 +8,8 @@
 //!
 //! Input: the pairs of one frame (world point, undistorted observation), which of them are of mature landmarks, the solution over all and the
 //! options that it was made with. Output: the solution over the mature ones and the immature ones that agree. Test: chi-square of the
-//! innovation, `e' (s² I + J P J')⁻¹ e`, P the covariance of the mature solution (Bar-Shalom, Li, Kirubarajan 2001, section 5.4): at
-//! the scale of its own residuals, or, where most immature ones contradict that, at that of the standard deviations. Cost: two or three
-//! warm motion-only optimisations. It does not judge the mature ones: the optimisation's own outlier test does.
+//! innovation, `e' (s² I + J P J')⁻¹ e`, P the covariance of the mature solution (Bar-Shalom, Li, Kirubarajan 2001, section 5.4). Cost: two
+//! or three warm motion-only optimisations. It does not judge the mature ones: the optimisation's own outlier test does.
 //!
 //! Kept by ablation (35 sequences: recordings, parts, cuts and reversals of them, simulated walks at 5 Hz): without it errors are 8 % larger
 //! in the geometric mean, those of a desk and of two walks about twice as large.
@@ -53,12 +52,11 @@ impl MaturityGate {
         Self { mature: flags(), included: flags(), pairs: Vec::with_capacity(n), inlier: flags() }
     }
 
-    /// `landmarks`: so many pairs are of landmarks, seeds come after them. `mature` and `inlier`: one flag a pair; `inlier` comes from `solution` and is overwritten with the result's. `None`
-    /// leaves everything as it was: no immature landmark takes part, or the mature ones are too few to decide.
+    /// `mature` and `inlier`: one flag a pair; `inlier` comes from `solution` and is overwritten with the result's. `None` leaves everything as it
+    /// was: no immature landmark takes part, or the mature ones are too few to decide.
     pub fn judge(
         &mut self,
         pairs: &[Correspondence],
-        landmarks: usize,
         mature: impl Fn(usize) -> bool,
         solution: &PoseSolution,
         options: &PoseOptions,
@@ -75,19 +73,11 @@ impl MaturityGate {
             return None;
         }
         let doubt = own.information.cholesky()?.inverse();
-        // The mature pose is as sure as its own residuals say, unless most immature landmarks say that it is not: they are seldom wrong
-        // all over, it is where a turn leaves it little at the edge of the picture.
-        let sure = doubt * (own.scale * own.scale);
-        let doubt = if 2 * self.include(pairs, landmarks, &own, &sure) < self.include(pairs, landmarks, &own, &doubt) {
-            doubt
-        } else {
-            sure
-        };
         let mut agreed = own;
         // Together they may still pull further than one alone could: then only those count that lie just where the mature
         // pose puts them.
         for doubt in [doubt, Matrix6::zeros()] {
-            self.include(pairs, landmarks, &own, &doubt);
+            self.include(pairs, &own, &doubt);
             take(pairs, &self.included, &mut self.pairs);
             agreed = optimise_pose(&own.camera_from_world, &self.pairs, options, &mut self.inlier)?;
             let step = agreed.camera_from_world * own.camera_from_world.inverse();
@@ -104,24 +94,12 @@ impl MaturityGate {
         Some(agreed)
     }
 
-    /// Includes the mature ones, and the immature ones that lie where a pose of that covariance lets them lie; how many of these are
-    /// landmarks.
-    fn include(
-        &mut self,
-        pairs: &[Correspondence],
-        landmarks: usize,
-        own: &PoseSolution,
-        doubt: &Matrix6<f64>,
-    ) -> usize {
-        let mut immature = 0;
+    /// Includes the mature ones, and the immature ones that lie where a pose of that covariance lets them lie.
+    fn include(&mut self, pairs: &[Correspondence], own: &PoseSolution, doubt: &Matrix6<f64>) {
         self.included.clear();
-        for (i, (pair, &mature)) in pairs.iter().zip(&self.mature).enumerate() {
-            let agrees =
-                !mature && pair.innovation(&own.camera_from_world, doubt).is_some_and(|chi2| chi2 <= CHI2_2D_95);
-            immature += usize::from(agrees && i < landmarks);
-            self.included.push(mature || agrees);
-        }
-        immature
+        self.included.extend(pairs.iter().zip(&self.mature).map(|(pair, &mature)| {
+            mature || pair.innovation(&own.camera_from_world, doubt).is_some_and(|chi2| chi2 <= CHI2_2D_95)
+        }));
     }
 }
 
@@ -184,7 +162,7 @@ mod tests {
             let immature = |inlier: &[bool]| inlier[60..].iter().filter(|i| **i).count();
             assert!(bent > 0.004 && immature(&inlier) > 60, "seed {seed}: the scene is too easy, off by {bent}");
             let asked = MaturityGate::default()
-                .judge(&pairs, pairs.len(), |i| i < 60, &all, &PoseOptions::default(), &mut inlier)
+                .judge(&pairs, |i| i < 60, &all, &PoseOptions::default(), &mut inlier)
                 .expect("a judgement");
             assert!(off(&asked) < 0.5 * bent, "seed {seed}: off by {} and before by {bent}", off(&asked));
             assert!(immature(&inlier) < 45, "seed {seed}: {} immature took part", immature(&inlier));
@@ -200,7 +178,7 @@ mod tests {
             let (all, mut inlier) = solved(&truth, &pairs);
             before += count(&inlier);
             MaturityGate::default()
-                .judge(&pairs, pairs.len(), |i| i < 60, &all, &PoseOptions::default(), &mut inlier)
+                .judge(&pairs, |i| i < 60, &all, &PoseOptions::default(), &mut inlier)
                 .expect("a judgement");
             after += count(&inlier);
         }
@@ -220,14 +198,8 @@ mod tests {
         let (all, inlier) = solved(&truth, &pairs);
         let mut asked = inlier.clone();
         for mature in [0, MIN_MATURE - 1, pairs.len()] {
-            let judged = MaturityGate::default().judge(
-                &pairs,
-                pairs.len(),
-                |i| i < mature,
-                &all,
-                &PoseOptions::default(),
-                &mut asked,
-            );
+            let judged =
+                MaturityGate::default().judge(&pairs, |i| i < mature, &all, &PoseOptions::default(), &mut asked);
             assert!(judged.is_none() && asked == inlier, "{mature}");
         }
     }

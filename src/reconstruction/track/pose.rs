@@ -27,10 +27,6 @@ pub struct PoseSolution {
     pub information: Matrix6<f64>,
     /// Root mean square of the inliers' residuals, px.
     pub rms_px: f64,
-    /// Share of the standard deviations at which most of the residuals lie (from their median; at least 0.2). The standard deviations
-    /// leave room for a bent map; what bends it is shared by neighbours in the picture, and the rest of them is this small. 1 where
-    /// leverage is not judged.
-    pub scale: f64,
 }
 
 /// Robust pose from `start`. `inlier` (same length as `pairs`) is overwritten. `None` with fewer than four usable pairs,
@@ -65,7 +61,6 @@ pub fn optimise_pose(
         inliers: fit.count,
         information: fit.information,
         rms_px: (fit.sum_px2 / fit.count.max(1) as f64).sqrt(),
-        scale: if options.leverage { fit.scale } else { 1.0 },
     };
     (pose.is_finite() && fit.information.iter().all(|v| v.is_finite())).then_some(solution)
 }

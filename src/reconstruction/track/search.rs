@@ -69,8 +69,6 @@ pub struct SearchOptions {
     pub radius_px: f64,
     /// Pyramid levels above the landmark's own at which alignment starts: 0 for a good prediction, 2 or 3 for a poor one.
     pub coarse_levels: usize,
-    /// Candidates aligned at the most.
-    pub limit: usize,
     /// Standard deviation at full resolution, px.
     pub sigma_px: f64,
     /// Coarser levels than its own that may measure a landmark where the finer ones fail (a blurred picture), each half as exactly.
@@ -80,7 +78,7 @@ pub struct SearchOptions {
 impl SearchOptions {
     /// For one patch near its place: on its own level only, within 6 px.
     pub fn precise(sigma_px: f64) -> Self {
-        Self { radius_px: 6.0, coarse_levels: 0, limit: 0, sigma_px, blurred_levels: 0 }
+        Self { radius_px: 6.0, coarse_levels: 0, sigma_px, blurred_levels: 0 }
     }
 }
 
@@ -174,9 +172,8 @@ impl Search {
                 continue;
             }
             let cell = (pixel.y as usize / CELL_PX * columns + pixel.x as usize / CELL_PX) as u32;
-            // Often found ones first, then those that many keyframes hold.
-            let ratio = (100 * (landmark.found + 2) / (landmark.sought + 2)).min(100);
-            let rank = u32::MAX - (ratio * 16 + (landmark.observers.len() as u32).min(15));
+            // Often found ones first.
+            let rank = u32::MAX - (100 * (landmark.found + 2) / (landmark.sought + 2)).min(100);
             self.chosen.push((rank, id, self.candidates.len() as u32));
             self.candidates.push(Candidate { landmark: id, point: landmark.position, pixel, camera_point, cell });
         }
@@ -229,7 +226,7 @@ impl Search {
         self.missed_alike = 0;
         let centre = pose.inverse().translation;
         let found = self.matches.len();
-        for n in 0..self.chosen.len().min(options.limit) {
+        for n in 0..self.chosen.len() {
             let candidate = self.candidates[self.chosen[n].2 as usize];
             if self.matches[..found].iter().any(|m| m.landmark == candidate.landmark) {
                 continue;
@@ -556,7 +553,7 @@ mod tests {
             let turn = nalgebra::UnitQuaternion::from_scaled_axis(degrees.to_radians() * Vector3::y());
             let pose = Se3::new(turn, point - turn * point);
             search.select(&map, &[landmark], &camera(), &pose, 9);
-            search.align(&map, &camera(), &pose, &empty, &SearchOptions { limit: 9, ..SearchOptions::precise(0.8) });
+            search.align(&map, &camera(), &pose, &empty, &SearchOptions::precise(0.8));
             assert_eq!((search.missed.len(), search.missed_alike), (1, alike), "{degrees} degrees");
         }
     }
@@ -581,7 +578,7 @@ mod tests {
         assert_eq!([detail(&map, showing), detail(&map, other)], [Detail::Full, Detail::None]);
         let sought = |map: &Map| {
             let mut search = Search::default();
-            let (pose, options) = (Se3::identity(), SearchOptions { limit: 9, ..SearchOptions::precise(0.8) });
+            let (pose, options) = (Se3::identity(), SearchOptions::precise(0.8));
             search.select(map, &[landmark], &camera(), &pose, 9);
             search.align(map, &camera(), &pose, &picture(0), &options);
             [search.matches.len(), search.missed.len()]

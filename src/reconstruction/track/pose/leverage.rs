@@ -19,11 +19,6 @@ const MAX_REMOVED: usize = 8;
 const HIGH_LEVERAGE: f64 = 2.0;
 /// Of a direction that a pair decides, this share at the least must be left to the others for them to contradict it.
 const MIN_LEFT: f64 = 0.01;
-/// Residuals are not taken as smaller than this share of the standard deviations.
-const MIN_SCALE: f64 = 0.2;
-/// Bins for the median of the residuals, and how many there are to a standard deviation.
-const BINS: usize = 160;
-const BINS_PER_SIGMA: f64 = 64.0;
 
 /// How the inliers lie about a pose.
 pub(super) struct Fit {
@@ -31,46 +26,28 @@ pub(super) struct Fit {
     pub(super) count: usize,
     /// Of residuals whitened by the landmarks' own uncertainty, in px.
     pub(super) sum_px2: f64,
-    pub(super) scale: f64,
 }
 
 impl Fit {
     pub(super) fn of(pose: &Se3<Camera, World>, pairs: &[Correspondence], inlier: &[bool]) -> Self {
         let (mut information, mut sum_px2, mut count) = (Matrix6::zeros(), 0.0, 0usize);
-        // The median by counting (nothing is allocated here), each pair with its weight: what is known badly lies well anywhere.
-        let (mut bins, mut weight) = ([0.0; BINS], 0.0);
         for (pair, _) in pairs.iter().zip(inlier).filter(|(_, ok)| **ok) {
             let Some((e, p)) = residual(pose, pair) else { continue };
             let (jx, jy) = jacobian_rows(&p, &pair.sqrt_information);
             accumulate(&mut information, &jx, &jy, 1.0);
-            let w = pair.certainty / pair.variance_px2;
             sum_px2 += e.norm_squared() * pair.variance_px2;
-            bins[((e.norm() * BINS_PER_SIGMA) as usize).min(BINS - 1)] += w;
-            weight += w;
             count += 1;
         }
         information.fill_lower_triangle_with_upper_triangle();
-        let mut below = 0.0;
-        let median = bins.iter().position(|&w| {
-            below += w;
-            2.0 * below >= weight
-        });
-        // |e| has the median sqrt(2 ln 2) where e has the standard deviation 1 on each axis.
-        let median = (median.unwrap_or(0) as f64 + 0.5) / BINS_PER_SIGMA;
-        Self {
-            information,
-            count,
-            sum_px2,
-            scale: (median / (2.0 * std::f64::consts::LN_2).sqrt()).clamp(MIN_SCALE, 1.0),
-        }
+        Self { information, count, sum_px2 }
     }
 
     /// The inlier with the largest studentised residual, if that is beyond the limit: its innovation, had the pose been solved without it.
     ///
     /// A pair that decides a direction of the pose by itself - the only one nearby, say - has a small residual whatever it says. With its
     /// leverage `h = J H⁻¹ Jᵀ` taken out the residual is `d = (I - h)⁻¹ e` (the deletion residual: Belsley, Kuh, Welsch 1980, section
-    /// 2.1), and the others' pose puts it there with the covariance `s² h (I - h)⁻¹`, s the robust scale of their residuals. All in units
-    /// of the pair's own standard deviation.
+    /// 2.1), and the others' pose puts it there with the covariance `I + h (I - h)⁻¹ = (I - h)⁻¹`: so its square is `eᵀ (I - h)⁻¹ e`. All in
+    /// units of the pair's own standard deviation.
     fn worst_studentised(
         &self,
         pose: &Se3<Camera, World>,
@@ -96,24 +73,17 @@ impl Fit {
                 continue;
             }
             let Some(inverse) = left.try_inverse() else { continue };
-            let spread = Matrix2::identity() + (inverse - Matrix2::identity()) * (self.scale * self.scale);
-            let d = inverse * e;
-            let chi2 = spread.try_inverse().map_or(0.0, |inverse| d.dot(&(inverse * d)));
+            let chi2 = e.dot(&(inverse * e));
             if chi2 > worst.0 {
                 worst = (chi2, Some(i));
             }
         }
         worst.1
     }
-
-    /// Covariance of the pose at the scale of the residuals.
-    fn covariance(&self) -> Option<Matrix6<f64>> {
-        Some(self.information.cholesky()?.inverse() * (self.scale * self.scale))
-    }
 }
 
-/// Takes out the inliers that the others contradict, the worst first, and back in what the others agree with in the end: one that is
-/// wrong makes others look so.
+/// Takes out the inliers that the others contradict, the worst first; what agrees with the pose without them is an inlier in the end: one that
+/// is wrong makes others look so.
 pub(super) fn judge_leverage(
     pose: &mut Se3<Camera, World>,
     fit: &mut Fit,
@@ -138,13 +108,9 @@ pub(super) fn judge_leverage(
     if count == 0 {
         return;
     }
-    let covariance = fit.covariance();
-    for (i, pair) in pairs.iter().enumerate() {
-        inlier[i] = if out[..count].contains(&i) {
-            covariance.and_then(|c| pair.innovation(pose, &c)).is_some_and(|chi2| chi2 <= limit)
-        } else {
-            residual(pose, pair).is_some_and(|(e, _)| e.norm_squared() <= limit)
-        };
+    for (i, (pair, flag)) in pairs.iter().zip(inlier.iter_mut()).enumerate() {
+        let agrees = residual(pose, pair).is_some_and(|(e, _)| e.norm_squared() <= limit);
+        *flag = agrees && !out[..count].contains(&i);
     }
     *pose = descend(pose, pairs, inlier, options, false);
     *fit = Fit::of(pose, pairs, inlier);
@@ -170,6 +136,9 @@ mod tests {
                 p = Vector3::new(0.2 * p.x, 0.2 * p.y, p.z);
                 pair.point = truth.inverse().transform(&p);
                 pair.normalised = p.xy() / p.z + noise;
+                // The largest noise is taken for the standard deviation: at that of the noise one right pair of 20 is beyond the limit.
+                pair.sqrt_information /= 0.3;
+                pair.variance_px2 = 0.3 * 0.3;
             }
             let near = Vector3::new(-0.3, 0.1, 0.7);
             let off = |wrong_px: f64| {
