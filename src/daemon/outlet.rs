@@ -149,10 +149,12 @@ impl Outlet {
         Ok(())
     }
 
-    /// A map is a part of another one from now on, which has its frame: it lies where it was put.
+    /// `map` has become a part of `into`, which lies in its frame from now on: where `map` was put, `into` is.
     pub fn follow_join(&mut self, map: MapId, into: MapId) {
         if let Some(placement) = self.placement.as_mut().filter(|placement| placement.map == map) {
             placement.map = into;
+            // It was told in the frame before.
+            self.last = None;
         }
     }
 

@@ -159,8 +159,12 @@ impl CameraModel {
             && pixel.y <= f64::from(self.height) - 1.0 - border_px
     }
 
-    /// Which of so many equal columns and rows of the picture a pixel is in, counted row by row; the nearest one for a pixel outside.
-    pub fn part_of(&self, pixel: &Vector2<f64>, [columns, rows]: [usize; 2]) -> usize {
+    /// Equal parts of the picture, four columns and three rows, that tell how far over it something lies.
+    pub const PARTS: usize = 12;
+
+    /// Which of the [`PARTS`](Self::PARTS) of the picture a pixel is in, counted row by row; the nearest one for a pixel outside.
+    pub fn part_of(&self, pixel: &Vector2<f64>) -> usize {
+        let (columns, rows) = (4, Self::PARTS / 4);
         let share = |at: f64, size: u32, parts: usize| {
             ((at / f64::from(size) * parts as f64).max(0.0) as usize).min(parts.saturating_sub(1))
         };

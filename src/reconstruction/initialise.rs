@@ -39,12 +39,10 @@ use views::{PendingFrame, View};
 const MAX_DIRECTION_SIGMA: f64 = 0.012;
 const PATIENCE_S: f64 = 0.5;
 const LARGEST_RELAXATION: f64 = 8.0;
-/// Share of the picture that must agree with a start: something may cover a part of it for good.
+/// Share of the picture that must agree with a start; not more, as something may cover a part of it for good.
 const AGREEING_SHARE: f64 = 0.7;
 /// Steps of the first adjustment's passes.
 const START_STEPS: usize = 20;
-/// How far refinement may move a track's place in the second frame, px.
-const REFINE_PX: f64 = 2.0;
 
 impl Reconstruction {
     /// A frame without a map: perhaps the one that makes it; else how the camera has turned since the first one.
@@ -232,7 +230,7 @@ impl Reconstruction {
 
     /// Replaces the tracked places in the later views by alignment with the first one's templates: flow drifts.
     fn refine_views(&mut self, first: KeyframeId) {
-        let options = SearchOptions { radius_px: REFINE_PX, ..SearchOptions::precise(self.config.sigma_px) };
+        let options = SearchOptions::precise(self.config.sigma_px);
         let ids: Vec<LandmarkId> = self.active.map.landmarks.iter().map(|(id, _)| LandmarkId(id)).collect();
         for id in ids {
             let Some(landmark) = self.active.map.landmark(id) else { continue };

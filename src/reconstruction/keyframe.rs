@@ -95,8 +95,6 @@ const YOUNG_KEYFRAMES: u32 = 12;
 pub(super) const SAME_CORNER_PX: f32 = 2.0;
 /// A track that has left its landmark's found place by more than this has drifted, px.
 const DRIFTED_PX: f32 = 3.0;
-/// How far refinement may move a seed's tracked place, px.
-pub(super) const SEED_REFINE_PX: f64 = 2.0;
 
 pub(super) fn observe_match(camera: &CameraModel, m: &Match) -> Option<Observation> {
     let o = observe(camera, m.landmark, m.pixel, m.inv_sigma_px)?;
@@ -241,7 +239,7 @@ fn triangulate_seed(
         (None, _) => return SeedOutcome::Waits,
     };
     // Refine the place in the new picture (and in those between) against the anchor's template.
-    let options = SearchOptions { radius_px: SEED_REFINE_PX, ..SearchOptions::precise(config.sigma_px) };
+    let options = SearchOptions::precise(config.sigma_px);
     let displaced = |keyframe: &Keyframe, o: Observation| displaced(keyframe, o, &point, new.shutter);
     let readout_s = new.shutter.readout_s;
     let mut seen: Vec<(KeyframeId, Observation)> = vec![(anchor_id, displaced(anchor, a))];

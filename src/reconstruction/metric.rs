@@ -255,7 +255,7 @@ impl Reconstruction {
             // The number is taken: the map that begins next must have another.
             (active.id, active.next_id) = (into, MapId(into.0 + 1));
             active.map.renumber(map, into);
-            // Where the robot is was said in another unit.
+            // A planner's pose was said in the old unit.
             active.is_placed = false;
             self.events.push(TrajectoryEvent::MapJoined { map, into, scale: factor });
             self.counters.resets += 1;

@@ -245,7 +245,7 @@ impl Reconstruction {
             if elsewhere.is_none() {
                 self.far.ask_ahead(self.relocaliser.ahead(map));
             }
-            let better = |other: &Tracked| tracked.is_none_or(|weak| other.landmarks > weak.landmarks);
+            let better = |other: &Tracked| tracked.is_none_or(|weak| 5 * other.landmarks > 6 * weak.landmarks);
             if let Some(other) = elsewhere.filter(better) {
                 std::mem::swap(&mut self.tracker, &mut self.relocaliser.tracker);
                 tracked = Some(other);

@@ -110,7 +110,7 @@ const WIDE: f64 = 4.0;
 const NEAR_RAD: f64 = 0.3;
 const NEAR_DEPTHS: f64 = 0.3;
 /// Standard deviation of a frame-to-frame track's position, px (drifts; templates do not).
-const FLOW_SIGMA_PX: f64 = 2.0;
+const TRACK_SIGMA_PX: f64 = 2.0;
 
 impl Default for Tracker {
     /// Room for what a large local map needs, so that a growing map does not allocate on the path of a pose.
@@ -286,7 +286,7 @@ impl Tracker {
             let Some(landmark) = map.landmark(*id) else { continue };
             let Some(normalised) = camera.undistort(&track.position.cast()) else { continue };
             let pixel_scale = camera.pixel_scale(&normalised);
-            self.pairs.push(Correspondence::new(landmark.position, normalised, pixel_scale, 1.0 / FLOW_SIGMA_PX));
+            self.pairs.push(Correspondence::new(landmark.position, normalised, pixel_scale, 1.0 / TRACK_SIGMA_PX));
         }
         let tracks = self.pairs.len();
         self.seeds.append_pairs(guess, frame.motion.as_ref(), frame.shutter, &mut self.pairs);
@@ -346,7 +346,7 @@ impl Tracker {
         if self.assumes(frame) {
             // Distances were eliminated at a pose that did not know that the camera has moved.
             let pose = solution.camera_from_world;
-            solution = self.solve(frame, &pose, motion.as_ref().or(frame.motion.as_ref())).unwrap_or(solution);
+            solution = self.solve(frame, &pose, motion.as_ref().or(frame.motion.as_ref()))?;
         }
         solution = self.include_immature(frame, solution);
         let landmarks = self.search.matches.iter().filter(|m| m.inlier).count();

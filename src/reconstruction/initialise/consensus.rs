@@ -8,6 +8,8 @@
 //! front of both cameras. One that a rotation alone explains says nothing. Cost: some 0.05 ms, once a start. Not here: what moves
 //! slower than that, or fills more of the picture than the world; a lens that is a guess, whose own error bends the picture.
 
+use std::f64::consts::SQRT_2;
+
 use nalgebra::Vector2;
 
 use super::views::PendingFrame;
@@ -19,8 +21,7 @@ use crate::geometry::{CameraModel, Se3};
 
 /// Cells across the picture; as many rows as make them about square.
 const COLUMNS: usize = 10;
-/// Sampson distance of a track that agrees, and displacement beyond the rotation that makes it tell, px. Tracks drift over a start's
-/// frames, and a rolling shutter bends.
+/// Sampson distance of a track that agrees, px. Tracks drift over a start's frames, and a rolling shutter bends.
 const AGREEING_PX: f64 = 3.0;
 
 /// A view of a start: its tracks and its pose.
@@ -65,7 +66,8 @@ fn agreement(
     if !(turned.z > 1e-3) {
         return None;
     }
-    if camera.pixels(&x2, &(x2 - turned.xy() / turned.z)) < AGREEING_PX {
+    // A step across the epipolar line counts in both pictures: shorter than this it agrees in any direction.
+    if camera.pixels(&x2, &(x2 - turned.xy() / turned.z)) < SQRT_2 * AGREEING_PX {
         return None;
     }
     let distance = sampson_squared(&essential_of(&motion), &x1, &x2).sqrt() * camera.focal_px();
@@ -112,6 +114,8 @@ mod tests {
         assert_eq!(share(0.1, 0.0), Some(1.0));
         let third = share(0.1, 0.3).unwrap();
         assert!((third - 0.7).abs() < 0.08, "{third}");
+        let half = share(0.1, 0.5).unwrap();
+        assert!(half < super::super::AGREEING_SHARE, "{half}: no start");
     }
 
     #[test]

@@ -17,7 +17,7 @@
 use nalgebra::{Vector2, Vector3};
 
 use super::corners::CornerFinder;
-use super::{SEED_REFINE_PX, displaced, made_of, refine_in, triangulate};
+use super::{displaced, made_of, refine_in, triangulate};
 use crate::geometry::frames::Camera;
 use crate::geometry::{CameraModel, Se3, median};
 use crate::map::{FreeCorner, Keyframe, KeyframeId, Landmark, LandmarkId, Map, Observation};
@@ -124,17 +124,17 @@ impl EpipolarMatcher {
             let (point, angle) = triangulate(old, &a.normalised, new, &b.normalised)?;
             (angle >= config.min_parallax_deg.to_radians()).then_some(point)
         };
-        let options = SearchOptions { radius_px: SEED_REFINE_PX, ..SearchOptions::precise(config.sigma_px) };
+        let options = SearchOptions::precise(config.sigma_px);
         let b = refine_in(old, &a, new, &meet(&b)?, b.pixel, camera, &options)?;
         let point = meet(&b)?;
         let mut seen = vec![(old_id, displaced(old, a, &point, shutter))];
         for &(id, _) in self.around.iter().filter(|k| k.0 != old_id) {
-            let Some(third) = map.keyframe(id).filter(|k| k.picture.whole().is_some()) else { continue };
-            let p = third.camera_from_world.transform(&point);
+            let Some(other) = map.keyframe(id).filter(|k| k.picture.whole().is_some()) else { continue };
+            let p = other.camera_from_world.transform(&point);
             let visible = |pixel: &Vector2<f64>| p.z > 1e-6 && camera.contains(pixel, 10.0);
             let Some(pixel) = camera.project(&p).filter(visible) else { continue };
-            if let Some(o) = refine_in(old, &a, third, &point, pixel.cast(), camera, &options) {
-                seen.push((id, displaced(third, o, &point, shutter)));
+            if let Some(o) = refine_in(old, &a, other, &point, pixel.cast(), camera, &options) {
+                seen.push((id, displaced(other, o, &point, shutter)));
             }
         }
         seen.push((new_id, displaced(new, b, &point, shutter)));

@@ -25,8 +25,6 @@ const LEAST_OBSERVERS: usize = 2;
 /// From there a landmark looks as from here: the lines of sight are at most 15 degrees apart, and the distances as different.
 const ALIKE_COSINE: f64 = 0.966;
 const ALIKE_DISTANCE: f64 = 1.5;
-/// Landmarks make up for others in the same of so many columns and rows of the picture.
-const PARTS: [usize; 2] = [4, 3];
 
 /// How many of the landmarks of a keyframe that are `needed` (ascending) others make up for that were seen from there at another time since. `newest`:
 /// the map's newest keyframe.
@@ -53,14 +51,14 @@ pub fn made_up_for(
         seen.extend(not_own.filter(|l| map.landmark(*l).is_some_and(makes_up)));
     }
     seen.sort_unstable();
-    let (mut others, mut own) = ([0usize; PARTS[0] * PARTS[1]], [0usize; PARTS[0] * PARTS[1]]);
+    let (mut others, mut own) = ([0usize; CameraModel::PARTS], [0usize; CameraModel::PARTS]);
     for same in seen.chunk_by(|a, b| a == b).filter(|same| same.len() >= LEAST_OBSERVERS) {
         let position = map.landmark(same[0]).map(|l| keyframe.camera_from_world.transform(&l.position));
         let pixel = position.and_then(|p| camera.project(&p)).filter(|p| camera.contains(p, 0.0));
-        pixel.into_iter().for_each(|pixel| others[camera.part_of(&pixel, PARTS)] += 1);
+        pixel.into_iter().for_each(|pixel| others[camera.part_of(&pixel)] += 1);
     }
     for (_, pixel) in keyframe.observations.pixels().filter(|(l, _)| needed.binary_search(l).is_ok()) {
-        own[camera.part_of(&pixel.cast(), PARTS)] += 1;
+        own[camera.part_of(&pixel.cast())] += 1;
     }
     own.iter().zip(others).map(|(own, others)| (*own).min(others)).sum()
 }

@@ -34,10 +34,8 @@ use crate::places::describe::PlaceDescriber;
 use crate::reconstruction::keyframe::corners::CELL_PX;
 use crate::reconstruction::track::Guess;
 
-/// Pyramid levels that corners are described on.
-const LEVELS: usize = DESCRIBED_LEVELS;
 /// Corners of a frame that are described, by level.
-const CORNERS: [usize; LEVELS] = [500, 250, 100];
+const CORNERS: [usize; DESCRIBED_LEVELS] = [500, 250, 100];
 /// Brightness difference of a corner, grey levels: low, for blurred pictures; the strongest of each cell come first.
 const THRESHOLD: u8 = 7;
 /// Keyframes whose descriptors are remembered: some 0.1 MB each.
@@ -118,7 +116,7 @@ impl DescriptorSearch {
     /// Describes a frame; false when it shows too little (a covered lens).
     pub fn describe_frame(&mut self, pyramid: &Pyramid) -> bool {
         self.frame.clear();
-        for level in 0..LEVELS {
+        for level in 0..DESCRIBED_LEVELS {
             let Some(image) = pyramid.levels.get(level) else { break };
             self.detector.detect_all(image, THRESHOLD, &mut self.corners);
             self.gradients.fill(image);
@@ -222,7 +220,7 @@ fn describe_keyframe(
     if keyframe.picture.is_condensed() {
         return describe_by_views(map, keyframe, out);
     }
-    for level in 0..LEVELS {
+    for level in 0..DESCRIBED_LEVELS {
         let Some(image) = keyframe.picture.level(level) else { break };
         gradients.fill(&image);
         for (landmark, pixel) in keyframe.observations.pixels() {

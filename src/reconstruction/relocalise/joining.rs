@@ -66,8 +66,10 @@ impl Reconstruction {
         estimate
     }
 
-    /// Somebody has said where the robot is in the present map: when one that was lost is joined to it, it is not told in that one's frame.
+    /// Somebody has said where the robot is in the present map: when one that was lost is joined to it, it is not told in that one's frame; when it
+    /// is lost itself, it gives its frame to the map that it is joined to. What was said of a map before holds no more.
     pub fn hold_frame(&mut self) {
+        self.others.kept.iter_mut().for_each(|other| other.is_placed = false);
         self.active.is_placed = true;
     }
 
@@ -184,12 +186,14 @@ impl Reconstruction {
         let newest = other.sightings.last().map(|s| s.keyframe);
         let through = newest.and_then(|id| active.map.keyframe(id)?.scale_from);
         active.scale.absorb(&other.scale, &mut other.map, present_from_other, through);
-        // Goals of a planner lie in the frame of the map that it has placed.
         let is_larger = other.map.keyframes.len() > active.map.keyframes.len();
-        let goes_back = (is_larger || other.is_placed) && !other.is_merged && !active.is_placed;
-        active.is_placed |= goes_back && other.is_placed;
+        let knows_unit = active.fusion.fused().is_some();
+        // Goals of a planner lie in the frame of the map that it has placed; in another unit they are nowhere.
+        let keeps_goals = other.is_placed && (!knows_unit || other.fusion.is_metric());
+        let goes_back = (is_larger || keeps_goals) && !other.is_merged && !active.is_placed;
+        active.is_placed |= goes_back && keeps_goals;
         // A unit that something has told stays; else it is the other's, whose own words then hold as they are.
-        let takes_unit = goes_back && active.fusion.fused().is_none();
+        let takes_unit = goes_back && !knows_unit;
         match takes_unit {
             true => active.fusion.inherit(&other.fusion, 0.0, 0.0),
             // A length of one here is 1 / scale there.

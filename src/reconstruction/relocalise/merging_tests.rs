@@ -261,6 +261,26 @@ fn a_smaller_map_that_was_lost_gives_its_frame_back_where_a_planner_had_placed_i
 }
 
 #[test]
+fn a_planners_word_holds_of_the_last_map_that_it_was_said_of_and_in_that_ones_unit() {
+    let mut r = tracking();
+    stand(&mut r, 0..2);
+    let another = || {
+        let saved = for_run(&r, vec![another_day()]).maps.remove(0);
+        OtherMap { is_placed: true, ..OtherMap::of_another_run(saved, false) }
+    };
+    let (lost, kept) = (another(), another());
+    r.others.add(kept);
+    // Lengths were of no known unit when it was said, and are metres now.
+    let metric = MapScale::Metric { sigma: 0.01, sources: ScaleSources::default().with(ScaleSource::Wheels) };
+    r.active.fusion = ScaleFusion::of_stored(metric);
+    r.join(lost, &Sim3::new(1.0 / OTHER_UNIT, UnitQuaternion::identity(), Vector3::x()), 0.05);
+    assert!(!r.is_placed());
+    assert!(r.others.kept[0].is_placed);
+    r.hold_frame();
+    assert!(r.is_placed() && !r.others.kept[0].is_placed);
+}
+
+#[test]
 fn what_waits_to_be_joined_is_in_no_file_and_what_was_joined_is() {
     let mut r = tracking();
     stand(&mut r, 0..2);

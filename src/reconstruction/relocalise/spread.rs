@@ -3,9 +3,8 @@
 use crate::geometry::CameraModel;
 use crate::reconstruction::track::search::Match;
 
-/// The picture is parted into so many columns and rows, and what was found of a place lies in so many of these parts at the least: landmarks
-/// on one poster say that this is the poster, and not where it hangs.
-const PARTS: [usize; 2] = [4, 3];
+/// What was found of a place lies in so many parts of the picture at the least: landmarks on one poster say that this is the poster, and not
+/// where it hangs.
 const MIN_PARTS: usize = 5;
 
 /// What was found is not on one poster.
@@ -15,9 +14,9 @@ pub fn shows_a_place(found: &[Match], camera: &CameraModel) -> bool {
 
 /// Parts of the picture in which something was found.
 fn parts_seen(found: &[Match], camera: &CameraModel) -> usize {
-    let mut seen = [false; PARTS[0] * PARTS[1]];
+    let mut seen = [false; CameraModel::PARTS];
     for m in found {
-        seen[camera.part_of(&m.pixel.cast(), PARTS)] = true;
+        seen[camera.part_of(&m.pixel.cast())] = true;
     }
     seen.iter().filter(|seen| **seen).count()
 }
@@ -45,6 +44,6 @@ mod tests {
         let poster: Vec<Match> = (0..60).map(|i| at(330.0 + i as f32, 170.0 + i as f32)).collect();
         assert!(parts_seen(&poster, &camera) < MIN_PARTS);
         let room: Vec<Match> = (0..60).map(|i| at(-0.4 + (i * 97 % 641) as f32, (i * 61 % 481) as f32)).collect();
-        assert_eq!(parts_seen(&room, &camera), PARTS[0] * PARTS[1]);
+        assert_eq!(parts_seen(&room, &camera), CameraModel::PARTS);
     }
 }

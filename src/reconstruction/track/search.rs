@@ -76,9 +76,9 @@ pub struct SearchOptions {
 }
 
 impl SearchOptions {
-    /// For one patch near its place: on its own level only, within 6 px.
+    /// For one patch whose place a track or a corner tells: on its own level only, within 2 px.
     pub fn precise(sigma_px: f64) -> Self {
-        Self { radius_px: 6.0, coarse_levels: 0, sigma_px, blurred_levels: 0 }
+        Self { radius_px: 2.0, coarse_levels: 0, sigma_px, blurred_levels: 0 }
     }
 }
 

@@ -15,6 +15,7 @@
 
 use nalgebra::{Vector2, Vector3};
 
+use super::TRACK_SIGMA_PX;
 use super::association::{Seed, Target};
 use super::frame::{Frame, QUICK_TURN_RAD};
 use super::search::{Match, observe};
@@ -25,9 +26,6 @@ use crate::map::{LandmarkId, Observation};
 use crate::reconstruction::measurement::Correspondence;
 use crate::reconstruction::measurement::inverse_distance::Ray;
 use crate::reconstruction::measurement::rolling_shutter::Shutter;
-
-/// Standard deviation of a track's place against its anchor's, px.
-const SIGMA_PX: f64 = 2.0;
 
 /// A seed that the frame sees.
 #[derive(Debug, Clone, Copy)]
@@ -115,6 +113,6 @@ fn seed_ray(frame: &Frame<'_>, seed: &Seed, position: Vector2<f32>, distance: f6
     let ray = Ray::at_distance(&anchor.camera_from_world, &seen, shutter.readout_s, distance);
     let normalised = camera.undistort(&position.cast())?;
     let pixel_scale = camera.pixel_scale(&normalised);
-    let pair = Correspondence::new(ray.point(), normalised, pixel_scale, 1.0 / SIGMA_PX);
+    let pair = Correspondence::new(ray.point(), normalised, pixel_scale, 1.0 / TRACK_SIGMA_PX);
     Some(SeedRay { ray, row_px: position.y, pair })
 }

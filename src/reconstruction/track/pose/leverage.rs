@@ -4,7 +4,7 @@
 //! part of the picture and far away, one that is near holds the pose by itself; if it is wrong, as at the edge of something that
 //! moves past, its own residual does not tell. Cost: about 0.1 us a pair, and two warm descents for each pair taken out.
 //!
-//! Kept by ablation (as `maturity`): without it one recording in bare corridors is lost after 71 % instead of 99 %.
+//! Kept by ablation: without it errors over 52 recordings made harder (the shorter ones of half A, as `maturity`) are 4 % larger.
 
 use nalgebra::{Matrix2, Matrix6, Vector6};
 
@@ -46,8 +46,8 @@ impl Fit {
     ///
     /// A pair that decides a direction of the pose by itself - the only one nearby, say - has a small residual whatever it says. With its
     /// leverage `h = J H⁻¹ Jᵀ` taken out the residual is `d = (I - h)⁻¹ e` (the deletion residual: Belsley, Kuh, Welsch 1980, section
-    /// 2.1), and the others' pose puts it there with the covariance `I + h (I - h)⁻¹ = (I - h)⁻¹`: so its square is `eᵀ (I - h)⁻¹ e`. All in
-    /// units of the pair's own standard deviation.
+    /// 2.1), and the others' pose puts it there with the covariance `I + h (I - h)⁻¹ = (I - h)⁻¹`: so the square of the
+    /// studentised residual is `eᵀ (I - h)⁻¹ e`. All in units of the pair's own standard deviation.
     fn worst_studentised(
         &self,
         pose: &Se3<Camera, World>,
@@ -82,8 +82,7 @@ impl Fit {
     }
 }
 
-/// Takes out the inliers that the others contradict, the worst first; what agrees with the pose without them is an inlier in the end: one that
-/// is wrong makes others look so.
+/// Takes out the inliers that the others contradict, the worst first. Outliers that agree with the pose without them become inliers again.
 pub(super) fn judge_leverage(
     pose: &mut Se3<Camera, World>,
     fit: &mut Fit,
@@ -127,6 +126,7 @@ mod tests {
     /// Far points hardly tell a turn from a step aside; the only near one decides, and its residual stays small.
     #[test]
     fn the_only_near_pair_does_not_bend_the_pose_when_it_is_wrong_and_stays_when_it_is_right() {
+        let mut kept_without = 0;
         for seed in 1..20 {
             let (truth, mut pairs) = scene(seed, 100, 0.3, 0);
             for pair in &mut pairs {
@@ -141,19 +141,23 @@ mod tests {
                 pair.variance_px2 = 0.3 * 0.3;
             }
             let near = Vector3::new(-0.3, 0.1, 0.7);
-            let off = |wrong_px: f64| {
+            let off_by = |wrong_px: f64, leverage: bool| {
                 let mut pairs = pairs.clone();
                 let normalised = near.xy() / near.z + Vector2::new(wrong_px / 500.0, 0.0);
                 pairs.push(Correspondence { point: truth.inverse().transform(&near), normalised, ..pairs[0] });
                 let mut inlier = Vec::new();
-                let s = optimise_pose(&truth, &pairs, &PoseOptions::default(), &mut inlier).unwrap();
+                let options = PoseOptions { leverage, ..PoseOptions::default() };
+                let s = optimise_pose(&truth, &pairs, &options, &mut inlier).unwrap();
                 (distance(&s.camera_from_world, &truth), inlier[100])
             };
+            let off = |wrong_px| off_by(wrong_px, true);
             let (alone, _) = off(1000.0);
             let (right, kept) = off(0.0);
             assert!(kept && right < 0.01, "seed {seed}: off by {right}");
-            let (wrong, kept) = off(6.0);
+            let (wrong, kept) = off(2.5);
             assert!(!kept && wrong <= 1.01 * alone, "seed {seed}: off by {wrong}, without it by {alone}");
+            kept_without += usize::from(off_by(2.5, false).1);
         }
+        assert!(kept_without >= 15, "its own residual tells in all but {kept_without} of 19");
     }
 }
