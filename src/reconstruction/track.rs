@@ -26,7 +26,7 @@ use crate::geometry::frames::{Camera, World};
 use crate::geometry::sim3::Sim3;
 use crate::geometry::{Se3, median};
 use crate::map::{KeyframeId, LandmarkId, Map};
-use association::Target;
+use association::{TRACK_SIGMA_PX, Target};
 use frame::{Frame, is_assumed, measurement_of, motion_since};
 use information::PoseInformation;
 use maturity::{MaturityGate, mature_after};
@@ -109,8 +109,6 @@ const WIDE: f64 = 4.0;
 /// frame before: there no share of the landmarks looked for is asked.
 const NEAR_RAD: f64 = 0.3;
 const NEAR_DEPTHS: f64 = 0.3;
-/// Standard deviation of a frame-to-frame track's position, px (drifts; templates do not).
-const TRACK_SIGMA_PX: f64 = 2.0;
 
 impl Default for Tracker {
     /// Room for what a large local map needs, so that a growing map does not allocate on the path of a pose.

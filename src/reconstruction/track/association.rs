@@ -7,6 +7,8 @@ use crate::map::{KeyframeId, LandmarkId};
 
 /// A seed's observations in keyframes; more than this many are not kept (the first is the anchor).
 pub const SEED_OBSERVATIONS: usize = 6;
+/// Standard deviation of a frame-to-frame track's position, px (drifts; templates do not).
+pub const TRACK_SIGMA_PX: f64 = 2.0;
 
 /// A corner that is followed but whose depth is not known yet.
 #[derive(Debug, Clone, Copy)]

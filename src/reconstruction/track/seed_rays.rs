@@ -15,8 +15,7 @@
 
 use nalgebra::{Vector2, Vector3};
 
-use super::TRACK_SIGMA_PX;
-use super::association::{Seed, Target};
+use super::association::{Seed, TRACK_SIGMA_PX, Target};
 use super::frame::{Frame, QUICK_TURN_RAD};
 use super::search::{Match, observe};
 use crate::geometry::camera_motion::CameraMotion;
