@@ -51,6 +51,9 @@ pub struct Start {
 const MAX_PENDING: usize = 900;
 /// Standard deviation of a track over the frames of a start, px.
 pub const START_SIGMA_PX: f64 = 1.0;
+/// So long after the camera began to move, s, corners that look alike are asked as well as tracks: a turn on the spot before a lens that nobody has
+/// calibrated begins a map by them else; and where frames are many tracks alone have given a start by then, a later one with more parallax.
+const CORNERS_AFTER_S: f64 = 0.25;
 /// Further times that a start must agree with the picture, at the most.
 const MAX_DISAGREEMENTS: u32 = 5;
 /// Rotation-compensated flow since the reference at which the camera counts as moving, px.
@@ -202,6 +205,9 @@ impl Initialiser {
             if n == 0 && self.last_ns != Some(features.timestamp_ns) {
                 // No view's tracks are alive.
                 self.spend_patience(features.timestamp_ns, flow);
+            }
+            if self.trying_s < CORNERS_AFTER_S {
+                break;
             }
             if flow < config.start_flow_px {
                 continue;
