@@ -396,8 +396,9 @@ impl ReconstructStep {
         }
         let is_placed = self.reconstruction.as_ref().is_some_and(Reconstruction::is_placed);
         for event in self.events.drain(..) {
-            if let (TrajectoryEvent::MapJoined { map, into, .. }, true, Some(outlet)) =
-                (&event, is_placed, self.outlet.as_mut())
+            if let TrajectoryEvent::MapJoined { map, into, .. } = &event
+                && is_placed
+                && let Some(outlet) = self.outlet.as_mut()
             {
                 outlet.follow_join(*map, *into);
             }

@@ -5,8 +5,7 @@
 //! projection, which must speak for itself. Two keyframes that tell the same similarity ([`other_maps`](super::other_maps)) join the maps:
 //! the other one becomes a part of the present one, whose number stays. Where the other one is the larger, or a planner has placed it and not this
 //! one, both are from then on where that was, in its frame and, unless something tells the present map's scale, in its unit: there lie the places
-//! that a planner has stored. The map pose
-//! then jumps, with its revision; the smooth pose does not. A map that a command merges is carried over into the present one, however large.
+//! that a planner has stored. The map pose then jumps, with its revision; the smooth pose does not. A map that a command merges is carried over into the present one, however large.
 //! Landmarks of both that are one corner are fused, and the whole is adjusted soon, if it is not too large.
 //!
 //! A seam that an older keyframe told lies where the robot may not be: beyond 240 keyframes nothing adjusts it until the robot is there again.

@@ -8,8 +8,8 @@
 //!
 //! Input: the pairs of one frame (world point, undistorted observation), which of them are of mature landmarks, the solution over all and the
 //! options that it was made with. Output: the solution over the mature ones and the immature ones that agree. Test: chi-square of the
-//! innovation, `e' (I + J P J')⁻¹ e` in standard deviations, P the covariance of the mature solution (Bar-Shalom, Li, Kirubarajan 2001, section 5.4). Cost: two
-//! or three warm motion-only optimisations. It does not judge the mature ones: the optimisation's own outlier test does.
+//! innovation, `e' (I + J P J')⁻¹ e` in standard deviations, P the covariance of the mature solution (Bar-Shalom, Li, Kirubarajan 2001,
+//! section 5.4). Cost: two or three warm motion-only optimisations. It does not judge the mature ones: the optimisation's own outlier test does.
 //!
 //! Kept by ablation: without it errors over 79 recordings made harder (half A of `tests/results/derived.py`) are 6 % larger in the geometric mean.
 

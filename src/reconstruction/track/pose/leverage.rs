@@ -82,7 +82,8 @@ impl Fit {
     }
 }
 
-/// Takes out the inliers that the others contradict, the worst first. Outliers that agree with the pose without them become inliers again.
+/// Takes out the inliers that the others contradict, the worst first, for good. Those that were outliers before and agree with the pose without them
+/// become inliers.
 pub(super) fn judge_leverage(
     pose: &mut Se3<Camera, World>,
     fit: &mut Fit,
