@@ -32,7 +32,7 @@ pub use plane::{Driven, FloorPoint, NoFloor, Plane, UpPrior};
 const KEYFRAMES: usize = 40;
 const LANDMARKS: usize = 1200;
 /// A landmark that fewer keyframes saw may be a mistake.
-const LEAST_OBSERVERS: usize = 3;
+pub const LEAST_OBSERVERS: usize = 3;
 /// So many keyframes in a row must tell heights that differ by less than so many of their sigmas.
 const ASKED: usize = 3;
 const ALIKE_SIGMAS: f64 = 3.0;
@@ -88,12 +88,9 @@ pub fn roll_pitch(up_camera: &Unit<Vector3<f64>>) -> (f64, f64) {
     (up.y.atan2(up.z), -up.x.clamp(-1.0, 1.0).asin())
 }
 
-/// A landmark that may lie on a floor: nothing of it is assumed, and keyframes enough agree on it.
-pub fn floor_point(map: &Map, id: LandmarkId) -> Option<FloorPoint> {
-    let l = map.landmark(id).filter(|l| l.assumed.is_none() && l.observers.len() >= LEAST_OBSERVERS)?;
-    let known = l.covariance.iter().all(|v| v.is_finite());
-    known.then_some(FloorPoint { position: l.position, covariance: l.covariance })
-}
+/// Where a landmark lies by its pictures alone, the keyframes held: without what adjustments have held of the floor itself, which would make a floor of
+/// whatever is low. `None`: nothing to rest on.
+pub type Look<'a> = &'a dyn Fn(LandmarkId) -> Option<FloorPoint>;
 
 /// The floor under a robot, for an adjustment.
 #[derive(Debug, Clone, Copy)]
@@ -150,7 +147,7 @@ impl Floor {
     }
 
     /// Asks a new keyframe; a word on the map's scale, if there is a new one.
-    pub fn see(&mut self, map: &Map, id: MapId, newest: KeyframeId) -> Option<ScaleMeasurement> {
+    pub fn see(&mut self, map: &Map, id: MapId, newest: KeyframeId, look: Look<'_>) -> Option<ScaleMeasurement> {
         let part = map.keyframe(newest)?.scale_from;
         if (self.map, self.part) != (id, part) {
             // The robot has not left the floor by turning on it.
@@ -159,7 +156,7 @@ impl Floor {
             (self.map, self.part, self.up_found) = (id, part, up_found);
         }
         self.since_word = self.since_word.map(|n| n + 1);
-        let found = self.look(map, newest);
+        let found = self.look(map, newest, look);
         self.refused = found.err();
         let Ok(plane) = found else {
             self.told.clear();
@@ -240,7 +237,7 @@ impl Floor {
         (self.believed, self.up_found, self.refused, self.since_word) = (None, None, None, None);
     }
 
-    fn look(&mut self, map: &Map, newest: KeyframeId) -> Result<Plane, NoFloor> {
+    fn look(&mut self, map: &Map, newest: KeyframeId, look: Look<'_>) -> Result<Plane, NoFloor> {
         let Some(last) = map.keyframe(newest) else { return Err(NoFloor::FewMetres) };
         // Behind a turn on the spot lengths may be those of an assumption: other ones than before it.
         let recent = |id: &u32| map.keyframe(KeyframeId(*id)).filter(|k| k.scale_from == last.scale_from);
@@ -250,7 +247,7 @@ impl Floor {
         let mut seen: Vec<LandmarkId> = keyframes.iter().flat_map(|k| k.observations.landmarks()).collect();
         seen.sort_unstable();
         seen.dedup();
-        let tells = |id: &LandmarkId| Some((*id, floor_point(map, *id)?));
+        let tells = |id: &LandmarkId| Some((*id, look(*id)?));
         self.landmarks.clear();
         self.points.clear();
         for (id, point) in seen.iter().rev().filter_map(tells).take(LANDMARKS) {

@@ -47,7 +47,7 @@ impl Reconstruction {
                 let centre = active.map.keyframe(newest).map(Keyframe::centre);
                 let floor = self.floor.as_ref().zip(centre);
                 if let Some(floor) = floor.and_then(|(floor, at)| floor.driven(active.id, &active.fusion, &at)) {
-                    job.hold_floor(&active.map, &floor);
+                    job.hold_floor(&active.map, &optics.camera, &optics.shutter, &floor);
                 }
             }
             self.mapper.post(MappingJob::Adjust(Box::new(job)), self.counters.frames);

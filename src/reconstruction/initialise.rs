@@ -12,7 +12,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::Reconstruction;
 use super::adjust::job::Adjustment;
 use super::keyframe::bind_new;
-use super::keyframe::point::refine_point;
+use super::keyframe::point::{observations_of, refine_point};
 use super::measurement::Correspondence;
 use super::odometry::Odometry;
 use super::optics::Optics;
@@ -243,8 +243,7 @@ impl Reconstruction {
                     None => self.active.map.remove_observation(k, id),
                 }
             }
-            let seen: Vec<_> =
-                observers.iter().filter_map(|&k| Some((k, self.active.map.keyframe(k)?.observation(id)?))).collect();
+            let seen = observations_of(&self.active.map, id);
             // With fewer than two views left the landmark is gone already.
             if let Some(covariance) =
                 refine_point(&self.active.map, &seen, &self.optics.camera, self.optics.shutter.readout_s, &mut position)

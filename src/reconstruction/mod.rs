@@ -447,8 +447,11 @@ impl Reconstruction {
                 self.hear_at(id, &word, 0.0);
             }
         }
+        let (map, optics) = (&self.active.map, &self.optics);
         if let Some(floor) = &mut self.floor
-            && let Some(word) = floor.see(&self.active.map, self.active.id, id)
+            && let Some(word) = floor.see(map, self.active.id, id, &|landmark| {
+                keyframe::point::floor_point(map, landmark, &optics.camera, &optics.shutter)
+            })
         {
             let common_sigma = floor.common_sigma();
             self.hear_at(id, &word, common_sigma);

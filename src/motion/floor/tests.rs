@@ -1,6 +1,6 @@
 use nalgebra::{Matrix3, Unit, UnitQuaternion, Vector3};
 
-use super::plane::{Driven, FloorPoint, NoFloor, UpPrior, find_floor};
+use super::plane::{Driven, FloorPoint, NoFloor, Scatter, UpPrior, find_floor};
 use super::*;
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
@@ -65,6 +65,27 @@ fn a_floor_that_is_driven_over_tells_height_and_tilt_within_what_it_says() {
         assert!((roll - ROLL_RAD).abs() < 0.01 && (pitch - PITCH_RAD).abs() < 0.01, "seed {seed}: {roll} {pitch}");
     }
     assert!(inside >= 17, "{inside} of 20 within two sigmas");
+}
+
+/// Skirting boards, feet of furniture: a third of what lies down there.
+#[test]
+fn low_things_do_not_lift_a_floor() {
+    let sigma = 0.02 * HEIGHT;
+    let error = |seed: u64| {
+        let mut random = Random::new(seed);
+        let mut points = sheet(&mut random, [1.0, 6.0], [-1.0, 1.0], 0.0, 100, sigma);
+        for _ in 0..50 {
+            let z = random.uniform(0.02, 0.14) * HEIGHT;
+            points.extend(sheet(&mut random, [1.0, 6.0], [-1.0, 1.0], z, 1, sigma));
+        }
+        let plane = find_floor(&points, &driven(), &prior(), &Driven::FIRST, seed).expect("a floor");
+        assert!((0.1..0.5).contains(&plane.scatter.things) && plane.scatter.mistakes < 0.1, "{:?}", plane.scatter);
+        (plane.height / HEIGHT).ln()
+    };
+    let errors: Vec<f64> = (0..20).map(error).collect();
+    let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+    assert!(mean.abs() < 0.003, "on average {mean} too high");
+    assert!(errors.iter().all(|error| error.abs() < 0.015), "{errors:?}");
 }
 
 #[test]
@@ -134,7 +155,15 @@ fn impossible_heights_are_refused() {
 fn axes_on_the_floor_are_below_the_camera_and_a_floor_follows_the_map() {
     let up_camera = -Vector3::y_axis();
     for normal in [Vector3::z(), -Vector3::z(), -Vector3::y(), Vector3::new(0.2, -0.9, 0.3).normalize()] {
-        let plane = Plane { normal, offset: -0.3, height: 0.5, sigma: 0.01, up_camera, landmarks: 20 };
+        let plane = Plane {
+            normal,
+            offset: -0.3,
+            height: 0.5,
+            sigma: 0.01,
+            up_camera,
+            landmarks: 20,
+            scatter: Scatter::default(),
+        };
         let camera = normal * 0.2 + plane::basis(&Unit::new_normalize(normal)).0 * 3.0;
         let on_it = plane.floor_from_world(&camera).transform(&camera);
         assert!((on_it - Vector3::new(0.0, 0.0, 0.5)).norm() < 1e-12, "{normal:?}: {on_it:?}");

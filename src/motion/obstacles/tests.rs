@@ -1,6 +1,7 @@
 use nalgebra::Unit;
 
 use super::*;
+use crate::motion::floor::plane::Scatter;
 use crate::motion::floor::seen::Stretch;
 
 /// A floor at z = 0, metres; the robot at the origin looks along x.
@@ -12,6 +13,7 @@ fn floor() -> Plane {
         sigma: 0.01,
         up_camera: Unit::new_normalize(-Vector3::y()),
         landmarks: 100,
+        scatter: Scatter::default(),
     }
 }
 

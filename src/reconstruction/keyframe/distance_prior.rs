@@ -14,7 +14,7 @@
 
 use nalgebra::Vector3;
 
-use super::point::{refine_point, reprojection_chi2};
+use super::point::{observations_of, refine_point, reprojection_chi2};
 use crate::geometry::{CameraModel, median};
 use crate::map::{KeyframeId, Landmark, LandmarkId, Map, Observation};
 use crate::reconstruction::measurement::CHI2_2D_95;
@@ -70,8 +70,7 @@ pub fn triangulate_assumed(map: &mut Map, newest: KeyframeId, camera: &CameraMod
         if (point - here).angle(&(point - ray.centre)) < min_parallax {
             continue;
         }
-        let seen: Vec<(KeyframeId, Observation)> =
-            landmark.observers.iter().filter_map(|&k| Some((k, map.keyframe(k)?.observation(id)?))).collect();
+        let seen = observations_of(map, id);
         let Some(covariance) = refine_point(map, &seen, camera, readout_s, &mut point) else { continue };
         let distance2 = (point - ray.centre).norm_squared();
         let told = ray.direction.dot(&(covariance * ray.direction)) < TOLD_SHARE * TOLD_SHARE * distance2;

@@ -4,8 +4,10 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
-use crate::map::{KeyframeId, Map, Observation};
+use crate::map::{KeyframeId, LandmarkId, Map, Observation};
+use crate::motion::floor::{FloorPoint, LEAST_OBSERVERS};
 use crate::reconstruction::measurement::jacobian_rows;
+use crate::reconstruction::measurement::rolling_shutter::Shutter;
 
 /// Squared, sigma-scaled distance of an observation from where the point is projected; infinite behind the camera.
 pub fn reprojection_chi2(
@@ -59,4 +61,18 @@ pub fn refine_point(
         }
     }
     covariance.filter(|c| c.iter().chain(point.iter()).all(|v| v.is_finite()))
+}
+
+/// Who saw a landmark, and how.
+pub fn observations_of(map: &Map, id: LandmarkId) -> Vec<(KeyframeId, Observation)> {
+    let observers = map.landmark(id).into_iter().flat_map(|landmark| &landmark.observers);
+    observers.filter_map(|&k| Some((k, map.keyframe(k)?.observation(id)?))).collect()
+}
+
+/// A landmark that may lie on a floor, by its pictures alone: nothing of it is assumed, and keyframes enough agree on it.
+pub fn floor_point(map: &Map, id: LandmarkId, camera: &CameraModel, shutter: &Shutter) -> Option<FloorPoint> {
+    let landmark = map.landmark(id).filter(|l| l.assumed.is_none() && l.observers.len() >= LEAST_OBSERVERS)?;
+    let mut position = landmark.position;
+    let covariance = refine_point(map, &observations_of(map, id), camera, shutter.readout_s, &mut position)?;
+    Some(FloorPoint { position, covariance })
 }

@@ -5,6 +5,7 @@ use nalgebra::{Unit, UnitQuaternion};
 use super::*;
 use crate::geometry::random::Random;
 use crate::geometry::ros_from_optical;
+use crate::motion::floor::plane::Scatter;
 
 /// The front of the box, m ahead of the origin; it reaches to both sides of the line y = 0 to its left.
 const BOX_M: f64 = 2.0;
@@ -27,6 +28,7 @@ fn floor() -> Plane {
         sigma: 0.01,
         up_camera: Unit::new_normalize(-Vector3::y()),
         landmarks: 100,
+        scatter: Scatter::default(),
     }
 }
 

@@ -5,10 +5,11 @@ use nalgebra::{Vector2, Vector3};
 use super::{Adjustment, intrinsics_jacobian, seen_by};
 use crate::geometry::CameraModel;
 use crate::map::{KeyframeId, LandmarkId, Map, Observation};
+use crate::motion::floor::DrivenFloor;
 use crate::motion::floor::plane::{EVENNESS, KEEPS_HEIGHT, KEEPS_TILT_RAD, LEAST_LANDMARKS};
-use crate::motion::floor::{DrivenFloor, floor_point};
 use crate::motion::tag::HeldTag;
 use crate::reconstruction::adjust::bundle::{HeldFloor, KnownLength, TargetCorner};
+use crate::reconstruction::keyframe::point::floor_point;
 use crate::reconstruction::measurement::rolling_shutter::Shutter;
 
 /// Keyframes further apart, ns, are held by no length: over a long way the distance of its ends is not what wheels know best.
@@ -93,7 +94,7 @@ impl Adjustment {
 
     /// Lets cameras keep height and tilt above the floor, and landmarks on it lie on one plane, in the part of the map that tells metres. Not where too few
     /// landmarks show the floor: cameras alone would keep a height above nothing by going a shorter way. Another run's cameras may have sat elsewhere on the robot.
-    pub fn hold_floor(&mut self, map: &Map, floor: &DrivenFloor<'_>) {
+    pub fn hold_floor(&mut self, map: &Map, camera: &CameraModel, shutter: &Shutter, floor: &DrivenFloor<'_>) {
         let (plane, height) = (&floor.plane, floor.height);
         let drives = |id: &KeyframeId| {
             let there = map.keyframe(*id).filter(|_| map.numbers.is_new(*id));
@@ -102,8 +103,7 @@ impl Adjustment {
         let drive = self.keyframes.iter().map(drives);
         let cameras: Vec<u32> = (0..).zip(drive).filter_map(|(i, drives)| drives.then_some(i)).collect();
         let place = |id: &LandmarkId| {
-            let point = floor_point(map, *id).filter(|point| plane.bears(point))?;
-            Some(point.position)
+            floor_point(map, *id, camera, shutter).filter(|point| plane.bears(point)).map(|point| point.position)
         };
         let on_floor: Vec<bool> = self.landmarks.iter().map(|id| place(id).is_some()).collect();
         let others = floor.landmarks.iter().filter(|id| self.landmarks.binary_search(id).is_err());
@@ -140,7 +140,7 @@ mod tests {
     use crate::geometry::Se3;
     use crate::geometry::frames::{Camera, World};
     use crate::map::{Landmark, examples};
-    use crate::motion::floor::plane::Plane;
+    use crate::motion::floor::plane::{Plane, Scatter};
     use crate::reconstruction::track::search::observe;
 
     /// Looking along z, y down: four keyframes, one every 0.2 along x, a metre above a floor of which `on_floor` landmarks are seen, and 20 on a wall.
@@ -172,10 +172,16 @@ mod tests {
             sigma: 0.01,
             up_camera: -Vector3::y_axis(),
             landmarks: LEAST_LANDMARKS,
+            scatter: Scatter::default(),
         };
         let mut job = Adjustment::global(map, camera, &Shutter::new(0.0, 480, false), 1).expect("something to move");
         let poses = job.problem.state.poses.len();
-        job.hold_floor(map, &DrivenFloor { plane, height: 1.0, landmarks: &[] });
+        job.hold_floor(
+            map,
+            camera,
+            &Shutter::new(0.0, 480, false),
+            &DrivenFloor { plane, height: 1.0, landmarks: &[] },
+        );
         let added = job.problem.state.poses.len() - poses;
         assert_eq!((added, job.problem.fixed.len() - poses), if job.problem.floor.is_some() { (1, 1) } else { (0, 0) });
         job.problem.floor.take()
