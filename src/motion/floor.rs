@@ -88,8 +88,8 @@ pub fn roll_pitch(up_camera: &Unit<Vector3<f64>>) -> (f64, f64) {
     (up.y.atan2(up.z), -up.x.clamp(-1.0, 1.0).asin())
 }
 
-/// Where a landmark lies by its pictures alone, the keyframes held: without what adjustments have held of the floor itself, which would make a floor of
-/// whatever is low. `None`: nothing to rest on.
+/// Where a landmark lies by its pictures alone, the keyframes held: adjustments pull what was once taken for floor to the floor, and it would never be told
+/// from it again. `None`: nothing to rest on.
 pub type Look<'a> = &'a dyn Fn(LandmarkId) -> Option<FloorPoint>;
 
 /// The floor under a robot, for an adjustment.

@@ -88,6 +88,18 @@ fn low_things_do_not_lift_a_floor() {
     assert!(errors.iter().all(|error| error.abs() < 0.015), "{errors:?}");
 }
 
+/// A third of what is down there lies a little beneath what the rest lies on: rugs, or low tops, with the floor under them.
+#[test]
+fn what_has_a_floor_closely_beneath_it_is_none() {
+    for seed in 0..10 {
+        let mut random = Random::new(seed);
+        let mut points = sheet(&mut random, [1.0, 6.0], [-1.0, 1.0], 0.0, 100, 0.01 * HEIGHT);
+        points.extend(sheet(&mut random, [1.0, 6.0], [-1.0, 1.0], -0.1 * HEIGHT, 50, 0.01 * HEIGHT));
+        let found = find_floor(&points, &driven(), &prior(), &Driven::FIRST, seed);
+        assert!(!found.is_ok_and(|plane| plane.height < 1.05 * HEIGHT), "seed {seed}");
+    }
+}
+
 #[test]
 fn what_is_no_floor_is_refused_for_its_reason() {
     let mut random = Random::new(7);

@@ -37,7 +37,7 @@ pub struct HeldFloor {
     pub evenness: f64,
     /// Of each point: it lies on the floor.
     pub on_floor: Vec<bool>,
-    /// Points on it that stay where they are.
+    /// Points on it that stay where they are: where their pictures have them.
     pub around: Vec<Vector3<f64>>,
 }
 
