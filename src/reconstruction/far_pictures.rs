@@ -226,7 +226,7 @@ mod tests {
     use crate::image::{GreyImage, Pyramid};
     use crate::map::view::{DESCRIBED_LEVELS, Description};
     use crate::map::{LandmarkId, examples};
-    use crate::reconstruction::track::search::observe;
+    use crate::reconstruction::track::template::observe;
 
     /// Five keyframes at one place, whose pictures are away but for the last one's; as many failures of each copy, then it is read.
     fn map(failures: [u32; 4]) -> (Map, [KeyframeId; 5]) {

@@ -20,15 +20,15 @@ use super::track::Tracked;
 use super::track::association::{Seed, Target};
 use super::track::frame::Frame;
 use super::track::pose::{PoseOptions, optimise_pose};
-use super::track::search::{SearchOptions, affine_warp, align_template, observe};
+use super::track::template::{SearchOptions, observe, refine_in};
 use super::types::{PoseEstimate, TrackingState, TrajectoryEvent};
 use crate::features::FrameFeatures;
 use crate::features::thumbnail::thumbnail_of;
+use crate::geometry::Se3;
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
-use crate::geometry::{CameraModel, Se3};
 use crate::map::picture::KeyframePicture;
-use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, Observation};
+use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Observation};
 use consensus::agreeing_share;
 use initialiser::{START_SIGMA_PX, Start};
 use untracked::is_untracked;
@@ -237,8 +237,7 @@ impl Reconstruction {
             let observers = landmark.observers.clone();
             let mut position = landmark.position;
             for &k in observers.iter().filter(|k| **k != first) {
-                let refined = refine_in_view(&self.active.map, first, k, id, &self.optics.camera, &options);
-                match refined {
+                match self.refined(first, k, id, &position, &options) {
                     Some(new) => self.active.map.replace_observation(k, new),
                     None => self.active.map.remove_observation(k, id),
                 }
@@ -251,6 +250,20 @@ impl Reconstruction {
                 self.active.map.measure_landmark(id, position, covariance);
             }
         }
+    }
+
+    /// Where a landmark is in keyframe `other`, by the template of keyframe `first`; both observe it already.
+    fn refined(
+        &self,
+        first: KeyframeId,
+        other: KeyframeId,
+        id: LandmarkId,
+        point: &Vector3<f64>,
+        options: &SearchOptions,
+    ) -> Option<Observation> {
+        let [a, b] = [self.active.map.keyframe(first)?, self.active.map.keyframe(other)?];
+        let start = b.observation(id)?.pixel;
+        refine_in(a, &a.observation(id)?, b, point, start, &self.optics.camera, options)
     }
 
     /// How the camera moved at each view, from the views before and after: a rolling shutter shows it.
@@ -345,24 +358,4 @@ impl Reconstruction {
         (solution.inliers >= self.config.min_landmarks && 2 * solution.inliers >= pairs.len())
             .then_some(solution.camera_from_world)
     }
-}
-
-/// Where `id` is in keyframe `other`, by the template of keyframe `first`; both observe it already.
-fn refine_in_view(
-    map: &Map,
-    first: KeyframeId,
-    other: KeyframeId,
-    id: LandmarkId,
-    camera: &CameraModel,
-    options: &SearchOptions,
-) -> Option<Observation> {
-    let landmark = map.landmark(id)?;
-    let (ka, kb) = (map.keyframe(first)?, map.keyframe(other)?);
-    let (oa, ob) = (ka.observation(id)?, kb.observation(id)?);
-    let (_, projection) = camera.project_jacobian(&kb.camera_from_world.transform(&landmark.position))?;
-    let rotation = kb.camera_from_world.rotation * ka.camera_from_world.rotation.inverse();
-    let depth = ka.camera_from_world.transform(&landmark.position).z;
-    let affine = affine_warp(camera, &projection, &rotation, depth, &oa);
-    let found = align_template(ka, &oa, kb.picture.whole()?, &affine, ob.pixel.cast(), options)?;
-    observe(camera, id, found.pixel, found.inv_sigma_px)
 }

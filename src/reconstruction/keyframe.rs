@@ -24,7 +24,8 @@ use super::measurement::CHI2_2D_95;
 use super::measurement::rolling_shutter::Shutter;
 use super::track::association::{Bindings, Seed, Target};
 use super::track::frame::QUICK_TURN_RAD;
-use super::track::search::{Match, SearchOptions, affine_warp, align_template, observe};
+use super::track::search::Match;
+use super::track::template::{SearchOptions, observe, refine_in};
 use crate::features::thumbnail::thumbnail_of;
 use crate::features::{Feedback, FrameFeatures};
 use crate::geometry::camera_motion::CameraMotion;
@@ -318,24 +319,6 @@ pub(super) fn made_of(
         disagreed: 0,
     };
     Some((landmark, seen))
-}
-
-/// The place of `a`'s patch (in `anchor`) near `start` in another keyframe, given the point's position.
-pub(super) fn refine_in(
-    anchor: &Keyframe,
-    a: &Observation,
-    other: &Keyframe,
-    point: &Vector3<f64>,
-    start: Vector2<f32>,
-    camera: &CameraModel,
-    options: &SearchOptions,
-) -> Option<Observation> {
-    let (_, projection) = camera.project_jacobian(&other.camera_from_world.transform(point))?;
-    let rotation = other.camera_from_world.rotation * anchor.camera_from_world.rotation.inverse();
-    let depth = anchor.camera_from_world.transform(point).z;
-    let affine = affine_warp(camera, &projection, &rotation, depth, a);
-    let found = align_template(anchor, a, other.picture.whole()?, &affine, start.cast(), options)?;
-    observe(camera, a.landmark, found.pixel, found.inv_sigma_px)
 }
 
 /// Midpoint of the two rays' closest approach, and the angle between the rays (rad); `None` behind either camera.

@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, UnitQuaternion, Vector2, Vector3};
 
 use super::odometry::Odometry;
 use super::track::association::Target;
-use super::track::search::observe;
+use super::track::template::observe;
 use super::*;
 use crate::features::Track;
 use crate::features::thumbnail::Thumbnail;

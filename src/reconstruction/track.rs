@@ -17,6 +17,7 @@ mod maturity;
 pub mod pose;
 pub mod search;
 mod seed_rays;
+pub mod template;
 
 use nalgebra::{Vector2, Vector3};
 
@@ -31,8 +32,9 @@ use frame::{Frame, is_assumed, measurement_of, motion_since};
 use information::PoseInformation;
 use maturity::{MaturityGate, mature_after};
 use pose::{PoseOptions, PoseSolution, optimise_pose};
-use search::{Match, Search, SearchOptions};
+use search::{Match, Search};
 use seed_rays::SeedRays;
+use template::SearchOptions;
 
 /// A frame that was placed in the map.
 #[derive(Debug, Clone, Copy)]

@@ -238,7 +238,7 @@ mod tests {
     use crate::motion::hand_eye::Robot;
     use crate::motion::scale::ScaleMeasurement;
     use crate::motion::wheel::WheelReading;
-    use crate::reconstruction::track::search::observe;
+    use crate::reconstruction::track::template::observe;
 
     const TRUE_OVER_ASSUMED: f64 = 2.0;
     const NOTHING_SAID: ScaleFusion = ScaleFusion::silent();

@@ -17,13 +17,13 @@
 use nalgebra::{Vector2, Vector3};
 
 use super::corners::CornerFinder;
-use super::{displaced, made_of, refine_in, triangulate};
+use super::{displaced, made_of, triangulate};
 use crate::geometry::frames::Camera;
 use crate::geometry::{CameraModel, Se3, median};
 use crate::map::{FreeCorner, Keyframe, KeyframeId, Landmark, LandmarkId, Map, Observation};
 use crate::reconstruction::config::ReconstructionConfig;
 use crate::reconstruction::measurement::rolling_shutter::Shutter;
-use crate::reconstruction::track::search::{SearchOptions, observe};
+use crate::reconstruction::track::template::{SearchOptions, observe, refine_in};
 
 /// A frame with so many landmarks in view is safe from running out of them before new ones are made.
 pub const FED: usize = 120;

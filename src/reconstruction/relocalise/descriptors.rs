@@ -291,7 +291,7 @@ mod tests {
     use crate::geometry::random::Random;
     use crate::image::GreyImage;
     use crate::map::Observation;
-    use crate::reconstruction::track::search::observe;
+    use crate::reconstruction::track::template::observe;
     use nalgebra::{UnitQuaternion, Vector3};
 
     /// A wall of rectangles at distance 1, as the camera sees it from `x` px to the right of its middle.

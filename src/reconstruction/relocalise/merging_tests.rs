@@ -15,7 +15,8 @@ use crate::map::scale::{MapScale, ScaleSource, ScaleSources};
 use crate::map::{AssumedDistance, Landmark, LandmarkId, TurnId, examples};
 use crate::motion::scale::{ScaleFusion, ScaleMeasurement};
 use crate::reconstruction::odometry::Odometry;
-use crate::reconstruction::track::search::{Match, observe};
+use crate::reconstruction::track::search::Match;
+use crate::reconstruction::track::template::observe;
 use crate::reconstruction::{InlineWorker, PoseEstimate, ReconstructionConfig};
 
 const FOCAL_PX: f64 = 300.0;

@@ -100,7 +100,7 @@ mod tests {
     use crate::reconstruction::measurement::rolling_shutter::Shutter;
     use crate::reconstruction::track::association::Bindings;
     use crate::reconstruction::track::pose::{PoseOptions, optimise_pose};
-    use crate::reconstruction::track::search::observe;
+    use crate::reconstruction::track::template::observe;
 
     #[test]
     fn a_pose_is_pulled_as_far_as_the_residuals_at_its_templates_say() {

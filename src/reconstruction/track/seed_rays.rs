@@ -17,7 +17,8 @@ use nalgebra::{Vector2, Vector3};
 
 use super::association::{Seed, TRACK_SIGMA_PX, Target};
 use super::frame::{Frame, QUICK_TURN_RAD};
-use super::search::{Match, observe};
+use super::search::Match;
+use super::template::observe;
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::{Se3, median};

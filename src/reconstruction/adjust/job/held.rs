@@ -141,7 +141,7 @@ mod tests {
     use crate::geometry::frames::{Camera, World};
     use crate::map::{Landmark, examples};
     use crate::motion::floor::plane::{Plane, Scatter};
-    use crate::reconstruction::track::search::observe;
+    use crate::reconstruction::track::template::observe;
 
     /// Looking along z, y down: four keyframes, one every 0.2 along x, a metre above a floor of which `on_floor` landmarks are seen, and 20 on a wall.
     fn driven(on_floor: usize, camera: &CameraModel) -> Map {
