@@ -6,7 +6,7 @@
 //! map is metric they hold its floor ([`Floor::driven`]). What is wrong with the measured height (`camera_height_sigma_m`) is in all of them
 //! ([`Floor::common_sigma`]).
 //!
-//! Cost: at keyframes only, after the pose was published: 2 to 4 ms. Bounded: the newest `KEYFRAMES` keyframes and `LANDMARKS` landmarks.
+//! Cost: at keyframes only, after the pose was published: 2 to 4 ms, and some 5 to look at the landmarks, here and where it is held. Bounded: the newest `KEYFRAMES` keyframes and `LANDMARKS` landmarks.
 //!
 //! Behind a turn on the spot whose next step had an assumed length a part of the map begins with a unit of its own: the floor is asked anew there, among
 //! that part's keyframes alone, and its word is that part's.
