@@ -120,8 +120,9 @@ pub fn align_template(
     Some(Found { pixel: position, inv_sigma_px: 1.0 / (options.sigma_px * (1u32 << level) as f64) })
 }
 
-/// d pixel at `pose` / d keyframe pixel of the patch around `seen`, at a point of the world; it lies parallel to the keyframe's picture at `depth`, or for a wide-angle lens across
-/// its ray: parallel to the picture it would be seen under 70 degrees of slant where the ray is 70 degrees off the axis.
+/// d pixel of a camera at `pose` / d keyframe pixel, for the patch that the keyframe has `seen` around `point` (world). The patch is taken to lie parallel to
+/// the keyframe's picture, or for a wide-angle lens across its ray: parallel to the picture it would be seen under 70 degrees of slant where the ray is
+/// 70 degrees off the axis.
 pub fn affine_warp(
     camera: &CameraModel,
     keyframe: &Keyframe,
