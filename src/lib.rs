@@ -56,11 +56,12 @@
 //!   motions that camera and wheels both saw: scale and its drift, mount, yaw rate factor and time offset; motions in which they
 //!   contradict are slip. Known to a few per cent, the map becomes metric at once (`reconstruction::metric`): another number, one reset. From then on
 //!   the wheels' way holds the distances of keyframes in adjustments, and the step behind a turn on the spot is as long as they say.
-//! - A camera that is driven at a known height ([`motion::floor`]) finds the floor among the landmarks: the plane that it moves parallel to, at one height,
-//!   with nothing beneath, and that it was driven over. Landmarks weigh by how likely they are the floor's and not a low thing's, by where their pictures
-//!   alone have them: adjustments hold the floor, and would make floor of what stands on it. Behind a turn on the spot floor and tags are asked of that part of the map alone, and what they
-//!   say makes both parts one (`reconstruction::metric`). While somebody asks what stands on it ([`motion::obstacles`]), keyframes note after their pose where
-//!   their pictures show the floor itself, and scans are made of that and of the map; what is not known is never free.
+//! - A camera that is driven at a known height ([`motion::floor`]) finds the floor among the landmarks: the plane that it moves parallel to, at
+//!   one height, with nothing beneath, and that it was driven over. Landmarks weigh by how likely they are the floor's and not a low thing's, by
+//!   where their pictures alone have them: adjustments hold the floor, and would make floor of what stands on it. Behind a turn on the spot floor
+//!   and tags are asked of that part of the map alone, and what they say makes both parts one (`reconstruction::metric`). While somebody asks
+//!   what stands on it ([`motion::obstacles`]), keyframes note after their pose where their pictures show the floor itself, and scans are made of
+//!   that and of the map; what is not known is never free.
 //! - Once a map is metric, tags (and a chessboard, one large tag) take part in its adjustments as rigid bodies of known size, and the floor by which a camera's
 //!   height told the scale as a plane above which cameras keep height and tilt (`reconstruction::adjust`): words on the scale alone let it drift between them.
 //! - A tag's place is made anew from the keyframes that saw it whenever it is told. With a dock the daemon moves the frame in which the map is *published*, by one
