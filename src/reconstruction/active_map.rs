@@ -1,6 +1,7 @@
 //! The map that frames are placed in, with everything that belongs to it alone: what begins anew when the map does.
 
 use super::adjust::job::GLOBAL_FIRST;
+use super::initialise::probation::Probation;
 use super::odometry::Odometry;
 use super::scale_uncertainty::ScaleUncertainty;
 use super::track::association::Bindings;
@@ -16,6 +17,8 @@ pub struct ActiveMap {
     pub scale: ScaleUncertainty,
     /// What is said of the length of its unit in metres.
     pub fusion: ScaleFusion,
+    /// For its first second.
+    pub probation: Probation,
     /// Keyframe that shares most with the last frame.
     pub reference: KeyframeId,
     /// Frames tracked in it.
@@ -48,6 +51,7 @@ impl ActiveMap {
             odometry: Odometry::default(),
             scale: ScaleUncertainty::default(),
             fusion: ScaleFusion::default(),
+            probation: Probation::default(),
             reference: KeyframeId(0),
             frames: 0,
             last_keyframe_frame: 0,
@@ -70,5 +74,6 @@ impl ActiveMap {
         self.map.clear();
         self.bindings.clear();
         self.odometry = Odometry::default();
+        self.probation.end();
     }
 }

@@ -3,6 +3,7 @@
 mod consensus;
 pub mod initialiser;
 pub mod orientation;
+pub mod probation;
 pub mod turn;
 mod untracked;
 mod views;
@@ -29,7 +30,7 @@ use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::map::picture::KeyframePicture;
 use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Observation};
-use consensus::agreeing_share;
+use consensus::agreement;
 use initialiser::{START_SIGMA_PX, Start};
 use untracked::is_untracked;
 use views::{PendingFrame, View};
@@ -172,7 +173,9 @@ impl Reconstruction {
             return None;
         }
         if self.optics.intrinsics.is_calibrated() {
-            if !self.most_agrees(&views) {
+            let pose = |k| Some(self.active.map.keyframe(k)?.camera_from_world);
+            let posed: Vec<_> = views.iter().filter_map(|&(k, frame)| Some((frame.clone(), pose(k)?))).collect();
+            if !agreement(&posed, &self.optics.camera).is_some_and(|told| told.share >= AGREEING_SHARE) {
                 // Look-alikes tell nothing against what the tracks say.
                 if !start.by_corners {
                     self.initialiser.disagree();
@@ -182,18 +185,10 @@ impl Reconstruction {
             if !self.initialiser.agree() {
                 return None;
             }
+            self.active.probation.begin(posed);
         }
         self.optics.shutter.learn(readout_s, variance);
         Some(self.active.map.keyframe(b)?.camera_from_world)
-    }
-
-    /// Enough of the picture agrees with the views' motion for a map to begin.
-    fn most_agrees(&self, views: &[(KeyframeId, &PendingFrame)]) -> bool {
-        let posed: Vec<_> = views
-            .iter()
-            .filter_map(|&(k, frame)| Some((frame, self.active.map.keyframe(k)?.camera_from_world)))
-            .collect();
-        agreeing_share(&posed, &self.optics.camera).is_some_and(|share| share >= AGREEING_SHARE)
     }
 
     fn add_view(&mut self, view: &View, camera_from_world: Se3<Camera, World>) -> KeyframeId {
@@ -329,6 +324,20 @@ impl Reconstruction {
                 keyframe_from_camera,
             });
         }
+        self.active.probation.keep(pending);
+    }
+
+    /// Whether the picture says that the map which has just begun is of something that moves; then it is given up, and its frames have no pose again.
+    pub(super) fn fails_probation(&mut self, features: &FrameFeatures, pose: &Se3<Camera, World>) -> bool {
+        if !self.active.probation.fails(features, pose, &self.optics.camera) {
+            return false;
+        }
+        let mut frames = self.active.probation.take_frames();
+        frames.extend(self.initialiser.pending.drain(..));
+        frames.sort_by_key(|frame| frame.sequence);
+        self.end_map();
+        self.initialiser.begin_again(frames);
+        true
     }
 
     fn solve_pending(&self, frame: &PendingFrame, guess: &Se3<Camera, World>) -> Option<Se3<Camera, World>> {

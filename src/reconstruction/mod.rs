@@ -189,8 +189,8 @@ impl Reconstruction {
         self.floor = Floor::new(config, base);
     }
 
-    /// The pose of a frame. Allocates nothing once warm while there is a map and the frame is found in it, unless the one before is so
-    /// long ago that an adjustment is merged first.
+    /// The pose of a frame. Allocates nothing once warm while there is a map older than a second and the frame is found in it, unless the one before is
+    /// so long ago that an adjustment is merged first.
     pub fn track(&mut self, features: &FrameFeatures) -> PoseEstimate {
         self.counters.frames += 1;
         self.pending = Pending::default();
@@ -202,6 +202,7 @@ impl Reconstruction {
         }
         let ahead = self.look_ahead(features.timestamp_ns);
         match self.place(features, ahead.as_ref()) {
+            Some(tracked) if self.fails_probation(features, &tracked.camera_from_world) => self.try_start(features),
             Some(tracked) => self.accept(features, &tracked, ahead.as_ref()),
             None => self.lose(features, ahead.as_ref()),
         }

@@ -117,6 +117,7 @@ impl Reconstruction {
             self.discard_job();
             self.pending = Default::default();
             self.initialiser.clear();
+            self.active.probation.end();
             self.localise_only = on;
         }
         Ok(())

@@ -24,6 +24,7 @@ impl Reconstruction {
     /// Poses from here on have nothing to do with those before; the maps are what they were.
     pub(super) fn forget_place(&mut self) {
         self.active.bindings.clear();
+        self.active.probation.end();
         // As in a map that was loaded: nothing speaks for a frame but its landmarks.
         self.active.odometry = Odometry { lost_frames: 1, ..Odometry::default() };
         self.wheels.begin_map();

@@ -20,6 +20,8 @@ between two commits only where both tracked, so keep their `results.json`: a thi
 | long | every third picture, the mean of three: an exposure as long as the time between frames |
 | back | backwards in time |
 | mirror | left and right exchanged |
+| passing33 | somebody walks past every five seconds, within two, from the first picture on, over a third of the picture's width; looks like another of its pictures upside down in a mirror |
+| passing50 | the same over half of the width, from 2.5 s on |
 """
 
 import json
@@ -86,6 +88,42 @@ def without_gaps(frames, name):
     return [frame for n, frame in enumerate(frames) if not any(begin <= n < end for begin, end in spans)]
 
 
+class Passer:
+    """Walks past: as wide as `share` of the picture, from below to near its upper edge, from the left and from the right by turns."""
+
+    EVERY_S, TAKES_S = 5.0, 2.0
+
+    def __init__(self, cut_from, share):
+        import cv2
+        import numpy
+
+        self.height, self.width = cut_from.shape
+        wide = int(share * self.width)
+        left = (self.width - wide) // 2
+        # Upside down, in a mirror: nothing of the scene is to be known again in it.
+        self.looks = cut_from[::-1, left:left + wide].astype(float)
+        # A body with a head, its edge a few pixels soft.
+        body = numpy.zeros((self.height, wide), numpy.uint8)
+        cv2.ellipse(body, (wide // 2, self.height), (wide // 2 - 4, int(0.7 * self.height)), 0, 0, 360, 255, -1)
+        cv2.ellipse(body, (wide // 2, int(0.27 * self.height)), (wide // 4, int(0.2 * self.height)), 0, 0, 360, 255, -1)
+        self.covers = cv2.GaussianBlur(body, (0, 0), 1.5).astype(float) / 255
+
+    def before(self, picture, time):
+        import numpy
+
+        pass_number, into = divmod(time, self.EVERY_S)
+        if into > self.TAKES_S:
+            return picture
+        wide = self.looks.shape[1]
+        share = into / self.TAKES_S if pass_number % 2 == 0 else 1 - into / self.TAKES_S
+        left = round(share * (self.width + wide)) - wide
+        begin, end = max(left, 0), min(left + wide, self.width)
+        out = picture.astype(float)
+        covers, looks = (a[:, begin - left:end - left] for a in (self.covers, self.looks))
+        out[:, begin:end] += covers * (looks - out[:, begin:end])
+        return numpy.clip(numpy.rint(out), 0, 255).astype(numpy.uint8)
+
+
 def derived(recording):
     """Kind, frames, truth, camera, distortion."""
     import cv2
@@ -114,6 +152,9 @@ def derived(recording):
     threes = [frames[n:n + 3] for n in range(0, len(frames) - 2, 3)]
     mean = lambda three: clipped(sum(grey(path).astype(float) for _, path in three) / 3)  # noqa: E731
     yield "long", [(three[1][0], mean(three)) for three in threes], truth, camera, distortion
+    for kind, share, phase in (("passing33", 0.33, 0.0), ("passing50", 0.5, 2.5)):
+        passer = Passer(grey(frames[len(frames) // 2][1]), share)
+        yield kind, [(time, passer.before(grey(path), time - first + phase)) for time, path in frames], truth, camera, distortion
     # A reflection x -> -x of the camera's axes and of the world's keeps rotations rotations; p2 is the tangential term that changes its sign.
     k1, k2, p1, p2, k3 = distortion
     mirrored = [[t, -x, y, z, qx, -qy, -qz, qw] for t, x, y, z, qx, qy, qz, qw in truth]

@@ -24,38 +24,48 @@ const COLUMNS: usize = 10;
 /// Sampson distance of a track that agrees, px. Tracks drift over a start's frames, and a rolling shutter bends.
 const AGREEING_PX: f64 = 3.0;
 
-/// A view of a start: its tracks and its pose.
-pub type PosedView<'a> = (&'a PendingFrame, Se3<Camera, World>);
+/// A view: its tracks and its pose.
+pub type PosedView = (PendingFrame, Se3<Camera, World>);
 
-/// Share (0 to 1) of the cells with telling tracks in which most agree; `newest` is the last of `views`, which are in order of
-/// time. `None` when no track can tell.
-pub fn agreeing_share(views: &[PosedView<'_>], camera: &CameraModel) -> Option<f64> {
+/// What the picture says, by its cells.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Agreement {
+    /// Of the cells with telling tracks, those in which most agree (0 to 1).
+    pub share: f64,
+    /// Of the cells with tracks that an earlier view saw, those with telling ones.
+    pub telling: f64,
+}
+
+/// Whether the picture of the last view agrees with the motion of all, which are in order of time. `None` when no track can tell.
+pub fn agreement(views: &[PosedView], camera: &CameraModel) -> Option<Agreement> {
     let (newest, earlier) = views.split_last()?;
     let rows = (COLUMNS * camera.height as usize).div_ceil((camera.width as usize).max(1)).max(1);
     let cell = |p: &Vector2<f32>| {
         let (x, y) = (p.x / camera.width as f32 * COLUMNS as f32, p.y / camera.height as f32 * rows as f32);
         (y as usize).min(rows - 1) * COLUMNS + (x as usize).min(COLUMNS - 1)
     };
-    // Agreeing less dissenting tracks, and how many there are.
-    let mut cells = vec![(0i32, 0u32); rows * COLUMNS];
+    // Agreeing less dissenting tracks, how many there are, and with those that do not tell.
+    let mut cells = vec![(0i32, 0u32, 0u32); rows * COLUMNS];
     for (track, pixel) in &newest.0.tracks {
         let first = earlier.iter().find_map(|(frame, pose)| Some((frame.track(*track)?, pose)));
         let Some((first_pixel, first_pose)) = first else { continue };
-        let Some(agrees) = agreement(&(first_pixel, first_pose), &(*pixel, &newest.1), camera) else {
+        let (balance, count, all) = &mut cells[cell(pixel)];
+        *all += 1;
+        let Some(agrees) = agrees(&(first_pixel, first_pose), &(*pixel, &newest.1), camera) else {
             continue;
         };
-        let (balance, count) = &mut cells[cell(pixel)];
         *balance += if agrees { 1 } else { -1 };
         *count += 1;
     }
     let telling = cells.iter().filter(|c| c.1 > 0).count();
     let agreeing = cells.iter().filter(|c| c.1 > 0 && c.0 > 0).count() as f64;
     let even = cells.iter().filter(|c| c.1 > 0 && c.0 == 0).count() as f64;
-    (telling > 0).then(|| (agreeing + 0.5 * even) / telling as f64)
+    let seen = cells.iter().filter(|c| c.2 > 0).count() as f64;
+    (telling > 0).then(|| Agreement { share: (agreeing + 0.5 * even) / telling as f64, telling: telling as f64 / seen })
 }
 
 /// Does a track that was seen at two places agree with the cameras' motion? `None` when it cannot tell.
-fn agreement(
+fn agrees(
     (first_pixel, first_pose): &(Vector2<f32>, &Se3<Camera, World>),
     (second_pixel, second_pose): &(Vector2<f32>, &Se3<Camera, World>),
     camera: &CameraModel,
@@ -76,42 +86,44 @@ fn agreement(
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use nalgebra::Vector3;
 
-    /// A camera that goes to the right before a wall of depth, whose left `share` moves down at the same time.
-    fn views(step: f64, share: f64, camera: &CameraModel) -> [(PendingFrame, Se3<Camera, World>); 2] {
-        let second = Se3::new(nalgebra::UnitQuaternion::identity(), Vector3::new(-step, 0.0, 0.0));
-        let frame = |sequence| PendingFrame { sequence, timestamp_ns: 0, tracks: Vec::new() };
-        let mut views = [(frame(0), Se3::identity()), (frame(1), second)];
-        for i in 0..30 {
-            for j in 0..24 {
-                let depth = 2.0 + f64::from((i * 5 + j * 3) % 7) * 0.3;
-                let ray = Vector3::new((f64::from(i) - 14.5) * 0.04, (f64::from(j) - 11.5) * 0.035, 1.0);
-                let mut p = ray * depth;
-                for (n, (frame, pose)) in views.iter_mut().enumerate() {
-                    if n == 1 && f64::from(i) < 30.0 * share {
-                        p.y += 0.15;
-                    }
-                    if let Some(pixel) = camera.project(&pose.transform(&p)) {
-                        frame.tracks.push(((i * 24 + j) as u64, pixel.cast()));
-                    }
+    pub fn camera() -> CameraModel {
+        CameraModel::new(640, 480, 500.0, 500.0, 319.5, 239.5, [0.0; 5]).unwrap()
+    }
+
+    /// A camera that goes to the right before a wall of depth, whose left `share` moves down at the same time; 30 pictures a second.
+    pub fn views(count: usize, step: f64, share: f64) -> Vec<PosedView> {
+        let camera = camera();
+        let view = |n: usize| {
+            let (go, fall) = (step * n as f64, 1.5 * step * n as f64);
+            let pose = Se3::new(nalgebra::UnitQuaternion::identity(), Vector3::new(-go, 0.0, 0.0));
+            let mut tracks = Vec::new();
+            for i in 0..30 {
+                for j in 0..24 {
+                    let depth = 2.0 + f64::from((i * 5 + j * 3) % 7) * 0.3;
+                    let ray = Vector3::new((f64::from(i) - 14.5) * 0.04, (f64::from(j) - 11.5) * 0.035, 1.0);
+                    let falls = if f64::from(i) < 30.0 * share { fall } else { 0.0 };
+                    let p = pose.transform(&(ray * depth + Vector3::y() * falls));
+                    tracks.extend(camera.project(&p).map(|pixel| ((i * 24 + j) as u64, pixel.cast())));
                 }
             }
-        }
-        views
+            (PendingFrame { sequence: n as u64, timestamp_ns: n as i64 * 33_333_333, tracks }, pose)
+        };
+        (0..count).map(view).collect()
     }
 
     fn share(step: f64, moving: f64) -> Option<f64> {
-        let camera = CameraModel::new(640, 480, 500.0, 500.0, 319.5, 239.5, [0.0; 5]).unwrap();
-        let views = views(step, moving, &camera);
-        agreeing_share(&[(&views[0].0, views[0].1), (&views[1].0, views[1].1)], &camera)
+        let views = views(2, step, moving);
+        agreement(&views, &camera()).map(|told| told.share)
     }
 
     #[test]
     fn the_world_agrees_and_what_moves_alone_does_not() {
         assert_eq!(share(0.1, 0.0), Some(1.0));
+        assert_eq!(agreement(&views(2, 0.1, 0.0), &camera()).map(|told| told.telling), Some(1.0));
         let third = share(0.1, 0.3).unwrap();
         assert!((third - 0.7).abs() < 0.08, "{third}");
         let half = share(0.1, 0.5).unwrap();
@@ -121,6 +133,6 @@ mod tests {
     #[test]
     fn a_camera_that_stands_is_told_nothing() {
         assert_eq!(share(0.0, 0.0), None);
-        assert_eq!(agreeing_share(&[], &CameraModel::new(64, 48, 50.0, 50.0, 31.5, 23.5, [0.0; 5]).unwrap()), None);
+        assert_eq!(agreement(&[], &camera()), None);
     }
 }

@@ -55,7 +55,7 @@ pub const START_SIGMA_PX: f64 = 1.0;
 /// calibrated begins a map by them else; and where frames are many tracks alone have given a start by then, a later one with more parallax.
 const CORNERS_AFTER_S: f64 = 0.25;
 /// Further times that a start must agree with the picture, at the most.
-const MAX_DISAGREEMENTS: u32 = 5;
+pub const MAX_DISAGREEMENTS: u32 = 5;
 /// Rotation-compensated flow since the reference at which the camera counts as moving, px.
 const MOVING_FLOW_PX: f64 = 1.0;
 /// A camera without such flow for so long since the reference stands, s.
@@ -91,6 +91,13 @@ impl Initialiser {
         self.trying_s = 0.0;
         self.last_ns = None;
         self.disagreements = 0;
+    }
+
+    /// After a map that has failed: these frames have no pose, and the next start must agree as often as may be asked.
+    pub fn begin_again(&mut self, mut frames: Vec<PendingFrame>) {
+        frames.drain(..frames.len().saturating_sub(MAX_PENDING));
+        self.pending = frames.into();
+        self.disagreements = MAX_DISAGREEMENTS;
     }
 
     fn begin_at(&mut self, reference: Option<View>) {

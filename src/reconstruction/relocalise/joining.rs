@@ -205,6 +205,8 @@ impl Reconstruction {
             self.others.note_join(Join { map: other.id, from, to });
         }
         active.map.absorb(other.map);
+        // Two keyframes that were recognised vouch for the map.
+        active.probation.end();
         for (sighting, seen) in other.sightings.iter().zip(&seen) {
             add_found(&mut active.map, sighting, seen, &self.optics.camera);
         }
