@@ -218,6 +218,36 @@ fn a_frame_that_was_found_again_is_recorded_counted_and_no_keyframe() {
     );
 }
 
+/// The landmarks say that the camera stands, and all tracks go down.
+#[test]
+fn a_new_map_that_the_picture_contradicts_is_given_up_and_its_frames_have_no_pose_again() {
+    let mut reconstruction = before_the_wall(Se3::identity());
+    let falling = |n: u64| {
+        let place = |i: u64| Vector2::new(20 + 28 * (i % 10), 20 + 20 * (i / 10) + 6 * n).cast::<f32>();
+        let tracks = (0..80).map(|id| Track { id, position: place(id), age: 1 }).collect();
+        FrameFeatures { sequence: n, tracks, ..frame(n as i64 * FRAME_NS, 0) }
+    };
+    let Reconstruction { optics, initialiser, active, .. } = &mut reconstruction;
+    initialiser.watch(&falling(0), &optics.camera, &optics.intrinsics.uncertainty());
+    let start: Vec<_> = initialiser.pending.drain(..).collect();
+    active.probation.begin(start.iter().map(|frame| (frame.clone(), Se3::identity())).collect());
+    active.probation.keep(start);
+    let map = active.id;
+    let told: Vec<_> = (1..=6).map(|n| reconstruction.track(&falling(n))).collect();
+    let states: Vec<bool> = told.iter().map(|estimate| estimate.state == TrackingState::Tracking).collect();
+    assert_eq!(states, [true, true, true, true, false, false], "the fifth frame that disagrees");
+    assert_eq!((reconstruction.active.id.0, reconstruction.counters.resets), (map.0 + 1, 1));
+    assert_eq!(told[5].reset_counter, told[0].reset_counter + 1);
+    let waiting: Vec<u64> = reconstruction.initialiser.pending.iter().map(|frame| frame.sequence).collect();
+    assert_eq!(waiting, [0, 1, 2, 3, 4, 5, 6]);
+    let retired = |e: &TrajectoryEvent| matches!(e, TrajectoryEvent::KeyframeRetired { .. });
+    assert_eq!(
+        events(&mut reconstruction).iter().filter(|e| retired(e)).count(),
+        1,
+        "its poses are written as another map's"
+    );
+}
+
 fn word(log_metres_per_unit: f64) -> ScaleMeasurement {
     ScaleMeasurement { source: ScaleSource::Wheels, log_metres_per_unit, sigma: 0.012 }
 }

@@ -5,8 +5,9 @@
 //! tracks that can tell) in which most tracks agree with the views' motion.
 //!
 //! A track agrees when it lies within 3 px of the epipolar line of the earliest view that saw it, and meets its ray in
-//! front of both cameras. One that a rotation alone explains says nothing. Cost: some 0.05 ms, once a start. Not here: what moves
-//! slower than that, or fills more of the picture than the world; a lens that is a guess, whose own error bends the picture.
+//! front of both cameras. One that a rotation alone explains says nothing. Cost: some 0.05 ms, once a start; in
+//! the second after it, with more views, what [`probation`](super::probation) says. Not here: what moves slower than that, or fills more of the picture
+//! than the world; a lens that is a guess, whose own error bends the picture.
 
 use std::f64::consts::SQRT_2;
 
