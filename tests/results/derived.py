@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Makes harder recordings of recordings: fewer pictures a second, gaps, other starts, small, dark, blurred, backwards, mirrored.
+"""Makes harder recordings of recordings: fewer pictures a second, gaps, other starts, small, dark, blurred, backwards, mirrored, with somebody who walks past.
 
     tests/results/derived.py make OUT DIR...     DIR: a recording in TUM layout with ground truth and camera.yaml
     tests/results/derived.py table RESULTS       RESULTS: what `cairn evaluate --suite OUT/* --output` left there

@@ -96,7 +96,7 @@ def derived(data, short):
     command = (f"tests/results/derived.py make {made} {places(names)}\ncairn evaluate --suite {made}/* --output {output} >/dev/null || true\n"
                f"tests/results/derived.py table {output}")
     return [
-        Step("Recordings made harder", command, "The same recordings with fewer pictures, gaps, other starts, small, dark, blurred, backwards, mirrored; how stands at the "
+        Step("Recordings made harder", command, "The same recordings with fewer pictures, gaps, other starts, small, dark, blurred, backwards, mirrored, with somebody who walks past; how stands at the "
              "head of `derived.py`. In lock-step, all with the usual configuration; the error is a geometric mean over the recordings that were tracked, "
              "so read it with the coverage. Something that is chosen by one half is judged by the other."),
     ]
