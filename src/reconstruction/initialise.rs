@@ -30,7 +30,7 @@ use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::map::picture::KeyframePicture;
 use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Observation};
-use consensus::agreement;
+use consensus::{AGREEING_SHARE, agreement};
 use initialiser::{START_SIGMA_PX, Start};
 use untracked::is_untracked;
 use views::{PendingFrame, View};
@@ -40,8 +40,6 @@ use views::{PendingFrame, View};
 const MAX_DIRECTION_SIGMA: f64 = 0.012;
 const PATIENCE_S: f64 = 0.5;
 const LARGEST_RELAXATION: f64 = 8.0;
-/// Share of the picture that must agree with a start; not more, as something may cover a part of it for good.
-const AGREEING_SHARE: f64 = 0.7;
 /// Steps of the first adjustment's passes.
 const START_STEPS: usize = 20;
 

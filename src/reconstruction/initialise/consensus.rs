@@ -20,6 +20,10 @@ use crate::geometry::frames::{Camera, World};
 use crate::geometry::triangulation::intersect;
 use crate::geometry::{CameraModel, Se3};
 
+/// Share of the picture that must agree with a map's motion; not more, as something may cover a part of it for good.
+pub const AGREEING_SHARE: f64 = 0.7;
+/// How often more the picture must disagree than agree to be believed, at the most.
+pub const MAX_DISAGREEMENTS: u32 = 5;
 /// Cells across the picture; as many rows as make them about square.
 const COLUMNS: usize = 10;
 /// Sampson distance of a track that agrees, px. Tracks drift over a start's frames, and a rolling shutter bends.
@@ -128,7 +132,7 @@ pub(super) mod tests {
         let third = share(0.1, 0.3).unwrap();
         assert!((third - 0.7).abs() < 0.08, "{third}");
         let half = share(0.1, 0.5).unwrap();
-        assert!(half < super::super::AGREEING_SHARE, "{half}: no start");
+        assert!(half < AGREEING_SHARE, "{half}: no start");
     }
 
     #[test]

@@ -12,6 +12,7 @@ use std::collections::VecDeque;
 
 use nalgebra::{Vector2, Vector3};
 
+use super::consensus::MAX_DISAGREEMENTS;
 use super::turn::{Pair, SupposedLens, unexplained_px};
 use super::untracked::UntrackedViews;
 use super::views::{MAX_BETWEEN, MIN_COMMON, Pairs, PendingFrame, View, Views};
@@ -54,8 +55,6 @@ pub const START_SIGMA_PX: f64 = 1.0;
 /// So long after the camera began to move, s, corners that look alike are asked as well as tracks: a turn on the spot before a lens that nobody has
 /// calibrated begins a map by them else; and where frames are many tracks alone have given a start by then, a later one with more parallax.
 const CORNERS_AFTER_S: f64 = 0.25;
-/// Further times that a start must agree with the picture, at the most.
-pub const MAX_DISAGREEMENTS: u32 = 5;
 /// Rotation-compensated flow since the reference at which the camera counts as moving, px.
 const MOVING_FLOW_PX: f64 = 1.0;
 /// A camera without such flow for so long since the reference stands, s.

@@ -11,9 +11,7 @@
 //! Kept by ablation: of eight recordings with somebody who walks past from the first picture on (`passing33` of `tests/results/derived.py`) four are
 //! given up and begin later. Two of these bent without it, to 5.6 and to 1.35 times the error. The other 166 recordings are the same with it.
 
-use super::AGREEING_SHARE;
-use super::consensus::{PosedView, agreement};
-use super::initialiser::MAX_DISAGREEMENTS;
+use super::consensus::{AGREEING_SHARE, MAX_DISAGREEMENTS, PosedView, agreement};
 use super::views::PendingFrame;
 use crate::features::FrameFeatures;
 use crate::geometry::frames::{Camera, World};
