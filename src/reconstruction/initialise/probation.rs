@@ -3,7 +3,7 @@
 //! A start is made of a moment. Somebody who walks past while the camera hardly moves brings most of the parallax there is, and two views of a body are
 //! as good a start as two views of a room; a moment later the room's tracks say that the camera went elsewhere. So every frame of the first second is
 //! asked what the start was asked ([`consensus`](super::consensus)), and a map that the picture contradicts in five frames more than it agrees in is given
-//! up. (Below some six pictures a second that cannot be.)
+//! up. (Below five pictures a second that cannot be.)
 //!
 //! Input: the views of the start with their poses, then each frame that was tracked. Output: whether the map has failed. Cost: 0.8 million instructions
 //! a frame for a second, a fiftieth of the frame's. Not here: what comes before the camera later, where the gate for immature landmarks judges.
