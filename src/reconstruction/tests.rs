@@ -224,7 +224,7 @@ fn a_new_map_that_the_picture_contradicts_is_given_up_and_its_frames_have_no_pos
     let mut reconstruction = before_the_wall(Se3::identity());
     let moving = |n: u64| {
         let place = |i: u64| {
-            let way = if i % 2 == 0 { 6.0 } else { -6.0 };
+            let way = if i.is_multiple_of(2) { 6.0 } else { -6.0 };
             Vector2::new(20.0 + 28.0 * (i % 10) as f32, 50.0 + 18.0 * (i / 10) as f32 + way * n as f32)
         };
         let tracks = (0..80).map(|id| Track { id, position: place(id), age: 1 }).collect();
