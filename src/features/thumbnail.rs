@@ -3,8 +3,8 @@
 //! In: two pyramids of one size. Out: the plane rotation and shift that takes the first picture to the second
 //! ([`ImageMotion`]), in level-0 pixels, with its correlation.
 //!
-//! Method: thumbnails of 32 to 63 pixels across (as PTAM's small blurry image: Klein & Murray, Improving the Agility of
-//! Keyframe-Based SLAM, ECCV 2008). First every shift of up to 0.45 of the picture is tried on a thumbnail of half that
+//! Method: thumbnails of 32 to 63 pixels across, more where a picture is much wider than high (as PTAM's small blurry image: Klein & Murray,
+//! Improving the Agility of Keyframe-Based SLAM, ECCV 2008). First every shift of up to 0.45 of the picture is tried on a thumbnail of half that
 //! size, by normalised cross-correlation over the overlap; where that finds nothing similar, again with the picture
 //! turned either way. Then inverse-compositional Gauss-Newton over (angle, shift) with gain and bias projected out
 //! (the equations of [`alignment`](super::alignment)) on the full thumbnail.
@@ -40,10 +40,10 @@ impl ImageMotion {
     }
 }
 
-/// Thumbnails are at least this wide where the picture is, and less than twice as wide, pixels.
+/// Thumbnails are at least this wide, and less than twice as wide unless their height were too small, pixels.
 const MIN_WIDTH: usize = 32;
-/// Smallest side of a usable thumbnail, pixels.
-const MIN_SIDE: usize = 12;
+/// At least this high, pixels.
+const MIN_HEIGHT: usize = 12;
 /// Largest shift tried, share of the thumbnail's side.
 const REACH: f32 = 0.45;
 /// Turns tried when no plain shift makes the pictures similar, radians.
@@ -80,17 +80,15 @@ impl Thumbnail {
     /// Becomes the thumbnail of `pyramid`; false when the picture is too small for one.
     pub fn build(&mut self, pyramid: &Pyramid) -> bool {
         self.width = 0;
-        // The coarsest that is wide enough; finer ones may have been given up.
-        let wide_enough = |(l, image): &(usize, &GreyImage)| *l == 0 || image.width >= MIN_WIDTH;
-        let Some((level, image)) = pyramid.levels.iter().enumerate().rev().find(wide_enough) else {
+        // The coarsest that is large enough; finer ones may have been given up.
+        let large_enough = |image: &GreyImage| image.width >= MIN_WIDTH && image.height >= MIN_HEIGHT;
+        let Some((level, image)) = pyramid.levels.iter().enumerate().rev().find(|(_, image)| large_enough(image))
+        else {
             return false;
         };
-        // The largest power of two that leaves the minimum width.
-        let factor = 1usize << (image.width / MIN_WIDTH).max(1).ilog2();
+        // The largest power of two that leaves both sides their minimum.
+        let factor = 1usize << (image.width / MIN_WIDTH).min(image.height / MIN_HEIGHT).ilog2();
         let (width, height) = (image.width / factor, image.height / factor);
-        if width < MIN_SIDE || height < MIN_SIDE {
-            return false;
-        }
         self.scale = factor << level;
         self.sharp.clear();
         for rows in image.data.chunks_exact(image.width * factor).take(height) {
@@ -199,7 +197,7 @@ impl Half {
                 for y in 0..h {
                     let a = &self.pixels[(ay + y) * width + ax..][..w];
                     let b = &current.pixels[(by + y) * width + bx..][..w];
-                    // Values are within 2^11, rows below 64 pixels: below 2^28.
+                    // Values are within 2^11, rows below 64 pixels (512 were a picture 40 times as wide as high): below 2^28.
                     product += i64::from(a.iter().zip(b).map(|(a, b)| i32::from(*a) * i32::from(*b)).sum::<i32>());
                 }
                 let ([a, aa], [b, bb]) = (self.rectangle(ax, ay, w, h), current.rectangle(bx, by, w, h));
@@ -372,5 +370,92 @@ impl ThumbnailAligner {
             hessian += term.gradient * term.gradient.transpose();
         }
         Some(hessian)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::random::Random;
+
+    /// A picture of soft spots, moved by `motion` (whose centre is that of the picture).
+    fn picture([width, height]: [usize; 2], spots: &[[f32; 4]], motion: &ImageMotion) -> Pyramid {
+        let mut image = GreyImage::new(width, height);
+        let turn = Rotation2::new(-motion.angle_rad);
+        for y in 0..height {
+            for x in 0..width {
+                let moved = Vector2::new(x as f32, y as f32) - motion.center_px - motion.shift_px;
+                let p = turn * moved + motion.center_px;
+                let value = spots.iter().map(|[u, v, size, grey]| {
+                    grey * (-((p.x - u).powi(2) + (p.y - v).powi(2)) / (2.0 * size * size)).exp()
+                });
+                image.data[y * width + x] = (120.0 + value.sum::<f32>()).clamp(0.0, 255.0) as u8;
+            }
+        }
+        let mut pyramid = Pyramid::new(5);
+        pyramid.build(&image);
+        pyramid
+    }
+
+    fn motion([width, height]: [usize; 2], angle_rad: f32, shift: [f32; 2]) -> ImageMotion {
+        let center_px = Vector2::new(width as f32 - 1.0, height as f32 - 1.0) * 0.5;
+        ImageMotion { angle_rad, shift_px: Vector2::from(shift), center_px, ncc: 1.0, overlap: 1.0 }
+    }
+
+    /// Within a thumbnail's pixel.
+    #[test]
+    fn a_motion_is_found_in_pictures_of_any_shape() {
+        for size in [[640, 480], [1242, 375], [621, 187], [416, 128], [240, 320]] {
+            for seed in 1..3 {
+                let mut random = Random::new(seed);
+                let mut within = |from: f64, to: f64| random.uniform(from, to) as f32;
+                let [w, h] = size.map(|v| v as f64);
+                let spots: Vec<[f32; 4]> = (0..20)
+                    .map(|_| {
+                        [
+                            within(-0.2 * w, 1.2 * w),
+                            within(-0.2 * h, 1.2 * h),
+                            within(0.03 * h, 0.15 * h),
+                            within(-80.0, 80.0),
+                        ]
+                    })
+                    .collect();
+                let still = motion(size, 0.0, [0.0; 2]);
+                let before = thumbnail_of(&picture(size, &spots, &still));
+                for (angle, x, y) in [(0.0, 0.25, 0.0), (0.08, -0.1, 0.1), (-0.05, 0.15, -0.05)] {
+                    let truth = motion(size, angle, [x * size[0] as f32, y * size[1] as f32]);
+                    let after = thumbnail_of(&picture(size, &spots, &truth));
+                    let found = ThumbnailAligner::default().align(&before, &after).expect("a motion");
+                    for place in [[0.3, 0.3], [0.6, 0.4], [0.5, 0.7]] {
+                        let place = Vector2::new(place[0] * size[0] as f32, place[1] * size[1] as f32);
+                        let off = (found.apply(place) - truth.apply(place)).norm();
+                        assert!(
+                            off < before.scale as f32,
+                            "{size:?}, seed {seed}, {truth:?}: {found:?}, off by {off} px"
+                        );
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn thumbnails_are_large_enough_both_ways_and_not_much_larger() {
+        for size in [[640, 480], [1280, 720], [1242, 375], [621, 187], [416, 128], [320, 240], [33, 13]] {
+            let thumbnail = thumbnail_of(&picture(size, &[], &motion(size, 0.0, [0.0; 2])));
+            let (width, height) = (thumbnail.width, thumbnail.height);
+            assert!(width >= MIN_WIDTH && height >= MIN_HEIGHT, "{size:?}: {width} x {height}");
+            assert!(width < 2 * MIN_WIDTH || height < 2 * MIN_HEIGHT, "{size:?}: {width} x {height}");
+        }
+        assert!(!Thumbnail::default().build(&picture([31, 40], &[], &motion([31, 40], 0.0, [0.0; 2]))));
+    }
+
+    #[test]
+    fn blank_pictures_and_those_of_another_size_have_no_motion() {
+        let blank = |size| thumbnail_of(&picture(size, &[], &motion(size, 0.0, [0.0; 2])));
+        let mut aligner = ThumbnailAligner::default();
+        assert_eq!(aligner.align(&blank([640, 480]), &blank([640, 480])), None);
+        assert_eq!(aligner.align(&blank([640, 480]), &blank([1242, 375])), None);
+        assert_eq!(aligner.align(&Thumbnail::default(), &Thumbnail::default()), None);
     }
 }
