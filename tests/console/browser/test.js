@@ -330,9 +330,18 @@ async function drawn(page, wanted) {
   return count;
 }
 
-/** A robot that drives laps, quickly: the page is open when its first loop is closed. */
+/** A robot that drives laps, quickly: the page is open when its first loop is closed. What a busy machine drops of its pictures can be what
+ * would have told the place, so there are up to three of them. */
 async function closedLoop(browser) {
-  const place = new Robot("loop");
+  let shown = false;
+  for (let n = 1; n <= 3 && !shown; n++) {
+    shown = await showsLoop(browser, new Robot(`loop${n}`));
+  }
+  check(shown, "a robot that drives laps closes a loop");
+}
+
+/** Whether this robot closed one; what the page shows of it is checked. */
+async function showsLoop(browser, place) {
   robots.push(place);
   try {
     const config = join(place.folder, "loop.toml");
@@ -342,13 +351,18 @@ async function closedLoop(browser) {
     const page = await open(browser, url, { viewport: { width: 1400, height: 1000 } });
     await page.waitForFunction(() => Number(document.getElementById("map").dataset.landmarks) > 100);
     check((await page.locator("#map").getAttribute("data-ties")) !== "1", "no loop is closed at the start");
-    await page.waitForFunction(() => Number(document.getElementById("map").dataset.ties) > 0, null, { timeout: 100_000 });
+    const closed = page.waitForFunction(() => Number(document.getElementById("map").dataset.ties) > 0, null, { timeout: 100_000 });
+    if (!(await closed.then(() => true, () => false))) {
+      await page.context().close();
+      return false;
+    }
     await page.waitForTimeout(1000);
     check(/Loop closed: keyframe \d+ shows the place of \d+/.test(await page.locator("#map-news p").last().innerText()), `a loop is told while it happens: ${await page.locator("#map-news p").last().innerText()}`);
     check((await drawn(page, (r, g, b) => b > 150 && b > r + 50 && r > g + 40)) > 20, "and drawn in violet");
     check(Number(await number(page, "Loops")) >= 1, "and counted");
     await page.screenshot({ path: join(pictures, "loop.png") });
     await page.context().close();
+    return true;
   } finally {
     place.end();
   }
