@@ -330,8 +330,8 @@ async function drawn(page, wanted) {
   return count;
 }
 
-/** A robot that drives laps, quickly: the page is open when its first loop is closed. What a busy machine drops of its pictures can be what
- * would have told the place, so there are up to three of them. */
+/** A robot that drives laps, quickly: the page is open when its first loop is closed. It is closed as the first lap ends or not at all (five of
+ * seven such robots closed one), so up to three of them drive. */
 async function closedLoop(browser) {
   let shown = false;
   for (let n = 1; n <= 3 && !shown; n++) {
@@ -358,7 +358,7 @@ async function showsLoop(browser, place) {
     }
     await page.waitForTimeout(1000);
     check(/Loop closed: keyframe \d+ shows the place of \d+/.test(await page.locator("#map-news p").last().innerText()), `a loop is told while it happens: ${await page.locator("#map-news p").last().innerText()}`);
-    // The first one's ends can lie so close together that hardly anything is drawn; the next laps have more.
+    // A second later it was once not drawn yet.
     let violet = 0;
     for (let second = 0; second < 20 && violet <= 20; second++) {
       violet = await drawn(page, (r, g, b) => b > 150 && b > r + 50 && r > g + 40);
