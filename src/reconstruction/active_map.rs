@@ -19,6 +19,8 @@ pub struct ActiveMap {
     pub fusion: ScaleFusion,
     /// For its first second.
     pub probation: Probation,
+    /// The map that was lost when this one began.
+    pub beside: Option<MapId>,
     /// Keyframe that shares most with the last frame.
     pub reference: KeyframeId,
     /// Frames tracked in it.
@@ -52,6 +54,7 @@ impl ActiveMap {
             scale: ScaleUncertainty::default(),
             fusion: ScaleFusion::default(),
             probation: Probation::default(),
+            beside: None,
             reference: KeyframeId(0),
             frames: 0,
             last_keyframe_frame: 0,

@@ -333,7 +333,7 @@ impl Reconstruction {
         let mut frames = self.active.probation.take_frames();
         frames.extend(self.initialiser.pending.drain(..));
         frames.sort_by_key(|frame| frame.sequence);
-        self.end_map();
+        self.give_up_map();
         self.initialiser.begin_again(frames);
         true
     }

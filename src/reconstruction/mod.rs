@@ -202,7 +202,7 @@ impl Reconstruction {
         }
         let ahead = self.look_ahead(features.timestamp_ns);
         match self.place(features, ahead.as_ref()) {
-            Some(tracked) if self.fails_probation(features, &tracked.camera_from_world) => self.try_start(features),
+            Some(tracked) if self.fails_probation(features, &tracked.camera_from_world) => self.begin_anew(features),
             Some(tracked) => self.accept(features, &tracked, ahead.as_ref()),
             None => self.lose(features, ahead.as_ref()),
         }
@@ -335,9 +335,9 @@ impl Reconstruction {
         if active.map.keyframes.len() < WORTH_KEEPING {
             // What was seen while it was lost begins the next map.
             let seen = std::mem::take(&mut self.initialiser);
-            self.end_map();
+            self.give_up_map();
             self.initialiser = seen;
-            return self.try_start(features);
+            return self.begin_anew(features);
         }
         if active.odometry.lost_for_s(features.timestamp_ns) > self.config.lost_s {
             return self.begin_beside(features);

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use nalgebra::{Matrix3, UnitQuaternion, Vector2, Vector3};
 
 use super::odometry::Odometry;
+use super::relocalise::other_maps::OtherMap;
 use super::track::association::Target;
 use super::track::template::observe;
 use super::*;
@@ -414,4 +415,37 @@ fn keyframes_of_another_run_come_into_the_index_at_once_and_of_a_large_map_the_r
             assert_eq!(r.loops.entered(), 315, "new ones are entered, whether loops are closed or not");
         }
     }
+}
+
+#[test]
+fn where_a_map_that_was_begun_beside_a_lost_one_comes_to_nothing_that_one_is_looked_for_again() {
+    // As a robot's that was lost, was deceived by something that moved, and stands where it is known: no other map begins there.
+    let mut r = before_the_wall(Se3::identity());
+    let black = |time_ns| FrameFeatures { pyramid: Arc::new(Pyramid::default()), ..frame(time_ns, 0) };
+    r.active.odometry.lose(FRAME_NS);
+    let next = r.active.successor();
+    let old = std::mem::replace(&mut r.active, next);
+    r.active.beside = Some(old.id);
+    let number = old.map.keyframes.next_id();
+    r.others.keep(OtherMap::new(old), 240);
+    let deceived = r.active.map.add_keyframe(Keyframe { map: r.active.id, ..keyframe(Se3::identity(), wall(3)) });
+    assert_eq!(deceived.0, number);
+    r.active.reference = deceived;
+    r.active.odometry = Odometry::begin(2 * FRAME_NS, Se3::identity());
+    r.state = TrackingState::Tracking;
+    let given_up = r.track(&black(3 * FRAME_NS));
+    assert_eq!((given_up.state, given_up.map), (TrackingState::Lost, MapId(2)), "numbers do not go back");
+    assert!(r.others.kept.is_empty() && r.active.map.check_consistency().is_ok());
+    assert_eq!(r.active.map.keyframes.next_id(), deceived.0 + 1, "nor do those of keyframes");
+    let found = r.track(&frame(4 * FRAME_NS, 2));
+    assert_eq!((found.state, found.map, found.reset_counter), (TrackingState::Tracking, MapId(2), 1));
+    let x = found.world_from_camera.map_or(f64::NAN, |pose| pose.translation.x);
+    assert!((x - 2.0 / FOCAL_PX).abs() < 0.002, "{x}");
+    let events = events(&mut r);
+    let joined = |e: &TrajectoryEvent| matches!(e, TrajectoryEvent::MapJoined { map, into, scale } if (map.0, into.0, *scale) == (0, 2, 1.0));
+    assert!(events.iter().any(joined), "one map in a trajectory: {events:?}");
+    assert!(
+        r.active.map.keyframes.iter().all(|(_, k)| k.map == MapId(2)),
+        "and in what is held of a map's oldest keyframe"
+    );
 }

@@ -55,6 +55,7 @@ impl Reconstruction {
             return self.estimate_none(features);
         };
         self.discard_job();
+        self.active.beside = Some(old.id);
         self.wheels.begin_map();
         self.corrections.end_map();
         self.optics.intrinsics.end_map(&self.optics.camera);

@@ -24,6 +24,7 @@ use crate::map::{KeyframeId, LandmarkId, Map, MapId};
 use crate::motion::scale::ScaleFusion;
 use crate::reconstruction::active_map::ActiveMap;
 use crate::reconstruction::keyframe::{SAME_CORNER_PX, triangulate};
+use crate::reconstruction::odometry::Odometry;
 use crate::reconstruction::scale_uncertainty::ScaleUncertainty;
 use crate::reconstruction::track::frame::Frame;
 use crate::reconstruction::track::search::Match;
@@ -82,6 +83,7 @@ pub struct OtherMap {
     pub id: MapId,
     /// Where it was tracked last.
     pub reference: KeyframeId,
+    pub odometry: Odometry,
     pub scale: ScaleUncertainty,
     pub fusion: ScaleFusion,
     /// Frames tracked in it.
@@ -96,16 +98,17 @@ pub struct OtherMap {
 
 impl OtherMap {
     pub fn new(lost: ActiveMap) -> Self {
-        let ActiveMap { map, id, reference, scale, fusion, frames, is_placed, .. } = lost;
-        Self { map, id, reference, scale, fusion, frames, sightings: Vec::new(), is_merged: false, is_placed }
+        let ActiveMap { map, id, reference, odometry, scale, fusion, frames, is_placed, .. } = lost;
+        let (sightings, is_merged) = (Vec::new(), false);
+        Self { map, id, reference, odometry, scale, fusion, frames, sightings, is_merged, is_placed }
     }
 
     /// A map of another run.
     pub fn of_another_run(saved: SavedMap, is_merged: bool) -> Self {
         let SavedMap { head: MapHead { id, reference, frames, scale, turns }, map } = saved;
         let (scale, fusion) = (ScaleUncertainty::restored(&turns), ScaleFusion::of_stored(scale));
-        let (sightings, is_placed) = (Vec::new(), false);
-        Self { map, id, reference, scale, fusion, frames, sightings, is_merged, is_placed }
+        let (odometry, sightings, is_placed) = (Odometry::default(), Vec::new(), false);
+        Self { map, id, reference, odometry, scale, fusion, frames, sightings, is_merged, is_placed }
     }
 }
 
@@ -449,6 +452,7 @@ mod tests {
         OtherMap {
             map,
             id: MapId(id),
+            odometry: Odometry::default(),
             reference: KeyframeId(0),
             scale: ScaleUncertainty::default(),
             fusion: Default::default(),
