@@ -180,6 +180,18 @@ fn maps_that_were_not_joined_have_a_trajectory_each() {
     times.dedup();
     assert_eq!(times.len(), total);
     assert!(replayed().2 == contents, "the same twice");
+
+    // A file of both: each room is located in its own map, whichever was tracked in last.
+    let map = dir.path().join("rooms.map");
+    replay(&cut, &map, "made", &[]);
+    assert_eq!(info(&map)["maps"].as_array().map(Vec::len), Some(2));
+    let bytes = std::fs::read(&map).unwrap();
+    for (room, frames) in [("one", 150), ("other", 120)] {
+        let [located, _] = replay(&dir.path().join(room), &map, room, &["--localise"]);
+        let located = positions(&located).len();
+        assert!(10 * located >= 8 * frames, "room {room}: {located} of {frames} frames");
+    }
+    assert!(std::fs::read(&map).unwrap() == bytes, "only to be located in");
 }
 
 fn exports(map: &Path, folder: &Path) {

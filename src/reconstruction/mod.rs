@@ -328,18 +328,21 @@ impl Reconstruction {
         }
         self.blind.reckoned = None;
         self.state = TrackingState::Lost;
-        let active = &mut self.active;
+        let is_lost_long = self.active.odometry.lost_for_s(features.timestamp_ns) > self.config.lost_s;
+        if is_lost_long && let Some(tracked) = self.find_in_kept(features) {
+            return self.accept(features, &tracked, None);
+        }
         if self.localise_only {
             return self.estimate_none(features);
         }
-        if active.map.keyframes.len() < WORTH_KEEPING {
+        if self.active.map.keyframes.len() < WORTH_KEEPING {
             // What was seen while it was lost begins the next map.
             let seen = std::mem::take(&mut self.initialiser);
             self.give_up_map();
             self.initialiser = seen;
             return self.begin_anew(features);
         }
-        if active.odometry.lost_for_s(features.timestamp_ns) > self.config.lost_s {
+        if is_lost_long {
             return self.begin_beside(features);
         }
         self.initialiser.watch(features, &self.optics.camera, &self.optics.intrinsics.uncertainty());

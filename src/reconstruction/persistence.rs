@@ -2,7 +2,8 @@
 //!
 //! A map of another run is what a lost map is: frames are looked for in it as they are after a loss ([`relocalise`](super::relocalise)),
 //! but more of it must be found until one is located, the state is LOST until one is located, and unless the map is to stay as it is a second one begins beside it after as many
-//! frames as always, to be joined to it once it is recognised.
+//! frames as always, to be joined to it once it is recognised. Of several maps the first is looked in at once, the others once that has been in vain for so long
+//! ([`taking_up`](super::relocalise::taking_up)).
 //!
 //! The index over places is made anew with the frames that follow, some keyframes at each.
 //!

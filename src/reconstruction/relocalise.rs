@@ -20,6 +20,7 @@ pub mod joining;
 pub mod merging;
 pub mod other_maps;
 pub mod spread;
+pub mod taking_up;
 
 use nalgebra::{UnitQuaternion, Vector3};
 

@@ -5,7 +5,7 @@ use super::odometry::Odometry;
 use super::optics::Optics;
 use super::relocalise::other_maps::{OtherMap, retire};
 use super::track::Tracker;
-use super::types::{PoseEstimate, TrackingState, TrajectoryEvent};
+use super::types::{PoseEstimate, TrackingState};
 use super::{LensPrior, Pending, Reconstruction};
 use crate::features::FrameFeatures;
 use crate::geometry::CameraModel;
@@ -40,28 +40,6 @@ impl Reconstruction {
     pub(super) fn end_map(&mut self) {
         retire(&self.active.map, &mut self.events);
         self.leave_map();
-    }
-
-    /// Drops the present map, which has come to nothing. If it was begun beside one that was lost, and is not a part of it now, frames are looked for in
-    /// that one again: else a robot that stands where it is known would not be found, as long as no other map begins. It has another number, for numbers
-    /// do not go back.
-    pub(super) fn give_up_map(&mut self) {
-        let beside = self.active.beside;
-        self.end_map();
-        let index = self.others.kept.iter().position(|other| Some(other.id) == beside);
-        let Some(index) = index else { return };
-        let OtherMap { mut map, id, reference, odometry, scale, fusion, frames, is_placed, .. } =
-            self.others.kept.remove(index);
-        let active = &mut self.active;
-        self.events.push(TrajectoryEvent::MapJoined { map: id, into: active.id, scale: 1.0 });
-        map.renumber(id, active.id);
-        // The lens may be known better by now.
-        map.undistort_anew(&self.optics.camera);
-        active.map.absorb(map);
-        active.next_global = self.optics.intrinsics.next_global(active.map.keyframes.len());
-        (active.reference, active.odometry, active.frames) = (reference, odometry, frames);
-        (active.scale, active.fusion, active.is_placed) = (scale, fusion, is_placed);
-        self.state = TrackingState::Lost;
     }
 
     /// A frame that is in no map: perhaps the one that another begins with.

@@ -11,7 +11,7 @@
 //! A seam that an older keyframe told lies where the robot may not be: beyond 240 keyframes nothing adjusts it until the robot is there again.
 //!
 //! Cost: nothing while no map is kept; else one attempt of relocalisation for every few keyframes, rarer while nothing is recognised, after
-//! the pose was published. Not here: a kept map is not asked while the present one is lost.
+//! the pose was published. While the present map is lost: [`taking_up`](super::taking_up).
 
 use super::LIKELY;
 use super::asked::Asked;
