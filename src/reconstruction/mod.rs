@@ -328,19 +328,19 @@ impl Reconstruction {
         }
         self.blind.reckoned = None;
         self.state = TrackingState::Lost;
+        if self.active.map.keyframes.len() < WORTH_KEEPING && !self.localise_only {
+            // What was seen while it was lost begins the next map.
+            let seen = std::mem::take(&mut self.initialiser);
+            self.give_up_map();
+            self.initialiser = seen;
+            return self.begin_anew(features);
+        }
         let is_lost_long = self.active.odometry.lost_for_s(features.timestamp_ns) > self.config.lost_s;
         if is_lost_long && let Some(tracked) = self.find_in_kept(features) {
             return self.accept(features, &tracked, None);
         }
         if self.localise_only {
             return self.estimate_none(features);
-        }
-        if self.active.map.keyframes.len() < WORTH_KEEPING {
-            // What was seen while it was lost begins the next map.
-            let seen = std::mem::take(&mut self.initialiser);
-            self.give_up_map();
-            self.initialiser = seen;
-            return self.begin_anew(features);
         }
         if is_lost_long {
             return self.begin_beside(features);

@@ -189,18 +189,12 @@ pub fn turned_only(motion: CameraMotion) -> CameraMotion {
     CameraMotion { shift: Vector3::zeros(), ..motion }
 }
 
-/// What was found of a frame that a tracker has placed elsewhere, but for assumed distances, which tell nothing; `None` if that is too little of its
+/// What was found of a keyframe that a tracker has placed elsewhere, but for assumed distances, which tell nothing; `None` if that is too little of its
 /// picture to tell a place.
-pub fn found_there(frame: &Frame<'_>, tracker: &Tracker) -> Option<Vec<Match>> {
+pub fn found_in(frame: &Frame<'_>, tracker: &Tracker, keyframe: KeyframeId, placed: &Tracked) -> Option<Sighting> {
     let is_measured = |m: &&Match| frame.map.landmark(m.landmark).is_some_and(|l| l.assumed.is_none());
     let found: Vec<Match> = tracker.inliers().filter(is_measured).copied().collect();
-    shows_a_place(&found, frame.camera).then_some(found)
-}
-
-/// The same of a keyframe.
-pub fn found_in(frame: &Frame<'_>, tracker: &Tracker, keyframe: KeyframeId, placed: &Tracked) -> Option<Sighting> {
-    let found = found_there(frame, tracker)?;
-    Some(Sighting { keyframe, there: placed.camera_from_world, found })
+    shows_a_place(&found, frame.camera).then_some(Sighting { keyframe, there: placed.camera_from_world, found })
 }
 
 /// The keyframe, other than the one that was recognised, that sees most of what was found.

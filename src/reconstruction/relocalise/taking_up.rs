@@ -2,36 +2,37 @@
 //!
 //! A frame that has been looked for in vain in the present map for as long as it takes until another may begin is looked for in those kept aside as well,
 //! one of them every few frames: a robot that stands where it is known begins no map that could be joined to it. It must be found there as a frame is
-//! that nothing speaks for but its landmarks ([`Tracked::speaks_for_itself`](crate::reconstruction::track::Tracked::speaks_for_itself)), and show a place. The map that
-//! it was looked for in is kept in turn. Nor is it asked what a command merges, which is no map of this run yet, nor any while the lens is a guess: a
-//! map may have been put aside as its lens was wrong.
+//! that nothing speaks for but its landmarks ([`Tracked::speaks_for_itself`]), and show a place. The map that it was looked for in is kept in turn. Not
+//! asked is what a command merges, which is no map of this run yet, nor any while the lens is a guess: a map may have been put aside as its lens was wrong.
 //!
 //! A map that begins beside a lost one and comes to nothing gives way to that one.
 //!
-//! The map has another number from then on, for numbers do not go back, and the reset counter rises.
+//! A map has the number, frame and unit that it had: what a planner has stored in it holds. The reset counter rises.
+
+use nalgebra::Matrix6;
 
 use super::LIKELY;
-use super::other_maps::{LONGEST_GAP, OtherMap, OtherMaps, WORTH_KEEPING, found_there, retire};
+use super::other_maps::{LONGEST_GAP, OtherMap, OtherMaps, found_in};
 use crate::features::FrameFeatures;
+use crate::motion::scale::ScaleFusion;
 use crate::reconstruction::Reconstruction;
 use crate::reconstruction::track::Tracked;
 use crate::reconstruction::track::association::Bindings;
 use crate::reconstruction::track::frame::Frame;
-use crate::reconstruction::types::{TrackingState, TrajectoryEvent};
+use crate::reconstruction::types::TrackingState;
 
 impl Reconstruction {
     /// Places a frame in a map kept aside, which is the present one then.
     pub(in crate::reconstruction) fn find_in_kept(&mut self, features: &FrameFeatures) -> Option<Tracked> {
-        let is_due = !self.others.kept.is_empty() && self.counters.frames >= self.others.next_attempt;
-        if !is_due || !self.optics.intrinsics.is_found() {
+        let OtherMaps { kept, turn, gap, next_attempt, relocaliser, .. } = &mut self.others;
+        let own = || kept.iter().enumerate().filter(|(_, other)| !other.is_merged);
+        let (index, other) = own().nth(*turn % own().count().max(1))?;
+        if self.counters.frames < *next_attempt || !self.optics.intrinsics.is_found() {
             return None;
         }
-        let OtherMaps { kept, turn, gap, next_attempt, relocaliser, .. } = &mut self.others;
         *turn += 1;
         *gap = (2 * *gap).min(LONGEST_GAP);
         *next_attempt = self.counters.frames + *gap;
-        let index = *turn % kept.len();
-        let other = Some(&kept[index]).filter(|other| !other.is_merged)?;
         let likely = self.loops.likely(&other.map, &features.pyramid, LIKELY);
         self.far.ask(&likely);
         let bindings = Bindings::default();
@@ -47,17 +48,16 @@ impl Reconstruction {
             shutter: &self.optics.shutter,
         };
         let placed = relocaliser.place_once(&frame, other.reference, &likely);
-        let Some(placed) = placed.filter(|_| found_there(&frame, &relocaliser.tracker).is_some()) else {
+        let shows_a_place =
+            |placed: &Tracked| found_in(&frame, &relocaliser.tracker, other.reference, placed).is_some();
+        let Some(placed) = placed.filter(shows_a_place) else {
             self.far.ask_ahead(relocaliser.ahead(&other.map));
             return None;
         };
         let other = self.others.kept.remove(index);
         let old = self.leave_map();
-        match old.map.keyframes.len() < WORTH_KEEPING && !self.localise_only {
-            true => retire(&old.map, &mut self.events),
-            // There are no more of them than before.
-            false => self.others.add(OtherMap::new(old)),
-        }
+        // There are no more of them than before.
+        self.others.add(OtherMap::new(old));
         self.take_up(other);
         std::mem::swap(&mut self.tracker, &mut self.others.relocaliser.tracker);
         Some(placed)
@@ -78,15 +78,26 @@ impl Reconstruction {
     fn take_up(&mut self, other: OtherMap) {
         let OtherMap { mut map, id, reference, mut odometry, scale, fusion, frames, is_placed, .. } = other;
         let active = &mut self.active;
-        self.events.push(TrajectoryEvent::MapJoined { map: id, into: active.id, scale: 1.0 });
-        map.renumber(id, active.id);
-        // The lens may be known better by now.
-        map.undistort_anew(&self.optics.camera);
-        active.map.absorb(map);
-        active.next_global = self.optics.intrinsics.next_global(active.map.keyframes.len());
+        // Ids go on after those of the maps that were there meanwhile.
+        map.absorb(std::mem::take(&mut active.map));
+        if !self.optics.intrinsics.is_calibrated() {
+            // The lens may be known better by now.
+            map.undistort_anew(&self.optics.camera);
+        }
+        active.next_global = self.optics.intrinsics.next_global(map.keyframes.len());
         odometry.lost_frames = odometry.lost_frames.max(1);
-        (active.reference, active.odometry, active.frames) = (reference, odometry, frames);
-        (active.scale, active.fusion, active.is_placed) = (scale, fusion, is_placed);
+        (active.map, active.id, active.reference) = (map, id, reference);
+        (active.odometry, active.frames, active.scale, active.is_placed) = (odometry, frames, scale, is_placed);
+        // Who has told the scale says the same again before long: that is no second word.
+        active.fusion = if fusion.is_metric() { ScaleFusion::of_stored(fusion.scale()) } else { fusion };
+        // Of the map before are where the floor and tags lie, and how surely the last frame was placed.
+        self.blind.covariance = Matrix6::from_element(f64::NAN);
+        if let Some(floor) = &mut self.floor {
+            floor.forget();
+        }
+        if let Some(tags) = &mut self.tags {
+            tags.forget();
+        }
         self.state = TrackingState::Lost;
     }
 }
