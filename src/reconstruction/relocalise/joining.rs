@@ -21,6 +21,7 @@ use super::other_maps::{
 };
 use crate::features::FrameFeatures;
 use crate::geometry::CameraModel;
+use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::World;
 use crate::geometry::sim3::Sim3;
 use crate::map::observations::Observations;
@@ -28,9 +29,9 @@ use crate::map::{Correction, KeyframeId, LandmarkId, Map};
 use crate::reconstruction::Reconstruction;
 use crate::reconstruction::keyframe::observe_match;
 use crate::reconstruction::optics::Optics;
-use crate::reconstruction::track::Tracker;
 use crate::reconstruction::track::association::Bindings;
 use crate::reconstruction::track::frame::Frame;
+use crate::reconstruction::track::{Tracked, Tracker};
 use crate::reconstruction::types::{PoseEstimate, TrajectoryEvent};
 
 /// Landmarks of both maps at one corner whose depths have a larger logarithm of their ratio are two points.
@@ -154,6 +155,18 @@ impl Reconstruction {
         id: KeyframeId,
         likely: &[KeyframeId],
     ) -> Option<Sighting> {
+        let motion = self.active.map.keyframe(id)?.motion.map(turned_only);
+        Some(self.look_in(index, features, (id, motion), likely)?.1)
+    }
+
+    /// Where a picture that is, or is called, the keyframe `id` is in a map kept aside.
+    pub(super) fn look_in(
+        &mut self,
+        index: usize,
+        features: &FrameFeatures,
+        (id, motion): (KeyframeId, Option<CameraMotion>),
+        likely: &[KeyframeId],
+    ) -> Option<(Tracked, Sighting)> {
         let OtherMaps { kept, relocaliser, .. } = &mut self.others;
         let other = kept.get(index)?;
         self.far.ask(likely);
@@ -166,14 +179,14 @@ impl Reconstruction {
             config: &self.config,
             before: None,
             was_here: false,
-            motion: self.active.map.keyframe(id)?.motion.map(turned_only),
+            motion,
             shutter: &self.optics.shutter,
         };
         let Some(placed) = relocaliser.place_once(&frame, other.reference, likely) else {
             self.far.ask_ahead(relocaliser.ahead(&other.map));
             return None;
         };
-        found_in(&frame, &relocaliser.tracker, id, &placed)
+        Some((placed, found_in(&frame, &relocaliser.tracker, id, &placed)?))
     }
 
     /// Makes the other map a part of this one. `scale_sigma`: of the logarithm of the ratio of their units.

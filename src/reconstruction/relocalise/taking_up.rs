@@ -11,20 +11,17 @@
 
 use nalgebra::Matrix6;
 
-use super::LIKELY;
-use super::other_maps::{LONGEST_GAP, OtherMap, OtherMaps, found_in};
+use super::other_maps::{LONGEST_GAP, OtherMap, OtherMaps};
 use crate::features::FrameFeatures;
 use crate::motion::scale::ScaleFusion;
 use crate::reconstruction::Reconstruction;
 use crate::reconstruction::track::Tracked;
-use crate::reconstruction::track::association::Bindings;
-use crate::reconstruction::track::frame::Frame;
 use crate::reconstruction::types::TrackingState;
 
 impl Reconstruction {
     /// Places a frame in a map kept aside, which is the present one then.
     pub(in crate::reconstruction) fn find_in_kept(&mut self, features: &FrameFeatures) -> Option<Tracked> {
-        let OtherMaps { kept, turn, gap, next_attempt, relocaliser, .. } = &mut self.others;
+        let OtherMaps { kept, turn, gap, next_attempt, .. } = &mut self.others;
         let own = || kept.iter().enumerate().filter(|(_, other)| !other.is_merged);
         let (index, other) = own().nth(*turn % own().count().max(1))?;
         if self.counters.frames < *next_attempt || !self.optics.intrinsics.is_found() {
@@ -33,27 +30,10 @@ impl Reconstruction {
         *turn += 1;
         *gap = (2 * *gap).min(LONGEST_GAP);
         *next_attempt = self.counters.frames + *gap;
-        let likely = self.loops.likely(&other.map, &features.pyramid, LIKELY);
-        self.far.ask(&likely);
-        let bindings = Bindings::default();
-        let frame = Frame {
-            features,
-            map: &other.map,
-            bindings: &bindings,
-            camera: &self.optics.camera,
-            config: &self.config,
-            before: None,
-            was_here: false,
-            motion: None,
-            shutter: &self.optics.shutter,
-        };
-        let placed = relocaliser.place_once(&frame, other.reference, &likely);
-        let shows_a_place =
-            |placed: &Tracked| found_in(&frame, &relocaliser.tracker, other.reference, placed).is_some();
-        let Some(placed) = placed.filter(shows_a_place) else {
-            self.far.ask_ahead(relocaliser.ahead(&other.map));
-            return None;
-        };
+        // No keyframe of the present map: called as where it is looked for.
+        let called = other.reference;
+        let likely = self.likely_in(index, features);
+        let (placed, _) = self.look_in(index, features, (called, None), &likely)?;
         let other = self.others.kept.remove(index);
         let old = self.leave_map();
         // There are no more of them than before.
