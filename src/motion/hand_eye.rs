@@ -225,6 +225,8 @@ pub struct OtherUnit {
 /// What the segments tell.
 #[derive(Debug, Clone, Copy)]
 pub struct Solution {
+    /// The newest unit, which the scale is of.
+    pub unit: Unit,
     /// ln(metres per map unit), now.
     pub log_scale: f64,
     /// Its standard deviation, an error common to both wheels left out.
@@ -549,6 +551,7 @@ fn finish(problem: &Problem<'_>, state: &State, segments: &[Segment], noise: f64
     let (log_scale, sigma) = (state.log_scale[KNOTS - 1], covariance[(KNOTS - 1, KNOTS - 1)].sqrt());
     let finite = log_scale.is_finite() && sigma.is_finite() && robot.sigma.iter().all(|s| s.is_finite());
     (finite && all > 0.0).then_some(Solution {
+        unit: newest,
         log_scale,
         sigma,
         other_units: std::array::from_fn(|i| {

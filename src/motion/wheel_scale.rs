@@ -144,8 +144,14 @@ impl WheelScale {
     fn ratio(&self, unit: Unit) -> Option<(f64, f64)> {
         let newest = self.segments.last().filter(|s| s.unit == unit).map(|_| (0.0, 0.0));
         newest.or_else(|| {
-            self.solution?.other_units.iter().flatten().find(|o| o.unit == unit).map(|o| (o.log_ratio, o.sigma))
+            self.of_newest()?.other_units.iter().flatten().find(|o| o.unit == unit).map(|o| (o.log_ratio, o.sigma))
         })
+    }
+
+    /// The solution, if it is of the newest unit. While the readings of that one's first segment are on their way, the solution before stands for what is
+    /// known of the robot, and tells nothing of the unit.
+    fn of_newest(&self) -> Option<&Solution> {
+        self.solution.as_ref().filter(|s| self.segments.last().is_none_or(|newest| newest.unit == s.unit))
     }
 
     /// Units whose ratio is known are as long as the newest from now on, and those that are told are one with it.
@@ -161,6 +167,7 @@ impl WheelScale {
         }
         if let Some(solution) = &mut self.solution {
             solution.other_units = Default::default();
+            solution.unit = self.segments.last().map_or(solution.unit, |newest| newest.unit);
         }
     }
 
@@ -196,7 +203,7 @@ impl WheelScale {
 
     /// ln(metres per map unit) and its standard deviation, an error common to both wheels in it; `None` until they are believed.
     pub fn measurement(&self) -> Option<ScaleMeasurement> {
-        let s = self.solution?;
+        let s = self.of_newest()?;
         let agree = s.believed_s >= BELIEVED_S && s.believed_share >= BELIEVED_SHARE && s.noise <= TOLD_NOISE;
         (agree && s.sigma <= TOLD_SIGMA).then(|| ScaleMeasurement {
             source: ScaleSource::Wheels,

@@ -46,19 +46,17 @@ impl Reconstruction {
         self.active.fusion.add(word)
     }
 
-    /// What the present map's lengths are, where the last frame was placed: in and behind a turn on the spot whose next step has an assumed length they are
-    /// metres to that assumption only.
+    /// What the present map's lengths are, where the last frame was placed: in and behind a turn on the spot whose next step has an assumed length, or one
+    /// that wheels told in a moment, they are metres to that doubt only.
     pub fn scale(&self) -> MapScale {
         let active = &self.active;
         match active.fusion.scale() {
-            MapScale::Metric { sigma, sources } if self.scale_is_assumed() => {
+            MapScale::Metric { sigma, sources } => {
                 let behind = active.map.keyframe(active.reference).and_then(|k| k.scale_from);
-                MapScale::Metric {
-                    sigma: sigma.hypot(active.scale.sigma_behind(behind, self.rests_on_assumed())),
-                    sources,
-                }
+                let doubt = active.scale.sigma_behind(behind, self.rests_on_assumed());
+                MapScale::Metric { sigma: sigma.hypot(doubt), sources }
             }
-            scale => scale,
+            MapScale::Unknown => MapScale::Unknown,
         }
     }
 
@@ -175,10 +173,14 @@ impl Reconstruction {
         })
     }
 
-    /// Parts of the map with units of their own, behind turns on the spot, take one unit, as far as wheels tell how long theirs are.
+    /// Parts of the map with units of their own, behind turns on the spot, take one unit, as far as wheels tell how long theirs are: not before they tell
+    /// how long the newest one is.
     fn unify_units(&mut self) {
         let active = &mut self.active;
         let newest = active.map.keyframe(active.reference).and_then(|k| k.scale_from);
+        if newest.is_some() && !self.wheels.tells_doubted() {
+            return;
+        }
         let parts = active.scale.parts_in_one_unit(&active.map, newest, |part| self.wheels.log_ratio(part));
         let told: Vec<_> = parts.iter().map(|(part, _)| *part).filter(|part| self.wheels.tells(*part)).collect();
         self.move_parts(&parts, |part| told.contains(&part));
