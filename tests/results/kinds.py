@@ -236,7 +236,8 @@ def metres(data, short):
              build=f"{test} --no-run", read=heights),
         Step("What the sigma is worth", intervals,
              "Tours of the simulator's rooms, 40 s; what is said of metres is wrong by what its standard deviation says, drawn for each seed: 1 % of the "
-             "wheels' radii (which slip in bursts, too), 0.3 mm of the tags' 160, 3 mm of the camera's 500.", build=f"{wheels} --no-run"),
+             "wheels' radii (which slip in bursts, too), 0.3 mm of the tags' 160, 3 mm of the camera's 500.", build=f"{wheels} --no-run",
+             read=rows_of_table),
         Step("Obstacles and free floor", obstacles,
              "Rooms of the simulator, `seen_floor` on, a scan a second, each bearing beside the simulator's own geometry: a distance is reported where it is within 0.2 m or 10 % "
              "of it, a bearing on which nothing stands up to 1.5 m where the floor is said to be free up to 1 m; a free report is right where nothing "
@@ -516,7 +517,7 @@ KINDS = {
     "drives": Kind("Simulated drives", "5 min", drives),
     "places": Kind("Places known again", "1 h", places_known),
     "hours": Kind("Hours in one building", "30 min", hours),
-    "metres": Kind("Metres", "10 min", metres),
+    "metres": Kind("Metres", "30 min", metres),
     "uncalibrated": Kind("Without a calibration", "2 min", uncalibrated),
     "calibration": Kind("Calibration", "3 min", calibration),
     "calibration_live": Kind("Live calibration", "15 min", calibration_live),

@@ -35,9 +35,10 @@ impl Adjustment {
             if [i - 1, i].iter().any(|i| map.numbers.is_merged(self.keyframes[*i])) {
                 continue;
             }
-            // What lies behind a turn on the spot has a unit of its own, until it is told how long that is: metres would bend it.
-            let ends = [i - 1, i].map(|i| map.keyframe(self.keyframes[i]).filter(|k| k.scale_from.is_none()));
-            let [Some(from_ns), Some(to_ns)] = ends.map(|end| Some(end?.timestamp_ns)) else { continue };
+            // Also behind a turn on the spot, though what lies there has a unit of its own until it is told how long that is: what is seen in the first
+            // second hardly holds its own scale. (Without: of 40 simulated corridors with slip 22 less far off, but two by 2 and 50 m instead of 3 and 11 cm.)
+            let times = [i - 1, i].map(|i| map.keyframe(self.keyframes[i]).map(|k| k.timestamp_ns));
+            let [Some(from_ns), Some(to_ns)] = times else { continue };
             if !(1..=LONGEST_STEP_NS).contains(&to_ns.saturating_sub(from_ns)) {
                 continue;
             }
