@@ -320,6 +320,13 @@ impl Map {
         }
     }
 
+    /// A landmark of assumed distance is taken to be at `position`, which is so far from its first observer. Nothing where it has been measured.
+    pub fn assume_distance(&mut self, landmark: LandmarkId, position: Vector3<f64>, assumed: AssumedDistance) {
+        if let Some(l) = self.landmarks.get_mut(landmark.0).filter(|l| l.assumed.is_some()) {
+            (l.position, l.assumed) = (position, Some(assumed));
+        }
+    }
+
     /// A landmark was measured: its distance is no assumption any more.
     pub fn measure_landmark(&mut self, landmark: LandmarkId, position: Vector3<f64>, covariance: Matrix3<f64>) {
         if let Some(l) = self.landmarks.get_mut(landmark.0) {
