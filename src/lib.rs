@@ -41,8 +41,9 @@
 //! - Until then the tracks alone tell how the camera has turned since the first frame, moving or not (`initialise::orientation`): published
 //!   without a position, and gone on with by the odometry of the map.
 //! - A turn on the spot goes on where the map's landmarks leave the picture: corners without parallax become landmarks at an assumed
-//!   distance, which tracking eliminates and adjustments and planners never see; the first motion after the turn is found by two views
-//!   (`keyframe::distance_prior` and `keyframe::after_rotation`), and log, health and covariance say what its scale rests on.
+//!   distance, which tracking eliminates and adjustments and planners never see; the first motion after the turn is found by two views,
+//!   and the distances that these tell are assumed from then on (`keyframe::distance_prior` and `keyframe::after_rotation`); log, health
+//!   and covariance say what its scale rests on.
 //! - Local bundle adjustment runs in the mapping worker on a copy of the map's part, and is merged after a published pose, at
 //!   a fixed number of frames later in lock-step (waiting if need be), whenever it is done when live; before the next frame is tracked
 //!   where frames come less than nine times a second. Whenever a map of up to
