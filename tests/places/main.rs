@@ -14,6 +14,7 @@ mod rooms;
 mod support;
 
 use std::ops::Range;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// A number of the environment.
 fn number(name: &str, default: usize) -> usize {
@@ -23,4 +24,26 @@ fn number(name: &str, default: usize) -> usize {
 fn seeds(count: usize) -> Range<u64> {
     let first = number("FIRST_SEED", 501) as u64;
     first..first + count as u64
+}
+
+/// What becomes of each of these rooms, in their order; as many at once as there are cores.
+fn each<T: Send>(rooms: Range<u64>, of: impl Fn(u64) -> T + Sync) -> Vec<T> {
+    let next = AtomicU64::new(rooms.start);
+    let work = || {
+        let mut own = Vec::new();
+        loop {
+            let seed = next.fetch_add(1, Ordering::Relaxed);
+            if !rooms.contains(&seed) {
+                return own;
+            }
+            own.push((seed, of(seed)));
+        }
+    };
+    let mut all: Vec<(u64, T)> = std::thread::scope(|scope| {
+        let cores = std::thread::available_parallelism().map_or(1, |n| n.get());
+        let workers: Vec<_> = (0..cores).map(|_| scope.spawn(&work)).collect();
+        workers.into_iter().flat_map(|worker| worker.join().expect("no trial panics")).collect()
+    });
+    all.sort_by_key(|(seed, _)| *seed);
+    all.into_iter().map(|(_, outcome)| outcome).collect()
 }

@@ -6,7 +6,7 @@ use cairn::map::KeyframeId;
 use cairn::map::graph::{MapGraph, Tie};
 
 use super::robot::{Outcome, RATE_HZ, Robot, Tally, dark, look_around, shown, simulator, webcam};
-use super::{number, seeds};
+use super::{each, number, seeds};
 
 /// A lap around the room's table, and a bit, s.
 const LAP_S: f64 = 27.0;
@@ -128,12 +128,11 @@ fn a_room_is_known_on_another_day() {
 }
 
 /// Ten trials a room.
-fn in_rooms(trials: usize, of: impl Fn(u64, usize) -> Tally) -> Tally {
-    let mut all = Tally::default();
-    for (n, seed) in seeds(trials.div_ceil(10)).enumerate() {
-        all.trials.extend(of(seed, 10.min(trials - 10 * n)).trials);
-    }
-    all
+fn in_rooms(trials: usize, of: impl Fn(u64, usize) -> Tally + Sync) -> Tally {
+    let rooms = seeds(trials.div_ceil(10));
+    let first = rooms.start;
+    let each_room = each(rooms, |seed| of(seed, 10.min(trials - 10 * (seed - first) as usize)));
+    Tally { trials: each_room.into_iter().flat_map(|tally| tally.trials).collect() }
 }
 
 #[test]
@@ -238,9 +237,12 @@ fn drives() {
     ] {
         let mut errors = Vec::new();
         let (mut one, mut joins, mut loops, mut with, mut wrong) = (0, 0, 0, 0, 0);
-        for seed in seeds(trials) {
+        let driven = each(seeds(trials), |seed| {
             let drive = of(seed);
             eprintln!("seed {seed}: {drive:?}");
+            drive
+        });
+        for drive in driven {
             one += usize::from(drive.maps == 1);
             joins += drive.joined;
             loops += drive.loops;

@@ -286,30 +286,45 @@ def tags(text):
     return table(["figure", "visp_rbt"], [[" ".join(row[:2]), row[2]] for row in rows])
 
 
+PLACES = "test --locked --release --test places"
+
+
+def ignored(test, name, trials):
+    """The table that a test prints, which is ignored without this."""
+    return f"TRIALS={trials} cargo {test} -- --ignored --nocapture --test-threads 1 --exact {name}"
+
+
 def places_known(data, short):
-    """Trials of the simulator's rooms and of recordings; `kill -9` of what writes a map."""
-    maps, known = "test --locked --release --test maps", "test --locked --release --test places"
+    """Trials of the simulator's rooms and of recordings."""
+    return [
+        Step("Places of a room", ignored(PLACES, "rooms::table", 4 if short else 100),
+             "Rooms of the simulator from seed 501 on, ten trials each, 320 x 240 pixels at 30 Hz, mapped in one lap. Kidnapped: the lens is covered for "
+             "0.2 to 1 s, then sees another place of the room; elsewhere at once: it sees it in the next frame. Another day: a new start in the saved map, only to be located, under other light and with a "
+             "third of the furniture moved, 90 frames each. Wrong: off by more than 5 % of the mapped way or 10 degrees in any frame.",
+             build=f"{PLACES} --no-run", read=rows_of_table),
+        Step("Recordings in their own maps", ignored(PLACES, "recordings::own_maps", 8 if short else 160),
+             "From shuffled starts, against the poses of the mapping run at its end.", read=rows_of_table),
+    ]
 
-    def of(test, name, trials):
-        return f"TRIALS={trials} cargo {test} -- --ignored --nocapture --test-threads 1 --exact {name}"
 
-    few = 4 if short else 100
+def loops(data, short):
+    """Long drives of the simulator, and what looking for loops costs."""
     drive = f"{OUT}/loops-drive"
     make = f"rm -rf {drive}\ncairn simulate --scenario three_rooms --seconds {15 if short else 150} --output {drive} >&2"
     return [
-        Step("Places of a room", of(known, "rooms::table", few),
-             "Rooms of the simulator from seed 501 on, ten trials each, 320 x 240 pixels at 30 Hz, mapped in one lap. Kidnapped: the lens is covered for "
-             "0.2 to 1 s, then sees another place of the room; elsewhere at once: it sees it in the next frame. Another day: a new start in the saved map, only to be located, under other light and with a "
-             "third of the furniture moved, 90 frames each. Wrong: off by more than 5 % of the mapped way or 10 degrees in any frame.", build=f"{known} --no-run"),
-        Step("Long drives", of(known, "rooms::drives", few),
-             "A room each. Carried: one of three rooms is mapped, the lens is covered, and the robot drives on from somewhere on the way back through the others. "
-             "Alike: 60 m through three rooms that are the same but for three things each. A loop is wrong that ties places more than 3 m apart."),
-        Step("What loops cost a pose", f"{make}\ntests/results/loops.py {1 if short else 3} {drive}",
+        Step("What they cost a pose", f"{make}\ntests/results/loops.py {1 if short else 3} {drive}",
              "Replays of 60 m through three rooms at the camera's pace, with `[reconstruction] loops` and without, by turns."),
-        Step("Recordings in their own maps", of(known, "recordings::own_maps", 8 if short else 160),
-             "From shuffled starts, against the poses of the mapping run at its end."),
-        Step("Killed while it writes", of(maps, "kills", 6 if short else 200), build=f"{maps} --no-run"),
+        Step("Long drives", ignored(PLACES, "rooms::drives", 4 if short else 100),
+             "A room each. Carried: one of three rooms is mapped, the lens is covered, and the robot drives on from somewhere on the way back through the others. "
+             "Alike: 60 m through three rooms that are the same but for three things each. A loop is wrong that ties places more than 3 m apart.",
+             build=f"{PLACES} --no-run", read=rows_of_table),
     ]
+
+
+def store(data, short):
+    """`kill -9` of what writes a map."""
+    maps = "test --locked --release --test maps"
+    return [Step("Killed while it writes", ignored(maps, "kills", 6 if short else 200), build=f"{maps} --no-run", read=rows_of_table)]
 
 
 def wire(data, short):
@@ -515,7 +530,9 @@ KINDS = {
     "simulator": Kind("Hard cases in the simulator", "6 min", simulator),
     "simulator_long": Kind("Hard cases in the simulator, long form", "3 h", simulator_long),
     "drives": Kind("Simulated drives", "5 min", drives),
-    "places": Kind("Places known again", "1 h", places_known),
+    "places": Kind("Places known again", "20 min", places_known),
+    "loops": Kind("Loops", "1 h", loops),
+    "store": Kind("A map's file", "10 min", store),
     "hours": Kind("Hours in one building", "30 min", hours),
     "metres": Kind("Metres", "30 min", metres),
     "uncalibrated": Kind("Without a calibration", "2 min", uncalibrated),
