@@ -88,6 +88,9 @@ struct Summary {
     landmarks: u32,
     resets: u64,
     relocalisations: u64,
+    /// Places seen again after a long way: the map was corrected, or lay right already.
+    loops: u64,
+    loops_tied: u64,
     /// Turns on the spot behind which the scale is an assumption.
     blind_turns: u64,
     /// Time and way for which the wheels alone told the pose.
@@ -316,6 +319,8 @@ fn summarise(status: &Status, end: &End) -> Summary {
         landmarks: status.map_size().0,
         resets: status.resets.get(),
         relocalisations: status.relocalisations.get(),
+        loops: status.loops_closed.get(),
+        loops_tied: status.loops_tied.get(),
         blind_turns: status.blind_turns.get(),
         blind_s: status.blind_ns.get() as f64 * 1e-9,
         blind_m: status.blind_mm.get() as f64 * 1e-3,
@@ -353,6 +358,9 @@ fn text(s: &Summary) -> String {
         "  {} landmarks in the map, {} keyframes made, {} resets\n  {:.1} s, CPU {:.2} ms a frame, peak memory {:.0} MB\n",
         s.landmarks, s.keyframes, s.resets, s.elapsed_s, s.resources.cpu_ms_per_frame, s.resources.peak_rss_mb
     );
+    if s.loops + s.loops_tied > 0 {
+        text += &format!("  {} loops closed, {} places more seen again where they should be\n", s.loops, s.loops_tied);
+    }
     if s.blind_turns > 0 {
         text += &format!("  {} turns on the spot behind which the scale is an assumption\n", s.blind_turns);
     }

@@ -17,6 +17,7 @@ pub struct ChangeLog {
     resets: u32,
     maps_joined: u64,
     loops_closed: u64,
+    loops_tied: u64,
     spool_faults: u64,
     pictures_unread: u64,
     pictures_lost: u64,
@@ -35,6 +36,7 @@ impl Default for ChangeLog {
             resets: 0,
             maps_joined: 0,
             loops_closed: 0,
+            loops_tied: 0,
             spool_faults: 0,
             pictures_unread: 0,
             pictures_lost: 0,
@@ -68,6 +70,10 @@ impl ChangeLog {
             let loops_closed = counters.loops_closed;
             info!(sequence, timestamp_ns, map, loops_closed, distance, angle_rad, "loop closed");
             self.loops_closed = loops_closed;
+        }
+        if counters.loops_tied != self.loops_tied {
+            info!(sequence, timestamp_ns, map, loops_tied = counters.loops_tied, "loop tied");
+            self.loops_tied = counters.loops_tied;
         }
         if counters.spool_faults != self.spool_faults {
             let reason = reconstruction.picture_fault();

@@ -50,6 +50,7 @@ pub struct Status {
     pub relocalisations: Counter,
     pub maps_joined: Counter,
     pub loops_closed: Counter,
+    pub loops_tied: Counter,
     /// Turns on the spot behind which the scale is an assumption.
     pub blind_turns: Counter,
     /// Time (ns) and way (mm) for which the wheels alone told the pose.
@@ -141,6 +142,7 @@ impl Default for Status {
             relocalisations: Counter::default(),
             maps_joined: Counter::default(),
             loops_closed: Counter::default(),
+            loops_tied: Counter::default(),
             blind_turns: Counter::default(),
             blind_ns: Counter::default(),
             blind_mm: Counter::default(),
@@ -420,6 +422,7 @@ impl Status {
         self.relocalisations.set(c.relocalisations);
         self.maps_joined.set(c.maps_joined);
         self.loops_closed.set(c.loops_closed);
+        self.loops_tied.set(c.loops_tied);
         self.blind_turns.set(c.blind_turns);
         self.blind_ns.set(c.blind_ns);
         self.blind_mm.set(c.blind_mm);

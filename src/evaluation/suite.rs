@@ -35,7 +35,9 @@ pub struct ReplaySummary {
     pub relocalisations: Option<u64>,
     /// Turns on the spot behind which the scale is an assumption.
     pub blind_turns: Option<u64>,
+    /// Places seen again after a long way: the map was corrected, or lay right already.
     pub loops: Option<u64>,
+    pub loops_tied: Option<u64>,
     pub stages: Stages,
 }
 
@@ -311,7 +313,7 @@ pub fn table(result: &SuiteResult) -> String {
         "resets",
         "first pose s",
         "relocalised",
-        "loops",
+        "loops closed, tied",
         "picture to pose ms p50 / p95",
         "CPU ms a frame",
         "peak RSS MB",
@@ -367,7 +369,7 @@ fn table_row(row: &SequenceResult) -> String {
         count(row.replay.resets),
         number(first_pose, 2),
         count(row.replay.relocalisations),
-        count(row.replay.loops),
+        or_dash(row.replay.loops.zip(row.replay.loops_tied).map(|(closed, tied)| format!("{closed}, {tied}"))),
         or_dash(picture_to_pose.map(|(p50, p95)| format!("{p50:.2} / {p95:.2}"))),
         number(row.cpu_ms_per_frame, 2),
         number(row.peak_rss_mb, 0),

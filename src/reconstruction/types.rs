@@ -137,6 +137,8 @@ pub struct Counters {
     pub maps_joined: u64,
     /// Loops that were closed: places of the same map that were recognised after drift, and corrected.
     pub loops_closed: u64,
+    /// Places of the same map that were recognised where it lay right already: tied to it, and nothing moved.
+    pub loops_tied: u64,
     /// Times that the disk did not take pictures of far keyframes, which stay in memory, and that it did not give one back, which stays away; and
     /// pictures whose copies were spoiled.
     pub spool_faults: u64,

@@ -148,6 +148,7 @@ impl Reconstruction {
                 let ties = ties(map, &sightings, &told);
                 self.loops.tie(ties);
                 self.fuse_found(&sightings);
+                self.counters.loops_tied += 1;
             }
             false => {
                 self.mapper.discard();
