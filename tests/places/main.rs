@@ -1,6 +1,6 @@
 //! Places that are known again, without threads and in lock-step: after a covered lens, on another day, in rooms that look alike, and
 //! recordings in their own maps; and hours in one building. Short forms are tests but for the hours; the ignored ones print the tables of
-//! `tests/results/make places` and `hours`.
+//! `tests/results/make places`, `long_drives` and `hours`.
 //!
 //! `TRIALS`: how many there are in a table; `FIRST_SEED`: of the rooms, 1 to 20 are for development; `DETAILED`: keyframes of the recordings that are not
 //! condensed.
@@ -41,7 +41,7 @@ fn each<T: Send>(rooms: Range<u64>, of: impl Fn(u64) -> T + Sync) -> Vec<T> {
     };
     let mut all: Vec<(u64, T)> = std::thread::scope(|scope| {
         let cores = std::thread::available_parallelism().map_or(1, |n| n.get());
-        let workers: Vec<_> = (0..cores).map(|_| scope.spawn(&work)).collect();
+        let workers: Vec<_> = (0..cores).map(|_| scope.spawn(work)).collect();
         workers.into_iter().flat_map(|worker| worker.join().expect("no trial panics")).collect()
     });
     all.sort_by_key(|(seed, _)| *seed);
