@@ -100,11 +100,13 @@ mod tests {
             while pairs.len() < 80 {
                 let point = Vector3::new(0.0, 0.0, 4.0) + any(2.0);
                 let p = truth.transform(&point);
-                let Some(still) = camera.project(&p) else { continue };
                 let late = |by: &CameraMotion, row: f32| shutter.displacement(by, &p, row);
-                // Where a row that is read late sees it; which row that is moves by a pixel or two.
-                let seen = p.xy() / p.z + late(&motion, still.y as f32) * shutter.readout_s;
-                let Some(pixel) = camera.project(&seen.push(1.0)) else { continue };
+                // Where a row that is read late sees it: that of where it is seen.
+                let seen =
+                    |row: f32| camera.project(&(p.xy() / p.z + late(&motion, row) * shutter.readout_s).push(1.0));
+                let Some(still) = camera.project(&p) else { continue };
+                let row = (0..5).try_fold(still.y as f32, |row, _| Some(seen(row)?.y as f32));
+                let Some(pixel) = row.and_then(seen) else { continue };
                 let Some(mut o) = observe(&camera, LandmarkId(0), pixel.cast(), 1.25) else { continue };
                 o.displacement = late(&believed, o.pixel.y);
                 pairs.push(Correspondence::observed(point, &o, &camera, shutter.readout_s));
