@@ -15,10 +15,9 @@ pub struct CameraMotion {
 }
 
 impl CameraMotion {
-    /// The constant one that makes the motion `this camera from the previous one` in `dt` seconds.
+    /// From the motion `this camera from the previous one` over `dt` seconds.
     pub fn over(motion: &Se3<Camera, Camera>, dt: f64) -> Self {
-        let twist = motion.log() / dt;
-        Self { turn: twist.fixed_rows::<3>(0).into_owned(), shift: twist.fixed_rows::<3>(3).into_owned() }
+        Self { turn: motion.rotation.scaled_axis() / dt, shift: motion.translation / dt }
     }
 
     /// Velocity of a point's image on the plane z = 1 (1/s); the point in camera coordinates.

@@ -2,7 +2,6 @@
 
 use super::adjust::job::GLOBAL_FIRST;
 use super::initialise::probation::Probation;
-use super::keyframe::motion::Moved;
 use super::odometry::Odometry;
 use super::scale_uncertainty::ScaleUncertainty;
 use super::track::association::Bindings;
@@ -27,8 +26,6 @@ pub struct ActiveMap {
     /// Frames tracked in it.
     pub frames: u64,
     pub last_keyframe_frame: u64,
-    /// What the newest keyframe has moved by since the adjustment under way was posted.
-    pub moved_since: Option<Moved>,
     /// Newest keyframe that no adjustment has seen yet.
     pub unadjusted: Option<KeyframeId>,
     /// Keyframes at which the map is adjusted globally next.
@@ -61,7 +58,6 @@ impl ActiveMap {
             reference: KeyframeId(0),
             frames: 0,
             last_keyframe_frame: 0,
-            moved_since: None,
             unadjusted: None,
             next_global: GLOBAL_FIRST,
             thinned: 0,

@@ -31,7 +31,6 @@ impl Reconstruction {
             return;
         }
         let (optics, active) = (&self.optics, &mut self.active);
-        active.moved_since = None;
         let Some(newest) = active.unadjusted.take() else { return };
         let keyframes = active.map.keyframes.len();
         let job = if keyframes >= active.next_global && keyframes <= GLOBAL_LIMIT {
@@ -95,9 +94,6 @@ impl Reconstruction {
         let (readout_s, variance) = result.readout();
         optics.shutter.learn(readout_s, variance);
         let old_from_new = result.merge(&mut active.map);
-        if let Some(moved) = active.moved_since.take() {
-            moved.apply(&mut active.map, optics.shutter.readout_s);
-        }
         if let (Some(found), Some(lens)) = (found, lens) {
             optics.intrinsics.merge(&found, lens, &mut active.map, &mut optics.camera);
         }

@@ -11,7 +11,6 @@ pub mod distance_prior;
 pub mod epipolar;
 #[cfg(test)]
 mod growth_tests;
-pub mod motion;
 pub mod pictures;
 pub mod point;
 mod superseded;

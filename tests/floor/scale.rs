@@ -16,15 +16,15 @@ fn a_room_is_metric_by_the_height_of_the_camera_within_two_percent() {
 }
 
 /// Turns on the spot leave everything mapped behind: until the floor was driven over anew the scale's standard deviation says so, then lengths are
-/// metres again, which two drives of 13 do not live to see.
+/// metres again. (Without asking anew they are 51 % off here where nothing is said to be assumed.)
 #[test]
 fn behind_a_turn_on_the_spot_the_height_tells_lengths_anew() {
-    let driven = judge(&room(Scenario::Square, 331), 45.0, HEIGHT_M, None);
+    let driven = judge(&room(Scenario::Square, 312), 25.0, HEIGHT_M, None);
     assert!(driven.until_metric_m.is_some() && driven.assumed.0 > 0, "metric, then a turn: {:?}", driven.assumed);
     assert!(driven.scale_error.abs() < 0.05, "scale {} off", driven.scale_error);
     assert!(driven.scale_error_sure.abs() < 0.02, "{} off where it is said to be sure", driven.scale_error_sure);
     assert!(driven.assumed.0 < driven.assumed.1 * 3 / 4, "known again: assumed in {:?}", driven.assumed);
-    // Turns within.
+    // Turns within. (113 of 196 while frames that came out of a turn, not placed yet, were said to be sure.)
     let (inside, lengths) = driven.inside;
     assert!(lengths > 100 && 10 * inside >= 9 * lengths, "published within 1.96 sigma in {inside} of {lengths} frames");
     // It ends behind another turn, and says so.

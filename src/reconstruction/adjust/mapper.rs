@@ -34,11 +34,6 @@ impl Mapper {
         self.posted.is_some()
     }
 
-    /// The job under way was posted at this frame or later.
-    pub fn has_posted_since(&self, frame: u64) -> bool {
-        self.posted.is_some_and(|posted| posted >= frame)
-    }
-
     pub fn post(&mut self, job: MappingJob, frame: u64) {
         self.worker.post(job);
         self.posted = Some(frame);
