@@ -15,9 +15,10 @@ pub struct CameraMotion {
 }
 
 impl CameraMotion {
-    /// From the motion `this camera from the previous one` over `dt` seconds.
+    /// The constant one that makes the motion `this camera from the previous one` in `dt` seconds.
     pub fn over(motion: &Se3<Camera, Camera>, dt: f64) -> Self {
-        Self { turn: motion.rotation.scaled_axis() / dt, shift: motion.translation / dt }
+        let twist = motion.log() / dt;
+        Self { turn: twist.fixed_rows::<3>(0).into_owned(), shift: twist.fixed_rows::<3>(3).into_owned() }
     }
 
     /// Velocity of a point's image on the plane z = 1 (1/s); the point in camera coordinates.

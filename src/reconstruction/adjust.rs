@@ -94,6 +94,9 @@ impl Reconstruction {
         let (readout_s, variance) = result.readout();
         optics.shutter.learn(readout_s, variance);
         let old_from_new = result.merge(&mut active.map);
+        if let Some(moved) = self.mapper.take_moved() {
+            moved.apply(&mut active.map, optics.shutter.readout_s);
+        }
         if let (Some(found), Some(lens)) = (found, lens) {
             optics.intrinsics.merge(&found, lens, &mut active.map, &mut optics.camera);
         }

@@ -208,7 +208,7 @@ impl Reconstruction {
         old.next_id = begun.next_id;
         old.frames += begun.frames;
         old.last_keyframe_frame = self.counters.frames;
-        let last = LastFrame { timestamp_ns, camera_from_world: here, step: None };
+        let last = LastFrame { timestamp_ns, camera_from_world: here, step: None, motion_before: None };
         old.odometry = Odometry { last: Some(last), odom_from_camera, ..Odometry::default() };
         self.active = old;
         self.state = TrackingState::Tracking;

@@ -11,6 +11,7 @@ pub mod distance_prior;
 pub mod epipolar;
 #[cfg(test)]
 mod growth_tests;
+pub mod motion;
 pub mod pictures;
 pub mod point;
 mod superseded;

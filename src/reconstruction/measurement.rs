@@ -11,6 +11,7 @@ use nalgebra::{Matrix2, Matrix3, Matrix6, Vector2, Vector3, Vector6};
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::map::Observation;
+use inverse_distance::Ray;
 
 /// Points nearer to the image plane, or behind it, are not seen, map units.
 pub(crate) const NEAREST: f64 = 1e-6;
@@ -29,6 +30,28 @@ pub struct Correspondence {
     pub sqrt_information: Matrix2<f64>,
     /// Variance of a place in the picture, px².
     pub variance_px2: f64,
+    /// Where only this is known of the point: its distance is eliminated at whatever pose the pair is compared with.
+    pub ray: Option<Ray>,
+}
+
+/// What a pair says of a pose.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Residual {
+    /// Standard deviations.
+    pub e: Vector2<f64>,
+    /// The point in camera coordinates, map units.
+    pub p: Vector3<f64>,
+    /// Standard deviations that a step on the plane z = 1 counts as.
+    pub scale: Matrix2<f64>,
+}
+
+impl Residual {
+    /// Its derivative by the pose: [`jacobian_rows`]. Of a pair on a ray with the distance eliminated, to first order (the approximation of
+    /// Kaufman 1975 to variable projection).
+    #[inline]
+    pub fn rows(&self) -> ([f64; 6], [f64; 6]) {
+        jacobian_rows(&self.p, &self.scale)
+    }
 }
 
 impl Correspondence {
@@ -36,7 +59,7 @@ impl Correspondence {
     /// standard deviation of a place in the picture, 1/px.
     pub fn new(point: Vector3<f64>, normalised: Vector2<f64>, pixel_scale: Matrix2<f64>, inv_sigma_px: f64) -> Self {
         let (sqrt_information, variance_px2) = (pixel_scale * inv_sigma_px, inv_sigma_px.powi(-2));
-        Self { point, normalised, sqrt_information, variance_px2 }
+        Self { point, normalised, sqrt_information, variance_px2, ray: None }
     }
 
     /// What it tells of a pose near `pose` when its point is uncertain itself: `e' W e`, `W = (s² I + J P J')⁻¹` with P the point's
@@ -74,8 +97,8 @@ impl Correspondence {
     /// Normalised innovation squared, `e' (I + J P J')⁻¹ e`, at a pose of that covariance (left perturbation) in which this pair had no part
     /// (Bar-Shalom, Li, Kirubarajan 2001, section 5.4); `None` behind the camera.
     pub fn innovation(&self, pose: &Se3<Camera, World>, covariance: &Matrix6<f64>) -> Option<f64> {
-        let (e, p) = residual(pose, self)?;
-        let (jx, jy) = jacobian_rows(&p, &self.sqrt_information);
+        let seen = residual(pose, self)?;
+        let (e, (jx, jy)) = (seen.e, seen.rows());
         let (jx, jy) = (Vector6::from(jx), Vector6::from(jy));
         let (cx, cy) = (covariance * jx, covariance * jy);
         let spread = Matrix2::new(1.0 + jx.dot(&cx), jx.dot(&cy), jx.dot(&cy), 1.0 + jy.dot(&cy));
@@ -83,15 +106,24 @@ impl Correspondence {
     }
 }
 
-/// Residual of a pair in standard deviations; `None` behind the camera.
+/// `None` behind the camera.
 #[inline]
-pub(crate) fn residual(pose: &Se3<Camera, World>, pair: &Correspondence) -> Option<(Vector2<f64>, Vector3<f64>)> {
+pub(crate) fn residual(pose: &Se3<Camera, World>, pair: &Correspondence) -> Option<Residual> {
+    match &pair.ray {
+        Some(ray) => residual_of_point(pose, &ray.eliminate(pose, pair)?),
+        None => residual_of_point(pose, pair),
+    }
+}
+
+#[inline]
+fn residual_of_point(pose: &Se3<Camera, World>, pair: &Correspondence) -> Option<Residual> {
     let p = pose.transform(&pair.point);
     if !(p.z > NEAREST) {
         return None;
     }
     let iz = 1.0 / p.z;
-    Some((scaled(&pair.sqrt_information, 1.0, p.x * iz - pair.normalised.x, p.y * iz - pair.normalised.y), p))
+    let scale = pair.sqrt_information;
+    Some(Residual { e: scaled(&scale, 1.0, p.x * iz - pair.normalised.x, p.y * iz - pair.normalised.y), p, scale })
 }
 
 /// A pinhole's scale: the short way then, with the same bits as the long one.
@@ -180,7 +212,7 @@ mod tests {
                 let spread = Matrix2::identity() * pair.variance_px2 + j * covariance * j.transpose();
                 let e = at(pair.point);
                 let expected = e.dot(&(spread.try_inverse().unwrap() * e));
-                let (whitened, _) = residual(&pose, &pair.with_uncertain_point(&pose, &covariance)).unwrap();
+                let whitened = residual(&pose, &pair.with_uncertain_point(&pose, &covariance)).unwrap().e;
                 let off = whitened.norm_squared() / expected - 1.0;
                 assert!(off.abs() < 1e-6, "{} instead of {expected}", whitened.norm_squared());
             }

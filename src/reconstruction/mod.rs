@@ -377,6 +377,7 @@ impl Reconstruction {
         if self.localise_only {
             return self.bind_found(features);
         }
+        self.note_motion_before(features.timestamp_ns);
         let placed = self.place_after_turn(features);
         if let Some(pose) = &placed {
             self.record_instead(features.timestamp_ns, pose);
@@ -391,6 +392,23 @@ impl Reconstruction {
         self.hear_recognition(Merge::WhenDue);
         self.follow_scale(features);
         self.post_adjustment();
+    }
+
+    /// Corrects the keyframe that the frame before has become by how the camera moved there, which the frame just tracked tells. That one is recorded
+    /// relative to where the keyframe is now.
+    fn note_motion_before(&mut self, timestamp_ns: i64) {
+        let Self { optics, active, mapper, .. } = self;
+        let Some(last) = &mut active.odometry.last else { return };
+        let here = last.camera_from_world;
+        let (Some((at_ns, motion)), Some(id)) = (last.motion_before.take(), active.map.newest()) else { return };
+        if active.map.keyframe(id).is_none_or(|k| k.timestamp_ns != at_ns) || optics.shutter.is_off() {
+            return;
+        }
+        let corrected = keyframe::motion::correct(&mut active.map, id, &motion, &optics.camera, &optics.shutter);
+        let Some(moved) = corrected else { return };
+        mapper.note_moved(moved, active.last_keyframe_frame);
+        moved.apply(&mut active.map, optics.shutter.readout_s);
+        self.record_instead(timestamp_ns, &here);
     }
 
     fn insert_keyframe(&mut self, features: &FrameFeatures, pose: Se3<Camera, World>, feedback: &mut Feedback) {

@@ -1,6 +1,6 @@
 //! Where the camera was last, how it moved, and the smooth pose that follows from it.
 
-use nalgebra::UnitQuaternion;
+use nalgebra::{UnitQuaternion, Vector3};
 
 use crate::geometry::Se3;
 use crate::geometry::camera_motion::CameraMotion;
@@ -22,6 +22,8 @@ pub struct LastFrame {
     pub camera_from_world: Se3<Camera, World>,
     /// The motion that led here.
     pub step: Option<Step>,
+    /// How the camera moved at the frame before, by the steps to both sides of it, and when that was, ns.
+    pub motion_before: Option<(i64, CameraMotion)>,
 }
 
 /// The frames that were tracked in one map.
@@ -40,7 +42,7 @@ impl Odometry {
     /// Begins with the frame that a map was begun with.
     pub fn begin(timestamp_ns: i64, camera_from_world: Se3<Camera, World>) -> Self {
         Self {
-            last: Some(LastFrame { timestamp_ns, camera_from_world, step: None }),
+            last: Some(LastFrame { timestamp_ns, camera_from_world, step: None, motion_before: None }),
             odom_from_camera: camera_from_world.inverse().relabel(),
             lost_frames: 0,
             lost_since_ns: None,
@@ -62,7 +64,11 @@ impl Odometry {
             self.odom_from_camera = self.odom_from_camera * motion.inverse();
             step = (dt > 0.0 && self.lost_frames == 0).then_some((motion, dt));
         }
-        self.last = Some(LastFrame { timestamp_ns, camera_from_world, step });
+        let motion_before = self
+            .followed()
+            .zip(step.as_ref())
+            .and_then(|(last, after)| Some((last.timestamp_ns, motion_between(last.step.as_ref()?, after)?)));
+        self.last = Some(LastFrame { timestamp_ns, camera_from_world, step, motion_before });
         (self.lost_frames, self.lost_since_ns) = (0, None);
         step
     }
@@ -70,7 +76,7 @@ impl Odometry {
     /// The last frame is there instead; how it came there is not known.
     pub fn replace(&mut self, camera_from_world: Se3<Camera, World>) {
         if let Some(last) = &mut self.last {
-            (last.camera_from_world, last.step) = (camera_from_world, None);
+            (last.camera_from_world, last.step, last.motion_before) = (camera_from_world, None, None);
         }
     }
 
@@ -86,6 +92,7 @@ impl Odometry {
     pub fn correct_scaled(&mut self, new_from_old: &Sim3<World, World>) {
         if let Some(last) = &mut self.last {
             last.camera_from_world = Correction::placed(&last.camera_from_world, new_from_old);
+            last.motion_before = None;
             if let Some((motion, _)) = &mut last.step {
                 motion.translation *= new_from_old.scale;
             }
@@ -142,9 +149,18 @@ impl Odometry {
     }
 }
 
+/// How the camera moves between two steps that follow each other: that of the parabola through three poses.
+fn motion_between((before, before_s): &Step, (after, after_s): &Step) -> Option<CameraMotion> {
+    let (a, b) = (CameraMotion::over(before, *before_s), CameraMotion::over(after, *after_s));
+    let share = before_s / (before_s + after_s);
+    let between = |a: Vector3<f64>, b: Vector3<f64>| a + (b - a) * share;
+    (before_s.max(*after_s) < LONGEST_STEP_S)
+        .then(|| CameraMotion { turn: between(a.turn, b.turn), shift: between(a.shift, b.shift) })
+}
+
 #[cfg(test)]
 mod tests {
-    use nalgebra::Vector3;
+    use nalgebra::Vector6;
 
     use super::*;
 
@@ -217,5 +233,33 @@ mod tests {
         odometry.accept(2, at(2.0, 0.3) * old_from_new);
         let moved = (before.inverse() * odometry.odom_from_camera).translation;
         assert!((moved.norm() - 1.0).abs() < 1e-12, "{moved}");
+    }
+
+    /// Where a camera is after `t` seconds that speeds up or turns more and more.
+    fn after(t: f64, twist: [f64; 6], change: [f64; 6]) -> Se3<Camera, Camera> {
+        let (twist, change) = (Vector6::from(twist), Vector6::from(change));
+        let steps = 1000;
+        let dt = t / f64::from(steps);
+        (0..steps).fold(Se3::identity(), |pose, i| {
+            let now = twist + change * ((f64::from(i) + 0.5) * dt);
+            Se3::exp(&(now * dt)) * pose
+        })
+    }
+
+    #[test]
+    fn the_motion_between_two_steps_is_that_at_the_frame_between_them() {
+        let twist = [0.1, 1.0, -0.2, 0.05, -0.1, 0.5];
+        for change in [[0.0; 6], [0.5, -1.0, 0.3, 0.2, 0.1, -0.5]] {
+            for [before_s, after_s] in [[0.1, 0.1], [0.2, 0.1], [0.03, 0.07]] {
+                let (a, b) = (after(before_s, twist, change), after(before_s + after_s, twist, change));
+                let found = motion_between(&(a, before_s), &(b * a.inverse(), after_s)).expect("short steps");
+                let truth = Vector6::from(twist) + Vector6::from(change) * before_s;
+                let off = |v: Vector3<f64>, first| (v - truth.fixed_rows::<3>(first)).norm();
+                let off = off(found.turn, 0).max(off(found.shift, 3));
+                let of_before = CameraMotion::over(&a, before_s);
+                let off_before = (of_before.shift - truth.fixed_rows::<3>(3)).norm();
+                assert!(off < 2e-3 && (off_before > 5.0 * off || change == [0.0; 6]), "{off}, {off_before} before");
+            }
+        }
     }
 }

@@ -3,8 +3,8 @@
 //! 1. *Prediction*: constant velocity, then corrected by the frame-to-frame tracks that are bound to landmarks (motion-only
 //!    optimisation): it follows any acceleration that the flow could follow.
 //! 2. *Search*: local landmarks are projected and aligned against keyframe templates ([`search`](super::search)).
-//! 3. *Optimisation*: robust, motion-only, over everything found, each place whitened by what is known of its landmark. In a quick
-//!    turn tracks without depth hold the pose across their epipolar lines (`seed_rays`).
+//! 3. *Optimisation*: robust, motion-only, over everything found, each place whitened by what is known of its landmark. Where that
+//!    is only a ray of most, as after a turn on the spot, it begins in several directions (`pose::minima`). In a quick turn tracks without depth hold the pose across their epipolar lines (`seed_rays`).
 //!    Immature landmarks must then agree with the mature ones (`maturity`).
 //! 4. If that rests on too few landmarks: once more with a wide, coarse-to-fine search from each other guess that there is.
 //!
@@ -21,6 +21,7 @@ pub mod template;
 
 use nalgebra::{Vector2, Vector3};
 
+use super::keyframe::distance_prior::mostly_assumed;
 use super::measurement::Correspondence;
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, World};
@@ -28,10 +29,10 @@ use crate::geometry::sim3::Sim3;
 use crate::geometry::{Se3, median};
 use crate::map::{KeyframeId, LandmarkId, Map};
 use association::{TRACK_SIGMA_PX, Target};
-use frame::{Frame, is_assumed, measurement_of, motion_since};
+use frame::{Frame, measurement_of, motion_since};
 use information::PoseInformation;
 use maturity::{MaturityGate, mature_after};
-use pose::{PoseOptions, PoseSolution, optimise_pose};
+use pose::{PoseOptions, PoseSolution, lowest_minimum, optimise_pose};
 use search::{Match, Search};
 use seed_rays::SeedRays;
 use template::SearchOptions;
@@ -343,11 +344,6 @@ impl Tracker {
             // The motion that the shutter saw is known only now. (Without: errors 17 % larger over 35 sequences.)
             solution = self.solve(frame, &solution.camera_from_world, motion.as_ref())?;
         }
-        if self.assumes(frame) {
-            // Distances were eliminated at a pose that did not know that the camera has moved.
-            let pose = solution.camera_from_world;
-            solution = self.solve(frame, &pose, motion.as_ref().or(frame.motion.as_ref()))?;
-        }
         solution = self.include_immature(frame, solution);
         let landmarks = self.search.matches.iter().filter(|m| m.inlier).count();
         let sought = self.search.matches.len() + self.search.missed.len();
@@ -387,18 +383,20 @@ impl Tracker {
             let pair = m.pair(camera, shutter.readout_s);
             self.pairs.push(measurement_of(frame, m.landmark, start, pair));
         }
-        self.seeds.append_pairs(start, motion, shutter, &mut self.pairs);
-        let solution = optimise_pose(start, &self.pairs, &PoseOptions::default(), &mut self.inlier)?;
+        let options = PoseOptions::default();
+        let on_rays = self.pairs.iter().filter(|pair| pair.ray.is_some()).count();
+        let start = if mostly_assumed(on_rays, self.search.matches.len()) {
+            lowest_minimum(start, &self.pairs, &options, &mut self.inlier)
+        } else {
+            *start
+        };
+        self.seeds.append_pairs(&start, motion, shutter, &mut self.pairs);
+        let solution = optimise_pose(&start, &self.pairs, &options, &mut self.inlier)?;
         // Seeds come after the matches.
         for (m, &ok) in self.search.matches.iter_mut().zip(&self.inlier) {
             m.inlier = ok;
         }
         Some(solution)
-    }
-
-    /// Landmarks of assumed distance are among those found.
-    fn assumes(&self, frame: &Frame<'_>) -> bool {
-        self.search.matches.iter().any(|m| is_assumed(frame, m.landmark))
     }
 
     /// The last solution with those immature landmarks only that agree with the mature ones.

@@ -34,7 +34,10 @@ const WITHIN_SHARE: f64 = 0.1;
 const FREE_WITHIN_M: f64 = 0.05;
 
 /// Way over which a published length is compared with the truth, m: long beside what a pose has wrong.
-const LATELY_M: f64 = 0.5;
+const LATELY_M: f64 = 0.25;
+
+/// The base drives on a floor, seen by a camera that is pitched by 2 degrees.
+const STEEP_DEG: f64 = 10.0;
 
 /// A scale that is of use, one sigma.
 const SURE: f64 = 0.1;
@@ -71,6 +74,11 @@ pub struct Driven {
     pub inside: (usize, usize),
     /// Of these, where no frame of that way was published less sure than [`SURE`].
     pub sure: (usize, usize),
+    /// The same of ways that began once a scale had been told anew, and the RMS share by which they are wrong.
+    pub sure_anew: (usize, usize),
+    pub anew_rms: f64,
+    /// Such ways, however sure, that lead more than [`STEEP_DEG`] up or down, and all.
+    pub steep: (usize, usize),
     /// Mean share by which the ways of the latter are wrong; NaN without any. Not that of all places where the scale is known: what lies behind a stretch
     /// of an assumed length lies where that puts it.
     pub scale_error_sure: f64,
@@ -101,7 +109,7 @@ pub fn drive(config: &SimulatorConfig, seconds: f64, height_m: f64, scans: Optio
     let (mut features, mut feedback, mut picture) =
         (FrameFeatures::default(), Feedback::default(), GreyImage::new(0, 0));
     let (mut events, mut from, mut to) = (Vec::new(), Vec::new(), Vec::new());
-    let mut sure_errors = 0.0;
+    let (mut sure_errors, mut anew_squares, mut was_assumed) = (0.0, 0.0, false);
     let mut last: Option<Vector3<f64>> = None;
     let mut lately = Lately::default();
     let mut driven = Driven {
@@ -112,6 +120,9 @@ pub fn drive(config: &SimulatorConfig, seconds: f64, height_m: f64, scans: Optio
         assumed: (0, 0),
         inside: (0, 0),
         sure: (0, 0),
+        sure_anew: (0, 0),
+        anew_rms: f64::NAN,
+        steep: (0, 0),
         scale_error_sure: f64::NAN,
         last_error: f64::NAN,
         roll_pitch_deg: None,
@@ -135,6 +146,7 @@ pub fn drive(config: &SimulatorConfig, seconds: f64, height_m: f64, scans: Optio
         if let (true, MapScale::Metric { .. }, Some(pose)) = (tracking, estimate.scale, estimate.world_from_camera) {
             from.push(pose.translation);
             to.push(place);
+            was_assumed |= reconstruction.scale_is_assumed();
             driven.assumed.0 += usize::from(reconstruction.scale_is_assumed());
             driven.assumed.1 += 1;
         }
@@ -142,13 +154,21 @@ pub fn drive(config: &SimulatorConfig, seconds: f64, height_m: f64, scans: Optio
             (MapScale::Metric { sigma, .. }, Some(odom)) => Some((odom.translation, sigma)),
             _ => None,
         };
-        if let Some((error, sigma)) = lately.error(estimate.map, published, place) {
+        if let Some((error, sigma, up)) = lately.error(estimate.map, published, place) {
+            driven.steep.0 += usize::from(up.abs() > STEEP_DEG.to_radians());
+            driven.steep.1 += 1;
             driven.inside.0 += usize::from(error.abs() <= 1.96 * sigma);
             driven.inside.1 += 1;
             if sigma < SURE {
                 driven.sure.0 += usize::from(error.abs() <= 1.96 * sigma);
                 driven.sure.1 += 1;
                 sure_errors += error;
+                // No way that was sure throughout crosses a turn.
+                if was_assumed {
+                    driven.sure_anew.0 += usize::from(error.abs() <= 1.96 * sigma);
+                    driven.sure_anew.1 += 1;
+                    anew_squares += error * error;
+                }
             }
             driven.last_error = error.exp() - 1.0;
             if verbose {
@@ -191,6 +211,7 @@ pub fn drive(config: &SimulatorConfig, seconds: f64, height_m: f64, scans: Optio
         driven.scale_error = scaled.to_from_from.scale - 1.0;
     }
     driven.scale_error_sure = (sure_errors / driven.sure.1 as f64).exp() - 1.0;
+    driven.anew_rms = (anew_squares / driven.sure_anew.1 as f64).sqrt();
     if let MapScale::Metric { sigma, .. } = reconstruction.scale() {
         driven.sigma = sigma;
     }
@@ -209,9 +230,14 @@ struct Lately {
 }
 
 impl Lately {
-    /// ln of how many times too long the chord of the last `LATELY_M` was published, and the largest standard deviation since. A chord, because a
-    /// published place trembles while the robot stands.
-    fn error(&mut self, map: MapId, published: Option<(Vector3<f64>, f64)>, truth: Vector3<f64>) -> Option<(f64, f64)> {
+    /// ln of how many times too long the chord of the last `LATELY_M` was published, the largest standard deviation since, and how steeply it was said to
+    /// lead down in the first camera's axes, rad. A chord, because a published place trembles while the robot stands.
+    fn error(
+        &mut self,
+        map: MapId,
+        published: Option<(Vector3<f64>, f64)>,
+        truth: Vector3<f64>,
+    ) -> Option<(f64, f64, f64)> {
         let Some((published, sigma)) = published.filter(|_| self.map == Some(map)) else {
             *self = Self { map: Some(map), ..Self::default() };
             return None;
@@ -221,7 +247,8 @@ impl Lately {
         let from = self.frames.iter().rposition(far)?;
         let sigma = self.frames.range(from..).map(|frame| frame.2).fold(0.0, f64::max);
         let (place, true_place, _) = self.frames[from];
-        Some((((published - place).norm() / (truth - true_place).norm()).ln(), sigma))
+        let way = published - place;
+        Some(((way.norm() / (truth - true_place).norm()).ln(), sigma, (way.y / way.norm()).asin()))
     }
 }
 
@@ -290,6 +317,13 @@ pub fn judge(config: &SimulatorConfig, seconds: f64, height_m: f64, scans: Optio
         println!("    scale assumed in {assumed} of {metric} metric frames");
     }
     let ((inside, lengths), (right, sure)) = (driven.inside, driven.sure);
+    let (right_anew, anew) = driven.sure_anew;
+    println!(
+        "    behind turns sure in {anew}, {right_anew} inside, {:.2} % off RMS; {} of {} ways lead up or down",
+        100.0 * driven.anew_rms,
+        driven.steep.0,
+        driven.steep.1
+    );
     println!(
         "    last {LATELY_M} m {:.2} % off; within 1.96 sigma in {inside} of {lengths} frames, in {right} of {sure} with a sigma below {SURE}, which are {:.2} % \
          off in the mean",

@@ -2,7 +2,7 @@
 
 use cairn::camera::simulator::Scenario;
 
-use crate::drive::{HEIGHT_M, PITCH_DEG, judge, room, word};
+use crate::drive::{Driven, HEIGHT_M, PITCH_DEG, judge, room, word};
 
 /// All places in the map, which a corridor is not held to: what lies behind its turns lies where an assumption puts it (docs/floor.md).
 #[test]
@@ -29,6 +29,23 @@ fn behind_a_turn_on_the_spot_the_height_tells_lengths_anew() {
     assert!(lengths > 100 && 10 * inside >= 9 * lengths, "published within 1.96 sigma in {inside} of {lengths} frames");
     // It ends behind another turn, and says so.
     assert!(driven.sigma > 0.3, "sigma {}", driven.sigma);
+}
+
+/// What is driven straight behind a turn is straight and level, though next to no distance is known there (two motions fit for some frames), and
+/// where lengths are said to be known again they are.
+#[test]
+fn behind_turns_on_the_spot_the_way_is_level_and_lengths_are_as_sure_as_they_are_said_to_be() {
+    let drives: Vec<_> = [359, 360, 361].map(|seed| judge(&room(Scenario::Square, seed), 45.0, HEIGHT_M, None)).into();
+    let sum = |of: &dyn Fn(&Driven) -> usize| drives.iter().map(of).sum::<usize>();
+    let (steep, ways) = (sum(&|d| d.steep.0), sum(&|d| d.steep.1));
+    // 2 to 5 of 100 where a frame's pose is looked for from the last one alone.
+    assert!(ways > 1000 && 100 * steep < 2 * ways, "{steep} of {ways} ways lead up or down");
+    let (inside, sure) = (sum(&|d| d.sure_anew.0), sum(&|d| d.sure_anew.1));
+    assert!(sure > 60 && 10 * inside >= 9 * sure, "published within 1.96 sigma in {inside} of {sure} frames");
+    for driven in &drives {
+        let off = driven.anew_rms;
+        assert!(driven.sure_anew.1 == 0 || off < 0.05, "{off} off behind turns where it is said to be sure");
+    }
 }
 
 #[test]

@@ -1,5 +1,7 @@
 //! The one adjustment that is under way, and when its result is due.
 
+use crate::reconstruction::keyframe::motion::Moved;
+
 use super::job::{MappingJob, MappingResult, MappingWorker};
 
 /// When an adjustment is merged.
@@ -19,11 +21,13 @@ pub struct Mapper {
     lockstep: bool,
     /// Frame at which the job under way was posted.
     posted: Option<u64>,
+    /// What a keyframe in it has moved by since.
+    moved: Option<Moved>,
 }
 
 impl Mapper {
     pub fn new(worker: Box<dyn MappingWorker>, lockstep: bool) -> Self {
-        Self { worker, lockstep, posted: None }
+        Self { worker, lockstep, posted: None, moved: None }
     }
 
     pub fn is_lockstep(&self) -> bool {
@@ -36,11 +40,24 @@ impl Mapper {
 
     pub fn post(&mut self, job: MappingJob, frame: u64) {
         self.worker.post(job);
-        self.posted = Some(frame);
+        (self.posted, self.moved) = (Some(frame), None);
+    }
+
+    /// Notes that the newest keyframe, made at that frame, has moved, if the job under way holds it where it was.
+    pub fn note_moved(&mut self, moved: Moved, made_at: u64) {
+        if self.posted.is_some_and(|posted| posted >= made_at) {
+            self.moved = Some(moved);
+        }
+    }
+
+    /// What a keyframe has moved by since the job whose result was just taken was posted.
+    pub fn take_moved(&mut self) -> Option<Moved> {
+        self.moved.take()
     }
 
     /// Forgets the job under way.
     pub fn discard(&mut self) {
+        self.moved = None;
         if self.posted.take().is_some() {
             self.worker.discard();
         }

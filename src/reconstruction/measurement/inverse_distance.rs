@@ -69,24 +69,25 @@ impl Ray {
             (p.z > 1e-6).then(|| (n, (n * rotated.z - rotated.xy()) / (p.z * inverse * inverse)))
         };
         let pixels = |v: &Vector2<f64>| scaled(&pair.sqrt_information, 1.0, v.x, v.y);
-        let mut inverse = mean;
+        let (mut inverse, (mut n, mut derivative)) = (mean, see(mean)?);
         for _ in 0..3 {
-            let (n, derivative) = see(inverse)?;
             let (e, j) = (pixels(&(n - pair.normalised)), pixels(&derivative));
             let gradient = j.dot(&e) + (inverse - mean) / (sigma * sigma);
             let step = gradient / (j.norm_squared() + 1.0 / (sigma * sigma));
-            inverse = (inverse - step).clamp(0.02 * mean, 10.0 * mean);
+            let next = (inverse - step).clamp(0.02 * mean, 10.0 * mean);
+            // A step too far lies behind the camera.
+            let Some(seen) = see(next) else { break };
+            (inverse, (n, derivative)) = (next, seen);
         }
-        let (_, derivative) = see(inverse)?;
         let j = pixels(&derivative) * sigma;
         let normalised = pair.normalised - derivative * (mean - inverse);
-        Some(Correspondence { point: self.at(inverse), normalised, ..*pair }.whitened(&(j * j.transpose())))
+        Some(Correspondence { point: self.at(inverse), normalised, ray: None, ..*pair }.whitened(&(j * j.transpose())))
     }
 
     /// Whether the observation lies where some likely distance puts it.
     pub fn agrees(&self, pose: &Se3<Camera, World>, seen: &Observation, camera: &CameraModel, readout_s: f64) -> bool {
         let pair = Correspondence::observed(self.point(), seen, camera, readout_s);
-        self.eliminate(pose, &pair)
-            .is_some_and(|pair| residual(pose, &pair).is_some_and(|(e, _)| e.norm_squared() <= CHI2_2D_999))
+        let pair = Correspondence { ray: Some(*self), ..pair };
+        residual(pose, &pair).is_some_and(|seen| seen.e.norm_squared() <= CHI2_2D_999)
     }
 }

@@ -113,10 +113,8 @@ mod tests {
             // The same motion for as long as the row is late, at a readout of h seconds, to both sides.
             let h = 1e-4;
             let seen = |readout_s: f64| {
-                let share = delay * readout_s / 0.1;
-                let turned =
-                    UnitQuaternion::from_scaled_axis(turn.scaled_axis() * share) * point + step.translation * share;
-                turned.xy() / turned.z
+                let moved = Se3::<Camera, Camera>::exp(&(step.log() * (delay * readout_s / 0.1))).transform(&point);
+                moved.xy() / moved.z
             };
             let measured = (seen(h) - seen(-h)) / (2.0 * h);
             assert!((told - measured).norm() < 1e-6, "row {row_px}: {told} told, {measured} measured");

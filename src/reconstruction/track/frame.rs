@@ -37,12 +37,8 @@ pub fn motion_since(frame: &Frame<'_>, pose: &Se3<Camera, World>) -> Option<Came
     Some(CameraMotion::over(&(*pose * before.inverse()), *dt))
 }
 
-pub fn is_assumed(frame: &Frame<'_>, landmark: LandmarkId) -> bool {
-    frame.map.landmark(landmark).is_some_and(|l| l.assumed.is_some())
-}
-
-/// What a place in the frame tells of a pose near `pose`, given what is known of the landmark there: along its ray, if its distance is
-/// assumed, else everywhere. (Without what is known of landmarks two of 35 sequences lose a third of their frames, and a car's errors
+/// What a place in the frame tells of a pose, given what is known of the landmark there: of any, if the landmark's distance is assumed and only its ray
+/// known, else of poses near `pose`. (Without what is known of landmarks two of 35 sequences lose a third of their frames, and a car's errors
 /// double.)
 pub fn measurement_of(
     frame: &Frame<'_>,
@@ -52,7 +48,7 @@ pub fn measurement_of(
 ) -> Correspondence {
     let Some(known) = frame.map.landmark(landmark) else { return pair };
     match Ray::of(landmark, frame.map, frame.shutter.readout_s) {
-        Some(ray) => ray.eliminate(pose, &pair).unwrap_or(pair),
+        Some(ray) => Correspondence { ray: Some(ray), ..pair },
         None => pair.with_uncertain_point(pose, &known.covariance),
     }
 }

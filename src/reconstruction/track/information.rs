@@ -12,7 +12,7 @@ use super::frame::{Frame, measurement_of};
 use super::search::Match;
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
-use crate::reconstruction::measurement::{accumulate, jacobian_rows};
+use crate::reconstruction::measurement::{accumulate, residual};
 
 /// What the landmarks say of a pose.
 #[derive(Debug, Clone, Copy)]
@@ -50,9 +50,10 @@ impl PoseInformation {
                 continue;
             }
             let pair = measurement_of(frame, m.landmark, pose, m.pair(frame.camera, frame.shutter.readout_s));
-            let (jx, jy) = jacobian_rows(&pose.transform(&pair.point), &pair.sqrt_information);
+            let Some(seen) = residual(pose, &pair) else { continue };
+            let (jx, jy) = seen.rows();
             accumulate(&mut matrix, &jx, &jy, 1.0);
-            let moved = pair.sqrt_information * m.displacement;
+            let moved = seen.scale * m.displacement;
             let (jx, jy) = (Vector6::from(jx), Vector6::from(jy));
             readout += jx * moved.x + jy * moved.y;
             let known = frame.map.landmark(m.landmark).filter(|l| l.assumed.is_none());

@@ -1,19 +1,21 @@
-//! Pose of one frame from landmarks of known position (motion-only adjustment).
+//! Pose of one frame from landmarks of known position, or on known rays (motion-only adjustment).
 //!
 //! Input: pairs of a world point and its undistorted observation. Output: `camera_from_world` that minimises
 //! `sum rho(|e|^2)`, `e = A (pi(T X) - n)` with Huber's rho (Triggs et al. 2000, section 4), A the standard deviations that a
 //! step on the plane z = 1 counts as ([`Correspondence::sqrt_information`]), outliers taken out between rounds by the chi-square limit and at the end by what the others make of those that decide a direction by themselves, and the 6x6
 //! information of the result. Levenberg-Marquardt (`least_squares`) on the left perturbation of [`Se3::perturb_left`]. Cost: about 80 ns a
-//! pair and step. Allocates nothing.
+//! pair and step, more on a ray. Allocates nothing.
 
 mod descent;
 mod leverage;
+mod minima;
 
 use nalgebra::Matrix6;
 
 pub use self::descent::PoseOptions;
 use self::descent::descend;
 use self::leverage::{Fit, judge_leverage};
+pub use self::minima::lowest_minimum;
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 use crate::reconstruction::measurement::{Correspondence, residual};
@@ -46,7 +48,7 @@ pub fn optimise_pose(
     let rounds = options.rounds.max(1);
     for round in 0..rounds {
         let relaxed = round == 0 && rounds > 1;
-        pose = descend(&pose, pairs, inlier, options, relaxed);
+        pose = descend(&pose, pairs, inlier, options, relaxed).0;
         let limit = options.outlier_chi2 * if relaxed { options.first_round_relaxation } else { 1.0 };
         if judge(&pose, pairs, limit, inlier) < 4 {
             return None;
@@ -69,7 +71,7 @@ pub fn optimise_pose(
 fn judge(pose: &Se3<Camera, World>, pairs: &[Correspondence], limit: f64, inlier: &mut [bool]) -> usize {
     let mut count = 0;
     for (pair, flag) in pairs.iter().zip(inlier) {
-        *flag = residual(pose, pair).is_some_and(|(e, _)| e.norm_squared() <= limit);
+        *flag = residual(pose, pair).is_some_and(|seen| seen.e.norm_squared() <= limit);
         count += usize::from(*flag);
     }
     count
@@ -79,7 +81,6 @@ fn judge(pose: &Se3<Camera, World>, pairs: &[Correspondence], limit: f64, inlier
 mod tests {
     use super::*;
     use crate::geometry::random::Random;
-    use crate::reconstruction::measurement::jacobian_rows;
     use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3, Vector6};
 
     pub fn scene(seed: u64, n: usize, noise_px: f64, outliers: usize) -> (Se3<Camera, World>, Vec<Correspondence>) {
@@ -141,13 +142,12 @@ mod tests {
             let wide = Matrix2::new(210.0, -80.0, -81.0, 130.0);
             let pairs = pairs.iter().flat_map(|p| [*p, Correspondence { sqrt_information: wide, ..*p }]);
             for pair in pairs {
-                let (_, p) = residual(&pose, &pair).unwrap();
-                let (jx, jy) = jacobian_rows(&p, &pair.sqrt_information);
+                let (jx, jy) = residual(&pose, &pair).unwrap().rows();
                 for i in 0..6 {
                     let mut d = Vector6::zeros();
                     d[i] = 1e-6;
-                    let (plus, _) = residual(&pose.perturb_left(&d), &pair).unwrap();
-                    let (minus, _) = residual(&pose.perturb_left(&-d), &pair).unwrap();
+                    let plus = residual(&pose.perturb_left(&d), &pair).unwrap().e;
+                    let minus = residual(&pose.perturb_left(&-d), &pair).unwrap().e;
                     let numeric = (plus - minus) / 2e-6;
                     assert!((numeric.x - jx[i]).abs() < 1e-3, "seed {seed}: {} against {}", numeric.x, jx[i]);
                     assert!((numeric.y - jy[i]).abs() < 1e-3, "seed {seed}: {} against {}", numeric.y, jy[i]);

@@ -5,7 +5,7 @@ use nalgebra::Vector6;
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::least_squares::{LeastSquares, LmOptions, Loss, NormalEquations, minimise};
-use crate::reconstruction::measurement::{CHI2_2D_95, Correspondence, jacobian_rows, residual};
+use crate::reconstruction::measurement::{CHI2_2D_95, Correspondence, residual};
 
 /// Options of [`optimise_pose`](super::optimise_pose).
 #[derive(Debug, Clone, Copy)]
@@ -50,9 +50,9 @@ impl LeastSquares for PoseProblem<'_> {
     fn linearise(&self, pose: &Se3<Camera, World>) -> NormalEquations<6> {
         let mut normal = NormalEquations::default();
         for pair in self.pairs() {
-            let Some((e, p)) = residual(pose, pair) else { continue };
+            let Some(seen) = residual(pose, pair) else { continue };
+            let (e, (jx, jy)) = (seen.e, seen.rows());
             let (_, weight) = self.loss.evaluate(e.norm_squared());
-            let (jx, jy) = jacobian_rows(&p, &pair.sqrt_information);
             normal.add(&Vector6::from(jx), e.x, weight);
             normal.add(&Vector6::from(jy), e.y, weight);
         }
@@ -60,7 +60,7 @@ impl LeastSquares for PoseProblem<'_> {
     }
 
     fn cost(&self, pose: &Se3<Camera, World>) -> f64 {
-        let cost = |pair| residual(pose, pair).map_or(self.behind, |(e, _)| self.loss.evaluate(e.norm_squared()).0);
+        let cost = |pair| residual(pose, pair).map_or(self.behind, |seen| self.loss.evaluate(seen.e.norm_squared()).0);
         self.pairs().map(cost).sum()
     }
 
@@ -69,17 +69,18 @@ impl LeastSquares for PoseProblem<'_> {
     }
 }
 
-/// The pose that the current inliers want; Cauchy's loss when `relaxed`, Huber's else.
+/// The pose that the current inliers want, and what they cost there; Cauchy's loss when `relaxed`, Huber's else.
 pub(super) fn descend(
     start: &Se3<Camera, World>,
     pairs: &[Correspondence],
     inlier: &[bool],
     options: &PoseOptions,
     relaxed: bool,
-) -> Se3<Camera, World> {
+) -> (Se3<Camera, World>, f64) {
     let limit = options.outlier_chi2.sqrt();
     let loss = if relaxed { Loss::Cauchy(limit) } else { Loss::Huber(limit) };
     let problem = PoseProblem { pairs, inlier, loss, behind: 100.0 * options.outlier_chi2 };
     let lm = LmOptions { max_iterations: options.steps, relative_cost: 1e-6, step_norm: 1e-8, initial_damping: 1e-6 };
-    minimise(&problem, *start, &lm).0
+    let (pose, summary) = minimise(&problem, *start, &lm);
+    (pose, summary.final_cost)
 }

@@ -11,7 +11,7 @@ use nalgebra::{Matrix2, Matrix6, Vector6};
 use super::descent::{PoseOptions, descend};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
-use crate::reconstruction::measurement::{Correspondence, accumulate, jacobian_rows, residual};
+use crate::reconstruction::measurement::{Correspondence, accumulate, residual};
 
 /// Pairs that the others may contradict in one frame. What moves past a robot shows more of them, and then `maturity` decides.
 const MAX_REMOVED: usize = 8;
@@ -32,8 +32,8 @@ impl Fit {
     pub(super) fn of(pose: &Se3<Camera, World>, pairs: &[Correspondence], inlier: &[bool]) -> Self {
         let (mut information, mut sum_px2, mut count) = (Matrix6::zeros(), 0.0, 0usize);
         for (pair, _) in pairs.iter().zip(inlier).filter(|(_, ok)| **ok) {
-            let Some((e, p)) = residual(pose, pair) else { continue };
-            let (jx, jy) = jacobian_rows(&p, &pair.sqrt_information);
+            let Some(seen) = residual(pose, pair) else { continue };
+            let (e, (jx, jy)) = (seen.e, seen.rows());
             accumulate(&mut information, &jx, &jy, 1.0);
             sum_px2 += e.norm_squared() * pair.variance_px2;
             count += 1;
@@ -58,8 +58,8 @@ impl Fit {
         let covariance = self.information.cholesky()?.inverse();
         let mut worst = (limit, None);
         for (i, (pair, _)) in pairs.iter().zip(inlier).enumerate().filter(|(_, (_, ok))| **ok) {
-            let Some((e, p)) = residual(pose, pair) else { continue };
-            let (jx, jy) = jacobian_rows(&p, &pair.sqrt_information);
+            let Some(seen) = residual(pose, pair) else { continue };
+            let (e, (jx, jy)) = (seen.e, seen.rows());
             let (jx, jy) = (Vector6::from(jx), Vector6::from(jy));
             let (cx, cy) = (covariance * jx, covariance * jy);
             let (xx, xy, yy) = (jx.dot(&cx), jx.dot(&cy), jy.dot(&cy));
@@ -96,11 +96,11 @@ pub(super) fn judge_leverage(
     let mut count = 0;
     while count < MAX_REMOVED && fit.worst_studentised(pose, pairs, inlier, limit).is_some() {
         // Leverage can be taken out of residuals at the very pose that these pairs give.
-        let settled = descend(pose, pairs, inlier, options, false);
+        let (settled, _) = descend(pose, pairs, inlier, options, false);
         (*pose, *fit) = (settled, Fit::of(&settled, pairs, inlier));
         let Some(worst) = fit.worst_studentised(pose, pairs, inlier, limit) else { break };
         inlier[worst] = false;
-        let without = descend(pose, pairs, inlier, options, false);
+        let (without, _) = descend(pose, pairs, inlier, options, false);
         out[count] = worst;
         count += 1;
         (*pose, *fit) = (without, Fit::of(&without, pairs, inlier));
@@ -109,10 +109,10 @@ pub(super) fn judge_leverage(
         return;
     }
     for (i, (pair, flag)) in pairs.iter().zip(inlier.iter_mut()).enumerate() {
-        let agrees = residual(pose, pair).is_some_and(|(e, _)| e.norm_squared() <= limit);
+        let agrees = residual(pose, pair).is_some_and(|seen| seen.e.norm_squared() <= limit);
         *flag = agrees && !out[..count].contains(&i);
     }
-    *pose = descend(pose, pairs, inlier, options, false);
+    *pose = descend(pose, pairs, inlier, options, false).0;
     *fit = Fit::of(pose, pairs, inlier);
 }
 
