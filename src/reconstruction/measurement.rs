@@ -10,7 +10,7 @@ use nalgebra::{Matrix2, Matrix3, Matrix6, Vector2, Vector3, Vector6};
 
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
-use crate::map::Observation;
+use crate::map::{AssumedDistance, Observation};
 use inverse_distance::Ray;
 
 /// Points nearer to the image plane, or behind it, are not seen, map units.
@@ -18,6 +18,9 @@ pub(crate) const NEAREST: f64 = 1e-6;
 
 /// 95 % limit of chi-square with two degrees of freedom.
 pub const CHI2_2D_95: f64 = 5.991;
+
+/// 99.9 % limit of chi-square with two degrees of freedom: several views must all agree, of poses that are not exact.
+const CHI2_2D_999: f64 = 13.816;
 
 /// One landmark seen in the frame.
 #[derive(Debug, Clone, Copy)]
@@ -103,6 +106,43 @@ impl Correspondence {
         let (cx, cy) = (covariance * jx, covariance * jy);
         let spread = Matrix2::new(1.0 + jx.dot(&cx), jx.dot(&cy), jx.dot(&cy), 1.0 + jy.dot(&cy));
         Some(e.dot(&(spread.try_inverse()? * e)))
+    }
+}
+
+impl Ray {
+    /// The pair for poses near `pose` with the distance eliminated: its point lies at the most likely distance there, where the pair is
+    /// linearised, and it is weighted by the covariance of the innovation from the assumed one (an iterated Kalman
+    /// update; Bar-Shalom, Li, Kirubarajan 2001, section 10.5.2). `None` behind the camera.
+    pub fn eliminate(&self, pose: &Se3<Camera, World>, pair: &Correspondence) -> Option<Correspondence> {
+        let AssumedDistance { inverse: mean, sigma } = self.assumed;
+        let rotated = pose.rotation * self.direction;
+        // Place on the plane z = 1 and its derivative by the inverse distance.
+        let see = |inverse: f64| {
+            let p = pose.transform(&self.at(inverse));
+            let n = p.xy() / p.z;
+            (p.z > 1e-6).then(|| (n, (n * rotated.z - rotated.xy()) / (p.z * inverse * inverse)))
+        };
+        let pixels = |v: &Vector2<f64>| scaled(&pair.sqrt_information, 1.0, v.x, v.y);
+        let (mut inverse, (mut n, mut derivative)) = (mean, see(mean)?);
+        for _ in 0..3 {
+            let (e, j) = (pixels(&(n - pair.normalised)), pixels(&derivative));
+            let gradient = j.dot(&e) + (inverse - mean) / (sigma * sigma);
+            let step = gradient / (j.norm_squared() + 1.0 / (sigma * sigma));
+            let next = (inverse - step).clamp(0.02 * mean, 10.0 * mean);
+            // A step too far lies behind the camera.
+            let Some(seen) = see(next) else { break };
+            (inverse, (n, derivative)) = (next, seen);
+        }
+        let j = pixels(&derivative) * sigma;
+        let normalised = pair.normalised - derivative * (mean - inverse);
+        Some(Correspondence { point: self.at(inverse), normalised, ray: None, ..*pair }.whitened(&(j * j.transpose())))
+    }
+
+    /// Whether the observation lies where some likely distance puts it.
+    pub fn agrees(&self, pose: &Se3<Camera, World>, seen: &Observation, camera: &CameraModel, readout_s: f64) -> bool {
+        let pair = Correspondence::observed(self.point(), seen, camera, readout_s);
+        let pair = Correspondence { ray: Some(*self), ..pair };
+        residual(pose, &pair).is_some_and(|seen| seen.e.norm_squared() <= CHI2_2D_999)
     }
 }
 

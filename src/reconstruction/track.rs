@@ -21,8 +21,8 @@ pub mod template;
 
 use nalgebra::{Vector2, Vector3};
 
-use super::keyframe::distance_prior::mostly_assumed;
 use super::measurement::Correspondence;
+use super::measurement::inverse_distance::mostly_assumed;
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::sim3::Sim3;

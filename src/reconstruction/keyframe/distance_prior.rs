@@ -18,7 +18,7 @@ use super::point::{observations_of, refine_point, reprojection_chi2};
 use crate::geometry::{CameraModel, median};
 use crate::map::{KeyframeId, Landmark, LandmarkId, Map, Observation};
 use crate::reconstruction::measurement::CHI2_2D_95;
-use crate::reconstruction::measurement::inverse_distance::{Ray, SIGMA_SHARE};
+use crate::reconstruction::measurement::inverse_distance::{Ray, SIGMA_SHARE, mostly_assumed};
 use crate::reconstruction::track::search::Match;
 
 /// A distance is told by parallax once its standard deviation is below this share of it (a degree of parallax gives 0.13).
@@ -90,11 +90,6 @@ pub fn triangulate_assumed(map: &mut Map, newest: KeyframeId, camera: &CameraMod
 pub fn is_held(map: &Map, keyframe: KeyframeId) -> bool {
     let (assumed, all) = assumed_among(map, keyframe);
     assumed > 0 && all - assumed < HELD_BELOW
-}
-
-/// Whether so much of what a frame's pose rests on is at assumed distances that only two views can tell its motion.
-pub fn mostly_assumed(assumed: usize, landmarks: usize) -> bool {
-    3 * assumed > 2 * landmarks
 }
 
 /// A keyframe whose place rests on assumed distances.
