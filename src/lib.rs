@@ -31,6 +31,8 @@
 //!   patterns are followed last (`features::repetition`).
 //! - A keyframe that sees fewer than 120 landmarks is completed: corners of its neighbours that never became landmarks, as their tracks were
 //!   cut, are looked for in it along their epipolar lines (`keyframe::epipolar`).
+//! - What a rolling shutter did to a keyframe is corrected once the frame after it tells how the camera moved there, and the keyframe's pose with it
+//!   (`keyframe::motion`).
 //! - In a blurred picture what is not found at its own level is measured on coarser ones, as exactly as these are.
 //! - A start is a reference view (once its tracks are gone a later one), the newest one and up to eight in between, adjusted together; where
 //!   tracks are few, views joined by corners that look alike are tried after those of the tracks (`initialise::untracked`);
@@ -41,8 +43,9 @@
 //! - Until then the tracks alone tell how the camera has turned since the first frame, moving or not (`initialise::orientation`): published
 //!   without a position, and gone on with by the odometry of the map.
 //! - A turn on the spot goes on where the map's landmarks leave the picture: corners without parallax become landmarks at an assumed
-//!   distance, which tracking eliminates and adjustments and planners never see; the first motion after the turn is found by two views,
-//!   and the distances that these tell are assumed from then on (`keyframe::distance_prior` and `keyframe::after_rotation`); log, health
+//!   distance, which tracking eliminates at every pose that it compares, from starts in several directions, as what is seen along rays alone fits
+//!   more than one motion (`track::pose::minima`); adjustments and planners never see it. The first motion after the turn is found by two
+//!   views, and the distances that these tell are assumed from then on (`keyframe::distance_prior` and `keyframe::after_rotation`); log, health
 //!   and covariance say what its scale rests on.
 //! - Local bundle adjustment runs in the mapping worker on a copy of the map's part, and is merged after a published pose, at
 //!   a fixed number of frames later in lock-step (waiting if need be), whenever it is done when live; before the next frame is tracked

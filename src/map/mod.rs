@@ -299,8 +299,8 @@ impl Map {
         }
     }
 
-    /// How the camera moved at a keyframe, and how a rolling shutter displaced what it saw (by the landmark's position and the
-    /// observation).
+    /// How the camera moved at a keyframe, and how a rolling shutter displaced what it saw (by the landmark in camera
+    /// coordinates and the observation; what lies behind the camera keeps what it had).
     pub fn set_motion(
         &mut self,
         keyframe: KeyframeId,
@@ -309,8 +309,11 @@ impl Map {
     ) {
         let Some(k) = self.keyframes.get_mut(keyframe.0) else { return };
         k.motion = Some(motion);
-        let landmarks = &self.landmarks;
-        k.observations.displace(|o| Some(displacement(&landmarks.get(o.landmark.0)?.position, o)));
+        let (pose, landmarks) = (k.camera_from_world, &self.landmarks);
+        k.observations.displace(|o| {
+            let p = pose.transform(&landmarks.get(o.landmark.0)?.position);
+            (p.z > 1e-6).then(|| displacement(&p, o))
+        });
     }
 
     /// A landmark is there, as far as is known; what is known of it stays.

@@ -263,7 +263,7 @@ impl Reconstruction {
     fn note_motion(&mut self) {
         let poses: Vec<_> =
             self.active.map.keyframes.iter().map(|(id, k)| (id, k.timestamp_ns, k.camera_from_world)).collect();
-        for (i, &(id, _, pose)) in poses.iter().enumerate() {
+        for (i, &(id, ..)) in poses.iter().enumerate() {
             let (before, after) = (&poses[i.saturating_sub(1)], &poses[(i + 1).min(poses.len() - 1)]);
             let dt = (after.1 - before.1) as f64 * 1e-9;
             if dt <= 0.0 {
@@ -271,10 +271,7 @@ impl Reconstruction {
             }
             let motion = CameraMotion::over(&(after.2 * before.2.inverse()).relabel(), dt);
             let shutter = &self.optics.shutter;
-            self.active.map.set_motion(KeyframeId(id), motion, |point, o| {
-                let p = pose.transform(point);
-                if p.z > 1e-6 { shutter.displacement(&motion, &p, o.pixel.y) } else { o.displacement }
-            });
+            self.active.map.set_motion(KeyframeId(id), motion, |p, o| shutter.displacement(&motion, p, o.pixel.y));
         }
     }
 

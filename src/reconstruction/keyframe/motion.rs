@@ -61,10 +61,7 @@ pub fn correct(
     information.fill_lower_triangle_with_upper_triangle();
     // Places of the middle row lie `change` times the readout time less far, and so the residuals are larger by that.
     let by_per_s = information.cholesky().map(|factor| -factor.solve(&pushed));
-    map.set_motion(id, *motion, |point, o| {
-        let p = pose.transform(point);
-        if p.z > 1e-6 { shutter.displacement(motion, &p, o.pixel.y) } else { o.displacement }
-    });
+    map.set_motion(id, *motion, |p, o| shutter.displacement(motion, p, o.pixel.y));
     let by_per_s = by_per_s.filter(|by| by.iter().all(|v| v.is_finite()) && !is_blind(map, id))?;
     Some(Moved { keyframe: id, by_per_s })
 }
