@@ -271,7 +271,9 @@ impl Reconstruction {
             }
             let motion = CameraMotion::over(&(after.2 * before.2.inverse()).relabel(), dt);
             let shutter = &self.optics.shutter;
-            self.active.map.set_motion(KeyframeId(id), motion, |p, o| shutter.displacement(&motion, p, o.pixel.y));
+            self.active
+                .map
+                .set_motion(KeyframeId(id), motion, |p, o| shutter.displacement(Some(&motion), p, o.pixel.y));
         }
     }
 

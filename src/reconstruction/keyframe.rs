@@ -276,11 +276,7 @@ fn triangulate_seed(
 /// What a keyframe saw of `point`, with what a rolling shutter did to it.
 pub(super) fn displaced(keyframe: &Keyframe, o: Observation, point: &Vector3<f64>, shutter: &Shutter) -> Observation {
     let p = keyframe.camera_from_world.transform(point);
-    let displacement = match &keyframe.motion {
-        Some(motion) if p.z > 1e-6 => shutter.displacement(motion, &p, o.pixel.y),
-        _ => Vector2::zeros(),
-    };
-    Observation { displacement, ..o }
+    Observation { displacement: shutter.displacement(keyframe.motion.as_ref(), &p, o.pixel.y), ..o }
 }
 
 /// The landmark that the observations, the anchor's first and the newest keyframe's last, make together, with those that agree;

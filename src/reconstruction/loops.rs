@@ -31,11 +31,10 @@ use crate::places::index::{Candidate, PlaceIndex};
 
 /// Keyframes just before one are no place of old.
 const RECENT: u32 = 20;
-/// Neighbours whose neighbours are no place of old either.
+/// Of what a keyframe shares landmarks with, so many are looked at: its neighbours, whose own are no place of old either.
 const NEIGHBOURS: usize = 10;
-/// Of the index's answer: so many are weighed with what they share landmarks with, and these neighbours of each.
+/// Of the index's answer: so many are weighed with their neighbours.
 const WEIGHED: usize = 10;
-const GROUP: usize = 10;
 /// Descriptors that a place must have, and its score against that of the neighbour that is most like the keyframe.
 const MIN_VOTES: u32 = 8;
 const MIN_LIKENESS: f32 = 0.1;
@@ -202,7 +201,7 @@ impl Loops {
         let likely = |c: &&Candidate| c.votes >= MIN_VOTES && c.score >= MIN_LIKENESS * familiar;
         let mut best: Option<(f32, KeyframeId)> = None;
         for c in ranked.iter().filter(|c| is_old(c)).filter(likely).take(WEIGHED) {
-            map.covisible(c.keyframe, 1, GROUP, around);
+            map.covisible(c.keyframe, 1, NEIGHBOURS, around);
             let group = c.score + around.iter().map(|a| score_of(a.0)).sum::<f32>();
             if best.is_none_or(|b| group > b.0) {
                 best = Some((group, c.keyframe));

@@ -120,7 +120,7 @@ impl Ray {
         let see = |inverse: f64| {
             let p = pose.transform(&self.at(inverse));
             let n = p.xy() / p.z;
-            (p.z > 1e-6).then(|| (n, (n * rotated.z - rotated.xy()) / (p.z * inverse * inverse)))
+            (p.z > NEAREST).then(|| (n, (n * rotated.z - rotated.xy()) / (p.z * inverse * inverse)))
         };
         let pixels = |v: &Vector2<f64>| scaled(&pair.sqrt_information, 1.0, v.x, v.y);
         let (mut inverse, (mut n, mut derivative)) = (mean, see(mean)?);

@@ -35,8 +35,6 @@ use descriptors::DescriptorSearch;
 
 /// Keyframes whose thumbnails are compared in one frame.
 const COMPARED: usize = 6;
-/// Guesses from thumbnails in one frame.
-const GUESSES: usize = 1;
 /// Thumbnails that correlate less are of another place.
 const MIN_NCC: f32 = 0.6;
 /// Keyframes whose descriptors are matched in two frames, every second one of these in each: around the last place, by thumbnail.
@@ -95,19 +93,11 @@ impl Relocaliser {
         half: Option<usize>,
     ) -> Option<Tracked> {
         let Frame { features, map, camera, .. } = *frame;
-        let pyramid = &features.pyramid;
-        self.look(map, camera, pyramid, last_reference, likely);
-        let Self { tracker, ranked, .. } = self;
-        let similar = ranked.iter().take(GUESSES).find_map(|(_, guess)| tracker.relocalise(frame, guess, false));
-        if similar.is_some() {
-            return similar;
-        }
-        self.solved.clear();
-        self.choose_described(map, last_reference, likely, half);
-        // The frame's number is the seed.
-        self.solve_chosen(map, camera, pyramid, features.sequence);
-        let Self { tracker, solved, .. } = self;
-        solved.iter().take(DESCRIPTOR_GUESSES).find_map(|(_, guess)| tracker.relocalise(frame, guess, true))
+        self.look(map, camera, &features.pyramid, last_reference, likely);
+        self.place_by_thumbnail(frame).or_else(|| {
+            self.choose_described(map, last_reference, likely, half);
+            self.place_by_descriptors(frame)
+        })
     }
 
     /// What the rounds over all keyframes come to next; none is passed over because its picture is elsewhere.
@@ -125,13 +115,18 @@ impl Relocaliser {
         if self.current.build(&features.pyramid) {
             self.rank_chosen(map, camera);
         }
-        let Self { tracker, ranked, .. } = self;
-        let similar = ranked.iter().take(GUESSES).find_map(|(_, guess)| tracker.relocalise(frame, guess, false));
-        if similar.is_some() {
-            return similar;
-        }
-        self.solved.clear();
-        self.solve_chosen(map, camera, &features.pyramid, features.sequence);
+        self.place_by_thumbnail(frame).or_else(|| self.place_by_descriptors(frame))
+    }
+
+    /// By the keyframe whose thumbnail is most similar.
+    fn place_by_thumbnail(&mut self, frame: &Frame<'_>) -> Option<Tracked> {
+        let (_, guess) = self.ranked.first()?;
+        self.tracker.relocalise(frame, guess, false)
+    }
+
+    /// By the descriptors of the chosen keyframes.
+    fn place_by_descriptors(&mut self, frame: &Frame<'_>) -> Option<Tracked> {
+        self.solve_chosen(frame);
         let Self { tracker, solved, .. } = self;
         solved.iter().take(DESCRIPTOR_GUESSES).find_map(|(_, guess)| tracker.relocalise(frame, guess, true))
     }
@@ -184,10 +179,13 @@ impl Relocaliser {
     }
 
     /// Poses from the chosen keyframes' descriptors, the best supported first.
-    fn solve_chosen(&mut self, map: &Map, camera: &CameraModel, pyramid: &Pyramid, seed: u64) {
-        if self.descriptors.describe_frame(pyramid) {
+    fn solve_chosen(&mut self, frame: &Frame<'_>) {
+        self.solved.clear();
+        let Frame { features, map, camera, .. } = *frame;
+        if self.descriptors.describe_frame(&features.pyramid) {
             for &id in &self.chosen {
-                let Some(solved) = self.descriptors.pose_from(map, camera, id, seed) else { continue };
+                // The frame's number is the seed.
+                let Some(solved) = self.descriptors.pose_from(map, camera, id, features.sequence) else { continue };
                 self.solved.push(solved);
                 if solved.0 >= PLENTY {
                     break;

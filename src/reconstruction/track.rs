@@ -19,7 +19,7 @@ pub mod search;
 mod seed_rays;
 pub mod template;
 
-use nalgebra::{Vector2, Vector3};
+use nalgebra::Vector3;
 
 use super::measurement::Correspondence;
 use super::measurement::inverse_distance::mostly_assumed;
@@ -376,10 +376,7 @@ impl Tracker {
         self.pairs.clear();
         for m in &mut self.search.matches {
             let p = start.transform(&m.point);
-            m.displacement = match motion {
-                Some(motion) if p.z > 1e-6 => shutter.displacement(motion, &p, m.pixel.y),
-                _ => Vector2::zeros(),
-            };
+            m.displacement = shutter.displacement(motion, &p, m.pixel.y);
             let pair = m.pair(camera, shutter.readout_s);
             self.pairs.push(measurement_of(frame, m.landmark, start, pair));
         }

@@ -14,7 +14,7 @@ use crate::geometry::camera_motion::CameraMotion;
 use crate::map::{KeyframeId, Map};
 use crate::reconstruction::keyframe::distance_prior::is_blind;
 use crate::reconstruction::measurement::rolling_shutter::Shutter;
-use crate::reconstruction::measurement::{Correspondence, accumulate, jacobian_rows};
+use crate::reconstruction::measurement::{Correspondence, NEAREST, accumulate, jacobian_rows};
 
 /// What a keyframe's pose moves by.
 #[derive(Debug, Clone, Copy)]
@@ -49,11 +49,11 @@ pub fn correct(
         let measured = map.landmark(o.landmark).filter(|l| l.assumed.is_none());
         let Some(point) = measured.map(|l| l.position) else { continue };
         let p = pose.transform(&point);
-        if !(p.z > 1e-6) {
+        if !(p.z > NEAREST) {
             continue;
         }
         let scale = Correspondence::observed(point, &o, camera, shutter.readout_s).sqrt_information;
-        let change: Vector2<f64> = scale * (shutter.displacement(motion, &p, o.pixel.y) - o.displacement);
+        let change: Vector2<f64> = scale * (shutter.displacement(Some(motion), &p, o.pixel.y) - o.displacement);
         let (jx, jy) = jacobian_rows(&p, &scale);
         accumulate(&mut information, &jx, &jy, 1.0);
         pushed += Vector6::from(jx) * change.x + Vector6::from(jy) * change.y;
@@ -61,7 +61,7 @@ pub fn correct(
     information.fill_lower_triangle_with_upper_triangle();
     // Places of the middle row lie `change` times the readout time less far, and so the residuals are larger by that.
     let by_per_s = information.cholesky().map(|factor| -factor.solve(&pushed));
-    map.set_motion(id, *motion, |p, o| shutter.displacement(motion, p, o.pixel.y));
+    map.set_motion(id, *motion, |p, o| shutter.displacement(Some(motion), p, o.pixel.y));
     let by_per_s = by_per_s.filter(|by| by.iter().all(|v| v.is_finite()) && !is_blind(map, id))?;
     Some(Moved { keyframe: id, by_per_s })
 }
@@ -98,7 +98,7 @@ mod tests {
             while pairs.len() < 80 {
                 let point = Vector3::new(0.0, 0.0, 4.0) + any(2.0);
                 let p = truth.transform(&point);
-                let late = |by: &CameraMotion, row: f32| shutter.displacement(by, &p, row);
+                let late = |by: &CameraMotion, row: f32| shutter.displacement(Some(by), &p, row);
                 // Where a row that is read late sees it: that of where it is seen.
                 let seen =
                     |row: f32| camera.project(&(p.xy() / p.z + late(&motion, row) * shutter.readout_s).push(1.0));

@@ -11,6 +11,7 @@
 
 use nalgebra::{Vector2, Vector3};
 
+use super::NEAREST;
 use crate::geometry::camera_motion::CameraMotion;
 
 /// Readout time and how surely it is known.
@@ -70,9 +71,11 @@ impl Shutter {
         (f64::from(row_px) + 0.5) / self.height_px - 0.5
     }
 
-    /// g: displacement on z = 1 per second of readout, of a point (camera coordinates) that was seen in row `row_px`.
-    pub fn displacement(&self, motion: &CameraMotion, point: &Vector3<f64>, row_px: f32) -> Vector2<f64> {
-        motion.flow(point) * self.delay(row_px)
+    /// g: displacement on z = 1 per second of readout, of a point (camera coordinates) that was seen in row `row_px`; zero where the motion is
+    /// not known, and of what is not in front of the camera.
+    pub fn displacement(&self, motion: Option<&CameraMotion>, point: &Vector3<f64>, row_px: f32) -> Vector2<f64> {
+        let flow = motion.filter(|_| point.z > NEAREST).map(|motion| motion.flow(point));
+        flow.map_or_else(Vector2::zeros, |flow| flow * self.delay(row_px))
     }
 
     /// As an adjustment takes it: readout time (s), and one over its variance (1/s^2; infinite: held).
@@ -109,7 +112,7 @@ mod tests {
         let motion = CameraMotion::over(&step, 0.1);
         let point = Vector3::new(0.3, -0.4, 1.7);
         for (row_px, delay) in [(59.5, -0.25), (119.5, 0.0), (239.5, 0.5)] {
-            let told = Shutter::new(0.0, 240, true).displacement(&motion, &point, row_px);
+            let told = Shutter::new(0.0, 240, true).displacement(Some(&motion), &point, row_px);
             // The same motion for as long as the row is late, at a readout of h seconds, to both sides.
             let h = 1e-4;
             let seen = |readout_s: f64| {

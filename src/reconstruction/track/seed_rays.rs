@@ -86,10 +86,7 @@ impl SeedRays {
     ) {
         pairs.extend(self.list.iter().filter_map(|seed| {
             let p = pose.transform(&seed.pair.point);
-            let displacement = match motion {
-                Some(motion) if p.z > 1e-6 => shutter.displacement(motion, &p, seed.row_px),
-                _ => Vector2::zeros(),
-            };
+            let displacement = shutter.displacement(motion, &p, seed.row_px);
             let normalised = seed.pair.normalised - displacement * shutter.readout_s;
             seed.ray.eliminate(pose, &Correspondence { normalised, ..seed.pair })
         }));
@@ -109,9 +106,7 @@ fn seed_ray(frame: &Frame<'_>, seed: &Seed, position: Vector2<f32>, distance: f6
     let Frame { map, camera, shutter, .. } = *frame;
     let (anchor, pixel) = seed.observations().iter().find_map(|(k, pixel)| Some((map.keyframe(*k)?, *pixel)))?;
     let seen = observe(camera, LandmarkId::default(), pixel, 1.0)?;
-    let displacement = anchor.motion.as_ref().map_or(Vector2::zeros(), |motion| {
-        shutter.displacement(motion, &(seen.normalised.push(1.0) * distance), pixel.y)
-    });
+    let displacement = shutter.displacement(anchor.motion.as_ref(), &(seen.normalised.push(1.0) * distance), pixel.y);
     let seen = Observation { displacement, ..seen };
     let ray = Ray::at_distance(&anchor.camera_from_world, &seen, shutter.readout_s, distance);
     let normalised = camera.undistort(&position.cast())?;

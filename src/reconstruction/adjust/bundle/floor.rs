@@ -12,13 +12,10 @@
 
 use nalgebra::{Matrix3, SVector, Unit, Vector1, Vector2, Vector3, Vector6};
 
+use super::options::LOSS_BESIDE_PICTURE;
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
-use crate::geometry::least_squares::Loss;
 use crate::motion::floor::plane::basis;
-
-/// Standard deviations at which a height or a tilt begins to be doubted.
-const LOSS: Loss = Loss::Cauchy(2.0);
 
 /// A plane that cameras are driven over. Lengths in map units.
 #[derive(Debug, Clone)]
@@ -108,7 +105,7 @@ impl HeldFloor {
         let by_floor = |b: &Vector3<f64>| turn(-Vector3::z().cross(&(floor_rotation * rotation.tr_mul(b))));
         FloorTerm {
             residual: [Vector1::new(residual.x), Vector1::new(residual.y)],
-            weight: LOSS.evaluate(residual.norm_squared()).1,
+            weight: LOSS_BESIDE_PICTURE.evaluate(residual.norm_squared()).1,
             by_floor: [by_floor(&b1), by_floor(&b2)],
             by_other: [by_camera(&b1), by_camera(&b2)],
         }
@@ -122,7 +119,7 @@ impl HeldFloor {
         let cameras = || self.cameras.iter().map(|camera| &poses[*camera as usize]);
         let heights = of_points.chain(cameras().map(|camera| self.of_camera(floor, camera))).map(|e| e * e);
         let tilts = cameras().map(|camera| self.tilt(floor, camera).norm_squared());
-        heights.chain(tilts).map(|squared| LOSS.evaluate(squared).0).sum()
+        heights.chain(tilts).map(|squared| LOSS_BESIDE_PICTURE.evaluate(squared).0).sum()
     }
 }
 
@@ -131,7 +128,7 @@ impl<const N: usize> FloorTerm<N> {
         let none = Vector1::new(0.0);
         Self {
             residual: [Vector1::new(residual), none],
-            weight: LOSS.evaluate(residual * residual).1,
+            weight: LOSS_BESIDE_PICTURE.evaluate(residual * residual).1,
             by_floor: [by_floor / sigma, Vector6::zeros()],
             by_other: [by_other / sigma, SVector::zeros()],
         }

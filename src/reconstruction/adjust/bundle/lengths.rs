@@ -7,12 +7,9 @@
 
 use nalgebra::{Matrix6, Vector3, Vector6};
 
+use super::options::LOSS_BESIDE_PICTURE;
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
-use crate::geometry::least_squares::Loss;
-
-/// Standard deviations at which a length begins to be doubted.
-const LOSS: Loss = Loss::Cauchy(2.0);
 
 /// The distance of two cameras' centres.
 #[derive(Debug, Clone, Copy)]
@@ -49,12 +46,12 @@ impl KnownLength {
     }
 
     pub(super) fn cost(&self, poses: &[Se3<Camera, World>]) -> f64 {
-        self.linearised(poses).map_or(0.0, |(e, _)| LOSS.evaluate(e * e).0)
+        self.linearised(poses).map_or(0.0, |(e, _)| LOSS_BESIDE_PICTURE.evaluate(e * e).0)
     }
 
     pub(super) fn term(&self, poses: &[Se3<Camera, World>]) -> Option<LengthTerm> {
         let (e, [a, b]) = self.linearised(poses)?;
-        let (_, weight) = LOSS.evaluate(e * e);
+        let (_, weight) = LOSS_BESIDE_PICTURE.evaluate(e * e);
         Some(LengthTerm {
             own: [a * a.transpose() * weight, b * b.transpose() * weight],
             cross: a * b.transpose() * weight,

@@ -1,5 +1,6 @@
 //! What a bundle adjustment takes as given, and what is asked of it.
 
+use crate::geometry::least_squares::Loss;
 use crate::reconstruction::measurement::CHI2_2D_95;
 
 /// Passes; outliers are judged after each.
@@ -15,6 +16,8 @@ pub(super) const BEHIND_CAMERA: f64 = 100.0;
 /// Relative damping that holds what nothing holds (the scale, a point that one camera sees) while the rest is marginalised:
 /// far below what any of it costs, far above the loss of digits. The first at which the system is positive definite.
 pub(super) const GAUGE_DAMPING: [f64; 3] = [1e-9, 1e-7, 1e-5];
+/// Loss of what something beside the picture says (lengths, the floor): doubted from so many standard deviations on.
+pub(super) const LOSS_BESIDE_PICTURE: Loss = Loss::Cauchy(2.0);
 /// Information on what is taken as known, in shares of the largest there is: far above any, far below the loss of digits.
 pub(super) const KNOWN: f64 = 1e6;
 

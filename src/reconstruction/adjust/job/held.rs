@@ -1,6 +1,6 @@
 //! What an adjustment of a metric map is told beside the pictures: lengths by the wheels, tags of known size, the floor under the robot.
 
-use nalgebra::{Vector2, Vector3};
+use nalgebra::Vector3;
 
 use super::{Adjustment, intrinsics_jacobian, seen_by};
 use crate::geometry::CameraModel;
@@ -79,9 +79,7 @@ impl Adjustment {
                         landmark: LandmarkId(u32::MAX),
                         pixel: pixel.cast(),
                         normalised,
-                        displacement: keyframe
-                            .motion
-                            .map_or_else(Vector2::zeros, |motion| shutter.displacement(&motion, &point, row)),
+                        displacement: shutter.displacement(keyframe.motion.as_ref(), &point, row),
                         inv_sigma_px: tag.sigma_px.recip(),
                         normalised_from_pixel,
                     };
