@@ -22,6 +22,7 @@ pub struct ChangeLog {
     pictures_unread: u64,
     pictures_lost: u64,
     blind_turns: u64,
+    contradictions: u64,
     scale: MapScale,
     slipping: bool,
     tag_scale: Option<ScaleMeasurement>,
@@ -41,6 +42,7 @@ impl Default for ChangeLog {
             pictures_unread: 0,
             pictures_lost: 0,
             blind_turns: 0,
+            contradictions: 0,
             scale: MapScale::Unknown,
             slipping: false,
             tag_scale: None,
@@ -93,6 +95,11 @@ impl ChangeLog {
         self.blind.follow(reconstruction, e, state_name(e.state));
         if scale.is_on() {
             self.floor.follow(scale, reconstruction, e);
+        }
+        if counters.contradictions != self.contradictions {
+            let contradictions = counters.contradictions;
+            warn!(sequence, timestamp_ns, map, contradictions, "most of the picture contradicts the poses");
+            self.contradictions = counters.contradictions;
         }
         if counters.blind_turns != self.blind_turns {
             let blind_turns = counters.blind_turns;

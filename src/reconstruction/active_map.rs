@@ -1,7 +1,7 @@
 //! The map that frames are placed in, with everything that belongs to it alone: what begins anew when the map does.
 
 use super::adjust::job::GLOBAL_FIRST;
-use super::initialise::probation::Probation;
+use super::consensus::probation::Probation;
 use super::odometry::Odometry;
 use super::scale_uncertainty::ScaleUncertainty;
 use super::track::association::Bindings;

@@ -102,6 +102,7 @@ impl Reconstruction {
         }
         let before = active.odometry.last.map(|last| last.camera_from_world);
         active.odometry.correct(&old_from_new);
+        self.contradiction.correct(&old_from_new);
         if let Some((old, new)) = before.zip(active.odometry.last.map(|last| last.camera_from_world)) {
             self.corrections.adjusted(&old, &new);
         }

@@ -195,6 +195,7 @@ impl Reconstruction {
     ) {
         self.discard_job();
         self.wheels.interrupt();
+        self.contradiction.end();
         self.tracker = Tracker::default();
         let scale = present_from_start.scale;
         let mut begun = std::mem::take(&mut self.active);

@@ -1,9 +1,7 @@
 //! The first map: from a two-view start to keyframes, landmarks, and poses of the frames before.
 
-mod consensus;
 pub mod initialiser;
 pub mod orientation;
-pub mod probation;
 pub mod turn;
 mod untracked;
 mod views;
@@ -12,6 +10,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::Reconstruction;
 use super::adjust::job::Adjustment;
+use super::consensus::{AGREEING_SHARE, FrameTracks, PosedViews};
 use super::keyframe::bind_new;
 use super::keyframe::point::{observations_of, refine_point};
 use super::measurement::Correspondence;
@@ -30,10 +29,9 @@ use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::map::picture::KeyframePicture;
 use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Observation};
-use consensus::{AGREEING_SHARE, agreement};
 use initialiser::{START_SIGMA_PX, Start};
 use untracked::is_untracked;
-use views::{PendingFrame, View};
+use views::View;
 
 /// Standard deviation of the direction of the first motion that a start may have, rad; the longer the camera moves and nothing
 /// better comes the more is allowed: so much more after so many seconds, and at most so many times.
@@ -171,9 +169,13 @@ impl Reconstruction {
             return None;
         }
         if self.optics.intrinsics.is_calibrated() {
-            let pose = |k| Some(self.active.map.keyframe(k)?.camera_from_world);
-            let posed: Vec<_> = views.iter().filter_map(|&(k, frame)| Some((frame.clone(), pose(k)?))).collect();
-            if !agreement(&posed, &self.optics.camera).is_some_and(|told| told.share >= AGREEING_SHARE) {
+            let mut posed = PosedViews::default();
+            for &(k, frame) in &views {
+                let Some(keyframe) = self.active.map.keyframe(k) else { continue };
+                posed.push(frame.clone(), &keyframe.camera_from_world);
+            }
+            let told = posed.agreement(&self.optics.camera, &self.optics.shutter);
+            if !told.is_some_and(|told| told.share >= AGREEING_SHARE) {
                 // Look-alikes tell nothing against what the tracks say.
                 if !start.by_corners {
                     self.initialiser.disagree();
@@ -183,7 +185,7 @@ impl Reconstruction {
             if !self.initialiser.agree() {
                 return None;
             }
-            self.active.probation.begin(posed);
+            self.active.probation.begin(posed, &self.optics.shutter);
         }
         self.optics.shutter.learn(readout_s, variance);
         Some(self.active.map.keyframe(b)?.camera_from_world)
@@ -280,7 +282,7 @@ impl Reconstruction {
     /// Pose of a view in between from the tracks that are `points` (ascending track id, world coordinates).
     fn solve_view(
         &self,
-        frame: &PendingFrame,
+        frame: &FrameTracks,
         points: &[(u64, Vector3<f64>)],
         guess: &Se3<Camera, World>,
     ) -> Option<Se3<Camera, World>> {
@@ -290,7 +292,7 @@ impl Reconstruction {
 
     /// Poses of the frames that came before the map, from the tracks that are landmarks now.
     fn solve_frames_before(&mut self, current: u64) {
-        let pending: Vec<PendingFrame> = self.initialiser.pending.drain(..).collect();
+        let pending: Vec<FrameTracks> = self.initialiser.pending.drain(..).collect();
         self.initialiser.clear();
         let Some((first, anchor)) =
             self.active.map.keyframes.iter().next().map(|(id, k)| (KeyframeId(id), (k.sequence, k.camera_from_world)))
@@ -337,7 +339,7 @@ impl Reconstruction {
         true
     }
 
-    fn solve_pending(&self, frame: &PendingFrame, guess: &Se3<Camera, World>) -> Option<Se3<Camera, World>> {
+    fn solve_pending(&self, frame: &FrameTracks, guess: &Se3<Camera, World>) -> Option<Se3<Camera, World>> {
         self.solve_pose(frame, guess, |track| match self.active.bindings.get(track)? {
             Target::Landmark(id) => Some(self.active.map.landmark(*id)?.position),
             Target::Seed(_) => None,
@@ -347,7 +349,7 @@ impl Reconstruction {
     /// Pose of a frame from its tracks whose `position` in the world is known.
     fn solve_pose(
         &self,
-        frame: &PendingFrame,
+        frame: &FrameTracks,
         guess: &Se3<Camera, World>,
         position: impl Fn(u64) -> Option<Vector3<f64>>,
     ) -> Option<Se3<Camera, World>> {

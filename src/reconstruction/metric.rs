@@ -223,7 +223,7 @@ impl Reconstruction {
         self.wheels.rescale(factor);
         self.blind.rescale(factor);
         self.tracker.rescale(factor);
-        self.active.probation.end();
+        self.end_checks();
     }
 
     /// The same, and in the record of a trajectory, and what tags and the floor have told. For a map of which nobody knows the scale.

@@ -9,6 +9,7 @@ mod active_map;
 mod adjust;
 mod blind;
 pub mod config;
+mod consensus;
 mod corrections;
 mod covariance;
 mod dead_reckoning;
@@ -43,6 +44,7 @@ pub use types::*;
 
 use active_map::ActiveMap;
 use adjust::mapper::{Mapper, Merge};
+use consensus::contradiction::Contradiction;
 use dead_reckoning::{Ahead, DeadReckoning};
 use far_pictures::FarPictures;
 use initialise::initialiser::Initialiser;
@@ -101,6 +103,7 @@ pub struct Reconstruction {
     initialiser: Initialiser,
     /// While there is no map.
     orientation: OrientationTracker,
+    contradiction: Contradiction,
     tracker: Tracker,
     relocaliser: Relocaliser,
     epipolar: EpipolarMatcher,
@@ -158,6 +161,7 @@ impl Reconstruction {
             far: FarPictures::default(),
             initialiser: Initialiser::default(),
             orientation: OrientationTracker::default(),
+            contradiction: Contradiction::default(),
             tracker: Tracker::default(),
             relocaliser: Relocaliser::default(),
             epipolar: EpipolarMatcher::default(),
@@ -204,6 +208,7 @@ impl Reconstruction {
         let ahead = self.look_ahead(features.timestamp_ns);
         match self.place(features, ahead.as_ref()) {
             Some(tracked) if self.fails_probation(features, &tracked.camera_from_world) => self.begin_anew(features),
+            Some(tracked) if self.is_contradicted(features, &tracked.camera_from_world) => self.lose(features, None),
             Some(tracked) => self.accept(features, &tracked, ahead.as_ref()),
             None => self.lose(features, ahead.as_ref()),
         }
@@ -250,6 +255,7 @@ impl Reconstruction {
             let better = |other: &Tracked| tracked.is_none_or(|weak| 5 * other.landmarks > 6 * weak.landmarks);
             if let Some(other) = elsewhere.filter(better) {
                 std::mem::swap(&mut self.tracker, &mut self.relocaliser.tracker);
+                self.contradiction.look_anew();
                 tracked = Some(other);
             }
         }
@@ -323,6 +329,7 @@ impl Reconstruction {
     }
 
     fn lose(&mut self, features: &FrameFeatures, ahead: Option<&Ahead>) -> PoseEstimate {
+        self.contradiction.look_anew();
         self.active.odometry.lose(features.timestamp_ns);
         if let Some(ahead) = ahead {
             return self.reckon(features, ahead);
@@ -451,8 +458,11 @@ impl Reconstruction {
         let mut held = self.tags.as_ref().map_or_else(Vec::new, |tags| tags.rest_on(map));
         held.extend(self.loops.ends());
         held.sort_unstable();
-        counters.keyframes_culled +=
-            cull::cull_keyframes((map, active.id), id, (camera, &held), config, &mut self.events);
+        // What goes leaves its poses to others, which may be wrong while the picture contradicts them.
+        if !self.contradiction.is_suspected() {
+            counters.keyframes_culled +=
+                cull::cull_keyframes((map, active.id), id, (camera, &held), config, &mut self.events);
+        }
         let (most, turn) = ((config.max_keyframes, held.as_slice()), &mut active.thinned);
         counters.keyframes_culled += cull::thin_out((map, active.id), id, most, turn, &mut self.events);
         reduce_pictures(map, id);

@@ -118,7 +118,7 @@ impl Reconstruction {
             self.discard_job();
             self.pending = Default::default();
             self.initialiser.clear();
-            self.active.probation.end();
+            self.end_checks();
             self.localise_only = on;
         }
         Ok(())

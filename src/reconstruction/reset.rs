@@ -8,7 +8,9 @@ use super::track::Tracker;
 use super::types::{PoseEstimate, TrackingState};
 use super::{LensPrior, Pending, Reconstruction};
 use crate::features::FrameFeatures;
-use crate::geometry::CameraModel;
+use crate::geometry::frames::{Camera, World};
+use crate::geometry::{CameraModel, Se3};
+use crate::map::KeyframeId;
 
 impl Reconstruction {
     /// Drops all maps and starts over at the next frame. Maps that are only located in stay: the next frame is looked for in them as after a loss.
@@ -25,7 +27,7 @@ impl Reconstruction {
     /// Poses from here on have nothing to do with those before; the maps are what they were.
     pub(super) fn forget_place(&mut self) {
         self.active.bindings.clear();
-        self.active.probation.end();
+        self.end_checks();
         // As in a map that was loaded: nothing speaks for a frame but its landmarks.
         self.active.odometry = Odometry { lost_frames: 1, ..Odometry::default() };
         self.wheels.begin_map();
@@ -60,6 +62,7 @@ impl Reconstruction {
     /// Starts over; returns the map that was.
     pub(super) fn leave_map(&mut self) -> ActiveMap {
         self.discard_job();
+        self.contradiction.end();
         self.optics.intrinsics.end_map(&self.optics.camera);
         let next = self.active.successor();
         let old = std::mem::replace(&mut self.active, next);
@@ -73,6 +76,42 @@ impl Reconstruction {
         self.state = TrackingState::Initializing;
         self.counters.resets += 1;
         old
+    }
+
+    /// What the picture has said of the map until now holds no more: it was moved, is another one, or stays as it is.
+    pub(super) fn end_checks(&mut self) {
+        self.active.probation.end();
+        self.contradiction.end();
+    }
+
+    /// Whether most of the picture has said for a second that the poses are wrong; then what the map has grown by since is dropped, and nothing is
+    /// known of where the camera is.
+    pub(super) fn is_contradicted(&mut self, features: &FrameFeatures, pose: &Se3<Camera, World>) -> bool {
+        let Self { optics: Optics { camera, shutter, intrinsics, .. }, active, contradiction, .. } = self;
+        let next = KeyframeId(active.map.keyframes.next_id());
+        // The error of a lens that is a guess bends the picture.
+        let told = intrinsics.is_found().then(|| contradiction.doubtful_since(features, pose, (camera, shutter), next));
+        let Some(first) = told.flatten() else { return false };
+        self.counters.contradictions += 1;
+        if !self.localise_only {
+            self.drop_keyframes_since(first);
+        }
+        self.forget_place();
+        true
+    }
+
+    /// Without these keyframes, and what only they have seen; frames that were recorded relative to them have no pose any more.
+    fn drop_keyframes_since(&mut self, first: KeyframeId) {
+        self.discard_job();
+        let active = &mut self.active;
+        let doubtful: Vec<_> = active.map.keyframes.ids_from(first.0).map(KeyframeId).collect();
+        for id in doubtful {
+            active.map.remove_keyframe(id);
+        }
+        // Adjustments have bent what is left, too.
+        active.unadjusted = active.map.newest();
+        let left = || active.map.keyframes.iter().next().map(|(id, _)| KeyframeId(id));
+        active.reference = active.map.newest().or_else(left).unwrap_or(active.reference);
     }
 
     /// Starts over with another camera model: the pictures have another size now, or the camera was calibrated.

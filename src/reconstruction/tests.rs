@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector2, Vector3};
 
+use super::consensus::PosedViews;
 use super::odometry::Odometry;
 use super::relocalise::other_maps::OtherMap;
 use super::track::association::Target;
@@ -219,25 +220,64 @@ fn a_frame_that_was_found_again_is_recorded_counted_and_no_keyframe() {
     );
 }
 
-/// The landmarks say that the camera stands, and every other track goes down, the others up.
+/// The landmarks say that the camera stands, and the tracks go in three directions, by so many pixels a frame.
+fn moving(n: u64, pixels: f32) -> FrameFeatures {
+    let place = |i: u64| {
+        let (sin, cos) = (i as f32 * std::f32::consts::TAU / 3.0).sin_cos();
+        let from = Vector2::new(20.0 + 28.0 * (i % 10) as f32, 50.0 + 18.0 * (i / 10) as f32);
+        from + Vector2::new(cos, sin) * (pixels * n as f32)
+    };
+    let tracks = (0..80).map(|id| Track { id, position: place(id), age: 1 }).collect();
+    FrameFeatures { sequence: n, tracks, ..frame(n as i64 * FRAME_NS, 0) }
+}
+
+#[test]
+fn a_map_that_the_picture_contradicts_for_a_second_is_lost_without_what_it_grew_by() {
+    let mut reconstruction = before_the_wall(Se3::identity());
+    let map = &mut reconstruction.active.map;
+    (0..3).for_each(|_| _ = map.add_keyframe(keyframe(Se3::identity(), wall(0))));
+    let old: Vec<u32> = map.keyframes.iter().map(|k| k.0).collect();
+    let mut told = Vec::new();
+    for n in 1..60 {
+        told.push(reconstruction.track(&moving(n, 0.9)));
+        if n == 25 {
+            // As one is made of a wrong pose.
+            let map = &mut reconstruction.active.map;
+            reconstruction.active.reference = map.add_keyframe(keyframe(Se3::identity(), wall(0)));
+        }
+        if reconstruction.counters().contradictions > 0 {
+            break;
+        }
+    }
+    let count = told.len();
+    assert!((30..50).contains(&count), "after {count} frames");
+    let tracked = told.iter().filter(|estimate| estimate.state == TrackingState::Tracking).count();
+    assert_eq!((tracked, reconstruction.state), (count - 1, TrackingState::Lost));
+    assert_eq!(
+        told[count - 1].reset_counter,
+        told[0].reset_counter + 1,
+        "where it goes on has nothing to do with those poses"
+    );
+    let left: Vec<u32> = reconstruction.active.map.keyframes.iter().map(|k| k.0).collect();
+    assert_eq!(left, old);
+    assert!(left.contains(&reconstruction.active.reference.0));
+    // Nothing speaks against the map: the next frame is found in it.
+    let next = FrameFeatures { sequence: 61, ..frame(61 * FRAME_NS, 0) };
+    assert_eq!(reconstruction.track(&next).state, TrackingState::Tracking);
+}
+
 #[test]
 fn a_new_map_that_the_picture_contradicts_is_given_up_and_its_frames_have_no_pose_again() {
     let mut reconstruction = before_the_wall(Se3::identity());
-    let moving = |n: u64| {
-        let place = |i: u64| {
-            let way = if i.is_multiple_of(2) { 6.0 } else { -6.0 };
-            Vector2::new(20.0 + 28.0 * (i % 10) as f32, 50.0 + 18.0 * (i / 10) as f32 + way * n as f32)
-        };
-        let tracks = (0..80).map(|id| Track { id, position: place(id), age: 1 }).collect();
-        FrameFeatures { sequence: n, tracks, ..frame(n as i64 * FRAME_NS, 0) }
-    };
     let Reconstruction { optics, initialiser, active, .. } = &mut reconstruction;
-    initialiser.watch(&moving(0), &optics.camera, &optics.intrinsics.uncertainty());
+    initialiser.watch(&moving(0, 6.0), &optics.camera, &optics.intrinsics.uncertainty());
     let start: Vec<_> = initialiser.pending.drain(..).collect();
-    active.probation.begin(start.iter().map(|frame| (frame.clone(), Se3::identity())).collect());
+    let mut posed = PosedViews::default();
+    start.iter().for_each(|frame| posed.push(frame.clone(), &Se3::identity()));
+    active.probation.begin(posed, &optics.shutter);
     active.probation.keep(start);
     let map = active.id;
-    let told: Vec<_> = (1..=6).map(|n| reconstruction.track(&moving(n))).collect();
+    let told: Vec<_> = (1..=6).map(|n| reconstruction.track(&moving(n, 6.0))).collect();
     let states: Vec<bool> = told.iter().map(|estimate| estimate.state == TrackingState::Tracking).collect();
     assert_eq!(states, [true, true, true, true, false, false], "the fifth frame that disagrees");
     assert_eq!((reconstruction.active.id.0, reconstruction.counters.resets), (map.0 + 1, 1));

@@ -144,6 +144,8 @@ pub struct Counters {
     pub spool_faults: u64,
     pub pictures_unread: u64,
     pub pictures_lost: u64,
+    /// Times that most of the picture contradicted the poses for a second: the map was right no more, and what it had grown by since was dropped.
+    pub contradictions: u64,
     /// Turns on the spot that left all behind whose distance was known: the scale of what follows is an assumption.
     pub blind_turns: u64,
     /// Time (ns) and way (mm) for which frames were placed by the wheels alone, and how often a map went on from there.

@@ -12,16 +12,16 @@ use std::collections::VecDeque;
 
 use nalgebra::{Vector2, Vector3};
 
-use super::consensus::MAX_DISAGREEMENTS;
 use super::turn::{Pair, SupposedLens, unexplained_px};
 use super::untracked::UntrackedViews;
-use super::views::{MAX_BETWEEN, MIN_COMMON, Pairs, PendingFrame, View, Views};
+use super::views::{MAX_BETWEEN, MIN_COMMON, Pairs, View, Views};
 use crate::features::{FrameFeatures, Track};
 use crate::geometry::frames::{First, Second};
 use crate::geometry::two_view::{TwoViewOptions, reconstruct_two_views};
 use crate::geometry::{CameraModel, Se3};
 use crate::reconstruction::adjust::intrinsics::LensFreedom;
 use crate::reconstruction::config::ReconstructionConfig;
+use crate::reconstruction::consensus::{FrameTracks, MAX_DISAGREEMENTS};
 use crate::reconstruction::keyframe::epipolar::FED;
 
 /// One corner of a first map.
@@ -41,7 +41,7 @@ pub struct Start {
     /// In order of time; neither the first nor the newest frame is among them.
     pub between: Vec<View>,
     /// The newest frame.
-    pub newest: PendingFrame,
+    pub newest: FrameTracks,
     /// Some of its points are corners that no track follows, known again by what they look like.
     pub by_corners: bool,
     pub second_from_first: Se3<Second, First>,
@@ -79,7 +79,7 @@ pub struct Initialiser {
     lengths: Vec<f64>,
     untracked: UntrackedViews,
     /// All frames since the last reset, or since the map before was lost, that may still get a pose, the reference among them.
-    pub pending: VecDeque<PendingFrame>,
+    pub pending: VecDeque<FrameTracks>,
 }
 
 impl Initialiser {
@@ -93,7 +93,7 @@ impl Initialiser {
     }
 
     /// After a map that has failed: these frames have no pose, and the next start must agree as often as may be asked.
-    pub fn begin_again(&mut self, mut frames: Vec<PendingFrame>) {
+    pub fn begin_again(&mut self, mut frames: Vec<FrameTracks>) {
         frames.drain(..frames.len().saturating_sub(MAX_PENDING));
         self.pending = frames.into();
         self.disagreements = MAX_DISAGREEMENTS;
@@ -190,7 +190,7 @@ impl Initialiser {
                 return None;
             }
             let (first, between) = self.views.get(i..)?.split_first()?;
-            let views = Views { first: first.clone(), between: between.to_vec(), newest: PendingFrame::of(features) };
+            let views = Views { first: first.clone(), between: between.to_vec(), newest: FrameTracks::of(features) };
             self.attempt(views, &pairs, camera, config)
         });
         starts.collect()
@@ -248,7 +248,7 @@ impl Initialiser {
     /// reference.
     fn follow(&mut self, features: &FrameFeatures, camera: &CameraModel) -> Option<Pairs> {
         self.voted = false;
-        self.pending.push_back(PendingFrame::of(features));
+        self.pending.push_back(FrameTracks::of(features));
         if self.pending.len() > MAX_PENDING {
             self.pending.pop_front();
         }

@@ -17,12 +17,13 @@ use std::collections::VecDeque;
 use nalgebra::Vector2;
 
 use super::turn::Pair;
-use super::views::{MAX_BETWEEN, MIN_COMMON, Pairs, PendingFrame, View, Views};
+use super::views::{MAX_BETWEEN, MIN_COMMON, Pairs, View, Views};
 use crate::features::FrameFeatures;
 use crate::features::descriptor::Descriptor;
 use crate::features::matching::{DescriptorMatcher, DescriptorMatching};
 use crate::geometry::CameraModel;
 use crate::image::Pyramid;
+use crate::reconstruction::consensus::FrameTracks;
 use crate::reconstruction::keyframe::corners::{CornerFinder, SAME_CORNER_PX};
 
 /// Views are held so far apart, s, or as far as frames come; as many as a start has in between: 1.6 s at 5 Hz and more, in which a hand has
@@ -100,7 +101,7 @@ impl UntrackedViews {
     pub fn shared_with(&mut self, features: &FrameFeatures, camera: &CameraModel) -> Vec<Shared> {
         let Self { finder, matcher, held, .. } = self;
         let corners = Described::of(&features.pyramid, camera, finder);
-        let frame = PendingFrame::of(features);
+        let frame = FrameTracks::of(features);
         let mut all = Vec::new();
         for (index, Held { view, corners: own }) in held.iter_mut().enumerate() {
             let own = own.get_or_insert_with(|| Described::of(&view.pyramid, camera, finder));
@@ -125,15 +126,15 @@ impl UntrackedViews {
             View { frame: with_corners(&other.frame, known), pyramid: other.pyramid.clone() }
         });
         let between = between.collect();
-        Some(Views { first, between, newest: with_corners(&PendingFrame::of(newest), shared.corners.iter().copied()) })
+        Some(Views { first, between, newest: with_corners(&FrameTracks::of(newest), shared.corners.iter().copied()) })
     }
 }
 
 /// Corners of a held view that another frame shows too, ascending, and where; none that a track has in both.
 fn known_again(
     matcher: &mut DescriptorMatcher,
-    (first, own): (&PendingFrame, &Described),
-    (frame, corners): (&PendingFrame, &Described),
+    (first, own): (&FrameTracks, &Described),
+    (frame, corners): (&FrameTracks, &Described),
 ) -> Vec<(usize, Vector2<f32>)> {
     let mut matches = Vec::new();
     let rule = DescriptorMatching::default();
@@ -146,8 +147,8 @@ fn known_again(
 
 /// Tracks and corners that a held view shares with a frame, if they are enough.
 fn pairs_of(
-    (first, own): (&PendingFrame, &Described),
-    frame: &PendingFrame,
+    (first, own): (&FrameTracks, &Described),
+    frame: &FrameTracks,
     corners: &[(usize, Vector2<f32>)],
     camera: &CameraModel,
 ) -> Option<Pairs> {
@@ -159,7 +160,7 @@ fn pairs_of(
 }
 
 /// A frame with corners among its tracks that no track follows; they are ascending, and so are their ids behind those of tracks.
-fn with_corners(frame: &PendingFrame, corners: impl Iterator<Item = (usize, Vector2<f32>)>) -> PendingFrame {
+fn with_corners(frame: &FrameTracks, corners: impl Iterator<Item = (usize, Vector2<f32>)>) -> FrameTracks {
     let mut frame = frame.clone();
     frame.tracks.extend(corners.map(|(i, pixel)| (FIRST_UNTRACKED + i as u64, pixel)));
     frame
@@ -204,7 +205,7 @@ mod tests {
         let shared = views.shared_with(&newest, &camera);
         assert_eq!(shared.iter().map(|s| s.index).collect::<Vec<_>>(), [0, 1]);
         let Views { first, between, newest } = views.views(&shared[0], &newest).expect("views of a start");
-        let seen = |frame: &PendingFrame, id| frame.track(id).expect("a corner that this view has");
+        let seen = |frame: &FrameTracks, id| frame.track(id).expect("a corner that this view has");
         let (mut wrong, mut held) = (0, 0);
         for &id in &shared[0].pairs.tracks {
             assert!(is_untracked(id));

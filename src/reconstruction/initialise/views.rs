@@ -2,53 +2,27 @@
 
 use std::sync::Arc;
 
-use nalgebra::Vector2;
-
 use super::turn::Pair;
 use crate::features::FrameFeatures;
 use crate::image::Pyramid;
+use crate::reconstruction::consensus::FrameTracks;
 
 /// Views kept between the reference and the newest frame; when there would be more every other one is dropped.
 pub const MAX_BETWEEN: usize = 8;
 /// A view is given up below this many tracks in common with the newest frame, or a quarter of its own, and the next one takes over.
 pub const MIN_COMMON: usize = 60;
 
-/// A frame before the map exists.
-#[derive(Debug, Clone)]
-pub struct PendingFrame {
-    pub sequence: u64,
-    pub timestamp_ns: i64,
-    /// Track id and level-0 pixel, ascending id.
-    pub tracks: Vec<(u64, Vector2<f32>)>,
-}
-
-impl PendingFrame {
-    pub fn of(features: &FrameFeatures) -> Self {
-        Self {
-            sequence: features.sequence,
-            timestamp_ns: features.timestamp_ns,
-            tracks: features.tracks.iter().map(|t| (t.id, t.position)).collect(),
-        }
-    }
-
-    /// Pixel of a track.
-    pub fn track(&self, id: u64) -> Option<Vector2<f32>> {
-        let i = self.tracks.binary_search_by_key(&id, |t| t.0).ok()?;
-        Some(self.tracks[i].1)
-    }
-}
-
 /// A frame before the map that is kept with its picture.
 #[derive(Debug, Clone)]
 pub struct View {
-    pub frame: PendingFrame,
+    pub frame: FrameTracks,
     pub pyramid: Arc<Pyramid>,
 }
 
 impl View {
     /// The picture is a copy of its own: the frame's goes back to the pool.
     pub fn of(features: &FrameFeatures) -> Self {
-        Self { frame: PendingFrame::of(features), pyramid: Arc::new(Pyramid::clone(&features.pyramid)) }
+        Self { frame: FrameTracks::of(features), pyramid: Arc::new(Pyramid::clone(&features.pyramid)) }
     }
 }
 
@@ -56,7 +30,7 @@ impl View {
 pub struct Views {
     pub first: View,
     pub between: Vec<View>,
-    pub newest: PendingFrame,
+    pub newest: FrameTracks,
 }
 
 /// Tracks that two frames share, and where both see them.

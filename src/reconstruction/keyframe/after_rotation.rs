@@ -69,6 +69,7 @@ impl Reconstruction {
             self.corrections.moved(&before, &pose);
         }
         self.active.odometry.replace(pose);
+        self.contradiction.look_anew();
         // One under way began from poses that are no more; the keyframe that this frame becomes posts another.
         self.discard_job();
         self.pending.turned = None;

@@ -192,6 +192,8 @@ impl Reconstruction {
             self.events.push(TrajectoryEvent::KeyframeScaled { keyframe, scale });
         }
         active.map.correct(correction);
+        active.probation.end();
+        self.contradiction.end();
         let here = correction.of(active.reference);
         active.odometry.correct_scaled(&here);
         if let Some(floor) = &mut self.floor {

@@ -61,6 +61,12 @@ impl Shutter {
         !self.estimate && self.readout_s == 0.0
     }
 
+    /// As this camera may be: with the readout time that is believed, and one and two standard deviations more and less.
+    pub fn possible(&self) -> [Self; 5] {
+        let sigma_s = self.variance().sqrt();
+        [0.0, -2.0, -1.0, 1.0, 2.0].map(|n| Self { readout_s: self.readout_s + n * sigma_s, ..*self })
+    }
+
     /// Variance of the readout time, s^2; zero where it is held.
     pub fn variance(&self) -> f64 {
         if self.estimate { self.information.recip() } else { 0.0 }

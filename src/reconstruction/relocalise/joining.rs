@@ -57,6 +57,7 @@ impl Reconstruction {
         };
         self.discard_job();
         self.active.beside = Some(old.id);
+        self.contradiction.end();
         self.wheels.begin_map();
         self.corrections.end_map();
         self.optics.intrinsics.end_map(&self.optics.camera);
@@ -221,6 +222,7 @@ impl Reconstruction {
         active.map.absorb(other.map);
         // Two keyframes that were recognised vouch for the map.
         active.probation.end();
+        self.contradiction.end();
         for (sighting, seen) in other.sightings.iter().zip(&seen) {
             add_found(&mut active.map, sighting, seen, &self.optics.camera);
         }
