@@ -39,7 +39,9 @@
 //!   it is accepted once the direction of
 //!   the first motion is sure enough for how long the camera has moved, and most of the picture agrees with it, so neither standing
 //!   nor turning on the spot starts a map, nor (with a calibrated lens) something large that moves past; one that the picture contradicts in its
-//!   first second is given up (`initialise::probation`).
+//!   first second is given up (`consensus::probation`).
+//! - The tracks, which know no map, are asked ever after: where most of the picture contradicts the poses for a second, what the map has grown by since
+//!   is dropped, and the camera is lost (`consensus::contradiction`).
 //! - Until then the tracks alone tell how the camera has turned since the first frame, moving or not (`initialise::orientation`): published
 //!   without a position, and gone on with by the odometry of the map.
 //! - A turn on the spot goes on where the map's landmarks leave the picture: corners without parallax become landmarks at an assumed
