@@ -223,7 +223,8 @@ impl Reconstruction {
         self.wheels.rescale(factor);
         self.blind.rescale(factor);
         self.tracker.rescale(factor);
-        self.end_checks();
+        self.active.probation.end();
+        self.contradiction.look_anew();
     }
 
     /// The same, and in the record of a trajectory, and what tags and the floor have told. For a map of which nobody knows the scale.

@@ -462,9 +462,9 @@ impl Reconstruction {
         if !self.contradiction.is_suspected() {
             counters.keyframes_culled +=
                 cull::cull_keyframes((map, active.id), id, (camera, &held), config, &mut self.events);
+            let (most, turn) = ((config.max_keyframes, held.as_slice()), &mut active.thinned);
+            counters.keyframes_culled += cull::thin_out((map, active.id), id, most, turn, &mut self.events);
         }
-        let (most, turn) = ((config.max_keyframes, held.as_slice()), &mut active.thinned);
-        counters.keyframes_culled += cull::thin_out((map, active.id), id, most, turn, &mut self.events);
         reduce_pictures(map, id);
         let (condensed, gone) = condense_pictures(map, id, (config.detailed_keyframes, camera), describe_kept);
         counters.landmarks_culled += gone;

@@ -100,9 +100,13 @@ impl Reconstruction {
         true
     }
 
-    /// Without these keyframes, and what only they have seen; frames that were recorded relative to them have no pose any more.
+    /// Without these keyframes, and what only they have seen. Frames that were recorded relative to them have no pose any more; those of the same time
+    /// that were recorded relative to older ones keep theirs.
     fn drop_keyframes_since(&mut self, first: KeyframeId) {
         self.discard_job();
+        if let Some(floor) = &mut self.floor {
+            floor.forget();
+        }
         let active = &mut self.active;
         let doubtful: Vec<_> = active.map.keyframes.ids_from(first.0).map(KeyframeId).collect();
         for id in doubtful {

@@ -144,7 +144,7 @@ pub struct Counters {
     pub spool_faults: u64,
     pub pictures_unread: u64,
     pub pictures_lost: u64,
-    /// Times that most of the picture contradicted the poses for a second: the map was right no more, and what it had grown by since was dropped.
+    /// Times that most of the picture contradicted the poses for a second: what the map had grown by since was dropped.
     pub contradictions: u64,
     /// Turns on the spot that left all behind whose distance was known: the scale of what follows is an assumption.
     pub blind_turns: u64,

@@ -28,6 +28,8 @@ const STEP_NS: i64 = 90_000_000;
 const CONTRADICTING_SHARE: f64 = 0.5;
 /// How often more it must contradict than agree.
 const MAX_CONTRADICTIONS: u32 = 10;
+/// What has not come to that within this time says nothing: keyframes of so long ago are not dropped.
+const SUSPICION_NS: i64 = 3_000_000_000;
 
 /// Of the frames placed in the present map.
 #[derive(Debug, Default)]
@@ -35,7 +37,8 @@ pub struct Contradiction {
     views: PosedViews,
     /// Frames that contradicted, less those that agreed since.
     contradictions: u32,
-    /// The first keyframe since they began to.
+    /// When they began to, and the first keyframe since.
+    since_ns: i64,
     first_doubtful: KeyframeId,
 }
 
@@ -75,13 +78,16 @@ impl Contradiction {
         }
         self.views.forget_before(now - WINDOW_NS, now);
         self.views.push_features(features, pose);
+        if !(0..SUSPICION_NS).contains(&(now - self.since_ns)) {
+            self.contradictions = 0;
+        }
         let share = self.views.verdict(camera, shutter)?;
         if share >= CONTRADICTING_SHARE {
             self.contradictions = self.contradictions.saturating_sub(1);
             return None;
         }
         if self.contradictions == 0 {
-            self.first_doubtful = next;
+            (self.since_ns, self.first_doubtful) = (now, next);
         }
         self.contradictions += 1;
         (self.contradictions >= MAX_CONTRADICTIONS).then_some(self.first_doubtful)
@@ -124,6 +130,22 @@ mod tests {
         assert_eq!(told(0.0, 0.0..90.0), None);
         assert_eq!(told(0.4, 0.0..90.0), None, "less than half of the picture");
         assert_eq!(told(0.7, 30.0..33.0), None, "a tenth of a second");
+    }
+
+    #[test]
+    fn what_was_suspected_long_ago_counts_no_more() {
+        let scene = Scene { step: 0.008, share: 0.7, ..Scene::default() };
+        let mut contradiction = Contradiction::default();
+        // Thrice two thirds of a second, half an hour apart.
+        for n in 0..3 {
+            for (mut frame, pose) in scene.views(20) {
+                frame.timestamp_ns += n * 1_800_000_000_000;
+                let optics = (&camera(), &global_shutter());
+                let told = contradiction.doubtful_since(&features(&frame), &pose, optics, KeyframeId(0));
+                assert_eq!(told, None, "time {n}, frame {}", frame.sequence);
+            }
+            assert!(contradiction.is_suspected(), "time {n}");
+        }
     }
 
     #[test]
