@@ -205,6 +205,7 @@ fn agrees((x1, x2): &(Vector2<f64>, Vector2<f64>), motion: &Se3<Camera, Camera>,
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
+    use crate::features::Track;
 
     pub fn camera() -> CameraModel {
         CameraModel::new(640, 480, 500.0, 500.0, 319.5, 239.5, [0.0; 5]).unwrap()
@@ -273,6 +274,12 @@ pub(super) mod tests {
         Scene { step, share, ..Scene::default() }.views(count)
     }
 
+    /// As the feature stage would hand it over.
+    pub fn features(frame: &FrameTracks) -> FrameFeatures {
+        let tracks = frame.tracks.iter().map(|&(id, position)| Track { id, position, age: 1 }).collect();
+        FrameFeatures { sequence: frame.sequence, timestamp_ns: frame.timestamp_ns, tracks, ..FrameFeatures::default() }
+    }
+
     pub fn posed(views: &[View]) -> PosedViews {
         let mut posed = PosedViews::default();
         views.iter().for_each(|(frame, pose)| posed.push(frame.clone(), pose));
@@ -315,9 +322,8 @@ pub(super) mod tests {
         let mut posed = posed(&all);
         posed.forget_before(all[2].0.timestamp_ns, all[4].0.timestamp_ns);
         assert_eq!((posed.views.len(), posed.spare.len()), (3, 2));
-        let track = crate::features::Track { id: 7, position: Vector2::new(1.0, 2.0), age: 1 };
-        let features = FrameFeatures { sequence: 9, tracks: vec![track], ..FrameFeatures::default() };
-        posed.push_features(&features, &Se3::identity());
+        let next = FrameTracks { sequence: 9, timestamp_ns: 0, tracks: vec![(7, Vector2::new(1.0, 2.0))] };
+        posed.push_features(&features(&next), &Se3::identity());
         assert_eq!(posed.spare.len(), 1);
         let newest = posed.views.back().unwrap();
         assert_eq!((newest.frame.sequence, newest.frame.tracks.as_slice()), (9, &[(7, Vector2::new(1.0, 2.0))][..]));

@@ -96,15 +96,8 @@ impl Contradiction {
 
 #[cfg(test)]
 mod tests {
-    use super::super::FrameTracks;
-    use super::super::tests::{Scene, camera, global_shutter, views};
+    use super::super::tests::{Scene, camera, features, global_shutter, views};
     use super::*;
-    use crate::features::Track;
-
-    fn features(frame: &FrameTracks) -> FrameFeatures {
-        let tracks = frame.tracks.iter().map(|&(id, position)| Track { id, position, age: 1 }).collect();
-        FrameFeatures { sequence: frame.sequence, timestamp_ns: frame.timestamp_ns, tracks, ..FrameFeatures::default() }
-    }
 
     /// The frame that tells, and the first keyframe not to be believed; each frame is the last before a keyframe of its number. `share` of the wall moves
     /// in the pictures `falls`.

@@ -85,14 +85,8 @@ impl Probation {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::{Scene, View, camera, global_shutter, posed, views};
+    use super::super::tests::{Scene, View, camera, features, global_shutter, posed, views};
     use super::*;
-    use crate::features::Track;
-
-    fn features(frame: &FrameTracks) -> FrameFeatures {
-        let tracks = frame.tracks.iter().map(|&(id, position)| Track { id, position, age: 1 }).collect();
-        FrameFeatures { sequence: frame.sequence, timestamp_ns: frame.timestamp_ns, tracks, ..FrameFeatures::default() }
-    }
 
     /// After how many of the frames that follow a start a map fails, and the frames that it gives back.
     fn failed(start: &[View], after: &[View]) -> Option<(usize, Vec<u64>)> {
