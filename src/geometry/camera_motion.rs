@@ -21,6 +21,11 @@ impl CameraMotion {
         Self { turn: twist.fixed_rows::<3>(0).into_owned(), shift: twist.fixed_rows::<3>(3).into_owned() }
     }
 
+    /// Of a motion whose lengths say nothing: its turn alone.
+    pub fn turned_only(self) -> Self {
+        Self { shift: Vector3::zeros(), ..self }
+    }
+
     /// Velocity of a point's image on the plane z = 1 (1/s); the point in camera coordinates.
     pub fn flow(&self, point: &Vector3<f64>) -> Vector2<f64> {
         let v = self.turn.cross(point) + self.shift;

@@ -16,7 +16,7 @@ pub mod probation;
 use std::collections::VecDeque;
 use std::f64::consts::SQRT_2;
 
-use nalgebra::{Vector2, Vector3};
+use nalgebra::Vector2;
 
 use super::measurement::rolling_shutter::Shutter;
 use crate::features::FrameFeatures;
@@ -156,8 +156,8 @@ impl PosedViews {
         };
         let mut cells = [Cell::default(); COLUMNS * MAX_ROWS];
         for (track, pixel) in &newest.frame.tracks {
-            let earlier = self.views.iter().take(self.views.len() - 1);
-            let first = earlier.into_iter().find_map(|view| Some((view, view.frame.track(*track)?)));
+            let mut earlier = self.views.iter().take(self.views.len() - 1);
+            let first = earlier.find_map(|view| Some((view, view.frame.track(*track)?)));
             let Some((first, first_pixel)) = first else { continue };
             let cell = &mut cells[cell(pixel)];
             cell.seen += 1;
@@ -184,7 +184,7 @@ impl PosedViews {
 fn turn_over(before: &PosedView, after: &PosedView) -> Option<CameraMotion> {
     let dt = (after.frame.timestamp_ns - before.frame.timestamp_ns) as f64 * 1e-9;
     let motion = (after.camera_from_world * before.camera_from_world.inverse()).relabel();
-    (dt > 0.0).then(|| CameraMotion { shift: Vector3::zeros(), ..CameraMotion::over(&motion, dt) })
+    (dt > 0.0).then(|| CameraMotion::over(&motion, dt).turned_only())
 }
 
 /// Does a track that was seen along two rays agree with the camera's motion from the first to the second? `None` when it cannot tell.
@@ -204,6 +204,8 @@ fn agrees((x1, x2): &(Vector2<f64>, Vector2<f64>), motion: &Se3<Camera, Camera>,
 
 #[cfg(test)]
 pub(super) mod tests {
+    use nalgebra::{UnitQuaternion, Vector3};
+
     use super::*;
     use crate::features::Track;
 
@@ -239,7 +241,7 @@ pub(super) mod tests {
     impl Scene {
         fn pose(&self, n: f64) -> Se3<Camera, World> {
             let angle = self.turn / 30.0 * (15.0 - (n - 15.0).abs());
-            let turned = nalgebra::UnitQuaternion::from_scaled_axis(Vector3::x() * angle);
+            let turned = UnitQuaternion::from_scaled_axis(Vector3::x() * angle);
             Se3::new(turned, turned * Vector3::new(-self.step * n, 0.0, 0.0))
         }
 

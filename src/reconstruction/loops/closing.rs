@@ -4,6 +4,7 @@
 use super::recognition::{PlaceWorker, Recognition};
 use super::{FoundLoop, Loops};
 use crate::features::FrameFeatures;
+use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::median;
 use crate::map::{Correction, KeyframeId, Map};
 use crate::places::loops::{ClosedLoop, LoopClosure, LoopEdge};
@@ -11,9 +12,7 @@ use crate::places::way::shortest_way;
 use crate::reconstruction::Reconstruction;
 use crate::reconstruction::adjust::mapper::Merge;
 use crate::reconstruction::relocalise::joining::add_found;
-use crate::reconstruction::relocalise::other_maps::{
-    REMEMBERED, Sighting, Similarity, seen_most_by, similarity, turned_only,
-};
+use crate::reconstruction::relocalise::other_maps::{REMEMBERED, Sighting, Similarity, seen_most_by, similarity};
 use crate::reconstruction::types::TrajectoryEvent;
 
 /// Two sightings so many keyframes apart are not one soon after the other.
@@ -89,7 +88,7 @@ impl Reconstruction {
             part: active.map.part(&places, AROUND, attempt),
             places,
             features: FrameFeatures { pyramid, tracks: Vec::new(), ..*features },
-            motion: keyframe.motion.map(turned_only),
+            motion: keyframe.motion.map(CameraMotion::turned_only),
             camera: optics.camera.clone(),
             shutter: optics.shutter,
             config: config.clone(),

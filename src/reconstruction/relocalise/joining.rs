@@ -17,7 +17,7 @@ use super::LIKELY;
 use super::asked::Asked;
 use super::other_maps::{
     ATTEMPT_GAP, Join, LONGEST_GAP, OtherMap, OtherMaps, REMEMBERED, Sighting, at_corner, found_in, log_ratio, retire,
-    seen_most_by, similarity, turned_only,
+    seen_most_by, similarity,
 };
 use crate::features::FrameFeatures;
 use crate::geometry::CameraModel;
@@ -156,7 +156,8 @@ impl Reconstruction {
         id: KeyframeId,
         likely: &[KeyframeId],
     ) -> Option<Sighting> {
-        let motion = self.active.map.keyframe(id)?.motion.map(turned_only);
+        // In another map's unit only the turn is known.
+        let motion = self.active.map.keyframe(id)?.motion.map(CameraMotion::turned_only);
         Some(self.look_in(index, features, (id, motion), likely)?.1)
     }
 

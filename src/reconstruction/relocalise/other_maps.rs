@@ -9,12 +9,9 @@
 //! p_present = s p_other  in the camera's axes, so  x_present = s R x_other + t,  R = R_p' R_o,  t = R_p' (s t_o - t_p)
 //! ```
 
-use nalgebra::Vector3;
-
 use super::Relocaliser;
 use super::asked::Asked;
 use super::spread::shows_a_place;
-use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::sim3::Sim3;
 use crate::geometry::{Se3, median};
@@ -184,11 +181,6 @@ impl OtherMaps {
     }
 }
 
-/// Of a motion only the turn is known in another map's unit.
-pub fn turned_only(motion: CameraMotion) -> CameraMotion {
-    CameraMotion { shift: Vector3::zeros(), ..motion }
-}
-
 /// What was found of a keyframe that a tracker has placed elsewhere, but for assumed distances, which tell nothing; `None` if that is too little of its
 /// picture to tell a place.
 pub fn found_in(frame: &Frame<'_>, tracker: &Tracker, keyframe: KeyframeId, placed: &Tracked) -> Option<Sighting> {
@@ -303,7 +295,7 @@ mod tests {
     use super::*;
     use crate::geometry::random::Random;
     use crate::map::{Keyframe, Landmark, Observation};
-    use nalgebra::{Matrix2, Matrix3, UnitQuaternion, Vector2};
+    use nalgebra::{Matrix2, Matrix3, UnitQuaternion, Vector2, Vector3};
 
     /// Two keyframes of the present map that see the same 40 points of another one, whose unit is a third of it.
     struct Scene {
