@@ -93,6 +93,7 @@ impl Reconstruction {
         };
         let (readout_s, variance) = result.readout();
         optics.shutter.learn(readout_s, variance);
+        optics.noise.learn(result.noise_px);
         let old_from_new = result.merge(&mut active.map);
         if let Some(moved) = self.mapper.take_moved() {
             moved.apply(&mut active.map, optics.shutter.readout_s);

@@ -83,6 +83,8 @@ pub struct NewKeyframe<'a> {
     pub matches: &'a [Match],
     pub motion: Option<CameraMotion>,
     pub shutter: &'a Shutter,
+    /// Standard deviation of a found place, px.
+    pub sigma_px: f64,
     /// The last turn that the scale of its pose came through.
     pub scale_from: Option<TurnId>,
     /// Its pose rests on assumed distances: nothing can be triangulated from it.
@@ -218,7 +220,7 @@ fn triangulate_seed(
     };
     let Some(anchor) = map.keyframe(anchor_id) else { return SeedOutcome::Orphan };
     let none = LandmarkId::default();
-    let inv_sigma = 1.0 / config.sigma_px;
+    let inv_sigma = 1.0 / new.sigma_px;
     let (Some(a), Some(b)) = (observe(camera, none, anchor_pixel, inv_sigma), observe(camera, none, pixel, inv_sigma))
     else {
         return SeedOutcome::Wrong;
@@ -241,7 +243,7 @@ fn triangulate_seed(
         (None, _) => return SeedOutcome::Waits,
     };
     // Refine the place in the new picture (and in those between) against the anchor's template.
-    let options = SearchOptions::precise(config.sigma_px);
+    let options = SearchOptions::precise(new.sigma_px);
     let displaced = |keyframe: &Keyframe, o: Observation| displaced(keyframe, o, &point, new.shutter);
     let readout_s = new.shutter.readout_s;
     let mut seen: Vec<(KeyframeId, Observation)> = vec![(anchor_id, displaced(anchor, a))];

@@ -4,6 +4,7 @@
 //! Out: the residual in standard deviations and its derivatives. Poses and bundles are fitted to this one measurement.
 
 pub mod inverse_distance;
+pub mod noise;
 pub mod rolling_shutter;
 
 use nalgebra::{Matrix2, Matrix3, Matrix6, Vector2, Vector3, Vector6};

@@ -1,7 +1,8 @@
-//! The camera as it is believed now: lens and shutter, which adjustments refine.
+//! The camera as it is believed now: lens, shutter and how exactly its pictures show places, which adjustments refine.
 
 use super::adjust::intrinsics::{Intrinsics, LensPrior};
 use super::config::ReconstructionConfig;
+use super::measurement::noise::PlaceNoise;
 use super::measurement::rolling_shutter::Shutter;
 use crate::geometry::CameraModel;
 use crate::map::saved::SavedOptics;
@@ -14,6 +15,7 @@ pub struct Optics {
     pub camera: CameraModel,
     pub intrinsics: Intrinsics,
     pub shutter: Shutter,
+    pub noise: PlaceNoise,
 }
 
 impl Optics {
@@ -23,6 +25,7 @@ impl Optics {
             camera: camera.clone(),
             intrinsics: Intrinsics::new(camera, prior),
             shutter: Shutter::new(config.readout_ms * 1e-3, camera.height, config.estimate_readout),
+            noise: PlaceNoise::new(config.sigma_px),
         }
     }
 

@@ -328,7 +328,7 @@ impl Tracker {
         coarse_levels: usize,
     ) -> Option<Tracked> {
         let Frame { map, features, camera, config, .. } = *frame;
-        let mut options = SearchOptions { radius_px, coarse_levels, sigma_px: config.sigma_px, blurred_levels: 0 };
+        let mut options = SearchOptions { radius_px, coarse_levels, sigma_px: frame.sigma_px, blurred_levels: 0 };
         self.search.select(map, &self.local, camera, guess, config.landmarks_per_frame);
         self.search.align(map, camera, guess, &features.pyramid, &options);
         let mut solution = self.solve(frame, guess, frame.motion.as_ref())?;

@@ -66,6 +66,8 @@ pub struct Adjustment {
 #[derive(Debug)]
 pub struct AdjustmentResult {
     job: Adjustment,
+    /// Robust standard deviation of what it leaves of places in the pictures, px; `None` where it has too few to tell.
+    pub noise_px: Option<f64>,
 }
 
 /// What an adjustment found of the intrinsics.
@@ -213,7 +215,7 @@ impl Adjustment {
     /// Bounded in iterations, not in time.
     pub fn run(mut self) -> AdjustmentResult {
         self.problem.adjust(&self.options);
-        AdjustmentResult { job: self }
+        AdjustmentResult { noise_px: self.problem.noise_px(), job: self }
     }
 }
 

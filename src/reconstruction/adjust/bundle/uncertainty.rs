@@ -10,6 +10,13 @@ use super::options::{BundleOptions, GAUGE_DAMPING, KNOWN};
 use super::problem::BundleProblem;
 use crate::geometry::cholesky::DenseCholesky;
 use crate::geometry::least_squares::LeastSquares;
+use crate::geometry::median;
+
+/// Median of chi-square with two degrees of freedom.
+const MEDIAN_CHI2_2D: f64 = 2.0 * std::f64::consts::LN_2;
+/// Observations that tell the noise, at the least, and their degrees of freedom, as a share.
+const MIN_RESIDUALS: usize = 60;
+const MIN_FREEDOM: f64 = 0.2;
 
 impl<const W: usize> System<W> {
     /// Covariance of each point with cameras and floor held.
@@ -36,6 +43,27 @@ impl BundleProblem {
         let global = if all_held { None } else { system.global_covariance() };
         let points = system.point_covariances();
         (self.point_covariances, self.global_covariance) = (points, global);
+    }
+
+    /// Robust standard deviation of what is left of observations, px at full resolution, each as if all others had been fitted without it (the residuals'
+    /// median square over their degrees of freedom: a posteriori variance of unit weight); of points that three cameras see, as two always agree about
+    /// some. `None` where too little is left to tell it.
+    pub fn noise_px(&self) -> Option<f64> {
+        let (mut squared, mut points) = (Vec::new(), 0usize);
+        for (i, point) in self.state.points.iter().enumerate().filter(|(i, _)| self.range(*i).len() > 2) {
+            points += 1;
+            squared.extend(self.range(i).filter_map(|k| {
+                let (e, _) = self.residual(&self.state, point, k)?;
+                Some(e.norm_squared() / self.observations[k].inv_sigma_px.powi(2))
+            }));
+        }
+        let free = self.fixed.iter().filter(|fixed| !**fixed).count();
+        let residuals = 2.0 * squared.len() as f64;
+        let left = residuals - 3.0 * points as f64 - 6.0 * free as f64;
+        if squared.len() < MIN_RESIDUALS || left < MIN_FREEDOM * residuals {
+            return None;
+        }
+        Some((median(&mut squared)? / MEDIAN_CHI2_2D * residuals / left).sqrt())
     }
 
     /// Standard deviation of the direction of camera `index`'s translation, rad, everything else free but the intrinsics (the fixed
