@@ -39,7 +39,7 @@ impl Reconstruction {
         } else {
             Adjustment::local(&active.map, newest, &optics.camera, &optics.shutter, &self.config)
         };
-        if let Some(mut job) = job {
+        if let Some(mut job) = job.map(|job| job.judged_by(optics.noise.outlier_chi2())) {
             if active.fusion.is_metric() {
                 job.hold_lengths(&active.map, |from_ns, to_ns| self.wheels.held(&active.fusion, from_ns, to_ns));
                 let tags = self.tags.as_ref().map_or_else(Vec::new, |tags| tags.held(&active.map, &active.fusion));
@@ -93,7 +93,7 @@ impl Reconstruction {
         };
         let (readout_s, variance) = result.readout();
         optics.shutter.learn(readout_s, variance);
-        optics.noise.learn(result.noise_px);
+        optics.noise.learn(result.noise);
         let old_from_new = result.merge(&mut active.map);
         if let Some(moved) = self.mapper.take_moved() {
             moved.apply(&mut active.map, optics.shutter.readout_s);

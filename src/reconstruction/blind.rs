@@ -148,7 +148,7 @@ impl Reconstruction {
             was_here: true,
             motion: None,
             shutter: &self.optics.shutter,
-            sigma_px: self.optics.noise.sigma_px(),
+            outlier_chi2: self.optics.noise.outlier_chi2(),
         };
         let tracked: Option<Tracked> = self.tracker.track(&frame, self.active.reference, &[here], |_, _| true);
         let Some(tracked) = tracked else {

@@ -10,7 +10,7 @@ pub struct ReconstructionConfig {
     pub min_landmarks: usize,
     /// Radius of the search around a landmark's predicted place, px. 1.0..=32.0.
     pub search_radius_px: f64,
-    /// Standard deviation of a found place at full resolution at the most, px; what it is is learnt from adjustments. 0.1..=4.0.
+    /// Standard deviation of an aligned point at full resolution, px. 0.1..=4.0.
     pub sigma_px: f64,
     /// A keyframe is made when fewer than this share of its reference keyframe's landmarks is still seen. 0.3..=0.95.
     pub keyframe_share: f64,

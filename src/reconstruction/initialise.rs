@@ -89,7 +89,7 @@ impl Reconstruction {
             camera: &self.optics.camera,
             config: &self.config,
             shutter: &self.optics.shutter,
-            sigma_px: self.optics.noise.sigma_px(),
+            outlier_chi2: self.optics.noise.outlier_chi2(),
             before: None,
             was_here: true,
             motion: None,
@@ -136,7 +136,7 @@ impl Reconstruction {
         let newest = &start.newest;
         let b = self.add_view(&View { frame: newest.clone(), pyramid: features.pyramid.clone() }, second);
         views.push((b, newest));
-        let inv_sigma = 1.0 / self.optics.noise.sigma_px();
+        let inv_sigma = 1.0 / self.config.sigma_px;
         for &(track, point) in &points {
             let seen: Vec<_> = views
                 .iter()
@@ -165,10 +165,12 @@ impl Reconstruction {
         self.refine_views(a);
         self.note_motion();
         self.active.reference = b;
-        let (sigma, (readout_s, variance), noise_px) = self.adjust_globally()?;
+        let (sigma, (readout_s, variance), noise) = self.adjust_globally()?;
         // Also of a start that comes to nothing.
-        self.optics.noise.learn(noise_px);
-        if sigma > MAX_DIRECTION_SIGMA * (1.0 + start.trying_s / PATIENCE_S).min(LARGEST_RELAXATION) {
+        self.optics.noise.learn(noise);
+        if sigma * self.optics.noise.share()
+            > MAX_DIRECTION_SIGMA * (1.0 + start.trying_s / PATIENCE_S).min(LARGEST_RELAXATION)
+        {
             return None;
         }
         if self.optics.intrinsics.is_calibrated() {
@@ -211,24 +213,25 @@ impl Reconstruction {
     }
 
     /// Adjusts the whole (new, small) map at once: how surely the newest camera's direction from the first is known (rad), and the
-    /// readout time found with it (s, and its variance), and what it leaves of places (px); `None` if too few landmarks hold.
+    /// readout time found with it (s, and its variance), and what it leaves of places; `None` if too few landmarks hold.
     fn adjust_globally(&mut self) -> Option<(f64, (f64, f64), Option<f64>)> {
-        let Optics { camera, shutter, intrinsics, .. } = &self.optics;
-        let result = Adjustment::global(&self.active.map, camera, shutter, START_STEPS)?.run();
+        let Optics { camera, shutter, intrinsics, noise, .. } = &self.optics;
+        let job = Adjustment::global(&self.active.map, camera, shutter, START_STEPS)?;
+        let result = job.judged_by(noise.outlier_chi2()).run();
         let supported = result.supported_landmarks();
-        let (mut sigma, readout, noise_px) = (result.direction_sigma(), result.readout(), result.noise_px);
+        let (mut sigma, readout, noise) = (result.direction_sigma(), result.readout(), result.noise);
         result.merge(&mut self.active.map);
         if !intrinsics.is_calibrated() {
             // What the lens may be wrong by, the direction may be as well.
             sigma =
                 intrinsics.unknown_lens_job(&self.active.map, camera, shutter, START_STEPS)?.run().direction_sigma();
         }
-        (supported >= self.config.start_landmarks).then_some((sigma, readout, noise_px))
+        (supported >= self.config.start_landmarks).then_some((sigma, readout, noise))
     }
 
     /// Replaces the tracked places in the later views by alignment with the first one's templates: flow drifts.
     fn refine_views(&mut self, first: KeyframeId) {
-        let options = SearchOptions::precise(self.optics.noise.sigma_px());
+        let options = SearchOptions::precise(self.config.sigma_px);
         let ids: Vec<LandmarkId> = self.active.map.landmarks.iter().map(|(id, _)| LandmarkId(id)).collect();
         for id in ids {
             let Some(landmark) = self.active.map.landmark(id) else { continue };

@@ -21,7 +21,6 @@ use std::sync::Arc;
 use nalgebra::{Vector2, Vector3};
 
 use super::config::ReconstructionConfig;
-use super::measurement::CHI2_2D_95;
 use super::measurement::rolling_shutter::Shutter;
 use super::track::association::{Bindings, Seed, Target};
 use super::track::frame::QUICK_TURN_RAD;
@@ -83,8 +82,8 @@ pub struct NewKeyframe<'a> {
     pub matches: &'a [Match],
     pub motion: Option<CameraMotion>,
     pub shutter: &'a Shutter,
-    /// Standard deviation of a found place, px.
-    pub sigma_px: f64,
+    /// Squared residual, in supposed standard deviations, beyond which a place is an outlier.
+    pub outlier_chi2: f64,
     /// The last turn that the scale of its pose came through.
     pub scale_from: Option<TurnId>,
     /// Its pose rests on assumed distances: nothing can be triangulated from it.
@@ -220,7 +219,7 @@ fn triangulate_seed(
     };
     let Some(anchor) = map.keyframe(anchor_id) else { return SeedOutcome::Orphan };
     let none = LandmarkId::default();
-    let inv_sigma = 1.0 / new.sigma_px;
+    let inv_sigma = 1.0 / config.sigma_px;
     let (Some(a), Some(b)) = (observe(camera, none, anchor_pixel, inv_sigma), observe(camera, none, pixel, inv_sigma))
     else {
         return SeedOutcome::Wrong;
@@ -243,7 +242,7 @@ fn triangulate_seed(
         (None, _) => return SeedOutcome::Waits,
     };
     // Refine the place in the new picture (and in those between) against the anchor's template.
-    let options = SearchOptions::precise(new.sigma_px);
+    let options = SearchOptions::precise(config.sigma_px);
     let displaced = |keyframe: &Keyframe, o: Observation| displaced(keyframe, o, &point, new.shutter);
     let readout_s = new.shutter.readout_s;
     let mut seen: Vec<(KeyframeId, Observation)> = vec![(anchor_id, displaced(anchor, a))];
@@ -269,7 +268,7 @@ fn triangulate_seed(
     if !enough(&met) {
         return SeedOutcome::Waits;
     }
-    match made_of(map, &seen, newest, camera, config, readout_s) {
+    match made_of(map, &seen, newest, camera, config, (readout_s, new.outlier_chi2)) {
         Some((landmark, seen)) => SeedOutcome::Landmark(map.add_landmark(landmark, &seen)),
         None => SeedOutcome::Wrong,
     }
@@ -289,7 +288,7 @@ pub(super) fn made_of(
     newest: KeyframeId,
     camera: &CameraModel,
     config: &ReconstructionConfig,
-    readout_s: f64,
+    (readout_s, outlier_chi2): (f64, f64),
 ) -> Option<(Landmark, Vec<(KeyframeId, Observation)>)> {
     let (&(anchor_id, first), &(last_id, last)) = (seen.first()?, seen.last()?);
     let (anchor, newest_keyframe) = (map.keyframe(anchor_id)?, map.keyframe(last_id)?);
@@ -301,7 +300,7 @@ pub(super) fn made_of(
     let covariance = refine_point(map, seen, camera, readout_s, &mut point)?;
     let agrees = |(k, o): &&(KeyframeId, Observation)| {
         map.keyframe(*k)
-            .is_some_and(|k| reprojection_chi2(&k.camera_from_world, &point, o, camera, readout_s) <= CHI2_2D_95)
+            .is_some_and(|k| reprojection_chi2(&k.camera_from_world, &point, o, camera, readout_s) <= outlier_chi2)
     };
     let seen: Vec<_> = seen.iter().filter(agrees).copied().collect();
     if seen.len() < 2 || seen[0].0 != anchor_id || seen.last().map(|s| s.0) != Some(newest) {

@@ -228,7 +228,7 @@ impl Reconstruction {
             was_here: odometry.last.is_some(),
             motion: odometry.motion().or_else(|| ahead.and_then(|ahead| ahead.motion)),
             shutter: &self.optics.shutter,
-            sigma_px: self.optics.noise.sigma_px(),
+            outlier_chi2: self.optics.noise.outlier_chi2(),
         };
         let (guesses, n) = odometry.guesses(features.timestamp_ns, ahead.map(|ahead| &ahead.now_from_last));
         let by_wheels = |t: &Tracked| {
@@ -437,7 +437,7 @@ impl Reconstruction {
             matches: self.tracker.matches(),
             motion: active.odometry.motion(),
             shutter,
-            sigma_px: noise.sigma_px(),
+            outlier_chi2: noise.outlier_chi2(),
             scale_from: map.keyframe(active.reference).and_then(|k| k.scale_from),
             unmeasured: !measured,
             assumed_distance: distance_prior::distance_to_assume(self.tracker.matches(), &pose.inverse().translation),
@@ -448,7 +448,7 @@ impl Reconstruction {
             let min_parallax = config.min_parallax_deg.to_radians();
             distance_prior::triangulate_assumed(map, id, camera, shutter.readout_s, min_parallax);
             let first_new = map.landmarks.next_id();
-            self.epipolar.complete(map, id, &Lens { camera, config, shutter, sigma_px: noise.sigma_px() });
+            self.epipolar.complete(map, id, &Lens { camera, config, shutter, outlier_chi2: noise.outlier_chi2() });
             keyframe::bind_new(map, bindings, features, id, first_new);
         }
         counters.keyframes_made += 1;

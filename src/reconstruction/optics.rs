@@ -25,7 +25,7 @@ impl Optics {
             camera: camera.clone(),
             intrinsics: Intrinsics::new(camera, prior),
             shutter: Shutter::new(config.readout_ms * 1e-3, camera.height, config.estimate_readout),
-            noise: PlaceNoise::new(config.sigma_px),
+            noise: PlaceNoise::default(),
         }
     }
 

@@ -295,7 +295,7 @@ impl Tracker {
         if tracks == 0 || self.pairs.len() < MIN_FLOW {
             return None;
         }
-        let options = PoseOptions { first_round_relaxation: 25.0, ..PoseOptions::default() };
+        let options = PoseOptions { first_round_relaxation: 25.0, ..PoseOptions::judged_by(frame.outlier_chi2) };
         let solution = optimise_pose(guess, &self.pairs, &options, &mut self.inlier)?;
         let agree = self.inlier.iter().take(tracks).filter(|agrees| **agrees).count();
         let is_enough = solution.inliers >= MIN_FLOW && 2 * solution.inliers >= self.pairs.len();
@@ -328,7 +328,7 @@ impl Tracker {
         coarse_levels: usize,
     ) -> Option<Tracked> {
         let Frame { map, features, camera, config, .. } = *frame;
-        let mut options = SearchOptions { radius_px, coarse_levels, sigma_px: frame.sigma_px, blurred_levels: 0 };
+        let mut options = SearchOptions { radius_px, coarse_levels, sigma_px: config.sigma_px, blurred_levels: 0 };
         self.search.select(map, &self.local, camera, guess, config.landmarks_per_frame);
         self.search.align(map, camera, guess, &features.pyramid, &options);
         let mut solution = self.solve(frame, guess, frame.motion.as_ref())?;
@@ -380,7 +380,7 @@ impl Tracker {
             let pair = m.pair(camera, shutter.readout_s);
             self.pairs.push(measurement_of(frame, m.landmark, start, pair));
         }
-        let options = PoseOptions::default();
+        let options = PoseOptions::judged_by(frame.outlier_chi2);
         let on_rays = self.pairs.iter().filter(|pair| pair.ray.is_some()).count();
         let start = if mostly_assumed(on_rays, self.search.matches.len()) {
             lowest_minimum(start, &self.pairs, &options, &mut self.inlier)
@@ -403,7 +403,8 @@ impl Tracker {
         // Nothing vouches for seeds, which come after the matches.
         let mature =
             |i: usize| matches.get(i).and_then(|m| frame.map.landmark(m.landmark)).is_some_and(|l| l.found >= enough);
-        let judged = self.maturity.judge(&self.pairs, mature, &solution, &PoseOptions::default(), &mut self.inlier);
+        let options = PoseOptions::judged_by(frame.outlier_chi2);
+        let judged = self.maturity.judge(&self.pairs, mature, &solution, &options, &mut self.inlier);
         for (m, &ok) in self.search.matches.iter_mut().zip(&self.inlier) {
             m.inlier = ok;
         }

@@ -66,8 +66,8 @@ pub struct Adjustment {
 #[derive(Debug)]
 pub struct AdjustmentResult {
     job: Adjustment,
-    /// Robust standard deviation of what it leaves of places in the pictures, px; `None` where it has too few to tell.
-    pub noise_px: Option<f64>,
+    /// Robust standard deviation of what it leaves of places in the pictures, in supposed ones; `None` where it has too few to tell.
+    pub noise: Option<f64>,
 }
 
 /// What an adjustment found of the intrinsics.
@@ -212,10 +212,16 @@ impl Adjustment {
         }
     }
 
+    /// With this limit of squared residuals, in supposed standard deviations.
+    pub fn judged_by(mut self, outlier_chi2: f64) -> Self {
+        self.options.outlier_chi2 = outlier_chi2;
+        self
+    }
+
     /// Bounded in iterations, not in time.
     pub fn run(mut self) -> AdjustmentResult {
         self.problem.adjust(&self.options);
-        AdjustmentResult { noise_px: self.problem.noise_px(), job: self }
+        AdjustmentResult { noise: self.problem.noise(), job: self }
     }
 }
 

@@ -45,8 +45,8 @@ pub struct Lens<'a> {
     pub camera: &'a CameraModel,
     pub config: &'a ReconstructionConfig,
     pub shutter: &'a Shutter,
-    /// Standard deviation of a found place, px.
-    pub sigma_px: f64,
+    /// Squared residual, in supposed standard deviations, beyond which a place is an outlier.
+    pub outlier_chi2: f64,
 }
 
 /// Buffers, kept between keyframes.
@@ -117,16 +117,16 @@ impl EpipolarMatcher {
         (new_id, new_pixel): (KeyframeId, Vector2<f32>),
         lens: &Lens<'_>,
     ) -> Option<(Landmark, Vec<(KeyframeId, Observation)>)> {
-        let Lens { camera, config, shutter, sigma_px } = *lens;
+        let Lens { camera, config, shutter, outlier_chi2 } = *lens;
         let (old, new) = (map.keyframe(old_id)?, map.keyframe(new_id)?);
-        let see = |pixel| observe(camera, LandmarkId::default(), pixel, 1.0 / sigma_px);
+        let see = |pixel| observe(camera, LandmarkId::default(), pixel, 1.0 / config.sigma_px);
         let (a, b) = (see(old_pixel)?, see(new_pixel)?);
         let meet = |b: &Observation| {
             let (old, new) = (&old.camera_from_world, &new.camera_from_world);
             let (point, angle) = triangulate(old, &a.normalised, new, &b.normalised)?;
             (angle >= config.min_parallax_deg.to_radians()).then_some(point)
         };
-        let options = SearchOptions::precise(sigma_px);
+        let options = SearchOptions::precise(config.sigma_px);
         let b = refine_in(old, &a, new, &meet(&b)?, b.pixel, camera, &options)?;
         let point = meet(&b)?;
         let mut seen = vec![(old_id, displaced(old, a, &point, shutter))];
@@ -140,7 +140,7 @@ impl EpipolarMatcher {
             }
         }
         seen.push((new_id, displaced(new, b, &point, shutter)));
-        made_of(map, &seen, new_id, camera, config, shutter.readout_s)
+        made_of(map, &seen, new_id, camera, config, (shutter.readout_s, outlier_chi2))
     }
 }
 
@@ -280,7 +280,7 @@ mod tests {
         let (camera, config) = (camera(), ReconstructionConfig::default());
         let shutter = Shutter::new(0.0, camera.height, false);
         let (mut map, newest) = map_before_wall(&camera, seeds);
-        let lens = Lens { camera: &camera, config: &config, shutter: &shutter, sigma_px: config.sigma_px };
+        let lens = Lens { camera: &camera, config: &config, shutter: &shutter, outlier_chi2: CHI2_2D_95 };
         let mut matcher = EpipolarMatcher::default();
         // The older ones have their corners since they were the newest.
         for id in [KeyframeId(0), KeyframeId(1)] {

@@ -91,7 +91,7 @@ impl Reconstruction {
             motion: keyframe.motion.map(CameraMotion::turned_only),
             camera: optics.camera.clone(),
             shutter: optics.shutter,
-            sigma_px: optics.noise.sigma_px(),
+            outlier_chi2: optics.noise.outlier_chi2(),
             config: config.clone(),
             relocaliser,
         };

@@ -28,7 +28,7 @@ pub struct Recognition {
     pub motion: Option<CameraMotion>,
     pub camera: CameraModel,
     pub shutter: Shutter,
-    pub sigma_px: f64,
+    pub outlier_chi2: f64,
     pub config: ReconstructionConfig,
     /// Lent: its buffers, and the descriptors that it remembers.
     pub relocaliser: Box<Relocaliser>,
@@ -61,7 +61,7 @@ impl Recognition {
             was_here: true,
             motion: self.motion,
             shutter: &self.shutter,
-            sigma_px: self.sigma_px,
+            outlier_chi2: self.outlier_chi2,
         };
         let placed = relocaliser.place_among(&frame, &self.places)?;
         found_in(&frame, &relocaliser.tracker, self.keyframe, &placed)

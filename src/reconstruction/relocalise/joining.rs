@@ -183,7 +183,7 @@ impl Reconstruction {
             was_here: false,
             motion,
             shutter: &self.optics.shutter,
-            sigma_px: self.optics.noise.sigma_px(),
+            outlier_chi2: self.optics.noise.outlier_chi2(),
         };
         let Some(placed) = relocaliser.place_once(&frame, other.reference, likely) else {
             self.far.ask_ahead(relocaliser.ahead(&other.map));

@@ -29,8 +29,8 @@ pub struct Frame<'a> {
     /// Motion that is expected (that of the frame before).
     pub motion: Option<CameraMotion>,
     pub shutter: &'a Shutter,
-    /// Standard deviation of a found place, px.
-    pub sigma_px: f64,
+    /// Squared residual, in supposed standard deviations, beyond which a place is an outlier.
+    pub outlier_chi2: f64,
 }
 
 /// Motion from the frame before to `pose`.

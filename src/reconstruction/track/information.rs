@@ -160,7 +160,7 @@ mod tests {
                 was_here: true,
                 motion: None,
                 shutter: &Shutter::new(0.0, 480, false),
-                sigma_px: 0.8,
+                outlier_chi2: CHI2_2D_95,
             };
             let pairs: Vec<_> =
                 matches.iter().map(|m| measurement_of(&frame, m.landmark, &truth, m.pair(&camera, 0.0))).collect();

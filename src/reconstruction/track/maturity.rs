@@ -76,13 +76,13 @@ impl MaturityGate {
         // Together they may still pull further than one alone could: then only those count that lie just where the mature
         // pose puts them.
         for doubt in [doubt, Matrix6::zeros()] {
-            self.include(pairs, &own, &doubt);
+            self.include(pairs, &own, &doubt, options.outlier_chi2);
             take(pairs, &self.included, &mut self.pairs);
             agreed = optimise_pose(&own.camera_from_world, &self.pairs, options, &mut self.inlier)?;
             let step = agreed.camera_from_world * own.camera_from_world.inverse();
             let (w, v) = (step.rotation.scaled_axis(), step.translation);
             let pull = Vector6::new(w.x, w.y, w.z, v.x, v.y, v.z);
-            if pull.dot(&(own.information * pull)) <= CHI2_6D_99 {
+            if pull.dot(&(own.information * pull)) <= CHI2_6D_99 * options.outlier_chi2 / CHI2_2D_95 {
                 break;
             }
         }
@@ -94,10 +94,10 @@ impl MaturityGate {
     }
 
     /// Includes the mature ones, and the immature ones that lie where a pose of that covariance lets them lie.
-    fn include(&mut self, pairs: &[Correspondence], own: &PoseSolution, doubt: &Matrix6<f64>) {
+    fn include(&mut self, pairs: &[Correspondence], own: &PoseSolution, doubt: &Matrix6<f64>, limit: f64) {
         self.included.clear();
         self.included.extend(pairs.iter().zip(&self.mature).map(|(pair, &mature)| {
-            mature || pair.innovation(&own.camera_from_world, doubt).is_some_and(|chi2| chi2 <= CHI2_2D_95)
+            mature || pair.innovation(&own.camera_from_world, doubt).is_some_and(|chi2| chi2 <= limit)
         }));
     }
 }

@@ -110,13 +110,13 @@ fn the_noise_of_places_is_told_whatever_was_supposed_and_beside_outliers() {
             o.inv_sigma_px = 1.0 / supposed_px;
         }
         p.adjust(&BundleOptions { steps: 30, ..BundleOptions::default() });
-        let told = p.noise_px().expect("enough");
+        let told = p.noise().expect("enough") * supposed_px;
         // What is judged an outlier has no part in the fit: where too little was supposed, a little too little is told.
         assert!((told / noise_px - 1.0).abs() < 0.2, "seed {seed}: {told} px for {noise_px} px");
     }
     let mut two_views = problem(4, 2, 120, 0.5);
     two_views.adjust(&BundleOptions::default());
-    assert_eq!(two_views.noise_px(), None, "two cameras agree about anything along their epipolar lines");
+    assert_eq!(two_views.noise(), None, "two cameras agree about anything along their epipolar lines");
 }
 
 #[test]

@@ -45,19 +45,20 @@ impl BundleProblem {
         (self.point_covariances, self.global_covariance) = (points, global);
     }
 
-    /// Robust standard deviation of what is left of observations, px at full resolution, each as if all others had been fitted without it (the residuals'
-    /// median square over their degrees of freedom: a posteriori variance of unit weight); of points that three cameras see, as two always agree about
-    /// some. `None` where too little is left to tell it.
-    pub fn noise_px(&self) -> Option<f64> {
+    /// Robust standard deviation of what is left of places, in supposed ones, each as if all others had been fitted without it: from the median
+    /// square of the residuals and their degrees of freedom (a posteriori variance of unit weight). Of points that three cameras see, as two always agree
+    /// about some. `None` where too little is left to tell it.
+    pub fn noise(&self) -> Option<f64> {
         let (mut squared, mut points) = (Vec::new(), 0usize);
+        let mut has_part = vec![false; self.fixed.len()];
         for (i, point) in self.state.points.iter().enumerate().filter(|(i, _)| self.range(*i).len() > 2) {
             points += 1;
             squared.extend(self.range(i).filter_map(|k| {
-                let (e, _) = self.residual(&self.state, point, k)?;
-                Some(e.norm_squared() / self.observations[k].inv_sigma_px.powi(2))
+                has_part[self.observations[k].camera as usize] = true;
+                Some(self.residual(&self.state, point, k)?.0.norm_squared())
             }));
         }
-        let free = self.fixed.iter().filter(|fixed| !**fixed).count();
+        let free = self.fixed.iter().zip(&has_part).filter(|(fixed, has_part)| !**fixed && **has_part).count();
         let residuals = 2.0 * squared.len() as f64;
         let left = residuals - 3.0 * points as f64 - 6.0 * free as f64;
         if squared.len() < MIN_RESIDUALS || left < MIN_FREEDOM * residuals {

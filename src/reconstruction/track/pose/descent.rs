@@ -28,6 +28,13 @@ impl Default for PoseOptions {
     }
 }
 
+impl PoseOptions {
+    /// With this limit.
+    pub fn judged_by(outlier_chi2: f64) -> Self {
+        Self { outlier_chi2, ..Self::default() }
+    }
+}
+
 /// What the pairs that are inliers cost a pose.
 struct PoseProblem<'a> {
     pairs: &'a [Correspondence],
