@@ -168,9 +168,9 @@ impl Reconstruction {
         let (sigma, (readout_s, variance), noise) = self.adjust_globally()?;
         // Also of a start that comes to nothing.
         self.optics.noise.learn(noise);
-        if sigma * self.optics.noise.share()
-            > MAX_DIRECTION_SIGMA * (1.0 + start.trying_s / PATIENCE_S).min(LARGEST_RELAXATION)
-        {
+        // What an unknown lens makes unsure becomes no surer by sharp pictures.
+        let share = if self.optics.intrinsics.is_calibrated() { self.optics.noise.share() } else { 1.0 };
+        if sigma * share > MAX_DIRECTION_SIGMA * (1.0 + start.trying_s / PATIENCE_S).min(LARGEST_RELAXATION) {
             return None;
         }
         if self.optics.intrinsics.is_calibrated() {

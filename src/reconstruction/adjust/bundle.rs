@@ -10,6 +10,7 @@
 //! least one camera fixed, or rely on the damping for the scale).
 
 use crate::geometry::least_squares::{LmOptions, minimise};
+use crate::reconstruction::measurement::CHI2_2D_95;
 
 mod floor;
 mod globals;
@@ -66,7 +67,8 @@ impl BundleProblem {
         }
         let seen =
             self.seen_corners().map(|(k, corner)| self.residual(&self.state, &self.corner(&self.state, corner), k));
-        let judged: Vec<bool> = seen.map(|seen| seen.is_some_and(|(e, _)| e.norm_squared() <= limit)).collect();
+        // Corners of targets have a standard deviation of their own.
+        let judged: Vec<bool> = seen.map(|seen| seen.is_some_and(|(e, _)| e.norm_squared() <= CHI2_2D_95)).collect();
         let begin = self.inlier.len() - judged.len();
         self.inlier[begin..].copy_from_slice(&judged);
     }

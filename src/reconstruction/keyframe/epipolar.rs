@@ -213,6 +213,7 @@ mod tests {
     use crate::image::{GreyImage, Pyramid};
     use crate::map::MapId;
     use crate::map::picture::KeyframePicture;
+    use crate::reconstruction::measurement::CHI2_2D_95;
 
     const FOCAL_PX: f64 = 400.0;
 

@@ -98,6 +98,7 @@ mod tests {
     use crate::image::Pyramid;
     use crate::map::{Landmark, Map, examples};
     use crate::reconstruction::config::ReconstructionConfig;
+    use crate::reconstruction::measurement::CHI2_2D_95;
     use crate::reconstruction::measurement::rolling_shutter::Shutter;
     use crate::reconstruction::track::association::Bindings;
     use crate::reconstruction::track::pose::{PoseOptions, optimise_pose};

@@ -101,18 +101,18 @@ fn readout_time_is_found_with_poses_and_points_and_a_held_one_stays() {
 
 #[test]
 fn the_noise_of_places_is_told_whatever_was_supposed_and_beside_outliers() {
-    for (seed, noise_px, supposed_px) in [(1, 0.15, 0.8), (2, 0.5, 0.8), (3, 1.0, 0.4)] {
-        let mut p = problem(seed, 6, 120, 0.0);
+    for (seed, cameras, noise_px, supposed_px) in [(1, 3, 0.15, 0.8), (2, 3, 0.5, 0.8), (3, 6, 0.5, 0.8)] {
+        let mut p = problem(seed, cameras, 400, 0.0);
         let mut random = Random::new(seed + 7);
         for (k, o) in p.observations.iter_mut().enumerate() {
             let off = Vector2::new(random.normal() / 500.0, random.normal() / 510.0) * noise_px;
-            o.normalised += if k % 23 == 0 { Vector2::new(0.05, 0.02) } else { off };
+            o.normalised += if k % 61 == 0 { Vector2::new(0.05, 0.02) } else { off };
             o.inv_sigma_px = 1.0 / supposed_px;
         }
         p.adjust(&BundleOptions { steps: 30, ..BundleOptions::default() });
         let told = p.noise().expect("enough") * supposed_px;
-        // What is judged an outlier has no part in the fit: where too little was supposed, a little too little is told.
-        assert!((told / noise_px - 1.0).abs() < 0.2, "seed {seed}: {told} px for {noise_px} px");
+        // With three cameras half of the residuals are fitted away: without that it would be 0.7 of the truth.
+        assert!((told / noise_px - 1.0).abs() < 0.12, "seed {seed}: {told} px for {noise_px} px");
     }
     let mut two_views = problem(4, 2, 120, 0.5);
     two_views.adjust(&BundleOptions::default());

@@ -1,6 +1,6 @@
 //! How surely an adjustment knows what it found.
 //!
-//! Everything is read off the normal equations at the solution; the observations' own sigmas are believed.
+//! Covariances are read off the normal equations at the solution, the observations' own sigmas being believed; how right these are, off the residuals.
 
 use nalgebra::{DVector, Matrix3};
 
