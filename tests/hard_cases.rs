@@ -13,13 +13,13 @@ use cairn::reconstruction::{ReconstructionConfig, TrackingState};
 
 const SEED: u64 = 3;
 
-fn keeps_its_promise(name: &str) {
-    let case = cases(SEED).into_iter().find(|c| c.name == name).expect("a case of this name");
+fn keeps_its_promise(name: &str, seed: u64) {
+    let case = cases(seed).into_iter().find(|c| c.name == name).expect("a case of this name");
     let folder = tempfile::tempdir().expect("a folder");
     let (features, reconstruction) = (FeaturesConfig::default(), ReconstructionConfig::default());
     let (result, run) = run_case(&case, false, &features, &reconstruction, folder.path()).expect("a run");
     println!("{}", table(std::slice::from_ref(&result)));
-    assert!(result.missed.is_empty(), "{name}, seed {SEED}: {}", result.missed.join("; "));
+    assert!(result.missed.is_empty(), "{name}, seed {seed}: {}", result.missed.join("; "));
     // Whatever happens: a pose, a finite covariance and the state belong together, and no pose is published without landmarks.
     for r in &run.records {
         let e = &r.estimate;
@@ -31,12 +31,18 @@ fn keeps_its_promise(name: &str) {
 }
 
 macro_rules! hard_cases {
-    ($($name:ident)*) => { $(#[test] fn $name() { keeps_its_promise(stringify!($name)); })* };
+    ($($name:ident)*) => { $(#[test] fn $name() { keeps_its_promise(stringify!($name), SEED); })* };
 }
 
 hard_cases! {
     pure_rotation standing move_then_rotate move_then_stand turn_on_the_spot blackout exposure_jumps occluder low_texture shutter_and_blur
     fast_rotation low_rate low_rate_walk orbit tour wide_angle wide_angle_tour gloss people exposure_hunts jerks desk_sweep dropped_frames
+}
+
+/// Books behind the bars of a rack: where edges cross are corners that are none. With one limit for all cameras the map bends by 1.5 % of the way.
+#[test]
+fn crossing_edges_do_not_bend_the_map_of_a_desk() {
+    keeps_its_promise("gloss", 900);
 }
 
 #[test]
