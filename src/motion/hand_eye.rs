@@ -49,10 +49,10 @@ pub const DRIFT_PER_ROOT_DEPTH: f64 = 0.006;
 const RATIO_SIGMA: f64 = 2.0;
 /// Standard deviations beside those of the wheels and of the camera's step: floors are no planes and a base rocks on its wheels; rad, and as
 /// shares of the way across it and upwards.
-const ROCKING_RAD: f64 = 0.004;
+pub const ROCKING_RAD: f64 = 0.004;
 const TURN_RAD: f64 = 0.0015;
 const SIDEWAYS_SHARE: f64 = 0.005;
-const UPWARDS_SHARE: f64 = 0.01;
+pub const UPWARDS_SHARE: f64 = 0.01;
 /// Scale of Cauchy's loss, standard deviations of a residual of three numbers; and beyond which a segment contradicts.
 const CAUCHY: f64 = 3.0;
 const CONTRADICTS: f64 = 4.5;

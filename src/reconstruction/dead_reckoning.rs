@@ -19,7 +19,7 @@ use nalgebra::{Matrix3, Matrix6, Matrix6x3, UnitQuaternion, Vector3, Vector6};
 use crate::geometry::Se3;
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, Odom, World};
-use crate::motion::hand_eye::Robot;
+use crate::motion::hand_eye::{ROCKING_RAD, Robot, UPWARDS_SHARE};
 use crate::motion::planar::Increment;
 use crate::motion::wheel_scale::WheelScale;
 
@@ -33,9 +33,6 @@ const MOST_SIGMA_RAD: f64 = 0.2;
 const LATE_NS: i64 = 150_000_000;
 /// How the base moves now is taken from so long before, ns.
 const NOW_NS: i64 = 60_000_000;
-/// Standard deviations, floors being no planes: tilt, rad, and height as a share of the way.
-const ROCKING_RAD: f64 = 0.004;
-const UPWARDS_SHARE: f64 = 0.01;
 /// Standard deviation of the mount's rotation, rad, above which nothing is predicted by wheels.
 const MOUNT_RAD: f64 = 0.1;
 

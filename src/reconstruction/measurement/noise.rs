@@ -47,11 +47,9 @@ impl PlaceNoise {
 
     /// Takes what an adjustment left, if it could tell: the robust standard deviation of its residuals, in supposed ones.
     pub fn learn(&mut self, left: Option<f64>) {
-        let share = left.map_or(f64::NAN, |left| BEYOND_FIT * left).clamp(LEAST, 1.0);
-        if share.is_finite() {
-            self.told = (self.told + 1).min(ADJUSTMENTS);
-            self.log_share += (share.ln() - self.log_share) / f64::from(self.told);
-        }
+        let Some(left) = left.filter(|left| left.is_finite()) else { return };
+        self.told = (self.told + 1).min(ADJUSTMENTS);
+        self.log_share += ((BEYOND_FIT * left).clamp(LEAST, 1.0).ln() - self.log_share) / f64::from(self.told);
     }
 }
 

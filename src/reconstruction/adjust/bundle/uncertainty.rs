@@ -14,9 +14,8 @@ use crate::geometry::median;
 
 /// Median of chi-square with two degrees of freedom.
 const MEDIAN_CHI2_2D: f64 = 2.0 * std::f64::consts::LN_2;
-/// Observations that tell the noise, at the least, and their degrees of freedom, as a share.
-const MIN_RESIDUALS: usize = 60;
-const MIN_FREEDOM: f64 = 0.2;
+/// Degrees of freedom that tell the noise, at the least.
+const MIN_FREEDOM: f64 = 60.0;
 
 impl<const W: usize> System<W> {
     /// Covariance of each point with cameras and floor held.
@@ -61,10 +60,8 @@ impl BundleProblem {
         let free = self.fixed.iter().zip(&has_part).filter(|(fixed, has_part)| !**fixed && **has_part).count();
         let residuals = 2.0 * squared.len() as f64;
         let left = residuals - 3.0 * points as f64 - 6.0 * free as f64;
-        if squared.len() < MIN_RESIDUALS || left < MIN_FREEDOM * residuals {
-            return None;
-        }
-        Some((median(&mut squared)? / MEDIAN_CHI2_2D * residuals / left).sqrt())
+        let middle = median(&mut squared).filter(|_| left >= MIN_FREEDOM)?;
+        Some((middle / MEDIAN_CHI2_2D * residuals / left).sqrt())
     }
 
     /// Standard deviation of the direction of camera `index`'s translation, rad, everything else free but the intrinsics (the fixed
