@@ -2,14 +2,19 @@
 //! does not that is said. The long form (`cargo test --release --test uncalibrated -- --ignored --nocapture`) counts over 50 clips how often the
 //! focal length is within one and two of the standard deviations that are said of it.
 
+use std::collections::BTreeMap;
+
 use cairn::camera::Pacing;
 use cairn::camera::simulator::{Scenario, Simulator, SimulatorConfig};
 use cairn::features::{FeatureStage, FeaturesConfig, Feedback, FrameFeatures};
+use cairn::geometry::alignment::align;
+use cairn::geometry::frames::World;
 use cairn::image::GreyImage;
 use cairn::reconstruction::{
-    FOUND_SIGMA, InlineWorker, LensEstimate, LensKnowledge, LensPrior, Reconstruction, ReconstructionConfig,
+    Counters, FOUND_SIGMA, InlineWorker, LensEstimate, LensKnowledge, LensPrior, Reconstruction, ReconstructionConfig,
     guessed_camera,
 };
+use cairn::trajectory::{TrajectorySpool, read_tum};
 
 /// A simulated webcam of this focal length (picture widths), 15 pictures a second.
 fn webcam(scenario: Scenario, focal_widths: f64) -> SimulatorConfig {
@@ -31,6 +36,10 @@ struct Clip {
     /// Shares of the frames with a pose, and with one of more than half the best quality.
     tracked: f64,
     good: f64,
+    counters: Counters,
+    /// Share of the frames that are in the largest map in the end, and the error of their positions after Sim(3), RMSE, as a share of the path.
+    whole: f64,
+    error: f64,
 }
 
 /// What is said of the lens after so many seconds, begun with 60 degrees across and no other knowledge.
@@ -39,7 +48,7 @@ fn found(config: &SimulatorConfig, seconds: f64) -> LensEstimate {
 }
 
 fn watched(config: &SimulatorConfig, seconds: f64) -> Clip {
-    let truth = config.camera_model().expect("a camera").focal_px().ln();
+    let focal = config.camera_model().expect("a camera").focal_px().ln();
     let (mut worst, mut tracked, mut good) = (0.0f64, 0u32, 0u32);
     let mut simulator = Simulator::new(config, Pacing::LockStep).expect("simulator");
     let guess = guessed_camera(config.width, config.height, 60.0).expect("a camera");
@@ -49,28 +58,52 @@ fn watched(config: &SimulatorConfig, seconds: f64) -> Clip {
     let mut stage = FeatureStage::new(&FeaturesConfig::default());
     let (mut features, mut feedback, mut picture) =
         (FrameFeatures::default(), Feedback::default(), GreyImage::new(0, 0));
+    let folder = tempfile::tempdir().unwrap();
+    let mut spool = TrajectorySpool::create(folder.path()).unwrap();
+    let (mut events, mut truth) = (Vec::new(), Vec::new());
     let frames = (seconds * config.rate_hz) as u64;
     for sequence in 0..frames {
         simulator.render(sequence, &mut picture);
         stage.step_grey(&picture, &mut features);
         features.sequence = sequence;
         features.timestamp_ns = simulator.timestamp_ns(sequence);
+        truth.push((features.timestamp_ns, simulator.trajectory().pose_at(features.timestamp_ns).translation));
         let pose = reconstruction.track(&features);
         let said = reconstruction.lens().knowledge;
         reconstruction.map(&features, &mut feedback);
         stage.feedback(&feedback);
+        reconstruction.take_trajectory_events(&mut events);
+        events.drain(..).for_each(|event| spool.record(&event).unwrap());
         let lens = reconstruction.lens();
         if lens.knowledge == LensKnowledge::Estimated {
-            worst = worst.max((lens.camera.focal_px().ln() - truth).abs() / lens.focal_sigma);
+            worst = worst.max((lens.camera.focal_px().ln() - focal).abs() / lens.focal_sigma);
         }
         tracked += u32::from(pose.world_from_camera.is_some());
         good += u32::from(pose.quality > 0.5);
         assert!(pose.quality <= 0.5 || said != LensKnowledge::Guessed, "a guessed lens gives no good pose: {pose:?}");
     }
     reconstruction.finish();
+    reconstruction.take_trajectory_events(&mut events);
+    events.drain(..).for_each(|event| spool.record(&event).unwrap());
+    let path = folder.path().join("trajectory.txt");
+    let written = spool.write_tum(&path, &reconstruction.keyframe_poses()).unwrap();
+    let poses = if written.poses_written > 0 { read_tum(&path).unwrap() } else { Vec::new() };
+    let poses: BTreeMap<i64, _> = poses.iter().map(|p| (p.timestamp_ns, p.world_from_camera.translation)).collect();
+    let way: f64 = truth.windows(2).map(|w| (w[1].1 - w[0].1).norm()).sum();
+    let (from, to): (Vec<_>, Vec<_>) = truth.iter().filter_map(|(t, truth)| Some((*poses.get(t)?, *truth))).unzip();
+    let error = align::<World, World>(&from, &to, true).map_or(f64::NAN, |alignment| alignment.rmse / way);
     let lens = reconstruction.lens();
     let share = |n: u32| f64::from(n) / frames as f64;
-    Clip { off: lens.camera.focal_px().ln() - truth, lens, worst, tracked: share(tracked), good: share(good) }
+    Clip {
+        off: lens.camera.focal_px().ln() - focal,
+        lens,
+        worst,
+        tracked: share(tracked),
+        good: share(good),
+        counters: reconstruction.counters(),
+        whole: from.len() as f64 / frames as f64,
+        error,
+    }
 }
 
 /// Error of the focal length as a share of it.
@@ -102,6 +135,23 @@ fn a_narrow_lens_is_found_from_the_motion() {
 }
 
 /// Not found, said so, and right within two of the standard deviations that are said.
+#[test]
+fn what_was_seen_through_a_wrong_lens_is_in_the_map_once_the_lens_is_known() {
+    let drives = [(Scenario::RoomTour, 100.0, 909), (Scenario::HandHeld, 38.0, 912), (Scenario::RoomTour, 38.0, 912)];
+    for (scenario, view_deg, seed) in drives {
+        let config = SimulatorConfig { seed, ..webcam(scenario, widths(view_deg)) };
+        let Clip { counters, whole, error, .. } = watched(&config, 14.0);
+        let at =
+            format!("{scenario:?}, {view_deg} degrees, seed {seed}: {whole:.3} in one map, {error:.4} of the path");
+        println!("{at}");
+        assert!(
+            counters.resets > 0 && counters.maps_joined > 0,
+            "{at}: no map was begun with a wrong lens: {counters:?}"
+        );
+        assert!(whole > 0.97 && error < 0.008, "{at}");
+    }
+}
+
 fn is_not_observable(scenario: Scenario, focal_widths: f64, seconds: f64) {
     let lens = found(&webcam(scenario, focal_widths), seconds);
     let off = error(&lens, focal_widths);
@@ -167,7 +217,7 @@ fn what_is_said_of_the_focal_length_is_honest() {
             let mut config =
                 SimulatorConfig { scenario, seed, rate_hz: 15.0, texel_mm: 4.0, ..SimulatorConfig::default() };
             config.lens.focal_widths = widths(view_deg);
-            let Clip { lens, off, worst, tracked, good } = watched(&config, seconds);
+            let Clip { lens, off, worst, tracked, good, .. } = watched(&config, seconds);
             let said = lens.focal_sigma;
             println!(
                 "| {} {view_deg:.0}° seed {seed} | {:+.2} | {:.2} | {} | {worst:.2} | {:.0} | {:.0} |",

@@ -299,6 +299,13 @@ impl Map {
         }
     }
 
+    /// The frame that a keyframe was made of, and the map that it was made in.
+    pub fn set_frame(&mut self, keyframe: KeyframeId, map: MapId, sequence: u64, timestamp_ns: i64) {
+        if let Some(k) = self.keyframes.get_mut(keyframe.0) {
+            (k.map, k.sequence, k.timestamp_ns) = (map, sequence, timestamp_ns);
+        }
+    }
+
     /// How the camera moved at a keyframe, and how a rolling shutter displaced what it saw (by the landmark in camera
     /// coordinates and the observation; what lies behind the camera keeps what it had).
     pub fn set_motion(

@@ -21,13 +21,17 @@ const GLOBAL_LIMIT: usize = 240;
 const AMPLE_NS: i64 = 110_000_000;
 
 impl Reconstruction {
-    /// Posts a job unless one is under way: a loop that waits to be closed, else around the newest keyframe that no adjustment has seen.
+    /// Posts a job unless one is under way: a loop that waits to be closed, a piece of a second look, else around the newest keyframe that no adjustment has seen.
     pub(super) fn post_adjustment(&mut self) {
         if self.mapper.is_busy() {
             return;
         }
         if let Some(job) = self.loop_closure() {
             self.mapper.post(MappingJob::CloseLoop(Box::new(job)), self.counters.frames);
+            return;
+        }
+        if let Some(piece) = self.second_look.next_piece(self.active.unadjusted.is_none()) {
+            self.mapper.post(piece, self.counters.frames);
             return;
         }
         let (optics, active) = (&self.optics, &mut self.active);
@@ -56,7 +60,10 @@ impl Reconstruction {
 
     /// Forgets the job under way, as what it began from is no more; with it what was found of loops, which would wait for it for ever.
     pub(super) fn discard_job(&mut self) {
-        self.mapper.discard();
+        // A second look depends on nothing that has changed.
+        if !self.second_look.is_with_worker() {
+            self.mapper.discard();
+        }
         self.loops.forget_found();
     }
 
@@ -76,6 +83,7 @@ impl Reconstruction {
         match result {
             MappingResult::Adjusted(result) => self.take_over(&result, when),
             MappingResult::ClosedLoop(closed) => self.take_over_loop(closed),
+            MappingResult::Remapped(work) => self.take_over_remapping(work),
         }
     }
 
@@ -108,6 +116,7 @@ impl Reconstruction {
             self.corrections.adjusted(&old, &new);
         }
         if when != Merge::AtTheEnd && optics.intrinsics.wants_restart(&optics.camera) {
+            self.second_look.note_begun_wrongly(self.active.id);
             self.put_aside();
         }
     }

@@ -23,10 +23,12 @@ mod metric;
 mod odometry;
 mod optics;
 mod persistence;
+mod recording;
 mod relocalise;
 mod reset;
 mod scale_uncertainty;
 mod scanning;
+mod second_look;
 mod segments;
 mod surroundings;
 mod track;
@@ -60,6 +62,7 @@ use optics::Optics;
 use relocalise::descriptors::describe_kept;
 use relocalise::other_maps::{OtherMaps, WORTH_KEEPING};
 use relocalise::{LIKELY, Relocaliser};
+use second_look::SecondLook;
 use segments::Wheels;
 use surroundings::Surroundings;
 use track::frame::Frame;
@@ -67,7 +70,7 @@ use track::search::Match;
 use track::{Tracked, Tracker};
 
 use crate::features::{Feedback, FrameFeatures};
-use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
+use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::image::pyramid::PyramidPool;
 use crate::map::saved::Taken;
@@ -104,6 +107,7 @@ pub struct Reconstruction {
     /// While there is no map.
     orientation: OrientationTracker,
     contradiction: Contradiction,
+    second_look: SecondLook,
     tracker: Tracker,
     relocaliser: Relocaliser,
     epipolar: EpipolarMatcher,
@@ -162,6 +166,7 @@ impl Reconstruction {
             initialiser: Initialiser::default(),
             orientation: OrientationTracker::default(),
             contradiction: Contradiction::default(),
+            second_look: SecondLook::new(prior),
             tracker: Tracker::default(),
             relocaliser: Relocaliser::default(),
             epipolar: EpipolarMatcher::default(),
@@ -358,23 +363,6 @@ impl Reconstruction {
         self.estimate_none(features)
     }
 
-    /// The frame's place relative to its reference keyframe, for the trajectory that is written at the end.
-    fn record_pose(&mut self, timestamp_ns: i64, pose: &Se3<Camera, World>) {
-        let ActiveMap { map, id, reference, .. } = &self.active;
-        let Some(k) = map.keyframe(*reference) else { return };
-        let keyframe_from_camera = (k.camera_from_world * pose.inverse()).relabel::<KeyframeFrame, Camera>();
-        self.events.push(TrajectoryEvent::Pose { timestamp_ns, map: *id, keyframe: *reference, keyframe_from_camera });
-    }
-
-    /// The pose of the frame just recorded is this one.
-    fn record_instead(&mut self, timestamp_ns: i64, pose: &Se3<Camera, World>) {
-        if matches!(self.events.last(), Some(TrajectoryEvent::Pose { timestamp_ns: last, .. }) if *last == timestamp_ns)
-        {
-            self.events.pop();
-            self.record_pose(timestamp_ns, pose);
-        }
-    }
-
     /// Keyframe work for the frame just tracked (the same `features`), after its pose was published.
     pub fn map(&mut self, features: &FrameFeatures, feedback: &mut Feedback) {
         feedback.sequence = features.sequence;
@@ -400,6 +388,7 @@ impl Reconstruction {
         self.merge_adjustment(Merge::WhenDue);
         self.hear_recognition(Merge::WhenDue);
         self.follow_scale(features);
+        self.keep_for_second_look();
         self.post_adjustment();
     }
 

@@ -4,6 +4,7 @@ use super::active_map::ActiveMap;
 use super::odometry::Odometry;
 use super::optics::Optics;
 use super::relocalise::other_maps::{OtherMap, retire};
+use super::second_look::SecondLook;
 use super::track::Tracker;
 use super::types::{PoseEstimate, TrackingState};
 use super::{LensPrior, Pending, Reconstruction};
@@ -121,6 +122,7 @@ impl Reconstruction {
     /// Starts over with another camera model: the pictures have another size now, or the camera was calibrated.
     pub fn change_camera(&mut self, camera: &CameraModel, prior: LensPrior) {
         self.reset();
+        self.second_look = SecondLook::new(prior);
         self.optics = Optics::new(camera, prior, &self.config);
         if let Some(tags) = &mut self.tags {
             tags.forget();

@@ -8,7 +8,8 @@
 //! (KITTI's calibration: a tenth of the scale lost in one turn; Krešo and Šegvić, VISAPP 2015, found its deformation field). The adjustment's own
 //! information is far too sure of itself (neighbouring keyframes share the errors of their templates), so it counts only in part.
 //!
-//! A guessed lens differs in two more ways. The whole of a small map is adjusted at every keyframe. And a map that was begun with a focal length far from what it has shown since is begun anew.
+//! A guessed lens differs in two more ways. The whole of a small map is adjusted at every keyframe. And a map that was begun with a focal length far from
+//! what it has shown since is begun anew; what was seen before is mapped again once the lens is known ([`second_look`](crate::reconstruction::second_look)).
 //!
 //! **What is said of it.** The published standard deviation is the adjustment's, with [`MODEL_FLOOR`] added for what this lens model leaves
 //! out, and how far the focal length has moved since the adjustment's variance was twice what it is: of an estimate that is as good as
@@ -45,7 +46,7 @@ const STEPS: usize = 6;
 const GUESSED_STEPS: usize = 30;
 
 /// What rolling shutter and distortion beyond k1 k2 p1 p2 may cost in focal length, as a share of it.
-const MODEL_FLOOR: f64 = 0.03;
+pub const MODEL_FLOOR: f64 = 0.03;
 /// Largest published standard deviation of log focal length at which it counts as found.
 pub const FOUND_SIGMA: f64 = 0.09;
 
@@ -260,7 +261,8 @@ impl Intrinsics {
         !self.guessed || self.published_focal_sigma() <= FOUND_SIGMA
     }
 
-    fn published_focal_sigma(&self) -> f64 {
+    /// Standard deviation of log focal length as it is told.
+    pub fn published_focal_sigma(&self) -> f64 {
         match self.guessed {
             true => self.refined_sigma[0].hypot(MODEL_FLOOR).hypot(self.unsettled).min(self.sigma[0].max(MODEL_FLOOR)),
             false => self.refined_sigma[0],

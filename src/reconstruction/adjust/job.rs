@@ -1,4 +1,5 @@
-//! What the mapping worker does: bundle adjustments, and now and then a pose graph ([`LoopClosure`]).
+//! What the mapping worker does: bundle adjustments, now and then a pose graph ([`LoopClosure`]), once perhaps a second look at the first pictures
+//! ([`Remapping`]).
 //!
 //! Local bundle adjustment as a job: built from a part of the map, run anywhere, merged later.
 //!
@@ -22,12 +23,14 @@ use crate::places::loops::{ClosedLoop, LoopClosure};
 use crate::reconstruction::config::ReconstructionConfig;
 use crate::reconstruction::keyframe::distance_prior;
 use crate::reconstruction::measurement::rolling_shutter::Shutter;
+use crate::reconstruction::second_look::Remapping;
 
 /// A piece of mapping work on a copy of a part of the map: a pure function of its input, so that it can run anywhere.
 #[derive(Debug)]
 pub enum MappingJob {
     Adjust(Box<Adjustment>),
     CloseLoop(Box<LoopClosure>),
+    Remap(Box<Remapping>),
 }
 
 impl MappingJob {
@@ -36,6 +39,10 @@ impl MappingJob {
         match self {
             Self::Adjust(job) => MappingResult::Adjusted(Box::new(job.run())),
             Self::CloseLoop(job) => MappingResult::ClosedLoop(job.run()),
+            Self::Remap(mut work) => {
+                work.step();
+                MappingResult::Remapped(work)
+            }
         }
     }
 }
@@ -46,6 +53,8 @@ pub enum MappingResult {
     Adjusted(Box<AdjustmentResult>),
     /// `None`: it could not be closed.
     ClosedLoop(Option<ClosedLoop>),
+    /// So far.
+    Remapped(Box<Remapping>),
 }
 
 /// A bundle adjustment of a part of the map.

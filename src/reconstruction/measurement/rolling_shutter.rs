@@ -67,6 +67,11 @@ impl Shutter {
         [0.0, -2.0, -1.0, 1.0, 2.0].map(|n| Self { readout_s: self.readout_s + n * sigma_s, ..*self })
     }
 
+    /// For pictures that are looked at in the reverse of their order, in which everything moves the other way: held, as far as it is known.
+    pub fn backwards(&self) -> Self {
+        Self { readout_s: -self.readout_s, estimate: false, ..*self }
+    }
+
     /// Variance of the readout time, s^2; zero where it is held.
     pub fn variance(&self) -> f64 {
         if self.estimate { self.information.recip() } else { 0.0 }

@@ -193,7 +193,12 @@ impl Reconstruction {
     }
 
     /// Makes the other map a part of this one. `scale_sigma`: of the logarithm of the ratio of their units.
-    pub(super) fn join(&mut self, mut other: OtherMap, present_from_other: &Sim3<World, World>, scale_sigma: f64) {
+    pub(in crate::reconstruction) fn join(
+        &mut self,
+        mut other: OtherMap,
+        present_from_other: &Sim3<World, World>,
+        scale_sigma: f64,
+    ) {
         self.discard_job();
         let active = &mut self.active;
         // The lens may be known better by now.

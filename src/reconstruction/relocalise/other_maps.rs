@@ -58,6 +58,29 @@ pub struct Sighting {
     pub found: Vec<Match>,
 }
 
+impl Sighting {
+    /// How the other map lies to the present one by this keyframe alone, for a ratio of their units.
+    pub fn similarity(&self, map: &Map, scale: f64) -> Option<Sim3<World, World>> {
+        let here = map.keyframe(self.keyframe)?.camera_from_world;
+        let turn = here.rotation.inverse();
+        let shift = turn * (self.there.translation * scale - here.translation);
+        Some(Sim3::new(scale, turn * self.there.rotation, shift))
+    }
+
+    /// Mean depth of what was found, in the other map's unit.
+    fn mean_depth(&self) -> f64 {
+        self.found.iter().map(|m| self.there.transform(&m.point).z).sum::<f64>() / self.found.len() as f64
+    }
+
+    /// Whether another keyframe tells the same as this one does (`own`).
+    pub fn agrees(&self, own: &Sim3<World, World>, told: &Sim3<World, World>) -> bool {
+        let centre = self.there.inverse().translation;
+        let apart = (told.transform(&centre) - own.transform(&centre)).norm();
+        let turned = told.rotation.angle_to(&own.rotation);
+        turned < AGREE_RAD && apart < AGREE_DEPTHS * own.scale * self.mean_depth()
+    }
+}
+
 /// How another map (or another part of the same) lies to the present one, as two sightings tell.
 #[derive(Debug, Clone, Copy)]
 pub struct Similarity {
@@ -215,25 +238,14 @@ pub fn similarity(
     ratios.extend(depth_ratios(map, second, other));
     ratios.extend(triangulated_ratios(map, [first, second], readout_s, min_parallax));
     let (scale, log_scale_sigma) = agreed_ratio(&mut ratios)?;
-    let told_by = |s: &Sighting| {
-        let here = map.keyframe(s.keyframe)?.camera_from_world;
-        let turn = here.rotation.inverse();
-        let shift = turn * (s.there.translation * scale - here.translation);
-        Some(Sim3::<World, World>::new(scale, turn * s.there.rotation, shift))
-    };
-    let (a, b) = (told_by(first)?, told_by(second)?);
-    let centre = second.there.inverse().translation;
-    let apart = (a.transform(&centre) - b.transform(&centre)).norm();
-    let depths: f64 = second.found.iter().map(|m| second.there.transform(&m.point).z).sum();
-    let depth = scale * depths / second.found.len() as f64;
-    let baseline = scale * (first.there.inverse().translation - centre).norm();
+    let (a, b) = (first.similarity(map, scale)?, second.similarity(map, scale)?);
+    let baseline = scale * (first.there.inverse().translation - second.there.inverse().translation).norm();
     let has = |m: &&Match| first.found.binary_search_by_key(&m.landmark, |m| m.landmark).is_ok();
     let common = second.found.iter().filter(has).count();
-    if baseline < APART_DEPTHS * depth && 2 * common > second.found.len() {
+    if baseline < APART_DEPTHS * scale * second.mean_depth() && 2 * common > second.found.len() {
         return None;
     }
-    let agrees = a.rotation.angle_to(&b.rotation) < AGREE_RAD && apart < AGREE_DEPTHS * depth;
-    (agrees && b.is_valid()).then_some(Similarity { present_from_other: b, log_scale_sigma })
+    (second.agrees(&b, &a) && b.is_valid()).then_some(Similarity { present_from_other: b, log_scale_sigma })
 }
 
 /// What was observed nearest to where a landmark of another map was found, if that is the same corner.
@@ -243,7 +255,7 @@ pub fn at_corner(seen: &Observations, m: &Match) -> Option<LandmarkId> {
 }
 
 /// Logarithms of the ratios of the depths, present to other, of the corners of a keyframe that are landmarks of both maps.
-fn depth_ratios(map: &Map, sighting: &Sighting, other: &Map) -> Vec<f64> {
+pub fn depth_ratios(map: &Map, sighting: &Sighting, other: &Map) -> Vec<f64> {
     let Some(keyframe) = map.keyframe(sighting.keyframe) else { return Vec::new() };
     let measured = |map: &Map, id: LandmarkId| Some(map.landmark(id).filter(|l| l.assumed.is_none())?.position);
     let ratio = |m: &Match| {
@@ -273,7 +285,7 @@ pub fn log_ratio(here: f64, there: f64) -> Option<f64> {
 }
 
 /// The median of such ratios and the standard deviation of its logarithm; `None` if too few tell it, or too differently.
-fn agreed_ratio(logarithms: &mut [f64]) -> Option<(f64, f64)> {
+pub fn agreed_ratio(logarithms: &mut [f64]) -> Option<(f64, f64)> {
     let n = logarithms.len();
     let middle = median(logarithms).filter(|_| n >= MIN_COMMON)?;
     let mut off: Vec<f64> = logarithms.iter().map(|r| (r - middle).abs()).collect();

@@ -1,0 +1,109 @@
+//! Where the frames between keyframes are, once the keyframes are somewhere else.
+
+use nalgebra::Vector3;
+
+use super::remapping::Placed;
+use crate::geometry::Se3;
+use crate::geometry::frames::{Camera, World};
+use crate::map::{Keyframe, Map};
+use crate::reconstruction::relocalise::other_maps::OtherMap;
+
+/// A keyframe of a map that was begun wrongly, as it was there, and its pose now.
+pub struct Moved<'a> {
+    pub place: &'a Placed,
+    before: &'a Keyframe,
+    after: Se3<World, Camera>,
+}
+
+impl Moved<'_> {
+    /// A pose beside it that goes with it; `unit`: what lengths have become.
+    fn carry(&self, world_from_camera: &Se3<World, Camera>, unit: f64) -> Se3<World, Camera> {
+        let mut step: Se3<Camera, Camera> = self.before.camera_from_world * *world_from_camera;
+        step.translation *= unit;
+        self.after * step
+    }
+}
+
+/// Where a frame is now, and a keyframe beside it: by the one before it and the one after it, each as far as it is near in time. What a wrong focal length
+/// makes of a turn, and of the unit of lengths, then holds between these two only.
+pub fn follow<'a>(
+    moved: &'a [Moved<'a>],
+    timestamp_ns: i64,
+    before: &Se3<World, Camera>,
+) -> Option<(Se3<World, Camera>, &'a Moved<'a>)> {
+    let next =
+        moved.partition_point(|m| m.before.timestamp_ns <= timestamp_ns).clamp(1, moved.len().checked_sub(1)?.max(1));
+    let (a, b) = (&moved[next - 1], moved.get(next).unwrap_or(&moved[next - 1]));
+    let way = |from: &Vector3<f64>, to: &Vector3<f64>| (to - from).norm();
+    let unit = way(&a.after.translation, &b.after.translation) / way(&a.before.centre(), &b.before.centre());
+    // Where the camera stood there are no lengths.
+    let unit = if unit.is_finite() { unit } else { 1.0 };
+    let span_ns = (b.before.timestamp_ns - a.before.timestamp_ns).max(1) as f64;
+    let share = ((timestamp_ns - a.before.timestamp_ns) as f64 / span_ns).clamp(0.0, 1.0);
+    let (by_a, by_b) = (a.carry(before, unit), b.carry(before, unit));
+    let between: Se3<Camera, Camera> = by_a.inverse() * by_b;
+    Some((by_a * between.scaled(share), if share < 0.5 { a } else { b }))
+}
+
+/// What has become of the keyframes of a map that was begun wrongly, in the order of time; `scale`: the new map's unit in the `present` one's,
+/// which it is a part of by now.
+pub fn moved<'a>(placed: &'a [Placed], old: &'a OtherMap, present: &Map, scale: f64) -> Vec<Moved<'a>> {
+    let mut moved = Vec::new();
+    for place in placed.iter().filter(|place| place.map == old.id) {
+        let after = place.world_from_camera(present, scale);
+        if let Some((before, after)) = old.map.keyframe(place.keyframe).zip(after) {
+            moved.push(Moved { place, before, after });
+        }
+    }
+    moved.sort_by_key(|m| m.before.timestamp_ns);
+    moved
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use nalgebra::UnitQuaternion;
+
+    use super::*;
+    use crate::image::Pyramid;
+    use crate::map::{KeyframeId, MapId, examples};
+
+    /// Along x, turning about y.
+    fn pose(way: f64, turn: f64) -> Se3<World, Camera> {
+        Se3::new(UnitQuaternion::from_scaled_axis(Vector3::y() * turn), Vector3::x() * way)
+    }
+
+    #[test]
+    fn a_frame_follows_the_keyframes_on_both_sides_of_it() {
+        // A focal length that is far too short makes half as much again of a turn, and the map was half as large.
+        let (was, is) = (|t: f64| pose(0.5 * t, 0.45 * t), |t: f64| pose(t, 0.3 * t));
+        let ns = |t: f64| (t * 1e9) as i64;
+        let keyframes: Vec<Keyframe> = [0.0, 1.0, 2.0]
+            .map(|t| Keyframe {
+                timestamp_ns: ns(t),
+                ..examples::keyframe(Arc::new(Pyramid::new(1)), was(t).inverse())
+            })
+            .into();
+        let place = |i: u32| {
+            let (keyframe, parent) = (KeyframeId(i), KeyframeId(i + 10));
+            Placed { map: MapId(0), keyframe, parent, parent_from_keyframe: Se3::identity() }
+        };
+        let places = [0, 1, 2].map(place);
+        let moved: Vec<Moved> =
+            (0..3).map(|i| Moved { place: &places[i], before: &keyframes[i], after: is(i as f64) }).collect();
+        let at = |t: f64| follow(&moved, ns(t), &was(t)).expect("there are keyframes");
+        for t in [0.0, 1.0, 2.0] {
+            let off = is(t).inverse() * at(t).0;
+            assert!(off.translation.norm() < 1e-9 && off.rotation.angle() < 1e-9, "{t}: it is one of them");
+        }
+        for t in [0.25, 0.5, 1.3, 1.9] {
+            let off: Se3<Camera, Camera> = is(t).inverse() * at(t).0;
+            assert!(off.rotation.angle() < 1e-6 && off.translation.norm() < 0.05, "{t}: {off:?}");
+        }
+        assert_eq!([0.2, 0.8, 1.2, 9.0].map(|t| at(t).1.place.keyframe.0), [0, 1, 1, 2]);
+        let off: Se3<Camera, Camera> = is(2.0).inverse() * follow(&moved, ns(3.0), &was(2.0)).expect("there").0;
+        assert!(off.translation.norm() < 1e-9, "after the last one it goes with that alone");
+        assert!(follow(&moved[..1], ns(0.5), &was(0.0)).is_some() && follow(&[], 0, &was(0.0)).is_none());
+    }
+}
