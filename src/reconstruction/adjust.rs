@@ -83,7 +83,7 @@ impl Reconstruction {
         match result {
             MappingResult::Adjusted(result) => self.take_over(&result, when),
             MappingResult::ClosedLoop(closed) => self.take_over_loop(closed),
-            MappingResult::Remapped(work) => self.take_over_remapping(work),
+            MappingResult::Piece => self.take_over_second_look(),
         }
     }
 

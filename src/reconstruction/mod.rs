@@ -62,7 +62,7 @@ use optics::Optics;
 use relocalise::descriptors::describe_kept;
 use relocalise::other_maps::{OtherMaps, WORTH_KEEPING};
 use relocalise::{LIKELY, Relocaliser};
-use second_look::SecondLook;
+use second_look::kept::SecondLook;
 use segments::Wheels;
 use surroundings::Surroundings;
 use track::frame::Frame;

@@ -4,7 +4,7 @@ use super::active_map::ActiveMap;
 use super::odometry::Odometry;
 use super::optics::Optics;
 use super::relocalise::other_maps::{OtherMap, retire};
-use super::second_look::SecondLook;
+use super::second_look::kept::SecondLook;
 use super::track::Tracker;
 use super::types::{PoseEstimate, TrackingState};
 use super::{LensPrior, Pending, Reconstruction};

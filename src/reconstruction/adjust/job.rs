@@ -1,5 +1,5 @@
-//! What the mapping worker does: bundle adjustments, now and then a pose graph ([`LoopClosure`]), once perhaps a second look at the first pictures
-//! ([`Remapping`]).
+//! What the mapping worker does: bundle adjustments, now and then a pose graph ([`LoopClosure`]), and longer work by others in
+//! pieces ([`Piece`]).
 //!
 //! Local bundle adjustment as a job: built from a part of the map, run anywhere, merged later.
 //!
@@ -23,14 +23,13 @@ use crate::places::loops::{ClosedLoop, LoopClosure};
 use crate::reconstruction::config::ReconstructionConfig;
 use crate::reconstruction::keyframe::distance_prior;
 use crate::reconstruction::measurement::rolling_shutter::Shutter;
-use crate::reconstruction::second_look::Remapping;
 
 /// A piece of mapping work on a copy of a part of the map: a pure function of its input, so that it can run anywhere.
 #[derive(Debug)]
 pub enum MappingJob {
     Adjust(Box<Adjustment>),
     CloseLoop(Box<LoopClosure>),
-    Remap(Box<Remapping>),
+    Piece(Box<dyn Piece>),
 }
 
 impl MappingJob {
@@ -39,12 +38,18 @@ impl MappingJob {
         match self {
             Self::Adjust(job) => MappingResult::Adjusted(Box::new(job.run())),
             Self::CloseLoop(job) => MappingResult::ClosedLoop(job.run()),
-            Self::Remap(mut work) => {
-                work.step();
-                MappingResult::Remapped(work)
+            Self::Piece(piece) => {
+                piece.run();
+                MappingResult::Piece
             }
         }
     }
+}
+
+/// A part of work that takes longer than an adjustment may wait.
+pub trait Piece: std::fmt::Debug + Send {
+    /// Bounded; what comes of it stays with who has posted it.
+    fn run(&self);
 }
 
 /// What a [`MappingJob`] gives back.
@@ -53,8 +58,8 @@ pub enum MappingResult {
     Adjusted(Box<AdjustmentResult>),
     /// `None`: it could not be closed.
     ClosedLoop(Option<ClosedLoop>),
-    /// So far.
-    Remapped(Box<Remapping>),
+    /// Who has posted it has what came of it.
+    Piece,
 }
 
 /// A bundle adjustment of a part of the map.

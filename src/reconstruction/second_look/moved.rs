@@ -2,11 +2,29 @@
 
 use nalgebra::Vector3;
 
-use super::remapping::Placed;
 use crate::geometry::Se3;
-use crate::geometry::frames::{Camera, World};
-use crate::map::{Keyframe, Map};
+use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
+use crate::map::{Keyframe, KeyframeId, Map, MapId};
 use crate::reconstruction::relocalise::other_maps::OtherMap;
+
+/// Where the picture of a keyframe has a place in the new map: relative to a keyframe of that.
+pub struct Placed {
+    pub map: MapId,
+    pub keyframe: KeyframeId,
+    pub parent: KeyframeId,
+    pub parent_from_keyframe: Se3<KeyframeFrame, KeyframeFrame>,
+}
+
+impl Placed {
+    /// Its pose; `scale`: what the new map's unit is in that of `map`.
+    pub fn world_from_camera(&self, map: &Map, scale: f64) -> Option<Se3<World, Camera>> {
+        let world_from_parent =
+            map.keyframe(self.parent)?.camera_from_world.inverse().relabel::<World, KeyframeFrame>();
+        let mut step = self.parent_from_keyframe;
+        step.translation *= scale;
+        Some((world_from_parent * step).relabel())
+    }
+}
 
 /// A keyframe of a map that was begun wrongly, as it was there, and its pose now.
 pub struct Moved<'a> {
@@ -67,7 +85,7 @@ mod tests {
 
     use super::*;
     use crate::image::Pyramid;
-    use crate::map::{KeyframeId, MapId, examples};
+    use crate::map::examples;
 
     /// Along x, turning about y.
     fn pose(way: f64, turn: f64) -> Se3<World, Camera> {

@@ -5,11 +5,10 @@
 
 use std::collections::BTreeMap;
 
-use super::{Frame, Kept, Recorded};
+use super::kept::{Again, Frame, Look};
+use super::moved::Placed;
 use crate::features::{FeatureStage, FeaturesConfig, Feedback, FrameFeatures};
-use crate::geometry::Se3;
 use crate::geometry::camera_motion::CameraMotion;
-use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::image::GreyImage;
 use crate::map::{KeyframeId, Map, MapId};
 use crate::reconstruction::active_map::ActiveMap;
@@ -30,49 +29,27 @@ const LEAST_AGREEING: usize = 2;
 /// A second look under way.
 pub struct Remapping {
     /// The newest last.
-    pub pictures: Vec<(Frame, GreyImage)>,
-    pub looked_at: Vec<Frame>,
-    pub begun_wrongly: Vec<MapId>,
-    pub frames: Vec<Recorded>,
+    pictures: Vec<(Frame, GreyImage)>,
+    looked_at: Vec<Frame>,
     /// The map that the newest pictures are of.
     present: MapId,
     /// Numbers of keyframes and landmarks that are not its own any more.
     end: [u32; 2],
     stage: FeatureStage,
-    pub own: Reconstruction,
+    own: Reconstruction,
     features: FrameFeatures,
     feedback: Feedback,
     /// What keyframes of the present map see of the new one.
     common: Vec<Sighting>,
 }
 
-impl std::fmt::Debug for Remapping {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Remapping").field("pictures", &self.pictures).finish_non_exhaustive()
-    }
-}
-
-/// Where the picture of a keyframe has a place in the new map: relative to a keyframe of that.
-pub struct Placed {
-    pub map: MapId,
-    pub keyframe: KeyframeId,
-    pub parent: KeyframeId,
-    pub parent_from_keyframe: Se3<KeyframeFrame, KeyframeFrame>,
-}
-
-impl Placed {
-    /// Its pose; `scale`: what the new map's unit is in that of `map`.
-    pub fn world_from_camera(&self, map: &Map, scale: f64) -> Option<Se3<World, Camera>> {
-        let world_from_parent =
-            map.keyframe(self.parent)?.camera_from_world.inverse().relabel::<World, KeyframeFrame>();
-        let mut step = self.parent_from_keyframe;
-        step.translation *= scale;
-        Some((world_from_parent * step).relabel())
-    }
-}
-
 impl Remapping {
-    pub fn new(kept: Kept, active: &mut ActiveMap, optics: &Optics, config: &ReconstructionConfig) -> Self {
+    pub fn new(
+        pictures: Vec<(Frame, GreyImage)>,
+        active: &mut ActiveMap,
+        optics: &Optics,
+        config: &ReconstructionConfig,
+    ) -> Self {
         // The lens is the present map's; whether a picture is a keyframe the present one has decided.
         let config = ReconstructionConfig {
             refine_intrinsics: false,
@@ -85,17 +62,12 @@ impl Remapping {
         own.optics.shutter = optics.shutter.backwards();
         own.optics.noise = optics.noise;
         own.active = active.successor();
-        let Kept { seen: mut pictures, begun_wrongly, mut frames, .. } = kept;
-        pictures.retain(|(of, _)| of.map == active.id || begun_wrongly.contains(&of.map));
-        frames.retain(|frame| begun_wrongly.contains(&frame.map));
         let next = [active.map.keyframes.next_id(), active.map.landmarks.next_id()];
         let end = std::array::from_fn(|i| next[i] + ROOM[i] * pictures.len() as u32);
         active.map.leave_numbers(end[0], end[1]);
         Self {
             pictures,
             looked_at: Vec::new(),
-            begun_wrongly,
-            frames,
             present: active.id,
             end,
             stage: FeatureStage::new(&FeaturesConfig::default()),
@@ -106,27 +78,8 @@ impl Remapping {
         }
     }
 
-    /// Looks at a few pictures.
-    pub fn step(&mut self) {
-        for _ in 0..PIECE {
-            let Some((of, picture)) = self.pictures.pop() else { return };
-            self.features.sequence += 1;
-            self.features.timestamp_ns = -of.timestamp_ns;
-            self.stage.feedback(&self.feedback);
-            self.stage.step_grey(&picture, &mut self.features);
-            let estimate = self.own.track(&self.features);
-            let pose = estimate.world_from_camera.filter(|_| estimate.state == TrackingState::Tracking);
-            if let Some(pose) = pose.filter(|_| of.map == self.present) {
-                let found = self.own.tracker.inliers().copied().collect();
-                self.common.push(Sighting { keyframe: of.keyframe, there: pose.inverse(), found });
-            }
-            self.own.map(&self.features, &mut self.feedback);
-            self.looked_at.push(of);
-        }
-    }
-
-    /// Ends it: where each picture is in the new map, whose number is `map`.
-    pub fn finish(&mut self, map: MapId) -> Vec<Placed> {
+    /// Where each picture is in the new map.
+    fn placed(&mut self) -> Vec<Placed> {
         self.own.finish();
         let (mut recorded, mut gone) = (BTreeMap::new(), BTreeMap::new());
         for event in self.own.events.drain(..) {
@@ -153,9 +106,7 @@ impl Remapping {
             self.own.active.map.keyframe(parent)?;
             Some(Placed { map, keyframe, parent, parent_from_keyframe })
         };
-        let placed = self.looked_at.iter().filter_map(placed).collect();
-        self.let_time_run_forwards(map);
-        placed
+        self.looked_at.iter().filter_map(placed).collect()
     }
 
     /// Keyframes get their times back, and motions their direction.
@@ -175,7 +126,7 @@ impl Remapping {
     }
 
     /// What keyframes of the present map see of the new one as that is at the end, the newest last; with time running forwards.
-    pub fn sightings(&mut self, placed: &[Placed], present: &Map) -> Vec<Sighting> {
+    fn sightings(&mut self, placed: &[Placed], present: &Map) -> Vec<Sighting> {
         let (map, camera) = (&self.own.active.map, &self.own.optics.camera);
         let as_it_is = |mut sighting: Sighting| {
             present.keyframe(sighting.keyframe)?;
@@ -192,7 +143,7 @@ impl Remapping {
     }
 
     /// How the new map lies to the present one. All keyframes that both have tell how large it is, and one that most others agree with where.
-    pub fn told_by(&self, sightings: &[Sighting], present: &Map) -> Option<Similarity> {
+    fn told_by(&self, sightings: &[Sighting], present: &Map) -> Option<Similarity> {
         let map = &self.own.active.map;
         if map.keyframes.next_id() > self.end[0] || map.landmarks.next_id() > self.end[1] {
             return None;
@@ -204,5 +155,38 @@ impl Remapping {
         let best = told.iter().max_by_key(agreeing)?;
         let is_told = agreeing(&best) >= LEAST_AGREEING && 2 * agreeing(&best) > told.len() && best.1.is_valid();
         is_told.then_some(Similarity { present_from_other: best.1, log_scale_sigma })
+    }
+}
+
+impl Look for Remapping {
+    fn step(&mut self) {
+        for _ in 0..PIECE {
+            let Some((of, picture)) = self.pictures.pop() else { return };
+            self.features.sequence += 1;
+            self.features.timestamp_ns = -of.timestamp_ns;
+            self.stage.feedback(&self.feedback);
+            self.stage.step_grey(&picture, &mut self.features);
+            let estimate = self.own.track(&self.features);
+            let pose = estimate.world_from_camera.filter(|_| estimate.state == TrackingState::Tracking);
+            if let Some(pose) = pose.filter(|_| of.map == self.present) {
+                let found = self.own.tracker.inliers().copied().collect();
+                self.common.push(Sighting { keyframe: of.keyframe, there: pose.inverse(), found });
+            }
+            self.own.map(&self.features, &mut self.feedback);
+            self.looked_at.push(of);
+        }
+    }
+
+    fn is_done(&self) -> bool {
+        self.pictures.is_empty()
+    }
+
+    fn finish(mut self: Box<Self>, map: MapId, present: &Map) -> Again {
+        let placed = self.placed();
+        self.let_time_run_forwards(map);
+        let sightings = self.sightings(&placed, present);
+        let told = self.told_by(&sightings, present);
+        let Self { own, looked_at, .. } = *self;
+        Again { active: own.active, looked_at, placed, sightings, told }
     }
 }

@@ -1,0 +1,253 @@
+//! What is kept for a second look, and how far that has come.
+
+use std::sync::{Arc, Mutex};
+
+use super::moved::Placed;
+use crate::geometry::Se3;
+use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame};
+use crate::image::GreyImage;
+use crate::map::{Keyframe, KeyframeId, Map, MapId};
+use crate::reconstruction::active_map::ActiveMap;
+use crate::reconstruction::adjust::intrinsics::LensPrior;
+use crate::reconstruction::adjust::job::{MappingJob, Piece};
+use crate::reconstruction::relocalise::other_maps::{Sighting, Similarity};
+use crate::reconstruction::types::TrajectoryEvent;
+
+/// Pictures that are kept, bytes at the most: 80 keyframes of 640x480; beyond it every second one goes.
+const MOST_BYTES: usize = 24 << 20;
+/// Frames after which nobody waits for the lens any more: eleven minutes at 30 frames a second.
+const MOST_FRAMES: usize = 20_000;
+
+/// The frame that became a keyframe.
+#[derive(Debug, Clone, Copy)]
+pub struct Frame {
+    pub map: MapId,
+    pub keyframe: KeyframeId,
+    pub sequence: u64,
+    pub timestamp_ns: i64,
+}
+
+/// How far it has come.
+pub enum SecondLook {
+    /// The lens is not known yet.
+    Keeping(Kept),
+    /// Some pictures are still to be looked at; `rests`: an adjustment goes first.
+    Waiting {
+        looking: Box<Looking>,
+        rests: bool,
+    },
+    WithWorker(Arc<Mutex<Looking>>),
+    /// Nothing is left to do: the lens is known, or it does not come.
+    Over,
+}
+
+/// A frame's place in the map as it was recorded.
+#[derive(Debug, Clone, Copy)]
+pub struct Recorded {
+    pub map: MapId,
+    pub timestamp_ns: i64,
+    pub keyframe: KeyframeId,
+    pub keyframe_from_camera: Se3<KeyframeFrame, Camera>,
+}
+
+/// What is kept for it.
+#[derive(Debug, Default)]
+pub struct Kept {
+    /// In the order in which they were made.
+    pub seen: Vec<(Frame, GreyImage)>,
+    /// Keyframes with smaller numbers have been asked for their pictures.
+    next: u32,
+    pub frames: Vec<Recorded>,
+    /// Maps that were put aside as their lens was wrong.
+    pub begun_wrongly: Vec<MapId>,
+}
+
+impl SecondLook {
+    pub fn new(prior: LensPrior) -> Self {
+        match prior {
+            LensPrior::Calibrated => Self::Over,
+            LensPrior::Guess { .. } => Self::Keeping(Kept::default()),
+        }
+    }
+
+    /// Hears what is recorded of frames.
+    pub fn hear(&mut self, events: &[TrajectoryEvent]) {
+        let Self::Keeping(kept) = self else { return };
+        events.iter().for_each(|event| kept.hear(event));
+        if kept.frames.len() > MOST_FRAMES {
+            *self = Self::Over;
+        }
+    }
+
+    /// The present map is put aside, as its lens was wrong.
+    pub fn note_begun_wrongly(&mut self, map: MapId) {
+        if let Self::Keeping(kept) = self {
+            kept.begun_wrongly.push(map);
+        }
+    }
+
+    pub fn is_with_worker(&self) -> bool {
+        matches!(self, Self::WithWorker(_))
+    }
+
+    /// The next piece for the worker; `is_alone`: no adjustment waits for it.
+    pub fn next_piece(&mut self, is_alone: bool) -> Option<MappingJob> {
+        let Self::Waiting { rests, .. } = self else { return None };
+        if std::mem::take(rests) && !is_alone {
+            return None;
+        }
+        let Self::Waiting { looking, .. } = std::mem::replace(self, Self::Over) else { return None };
+        let looking = Arc::new(Mutex::new(*looking));
+        *self = Self::WithWorker(looking.clone());
+        Some(MappingJob::Piece(Box::new(looking)))
+    }
+
+    /// What the worker had; `None` if it had nothing of this camera's. Until it is put back the look is over.
+    pub fn take_back(&mut self) -> Option<Looking> {
+        match std::mem::replace(self, Self::Over) {
+            Self::WithWorker(looking) => Arc::into_inner(looking)?.into_inner().ok(),
+            other => {
+                *self = other;
+                None
+            }
+        }
+    }
+}
+
+/// A look under way.
+pub struct Looking {
+    pub look: Box<dyn Look>,
+    pub begun_wrongly: Vec<MapId>,
+    /// Of the maps that were begun wrongly.
+    pub frames: Vec<Recorded>,
+}
+
+/// Maps the pictures again.
+pub trait Look: Send {
+    /// Looks at a few pictures.
+    fn step(&mut self);
+    /// No picture is left.
+    fn is_done(&self) -> bool;
+    /// What came of it. The new map gets the number `map`.
+    fn finish(self: Box<Self>, map: MapId, present: &Map) -> Again;
+}
+
+/// What a second look has made.
+pub struct Again {
+    pub active: ActiveMap,
+    pub looked_at: Vec<Frame>,
+    pub placed: Vec<Placed>,
+    /// What keyframes of the present map see of the new one, the newest last.
+    pub sightings: Vec<Sighting>,
+    /// How the new map lies to the present one, if they tell it.
+    pub told: Option<Similarity>,
+}
+
+impl std::fmt::Debug for Looking {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Looking").field("begun_wrongly", &self.begun_wrongly).finish_non_exhaustive()
+    }
+}
+
+impl Piece for Arc<Mutex<Looking>> {
+    fn run(&self) {
+        if let Ok(mut looking) = self.lock() {
+            looking.look.step();
+        }
+    }
+}
+
+impl Kept {
+    pub fn hear(&mut self, event: &TrajectoryEvent) {
+        let on = |id: KeyframeId| move |frame: &&mut Recorded| frame.keyframe == id;
+        match *event {
+            TrajectoryEvent::Pose { timestamp_ns, map, keyframe, keyframe_from_camera } => {
+                self.frames.push(Recorded { map, timestamp_ns, keyframe, keyframe_from_camera });
+            }
+            TrajectoryEvent::KeyframeRemoved { keyframe, parent, parent_from_keyframe, .. } => {
+                self.frames.iter_mut().filter(on(keyframe)).for_each(|frame| {
+                    frame.keyframe_from_camera = parent_from_keyframe * frame.keyframe_from_camera;
+                    frame.keyframe = parent;
+                });
+            }
+            TrajectoryEvent::KeyframeScaled { keyframe, scale } => {
+                let frames = self.frames.iter_mut().filter(on(keyframe));
+                frames.for_each(|frame| frame.keyframe_from_camera.translation *= scale);
+            }
+            // It has become metric, or is a part of another one.
+            TrajectoryEvent::MapJoined { map, into, .. } => {
+                let frames = self.frames.iter_mut().map(|frame| &mut frame.map);
+                let pictures = self.seen.iter_mut().map(|(of, _)| &mut of.map);
+                let maps = frames.chain(pictures).chain(&mut self.begun_wrongly);
+                maps.filter(|of| **of == map).for_each(|of| *of = into);
+            }
+            TrajectoryEvent::KeyframeRetired { .. } => {}
+        }
+    }
+
+    /// Takes the pictures of the keyframes that have been made since the last time.
+    pub fn keep(&mut self, active: &ActiveMap) {
+        for id in active.map.keyframes.ids_from(self.next).map(KeyframeId) {
+            let Some(Keyframe { sequence, timestamp_ns, picture, .. }) = active.map.keyframe(id) else { continue };
+            let Some(finest) = picture.whole().and_then(|pyramid| pyramid.levels.first()) else { continue };
+            let (sequence, timestamp_ns) = (*sequence, *timestamp_ns);
+            self.seen.push((Frame { map: active.id, keyframe: id, sequence, timestamp_ns }, finest.clone()));
+        }
+        self.next = active.map.keyframes.next_id();
+        let bytes = |seen: &[(Frame, GreyImage)]| seen.iter().map(|(_, picture)| picture.data.len()).sum::<usize>();
+        while self.seen.len() > 1 && bytes(&self.seen) > MOST_BYTES {
+            let mut stays = false;
+            self.seen.retain(|_| {
+                stays = !stays;
+                stays
+            });
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{UnitQuaternion, Vector3};
+
+    use super::*;
+
+    #[test]
+    fn a_frame_is_remembered_where_it_hangs_now_and_in_the_unit_of_now() {
+        let step = |x: f64| Se3::new(UnitQuaternion::identity(), Vector3::x() * x);
+        let pose = |timestamp_ns, keyframe| TrajectoryEvent::Pose {
+            timestamp_ns,
+            map: MapId(3),
+            keyframe: KeyframeId(keyframe),
+            keyframe_from_camera: step(1.0),
+        };
+        let mut look = SecondLook::new(LensPrior::UNKNOWN);
+        look.hear(&[pose(1, 7), pose(2, 8), TrajectoryEvent::KeyframeScaled { keyframe: KeyframeId(7), scale: 3.0 }]);
+        look.hear(&[
+            TrajectoryEvent::KeyframeRemoved {
+                map: MapId(3),
+                keyframe: KeyframeId(7),
+                parent: KeyframeId(8),
+                parent_from_keyframe: step(10.0).relabel(),
+            },
+            TrajectoryEvent::MapJoined { map: MapId(3), into: MapId(4), scale: 1.0 },
+        ]);
+        look.note_begun_wrongly(MapId(4));
+        let SecondLook::Keeping(kept) = &look else { panic!("the lens is not known") };
+        let frames: Vec<_> =
+            kept.frames.iter().map(|f| (f.map.0, f.keyframe.0, f.keyframe_from_camera.translation.x)).collect();
+        assert_eq!(frames, [(4, 8, 13.0), (4, 8, 1.0)]);
+        assert!(look.next_piece(true).is_none() && !look.is_with_worker());
+    }
+
+    #[test]
+    fn a_calibrated_camera_keeps_nothing_and_a_lens_that_does_not_come_is_not_waited_for() {
+        assert!(matches!(SecondLook::new(LensPrior::Calibrated), SecondLook::Over));
+        let mut look = SecondLook::new(LensPrior::UNKNOWN);
+        let (map, keyframe) = (MapId(0), KeyframeId(0));
+        for timestamp_ns in 0..=MOST_FRAMES as i64 {
+            assert!(matches!(look, SecondLook::Keeping(_)));
+            look.hear(&[TrajectoryEvent::Pose { timestamp_ns, map, keyframe, keyframe_from_camera: Se3::identity() }]);
+        }
+        assert!(matches!(look, SecondLook::Over));
+    }
+}
