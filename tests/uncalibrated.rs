@@ -134,7 +134,6 @@ fn a_narrow_lens_is_found_from_the_motion() {
     is_found_by_hand_held(1.15);
 }
 
-/// Not found, said so, and right within two of the standard deviations that are said.
 #[test]
 fn what_was_seen_through_a_wrong_lens_is_in_the_map_once_the_lens_is_known() {
     let drives = [(Scenario::RoomTour, 100.0, 909), (Scenario::HandHeld, 38.0, 912), (Scenario::RoomTour, 38.0, 912)];
@@ -152,6 +151,7 @@ fn what_was_seen_through_a_wrong_lens_is_in_the_map_once_the_lens_is_known() {
     }
 }
 
+/// Not found, said so, and right within two of the standard deviations that are said.
 fn is_not_observable(scenario: Scenario, focal_widths: f64, seconds: f64) {
     let lens = found(&webcam(scenario, focal_widths), seconds);
     let off = error(&lens, focal_widths);

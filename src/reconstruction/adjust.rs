@@ -60,10 +60,7 @@ impl Reconstruction {
 
     /// Forgets the job under way, as what it began from is no more; with it what was found of loops, which would wait for it for ever.
     pub(super) fn discard_job(&mut self) {
-        // A second look depends on nothing that has changed.
-        if !self.second_look.is_with_worker() {
-            self.mapper.discard();
-        }
+        self.mapper.discard();
         self.loops.forget_found();
     }
 

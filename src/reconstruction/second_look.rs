@@ -13,7 +13,7 @@
 //! adjustments. A calibrated camera pays nothing.
 //!
 //! Not here: pictures between the keyframes; what is still to be looked at when the run ends; a map that somebody has said where the robot is in, which stays
-//! as it is. Corners are found by the usual detector, whatever the configuration says.
+//! as it is; large pictures, of which too few have room. Corners are found by the usual detector, whatever the configuration says.
 
 pub mod kept;
 mod moved;
@@ -32,7 +32,7 @@ use remapping::Remapping;
 const SURE: f64 = 2.0 * MODEL_FLOOR;
 /// Keyframes of the present map that it is joined by, at the least: the first ones looked at make the start of the new map.
 const IN_COMMON: usize = 8;
-/// Share of the pictures of before that must have a place in the new map.
+/// Share of the pictures of a map that must have a place in the new one, or it stays aside.
 const MIN_PLACED: f64 = 0.8;
 
 impl Reconstruction {
@@ -69,20 +69,22 @@ impl Reconstruction {
     pub(super) fn take_over_second_look(&mut self) {
         let Some(mut looking) = self.second_look.take_back() else { return };
         looking.begun_wrongly.retain(|id| can_be_moved(&self.others, *id));
-        if looking.begun_wrongly.is_empty() {
+        if looking.begun_wrongly.is_empty() || self.localise_only {
             return;
         }
         if !looking.look.is_done() {
             self.second_look = SecondLook::Waiting { looking: Box::new(looking), rests: true };
             return;
         }
-        let Looking { look, begun_wrongly, frames } = looking;
+        let Looking { look, mut begun_wrongly, frames } = looking;
         let new = MapId(self.active.next_id.0.max(self.active.id.0 + 1));
         let Again { active, looked_at, placed, sightings, told } = look.finish(new, &self.active.map);
-        let of_before = |map: MapId| begun_wrongly.contains(&map);
-        let asked = looked_at.iter().filter(|frame| of_before(frame.map)).count();
-        let found = placed.iter().filter(|place| of_before(place.map)).count();
-        let Some(told) = told.filter(|_| found > 0 && found as f64 >= MIN_PLACED * asked as f64) else { return };
+        begun_wrongly.retain(|map| {
+            let asked = looked_at.iter().filter(|frame| frame.map == *map).count();
+            let found = placed.iter().filter(|place| place.map == *map).count();
+            found as f64 >= MIN_PLACED * asked as f64
+        });
+        let Some(told) = told.filter(|_| !begun_wrongly.is_empty()) else { return };
         let in_both: Vec<KeyframeId> = sightings.iter().map(|s| s.keyframe).collect();
         // Nobody has ever been told where it is, so it follows the present one as a merged map does.
         let other = OtherMap { sightings, is_merged: true, ..OtherMap::new(active) };
@@ -93,7 +95,8 @@ impl Reconstruction {
             let Some(index) = self.others.kept.iter().position(|other| other.id == id) else { continue };
             let old = self.others.kept.remove(index);
             let moved = moved(&placed, &old, &self.active.map, told.present_from_other.scale);
-            match moved.is_empty() {
+            // One says nothing of lengths.
+            match moved.len() < 2 {
                 true => self.others.kept.insert(index, old),
                 false => self.record_anew(&frames, &old, &moved),
             }

@@ -24,7 +24,7 @@ use crate::reconstruction::config::ReconstructionConfig;
 use crate::reconstruction::keyframe::distance_prior;
 use crate::reconstruction::measurement::rolling_shutter::Shutter;
 
-/// A piece of mapping work on a copy of a part of the map: a pure function of its input, so that it can run anywhere.
+/// Mapping work on a copy of a part of the map, which can run anywhere: what comes of it follows from its input alone.
 #[derive(Debug)]
 pub enum MappingJob {
     Adjust(Box<Adjustment>),

@@ -21,13 +21,15 @@ pub struct Mapper {
     lockstep: bool,
     /// Frame at which the job under way was posted.
     posted: Option<u64>,
+    /// It depends on nothing that changes.
+    is_piece: bool,
     /// What a keyframe in it has moved by since.
     moved: Option<Moved>,
 }
 
 impl Mapper {
     pub fn new(worker: Box<dyn MappingWorker>, lockstep: bool) -> Self {
-        Self { worker, lockstep, posted: None, moved: None }
+        Self { worker, lockstep, posted: None, is_piece: false, moved: None }
     }
 
     pub fn is_lockstep(&self) -> bool {
@@ -39,6 +41,7 @@ impl Mapper {
     }
 
     pub fn post(&mut self, job: MappingJob, frame: u64) {
+        self.is_piece = matches!(job, MappingJob::Piece(_));
         self.worker.post(job);
         (self.posted, self.moved) = (Some(frame), None);
     }
@@ -55,10 +58,10 @@ impl Mapper {
         self.moved.take()
     }
 
-    /// Forgets the job under way.
+    /// Forgets the job under way, but for a piece, which depends on nothing that has changed.
     pub fn discard(&mut self) {
         self.moved = None;
-        if self.posted.take().is_some() {
+        if !self.is_piece && self.posted.take().is_some() {
             self.worker.discard();
         }
     }
@@ -73,5 +76,28 @@ impl Mapper {
         let result = self.worker.take(self.lockstep || when == Merge::AtTheEnd)?;
         self.posted = None;
         Some((result, !self.lockstep && frame > due))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::reconstruction::adjust::job::{InlineWorker, Piece};
+
+    #[derive(Debug)]
+    struct Nothing;
+
+    impl Piece for Nothing {
+        fn run(&self) {}
+    }
+
+    #[test]
+    fn a_piece_outlives_what_adjustments_are_discarded_for() {
+        let mut mapper = Mapper::new(Box::new(InlineWorker::default()), true);
+        mapper.post(MappingJob::Piece(Box::new(Nothing)), 7);
+        mapper.discard();
+        assert!(mapper.is_busy());
+        assert!(matches!(mapper.take(Merge::WhenDue, 10, 3), Some((MappingResult::Piece, false))));
+        assert!(!mapper.is_busy());
     }
 }

@@ -34,7 +34,7 @@ const SAME_FOCAL_LOG: f64 = 0.02;
 /// Keyframes of the same moment whose pictures are compared, which may have to be read from the disk.
 const MOST_COMPARED: usize = 64;
 /// No map's scale is the same throughout: how surely one ratio at one place tells that of the maps, at the best.
-const LEAST_SCALE_SIGMA: f64 = 0.02;
+pub const LEAST_SCALE_SIGMA: f64 = 0.02;
 /// Both maps are metric: so much of the logarithm of the ratio of their units is nobody's sigma.
 const MOST_UNIT_LOG: f64 = 0.1;
 

