@@ -113,7 +113,7 @@ impl Reconstruction {
             self.corrections.adjusted(&old, &new);
         }
         if when != Merge::AtTheEnd && optics.intrinsics.wants_restart(&optics.camera) {
-            self.second_look.note_begun_wrongly(self.active.id);
+            self.note_begun_wrongly();
             self.put_aside();
         }
     }

@@ -24,8 +24,8 @@ use super::relocalise::other_maps::{OtherMap, OtherMaps, retire};
 use super::{Reconstruction, TrajectoryEvent};
 use crate::geometry::frames::Camera;
 use crate::map::{KeyframeId, MapId};
-use kept::{Again, Frame, Looking, Recorded, SecondLook};
-use moved::{Moved, Placed, follow, moved};
+use kept::{Again, Frame, Kept, Recorded};
+use moved::{Moves, Placed};
 use remapping::Remapping;
 
 /// Published standard deviation of log focal length from which on the lens is known well enough: what this lens model leaves out is half of it.
@@ -38,45 +38,44 @@ const MIN_PLACED: f64 = 0.8;
 impl Reconstruction {
     /// Keeps pictures while the lens is unknown; once it is known they are looked at again if a map was begun with a wrong one.
     pub(super) fn keep_for_second_look(&mut self) {
-        let Self { optics, active, others, second_look, config, events, .. } = self;
-        let SecondLook::Keeping(kept) = second_look else { return };
+        let Self { optics, active, others, second_look, config, .. } = self;
+        let Some(kept) = second_look.keeping() else { return };
         kept.keep(active);
         if !optics.intrinsics.is_found() {
             return;
         }
         kept.begun_wrongly.retain(|id| can_be_moved(others, *id));
         if kept.begun_wrongly.is_empty() {
-            *second_look = SecondLook::Over;
+            second_look.end();
             return;
         }
         let is_there = |of: &Frame| of.map == active.id && active.map.keyframe(of.keyframe).is_some();
         let in_common = kept.seen.iter().filter(|(of, _)| is_there(of)).count();
         if in_common >= IN_COMMON && optics.intrinsics.published_focal_sigma() <= SURE {
-            // What nobody has fetched yet.
-            events.iter().for_each(|event| kept.hear(event));
-            let kept = std::mem::take(kept);
-            let (begun_wrongly, mut frames) = (kept.begun_wrongly, kept.frames);
-            frames.retain(|frame| begun_wrongly.contains(&frame.map));
-            let mut pictures = kept.seen;
-            pictures.retain(|(of, _)| of.map == active.id || begun_wrongly.contains(&of.map));
-            let look = Box::new(Remapping::new(pictures, active, optics, config));
-            let looking = Box::new(Looking { look, begun_wrongly, frames });
-            *second_look = SecondLook::Waiting { looking, rests: false };
+            let mut pictures = std::mem::take(&mut kept.seen);
+            pictures.retain(|(of, _)| of.map == active.id || kept.begun_wrongly.contains(&of.map));
+            second_look.begin(Box::new(Remapping::new(pictures, active, optics, config)));
+        }
+    }
+
+    /// The present map is about to be put aside, as its lens was wrong.
+    pub(super) fn note_begun_wrongly(&mut self) {
+        if let Some(kept) = self.second_look.keeping() {
+            kept.begun_wrongly.push(self.active.id);
         }
     }
 
     /// Some pictures were looked at again; after the last one the map that they made is joined to the present one.
     pub(super) fn take_over_second_look(&mut self) {
-        let Some(mut looking) = self.second_look.take_back() else { return };
-        looking.begun_wrongly.retain(|id| can_be_moved(&self.others, *id));
-        if looking.begun_wrongly.is_empty() || self.localise_only {
+        let Some(look) = self.second_look.take_done() else { return };
+        let mut kept = self.second_look.end();
+        // What nobody has fetched yet.
+        self.events.iter().for_each(|event| kept.hear(event));
+        let Kept { mut begun_wrongly, frames, .. } = kept;
+        begun_wrongly.retain(|id| can_be_moved(&self.others, *id));
+        if begun_wrongly.is_empty() || self.localise_only {
             return;
         }
-        if !looking.look.is_done() {
-            self.second_look = SecondLook::Waiting { looking: Box::new(looking), rests: true };
-            return;
-        }
-        let Looking { look, mut begun_wrongly, frames } = looking;
         let new = MapId(self.active.next_id.0.max(self.active.id.0 + 1));
         let Again { active, looked_at, placed, sightings, told } = look.finish(new, &self.active.map);
         begun_wrongly.retain(|map| {
@@ -94,11 +93,9 @@ impl Reconstruction {
         for id in begun_wrongly {
             let Some(index) = self.others.kept.iter().position(|other| other.id == id) else { continue };
             let old = self.others.kept.remove(index);
-            let moved = moved(&placed, &old, &self.active.map, told.present_from_other.scale);
-            // One says nothing of lengths.
-            match moved.len() < 2 {
-                true => self.others.kept.insert(index, old),
-                false => self.record_anew(&frames, &old, &moved),
+            match Moves::of(&placed, &old, &self.active.map, told.present_from_other.scale) {
+                None => self.others.kept.insert(index, old),
+                Some(moves) => self.record_anew(&frames, &old, &moves),
             }
         }
         self.drop_twins(&in_both, &placed);
@@ -118,20 +115,20 @@ impl Reconstruction {
     }
 
     /// Records where the frames of a map that was begun wrongly are in the present one.
-    fn record_anew(&mut self, frames: &[Recorded], old: &OtherMap, moved: &[Moved<'_>]) {
+    fn record_anew(&mut self, frames: &[Recorded], old: &OtherMap, moves: &Moves<'_>) {
         // What was recorded before has a place of its own, in the map that is no more, until it is replaced.
         retire(&old.map, &mut self.events);
         let map = self.active.id;
         for frame in frames.iter().filter(|frame| frame.map == old.id) {
             let Some(keyframe) = old.map.keyframe(frame.keyframe) else { continue };
             let before = keyframe.camera_from_world.inverse() * frame.keyframe_from_camera.relabel::<Camera, Camera>();
-            let Some((now, beside)) = follow(moved, frame.timestamp_ns, &before) else { continue };
-            let Some(parent) = self.active.map.keyframe(beside.place.parent) else { continue };
+            let Some((now, parent)) = moves.follow(frame.timestamp_ns, &before) else { continue };
+            let Some(beside) = self.active.map.keyframe(parent) else { continue };
             self.events.push(TrajectoryEvent::Pose {
                 timestamp_ns: frame.timestamp_ns,
                 map,
-                keyframe: beside.place.parent,
-                keyframe_from_camera: (parent.camera_from_world * now).relabel(),
+                keyframe: parent,
+                keyframe_from_camera: (beside.camera_from_world * now).relabel(),
             });
         }
         self.events.push(TrajectoryEvent::MapJoined { map: old.id, into: map, scale: 1.0 });

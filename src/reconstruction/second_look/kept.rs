@@ -27,16 +27,22 @@ pub struct Frame {
     pub timestamp_ns: i64,
 }
 
+/// What is kept for a second look, until that is over.
+pub struct SecondLook {
+    kept: Kept,
+    stage: Stage,
+}
+
 /// How far it has come.
-pub enum SecondLook {
+enum Stage {
     /// The lens is not known yet.
-    Keeping(Kept),
+    Keeping,
     /// Some pictures are still to be looked at; `rests`: an adjustment goes first.
     Waiting {
-        looking: Box<Looking>,
+        look: Box<dyn Look>,
         rests: bool,
     },
-    WithWorker(Arc<Mutex<Looking>>),
+    WithWorker(Arc<Mutex<Box<dyn Look>>>),
     /// Nothing is left to do: the lens is known, or it does not come.
     Over,
 }
@@ -64,62 +70,67 @@ pub struct Kept {
 
 impl SecondLook {
     pub fn new(prior: LensPrior) -> Self {
-        match prior {
-            LensPrior::Calibrated => Self::Over,
-            LensPrior::Guess { .. } => Self::Keeping(Kept::default()),
-        }
+        let is_guess = matches!(prior, LensPrior::Guess { .. });
+        Self { kept: Kept::default(), stage: if is_guess { Stage::Keeping } else { Stage::Over } }
     }
 
     /// Hears what is recorded of frames.
     pub fn hear(&mut self, events: &[TrajectoryEvent]) {
-        let Self::Keeping(kept) = self else { return };
-        events.iter().for_each(|event| kept.hear(event));
-        if kept.frames.len() > MOST_FRAMES {
-            *self = Self::Over;
+        if matches!(self.stage, Stage::Over) {
+            return;
+        }
+        events.iter().for_each(|event| self.kept.hear(event));
+        if self.kept.frames.len() > MOST_FRAMES {
+            self.end();
         }
     }
 
-    /// The present map is put aside, as its lens was wrong.
-    pub fn note_begun_wrongly(&mut self, map: MapId) {
-        if let Self::Keeping(kept) = self {
-            kept.begun_wrongly.push(map);
-        }
+    /// What is kept, while the lens is not known.
+    pub fn keeping(&mut self) -> Option<&mut Kept> {
+        matches!(self.stage, Stage::Keeping).then_some(&mut self.kept)
+    }
+
+    /// The lens is known.
+    pub fn begin(&mut self, look: Box<dyn Look>) {
+        self.stage = Stage::Waiting { look, rests: false };
+    }
+
+    /// Nothing is left to do. Returns what was kept.
+    pub fn end(&mut self) -> Kept {
+        self.stage = Stage::Over;
+        std::mem::take(&mut self.kept)
     }
 
     /// The next piece for the worker; `is_alone`: no adjustment waits for it.
     pub fn next_piece(&mut self, is_alone: bool) -> Option<MappingJob> {
-        let Self::Waiting { rests, .. } = self else { return None };
+        let Stage::Waiting { rests, .. } = &mut self.stage else { return None };
         if std::mem::take(rests) && !is_alone {
             return None;
         }
-        let Self::Waiting { looking, .. } = std::mem::replace(self, Self::Over) else { return None };
-        let looking = Arc::new(Mutex::new(*looking));
-        *self = Self::WithWorker(looking.clone());
-        Some(MappingJob::Piece(Box::new(looking)))
+        let Stage::Waiting { look, .. } = std::mem::replace(&mut self.stage, Stage::Over) else { return None };
+        let look = Arc::new(Mutex::new(look));
+        self.stage = Stage::WithWorker(look.clone());
+        Some(MappingJob::Piece(Box::new(look)))
     }
 
-    /// What the worker had; `None` if it had nothing of this camera's. Until it is put back the look is over.
-    pub fn take_back(&mut self) -> Option<Looking> {
-        match std::mem::replace(self, Self::Over) {
-            Self::WithWorker(looking) => Arc::into_inner(looking)?.into_inner().ok(),
-            other => {
-                *self = other;
-                None
-            }
+    /// The worker has done its piece: the look, if that was the last one. Nothing, too, if it had nothing of this camera's.
+    pub fn take_done(&mut self) -> Option<Box<dyn Look>> {
+        if !matches!(self.stage, Stage::WithWorker(_)) {
+            return None;
         }
+        // Of a look that the worker has broken nothing is left.
+        let Stage::WithWorker(look) = std::mem::replace(&mut self.stage, Stage::Over) else { return None };
+        let look = Arc::into_inner(look)?.into_inner().ok()?;
+        if look.is_done() {
+            return Some(look);
+        }
+        self.stage = Stage::Waiting { look, rests: true };
+        None
     }
-}
-
-/// A look under way.
-pub struct Looking {
-    pub look: Box<dyn Look>,
-    pub begun_wrongly: Vec<MapId>,
-    /// Of the maps that were begun wrongly.
-    pub frames: Vec<Recorded>,
 }
 
 /// Maps the pictures again.
-pub trait Look: Send {
+pub trait Look: Send + std::fmt::Debug {
     /// Looks at a few pictures.
     fn step(&mut self);
     /// No picture is left.
@@ -139,16 +150,10 @@ pub struct Again {
     pub told: Option<Similarity>,
 }
 
-impl std::fmt::Debug for Looking {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Looking").field("begun_wrongly", &self.begun_wrongly).finish_non_exhaustive()
-    }
-}
-
-impl Piece for Arc<Mutex<Looking>> {
+impl Piece for Arc<Mutex<Box<dyn Look>>> {
     fn run(&self) {
-        if let Ok(mut looking) = self.lock() {
-            looking.look.step();
+        if let Ok(mut look) = self.lock() {
+            look.step();
         }
     }
 }
@@ -185,6 +190,9 @@ impl Kept {
 
     /// Takes the pictures of the keyframes that have been made since the last time.
     pub fn keep(&mut self, active: &ActiveMap) {
+        if self.next == active.map.keyframes.next_id() {
+            return;
+        }
         for id in active.map.keyframes.ids_from(self.next).map(KeyframeId) {
             let Some(Keyframe { sequence, timestamp_ns, picture, .. }) = active.map.keyframe(id) else { continue };
             let Some(finest) = picture.whole().and_then(|pyramid| pyramid.levels.first()) else { continue };
@@ -219,7 +227,7 @@ mod tests {
             keyframe_from_camera: step(1.0),
         };
         let mut look = SecondLook::new(LensPrior::UNKNOWN);
-        look.note_begun_wrongly(MapId(3));
+        look.keeping().expect("the lens is not known").begun_wrongly.push(MapId(3));
         look.hear(&[pose(1, 7), pose(2, 8), TrajectoryEvent::KeyframeScaled { keyframe: KeyframeId(7), scale: 3.0 }]);
         look.hear(&[
             TrajectoryEvent::KeyframeRemoved {
@@ -230,23 +238,22 @@ mod tests {
             },
             TrajectoryEvent::MapJoined { map: MapId(3), into: MapId(4), scale: 2.0 },
         ]);
-        let SecondLook::Keeping(kept) = &look else { panic!("the lens is not known") };
+        assert!(look.next_piece(true).is_none() && look.take_done().is_none(), "nobody looks yet");
+        let kept = look.keeping().expect("the lens is not known");
         let frames: Vec<_> =
             kept.frames.iter().map(|f| (f.map.0, f.keyframe.0, f.keyframe_from_camera.translation.x)).collect();
         assert_eq!((frames, &kept.begun_wrongly), (vec![(4, 8, 26.0), (4, 8, 2.0)], &vec![MapId(4)]));
-        assert!(look.next_piece(true).is_none() && look.take_back().is_none());
-        assert!(matches!(look, SecondLook::Keeping(_)), "nobody has it");
     }
 
     #[test]
     fn a_calibrated_camera_keeps_nothing_and_a_lens_that_does_not_come_is_not_waited_for() {
-        assert!(matches!(SecondLook::new(LensPrior::Calibrated), SecondLook::Over));
+        assert!(SecondLook::new(LensPrior::Calibrated).keeping().is_none());
         let mut look = SecondLook::new(LensPrior::UNKNOWN);
         let (map, keyframe) = (MapId(0), KeyframeId(0));
         for timestamp_ns in 0..=MOST_FRAMES as i64 {
-            assert!(matches!(look, SecondLook::Keeping(_)));
+            assert!(look.keeping().is_some());
             look.hear(&[TrajectoryEvent::Pose { timestamp_ns, map, keyframe, keyframe_from_camera: Se3::identity() }]);
         }
-        assert!(matches!(look, SecondLook::Over));
+        assert!(look.keeping().is_none());
     }
 }

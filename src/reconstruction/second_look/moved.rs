@@ -27,9 +27,9 @@ impl Placed {
     }
 }
 
-/// A keyframe of a map that was begun wrongly, as it was there, and its pose now.
-pub struct Moved<'a> {
-    pub place: &'a Placed,
+/// A keyframe of a map that was begun wrongly, as it was there, and where it is now.
+struct Moved<'a> {
+    parent: KeyframeId,
     before: &'a Keyframe,
     after: Se3<World, Camera>,
 }
@@ -43,48 +43,58 @@ impl Moved<'_> {
     }
 }
 
+/// What has become of the keyframes of a map that was begun wrongly.
+pub struct Moves<'a> {
+    /// In the order of time, two at the least.
+    keyframes: Vec<Moved<'a>>,
+    /// What a unit of length has become over all of them.
+    unit: f64,
+}
+
+impl<'a> Moves<'a> {
+    /// `scale`: the new map's unit in the `present` one's, which it is a part of by now. `None` if too few have a place to tell lengths.
+    pub fn of(placed: &[Placed], old: &'a OtherMap, present: &Map, scale: f64) -> Option<Self> {
+        let mut keyframes = Vec::new();
+        for place in placed.iter().filter(|place| place.map == old.id) {
+            let after = place.world_from_camera(present, scale);
+            if let Some((before, after)) = old.map.keyframe(place.keyframe).zip(after) {
+                keyframes.push(Moved { parent: place.parent, before, after });
+            }
+        }
+        keyframes.sort_by_key(|m| m.before.timestamp_ns);
+        Self::along(keyframes)
+    }
+
+    fn along(keyframes: Vec<Moved<'a>>) -> Option<Self> {
+        let unit = unit(&keyframes);
+        unit.is_finite().then_some(Self { keyframes, unit })
+    }
+
+    /// Where a frame is now, and the keyframe that the nearer one beside it hangs on: by the one before it and the one after it, each as far as it is near in
+    /// time. What a wrong focal length makes of a turn, and of the unit of lengths, then holds between these two only.
+    pub fn follow(&self, timestamp_ns: i64, before: &Se3<World, Camera>) -> Option<(Se3<World, Camera>, KeyframeId)> {
+        let next = self.keyframes.partition_point(|m| m.before.timestamp_ns <= timestamp_ns);
+        let last = self.keyframes.len().checked_sub(1)?;
+        let pair = self.keyframes.get(next.clamp(1, last.max(1)) - 1..)?.get(..2)?;
+        let (a, b) = (&pair[0], &pair[1]);
+        // Where the camera hardly moved it is the noise of both.
+        let own = Some(unit(pair)).filter(|own| (own / self.unit).ln().abs() < MOST_UNEVEN_LOG);
+        let unit = own.unwrap_or(self.unit);
+        let span_ns = (b.before.timestamp_ns - a.before.timestamp_ns).max(1) as f64;
+        let share = ((timestamp_ns - a.before.timestamp_ns) as f64 / span_ns).clamp(0.0, 1.0);
+        let (by_a, by_b) = (a.carry(before, unit), b.carry(before, unit));
+        let between: Se3<Camera, Camera> = by_a.inverse() * by_b;
+        Some((by_a * between.scaled(share), if share < 0.5 { a.parent } else { b.parent }))
+    }
+}
+
 /// What a unit of length has become along keyframes, by the ways between them.
-fn unit(moved: &[Moved<'_>]) -> f64 {
-    let (before, after) = moved.windows(2).fold((0.0, 0.0), |(before, after), pair| {
+fn unit(keyframes: &[Moved<'_>]) -> f64 {
+    let (before, after) = keyframes.windows(2).fold((0.0, 0.0), |(before, after), pair| {
         let step = pair[1].before.centre() - pair[0].before.centre();
         (before + step.norm(), after + (pair[1].after.translation - pair[0].after.translation).norm())
     });
     after / before
-}
-
-/// Where a frame is now, and a keyframe beside it: by the one before it and the one after it, each as far as it is near in time. What a wrong focal length
-/// makes of a turn, and of the unit of lengths, then holds between these two only.
-pub fn follow<'a>(
-    moved: &'a [Moved<'a>],
-    timestamp_ns: i64,
-    before: &Se3<World, Camera>,
-) -> Option<(Se3<World, Camera>, &'a Moved<'a>)> {
-    let next =
-        moved.partition_point(|m| m.before.timestamp_ns <= timestamp_ns).clamp(1, moved.len().checked_sub(1)?.max(1));
-    let (a, b) = (&moved[next - 1], moved.get(next).unwrap_or(&moved[next - 1]));
-    let usual = unit(moved);
-    let unit = Some(unit(&moved[next - 1..(next + 1).min(moved.len())]));
-    // Where the camera hardly moved it is the noise of both.
-    let unit = unit.filter(|unit| (unit / usual).ln().abs() < MOST_UNEVEN_LOG).unwrap_or(usual);
-    let span_ns = (b.before.timestamp_ns - a.before.timestamp_ns).max(1) as f64;
-    let share = ((timestamp_ns - a.before.timestamp_ns) as f64 / span_ns).clamp(0.0, 1.0);
-    let (by_a, by_b) = (a.carry(before, unit), b.carry(before, unit));
-    let between: Se3<Camera, Camera> = by_a.inverse() * by_b;
-    Some((by_a * between.scaled(share), if share < 0.5 { a } else { b }))
-}
-
-/// What has become of the keyframes of a map that was begun wrongly, in the order of time; `scale`: the new map's unit in the `present` one's,
-/// which it is a part of by now.
-pub fn moved<'a>(placed: &'a [Placed], old: &'a OtherMap, present: &Map, scale: f64) -> Vec<Moved<'a>> {
-    let mut moved = Vec::new();
-    for place in placed.iter().filter(|place| place.map == old.id) {
-        let after = place.world_from_camera(present, scale);
-        if let Some((before, after)) = old.map.keyframe(place.keyframe).zip(after) {
-            moved.push(Moved { place, before, after });
-        }
-    }
-    moved.sort_by_key(|m| m.before.timestamp_ns);
-    moved
 }
 
 #[cfg(test)]
@@ -113,14 +123,14 @@ mod tests {
                 ..examples::keyframe(Arc::new(Pyramid::new(1)), was(t).inverse())
             })
             .into();
-        let place = |i: u32| {
-            let (keyframe, parent) = (KeyframeId(i), KeyframeId(i + 10));
-            Placed { map: MapId(0), keyframe, parent, parent_from_keyframe: Se3::identity() }
+        let first = |n: usize| {
+            let known = keyframes[..n].iter().zip([(10, 0.0), (11, 1.0), (12, 2.0)]);
+            let moved = known.map(|(before, (id, t))| Moved { parent: KeyframeId(id), before, after: is(t) });
+            Moves::along(moved.collect())
         };
-        let places = [0, 1, 2].map(place);
-        let moved: Vec<Moved> =
-            (0..3).map(|i| Moved { place: &places[i], before: &keyframes[i], after: is(i as f64) }).collect();
-        let at = |t: f64| follow(&moved, ns(t), &was(t)).expect("there are keyframes");
+        assert!(first(0).is_none() && first(1).is_none(), "one tells no lengths");
+        let moves = first(3).expect("lengths");
+        let at = |t: f64| moves.follow(ns(t), &was(t)).expect("there are keyframes");
         for t in [0.0, 1.0, 2.0] {
             let off = is(t).inverse() * at(t).0;
             assert!(off.translation.norm() < 1e-9 && off.rotation.angle() < 1e-9, "{t}: it is one of them");
@@ -129,9 +139,8 @@ mod tests {
             let off: Se3<Camera, Camera> = is(t).inverse() * at(t).0;
             assert!(off.rotation.angle() < 1e-6 && off.translation.norm() < 0.05, "{t}: {off:?}");
         }
-        assert_eq!([0.2, 0.8, 1.2, 9.0].map(|t| at(t).1.place.keyframe.0), [0, 1, 1, 2]);
-        let off: Se3<Camera, Camera> = is(2.0).inverse() * follow(&moved, ns(3.0), &was(2.0)).expect("there").0;
+        assert_eq!([0.2, 0.8, 1.2, 9.0].map(|t| at(t).1.0), [10, 11, 11, 12]);
+        let off: Se3<Camera, Camera> = is(2.0).inverse() * moves.follow(ns(3.0), &was(2.0)).expect("there").0;
         assert!(off.translation.norm() < 1e-9, "after the last one it goes with that alone");
-        assert!(follow(&[], 0, &was(0.0)).is_none());
     }
 }

@@ -45,6 +45,12 @@ pub struct Remapping {
     common: Vec<Sighting>,
 }
 
+impl std::fmt::Debug for Remapping {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Remapping").field("pictures", &self.pictures.len()).finish_non_exhaustive()
+    }
+}
+
 impl Remapping {
     pub fn new(
         pictures: Vec<(Frame, GreyImage)>,
