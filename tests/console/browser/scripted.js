@@ -10,6 +10,9 @@ import { DESKTOP, begin, busy, drawn, text } from "./stand_in.js";
 
 const pictures = process.argv[2];
 const LANDMARKS = 100_000;
+// What it takes to read a message of so many landmarks number by number, ms, where an update may take 4 ms: on a slower machine, or one that has other
+// work, it may take longer in proportion.
+const READING_MS = 0.5;
 mkdirSync(pictures, { recursive: true });
 
 const isBlue = (r, g, b) => b > 100 && b > r + 50;
@@ -48,17 +51,26 @@ async function states(page) {
 async function large(page) {
   await page.evaluate(() => { window.stage.say(window.stage.keyframes(2000)); });
   const update = (cost) => median(cost.landmarks) + median(cost.screen);
-  const cost = await within((c) => update(c) <= 4 && median(c.keyframes) <= 4, () => page.evaluate(async (count) => {
+  const limit = (cost) => 4 * Math.max(1, median(cost.reading) / READING_MS);
+  const cost = await within((c) => update(c) <= limit(c) && median(c.keyframes) <= limit(c), () => page.evaluate(async (count) => {
     const { stage } = window;
+    const [view, read] = [new DataView(stage.map(count)), new Float32Array(4 * count)];
+    const reading = () => {
+      const began = performance.now();
+      for (let i = 0; i < read.length; i++) read[i] = view.getFloat32(24 + 4 * i, true);
+      return performance.now() - began;
+    };
+    for (let i = 0; i < 20; i++) reading(); // until it is compiled
     const frame = () => new Promise((resolve) => setTimeout(resolve, 400));
     const landmarks = () => stage.pictures.map((draws) => draws.filter((n) => n === count).length).filter((calls) => calls > 0);
-    const told = { landmarks: [], keyframes: [], screen: [], calls: [] };
+    const told = { landmarks: [], keyframes: [], screen: [], calls: [], reading: [] };
     for (let i = 0; i < 12; i++) {
       const [map, keyframes] = [stage.map(count), stage.keyframes(2000)];
       await frame();
       [stage.work.length, stage.pictures.length] = [0, 0];
       told.keyframes.push(stage.say(keyframes));
       told.landmarks.push(stage.say(map));
+      told.reading.push(reading());
       // On a busy machine the picture comes later, or a second one.
       for (let waited = 0; waited < 10 && (waited === 0 || landmarks().length === 0); waited++) await frame();
       told.screen.push(Math.max(0, ...stage.work));
@@ -69,10 +81,10 @@ async function large(page) {
   check((await page.locator("#map").getAttribute("data-landmarks")) === `${LANDMARKS}`, "100,000 landmarks are shown");
   check((await pixels(page.locator("#map"), isBlue)) > 5000, "and seen");
   check(cost.calls.every((n) => n === 1), `in one draw call a picture ${cost.calls}`);
-  const worst = { landmarks: median(cost.landmarks), keyframes: median(cost.keyframes), screen: median(cost.screen) };
-  const sum = update(cost);
-  check(sum <= 4, `an update takes ${sum.toFixed(1)} ms of the page's thread: the message ${worst.landmarks.toFixed(1)}, drawing ${worst.screen.toFixed(1)} (medians of 12)`);
-  check(worst.keyframes <= 4, `2000 keyframes take ${worst.keyframes.toFixed(1)} ms`);
+  const [sum, most] = [update(cost), limit(cost)];
+  const [landmarks, screen, keyframes, reading] = ["landmarks", "screen", "keyframes", "reading"].map((part) => median(cost[part]).toFixed(1));
+  check(sum <= most, `an update takes ${sum.toFixed(1)} ms of the page's thread: the message ${landmarks}, drawing ${screen} (medians of 12); ${most.toFixed(1)} it may, where reading it takes ${reading}`);
+  check(keyframes <= most, `2000 keyframes take ${keyframes} ms`);
 }
 
 /** A time says what the page can do where nothing else has the machine meanwhile: of three tries the first that is within its limit. */
