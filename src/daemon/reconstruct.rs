@@ -236,7 +236,15 @@ impl ReconstructStep {
             self.status.set_calibration_refused(false);
             return Ok(true);
         }
-        match self.calibration.fit(width, height) {
+        let stays = self.reconstruction.is_some() && self.map_file.as_ref().is_some_and(|desk| desk.localise_only);
+        let fitted = match stays {
+            true => Err(format!(
+                "a map that is only located in stays, and it is of {} x {} pixels",
+                self.size.0, self.size.1
+            )),
+            false => self.calibration.fit(width, height),
+        };
+        match fitted {
             Ok(camera) => self.begin(camera)?,
             Err(reason) if self.size == (0, 0) => return Err(reason),
             Err(reason) => {

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use super::{KeyframeId, Landmark, Map, scaled};
+use super::{KeyframeId, Landmark, Map};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::sim3::Sim3;
@@ -62,4 +62,9 @@ impl Map {
         }
         self.revision += 1;
     }
+}
+
+/// The same pose with its length in another unit.
+fn scaled<To, From>(pose: &Se3<To, From>, scale: f64) -> Se3<To, From> {
+    Se3::new(pose.rotation, pose.translation * scale)
 }

@@ -127,6 +127,11 @@ pub struct Landmark {
     pub disagreed: u32,
 }
 
+impl Landmark {
+    /// Frames that are counted, some days of them: beyond, and of a file that says more, it is the share found that counts.
+    pub const MOST_SOUGHT: u32 = 1 << 24;
+}
+
 /// What a landmark's distance from its first observer is taken to be as long as no parallax tells it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AssumedDistance {
@@ -368,6 +373,9 @@ impl Map {
     /// Counts that a landmark was looked for in a frame. By itself no reason to write it to a file anew.
     pub fn count_sighting(&mut self, landmark: LandmarkId, sought: Sought) {
         let Some(l) = self.landmarks.get_mut_unnoticed(landmark.0) else { return };
+        if l.sought >= Landmark::MOST_SOUGHT {
+            (l.sought, l.found) = (l.sought / 2, l.found / 2);
+        }
         l.sought += 1;
         match sought {
             Sought::Found => (l.found, l.disagreed) = (l.found + 1, 0),
@@ -414,24 +422,7 @@ impl Map {
 
     /// Moves and scales everything: `x_new = new_from_old x_old`.
     pub fn transform(&mut self, new_from_old: &Sim3<World, World>) {
-        let scale = new_from_old.scale;
-        let turn = new_from_old.rotation.to_rotation_matrix();
-        for (_, k) in self.keyframes.iter_mut() {
-            let world_from_camera = new_from_old.rigid() * scaled(&k.camera_from_world.inverse(), scale);
-            k.camera_from_world = world_from_camera.inverse();
-            if let Some(motion) = &mut k.motion {
-                motion.shift *= scale;
-            }
-        }
-        for (_, l) in self.landmarks.iter_mut() {
-            l.position = new_from_old.transform(&l.position);
-            l.covariance = turn * l.covariance * turn.transpose() * (scale * scale);
-            if let Some(assumed) = &mut l.assumed {
-                assumed.inverse /= scale;
-                assumed.sigma /= scale;
-            }
-        }
-        self.revision += 1;
+        self.correct(&Correction { keyframes: Vec::new(), younger: Some(*new_from_old) });
     }
 
     /// Keyframes that were made in one map were made in the other: it has another number now.
@@ -489,11 +480,6 @@ impl Map {
         self.away.clear();
         self.revision += 1;
     }
-}
-
-/// The same pose with its length in another unit.
-fn scaled<To, From>(pose: &Se3<To, From>, scale: f64) -> Se3<To, From> {
-    Se3::new(pose.rotation, pose.translation * scale)
 }
 
 fn change_covisibility(keyframes: &mut Store<Keyframe>, a: KeyframeId, b: KeyframeId, by: i32) {

@@ -255,3 +255,14 @@ fn the_graph_is_what_ties_the_map_then_the_strongest_of_what_is_covisible() {
     let first: &EdgeView = &whole.edges[2];
     assert!(first.from < first.to && first.tie == Tie::Covisible);
 }
+
+#[test]
+fn of_more_sightings_than_are_counted_the_share_stays() {
+    let mut map = Map::default();
+    let seen_from = map.add_keyframe(keyframe(&[]));
+    let before = Landmark { sought: Landmark::MOST_SOUGHT, found: Landmark::MOST_SOUGHT / 4, ..landmark() };
+    let id = map.add_landmark(before, &[(seen_from, observation(0))]);
+    map.count_sighting(id, Sought::Found);
+    let after = map.landmark(id).expect("there");
+    assert_eq!((after.sought, after.found), (Landmark::MOST_SOUGHT / 2 + 1, Landmark::MOST_SOUGHT / 8 + 1));
+}

@@ -108,6 +108,7 @@ impl Reconstruction {
         }
         let before = active.odometry.last.map(|last| last.camera_from_world);
         active.odometry.correct(&old_from_new);
+        active.probation.correct(&old_from_new);
         self.contradiction.correct(&old_from_new);
         if let Some((old, new)) = before.zip(active.odometry.last.map(|last| last.camera_from_world)) {
             self.corrections.adjusted(&old, &new);

@@ -100,6 +100,7 @@ impl Reconstruction {
             return None;
         };
         self.solve_frames_before(features.sequence);
+        self.loops.expect_more(&self.active.map);
         self.state = TrackingState::Tracking;
         self.active.last_keyframe_frame = self.counters.frames;
         self.counters.keyframes_made += self.active.map.keyframes.len() as u64;

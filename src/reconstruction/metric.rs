@@ -134,8 +134,8 @@ impl Reconstruction {
         }
         // A map that is only located in stays as it is.
         let due = self.active.fusion.due().or_else(|| {
-            let confirmed = self.active.fusion.is_metric() && self.wheels.tells_doubted();
-            confirmed.then_some(1.0)
+            let is_told = self.active.fusion.is_metric() && self.wheels.tells_doubted();
+            (is_told && self.told_parts().len() > 1).then_some(1.0)
         });
         if let Some(factor) = due.filter(|_| !self.localise_only) {
             self.rescale(factor);
@@ -173,17 +173,21 @@ impl Reconstruction {
         })
     }
 
-    /// Parts of the map with units of their own, behind turns on the spot, take one unit, as far as wheels tell how long theirs are: not before they tell
-    /// how long the newest one is.
+    /// Parts of the map with units of their own, behind turns on the spot, take one unit, as far as wheels tell how long theirs are.
     fn unify_units(&mut self) {
-        let active = &mut self.active;
-        let newest = active.map.keyframe(active.reference).and_then(|k| k.scale_from);
-        if newest.is_some() && !self.wheels.tells_doubted() {
-            return;
-        }
-        let parts = active.scale.parts_in_one_unit(&active.map, newest, |part| self.wheels.log_ratio(part));
+        let parts = self.told_parts();
         let told: Vec<_> = parts.iter().map(|(part, _)| *part).filter(|part| self.wheels.tells(*part)).collect();
         self.move_parts(&parts, |part| told.contains(&part));
+    }
+
+    /// By which motions; none before wheels tell how long the newest unit is.
+    fn told_parts(&self) -> Vec<(Option<TurnId>, Sim3<World, World>)> {
+        let active = &self.active;
+        let newest = active.map.keyframe(active.reference).and_then(|k| k.scale_from);
+        if newest.is_some() && !self.wheels.tells_doubted() {
+            return Vec::new();
+        }
+        active.scale.parts_in_one_unit(&active.map, newest, |part| self.wheels.log_ratio(part))
     }
 
     /// Parts of the map take one unit by these motions; those that are `told` have the scale of the map's beginning from then on.
@@ -191,25 +195,15 @@ impl Reconstruction {
         if parts.len() < 2 {
             return;
         }
-        let active = &mut self.active;
         let of = |part: Option<TurnId>| parts.iter().find(|(id, _)| *id == part).map_or_else(Sim3::identity, |p| p.1);
-        let keyframes = active.map.keyframes.iter().map(|(id, k)| (KeyframeId(id), k.scale_from));
-        let marked: Vec<(KeyframeId, Option<TurnId>)> = keyframes.collect();
-        let motions = marked.iter().map(|(id, part)| (*id, of(*part))).collect();
-        let correction = Correction { keyframes: motions, younger: None };
-        for (keyframe, motion) in &correction.keyframes {
-            self.events.push(TrajectoryEvent::KeyframeScaled { keyframe: *keyframe, scale: motion.scale });
-        }
-        active.map.correct(&correction);
-        let here = correction.of(active.reference);
-        active.odometry.correct_scaled(&here);
-        if let Some(floor) = &mut self.floor {
-            floor.follow(&here);
-        }
+        let marked: Vec<_> = self.active.map.keyframes.iter().map(|(id, k)| (KeyframeId(id), k.scale_from)).collect();
+        let keyframes = marked.iter().map(|(id, part)| (*id, of(*part))).collect();
+        self.move_map(&Correction { keyframes, younger: None });
+        let active = &mut self.active;
         for (id, _) in marked.iter().filter(|(_, part)| told(*part)) {
             active.map.set_scale_origin(*id, None);
         }
-        self.wheels.unify_units(|keyframe| correction.of(keyframe).scale);
+        self.wheels.scale.unify_units();
         active.scale.follow(&active.map);
     }
 
@@ -252,6 +246,9 @@ impl Reconstruction {
         }
         let active = &mut self.active;
         active.fusion.rescale(factor);
+        if let Some((_, word)) = &mut self.told_behind {
+            word.log_metres_per_unit -= factor.ln();
+        }
         let after = active.odometry.last.map(|last| last.camera_from_world);
         if first {
             active.odometry.odom_from_camera.translation *= factor;

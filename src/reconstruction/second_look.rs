@@ -81,7 +81,7 @@ impl Reconstruction {
         begun_wrongly.retain(|map| {
             let asked = looked_at.iter().filter(|frame| frame.map == *map).count();
             let found = placed.iter().filter(|place| place.map == *map).count();
-            found as f64 >= MIN_PLACED * asked as f64
+            asked > 0 && found as f64 >= MIN_PLACED * asked as f64
         });
         let Some(told) = told.filter(|_| !begun_wrongly.is_empty()) else { return };
         let in_both: Vec<KeyframeId> = sightings.iter().map(|s| s.keyframe).collect();

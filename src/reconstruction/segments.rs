@@ -6,7 +6,7 @@
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::map::scale::ScaleSource;
-use crate::map::{KeyframeId, Map, TurnId};
+use crate::map::{Correction, KeyframeId, Map, TurnId};
 use crate::motion::hand_eye::{Robot, Segment, Unit};
 use crate::motion::scale::ScaleFusion;
 use crate::motion::wheel_scale::{LONGEST_SEGMENT_NS, SEGMENT_NS, WheelScale};
@@ -80,11 +80,7 @@ impl Wheels {
     /// The map's lengths are `factor` times as long from now on.
     pub fn rescale(&mut self, factor: f64) {
         self.scale.rescale(factor);
-        let ends = self.ends.iter_mut().flat_map(|(a, b)| [a, b]).chain(&mut self.begin);
-        for end in ends {
-            end.keyframe_from_camera.translation *= factor;
-            end.depth *= factor;
-        }
+        self.scale_ends(|_| factor);
         if let Some(last) = &mut self.last {
             last.translation *= factor;
         }
@@ -106,16 +102,19 @@ impl Wheels {
         newest != Unit::default() && self.scale.measurement().is_some()
     }
 
-    /// Lengths beside a keyframe are so many times as long from now on, and units that are told are one.
-    pub fn unify_units(&mut self, factor: impl Fn(KeyframeId) -> f64) {
-        let ends = self.ends.iter_mut().flat_map(|(a, b)| [a, b]).chain(&mut self.begin);
-        for end in ends {
+    /// The surroundings of keyframes have moved so.
+    pub fn follow_correction(&mut self, correction: &Correction) {
+        self.scale_ends(|keyframe| correction.of(keyframe).scale);
+        // The way from there to the next frame is none of the camera's.
+        self.last = None;
+    }
+
+    fn scale_ends(&mut self, factor: impl Fn(KeyframeId) -> f64) {
+        for end in self.ends.iter_mut().flat_map(|(a, b)| [a, b]).chain(&mut self.begin) {
             let factor = factor(end.keyframe);
             end.keyframe_from_camera.translation *= factor;
             end.depth *= factor;
         }
-        self.scale.unify_units();
-        self.last = None;
     }
 
     /// Takes a tracked frame. `true`: a segment has ended and the scale was asked anew.
@@ -200,4 +199,31 @@ fn segment((begin, end): (&FrameEnd, &FrameEnd), map: &Map, at_depths: f64) -> O
         return None;
     }
     Some(Segment::new(times, (motion.rotation.scaled_axis(), motion.translation), sigma, at_depths, unit?))
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{UnitQuaternion, Vector3};
+
+    use super::*;
+    use crate::geometry::sim3::Sim3;
+    use crate::map::examples;
+
+    #[test]
+    fn a_corrected_map_is_no_way_that_the_camera_went_and_lengths_take_its_unit() {
+        let mut map = Map::default();
+        let keyframe = map.add_keyframe(examples::keyframe(Default::default(), Se3::identity()));
+        let step = Se3::new(UnitQuaternion::identity(), Vector3::x());
+        let end = |timestamp_ns, depth| FrameEnd { timestamp_ns, keyframe, keyframe_from_camera: step, depth };
+        let mut wheels = Wheels::new(Robot::unknown(), 0.01);
+        wheels.follow(end(0, 2.0), &map);
+        let moved = Sim3::new(3.0, UnitQuaternion::identity(), Vector3::y() * 10.0);
+        let correction = Correction { keyframes: Vec::new(), younger: Some(moved) };
+        map.correct(&correction);
+        wheels.follow_correction(&correction);
+        let begun = wheels.begin.expect("a segment has begun");
+        assert_eq!((begun.depth, begun.keyframe_from_camera.translation.x), (6.0, 3.0));
+        wheels.follow(end(33_000_000, 6.0), &map);
+        assert_eq!(wheels.depths, 0.0);
+    }
 }

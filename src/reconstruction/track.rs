@@ -308,9 +308,10 @@ impl Tracker {
         self.seeds.rescale(factor);
     }
 
-    /// The whole map has moved so.
+    /// The map has moved so around the last frame.
     pub(super) fn carry(&mut self, motion: &Sim3<World, World>) {
         self.search.matches.iter_mut().for_each(|m| m.point = motion.transform(&m.point));
+        self.seeds.rescale(motion.scale);
     }
 
     /// Notes of the frame that was accepted how far away is what it has seen, and how much it has found.

@@ -361,7 +361,8 @@ impl KeyframeRecord {
 impl LandmarkRecord {
     /// The covariance is not looked at: of a landmark that was never adjusted it may be none.
     fn is_sound(&self) -> bool {
-        are_finite(&self.position) && self.assumed.is_none_or(|assumed| are_finite(&assumed))
+        let is_distance = |assumed: [f64; 2]| assumed.iter().all(|v| v.is_finite() && *v > 0.0);
+        are_finite(&self.position) && self.assumed.is_none_or(is_distance)
     }
 }
 
@@ -412,9 +413,9 @@ impl Raw {
                 observers: Vec::new(),
                 created_by: KeyframeId(l.created_by),
                 assumed: l.assumed.map(|[inverse, sigma]| AssumedDistance { inverse, sigma }),
-                sought: l.sought,
-                found: l.found,
-                disagreed: l.disagreed,
+                sought: l.sought.min(Landmark::MOST_SOUGHT),
+                found: l.found.min(Landmark::MOST_SOUGHT),
+                disagreed: l.disagreed.min(Landmark::MOST_SOUGHT),
             };
             self.landmarks.push((l.id, landmark));
         }

@@ -378,7 +378,10 @@ fn a_map_with_senseless_numbers_is_refused() {
         read(&path).err().is_some_and(|error| matches!(error.fault, Fault::Broken(_)))
     };
     assert!(!refused(&|_| {}));
-    let cases: [&dyn Fn(&mut MapChanges); 10] = [
+    let assumes = |c: &mut MapChanges, assumed: AssumedDistance| {
+        c.landmarks.values_mut().next().unwrap()[0].1.assumed = Some(assumed);
+    };
+    let cases: [&dyn Fn(&mut MapChanges); 12] = [
         &|c| c.next_keyframe = 2,
         &|c| c.next_landmark = 2,
         &|c| c.maps[0].0.id = MapId(u32::MAX),
@@ -392,9 +395,35 @@ fn a_map_with_senseless_numbers_is_refused() {
         &|c| c.keyframes[0].1.motion = Some(CameraMotion { turn: Vector3::x() * f64::NAN, shift: Vector3::x() }),
         &|c| c.landmarks.values_mut().next().unwrap()[0].1.position.y = f64::NAN,
         &|c| c.landmarks.values_mut().next().unwrap()[0].0 += 64,
+        &|c| assumes(c, AssumedDistance { inverse: -0.1, sigma: 0.3 }),
+        &|c| assumes(c, AssumedDistance { inverse: 0.1, sigma: 0.0 }),
     ];
     for (n, case) in cases.iter().enumerate() {
         assert!(refused(*case), "case {n}");
+    }
+}
+
+#[test]
+fn more_sightings_than_anybody_counts_are_read_as_so_many() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.map");
+    let mut random = Random::new(48);
+    let (mut maps, optics) = (two_maps(&mut random), optics(&mut random));
+    let mut all = changes(&mut maps, &optics, true);
+    let most = u32::MAX - 1;
+    for (_, landmark) in all.landmarks.values_mut().flatten() {
+        (landmark.sought, landmark.found, landmark.disagreed) = (most, most, most);
+    }
+    MapFile::create(&path, &all).unwrap().close().unwrap();
+    for saved in read(&path).unwrap().saved.maps {
+        let counts = |l: &Landmark| (l.sought, l.found, l.disagreed);
+        assert!(
+            saved
+                .map
+                .landmarks
+                .iter()
+                .all(|(_, l)| counts(l) == (Landmark::MOST_SOUGHT, Landmark::MOST_SOUGHT, Landmark::MOST_SOUGHT))
+        );
     }
 }
 

@@ -49,6 +49,11 @@ impl Probation {
         }
     }
 
+    /// An adjustment has moved the map, the newest camera so.
+    pub fn correct(&mut self, old_from_new: &Se3<World, World>) {
+        self.views.correct(old_from_new);
+    }
+
     /// It is over: the map has proved itself, was moved, or is another one.
     pub fn end(&mut self) {
         *self = Self::default();

@@ -152,6 +152,8 @@ impl Reconstruction {
             }
             false => {
                 self.mapper.discard();
+                // What is discarded is to be done yet, should the loop not be closed.
+                self.active.unadjusted = map.newest();
                 self.loops.waiting = Some(FoundLoop { sightings, told });
             }
         }
@@ -172,6 +174,7 @@ impl Reconstruction {
     pub(in crate::reconstruction) fn take_over_loop(&mut self, closed: Option<ClosedLoop>) {
         let (Some(found), Some(ClosedLoop { correction, .. })) = (self.loops.under_way.take(), closed) else { return };
         let before = self.active.odometry.last.map(|last| last.camera_from_world);
+        self.end_checks();
         self.move_map(&correction);
         if let Some((old, new)) = before.zip(self.active.odometry.last.map(|last| last.camera_from_world)) {
             self.corrections.close_loop(&old, &new);
@@ -184,7 +187,7 @@ impl Reconstruction {
         self.active.next_global = 0;
     }
 
-    /// Moves the map, the last frame with it, and what is told by them; the smooth pose stays.
+    /// Moves the map, the last frame and what it saw with it, and what is told by them; the smooth pose stays.
     pub(in crate::reconstruction) fn move_map(&mut self, correction: &Correction) {
         let active = &mut self.active;
         for (id, _) in active.map.keyframes.iter() {
@@ -192,10 +195,10 @@ impl Reconstruction {
             self.events.push(TrajectoryEvent::KeyframeScaled { keyframe, scale });
         }
         active.map.correct(correction);
-        active.probation.end();
-        self.contradiction.end();
         let here = correction.of(active.reference);
         active.odometry.correct_scaled(&here);
+        self.tracker.carry(&here);
+        self.wheels.follow_correction(correction);
         if let Some(floor) = &mut self.floor {
             floor.follow(&here);
         }

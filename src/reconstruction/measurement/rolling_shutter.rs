@@ -100,9 +100,9 @@ impl Shutter {
         if !(self.estimate && seconds.is_finite() && variance > 0.0) {
             return;
         }
-        // The prior is in the variance in full; the past counts less.
+        // The prior is in the variance in full; the past counts less. What was learnt while the adjustment was under way was not in its prior.
         let information = BELIEVED / variance - (1.0 - MEMORY) * self.information;
-        self.information = information.min(1.0 / (FLOOR_SIGMA_S * FLOOR_SIGMA_S));
+        self.information = information.max(MEMORY * self.information).min(1.0 / (FLOOR_SIGMA_S * FLOOR_SIGMA_S));
         self.readout_s = seconds.clamp(-MAX_READOUT_S, MAX_READOUT_S);
     }
 }
@@ -148,6 +148,16 @@ mod tests {
         learning.learn(0.001, 0.0);
         learning.learn(0.001, f64::NAN);
         assert_eq!(learning, before);
+    }
+
+    #[test]
+    fn an_adjustment_that_began_before_something_was_learnt_takes_little_of_it_away() {
+        let mut shutter = Shutter::new(0.0, 240, true);
+        let told_nothing = 1.0 / shutter.prior().1;
+        shutter.learn(0.01, told_nothing / 100.0);
+        let sure = shutter.variance();
+        shutter.learn(0.01, told_nothing);
+        assert!((sure..sure / 0.89).contains(&shutter.variance()), "{} after {sure}", shutter.variance());
     }
 
     #[test]

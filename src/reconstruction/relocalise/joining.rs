@@ -256,11 +256,8 @@ impl Reconstruction {
             self.change_unit(scale);
         }
         let motion = Sim3::new(1.0, rotation, if takes_unit { translation } else { translation / scale });
-        let keyframes = self.active.map.keyframes.iter().map(|(id, _)| (KeyframeId(id), motion)).collect();
         self.active.scale.carry(&motion);
-        self.move_map(&Correction { keyframes, younger: Some(motion) });
-        self.tracker.carry(&motion);
-        self.wheels.interrupt();
+        self.move_map(&Correction { keyframes: Vec::new(), younger: Some(motion) });
         if let Some((old, new)) = before.zip(self.active.odometry.last.map(|last| last.camera_from_world)) {
             self.corrections.carried(&old, &new);
         }

@@ -60,10 +60,8 @@ impl Reconstruction {
         let active = &mut self.active;
         // Ids go on after those of the maps that were there meanwhile.
         map.absorb(std::mem::take(&mut active.map));
-        if !self.optics.intrinsics.is_calibrated() {
-            // The lens may be known better by now.
-            map.undistort_anew(&self.optics.camera);
-        }
+        // The lens may be known better by now.
+        map.undistort_anew(&self.optics.camera);
         active.next_global = self.optics.intrinsics.next_global(map.keyframes.len());
         odometry.lost_frames = odometry.lost_frames.max(1);
         (active.map, active.id, active.reference) = (map, id, reference);
