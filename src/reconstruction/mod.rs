@@ -33,16 +33,18 @@ mod segments;
 mod surroundings;
 mod track;
 pub mod types;
+mod work;
 
 pub use adjust::intrinsics::{FOUND_SIGMA, LensEstimate, LensKnowledge, LensPrior, guessed_camera};
-pub use adjust::job::{InlineWorker, MappingJob, MappingResult, MappingWorker};
+pub use adjust::job::MappingJob;
 pub use config::ReconstructionConfig;
 pub use corrections::Corrections;
 pub use dead_reckoning::Reckoned;
-pub use loops::recognition::{PlaceWorker, Recognised, Recognition};
+pub use loops::recognition::Recognition;
 pub use relocalise::merging::Waiting;
 pub use surroundings::NoScan;
 pub use types::*;
+pub use work::{InlineWorker, Work, Worker};
 
 use active_map::ActiveMap;
 use adjust::mapper::{Mapper, Merge};
@@ -141,7 +143,7 @@ impl Reconstruction {
     pub fn new(
         config: &ReconstructionConfig,
         camera: &CameraModel,
-        worker: Box<dyn MappingWorker>,
+        worker: Box<dyn Worker<MappingJob>>,
         lockstep: bool,
     ) -> Self {
         Self::with_lens(config, camera, LensPrior::Calibrated, worker, lockstep)
@@ -152,7 +154,7 @@ impl Reconstruction {
         config: &ReconstructionConfig,
         camera: &CameraModel,
         prior: LensPrior,
-        worker: Box<dyn MappingWorker>,
+        worker: Box<dyn Worker<MappingJob>>,
         lockstep: bool,
     ) -> Self {
         Self {

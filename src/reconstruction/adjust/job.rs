@@ -23,8 +23,9 @@ use crate::places::loops::{ClosedLoop, LoopClosure};
 use crate::reconstruction::config::ReconstructionConfig;
 use crate::reconstruction::keyframe::distance_prior;
 use crate::reconstruction::measurement::rolling_shutter::Shutter;
+use crate::reconstruction::work::Work;
 
-/// Mapping work on a copy of a part of the map, which can run anywhere: what comes of it follows from its input alone.
+/// Mapping work on a copy of a part of the map.
 #[derive(Debug)]
 pub enum MappingJob {
     Adjust(Box<Adjustment>),
@@ -32,9 +33,10 @@ pub enum MappingJob {
     Piece(Box<dyn Piece>),
 }
 
-impl MappingJob {
-    /// Bounded in iterations, not in time.
-    pub fn run(self) -> MappingResult {
+impl Work for MappingJob {
+    type Outcome = MappingResult;
+
+    fn run(self) -> MappingResult {
         match self {
             Self::Adjust(job) => MappingResult::Adjusted(Box::new(job.run())),
             Self::CloseLoop(job) => MappingResult::ClosedLoop(job.run()),
@@ -344,34 +346,6 @@ impl AdjustmentResult {
         (0..p.state.points.len())
             .filter(|&i| (p.first[i] as usize..p.first[i + 1] as usize).filter(|&k| p.inlier[k]).count() >= 2)
             .count()
-    }
-}
-
-/// Who runs mapping jobs: a thread of the daemon's, or the caller itself. At most one job is under way.
-pub trait MappingWorker: Send {
-    /// Starts a job; never called while one is under way.
-    fn post(&mut self, job: MappingJob);
-    /// The result if there is one; with `wait`, blocks until it is there (`None` then only if no job is under way or the
-    /// worker died).
-    fn take(&mut self, wait: bool) -> Option<MappingResult>;
-    /// Forgets the job under way: its result is never given. Another may be posted at once. Does not wait where it can be avoided.
-    fn discard(&mut self) {
-        self.take(true);
-    }
-}
-
-/// Runs every job at once in the calling thread.
-#[derive(Debug, Default)]
-pub struct InlineWorker {
-    result: Option<MappingResult>,
-}
-
-impl MappingWorker for InlineWorker {
-    fn post(&mut self, job: MappingJob) {
-        self.result = Some(job.run());
-    }
-    fn take(&mut self, _wait: bool) -> Option<MappingResult> {
-        self.result.take()
     }
 }
 

@@ -1,8 +1,9 @@
 //! The one adjustment that is under way, and when its result is due.
 
 use crate::reconstruction::keyframe::motion::Moved;
+use crate::reconstruction::work::Worker;
 
-use super::job::{MappingJob, MappingResult, MappingWorker};
+use super::job::{MappingJob, MappingResult};
 
 /// When an adjustment is merged.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -17,7 +18,7 @@ pub enum Merge {
 
 /// Who runs adjustments.
 pub struct Mapper {
-    worker: Box<dyn MappingWorker>,
+    worker: Box<dyn Worker<MappingJob>>,
     lockstep: bool,
     /// Frame at which the job under way was posted.
     posted: Option<u64>,
@@ -28,7 +29,7 @@ pub struct Mapper {
 }
 
 impl Mapper {
-    pub fn new(worker: Box<dyn MappingWorker>, lockstep: bool) -> Self {
+    pub fn new(worker: Box<dyn Worker<MappingJob>>, lockstep: bool) -> Self {
         Self { worker, lockstep, posted: None, is_piece: false, moved: None }
     }
 
@@ -82,7 +83,8 @@ impl Mapper {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reconstruction::adjust::job::{InlineWorker, Piece};
+    use crate::reconstruction::adjust::job::Piece;
+    use crate::reconstruction::work::InlineWorker;
 
     #[derive(Debug)]
     struct Nothing;

@@ -1,7 +1,7 @@
 //! What reconstruction does about loops: has an old place looked for at each keyframe, weighs what was found, has it closed, takes over what came
 //! of it.
 
-use super::recognition::{PlaceWorker, Recognition};
+use super::recognition::Recognition;
 use super::{FoundLoop, Loops};
 use crate::features::FrameFeatures;
 use crate::geometry::camera_motion::CameraMotion;
@@ -14,6 +14,7 @@ use crate::reconstruction::adjust::mapper::Merge;
 use crate::reconstruction::relocalise::joining::add_found;
 use crate::reconstruction::relocalise::other_maps::{REMEMBERED, Sighting, Similarity, seen_most_by, similarity};
 use crate::reconstruction::types::TrajectoryEvent;
+use crate::reconstruction::work::Worker;
 
 /// Two sightings so many keyframes apart are not one soon after the other.
 const SOON: u32 = 40;
@@ -38,7 +39,7 @@ const MOST_CLOSED: usize = 4096;
 
 impl Reconstruction {
     /// Who recognises places from now on; without this call it is done at once, which delays the poses after it.
-    pub fn recognise_in(&mut self, worker: Box<dyn PlaceWorker>) {
+    pub fn recognise_in(&mut self, worker: Box<dyn Worker<Recognition>>) {
         self.loops.recogniser.discard();
         self.loops.recogniser.worker = worker;
     }

@@ -13,12 +13,12 @@ use crate::geometry::camera_motion::CameraMotion;
 use crate::image::GreyImage;
 use crate::map::{KeyframeId, Map, MapId};
 use crate::reconstruction::active_map::ActiveMap;
-use crate::reconstruction::adjust::job::InlineWorker;
 use crate::reconstruction::config::ReconstructionConfig;
 use crate::reconstruction::optics::Optics;
 use crate::reconstruction::relocalise::merging::LEAST_SCALE_SIGMA;
 use crate::reconstruction::relocalise::other_maps::{Sighting, Similarity, agreed_ratio, depth_ratios};
 use crate::reconstruction::relocalise::spread::shows_a_place;
+use crate::reconstruction::work::InlineWorker;
 use crate::reconstruction::{Reconstruction, TrackingState};
 
 /// Pictures that are looked at between two adjustments.
