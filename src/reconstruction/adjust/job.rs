@@ -9,6 +9,7 @@
 
 mod held;
 
+use std::any::Any;
 use std::collections::BTreeMap;
 
 use nalgebra::{SVector, Vector2, Vector3};
@@ -40,18 +41,20 @@ impl Work for MappingJob {
         match self {
             Self::Adjust(job) => MappingResult::Adjusted(Box::new(job.run())),
             Self::CloseLoop(job) => MappingResult::ClosedLoop(job.run()),
-            Self::Piece(piece) => {
-                piece.run();
-                MappingResult::Piece
+            Self::Piece(mut piece) => {
+                piece.step();
+                MappingResult::Piece(piece)
             }
         }
     }
 }
 
-/// A part of work that takes longer than an adjustment may wait.
-pub trait Piece: std::fmt::Debug + Send {
-    /// Bounded; what comes of it stays with who has posted it.
-    fn run(&self);
+/// Work that takes longer than an adjustment may wait: it goes to the worker and back with each step, and who has posted it knows what it is.
+pub trait Piece: Any + std::fmt::Debug + Send {
+    /// Bounded.
+    fn step(&mut self);
+    /// No step is left.
+    fn is_done(&self) -> bool;
 }
 
 /// What a [`MappingJob`] gives back.
@@ -60,8 +63,8 @@ pub enum MappingResult {
     Adjusted(Box<AdjustmentResult>),
     /// `None`: it could not be closed.
     ClosedLoop(Option<ClosedLoop>),
-    /// Who has posted it has what came of it.
-    Piece,
+    /// One step further.
+    Piece(Box<dyn Piece>),
 }
 
 /// A bundle adjustment of a part of the map.

@@ -90,7 +90,11 @@ mod tests {
     struct Nothing;
 
     impl Piece for Nothing {
-        fn run(&self) {}
+        fn step(&mut self) {}
+
+        fn is_done(&self) -> bool {
+            true
+        }
     }
 
     #[test]
@@ -99,7 +103,7 @@ mod tests {
         mapper.post(MappingJob::Piece(Box::new(Nothing)), 7);
         mapper.discard();
         assert!(mapper.is_busy());
-        assert!(matches!(mapper.take(Merge::WhenDue, 10, 3), Some((MappingResult::Piece, false))));
+        assert!(matches!(mapper.take(Merge::WhenDue, 10, 3), Some((MappingResult::Piece(_), false))));
         assert!(!mapper.is_busy());
     }
 }
