@@ -16,7 +16,7 @@
 use super::LIKELY;
 use super::asked::Asked;
 use super::other_maps::{
-    ATTEMPT_GAP, Join, LONGEST_GAP, OtherMap, OtherMaps, REMEMBERED, Sighting, at_corner, found_in, log_ratio, retire,
+    ATTEMPT_GAP, LONGEST_GAP, OtherMap, OtherMaps, REMEMBERED, Sighting, at_corner, found_in, log_ratio, retire,
     seen_most_by, similarity,
 };
 use crate::features::FrameFeatures;
@@ -224,7 +224,7 @@ impl Reconstruction {
         let seen: Vec<Observations> = other.sightings.iter().map(own).collect();
         let by = other.sightings.last().and_then(|s| Some((seen_most_by(&other.map, s)?, s.keyframe)));
         if let Some((from, to)) = by {
-            self.others.note_join(Join { map: other.id, from, to });
+            self.others.note_join(other.id, from, to);
         }
         active.map.absorb(other.map);
         // Two keyframes that were recognised vouch for the map.

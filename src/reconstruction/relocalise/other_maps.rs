@@ -15,6 +15,7 @@ use super::spread::shows_a_place;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::sim3::Sim3;
 use crate::geometry::{Se3, median};
+use crate::map::graph::Tie;
 use crate::map::observations::Observations;
 use crate::map::saved::{MapHead, SavedMap};
 use crate::map::{KeyframeId, LandmarkId, Map, MapId};
@@ -145,28 +146,19 @@ pub struct OtherMaps {
     pub turn: usize,
     /// Attempts in a row that found something.
     pub warm: usize,
-    /// Those that were joined to others, the newest last.
-    pub joins: Vec<Join>,
+    /// Of maps that were joined to the present one, the newest last: the keyframe of theirs whose landmarks were recognised most, the present map's that
+    /// showed them, and the number that the map had.
+    pub joins: Vec<(KeyframeId, KeyframeId, Tie)>,
     pub asked: Asked,
 }
 
-/// By which keyframes a map was joined to the present one.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Join {
-    /// The number that it had.
-    pub map: MapId,
-    /// The keyframe of it whose landmarks were recognised most, and the present map's that showed them.
-    pub from: KeyframeId,
-    pub to: KeyframeId,
-}
-
 impl OtherMaps {
-    /// A map is a part of another one.
-    pub fn note_join(&mut self, join: Join) {
+    /// A map is a part of another one, by these keyframes.
+    pub fn note_join(&mut self, map: MapId, from: KeyframeId, to: KeyframeId) {
         if self.joins.len() == MOST_JOINS {
             self.joins.remove(0);
         }
-        self.joins.push(join);
+        self.joins.push((from, to, Tie::Join(map)));
     }
 
     pub fn maps(&self) -> impl Iterator<Item = &Map> {
