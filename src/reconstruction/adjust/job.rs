@@ -19,8 +19,8 @@ use super::bundle::{
 };
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
-use crate::map::{KeyframeId, LandmarkId, Map, MapId, Observation};
-use crate::places::loops::{ClosedLoop, LoopClosure};
+use crate::map::{Correction, KeyframeId, LandmarkId, Map, MapId, Observation};
+use crate::places::loops::LoopClosure;
 use crate::reconstruction::config::ReconstructionConfig;
 use crate::reconstruction::keyframe::distance_prior;
 use crate::reconstruction::measurement::rolling_shutter::Shutter;
@@ -62,7 +62,7 @@ pub trait Piece: Any + std::fmt::Debug + Send {
 pub enum MappingResult {
     Adjusted(Box<AdjustmentResult>),
     /// `None`: it could not be closed.
-    ClosedLoop(Option<ClosedLoop>),
+    ClosedLoop(Option<Correction>),
     /// One step further.
     Piece(Box<dyn Piece>),
 }

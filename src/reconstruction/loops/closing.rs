@@ -7,7 +7,7 @@ use crate::features::FrameFeatures;
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::median;
 use crate::map::{Correction, KeyframeId, Map};
-use crate::places::loops::{ClosedLoop, LoopClosure, LoopEdge};
+use crate::places::loops::{LoopClosure, LoopEdge};
 use crate::places::way::shortest_way;
 use crate::reconstruction::Reconstruction;
 use crate::reconstruction::adjust::mapper::Merge;
@@ -170,8 +170,8 @@ impl Reconstruction {
     }
 
     /// Moves the map as a closed loop says, and fuses what is one.
-    pub(in crate::reconstruction) fn take_over_loop(&mut self, closed: Option<ClosedLoop>) {
-        let (Some(found), Some(ClosedLoop { correction, .. })) = (self.loops.under_way.take(), closed) else { return };
+    pub(in crate::reconstruction) fn take_over_loop(&mut self, closed: Option<Correction>) {
+        let (Some(found), Some(correction)) = (self.loops.under_way.take(), closed) else { return };
         let before = self.active.odometry.last.map(|last| last.camera_from_world);
         self.move_map(&correction);
         if let Some((old, new)) = before.zip(self.active.odometry.last.map(|last| last.camera_from_world)) {
