@@ -140,10 +140,6 @@ impl Loops {
     }
 
     /// Enters some of those that wait and are in a map still.
-    pub fn enter_some(&mut self, map: &Map, others: &OtherMaps) {
-        self.enter(map, others, ENTERED_WITH_FRAME);
-    }
-
     fn enter(&mut self, map: &Map, others: &OtherMaps, most: usize) {
         let Self { index, describer, seen, to_enter, .. } = self;
         let mut work = 0;

@@ -260,6 +260,8 @@ fn resolve_between(map: &mut Map, from: KeyframeId, camera: &CameraModel, readou
 #[cfg(test)]
 mod tests {
 
+    use std::sync::LazyLock;
+
     use nalgebra::UnitQuaternion;
 
     use super::*;
@@ -272,7 +274,7 @@ mod tests {
     use crate::reconstruction::track::template::observe;
 
     const TRUE_OVER_ASSUMED: f64 = 2.0;
-    const NOTHING_SAID: ScaleFusion = ScaleFusion::silent();
+    static NOTHING_SAID: LazyLock<ScaleFusion> = LazyLock::new(ScaleFusion::default);
 
     fn camera() -> CameraModel {
         CameraModel::new(640, 480, 520.0, 520.0, 320.0, 240.0, [0.0; 5]).expect("a camera")

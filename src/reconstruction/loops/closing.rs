@@ -2,10 +2,11 @@
 //! of it.
 
 use super::recognition::Recognition;
-use super::{FoundLoop, Loops};
+use super::{ENTERED_WITH_FRAME, FoundLoop, Loops};
 use crate::features::FrameFeatures;
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::median;
+use crate::geometry::sim3::Sim3;
 use crate::map::{Correction, KeyframeId, Map};
 use crate::places::loops::{LoopClosure, LoopEdge};
 use crate::places::way::shortest_way;
@@ -70,7 +71,7 @@ impl Reconstruction {
     /// Enters some of the keyframes that another run has left.
     pub(in crate::reconstruction) fn enter_loaded(&mut self) {
         let Self { loops, active, others, .. } = self;
-        loops.enter_some(&active.map, others);
+        loops.enter(&active.map, others, ENTERED_WITH_FRAME);
     }
 
     fn try_places(&mut self, features: &FrameFeatures, id: KeyframeId) {
@@ -231,7 +232,10 @@ fn ties(map: &Map, sightings: &[Sighting; 2], told: &Similarity) -> Vec<(Keyfram
 /// The keyframe that sees most of what was found, other than the one that was recognised, and how that one lies to it.
 fn loop_edge(map: &Map, sighting: &Sighting, told: &Similarity) -> Option<LoopEdge> {
     let old = seen_most_by(map, sighting)?;
-    let recognised_from_old = told.scaled(&(sighting.there * map.keyframe(old)?.camera_from_world.inverse()).relabel());
+    let there = sighting.there * map.keyframe(old)?.camera_from_world.inverse();
+    // Measured in the unit of the old place; at its end it is that of the recognised keyframe.
+    let scale = told.present_from_other.scale;
+    let recognised_from_old = Sim3::new(scale, there.rotation, there.translation * scale);
     let (recognised, log_scale_sigma, landmarks) = (sighting.keyframe, told.log_scale_sigma, sighting.found.len());
     Some(LoopEdge { old, recognised, recognised_from_old, log_scale_sigma, landmarks })
 }
@@ -306,7 +310,6 @@ mod tests {
     use nalgebra::{Matrix2, Matrix3, UnitQuaternion, Vector2, Vector3};
 
     use super::*;
-    use crate::geometry::sim3::Sim3;
     use crate::geometry::{CameraModel, Se3};
     use crate::map::{Keyframe, Landmark, LandmarkId, MapId, Observation};
     use crate::reconstruction::track::search::Match;

@@ -90,14 +90,6 @@ pub struct Similarity {
     pub log_scale_sigma: f64,
 }
 
-impl Similarity {
-    /// A motion that is measured in the other's unit, in the present one's at its end.
-    pub fn scaled<To, From>(&self, motion: &Se3<To, From>) -> Sim3<To, From> {
-        let scale = self.present_from_other.scale;
-        Sim3::new(scale, motion.rotation, motion.translation * scale)
-    }
-}
-
 /// A map kept aside.
 pub struct OtherMap {
     pub map: Map,
