@@ -61,9 +61,9 @@ use keyframe::{KeyframeInputs, NewKeyframe};
 use loops::Loops;
 use measurement::inverse_distance::mostly_assumed;
 use optics::Optics;
+use relocalise::Relocaliser;
 use relocalise::descriptors::describe_kept;
 use relocalise::other_maps::{OtherMaps, WORTH_KEEPING};
-use relocalise::{LIKELY, Relocaliser};
 use second_look::kept::SecondLook;
 use segments::Wheels;
 use surroundings::Surroundings;
@@ -254,7 +254,7 @@ impl Reconstruction {
         };
         let mut tracked = self.tracker.track(&frame, reference, &guesses[..n], believed);
         if tracked.as_ref().is_none_or(|t| t.share() < WEAK_SHARE) {
-            let likely = self.loops.likely(map, &features.pyramid, LIKELY);
+            let likely = self.loops.likely(map, &features.pyramid);
             self.far.ask(&likely);
             let elsewhere = self.relocaliser.place(&frame, reference, &likely);
             if elsewhere.is_none() {

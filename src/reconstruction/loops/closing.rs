@@ -47,11 +47,7 @@ impl Reconstruction {
 
     /// Loops that were closed in the present maps: the keyframe of old, and the one that it was recognised from; the newest last.
     pub fn closed_loops(&self) -> impl Iterator<Item = (KeyframeId, KeyframeId)> {
-        // What is being closed is none yet, and may come to nothing.
-        let Loops { closed, under_way, .. } = &self.loops;
-        let ends = under_way.iter().flat_map(|found| found.sightings.iter().map(|s| s.keyframe));
-        let is_open = move |recognised: KeyframeId| ends.clone().any(|end| end == recognised);
-        closed.iter().copied().filter(move |(_, recognised)| !is_open(*recognised))
+        self.loops.closed.iter().copied()
     }
 
     /// Enters the frame that has just become the keyframe `id`, and with `loops` has it looked for in the likeliest old place.

@@ -13,7 +13,6 @@
 //! Cost: nothing while no map is kept; else one attempt of relocalisation for every few keyframes, rarer while nothing is recognised, after
 //! the pose was published. While the present map is lost: [`taking_up`](super::taking_up).
 
-use super::LIKELY;
 use super::asked::Asked;
 use super::other_maps::{
     ATTEMPT_GAP, LONGEST_GAP, OtherMap, OtherMaps, REMEMBERED, Sighting, at_corner, found_in, log_ratio, retire,
@@ -145,7 +144,7 @@ impl Reconstruction {
     /// Keyframes of a map kept aside that a picture may show the place of.
     pub(super) fn likely_in(&mut self, index: usize, features: &FrameFeatures) -> Vec<KeyframeId> {
         let Some(other) = self.others.kept.get(index) else { return Vec::new() };
-        self.loops.likely(&other.map, &features.pyramid, LIKELY)
+        self.loops.likely(&other.map, &features.pyramid)
     }
 
     /// Where the keyframe `id` is in a map kept aside, if it is; perhaps near the `likely` ones.
