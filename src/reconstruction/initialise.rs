@@ -16,9 +16,7 @@ use super::keyframe::point::{observations_of, refine_point};
 use super::measurement::Correspondence;
 use super::odometry::Odometry;
 use super::optics::Optics;
-use super::track::Tracked;
 use super::track::association::{Seed, Target};
-use super::track::frame::Frame;
 use super::track::pose::{PoseOptions, optimise_pose};
 use super::track::template::{SearchOptions, observe, refine_in};
 use super::types::{PoseEstimate, TrackingState, TrajectoryEvent};
@@ -82,19 +80,7 @@ impl Reconstruction {
             }
         }
         // The frame itself is placed like any other, so that its covariance and counts are honest.
-        let frame = Frame {
-            features,
-            map: &self.active.map,
-            bindings: &self.active.bindings,
-            camera: &self.optics.camera,
-            config: &self.config,
-            shutter: &self.optics.shutter,
-            outlier_chi2: self.optics.noise.outlier_chi2(),
-            before: None,
-            was_here: true,
-            motion: None,
-        };
-        let Some(tracked) = self.tracker.track(&frame, self.active.reference, &[guess], |_, _| true) else {
+        let Some(tracked) = self.track_at(features, guess) else {
             self.active.clear();
             self.initialiser.clear();
             return None;
@@ -104,8 +90,7 @@ impl Reconstruction {
         self.active.last_keyframe_frame = self.counters.frames;
         self.counters.keyframes_made += self.active.map.keyframes.len() as u64;
         self.counters.landmarks_made += self.active.map.landmarks.len() as u64;
-        self.tracker.keep_inliers();
-        let Tracked { camera_from_world, .. } = tracked;
+        let camera_from_world = tracked.camera_from_world;
         self.counters.frames_tracked += 1;
         self.active.odometry = Odometry::begin(features.timestamp_ns, camera_from_world);
         self.record_pose(features.timestamp_ns, &camera_from_world);

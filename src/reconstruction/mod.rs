@@ -270,6 +270,25 @@ impl Reconstruction {
         tracked
     }
 
+    /// The place of a frame that a start has put at `pose`, like any other; of what was found only what agrees with it is kept.
+    fn track_at(&mut self, features: &FrameFeatures, pose: Se3<Camera, World>) -> Option<Tracked> {
+        let frame = Frame {
+            features,
+            map: &self.active.map,
+            bindings: &self.active.bindings,
+            camera: &self.optics.camera,
+            config: &self.config,
+            before: None,
+            was_here: true,
+            motion: None,
+            shutter: &self.optics.shutter,
+            outlier_chi2: self.optics.noise.outlier_chi2(),
+        };
+        let tracked = self.tracker.track(&frame, self.active.reference, &[pose], |_, _| true)?;
+        self.tracker.keep_inliers();
+        Some(tracked)
+    }
+
     /// Notes for each landmark whether it was found. A frame that shows less than half of what should be there (blur, something
     /// in front) speaks of itself and not of its landmarks: the map must not be thinned out by it. (Without: five times the error
     /// on a desk at a third of the rate.)
