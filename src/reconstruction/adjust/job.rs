@@ -19,7 +19,7 @@ use super::bundle::{
 };
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
-use crate::map::{Correction, KeyframeId, LandmarkId, Map, MapId, Observation};
+use crate::map::{Correction, KeyframeId, LandmarkId, Map, MapId, Observation, vote};
 use crate::places::loops::LoopClosure;
 use crate::reconstruction::config::ReconstructionConfig;
 use crate::reconstruction::keyframe::distance_prior;
@@ -126,14 +126,8 @@ impl Adjustment {
         landmarks.dedup();
         let mut votes: Vec<(KeyframeId, u32)> = Vec::new();
         for &id in &landmarks {
-            for &k in &map.landmark(id)?.observers {
-                if free.binary_search(&k).is_err() {
-                    match votes.binary_search_by_key(&k, |v| v.0) {
-                        Ok(i) => votes[i].1 += 1,
-                        Err(i) => votes.insert(i, (k, 1)),
-                    }
-                }
-            }
+            let outside = map.landmark(id)?.observers.iter().filter(|k| free.binary_search(k).is_err());
+            outside.for_each(|k| vote(&mut votes, *k));
         }
         votes.sort_by(|a, b| b.1.cmp(&a.1).then(b.0.cmp(&a.0)));
         votes.truncate(config.fixed_keyframes);

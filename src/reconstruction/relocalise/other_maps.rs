@@ -18,7 +18,7 @@ use crate::geometry::{Se3, median};
 use crate::map::graph::Tie;
 use crate::map::observations::Observations;
 use crate::map::saved::{MapHead, SavedMap};
-use crate::map::{KeyframeId, LandmarkId, Map, MapId};
+use crate::map::{KeyframeId, LandmarkId, Map, MapId, vote};
 use crate::motion::scale::ScaleFusion;
 use crate::reconstruction::active_map::ActiveMap;
 use crate::reconstruction::keyframe::{SAME_CORNER_PX, triangulate};
@@ -200,12 +200,8 @@ pub fn found_in(frame: &Frame<'_>, tracker: &Tracker, keyframe: KeyframeId, plac
 pub fn seen_most_by(map: &Map, sighting: &Sighting) -> Option<KeyframeId> {
     let mut votes: Vec<(KeyframeId, u32)> = Vec::new();
     for m in &sighting.found {
-        for &k in map.landmark(m.landmark).into_iter().flat_map(|l| &l.observers) {
-            match votes.binary_search_by_key(&k, |v| v.0) {
-                Ok(i) => votes[i].1 += 1,
-                Err(i) => votes.insert(i, (k, 1)),
-            }
-        }
+        let observers = map.landmark(m.landmark).into_iter().flat_map(|l| &l.observers);
+        observers.for_each(|k| vote(&mut votes, *k));
     }
     Some(votes.iter().filter(|v| v.0 != sighting.keyframe).max_by_key(|&&(k, n)| (n, k))?.0)
 }
