@@ -8,8 +8,8 @@ use tracing::error;
 
 use crate::reconstruction::{Work, Worker};
 
-/// Reconstruction's end of a thread that runs work of one kind. At most one job is under way that anybody waits for, and beside it one
-/// that was given up while it ran; of a job that was given up before it ran nothing is left.
+/// Reconstruction's end of a thread that runs work of one kind. At most one job is under way that anybody waits for,
+/// and beside it one that was given up while it ran; of a job that was given up before it ran nothing is left.
 pub struct ThreadWorker<W: Work> {
     jobs: Sender<(u64, W)>,
     /// To take back what has not begun.

@@ -127,7 +127,8 @@ impl Reconstruction {
         self.wheels.scale.slipping
     }
 
-    /// After a frame was tracked and mapped, not in a map that is only located in: what wheels say beside it, and a change of the map's unit that is due.
+    /// After a frame was tracked and mapped, not in a map that is only located in: what wheels say beside it, and a
+    /// change of the map's unit that is due.
     pub(super) fn follow_scale(&mut self, features: &FrameFeatures) {
         if !self.wheels.scale.is_silent() {
             self.follow_wheels(features);

@@ -270,7 +270,7 @@ impl Reconstruction {
         tracked
     }
 
-    /// The place of a frame that a start has put at `pose`, like any other; of what was found only what agrees with it is kept.
+    /// The place of a frame that a start has put at `pose`, found like any other's; of the matches inliers are kept.
     fn track_at(&mut self, features: &FrameFeatures, pose: Se3<Camera, World>) -> Option<Tracked> {
         let frame = Frame {
             features,

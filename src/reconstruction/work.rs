@@ -1,6 +1,8 @@
-//! Work on copies, and who runs it: what comes of it follows from its input alone, so it can run anywhere, and delays no pose.
+//! Work on copies, and who runs it: what comes of it follows from its input alone, so it can run anywhere, and delays
+//! no pose.
 //!
-//! There are two kinds: mapping ([`adjust::job`](super::adjust::job)), and looking for old places ([`loops::recognition`](super::loops::recognition)).
+//! There are two kinds: mapping ([`adjust::job`](super::adjust::job)), and looking for old places
+//! ([`loops::recognition`](super::loops::recognition)).
 
 /// One piece of work.
 pub trait Work: Send {
@@ -14,10 +16,11 @@ pub trait Work: Send {
 pub trait Worker<W: Work>: Send {
     /// Starts a job; never called while one is under way.
     fn post(&mut self, job: W);
-    /// The result if there is one; with `wait`, blocks until it is there (`None` then only if no job is under way or the
-    /// worker died).
+    /// The result if there is one; with `wait`, blocks until it is there (`None` then only if no job is under way or
+    /// the worker died).
     fn take(&mut self, wait: bool) -> Option<W::Outcome>;
-    /// Forgets the job under way: its result is never given. Another may be posted at once. Does not wait where it can be avoided.
+    /// Forgets the job under way: its result is never given. Another may be posted at once. Does not wait where it can
+    /// be avoided.
     fn discard(&mut self);
 }
 

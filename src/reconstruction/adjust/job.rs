@@ -49,7 +49,8 @@ impl Work for MappingJob {
     }
 }
 
-/// Work that takes longer than an adjustment may wait: it goes to the worker and back with each step, and who has posted it knows what it is.
+/// Work that takes longer than an adjustment may wait: it goes to the worker and back with each step, and who has
+/// posted it knows what it is.
 pub trait Piece: Any + std::fmt::Debug + Send {
     /// Bounded.
     fn step(&mut self);

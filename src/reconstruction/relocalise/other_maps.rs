@@ -138,8 +138,8 @@ pub struct OtherMaps {
     pub turn: usize,
     /// Attempts in a row that found something.
     pub warm: usize,
-    /// Of maps that were joined to the present one, the newest last: the keyframe of theirs whose landmarks were recognised most, the present map's that
-    /// showed them, and the number that the map had.
+    /// Of maps that were joined to the present one, the newest last: the keyframe of theirs whose landmarks were
+    /// recognised most, the present map's that showed them, and the number that the map had.
     pub joins: Vec<(KeyframeId, KeyframeId, Tie)>,
     pub asked: Asked,
 }

@@ -107,7 +107,8 @@ impl SecondLook {
         Some(MappingJob::Piece(look))
     }
 
-    /// The worker gives the look back. It is returned if that was its last piece; else it waits for the next. Nothing, too, if it is another camera's.
+    /// The worker gives the look back. It is returned if that was its last piece; else it waits for the next. Nothing,
+    /// too, if it is another camera's.
     pub fn take_done(&mut self, look: Box<dyn Piece>) -> Option<Box<dyn Piece>> {
         if !matches!(self.stage, Stage::WithWorker) {
             return None;
