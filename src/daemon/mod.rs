@@ -78,7 +78,7 @@ use map_file::{KeeperLink, MapDesk};
 use reconstruct::ReconstructStep;
 use recorder::{Order, Recorder, RecorderLink, serve};
 use wheels::WheelIntake;
-use worker::{PlaceThread, ThreadWorker};
+use worker::ThreadWorker;
 
 /// Records on their way to the recorder: some 30 seconds of frames while a disk hangs.
 const RECORD_QUEUE: usize = 2048;
@@ -154,8 +154,8 @@ pub(super) fn start(parts: Parts) -> Result<Threads, DaemonError> {
     let (orders, order_queue) = bounded::<Order>(RECORD_QUEUE);
     let recorder = spawn("cairn-recorder", move || serve(recorder, &order_queue))?;
 
-    let (worker, mapping) = ThreadWorker::spawn().map_err(DaemonError::Thread)?;
-    let (place_worker, places) = PlaceThread::spawn().map_err(DaemonError::Thread)?;
+    let (worker, mapping) = ThreadWorker::spawn("cairn-mapping").map_err(DaemonError::Thread)?;
+    let (place_worker, places) = ThreadWorker::spawn("cairn-places").map_err(DaemonError::Thread)?;
     let link = RecorderLink::Queue(orders, status.clone());
     let wheels = Arc::new(WheelQueue::new(status.wheels.clone()));
     let (requests, request_queue) = bounded(REQUEST_QUEUE);

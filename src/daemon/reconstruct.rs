@@ -34,8 +34,8 @@ use crate::motion::tag::TagConfig;
 use crate::motion::wheel::WheelQueue;
 use crate::publish::{MapContext, PublishError};
 use crate::reconstruction::{
-    LensKnowledge, LensPrior, MappingWorker, PlaceWorker, PoseEstimate, Reconstruction, ReconstructionConfig,
-    TrackingState, TrajectoryEvent,
+    LensKnowledge, LensPrior, MappingJob, PoseEstimate, Recognition, Reconstruction, ReconstructionConfig,
+    TrackingState, TrajectoryEvent, Worker,
 };
 use crate::telemetry::RateLimiter;
 
@@ -54,9 +54,9 @@ pub struct ReconstructStep {
     obstacles: ObstaclesConfig,
     lockstep: bool,
     /// Given to reconstruction with the first frame, whose size completes the camera model.
-    worker: Option<Box<dyn MappingWorker>>,
+    worker: Option<Box<dyn Worker<MappingJob>>>,
     /// As well; without one places are recognised between frames.
-    place_worker: Option<Box<dyn PlaceWorker>>,
+    place_worker: Option<Box<dyn Worker<Recognition>>>,
     pub(super) reconstruction: Option<Reconstruction>,
     /// Of the pictures that the camera model is for; 0, 0 before the first.
     pub(super) size: (u32, u32),
@@ -87,7 +87,7 @@ impl ReconstructStep {
     pub fn new(
         config: &ReconstructionConfig,
         calibration: Calibration,
-        worker: Box<dyn MappingWorker>,
+        worker: Box<dyn Worker<MappingJob>>,
         lockstep: bool,
         outlet: Option<Outlet>,
         recorder: RecorderLink,
@@ -135,7 +135,7 @@ impl ReconstructStep {
     }
 
     /// With somebody who knows places again meanwhile.
-    pub fn recognising_in(mut self, worker: Box<dyn PlaceWorker>) -> Self {
+    pub fn recognising_in(mut self, worker: Box<dyn Worker<Recognition>>) -> Self {
         self.place_worker = Some(worker);
         self
     }

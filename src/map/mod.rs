@@ -482,6 +482,14 @@ impl Map {
     }
 }
 
+/// One more for a keyframe; `votes` by ascending id.
+pub fn vote(votes: &mut Vec<(KeyframeId, u32)>, keyframe: KeyframeId) {
+    match votes.binary_search_by_key(&keyframe, |v| v.0) {
+        Ok(i) => votes[i].1 += 1,
+        Err(i) => votes.insert(i, (keyframe, 1)),
+    }
+}
+
 fn change_covisibility(keyframes: &mut Store<Keyframe>, a: KeyframeId, b: KeyframeId, by: i32) {
     for (one, other) in [(a, b), (b, a)] {
         // Follows from the observations: no file keeps it.

@@ -36,12 +36,13 @@ const CONDENSED_WIDTH: usize = 32;
 
 /// The pixels of level 0 around one observation.
 #[derive(Debug, Clone)]
-struct Patch {
+pub struct Patch {
     /// Its number.
-    landmark: u32,
-    left: u16,
-    top: u16,
-    pixels: Box<[u8; PATCH_PX * PATCH_PX]>,
+    pub landmark: u32,
+    /// Column and row of its first pixel in level 0.
+    pub left: u16,
+    pub top: u16,
+    pub pixels: Box<[u8; PATCH_PX * PATCH_PX]>,
 }
 
 /// See the module.
@@ -72,17 +73,6 @@ pub struct Kept<'a> {
     pub levels: usize,
 }
 
-/// A patch as a file keeps it.
-#[derive(Debug, Clone)]
-pub struct KeptPatch {
-    /// Its number.
-    pub landmark: u32,
-    /// Column and row of its first pixel in level 0.
-    pub left: u16,
-    pub top: u16,
-    pub pixels: Box<[u8; PATCH_PX * PATCH_PX]>,
-}
-
 impl KeyframePicture {
     pub fn new(pyramid: Arc<Pyramid>) -> Self {
         Self { pyramid, ..Self::default() }
@@ -100,10 +90,8 @@ impl KeyframePicture {
     }
 
     /// A picture from what a file kept of it; `patches` in any order.
-    pub fn restored(finest: GreyImage, is_whole: bool, levels: usize, patches: Vec<KeptPatch>) -> Self {
+    pub fn restored(finest: GreyImage, is_whole: bool, levels: usize, mut patches: Vec<Patch>) -> Self {
         let pyramid = Pyramid::from_level(finest, usize::from(!is_whole), levels);
-        let own = |p: KeptPatch| Patch { landmark: p.landmark, left: p.left, top: p.top, pixels: p.pixels };
-        let mut patches: Vec<Patch> = patches.into_iter().map(own).collect();
         patches.sort_by_key(|p| p.landmark);
         Self { pyramid: Arc::new(pyramid), patches: Arc::new(patches), ..Self::default() }
     }

@@ -18,10 +18,12 @@ use crate::geometry::CameraModel;
 /// A turn on the spot that the scale of what follows came through.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SavedTurn {
+    /// Keyframe at its place, and where that was when it was last seen in the map.
     pub keyframe: KeyframeId,
     pub centre: Vector3<f64>,
     /// Of the scale behind it, as a share of it squared.
     pub variance: f64,
+    /// The turn that the scale before it came through.
     pub before: Option<TurnId>,
 }
 

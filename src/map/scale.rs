@@ -29,10 +29,6 @@ impl ScaleSource {
 pub struct ScaleSources(u8);
 
 impl ScaleSources {
-    pub const fn none() -> Self {
-        Self(0)
-    }
-
     pub fn with(self, source: ScaleSource) -> Self {
         Self(self.0 | 1 << source as u8)
     }

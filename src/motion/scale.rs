@@ -52,11 +52,6 @@ pub struct ScaleFusion {
 }
 
 impl ScaleFusion {
-    /// Nothing has been said.
-    pub const fn silent() -> Self {
-        Self { words: [None; 4], stored: ScaleSources::none(), metric: false }
-    }
-
     /// What one source has said: ln(metres per map unit).
     pub fn word(&self, source: ScaleSource) -> Option<f64> {
         self.words[source as usize].map(|word| word.log)
@@ -64,7 +59,7 @@ impl ScaleFusion {
 
     /// Of a map that was metric when it was stored.
     pub fn restored(sigma: f64, sources: ScaleSources) -> Self {
-        let mut fusion = Self { stored: sources, metric: true, ..Self::silent() };
+        let mut fusion = Self { stored: sources, metric: true, ..Self::default() };
         fusion.add(&ScaleMeasurement { source: ScaleSource::StoredMap, log_metres_per_unit: 0.0, sigma });
         fusion
     }

@@ -17,7 +17,7 @@
 use nalgebra::Vector3;
 
 use crate::geometry::frames::{Camera, World};
-use crate::geometry::least_squares::{LmOptions, LmSummary};
+use crate::geometry::least_squares::LmOptions;
 use crate::geometry::pose_graph::{Edge, EdgeSigma, solve};
 use crate::geometry::sim3::Sim3;
 use crate::geometry::{Se3, median};
@@ -69,13 +69,6 @@ pub struct LoopClosure {
     /// Of this run; of a map that was merged numbers may be greater.
     youngest: usize,
     edges: Vec<Edge>,
-}
-
-/// What came of it.
-#[derive(Debug)]
-pub struct ClosedLoop {
-    pub correction: Correction,
-    pub summary: LmSummary,
 }
 
 impl LoopClosure {
@@ -132,7 +125,7 @@ impl LoopClosure {
     }
 
     /// Bounded in iterations, not in time. `None` if nothing better was found, or nothing that can be.
-    pub fn run(&self) -> Option<ClosedLoop> {
+    pub fn run(&self) -> Option<Correction> {
         let options = LmOptions { max_iterations: STEPS, relative_cost: 1e-6, ..LmOptions::default() };
         let start = self.poses.iter().map(Sim3::from_se3).collect();
         let fixed: Vec<bool> = (0..self.poses.len()).map(|i| i == self.oldest).collect();
@@ -148,7 +141,7 @@ impl LoopClosure {
         }
         let younger = moved.get(self.youngest).copied();
         let keyframes = self.keyframes.iter().copied().zip(moved).collect();
-        Some(ClosedLoop { correction: Correction { keyframes, younger }, summary })
+        Some(Correction { keyframes, younger })
     }
 
     /// The keyframe that is to stay where it is instead of the oldest, if most of the map stays with it.

@@ -80,7 +80,7 @@ impl Reconstruction {
         match result {
             MappingResult::Adjusted(result) => self.take_over(&result, when),
             MappingResult::ClosedLoop(closed) => self.take_over_loop(closed),
-            MappingResult::Piece => self.take_over_second_look(),
+            MappingResult::Piece(look) => self.take_over_second_look(look),
         }
     }
 

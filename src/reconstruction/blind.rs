@@ -23,8 +23,7 @@ use super::dead_reckoning::{Ahead, Reckoned};
 use super::odometry::{LastFrame, Odometry};
 use super::relocalise::other_maps::WORTH_KEEPING;
 use super::segments::MOVED_SIGMAS;
-use super::track::frame::Frame;
-use super::track::{Tracked, Tracker};
+use super::track::Tracker;
 use super::types::{PoseEstimate, TrackingState, TrajectoryEvent};
 use crate::features::FrameFeatures;
 use crate::geometry::Se3;
@@ -138,24 +137,10 @@ impl Reconstruction {
             return None;
         };
         self.carry_on(old, &present_from_start, features.timestamp_ns, (here, odom_from_camera));
-        let frame = Frame {
-            features,
-            map: &self.active.map,
-            bindings: &self.active.bindings,
-            camera: &self.optics.camera,
-            config: &self.config,
-            before: None,
-            was_here: true,
-            motion: None,
-            shutter: &self.optics.shutter,
-            outlier_chi2: self.optics.noise.outlier_chi2(),
-        };
-        let tracked: Option<Tracked> = self.tracker.track(&frame, self.active.reference, &[here], |_, _| true);
-        let Some(tracked) = tracked else {
+        let Some(tracked) = self.track_at(features, here) else {
             self.state = TrackingState::Lost;
             return Some(self.estimate_none(features));
         };
-        self.tracker.keep_inliers();
         self.active.odometry.replace(tracked.camera_from_world);
         self.blind.see();
         let estimate = self.estimate_tracked(features, &tracked, None, true);

@@ -1,7 +1,6 @@
 //! What holds the present map together and which tags hang in it, for whoever shows it.
 
 use super::Reconstruction;
-use super::relocalise::other_maps::Join;
 use crate::map::KeyframeId;
 use crate::map::graph::{MapGraph, Tie};
 use crate::motion::tag::edge_length::PlacedTag;
@@ -11,7 +10,7 @@ impl Reconstruction {
     /// Fills `out` with what ties the current map's keyframes from `oldest` on: joins, closed loops, and the strongest of what is covisible, `limit` edges
     /// at the most.
     pub fn graph(&self, out: &mut MapGraph, oldest: KeyframeId, limit: usize) {
-        let joins = self.others.joins.iter().map(|&Join { map, from, to }| (from, to, Tie::Join(map)));
+        let joins = self.others.joins.iter().copied();
         let loops = self.closed_loops().map(|(old, recognised)| (old, recognised, Tie::Loop));
         out.fill(&self.active.map, joins.chain(loops), oldest, limit);
     }

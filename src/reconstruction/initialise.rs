@@ -16,9 +16,7 @@ use super::keyframe::point::{observations_of, refine_point};
 use super::measurement::Correspondence;
 use super::odometry::Odometry;
 use super::optics::Optics;
-use super::track::Tracked;
 use super::track::association::{Seed, Target};
-use super::track::frame::Frame;
 use super::track::pose::{PoseOptions, optimise_pose};
 use super::track::template::{SearchOptions, observe, refine_in};
 use super::types::{PoseEstimate, TrackingState, TrajectoryEvent};
@@ -82,19 +80,7 @@ impl Reconstruction {
             }
         }
         // The frame itself is placed like any other, so that its covariance and counts are honest.
-        let frame = Frame {
-            features,
-            map: &self.active.map,
-            bindings: &self.active.bindings,
-            camera: &self.optics.camera,
-            config: &self.config,
-            shutter: &self.optics.shutter,
-            outlier_chi2: self.optics.noise.outlier_chi2(),
-            before: None,
-            was_here: true,
-            motion: None,
-        };
-        let Some(tracked) = self.tracker.track(&frame, self.active.reference, &[guess], |_, _| true) else {
+        let Some(tracked) = self.track_at(features, guess) else {
             self.active.clear();
             self.initialiser.clear();
             return None;
@@ -105,8 +91,7 @@ impl Reconstruction {
         self.active.last_keyframe_frame = self.counters.frames;
         self.counters.keyframes_made += self.active.map.keyframes.len() as u64;
         self.counters.landmarks_made += self.active.map.landmarks.len() as u64;
-        self.tracker.keep_inliers();
-        let Tracked { camera_from_world, .. } = tracked;
+        let camera_from_world = tracked.camera_from_world;
         self.counters.frames_tracked += 1;
         self.active.odometry = Odometry::begin(features.timestamp_ns, camera_from_world);
         self.record_pose(features.timestamp_ns, &camera_from_world);
@@ -128,8 +113,9 @@ impl Reconstruction {
         points.sort_unstable_by_key(|p| p.0);
         let mut views = vec![(a, &first.frame)];
         let mut guess = Se3::identity();
+        let position = |track| points.binary_search_by_key(&track, |p| p.0).ok().map(|i| points[i].1);
         for view in &start.between {
-            if let Some(pose) = self.solve_view(&view.frame, &points, &guess) {
+            if let Some(pose) = self.solve_pose(&view.frame, &guess, position) {
                 guess = pose;
                 views.push((self.add_view(view, pose), &view.frame));
             }
@@ -286,17 +272,6 @@ impl Reconstruction {
         }
     }
 
-    /// Pose of a view in between from the tracks that are `points` (ascending track id, world coordinates).
-    fn solve_view(
-        &self,
-        frame: &FrameTracks,
-        points: &[(u64, Vector3<f64>)],
-        guess: &Se3<Camera, World>,
-    ) -> Option<Se3<Camera, World>> {
-        let position = |track| points.binary_search_by_key(&track, |p| p.0).ok().map(|i| points[i].1);
-        self.solve_pose(frame, guess, position)
-    }
-
     /// Poses of the frames that came before the map, from the tracks that are landmarks now.
     fn solve_frames_before(&mut self, current: u64) {
         let pending: Vec<FrameTracks> = self.initialiser.pending.drain(..).collect();
@@ -309,11 +284,15 @@ impl Reconstruction {
         let (anchor_sequence, anchor_pose) = anchor;
         let split = pending.iter().position(|f| f.sequence >= anchor_sequence).unwrap_or(pending.len());
         let (before, after) = pending.split_at(split);
+        let position = |track| match self.active.bindings.get(track)? {
+            Target::Landmark(id) => Some(self.active.map.landmark(*id)?.position),
+            Target::Seed(_) => None,
+        };
         let mut solved: Vec<(i64, Se3<Camera, World>)> = Vec::new();
         for direction in [after.iter().collect::<Vec<_>>(), before.iter().rev().collect()] {
             let mut guess = anchor_pose;
             for frame in direction.into_iter().filter(|f| f.sequence != current) {
-                if let Some(pose) = self.solve_pending(frame, &guess) {
+                if let Some(pose) = self.solve_pose(frame, &guess, position) {
                     guess = pose;
                     solved.push((frame.timestamp_ns, pose));
                 }
@@ -344,13 +323,6 @@ impl Reconstruction {
         self.give_up_map();
         self.initialiser.begin_again(frames);
         true
-    }
-
-    fn solve_pending(&self, frame: &FrameTracks, guess: &Se3<Camera, World>) -> Option<Se3<Camera, World>> {
-        self.solve_pose(frame, guess, |track| match self.active.bindings.get(track)? {
-            Target::Landmark(id) => Some(self.active.map.landmark(*id)?.position),
-            Target::Seed(_) => None,
-        })
     }
 
     /// Pose of a frame from its tracks whose `position` in the world is known.

@@ -38,6 +38,8 @@ const WEIGHED: usize = 10;
 /// Descriptors that a place must have, and its score against that of the neighbour that is most like the keyframe.
 const MIN_VOTES: u32 = 8;
 const MIN_LIKENESS: f32 = 0.1;
+/// Keyframes that the index names for one frame.
+const LIKELY: usize = 3;
 /// Keyframes of a place that are tried: the likeliest, and those that share most with it.
 const TRIED: usize = 3;
 
@@ -91,10 +93,10 @@ impl Loops {
     }
 
     /// Keyframes of the map that a picture may show the place of, the likeliest first.
-    pub fn likely(&mut self, map: &Map, pyramid: &Pyramid, limit: usize) -> Vec<KeyframeId> {
+    pub fn likely(&mut self, map: &Map, pyramid: &Pyramid) -> Vec<KeyframeId> {
         let Self { index, describer, seen, ranked, .. } = self;
         describer.describe(pyramid, seen);
-        index.query(seen, limit, |k| map.keyframes.contains(k.0), ranked);
+        index.query(seen, LIKELY, |k| map.keyframes.contains(k.0), ranked);
         ranked.iter().filter(|c| c.votes >= MIN_VOTES).map(|c| c.keyframe).collect()
     }
 
@@ -140,10 +142,6 @@ impl Loops {
     }
 
     /// Enters some of those that wait and are in a map still.
-    pub fn enter_some(&mut self, map: &Map, others: &OtherMaps) {
-        self.enter(map, others, ENTERED_WITH_FRAME);
-    }
-
     fn enter(&mut self, map: &Map, others: &OtherMaps, most: usize) {
         let Self { index, describer, seen, to_enter, .. } = self;
         let mut work = 0;

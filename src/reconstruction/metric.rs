@@ -73,7 +73,7 @@ impl Reconstruction {
             None => {
                 self.active.fusion.add_sharing(word, common_sigma);
             }
-            Some(turn) if self.active.fusion.is_metric() && self.wheels.scale.is_silent() && !self.localise_only => {
+            Some(turn) if self.active.fusion.is_metric() && self.wheels.scale.is_silent() => {
                 // Tags say something long before they are as sure as a map's scale has to be.
                 if word.sigma <= METRIC_SIGMA {
                     self.told_behind = Some((turn, *word));
@@ -127,17 +127,17 @@ impl Reconstruction {
         self.wheels.scale.slipping
     }
 
-    /// After a frame was tracked and mapped: what wheels say beside it, and a change of the map's unit that is due.
+    /// After a frame was tracked and mapped, not in a map that is only located in: what wheels say beside it, and a
+    /// change of the map's unit that is due.
     pub(super) fn follow_scale(&mut self, features: &FrameFeatures) {
         if !self.wheels.scale.is_silent() {
             self.follow_wheels(features);
         }
-        // A map that is only located in stays as it is.
         let due = self.active.fusion.due().or_else(|| {
             let is_told = self.active.fusion.is_metric() && self.wheels.tells_doubted();
             (is_told && self.told_parts().len() > 1).then_some(1.0)
         });
-        if let Some(factor) = due.filter(|_| !self.localise_only) {
+        if let Some(factor) = due {
             self.rescale(factor);
         }
         if let Some((turn, word)) = self.told_behind.take() {

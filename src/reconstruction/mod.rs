@@ -33,16 +33,18 @@ mod segments;
 mod surroundings;
 mod track;
 pub mod types;
+mod work;
 
 pub use adjust::intrinsics::{FOUND_SIGMA, LensEstimate, LensKnowledge, LensPrior, guessed_camera};
-pub use adjust::job::{InlineWorker, MappingJob, MappingResult, MappingWorker};
+pub use adjust::job::MappingJob;
 pub use config::ReconstructionConfig;
 pub use corrections::Corrections;
 pub use dead_reckoning::Reckoned;
-pub use loops::recognition::{PlaceWorker, Recognised, Recognition};
+pub use loops::recognition::Recognition;
 pub use relocalise::merging::Waiting;
 pub use surroundings::NoScan;
 pub use types::*;
+pub use work::{InlineWorker, Work, Worker};
 
 use active_map::ActiveMap;
 use adjust::mapper::{Mapper, Merge};
@@ -59,9 +61,9 @@ use keyframe::{KeyframeInputs, NewKeyframe};
 use loops::Loops;
 use measurement::inverse_distance::mostly_assumed;
 use optics::Optics;
+use relocalise::Relocaliser;
 use relocalise::descriptors::describe_kept;
 use relocalise::other_maps::{OtherMaps, WORTH_KEEPING};
-use relocalise::{LIKELY, Relocaliser};
 use second_look::kept::SecondLook;
 use segments::Wheels;
 use surroundings::Surroundings;
@@ -141,7 +143,7 @@ impl Reconstruction {
     pub fn new(
         config: &ReconstructionConfig,
         camera: &CameraModel,
-        worker: Box<dyn MappingWorker>,
+        worker: Box<dyn Worker<MappingJob>>,
         lockstep: bool,
     ) -> Self {
         Self::with_lens(config, camera, LensPrior::Calibrated, worker, lockstep)
@@ -152,7 +154,7 @@ impl Reconstruction {
         config: &ReconstructionConfig,
         camera: &CameraModel,
         prior: LensPrior,
-        worker: Box<dyn MappingWorker>,
+        worker: Box<dyn Worker<MappingJob>>,
         lockstep: bool,
     ) -> Self {
         Self {
@@ -252,7 +254,7 @@ impl Reconstruction {
         };
         let mut tracked = self.tracker.track(&frame, reference, &guesses[..n], believed);
         if tracked.as_ref().is_none_or(|t| t.share() < WEAK_SHARE) {
-            let likely = self.loops.likely(map, &features.pyramid, LIKELY);
+            let likely = self.loops.likely(map, &features.pyramid);
             self.far.ask(&likely);
             let elsewhere = self.relocaliser.place(&frame, reference, &likely);
             if elsewhere.is_none() {
@@ -266,6 +268,25 @@ impl Reconstruction {
             }
         }
         tracked
+    }
+
+    /// The place of a frame that a start has put at `pose`, found like any other's; of the matches inliers are kept.
+    fn track_at(&mut self, features: &FrameFeatures, pose: Se3<Camera, World>) -> Option<Tracked> {
+        let frame = Frame {
+            features,
+            map: &self.active.map,
+            bindings: &self.active.bindings,
+            camera: &self.optics.camera,
+            config: &self.config,
+            before: None,
+            was_here: true,
+            motion: None,
+            shutter: &self.optics.shutter,
+            outlier_chi2: self.optics.noise.outlier_chi2(),
+        };
+        let tracked = self.tracker.track(&frame, self.active.reference, &[pose], |_, _| true)?;
+        self.tracker.keep_inliers();
+        Some(tracked)
     }
 
     /// Notes for each landmark whether it was found. A frame that shows less than half of what should be there (blur, something

@@ -78,7 +78,7 @@ impl Reconstruction {
             next_id: MapId(next_id),
             ..ActiveMap::new(map, head.id)
         };
-        self.surroundings.resume(self.active.map.keyframes.next_id());
+        self.surroundings.first = self.active.map.keyframes.next_id();
         // It speaks for nothing that a frame is near: landmarks must.
         self.active.odometry.lost_frames = 1;
         self.state = TrackingState::Lost;

@@ -46,9 +46,6 @@ const AHEAD: usize = 12;
 /// Guesses from descriptors in one frame.
 const DESCRIPTOR_GUESSES: usize = 2;
 
-/// Keyframes that the index names for one frame.
-pub const LIKELY: usize = 3;
-
 /// Buffers of relocalisation.
 #[derive(Debug, Default)]
 pub struct Relocaliser {

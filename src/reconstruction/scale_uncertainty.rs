@@ -16,7 +16,7 @@
 //! Cost: nothing until there is a turn, then a few ns a frame. Deliberately not here: that an adjustment, which ties both sides together
 //! when the robot sees both, makes the factor itself better known.
 
-use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, UnitQuaternion};
 
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
@@ -32,22 +32,10 @@ const WHEELS_SIGMA: f64 = 0.2;
 /// So many turns are kept apart; the doubt of more goes to the ones before them.
 const MAX_TURNS: usize = 128;
 
-/// A turn whose next step had its length from assumed distances.
-#[derive(Debug, Clone, Copy)]
-struct Turn {
-    /// Keyframe at its place, and where that was when it was last seen in the map.
-    keyframe: KeyframeId,
-    centre: Vector3<f64>,
-    /// Variance of the scale behind it, as a share of it squared.
-    variance: f64,
-    /// The turn that the scale before it came through.
-    before: Option<TurnId>,
-}
-
-/// All such turns of the present map.
+/// All turns of the present map whose next step had its length from assumed distances.
 #[derive(Debug)]
 pub struct ScaleUncertainty {
-    turns: Vec<Turn>,
+    turns: Vec<SavedTurn>,
 }
 
 impl Default for ScaleUncertainty {
@@ -59,17 +47,13 @@ impl Default for ScaleUncertainty {
 impl ScaleUncertainty {
     /// For another run.
     pub fn saved(&self) -> Vec<SavedTurn> {
-        let saved =
-            |&Turn { keyframe, centre, variance, before }: &Turn| SavedTurn { keyframe, centre, variance, before };
-        self.turns.iter().map(saved).collect()
+        self.turns.clone()
     }
 
     /// What another run knew.
     pub fn restored(saved: &[SavedTurn]) -> Self {
-        let turn =
-            |&SavedTurn { keyframe, centre, variance, before }: &SavedTurn| Turn { keyframe, centre, variance, before };
         let mut own = Self::default();
-        own.turns.extend(saved.iter().take(MAX_TURNS).map(turn));
+        own.turns.extend(saved.iter().take(MAX_TURNS));
         own
     }
 
@@ -88,7 +72,7 @@ impl ScaleUncertainty {
         }
         let variance = if assumed { SCALE_SIGMA } else { WHEELS_SIGMA }.powi(2);
         if self.turns.len() < MAX_TURNS {
-            self.turns.push(Turn { keyframe, centre, variance, before });
+            self.turns.push(SavedTurn { keyframe, centre, variance, before });
             return u16::try_from(self.turns.len() - 1).ok().map(TurnId);
         }
         let id = before.or(u16::try_from(MAX_TURNS - 1).ok().map(TurnId))?;
@@ -112,7 +96,7 @@ impl ScaleUncertainty {
             Some(_) => None,
             None => through,
         };
-        let renewed = |turn: &Turn| Turn {
+        let renewed = |turn: &SavedTurn| SavedTurn {
             centre: present_from_other.transform(&turn.centre),
             before: renumbered(turn.before),
             ..*turn
@@ -200,6 +184,8 @@ impl ScaleUncertainty {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Vector3;
+
     use super::*;
     use crate::map::{Keyframe, MapId};
 

@@ -19,14 +19,17 @@ pub mod kept;
 mod moved;
 mod remapping;
 
+use std::any::Any;
+
 use super::adjust::intrinsics::MODEL_FLOOR;
+use super::adjust::job::Piece;
 use super::relocalise::other_maps::{OtherMap, OtherMaps, retire};
 use super::{Reconstruction, TrajectoryEvent};
 use crate::geometry::frames::Camera;
 use crate::map::{KeyframeId, MapId};
-use kept::{Again, Frame, Kept, Recorded};
+use kept::{Frame, Kept, Recorded};
 use moved::{Moves, Placed};
-use remapping::Remapping;
+use remapping::{Again, Remapping};
 
 /// Published standard deviation of log focal length from which on the lens is known well enough: what this lens model leaves out is half of it.
 const SURE: f64 = 2.0 * MODEL_FLOOR;
@@ -66,8 +69,8 @@ impl Reconstruction {
     }
 
     /// Some pictures were looked at again; after the last one the map that they made is joined to the present one.
-    pub(super) fn take_over_second_look(&mut self) {
-        let Some(look) = self.second_look.take_done() else { return };
+    pub(super) fn take_over_second_look(&mut self, look: Box<dyn Piece>) {
+        let Some(look) = self.second_look.take_done(look) else { return };
         let mut kept = self.second_look.end();
         // What nobody has fetched yet.
         self.events.iter().for_each(|event| kept.hear(event));
@@ -77,6 +80,8 @@ impl Reconstruction {
             return;
         }
         let new = MapId(self.active.next_id.0.max(self.active.id.0 + 1));
+        // No other piece is ever posted.
+        let Ok(look) = (look as Box<dyn Any>).downcast::<Remapping>() else { return };
         let Again { active, looked_at, placed, sightings, told } = look.finish(new, &self.active.map);
         begun_wrongly.retain(|map| {
             let asked = looked_at.iter().filter(|frame| frame.map == *map).count();

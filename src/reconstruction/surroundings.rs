@@ -17,13 +17,6 @@ pub(super) struct Surroundings {
     pub first: u32,
 }
 
-impl Surroundings {
-    /// The map goes on in that of another run, whose keyframes are those before this one.
-    pub fn resume(&mut self, first: u32) {
-        self.first = first;
-    }
-}
-
 /// Why there is no scan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum NoScan {

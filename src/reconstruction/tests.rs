@@ -447,7 +447,7 @@ fn keyframes_of_another_run_come_into_the_index_at_once_and_of_a_large_map_the_r
         }
         // The newest first; then four with pictures at a frame, and then ten without.
         assert_eq!(counts, [300, 304, 314], "{localise_only} {loops}");
-        let likely = r.loops.likely(&r.active.map, &wall(20 * 4), LIKELY);
+        let likely = r.loops.likely(&r.active.map, &wall(20 * 4));
         assert_eq!(likely.first(), Some(&KeyframeId(4)), "a condensed one is known: {likely:?}");
         if !localise_only {
             let id = r.active.map.add_keyframe(keyframe(Se3::identity(), wall(7)));

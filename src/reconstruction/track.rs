@@ -27,7 +27,7 @@ use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::sim3::Sim3;
 use crate::geometry::{Se3, median};
-use crate::map::{KeyframeId, LandmarkId, Map};
+use crate::map::{KeyframeId, LandmarkId, Map, vote};
 use association::{TRACK_SIGMA_PX, Target};
 use frame::{Frame, measurement_of, motion_since};
 use information::PoseInformation;
@@ -219,12 +219,7 @@ impl Tracker {
         self.votes.clear();
         for m in self.search.matches.iter().filter(|m| m.inlier) {
             let Some(landmark) = map.landmark(m.landmark) else { continue };
-            for &k in &landmark.observers {
-                match self.votes.binary_search_by_key(&k, |v| v.0) {
-                    Ok(i) => self.votes[i].1 += 1,
-                    Err(i) => self.votes.insert(i, (k, 1)),
-                }
-            }
+            landmark.observers.iter().for_each(|k| vote(&mut self.votes, *k));
         }
         self.votes.iter().max_by_key(|&&(k, n)| (n, k)).map(|v| v.0)
     }

@@ -236,7 +236,7 @@ fn robots(count: usize, root: &Path) {
     let open = |i: usize| Publisher::open(&endpoint(i), &small).expect("publisher");
     let mut publishers: Vec<Publisher> = (0..count.div_ceil(A_PUBLISHER)).map(open).collect();
     // Without metres there are no transforms.
-    let scale = MapScale::Metric { sigma: 0.01, sources: ScaleSources::none().with(ScaleSource::Wheels) };
+    let scale = MapScale::Metric { sigma: 0.01, sources: ScaleSources::default().with(ScaleSource::Wheels) };
     let conversion = Conversion { scale: scale.into(), ..Conversion::default() };
     let begin = Instant::now();
     for sequence in 0.. {

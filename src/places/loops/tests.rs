@@ -105,8 +105,8 @@ fn a_loop_gives_back_place_and_scale_and_the_first_keyframe_stays() {
     assert!(before > 0.3 && log_unit < -0.25, "{before} {log_unit}");
     let job = LoopClosure::new(&map, ids[KEYFRAMES - 1], &[told(&ids)], &[], false).expect("a loop");
     let closed = job.run().expect("a solution");
-    assert_eq!(closed.correction.keyframes.len(), KEYFRAMES);
-    map.correct(&closed.correction);
+    assert_eq!(closed.keyframes.len(), KEYFRAMES);
+    map.correct(&closed);
     let (after, log_unit) = error(&map, &ids);
     assert!(after < before / 20.0, "{before} {after}");
     // The one edge gives way, too, as much as the few links of a step in 59 do.
@@ -119,7 +119,7 @@ fn a_loop_gives_back_place_and_scale_and_the_first_keyframe_stays() {
     let job =
         LoopClosure::new(&map, ids[KEYFRAMES - 1], &[again], &[(ids[0], ids[KEYFRAMES - 1])], false).expect("a loop");
     let moved = job.run().map_or(0.0, |c| {
-        c.correction.keyframes.iter().map(|(_, s)| (s.scale.ln()).abs() + s.translation.norm()).fold(0.0, f64::max)
+        c.keyframes.iter().map(|(_, s)| (s.scale.ln()).abs() + s.translation.norm()).fold(0.0, f64::max)
     });
     assert!(moved < 1e-6, "{moved}");
 }
@@ -157,8 +157,8 @@ fn a_turn_that_told_no_scale_takes_most_of_the_error() {
 }
 
 /// Of the whole change of scale, what comes between two keyframes.
-fn share(closed: &ClosedLoop, from: usize, to: usize) -> f64 {
-    let scale = |i: usize| closed.correction.keyframes[i].1.scale.ln();
+fn share(closed: &Correction, from: usize, to: usize) -> f64 {
+    let scale = |i: usize| closed.keyframes[i].1.scale.ln();
     (scale(to) - scale(from)) / (scale(KEYFRAMES - 1) - scale(0))
 }
 

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use crate::features::descriptor::Descriptor;
 use crate::image::GreyImage;
 use crate::map::away::MOST_NUMBERED;
-use crate::map::picture::{CONDENSED_LEVEL, KeptPatch, KeyframePicture, PATCH_PX};
+use crate::map::picture::{CONDENSED_LEVEL, KeyframePicture, PATCH_PX, Patch};
 use crate::map::view::{CoarseDescriptor, SmallPatch, View};
 
 /// Larger pictures are no camera's, px a side.
@@ -60,7 +60,7 @@ pub fn decode(record: &[u8]) -> Option<KeyframePicture> {
         }
         for (&(landmark, left, top), pixels) in record.places.iter().zip(all.data.chunks_exact(PATCH_PX * PATCH_PX)) {
             let pixels = Box::new(pixels.try_into().ok()?);
-            patches.push(KeptPatch { landmark, left, top, pixels });
+            patches.push(Patch { landmark, left, top, pixels });
         }
     }
     Some(KeyframePicture::restored(finest, record.is_whole, usize::from(record.levels), patches))

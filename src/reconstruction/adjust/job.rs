@@ -9,6 +9,7 @@
 
 mod held;
 
+use std::any::Any;
 use std::collections::BTreeMap;
 
 use nalgebra::{SVector, Vector2, Vector3};
@@ -18,13 +19,14 @@ use super::bundle::{
 };
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
-use crate::map::{KeyframeId, LandmarkId, Map, MapId, Observation};
-use crate::places::loops::{ClosedLoop, LoopClosure};
+use crate::map::{Correction, KeyframeId, LandmarkId, Map, MapId, Observation, vote};
+use crate::places::loops::LoopClosure;
 use crate::reconstruction::config::ReconstructionConfig;
 use crate::reconstruction::keyframe::distance_prior;
 use crate::reconstruction::measurement::rolling_shutter::Shutter;
+use crate::reconstruction::work::Work;
 
-/// Mapping work on a copy of a part of the map, which can run anywhere: what comes of it follows from its input alone.
+/// Mapping work on a copy of a part of the map.
 #[derive(Debug)]
 pub enum MappingJob {
     Adjust(Box<Adjustment>),
@@ -32,24 +34,28 @@ pub enum MappingJob {
     Piece(Box<dyn Piece>),
 }
 
-impl MappingJob {
-    /// Bounded in iterations, not in time.
-    pub fn run(self) -> MappingResult {
+impl Work for MappingJob {
+    type Outcome = MappingResult;
+
+    fn run(self) -> MappingResult {
         match self {
             Self::Adjust(job) => MappingResult::Adjusted(Box::new(job.run())),
             Self::CloseLoop(job) => MappingResult::ClosedLoop(job.run()),
-            Self::Piece(piece) => {
-                piece.run();
-                MappingResult::Piece
+            Self::Piece(mut piece) => {
+                piece.step();
+                MappingResult::Piece(piece)
             }
         }
     }
 }
 
-/// A part of work that takes longer than an adjustment may wait.
-pub trait Piece: std::fmt::Debug + Send {
-    /// Bounded; what comes of it stays with who has posted it.
-    fn run(&self);
+/// Work that takes longer than an adjustment may wait: it goes to the worker and back with each step, and who has
+/// posted it knows what it is.
+pub trait Piece: Any + std::fmt::Debug + Send {
+    /// Bounded.
+    fn step(&mut self);
+    /// No step is left.
+    fn is_done(&self) -> bool;
 }
 
 /// What a [`MappingJob`] gives back.
@@ -57,9 +63,9 @@ pub trait Piece: std::fmt::Debug + Send {
 pub enum MappingResult {
     Adjusted(Box<AdjustmentResult>),
     /// `None`: it could not be closed.
-    ClosedLoop(Option<ClosedLoop>),
-    /// Who has posted it has what came of it.
-    Piece,
+    ClosedLoop(Option<Correction>),
+    /// One step further.
+    Piece(Box<dyn Piece>),
 }
 
 /// A bundle adjustment of a part of the map.
@@ -121,14 +127,8 @@ impl Adjustment {
         landmarks.dedup();
         let mut votes: Vec<(KeyframeId, u32)> = Vec::new();
         for &id in &landmarks {
-            for &k in &map.landmark(id)?.observers {
-                if free.binary_search(&k).is_err() {
-                    match votes.binary_search_by_key(&k, |v| v.0) {
-                        Ok(i) => votes[i].1 += 1,
-                        Err(i) => votes.insert(i, (k, 1)),
-                    }
-                }
-            }
+            let outside = map.landmark(id)?.observers.iter().filter(|k| free.binary_search(k).is_err());
+            outside.for_each(|k| vote(&mut votes, *k));
         }
         votes.sort_by(|a, b| b.1.cmp(&a.1).then(b.0.cmp(&a.0)));
         votes.truncate(config.fixed_keyframes);
@@ -344,34 +344,6 @@ impl AdjustmentResult {
         (0..p.state.points.len())
             .filter(|&i| (p.first[i] as usize..p.first[i + 1] as usize).filter(|&k| p.inlier[k]).count() >= 2)
             .count()
-    }
-}
-
-/// Who runs mapping jobs: a thread of the daemon's, or the caller itself. At most one job is under way.
-pub trait MappingWorker: Send {
-    /// Starts a job; never called while one is under way.
-    fn post(&mut self, job: MappingJob);
-    /// The result if there is one; with `wait`, blocks until it is there (`None` then only if no job is under way or the
-    /// worker died).
-    fn take(&mut self, wait: bool) -> Option<MappingResult>;
-    /// Forgets the job under way: its result is never given. Another may be posted at once. Does not wait where it can be avoided.
-    fn discard(&mut self) {
-        self.take(true);
-    }
-}
-
-/// Runs every job at once in the calling thread.
-#[derive(Debug, Default)]
-pub struct InlineWorker {
-    result: Option<MappingResult>,
-}
-
-impl MappingWorker for InlineWorker {
-    fn post(&mut self, job: MappingJob) {
-        self.result = Some(job.run());
-    }
-    fn take(&mut self, _wait: bool) -> Option<MappingResult> {
-        self.result.take()
     }
 }
 

@@ -1,8 +1,9 @@
 //! The one adjustment that is under way, and when its result is due.
 
 use crate::reconstruction::keyframe::motion::Moved;
+use crate::reconstruction::work::Worker;
 
-use super::job::{MappingJob, MappingResult, MappingWorker};
+use super::job::{MappingJob, MappingResult};
 
 /// When an adjustment is merged.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -17,7 +18,7 @@ pub enum Merge {
 
 /// Who runs adjustments.
 pub struct Mapper {
-    worker: Box<dyn MappingWorker>,
+    worker: Box<dyn Worker<MappingJob>>,
     lockstep: bool,
     /// Frame at which the job under way was posted.
     posted: Option<u64>,
@@ -28,7 +29,7 @@ pub struct Mapper {
 }
 
 impl Mapper {
-    pub fn new(worker: Box<dyn MappingWorker>, lockstep: bool) -> Self {
+    pub fn new(worker: Box<dyn Worker<MappingJob>>, lockstep: bool) -> Self {
         Self { worker, lockstep, posted: None, is_piece: false, moved: None }
     }
 
@@ -82,13 +83,18 @@ impl Mapper {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reconstruction::adjust::job::{InlineWorker, Piece};
+    use crate::reconstruction::adjust::job::Piece;
+    use crate::reconstruction::work::InlineWorker;
 
     #[derive(Debug)]
     struct Nothing;
 
     impl Piece for Nothing {
-        fn run(&self) {}
+        fn step(&mut self) {}
+
+        fn is_done(&self) -> bool {
+            true
+        }
     }
 
     #[test]
@@ -97,7 +103,7 @@ mod tests {
         mapper.post(MappingJob::Piece(Box::new(Nothing)), 7);
         mapper.discard();
         assert!(mapper.is_busy());
-        assert!(matches!(mapper.take(Merge::WhenDue, 10, 3), Some((MappingResult::Piece, false))));
+        assert!(matches!(mapper.take(Merge::WhenDue, 10, 3), Some((MappingResult::Piece(_), false))));
         assert!(!mapper.is_busy());
     }
 }

@@ -18,7 +18,7 @@ use crate::features::FrameFeatures;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::two_view::{TwoViewOptions, reconstruct_two_views};
 use crate::geometry::{CameraModel, Se3, median};
-use crate::map::{AssumedDistance, KeyframeId, LandmarkId, Map};
+use crate::map::{AssumedDistance, KeyframeId, LandmarkId, Map, vote};
 use crate::motion::scale::ScaleFusion;
 use crate::reconstruction::Reconstruction;
 use crate::reconstruction::measurement::Correspondence;
@@ -145,19 +145,15 @@ fn place(
     (seed, way): (u64, &Way<'_>),
 ) -> Option<Placed> {
     // The oldest keyframe that sees nearly as many of them as any: it was placed before the camera began to move.
-    let mut votes: Vec<(KeyframeId, usize)> = Vec::new();
+    let mut votes: Vec<(KeyframeId, u32)> = Vec::new();
     for m in matches {
         let Some(landmark) = map.landmark(m.landmark).filter(|l| l.assumed.is_some()) else { continue };
-        for &k in landmark.observers.iter().filter(|k| !map.numbers.is_merged(**k)) {
-            match votes.iter_mut().find(|v| v.0 == k) {
-                Some(v) => v.1 += 1,
-                None => votes.push((k, 1)),
-            }
-        }
+        let own = landmark.observers.iter().filter(|k| !map.numbers.is_merged(**k));
+        own.for_each(|k| vote(&mut votes, *k));
     }
     let most = votes.iter().map(|v| v.1).max()?;
-    let enough = MIN_MATCHES.max((NEARLY_ALL * most as f64) as usize);
-    let from = votes.iter().filter(|v| v.1 >= enough).map(|v| v.0).min()?;
+    let enough = MIN_MATCHES.max((NEARLY_ALL * f64::from(most)) as usize);
+    let from = votes.iter().filter(|v| v.1 as usize >= enough).map(|v| v.0).min()?;
     let keyframe = map.keyframe(from)?;
     // Landmark, its distance from the keyframe, and whether that is assumed.
     let mut seen: Vec<(LandmarkId, f64, bool)> = Vec::new();
@@ -260,6 +256,8 @@ fn resolve_between(map: &mut Map, from: KeyframeId, camera: &CameraModel, readou
 #[cfg(test)]
 mod tests {
 
+    use std::sync::LazyLock;
+
     use nalgebra::UnitQuaternion;
 
     use super::*;
@@ -272,7 +270,7 @@ mod tests {
     use crate::reconstruction::track::template::observe;
 
     const TRUE_OVER_ASSUMED: f64 = 2.0;
-    const NOTHING_SAID: ScaleFusion = ScaleFusion::silent();
+    static NOTHING_SAID: LazyLock<ScaleFusion> = LazyLock::new(ScaleFusion::default);
 
     fn camera() -> CameraModel {
         CameraModel::new(640, 480, 520.0, 520.0, 320.0, 240.0, [0.0; 5]).expect("a camera")

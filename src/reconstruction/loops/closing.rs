@@ -1,19 +1,21 @@
 //! What reconstruction does about loops: has an old place looked for at each keyframe, weighs what was found, has it closed, takes over what came
 //! of it.
 
-use super::recognition::{PlaceWorker, Recognition};
-use super::{FoundLoop, Loops};
+use super::recognition::Recognition;
+use super::{ENTERED_WITH_FRAME, FoundLoop, Loops};
 use crate::features::FrameFeatures;
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::median;
+use crate::geometry::sim3::Sim3;
 use crate::map::{Correction, KeyframeId, Map};
-use crate::places::loops::{ClosedLoop, LoopClosure, LoopEdge};
+use crate::places::loops::{LoopClosure, LoopEdge};
 use crate::places::way::shortest_way;
 use crate::reconstruction::Reconstruction;
 use crate::reconstruction::adjust::mapper::Merge;
 use crate::reconstruction::relocalise::joining::add_found;
 use crate::reconstruction::relocalise::other_maps::{REMEMBERED, Sighting, Similarity, seen_most_by, similarity};
 use crate::reconstruction::types::TrajectoryEvent;
+use crate::reconstruction::work::Worker;
 
 /// Two sightings so many keyframes apart are not one soon after the other.
 const SOON: u32 = 40;
@@ -38,18 +40,14 @@ const MOST_CLOSED: usize = 4096;
 
 impl Reconstruction {
     /// Who recognises places from now on; without this call it is done at once, which delays the poses after it.
-    pub fn recognise_in(&mut self, worker: Box<dyn PlaceWorker>) {
+    pub fn recognise_in(&mut self, worker: Box<dyn Worker<Recognition>>) {
         self.loops.recogniser.discard();
         self.loops.recogniser.worker = worker;
     }
 
     /// Loops that were closed in the present maps: the keyframe of old, and the one that it was recognised from; the newest last.
     pub fn closed_loops(&self) -> impl Iterator<Item = (KeyframeId, KeyframeId)> {
-        // What is being closed is none yet, and may come to nothing.
-        let Loops { closed, under_way, .. } = &self.loops;
-        let ends = under_way.iter().flat_map(|found| found.sightings.iter().map(|s| s.keyframe));
-        let is_open = move |recognised: KeyframeId| ends.clone().any(|end| end == recognised);
-        closed.iter().copied().filter(move |(_, recognised)| !is_open(*recognised))
+        self.loops.closed.iter().copied()
     }
 
     /// Enters the frame that has just become the keyframe `id`, and with `loops` has it looked for in the likeliest old place.
@@ -69,7 +67,7 @@ impl Reconstruction {
     /// Enters some of the keyframes that another run has left.
     pub(in crate::reconstruction) fn enter_loaded(&mut self) {
         let Self { loops, active, others, .. } = self;
-        loops.enter_some(&active.map, others);
+        loops.enter(&active.map, others, ENTERED_WITH_FRAME);
     }
 
     fn try_places(&mut self, features: &FrameFeatures, id: KeyframeId) {
@@ -171,8 +169,8 @@ impl Reconstruction {
     }
 
     /// Moves the map as a closed loop says, and fuses what is one.
-    pub(in crate::reconstruction) fn take_over_loop(&mut self, closed: Option<ClosedLoop>) {
-        let (Some(found), Some(ClosedLoop { correction, .. })) = (self.loops.under_way.take(), closed) else { return };
+    pub(in crate::reconstruction) fn take_over_loop(&mut self, closed: Option<Correction>) {
+        let (Some(found), Some(correction)) = (self.loops.under_way.take(), closed) else { return };
         let before = self.active.odometry.last.map(|last| last.camera_from_world);
         self.end_checks();
         self.move_map(&correction);
@@ -233,7 +231,10 @@ fn ties(map: &Map, sightings: &[Sighting; 2], told: &Similarity) -> Vec<(Keyfram
 /// The keyframe that sees most of what was found, other than the one that was recognised, and how that one lies to it.
 fn loop_edge(map: &Map, sighting: &Sighting, told: &Similarity) -> Option<LoopEdge> {
     let old = seen_most_by(map, sighting)?;
-    let recognised_from_old = told.scaled(&(sighting.there * map.keyframe(old)?.camera_from_world.inverse()).relabel());
+    let there = sighting.there * map.keyframe(old)?.camera_from_world.inverse();
+    // Measured in the unit of the old place; at its end it is that of the recognised keyframe.
+    let scale = told.present_from_other.scale;
+    let recognised_from_old = Sim3::new(scale, there.rotation, there.translation * scale);
     let (recognised, log_scale_sigma, landmarks) = (sighting.keyframe, told.log_scale_sigma, sighting.found.len());
     Some(LoopEdge { old, recognised, recognised_from_old, log_scale_sigma, landmarks })
 }
@@ -308,7 +309,6 @@ mod tests {
     use nalgebra::{Matrix2, Matrix3, UnitQuaternion, Vector2, Vector3};
 
     use super::*;
-    use crate::geometry::sim3::Sim3;
     use crate::geometry::{CameraModel, Se3};
     use crate::map::{Keyframe, Landmark, LandmarkId, MapId, Observation};
     use crate::reconstruction::track::search::Match;

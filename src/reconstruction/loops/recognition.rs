@@ -15,6 +15,7 @@ use crate::reconstruction::relocalise::Relocaliser;
 use crate::reconstruction::relocalise::other_maps::{Sighting, found_in};
 use crate::reconstruction::track::association::Bindings;
 use crate::reconstruction::track::frame::Frame;
+use crate::reconstruction::work::{InlineWorker, Work, Worker};
 
 /// Work to be done. See the module.
 pub struct Recognition {
@@ -40,13 +41,17 @@ pub struct Recognised {
     pub relocaliser: Box<Relocaliser>,
 }
 
-impl Recognition {
-    /// Bounded by the number of places.
-    pub fn run(mut self) -> Recognised {
+impl Work for Recognition {
+    type Outcome = Recognised;
+
+    fn run(mut self) -> Recognised {
         let sighting = self.find();
         Recognised { sighting, relocaliser: self.relocaliser }
     }
+}
 
+impl Recognition {
+    /// Bounded by the number of places.
     fn find(&mut self) -> Option<Sighting> {
         self.part.bring_pictures_back();
         let Self { part, camera, features, relocaliser, .. } = self;
@@ -68,39 +73,9 @@ impl Recognition {
     }
 }
 
-/// Who recognises places: a thread of the daemon's, or the caller itself. At most one piece of work is under way.
-pub trait PlaceWorker: Send {
-    /// Starts one; never called while one is under way.
-    fn post(&mut self, work: Recognition);
-    /// The result if there is one; with `wait`, blocks until it is there (`None` then only if none is under way or the worker died).
-    fn take(&mut self, wait: bool) -> Option<Recognised>;
-    /// Forgets the one under way: its result is never given. Another may be posted at once. Does not wait where it can be avoided.
-    fn discard(&mut self);
-}
-
-/// Recognises at once, in the calling thread.
-#[derive(Default)]
-pub struct InlinePlaceWorker {
-    result: Option<Recognised>,
-}
-
-impl PlaceWorker for InlinePlaceWorker {
-    fn post(&mut self, work: Recognition) {
-        self.result = Some(work.run());
-    }
-
-    fn take(&mut self, _wait: bool) -> Option<Recognised> {
-        self.result.take()
-    }
-
-    fn discard(&mut self) {
-        self.result = None;
-    }
-}
-
 /// The one recognition that is under way, and when its result is due.
 pub struct Recogniser {
-    pub worker: Box<dyn PlaceWorker>,
+    pub worker: Box<dyn Worker<Recognition>>,
     /// Frame at which it was posted.
     posted: Option<u64>,
     /// Lent while one is under way.
@@ -110,7 +85,7 @@ pub struct Recogniser {
 
 impl Default for Recogniser {
     fn default() -> Self {
-        Self { worker: Box::<InlinePlaceWorker>::default(), posted: None, relocaliser: None, attempts: 0 }
+        Self { worker: Box::<InlineWorker<Recognition>>::default(), posted: None, relocaliser: None, attempts: 0 }
     }
 }
 

@@ -49,17 +49,11 @@ const INLIER_PX: f64 = 5.0;
 const MAX_SAMPLES: usize = 200;
 
 /// Descriptors, where they were taken, and what they belong to.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct Described<T> {
     descriptors: Vec<GradientDescriptor>,
     places: Vec<Place>,
     of: Vec<T>,
-}
-
-impl<T> Default for Described<T> {
-    fn default() -> Self {
-        Self { descriptors: Vec::new(), places: Vec::new(), of: Vec::new() }
-    }
 }
 
 impl<T: Copy> Described<T> {

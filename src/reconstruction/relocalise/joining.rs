@@ -13,10 +13,9 @@
 //! Cost: nothing while no map is kept; else one attempt of relocalisation for every few keyframes, rarer while nothing is recognised, after
 //! the pose was published. While the present map is lost: [`taking_up`](super::taking_up).
 
-use super::LIKELY;
 use super::asked::Asked;
 use super::other_maps::{
-    ATTEMPT_GAP, Join, LONGEST_GAP, OtherMap, OtherMaps, REMEMBERED, Sighting, at_corner, found_in, log_ratio, retire,
+    ATTEMPT_GAP, LONGEST_GAP, OtherMap, OtherMaps, REMEMBERED, Sighting, at_corner, found_in, log_ratio, retire,
     seen_most_by, similarity,
 };
 use crate::features::FrameFeatures;
@@ -145,7 +144,7 @@ impl Reconstruction {
     /// Keyframes of a map kept aside that a picture may show the place of.
     pub(super) fn likely_in(&mut self, index: usize, features: &FrameFeatures) -> Vec<KeyframeId> {
         let Some(other) = self.others.kept.get(index) else { return Vec::new() };
-        self.loops.likely(&other.map, &features.pyramid, LIKELY)
+        self.loops.likely(&other.map, &features.pyramid)
     }
 
     /// Where the keyframe `id` is in a map kept aside, if it is; perhaps near the `likely` ones.
@@ -224,7 +223,7 @@ impl Reconstruction {
         let seen: Vec<Observations> = other.sightings.iter().map(own).collect();
         let by = other.sightings.last().and_then(|s| Some((seen_most_by(&other.map, s)?, s.keyframe)));
         if let Some((from, to)) = by {
-            self.others.note_join(Join { map: other.id, from, to });
+            self.others.note_join(other.id, from, to);
         }
         active.map.absorb(other.map);
         // Two keyframes that were recognised vouch for the map.

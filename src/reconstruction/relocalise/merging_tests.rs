@@ -416,7 +416,7 @@ fn nothing_is_asked_in_a_turn_on_the_spot_or_while_the_robot_is_lost() {
 fn what_is_inherited_is_as_unsure_as_the_join_and_the_turns_on_both_sides() {
     let mut r = tracking();
     let metric = |sigma| {
-        ScaleFusion::of_stored(MapScale::Metric { sigma, sources: ScaleSources::none().with(ScaleSource::Tag) })
+        ScaleFusion::of_stored(MapScale::Metric { sigma, sources: ScaleSources::default().with(ScaleSource::Tag) })
     };
     let other = |is_merged| {
         let SavedMap { head, map } = saved(vec![another_day()]).maps.remove(0);

@@ -15,9 +15,10 @@ use super::spread::shows_a_place;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::sim3::Sim3;
 use crate::geometry::{Se3, median};
+use crate::map::graph::Tie;
 use crate::map::observations::Observations;
 use crate::map::saved::{MapHead, SavedMap};
-use crate::map::{KeyframeId, LandmarkId, Map, MapId};
+use crate::map::{KeyframeId, LandmarkId, Map, MapId, vote};
 use crate::motion::scale::ScaleFusion;
 use crate::reconstruction::active_map::ActiveMap;
 use crate::reconstruction::keyframe::{SAME_CORNER_PX, triangulate};
@@ -89,14 +90,6 @@ pub struct Similarity {
     pub log_scale_sigma: f64,
 }
 
-impl Similarity {
-    /// A motion that is measured in the other's unit, in the present one's at its end.
-    pub fn scaled<To, From>(&self, motion: &Se3<To, From>) -> Sim3<To, From> {
-        let scale = self.present_from_other.scale;
-        Sim3::new(scale, motion.rotation, motion.translation * scale)
-    }
-}
-
 /// A map kept aside.
 pub struct OtherMap {
     pub map: Map,
@@ -145,28 +138,19 @@ pub struct OtherMaps {
     pub turn: usize,
     /// Attempts in a row that found something.
     pub warm: usize,
-    /// Those that were joined to others, the newest last.
-    pub joins: Vec<Join>,
+    /// Of maps that were joined to the present one, the newest last: the keyframe of theirs whose landmarks were
+    /// recognised most, the present map's that showed them, and the number that the map had.
+    pub joins: Vec<(KeyframeId, KeyframeId, Tie)>,
     pub asked: Asked,
 }
 
-/// By which keyframes a map was joined to the present one.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Join {
-    /// The number that it had.
-    pub map: MapId,
-    /// The keyframe of it whose landmarks were recognised most, and the present map's that showed them.
-    pub from: KeyframeId,
-    pub to: KeyframeId,
-}
-
 impl OtherMaps {
-    /// A map is a part of another one.
-    pub fn note_join(&mut self, join: Join) {
+    /// A map is a part of another one, by these keyframes.
+    pub fn note_join(&mut self, map: MapId, from: KeyframeId, to: KeyframeId) {
         if self.joins.len() == MOST_JOINS {
             self.joins.remove(0);
         }
-        self.joins.push(join);
+        self.joins.push((from, to, Tie::Join(map)));
     }
 
     pub fn maps(&self) -> impl Iterator<Item = &Map> {
@@ -216,12 +200,8 @@ pub fn found_in(frame: &Frame<'_>, tracker: &Tracker, keyframe: KeyframeId, plac
 pub fn seen_most_by(map: &Map, sighting: &Sighting) -> Option<KeyframeId> {
     let mut votes: Vec<(KeyframeId, u32)> = Vec::new();
     for m in &sighting.found {
-        for &k in map.landmark(m.landmark).into_iter().flat_map(|l| &l.observers) {
-            match votes.binary_search_by_key(&k, |v| v.0) {
-                Ok(i) => votes[i].1 += 1,
-                Err(i) => votes.insert(i, (k, 1)),
-            }
-        }
+        let observers = map.landmark(m.landmark).into_iter().flat_map(|l| &l.observers);
+        observers.for_each(|k| vote(&mut votes, *k));
     }
     Some(votes.iter().filter(|v| v.0 != sighting.keyframe).max_by_key(|&&(k, n)| (n, k))?.0)
 }

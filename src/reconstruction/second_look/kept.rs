@@ -1,16 +1,12 @@
 //! What is kept for a second look, and how far that has come.
 
-use std::sync::{Arc, Mutex};
-
-use super::moved::Placed;
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame};
 use crate::image::GreyImage;
-use crate::map::{Keyframe, KeyframeId, Map, MapId};
+use crate::map::{Keyframe, KeyframeId, MapId};
 use crate::reconstruction::active_map::ActiveMap;
 use crate::reconstruction::adjust::intrinsics::LensPrior;
 use crate::reconstruction::adjust::job::{MappingJob, Piece};
-use crate::reconstruction::relocalise::other_maps::{Sighting, Similarity};
 use crate::reconstruction::types::TrajectoryEvent;
 
 /// Pictures that are kept, bytes at the most: 80 keyframes of 640x480, but 12 of 1920x1080, which is too few; beyond it every second one goes.
@@ -39,10 +35,10 @@ enum Stage {
     Keeping,
     /// Some pictures are still to be looked at; `rests`: an adjustment goes first.
     Waiting {
-        look: Box<dyn Look>,
+        look: Box<dyn Piece>,
         rests: bool,
     },
-    WithWorker(Arc<Mutex<Box<dyn Look>>>),
+    WithWorker,
     /// Nothing is left to do: the lens is known, or it does not come.
     Over,
 }
@@ -91,7 +87,7 @@ impl SecondLook {
     }
 
     /// The lens is known.
-    pub fn begin(&mut self, look: Box<dyn Look>) {
+    pub fn begin(&mut self, look: Box<dyn Piece>) {
         self.stage = Stage::Waiting { look, rests: false };
     }
 
@@ -107,54 +103,22 @@ impl SecondLook {
         if std::mem::take(rests) && !is_alone {
             return None;
         }
-        let Stage::Waiting { look, .. } = std::mem::replace(&mut self.stage, Stage::Over) else { return None };
-        let look = Arc::new(Mutex::new(look));
-        self.stage = Stage::WithWorker(look.clone());
-        Some(MappingJob::Piece(Box::new(look)))
+        let Stage::Waiting { look, .. } = std::mem::replace(&mut self.stage, Stage::WithWorker) else { return None };
+        Some(MappingJob::Piece(look))
     }
 
-    /// The worker has done its piece: the look, if that was the last one. Nothing, too, if it had nothing of this camera's.
-    pub fn take_done(&mut self) -> Option<Box<dyn Look>> {
-        if !matches!(self.stage, Stage::WithWorker(_)) {
+    /// The worker gives the look back. It is returned if that was its last piece; else it waits for the next. Nothing,
+    /// too, if it is another camera's.
+    pub fn take_done(&mut self, look: Box<dyn Piece>) -> Option<Box<dyn Piece>> {
+        if !matches!(self.stage, Stage::WithWorker) {
             return None;
         }
-        // Of a look that the worker has broken nothing is left.
-        let Stage::WithWorker(look) = std::mem::replace(&mut self.stage, Stage::Over) else { return None };
-        let look = Arc::into_inner(look)?.into_inner().ok()?;
         if look.is_done() {
+            self.stage = Stage::Over;
             return Some(look);
         }
         self.stage = Stage::Waiting { look, rests: true };
         None
-    }
-}
-
-/// Maps the pictures again.
-pub trait Look: Send + std::fmt::Debug {
-    /// Looks at a few pictures.
-    fn step(&mut self);
-    /// No picture is left.
-    fn is_done(&self) -> bool;
-    /// What came of it. The new map gets the number `map`.
-    fn finish(self: Box<Self>, map: MapId, present: &Map) -> Again;
-}
-
-/// What a second look has made.
-pub struct Again {
-    pub active: ActiveMap,
-    pub looked_at: Vec<Frame>,
-    pub placed: Vec<Placed>,
-    /// What keyframes of the present map see of the new one, the newest last.
-    pub sightings: Vec<Sighting>,
-    /// How the new map lies to the present one, if they tell it.
-    pub told: Option<Similarity>,
-}
-
-impl Piece for Arc<Mutex<Box<dyn Look>>> {
-    fn run(&self) {
-        if let Ok(mut look) = self.lock() {
-            look.step();
-        }
     }
 }
 
@@ -238,7 +202,7 @@ mod tests {
             },
             TrajectoryEvent::MapJoined { map: MapId(3), into: MapId(4), scale: 2.0 },
         ]);
-        assert!(look.next_piece(true).is_none() && look.take_done().is_none(), "nobody looks yet");
+        assert!(look.next_piece(true).is_none(), "nobody looks yet");
         let kept = look.keeping().expect("the lens is not known");
         let frames: Vec<_> =
             kept.frames.iter().map(|f| (f.map.0, f.keyframe.0, f.keyframe_from_camera.translation.x)).collect();

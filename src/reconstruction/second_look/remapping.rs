@@ -5,7 +5,7 @@
 
 use std::collections::BTreeMap;
 
-use super::kept::{Again, Frame, Kept, Look, Recorded};
+use super::kept::{Frame, Kept, Recorded};
 use super::moved::Placed;
 use crate::features::{FeatureStage, FeaturesConfig, Feedback, FrameFeatures};
 use crate::geometry::Se3;
@@ -13,12 +13,13 @@ use crate::geometry::camera_motion::CameraMotion;
 use crate::image::GreyImage;
 use crate::map::{KeyframeId, Map, MapId};
 use crate::reconstruction::active_map::ActiveMap;
-use crate::reconstruction::adjust::job::InlineWorker;
+use crate::reconstruction::adjust::job::Piece;
 use crate::reconstruction::config::ReconstructionConfig;
 use crate::reconstruction::optics::Optics;
 use crate::reconstruction::relocalise::merging::LEAST_SCALE_SIGMA;
 use crate::reconstruction::relocalise::other_maps::{Sighting, Similarity, agreed_ratio, depth_ratios};
 use crate::reconstruction::relocalise::spread::shows_a_place;
+use crate::reconstruction::work::InlineWorker;
 use crate::reconstruction::{Reconstruction, TrackingState};
 
 /// Pictures that are looked at between two adjustments.
@@ -43,6 +44,17 @@ pub struct Remapping {
     feedback: Feedback,
     /// What keyframes of the present map see of the new one.
     common: Vec<Sighting>,
+}
+
+/// What a second look has made.
+pub struct Again {
+    pub active: ActiveMap,
+    pub looked_at: Vec<Frame>,
+    pub placed: Vec<Placed>,
+    /// What keyframes of the present map see of the new one, the newest last.
+    pub sightings: Vec<Sighting>,
+    /// How the new map lies to the present one, if they tell it.
+    pub told: Option<Similarity>,
 }
 
 impl std::fmt::Debug for Remapping {
@@ -84,6 +96,16 @@ impl Remapping {
             feedback: Feedback::default(),
             common: Vec::new(),
         }
+    }
+
+    /// What came of it. The new map gets the number `map`.
+    pub fn finish(mut self, map: MapId, present: &Map) -> Again {
+        let placed = self.placed();
+        self.let_time_run_forwards(map);
+        let sightings = self.sightings(&placed, present);
+        let told = self.told_by(&sightings, present);
+        let Self { own, looked_at, .. } = self;
+        Again { active: own.active, looked_at, placed, sightings, told }
     }
 
     /// Where each picture is in the new map: at its own keyframe, or beside that which its frame was recorded by.
@@ -157,7 +179,7 @@ impl Remapping {
     }
 }
 
-impl Look for Remapping {
+impl Piece for Remapping {
     fn step(&mut self) {
         for _ in 0..PIECE {
             let Some((of, picture)) = self.pictures.pop() else { return };
@@ -178,14 +200,5 @@ impl Look for Remapping {
 
     fn is_done(&self) -> bool {
         self.pictures.is_empty()
-    }
-
-    fn finish(mut self: Box<Self>, map: MapId, present: &Map) -> Again {
-        let placed = self.placed();
-        self.let_time_run_forwards(map);
-        let sightings = self.sightings(&placed, present);
-        let told = self.told_by(&sightings, present);
-        let Self { own, looked_at, .. } = *self;
-        Again { active: own.active, looked_at, placed, sightings, told }
     }
 }
