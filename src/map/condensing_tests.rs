@@ -141,7 +141,7 @@ fn a_landmark_is_found_by_its_condensed_view_where_the_whole_picture_finds_it() 
             let of = |keyframe: &Keyframe| {
                 let template = Template::from_pixels(&place(keyframe, &Matrix2::identity())?);
                 let start = at + Vector2::new(0.8, -0.6);
-                align(&template, &pyramid.levels[level], start, &AlignOptions::default()).ok()
+                align(&template, &pyramid.levels[level], start, &AlignOptions::default())
             };
             let Some(by_whole) = of(&whole) else { continue };
             let by_view = of(condensed).expect("found as well");

@@ -104,7 +104,7 @@ pub fn align_template(
         };
         let template = Template::from_pixels(&pixels);
         match align(&template, &pyramid.levels[level], level_from_base(level, position), &AlignOptions::default()) {
-            Ok(aligned) if aligned.ncc >= MIN_CORRELATION => {
+            Some(aligned) if aligned.ncc >= MIN_CORRELATION => {
                 position = base_from_level(level, aligned.position);
                 found_level = Some(level);
             }
