@@ -32,8 +32,6 @@ pub struct Correspondence {
     pub normalised: Vector2<f64>,
     /// Square root of the information of `normalised`: standard deviations that a step on that plane counts as.
     pub sqrt_information: Matrix2<f64>,
-    /// Variance of a place in the picture, px².
-    pub variance_px2: f64,
     /// Where only this is known of the point: its distance is eliminated at whatever pose the pair is compared with.
     pub ray: Option<Ray>,
 }
@@ -62,8 +60,7 @@ impl Correspondence {
     /// `pixel_scale`: pixels that steps on the plane z = 1 count as there ([`CameraModel::pixel_scale`]); `inv_sigma_px`: one over the
     /// standard deviation of a place in the picture, 1/px.
     pub fn new(point: Vector3<f64>, normalised: Vector2<f64>, pixel_scale: Matrix2<f64>, inv_sigma_px: f64) -> Self {
-        let (sqrt_information, variance_px2) = (pixel_scale * inv_sigma_px, inv_sigma_px.powi(-2));
-        Self { point, normalised, sqrt_information, variance_px2, ray: None }
+        Self { point, normalised, sqrt_information: pixel_scale * inv_sigma_px, ray: None }
     }
 
     /// What it tells of a pose near `pose` when its point is uncertain itself: `e' W e`, `W = (s² I + J P J')⁻¹` with P the point's
@@ -250,7 +247,7 @@ mod tests {
                 let step = |i: usize| Vector3::ith(i, 1e-6);
                 let slope = |i: usize| (at(pair.point + step(i)) - at(pair.point - step(i))) / 2e-6;
                 let j = nalgebra::Matrix2x3::from_columns(&[slope(0), slope(1), slope(2)]);
-                let spread = Matrix2::identity() * pair.variance_px2 + j * covariance * j.transpose();
+                let spread = Matrix2::identity() * 1.25f64.powi(-2) + j * covariance * j.transpose();
                 let e = at(pair.point);
                 let expected = e.dot(&(spread.try_inverse().unwrap() * e));
                 let whitened = residual(&pose, &pair.with_uncertain_point(&pose, &covariance)).unwrap().e;

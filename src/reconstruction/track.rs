@@ -47,7 +47,6 @@ pub struct Tracked {
     pub sought: usize,
     /// The same of those that should look as they did.
     pub alike: [usize; 2],
-    pub rms_px: f64,
     /// Tracks of the frame before led there.
     pub by_flow: bool,
 }
@@ -359,7 +358,6 @@ impl Tracker {
             landmarks,
             sought,
             alike: [found_alike, sought_alike],
-            rms_px: solution.rms_px,
             by_flow: false,
         })
     }

@@ -27,8 +27,6 @@ pub struct PoseSolution {
     pub inliers: usize,
     /// Information (inverse covariance) of the left perturbation, inliers only, unit weights: rad and map units.
     pub information: Matrix6<f64>,
-    /// Root mean square of the inliers' residuals, px.
-    pub rms_px: f64,
 }
 
 /// Robust pose from `start`. `inlier` (same length as `pairs`) is overwritten. `None` with fewer than four usable pairs,
@@ -58,12 +56,7 @@ pub fn optimise_pose(
     if options.leverage {
         judge_leverage(&mut pose, &mut fit, pairs, options, inlier);
     }
-    let solution = PoseSolution {
-        camera_from_world: pose,
-        inliers: fit.count,
-        information: fit.information,
-        rms_px: (fit.sum_px2 / fit.count.max(1) as f64).sqrt(),
-    };
+    let solution = PoseSolution { camera_from_world: pose, inliers: fit.count, information: fit.information };
     (pose.is_finite() && fit.information.iter().all(|v| v.is_finite())).then_some(solution)
 }
 
