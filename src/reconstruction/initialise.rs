@@ -24,14 +24,14 @@ use super::track::template::{SearchOptions, observe, refine_in};
 use super::types::{PoseEstimate, TrackingState, TrajectoryEvent};
 use crate::features::FrameFeatures;
 use crate::features::thumbnail::thumbnail_of;
-use crate::geometry::Se3;
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
+use crate::geometry::{Se3, median};
 use crate::map::picture::KeyframePicture;
 use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Observation};
 use initialiser::{START_SIGMA_PX, Start};
 use untracked::is_untracked;
-use views::View;
+use views::{View, Views};
 
 /// Standard deviation of the direction of the first motion that a start may have, rad; the longer the camera moves and nothing
 /// better comes the more is allowed: so much more after so many seconds, and at most so many times.
@@ -114,26 +114,25 @@ impl Reconstruction {
 
     /// The first keyframes and their landmarks, adjusted, and the newest frame's pose; `None` if too little of it holds.
     fn build_map(&mut self, start: &Start, features: &FrameFeatures) -> Option<Se3<Camera, World>> {
-        let mut depths: Vec<f64> = start.points.iter().map(|p| p.point.z).collect();
-        depths.sort_unstable_by(f64::total_cmp);
+        let mut depths: Vec<f64> = start.points.iter().map(|(_, point)| point.z).collect();
         // The unit of a map is the median depth of its start.
-        let scale = 1.0 / depths[depths.len() / 2];
+        let scale = 1.0 / median(&mut depths)?;
         let second: Se3<Camera, World> =
             Se3::new(start.second_from_first.rotation, start.second_from_first.translation * scale);
-        let first = &start.first;
+        let Views { first, between, newest } = &start.views;
         let a = self.add_view(first, Se3::identity());
         // Ascending track id, for the views in between.
-        let mut points: Vec<(u64, Vector3<f64>)> = start.points.iter().map(|p| (p.track, p.point * scale)).collect();
+        let mut points: Vec<(u64, Vector3<f64>)> =
+            start.points.iter().map(|&(track, point)| (track, point * scale)).collect();
         points.sort_unstable_by_key(|p| p.0);
         let mut views = vec![(a, &first.frame)];
         let mut guess = Se3::identity();
-        for view in &start.between {
+        for view in between {
             if let Some(pose) = self.solve_view(&view.frame, &points, &guess) {
                 guess = pose;
                 views.push((self.add_view(view, pose), &view.frame));
             }
         }
-        let newest = &start.newest;
         let b = self.add_view(&View { frame: newest.clone(), pyramid: features.pyramid.clone() }, second);
         views.push((b, newest));
         let inv_sigma = 1.0 / self.config.sigma_px;
@@ -170,7 +169,8 @@ impl Reconstruction {
         self.optics.noise.learn(noise);
         // What an unknown lens makes unsure becomes no surer by sharp pictures.
         let share = if self.optics.intrinsics.is_calibrated() { self.optics.noise.share() } else { 1.0 };
-        if sigma * share > MAX_DIRECTION_SIGMA * (1.0 + start.trying_s / PATIENCE_S).min(LARGEST_RELAXATION) {
+        let relaxation = (1.0 + self.initialiser.trying_s / PATIENCE_S).min(LARGEST_RELAXATION);
+        if sigma * share > MAX_DIRECTION_SIGMA * relaxation {
             return None;
         }
         if self.optics.intrinsics.is_calibrated() {
