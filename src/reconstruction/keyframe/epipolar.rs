@@ -17,12 +17,10 @@
 use nalgebra::{Vector2, Vector3};
 
 use super::corners::CornerFinder;
-use super::{displaced, made_of, triangulate};
+use super::{Lens, displaced, made_of, triangulate};
 use crate::geometry::frames::Camera;
 use crate::geometry::{CameraModel, Se3, median};
 use crate::map::{FreeCorner, Keyframe, KeyframeId, Landmark, LandmarkId, Map, Observation};
-use crate::reconstruction::config::ReconstructionConfig;
-use crate::reconstruction::measurement::rolling_shutter::Shutter;
 use crate::reconstruction::track::template::{SearchOptions, observe, refine_in};
 
 /// A frame with so many landmarks in view is safe from running out of them before new ones are made.
@@ -38,16 +36,6 @@ const BESIDE_LINE_PX: f64 = 3.0;
 /// Bits in which descriptors of one corner may differ, and the share of the next best one's along the line.
 const MAX_BITS: u32 = 60;
 const MAX_RATIO: f64 = 0.8;
-
-/// What does not change while a keyframe is completed.
-#[derive(Clone, Copy)]
-pub struct Lens<'a> {
-    pub camera: &'a CameraModel,
-    pub config: &'a ReconstructionConfig,
-    pub shutter: &'a Shutter,
-    /// Squared residual, in supposed standard deviations, beyond which a place is an outlier.
-    pub outlier_chi2: f64,
-}
 
 /// Buffers, kept between keyframes.
 #[derive(Debug, Default)]
@@ -117,7 +105,7 @@ impl EpipolarMatcher {
         (new_id, new_pixel): (KeyframeId, Vector2<f32>),
         lens: &Lens<'_>,
     ) -> Option<(Landmark, Vec<(KeyframeId, Observation)>)> {
-        let Lens { camera, config, shutter, outlier_chi2 } = *lens;
+        let Lens { camera, config, shutter, .. } = *lens;
         let (old, new) = (map.keyframe(old_id)?, map.keyframe(new_id)?);
         let see = |pixel| observe(camera, LandmarkId::default(), pixel, 1.0 / config.sigma_px);
         let (a, b) = (see(old_pixel)?, see(new_pixel)?);
@@ -140,7 +128,7 @@ impl EpipolarMatcher {
             }
         }
         seen.push((new_id, displaced(new, b, &point, shutter)));
-        made_of(map, &seen, new_id, camera, config, (shutter.readout_s, outlier_chi2))
+        made_of(map, &seen, lens)
     }
 }
 
@@ -213,7 +201,9 @@ mod tests {
     use crate::image::{GreyImage, Pyramid};
     use crate::map::MapId;
     use crate::map::picture::KeyframePicture;
+    use crate::reconstruction::config::ReconstructionConfig;
     use crate::reconstruction::measurement::CHI2_2D_95;
+    use crate::reconstruction::measurement::rolling_shutter::Shutter;
 
     const FOCAL_PX: f64 = 400.0;
 
