@@ -120,7 +120,7 @@ impl Ray {
             let n = p.xy() / p.z;
             (p.z > NEAREST).then(|| (n, (n * rotated.z - rotated.xy()) / (p.z * inverse * inverse)))
         };
-        let pixels = |v: &Vector2<f64>| scaled(&pair.sqrt_information, 1.0, v.x, v.y);
+        let pixels = |v: &Vector2<f64>| scaled(&pair.sqrt_information, v.x, v.y);
         let (mut inverse, (mut n, mut derivative)) = (mean, see(mean)?);
         for _ in 0..3 {
             let (e, j) = (pixels(&(n - pair.normalised)), pixels(&derivative));
@@ -161,7 +161,7 @@ fn residual_of_point(pose: &Se3<Camera, World>, pair: &Correspondence) -> Option
     }
     let iz = 1.0 / p.z;
     let scale = pair.sqrt_information;
-    Some(Residual { e: scaled(&scale, 1.0, p.x * iz - pair.normalised.x, p.y * iz - pair.normalised.y), p, scale })
+    Some(Residual { e: scaled(&scale, p.x * iz - pair.normalised.x, p.y * iz - pair.normalised.y), p, scale })
 }
 
 /// A pinhole's scale: the short way then, with the same bits as the long one.
@@ -170,14 +170,13 @@ pub(crate) fn is_diagonal(scale: &Matrix2<f64>) -> bool {
     scale.m12 == 0.0 && scale.m21 == 0.0
 }
 
-/// A step on the plane z = 1 in pixels, times `factor`.
+/// A step on the plane z = 1 in standard deviations.
 #[inline]
-pub(crate) fn scaled(scale: &Matrix2<f64>, factor: f64, x: f64, y: f64) -> Vector2<f64> {
-    let m = |v: f64| factor * v;
+pub(crate) fn scaled(scale: &Matrix2<f64>, x: f64, y: f64) -> Vector2<f64> {
     if is_diagonal(scale) {
-        return Vector2::new(m(scale.m11) * x, m(scale.m22) * y);
+        return Vector2::new(scale.m11 * x, scale.m22 * y);
     }
-    Vector2::new(m(scale.m11) * x + m(scale.m12) * y, m(scale.m21) * x + m(scale.m22) * y)
+    Vector2::new(scale.m11 * x + scale.m12 * y, scale.m21 * x + scale.m22 * y)
 }
 
 /// Rows of d e / d delta at camera point `p`: tangent `[rotation, translation]`, `p' = exp(w) p + v`.

@@ -257,8 +257,7 @@ fn seen_by(index: usize, o: &Observation, camera: &CameraModel) -> BundleObserva
         camera: index as u32,
         normalised: o.normalised,
         displacement: o.displacement,
-        pixel_scale: camera.pixel_scale(&o.normalised),
-        inv_sigma_px: o.inv_sigma_px,
+        sqrt_information: camera.pixel_scale(&o.normalised) * o.inv_sigma_px,
     }
 }
 

@@ -252,12 +252,11 @@ impl<'p, const W: usize> Adjustment<'p, W> {
         let o = &self.problem.observations[k];
         let (e, p) = self.problem.residual(state, point, k)?;
         let (_, weight) = Loss::Huber(self.limit).evaluate(e.norm_squared());
-        let pixels = o.pixel_scale * o.inv_sigma_px;
-        let (jx, jy) = jacobian_rows(&p, &(pixels * focal_scale(&state.globals)));
+        let (jx, jy) = jacobian_rows(&p, &(o.sqrt_information * focal_scale(&state.globals)));
         // d e / d point = d e / d translation * R.
         let by_point = |j: &[f64; 6]| rotation.tr_mul(&Vector3::new(j[3], j[4], j[5]));
         let off = self.problem.off(state, k, &p);
-        let global = pixels * self.problem.globals.jacobian::<W>(k, &off, &o.displacement, &state.globals);
+        let global = o.sqrt_information * self.problem.globals.jacobian::<W>(k, &off, &o.displacement, &state.globals);
         Some(Linearised {
             residual: [Vector1::new(e.x), Vector1::new(e.y)],
             weight,
