@@ -13,12 +13,15 @@ mod minima;
 use nalgebra::Matrix6;
 
 pub use self::descent::PoseOptions;
-use self::descent::descend;
+use self::descent::{descend, judge};
 use self::leverage::{Fit, judge_leverage};
 pub use self::minima::lowest_minimum;
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
-use crate::reconstruction::measurement::{Correspondence, residual};
+use crate::reconstruction::measurement::Correspondence;
+
+/// Rounds of optimisation, outliers judged anew after each.
+const ROUNDS: usize = 3;
 
 /// Result of [`optimise_pose`].
 #[derive(Debug, Clone, Copy)]
@@ -43,9 +46,8 @@ pub fn optimise_pose(
         return None;
     }
     let mut pose = *start;
-    let rounds = options.rounds.max(1);
-    for round in 0..rounds {
-        let relaxed = round == 0 && rounds > 1;
+    for round in 0..ROUNDS {
+        let relaxed = round == 0;
         pose = descend(&pose, pairs, inlier, options, relaxed).0;
         let limit = options.outlier_chi2 * if relaxed { options.first_round_relaxation } else { 1.0 };
         if judge(&pose, pairs, limit, inlier) < 4 {
@@ -60,20 +62,11 @@ pub fn optimise_pose(
     (pose.is_finite() && fit.information.iter().all(|v| v.is_finite())).then_some(solution)
 }
 
-/// Says of every pair whether it lies within `limit`; how many do.
-fn judge(pose: &Se3<Camera, World>, pairs: &[Correspondence], limit: f64, inlier: &mut [bool]) -> usize {
-    let mut count = 0;
-    for (pair, flag) in pairs.iter().zip(inlier) {
-        *flag = residual(pose, pair).is_some_and(|seen| seen.e.norm_squared() <= limit);
-        count += usize::from(*flag);
-    }
-    count
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::geometry::random::Random;
+    use crate::reconstruction::measurement::residual;
     use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3, Vector6};
 
     pub fn scene(seed: u64, n: usize, noise_px: f64, outliers: usize) -> (Se3<Camera, World>, Vec<Correspondence>) {

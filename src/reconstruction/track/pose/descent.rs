@@ -10,8 +10,6 @@ use crate::reconstruction::measurement::{CHI2_2D_95, Correspondence, residual};
 /// Options of [`optimise_pose`](super::optimise_pose).
 #[derive(Debug, Clone, Copy)]
 pub struct PoseOptions {
-    /// Rounds of optimisation, outliers judged anew after each.
-    pub rounds: usize,
     /// Steps a round at the most.
     pub steps: usize,
     /// Limit of the squared, sigma-scaled residual above which a pair is an outlier.
@@ -24,7 +22,7 @@ pub struct PoseOptions {
 
 impl Default for PoseOptions {
     fn default() -> Self {
-        Self { rounds: 3, steps: 6, outlier_chi2: CHI2_2D_95, first_round_relaxation: 4.0, leverage: true }
+        Self { steps: 6, outlier_chi2: CHI2_2D_95, first_round_relaxation: 4.0, leverage: true }
     }
 }
 
@@ -90,4 +88,14 @@ pub(super) fn descend(
     let lm = LmOptions { max_iterations: options.steps, relative_cost: 1e-6, step_norm: 1e-8, initial_damping: 1e-6 };
     let (pose, summary) = minimise(&problem, *start, &lm);
     (pose, summary.final_cost)
+}
+
+/// Says of every pair whether it lies within `limit`; how many do.
+pub(super) fn judge(pose: &Se3<Camera, World>, pairs: &[Correspondence], limit: f64, inlier: &mut [bool]) -> usize {
+    let mut count = 0;
+    for (pair, flag) in pairs.iter().zip(inlier) {
+        *flag = residual(pose, pair).is_some_and(|seen| seen.e.norm_squared() <= limit);
+        count += usize::from(*flag);
+    }
+    count
 }

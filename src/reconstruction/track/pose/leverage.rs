@@ -8,7 +8,7 @@
 
 use nalgebra::{Matrix2, Matrix6, Vector6};
 
-use super::descent::{PoseOptions, descend};
+use super::descent::{PoseOptions, descend, judge};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 use crate::reconstruction::measurement::{Correspondence, accumulate, residual};
@@ -105,10 +105,8 @@ pub(super) fn judge_leverage(
     if count == 0 {
         return;
     }
-    for (i, (pair, flag)) in pairs.iter().zip(inlier.iter_mut()).enumerate() {
-        let agrees = residual(pose, pair).is_some_and(|seen| seen.e.norm_squared() <= limit);
-        *flag = agrees && !out[..count].contains(&i);
-    }
+    judge(pose, pairs, limit, inlier);
+    out[..count].iter().for_each(|i| inlier[*i] = false);
     *pose = descend(pose, pairs, inlier, options, false).0;
     *fit = Fit::of(pose, pairs, inlier);
 }
