@@ -20,7 +20,7 @@ use super::track::Tracked;
 use super::track::association::{Seed, Target};
 use super::track::frame::Frame;
 use super::track::pose::{PoseOptions, optimise_pose};
-use super::track::template::{SearchOptions, observe, refine_in};
+use super::track::template::{observe, refine_in};
 use super::types::{PoseEstimate, TrackingState, TrajectoryEvent};
 use crate::features::FrameFeatures;
 use crate::features::thumbnail::thumbnail_of;
@@ -231,14 +231,13 @@ impl Reconstruction {
 
     /// Replaces the tracked places in the later views by alignment with the first one's templates: flow drifts.
     fn refine_views(&mut self, first: KeyframeId) {
-        let options = SearchOptions::precise(self.config.sigma_px);
         let ids: Vec<LandmarkId> = self.active.map.landmarks.iter().map(|(id, _)| LandmarkId(id)).collect();
         for id in ids {
             let Some(landmark) = self.active.map.landmark(id) else { continue };
             let observers = landmark.observers.clone();
             let mut position = landmark.position;
             for &k in observers.iter().filter(|k| **k != first) {
-                match self.refined(first, k, id, &position, &options) {
+                match self.refined(first, k, id, &position) {
                     Some(new) => self.active.map.replace_observation(k, new),
                     None => self.active.map.remove_observation(k, id),
                 }
@@ -260,11 +259,10 @@ impl Reconstruction {
         other: KeyframeId,
         id: LandmarkId,
         point: &Vector3<f64>,
-        options: &SearchOptions,
     ) -> Option<Observation> {
         let [a, b] = [self.active.map.keyframe(first)?, self.active.map.keyframe(other)?];
         let start = b.observation(id)?.pixel;
-        refine_in(a, &a.observation(id)?, b, point, start, &self.optics.camera, options)
+        refine_in(a, &a.observation(id)?, b, point, start, &self.optics.camera, self.config.sigma_px)
     }
 
     /// How the camera moved at each view, from the views before and after: a rolling shutter shows it.

@@ -25,7 +25,7 @@ use super::measurement::rolling_shutter::Shutter;
 use super::track::association::{Bindings, Seed, Target};
 use super::track::frame::QUICK_TURN_RAD;
 use super::track::search::Match;
-use super::track::template::{SearchOptions, observe, refine_in};
+use super::track::template::{observe, refine_in};
 use crate::features::thumbnail::thumbnail_of;
 use crate::features::{Feedback, FrameFeatures};
 use crate::geometry::camera_motion::CameraMotion;
@@ -245,14 +245,12 @@ fn triangulate_seed(
         (None, _) => return SeedOutcome::Waits,
     };
     // Refine the place in the new picture (and in those between) against the anchor's template.
-    let options = SearchOptions::precise(config.sigma_px);
     let displaced = |keyframe: &Keyframe, o: Observation| displaced(keyframe, o, &point, shutter);
     let readout_s = shutter.readout_s;
     let mut seen: Vec<(KeyframeId, Observation)> = vec![(anchor_id, displaced(anchor, a))];
     for &(id, pixel) in seed.observations().iter().chain(&[(newest, pixel)]) {
         let Some(keyframe) = map.keyframe(id).filter(|_| id != anchor_id) else { continue };
-        let refined = refine_in(anchor, &a, keyframe, &point, pixel, camera, &options);
-        match refined {
+        match refine_in(anchor, &a, keyframe, &point, pixel, camera, config.sigma_px) {
             Some(o) => seen.push((id, displaced(keyframe, o))),
             None if id == newest => return SeedOutcome::Wrong,
             None => {}

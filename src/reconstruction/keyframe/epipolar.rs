@@ -21,7 +21,7 @@ use super::{Lens, displaced, made_of, triangulate};
 use crate::geometry::frames::Camera;
 use crate::geometry::{CameraModel, Se3, median};
 use crate::map::{FreeCorner, Keyframe, KeyframeId, Landmark, LandmarkId, Map, Observation};
-use crate::reconstruction::track::template::{SearchOptions, observe, refine_in};
+use crate::reconstruction::track::template::{observe, refine_in};
 
 /// A frame with so many landmarks in view is safe from running out of them before new ones are made.
 pub const FED: usize = 120;
@@ -114,8 +114,7 @@ impl EpipolarMatcher {
             let (point, angle) = triangulate(old, &a.normalised, new, &b.normalised)?;
             (angle >= config.min_parallax_deg.to_radians()).then_some(point)
         };
-        let options = SearchOptions::precise(config.sigma_px);
-        let b = refine_in(old, &a, new, &meet(&b)?, b.pixel, camera, &options)?;
+        let b = refine_in(old, &a, new, &meet(&b)?, b.pixel, camera, config.sigma_px)?;
         let point = meet(&b)?;
         let mut seen = vec![(old_id, displaced(old, a, &point, shutter))];
         for &(id, _) in self.around.iter().filter(|k| k.0 != old_id) {
@@ -123,7 +122,7 @@ impl EpipolarMatcher {
             let p = other.camera_from_world.transform(&point);
             let visible = |pixel: &Vector2<f64>| p.z > 1e-6 && camera.contains(pixel, 10.0);
             let Some(pixel) = camera.project(&p).filter(visible) else { continue };
-            if let Some(o) = refine_in(old, &a, other, &point, pixel.cast(), camera, &options) {
+            if let Some(o) = refine_in(old, &a, other, &point, pixel.cast(), camera, config.sigma_px) {
                 seen.push((id, displaced(other, o, &point, shutter)));
             }
         }
