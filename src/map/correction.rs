@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use super::{KeyframeId, Landmark, Map, scaled};
+use super::{KeyframeId, Landmark, Map};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::sim3::Sim3;
@@ -29,7 +29,7 @@ impl Correction {
 
     /// A camera whose surroundings move so is there.
     pub fn placed(camera_from_world: &Se3<Camera, World>, new_from_old: &Sim3<World, World>) -> Se3<Camera, World> {
-        (new_from_old.rigid() * scaled(&camera_from_world.inverse(), new_from_old.scale)).inverse()
+        (new_from_old.rigid() * camera_from_world.inverse().rescaled(new_from_old.scale)).inverse()
     }
 
     /// The keyframe that a landmark moves with: the one that it was made at, else the last of those that observe it.

@@ -417,7 +417,7 @@ impl Map {
         let scale = new_from_old.scale;
         let turn = new_from_old.rotation.to_rotation_matrix();
         for (_, k) in self.keyframes.iter_mut() {
-            let world_from_camera = new_from_old.rigid() * scaled(&k.camera_from_world.inverse(), scale);
+            let world_from_camera = new_from_old.rigid() * k.camera_from_world.inverse().rescaled(scale);
             k.camera_from_world = world_from_camera.inverse();
             if let Some(motion) = &mut k.motion {
                 motion.shift *= scale;
@@ -489,11 +489,6 @@ impl Map {
         self.away.clear();
         self.revision += 1;
     }
-}
-
-/// The same pose with its length in another unit.
-fn scaled<To, From>(pose: &Se3<To, From>, scale: f64) -> Se3<To, From> {
-    Se3::new(pose.rotation, pose.translation * scale)
 }
 
 fn change_covisibility(keyframes: &mut Store<Keyframe>, a: KeyframeId, b: KeyframeId, by: i32) {

@@ -143,7 +143,7 @@ pub struct LensEstimate {
 #[derive(Debug, Clone)]
 pub struct Intrinsics {
     /// Nobody has calibrated this camera.
-    pub guessed: bool,
+    guessed: bool,
     /// As it was calibrated, guessed, or found with the map before.
     expected: CameraModel,
     /// Standard deviations (log focal length, principal point in px, distortion) without the present map.
@@ -290,7 +290,7 @@ impl Intrinsics {
             ]);
             // Believing a part of the data is weighing the prior the more.
             let mut information = self.sigma.map(|s| 1.0 / (BELIEVED * s * s));
-            if !is_pinhole(camera) || self.hold_distortion {
+            if camera.lens.is_wide_angle() || self.hold_distortion {
                 information.as_mut_slice()[WITHOUT_DISTORTION..].fill(f64::INFINITY);
             }
             job.refine_intrinsics(map, camera, &expected, &information);
@@ -308,7 +308,7 @@ impl Intrinsics {
     ) -> Option<Adjustment> {
         let mut job = Adjustment::global(map, camera, shutter, steps)?;
         let mut information = self.sigma.map(|s| 1.0 / (s * s));
-        if !is_pinhole(camera) {
+        if camera.lens.is_wide_angle() {
             information.as_mut_slice()[WITHOUT_DISTORTION..].fill(f64::INFINITY);
         }
         job.refine_intrinsics(map, camera, &IntrinsicsVector::zeros(), &information);
@@ -368,7 +368,7 @@ impl Intrinsics {
     /// Takes over the lens of an adjustment that was merged, here and in every observation and free corner of the map.
     pub fn merge(&mut self, found: &FoundIntrinsics, refined: CameraModel, map: &mut Map, camera: &mut CameraModel) {
         // What was found with the distortion held says less of the focal length than it seems to.
-        let complete = !is_pinhole(camera) || !found.held[WITHOUT_DISTORTION];
+        let complete = camera.lens.is_wide_angle() || !found.held[WITHOUT_DISTORTION];
         if let Some(variance) = found.variance.filter(|_| complete) {
             // The prior was the surer by the share that is believed: so were both together.
             let sigma = variance.map(|v| (v / BELIEVED).max(0.0).sqrt());
@@ -400,11 +400,6 @@ fn changed(camera: &CameraModel, change: &IntrinsicsVector) -> Option<CameraMode
     }
     with(distortion.into())
         .filter(|c| c.covers_picture() || !camera.covers_picture() && c.valid_radius() >= camera.valid_radius())
-}
-
-/// Brown's model, of any distortion: not a wide-angle lens.
-fn is_pinhole(camera: &CameraModel) -> bool {
-    matches!(camera.lens, LensModel::RadialTangential(_))
 }
 
 /// Numbers that nobody measured.

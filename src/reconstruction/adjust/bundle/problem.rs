@@ -84,12 +84,12 @@ impl BundleProblem {
     }
 
     /// The observations of a point.
-    pub(super) fn range(&self, point: usize) -> std::ops::Range<usize> {
+    pub fn range(&self, point: usize) -> std::ops::Range<usize> {
         self.first[point] as usize..self.first[point + 1] as usize
     }
 
     /// The inliers among them.
-    pub(super) fn inliers(&self, point: usize) -> impl Iterator<Item = usize> + '_ {
+    pub fn inliers(&self, point: usize) -> impl Iterator<Item = usize> + '_ {
         self.range(point).filter(|&k| self.inlier[k])
     }
 
