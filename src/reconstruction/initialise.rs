@@ -13,7 +13,7 @@ use super::adjust::job::Adjustment;
 use super::consensus::{AGREEING_SHARE, FrameTracks, PosedViews};
 use super::keyframe::bind_new;
 use super::keyframe::point::{observations_of, refine_point};
-use super::measurement::Correspondence;
+use super::measurement::{Correspondence, TWO_VIEW_SIGMA_PX};
 use super::odometry::Odometry;
 use super::optics::Optics;
 use super::track::Tracked;
@@ -29,7 +29,7 @@ use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::geometry::{Se3, median};
 use crate::map::picture::KeyframePicture;
 use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Observation};
-use initialiser::{START_SIGMA_PX, Start};
+use initialiser::Start;
 use untracked::is_untracked;
 use views::{View, Views};
 
@@ -362,7 +362,7 @@ impl Reconstruction {
             let Some(point) = position(track) else { continue };
             let Some(normalised) = self.optics.camera.undistort(&pixel.cast()) else { continue };
             let pixel_scale = self.optics.camera.pixel_scale(&normalised);
-            pairs.push(Correspondence::new(point, normalised, pixel_scale, 1.0 / START_SIGMA_PX));
+            pairs.push(Correspondence::new(point, normalised, pixel_scale, 1.0 / TWO_VIEW_SIGMA_PX));
         }
         let mut inlier = Vec::new();
         let solution =

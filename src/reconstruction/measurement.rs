@@ -10,12 +10,18 @@ pub mod rolling_shutter;
 use nalgebra::{Matrix2, Matrix3, Matrix6, Vector2, Vector3, Vector6};
 
 use crate::geometry::frames::{Camera, World};
-use crate::geometry::{CameraModel, Se3};
+use crate::geometry::{CameraModel, Se3, median};
 use crate::map::{AssumedDistance, Observation};
 use inverse_distance::Ray;
 
 /// Points nearer to the image plane, or behind it, are not seen, map units.
 pub(crate) const NEAREST: f64 = 1e-6;
+
+/// Price of a place behind the camera in squared outlier limits: a step that does this is no gain.
+pub(crate) const BEHIND_CAMERA: f64 = 100.0;
+
+/// Standard deviation of a place in either of two views that tracks over many frames join, px.
+pub const TWO_VIEW_SIGMA_PX: f64 = 1.0;
 
 /// 95 % limit of chi-square with two degrees of freedom.
 pub const CHI2_2D_95: f64 = 5.991;
@@ -203,6 +209,11 @@ pub(crate) fn jacobian_rows(p: &Vector3<f64>, scale: &Matrix2<f64>) -> ([f64; 6]
         ]
     };
     (row(scale.m11, scale.m12), row(scale.m21, scale.m22))
+}
+
+/// Median of distances, map units; `None` where that is none.
+pub(crate) fn middle_distance(distances: &mut [f64]) -> Option<f64> {
+    median(distances).filter(|distance| distance.is_finite() && *distance > NEAREST)
 }
 
 #[inline]

@@ -30,12 +30,14 @@ use crate::map::Map;
 use crate::map::saved::SavedOptics;
 use crate::reconstruction::measurement::rolling_shutter::{BELIEVED, Shutter};
 
-/// Standard deviation of a measured focal length, and of a nominal one, as a share of it.
+/// Standard deviation of a measured focal length, of a nominal one, and of an unknown one, as a share of it.
 const CALIBRATED_FOCAL: f64 = 0.01;
 const NOMINAL_FOCAL: f64 = 0.05;
+const UNKNOWN_FOCAL: f64 = 0.25;
 /// Standard deviation of the principal point, as a share of the picture's width.
 const CALIBRATED_CENTRE: f64 = 1e-4;
 const NOMINAL_CENTRE: f64 = 0.0125;
+const UNKNOWN_CENTRE: f64 = 0.025;
 /// Standard deviations of k1, k2, and p1 and p2 of a lens that was measured (or is nominal: rectified pictures have such a one), and of one
 /// that nobody has.
 const CALIBRATED_DISTORTION: [f64; 4] = [0.02, 0.02, 0.001, 0.001];
@@ -77,12 +79,15 @@ pub enum LensPrior {
 
 impl LensPrior {
     /// A camera of which nothing is known but that webcams see some 60 degrees.
-    pub const UNKNOWN: Self = Self::Guess { focal: 0.25, centre: 0.025 };
+    pub const UNKNOWN: Self = Self::Guess { focal: UNKNOWN_FOCAL, centre: UNKNOWN_CENTRE };
 
     /// An estimate of an earlier run, with the standard deviations that were published with it: never surer than the floor of what the
     /// model leaves out, and never less sure than knowing nothing.
     pub fn kept(focal_sigma: f64, centre: f64) -> Self {
-        Self::Guess { focal: focal_sigma.clamp(MODEL_FLOOR, 0.25), centre: centre.clamp(0.002, 0.025) }
+        Self::Guess {
+            focal: focal_sigma.clamp(MODEL_FLOOR, UNKNOWN_FOCAL),
+            centre: centre.clamp(0.002, UNKNOWN_CENTRE),
+        }
     }
 }
 

@@ -23,6 +23,7 @@ use crate::reconstruction::adjust::intrinsics::LensFreedom;
 use crate::reconstruction::config::ReconstructionConfig;
 use crate::reconstruction::consensus::{FrameTracks, MAX_DISAGREEMENTS};
 use crate::reconstruction::keyframe::epipolar::FED;
+use crate::reconstruction::measurement::TWO_VIEW_SIGMA_PX;
 
 /// A first map: the motion between two frames, points, and views in between to hold them together.
 #[derive(Debug)]
@@ -37,8 +38,6 @@ pub struct Start {
 
 /// Frames that are remembered for a pose afterwards; older ones are dropped.
 const MAX_PENDING: usize = 900;
-/// Standard deviation of a track over the frames of a start, px.
-pub const START_SIGMA_PX: f64 = 1.0;
 /// So long after the camera began to move, s, corners that look alike are asked as well as tracks: a turn on the spot before a lens that nobody has
 /// calibrated begins a map by them else; and where frames are many tracks alone have given a start by then, a later one with more parallax.
 const CORNERS_AFTER_S: f64 = 0.25;
@@ -278,7 +277,7 @@ impl Initialiser {
         let seen_first: Vec<Vector2<f64>> = pairs.places.iter().map(|p| p.first).collect();
         let seen_newest: Vec<Vector2<f64>> = pairs.places.iter().map(|p| p.second).collect();
         let options =
-            TwoViewOptions { seed: views.newest.sequence, ..TwoViewOptions::new(START_SIGMA_PX, camera.focal_px()) };
+            TwoViewOptions { seed: views.newest.sequence, ..TwoViewOptions::new(TWO_VIEW_SIGMA_PX, camera.focal_px()) };
         let solution = reconstruct_two_views(&seen_first, &seen_newest, &options).ok()?;
         let places = pairs.tracks.iter().zip(&solution.points);
         let points: Vec<_> = places.filter_map(|(&track, point)| Some((track, (*point)?))).collect();

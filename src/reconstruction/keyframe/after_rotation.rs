@@ -21,8 +21,8 @@ use crate::geometry::{CameraModel, Se3, median};
 use crate::map::{AssumedDistance, KeyframeId, LandmarkId, Map};
 use crate::motion::scale::ScaleFusion;
 use crate::reconstruction::Reconstruction;
-use crate::reconstruction::measurement::Correspondence;
 use crate::reconstruction::measurement::inverse_distance::{Ray, SIGMA_SHARE};
+use crate::reconstruction::measurement::{Correspondence, TWO_VIEW_SIGMA_PX};
 use crate::reconstruction::segments::Wheels;
 use crate::reconstruction::track::pose::{PoseOptions, optimise_pose};
 use crate::reconstruction::track::search::Match;
@@ -35,8 +35,6 @@ const MIN_PARALLAX_DEG: f64 = 0.5;
 const NEARLY_ALL: f64 = 0.7;
 /// So many landmarks whose distance is known say how long the step was; else the assumed distances do.
 const MIN_MEASURED: usize = 10;
-/// Standard deviation of a place in either view, px.
-const SIGMA_PX: f64 = 1.0;
 
 impl Reconstruction {
     /// Landmarks at assumed distances are looked for next where this frame makes them most likely.
@@ -175,7 +173,7 @@ fn place(
         min_matches: MIN_MATCHES,
         min_points: MIN_POINTS,
         min_parallax_rad: MIN_PARALLAX_DEG.to_radians(),
-        ..TwoViewOptions::new(SIGMA_PX, camera.focal_px())
+        ..TwoViewOptions::new(TWO_VIEW_SIGMA_PX, camera.focal_px())
     };
     let solution = reconstruct_two_views(&first, &second, &options).ok()?;
     let lengths = |assumed: bool| -> Vec<f64> {
@@ -220,7 +218,7 @@ fn assume_anew(
     let mut seen: Vec<LandmarkId> = since.flat_map(|(_, k)| k.observations.landmarks()).collect();
     seen.sort_unstable();
     seen.dedup();
-    let sigma_rad = SQRT_2 * SIGMA_PX / camera.focal_px();
+    let sigma_rad = SQRT_2 * TWO_VIEW_SIGMA_PX / camera.focal_px();
     for id in seen {
         let Some(mut ray) = Ray::of(id, map, readout_s) else { continue };
         ray.assumed = AssumedDistance { inverse: 1.0 / scene, sigma: SIGMA_SHARE / scene };
@@ -249,7 +247,7 @@ fn resolve_between(map: &mut Map, from: KeyframeId, camera: &CameraModel, readou
                 Some(Correspondence::observed(landmark.position, &o, camera, readout_s))
             })
             .collect();
-        let options = PoseOptions { first_round_relaxation: 25.0, leverage: false, ..PoseOptions::default() };
+        let options = PoseOptions { leverage: false, ..PoseOptions::from_poor_start() };
         let solved = optimise_pose(&keyframe.camera_from_world, &pairs, &options, &mut inlier);
         if let Some(solved) = solved.filter(|s| 2 * s.inliers > pairs.len()) {
             map.place_keyframe(id, solved.camera_from_world);

@@ -2,8 +2,8 @@
 //!
 //! In a blurred, fast or slow sequence the frame-to-frame tracks are cut long before a degree of parallax has passed, and what has no
 //! depth yet goes with them. The corners themselves are still in the pictures. Those of the covisible keyframes that are no landmark yet
-//! are looked for among the newest keyframe's, near the line on which any distance from [`NEAREST`] of the scene's median one to
-//! infinity puts them, by binary descriptors that must be unambiguous along it. What is found is aligned against the older
+//! are looked for among the newest keyframe's, near the line on which any distance from [`NEAREST_SHARE`] of the scene's
+//! median one to infinity puts them, by binary descriptors that must be unambiguous along it. What is found is aligned against the older
 //! keyframe's patch, triangulated, and looked for in the keyframes around as well. (Mur-Artal, Montiel, Tardós, "ORB-SLAM", T-RO 2015, section
 //! VI.C, has such a search; the alignment is ours.)
 //!
@@ -19,8 +19,9 @@ use nalgebra::{Vector2, Vector3};
 use super::corners::CornerFinder;
 use super::{Lens, displaced, made_of, triangulate};
 use crate::geometry::frames::Camera;
-use crate::geometry::{CameraModel, Se3, median};
+use crate::geometry::{CameraModel, Se3};
 use crate::map::{FreeCorner, Keyframe, KeyframeId, Landmark, LandmarkId, Map, Observation};
+use crate::reconstruction::measurement::{NEAREST, middle_distance};
 use crate::reconstruction::track::template::{observe, refine_in};
 
 /// A frame with so many landmarks in view is safe from running out of them before new ones are made.
@@ -30,7 +31,7 @@ pub const FED: usize = 120;
 pub(super) const NEIGHBOURS: usize = 5;
 pub(super) const MIN_SHARED: u32 = 15;
 /// Nearest distance looked at, as a share of the median one.
-const NEAREST: f64 = 0.25;
+const NEAREST_SHARE: f64 = 0.25;
 /// Distance of a corner from the epipolar line, px.
 const BESIDE_LINE_PX: f64 = 3.0;
 /// Bits in which descriptors of one corner may differ, and the share of the next best one's along the line.
@@ -76,7 +77,7 @@ impl EpipolarMatcher {
         let beside = BESIDE_LINE_PX / lens.camera.focal_px();
         let (mut old_used, mut new_used, mut made) = (Vec::new(), Vec::new(), Vec::new());
         for (i, corner) in old.corners.iter().enumerate() {
-            let Some(line) = Segment::of(&corner.normalised, &new_from_old.relabel(), NEAREST * median) else {
+            let Some(line) = Segment::of(&corner.normalised, &new_from_old.relabel(), NEAREST_SHARE * median) else {
                 continue;
             };
             let Some(j) = best_along(&line, corner, &new.corners, beside) else { continue };
@@ -120,7 +121,7 @@ impl EpipolarMatcher {
         for &(id, _) in self.around.iter().filter(|k| k.0 != old_id) {
             let Some(other) = map.keyframe(id).filter(|k| k.picture.whole().is_some()) else { continue };
             let p = other.camera_from_world.transform(&point);
-            let visible = |pixel: &Vector2<f64>| p.z > 1e-6 && camera.contains(pixel, 10.0);
+            let visible = |pixel: &Vector2<f64>| p.z > NEAREST && camera.contains(pixel, 10.0);
             let Some(pixel) = camera.project(&p).filter(visible) else { continue };
             if let Some(o) = refine_in(old, &a, other, &point, pixel.cast(), camera, config.sigma_px) {
                 seen.push((id, displaced(other, o, &point, shutter)));
@@ -184,7 +185,7 @@ pub(super) fn median_distance(map: &Map, keyframe: &Keyframe) -> Option<f64> {
     let centre = keyframe.centre();
     let measured = |id| map.landmark(id).filter(|l| l.assumed.is_none());
     let distances = keyframe.observations.landmarks().filter_map(|id| Some((measured(id)?.position - centre).norm()));
-    median(&mut distances.collect::<Vec<_>>()).filter(|d| d.is_finite() && *d > 1e-6)
+    middle_distance(&mut distances.collect::<Vec<_>>())
 }
 
 #[cfg(test)]

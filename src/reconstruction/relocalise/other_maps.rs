@@ -14,7 +14,7 @@ use super::asked::Asked;
 use super::spread::shows_a_place;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::sim3::Sim3;
-use crate::geometry::{Se3, median};
+use crate::geometry::{SIGMA_OVER_MEDIAN, Se3, median};
 use crate::map::observations::Observations;
 use crate::map::saved::{MapHead, SavedMap};
 use crate::map::{KeyframeId, LandmarkId, Map, MapId};
@@ -290,7 +290,7 @@ pub fn agreed_ratio(logarithms: &mut [f64]) -> Option<(f64, f64)> {
     let middle = median(logarithms).filter(|_| n >= MIN_COMMON)?;
     let mut off: Vec<f64> = logarithms.iter().map(|r| (r - middle).abs()).collect();
     // Of a normal distribution: its standard deviation from the median deviation, and the median's from that.
-    let sigma = 1.4826 * median(&mut off)? * (std::f64::consts::FRAC_PI_2 / n as f64).sqrt();
+    let sigma = SIGMA_OVER_MEDIAN * median(&mut off)? * (std::f64::consts::FRAC_PI_2 / n as f64).sqrt();
     (sigma <= MAX_SCALE_SIGMA).then(|| (middle.exp(), sigma))
 }
 

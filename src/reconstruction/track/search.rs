@@ -13,7 +13,7 @@ use crate::geometry::{CameraModel, Se3};
 use crate::image::Pyramid;
 use crate::map::picture::Detail;
 use crate::map::{Keyframe, KeyframeId, LandmarkId, Map, Observation};
-use crate::reconstruction::measurement::Correspondence;
+use crate::reconstruction::measurement::{Correspondence, NEAREST};
 
 /// A landmark found in the frame.
 #[derive(Debug, Clone, Copy)]
@@ -119,7 +119,7 @@ impl Search {
         for &id in local {
             let Some(landmark) = map.landmark(id) else { continue };
             let camera_point = pose.transform(&landmark.position);
-            if camera_point.z < 1e-6 {
+            if camera_point.z < NEAREST {
                 continue;
             }
             let Some(pixel) = camera.project(&camera_point) else { continue };

@@ -7,13 +7,13 @@ use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, SMatrix, SVector, Vector1, Ve
 
 use super::floor::Rows;
 use super::globals::focal_scale;
-use super::options::{BEHIND_CAMERA, LEAST_PIVOT};
+use super::options::LEAST_PIVOT;
 use super::problem::{BundleProblem, BundleState};
 use crate::geometry::Se3;
 use crate::geometry::cholesky::DenseCholesky;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::least_squares::{Damped, LeastSquares, Loss, damped};
-use crate::reconstruction::measurement::jacobian_rows;
+use crate::reconstruction::measurement::{BEHIND_CAMERA, jacobian_rows};
 
 /// In the place of a fixed camera's index among the free ones.
 const FIXED: usize = usize::MAX;

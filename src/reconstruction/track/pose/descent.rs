@@ -5,7 +5,7 @@ use nalgebra::Vector6;
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::least_squares::{LeastSquares, LmOptions, Loss, NormalEquations, minimise};
-use crate::reconstruction::measurement::{CHI2_2D_95, Correspondence, residual};
+use crate::reconstruction::measurement::{BEHIND_CAMERA, CHI2_2D_95, Correspondence, residual};
 
 /// Options of [`optimise_pose`](super::optimise_pose).
 #[derive(Debug, Clone, Copy)]
@@ -31,6 +31,11 @@ impl PoseOptions {
     pub fn judged_by(outlier_chi2: f64) -> Self {
         Self { outlier_chi2, ..Self::default() }
     }
+
+    /// From a start that may be far off.
+    pub fn from_poor_start() -> Self {
+        Self { first_round_relaxation: 25.0, ..Self::default() }
+    }
 }
 
 /// What the pairs that are inliers cost a pose.
@@ -38,7 +43,7 @@ struct PoseProblem<'a> {
     pairs: &'a [Correspondence],
     inlier: &'a [bool],
     loss: Loss,
-    /// A constant price of a pair behind the camera, so that a step that does this is no gain.
+    /// The price of a pair behind the camera.
     behind: f64,
 }
 
@@ -84,7 +89,7 @@ pub(super) fn descend(
 ) -> (Se3<Camera, World>, f64) {
     let limit = options.outlier_chi2.sqrt();
     let loss = if relaxed { Loss::Cauchy(limit) } else { Loss::Huber(limit) };
-    let problem = PoseProblem { pairs, inlier, loss, behind: 100.0 * options.outlier_chi2 };
+    let problem = PoseProblem { pairs, inlier, loss, behind: BEHIND_CAMERA * options.outlier_chi2 };
     let lm = LmOptions { max_iterations: options.steps, relative_cost: 1e-6, step_norm: 1e-8, initial_damping: 1e-6 };
     let (pose, summary) = minimise(&problem, *start, &lm);
     (pose, summary.final_cost)
