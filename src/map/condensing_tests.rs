@@ -34,18 +34,10 @@ fn pyramid(random: &mut Random) -> Arc<Pyramid> {
 }
 
 fn keyframe(pyramid: &Arc<Pyramid>, x: f64) -> Keyframe {
+    let pose = Se3::new(nalgebra::UnitQuaternion::identity(), Vector3::new(-x, 0.0, 0.0));
     Keyframe {
-        sequence: 0,
-        timestamp_ns: 0,
-        map: MapId(0),
-        camera_from_world: Se3::new(nalgebra::UnitQuaternion::identity(), Vector3::new(-x, 0.0, 0.0)),
-        motion: None,
-        picture: KeyframePicture::new(pyramid.clone()),
         thumbnail: crate::features::thumbnail::thumbnail_of(pyramid),
-        scale_from: None,
-        observations: Default::default(),
-        covisible: Vec::new(),
-        corners: Vec::new(),
+        ..examples::keyframe(pyramid.clone(), pose)
     }
 }
 

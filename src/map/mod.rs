@@ -127,6 +127,22 @@ pub struct Landmark {
     pub disagreed: u32,
 }
 
+impl Landmark {
+    /// Found the one time that it was sought, in the frame that made it.
+    pub fn new(position: Vector3<f64>, covariance: Matrix3<f64>, created_by: KeyframeId) -> Self {
+        Self {
+            position,
+            covariance,
+            observers: Vec::new(),
+            created_by,
+            assumed: None,
+            sought: 1,
+            found: 1,
+            disagreed: 0,
+        }
+    }
+}
+
 /// What a landmark's distance from its first observer is taken to be as long as no parallax tells it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AssumedDistance {

@@ -143,17 +143,8 @@ impl Reconstruction {
                     Some((k, observe(&self.optics.camera, LandmarkId::default(), frame.track(track)?, inv_sigma)?))
                 })
                 .collect();
-            let landmark = Landmark {
-                position: point,
-                covariance: Matrix3::from_element(f64::NAN),
-                observers: Vec::new(),
-                assumed: None,
-                created_by: b,
-                sought: 1,
-                found: 1,
-                disagreed: 0,
-            };
             if seen.len() >= 2 {
+                let landmark = Landmark::new(point, Matrix3::from_element(f64::NAN), b);
                 let id = self.active.map.add_landmark(landmark, &seen);
                 if !is_untracked(track) {
                     self.active.bindings.set(track, Target::Landmark(id));

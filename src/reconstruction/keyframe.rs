@@ -306,17 +306,7 @@ pub(super) fn made_of(
     if seen.len() < 2 || seen[0].0 != anchor || seen.last().map(|s| s.0) != Some(newest) {
         return None;
     }
-    let landmark = Landmark {
-        position: point,
-        covariance,
-        observers: Vec::new(),
-        created_by: newest,
-        assumed: None,
-        sought: 1,
-        found: 1,
-        disagreed: 0,
-    };
-    Some((landmark, seen))
+    Some((Landmark::new(point, covariance, newest), seen))
 }
 
 /// Midpoint of the two rays' closest approach, and the angle between the rays (rad); `None` behind either camera.

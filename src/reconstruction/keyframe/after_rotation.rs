@@ -261,9 +261,8 @@ mod tests {
     use nalgebra::UnitQuaternion;
 
     use super::*;
-    use crate::features::thumbnail::Thumbnail;
     use crate::map::scale::ScaleSource;
-    use crate::map::{Keyframe, Landmark, MapId};
+    use crate::map::{Landmark, examples};
     use crate::motion::hand_eye::Robot;
     use crate::motion::scale::ScaleMeasurement;
     use crate::motion::wheel::WheelReading;
@@ -276,22 +275,6 @@ mod tests {
         CameraModel::new(640, 480, 520.0, 520.0, 320.0, 240.0, [0.0; 5]).expect("a camera")
     }
 
-    fn keyframe(pose: Se3<Camera, World>) -> Keyframe {
-        Keyframe {
-            sequence: 0,
-            timestamp_ns: 0,
-            map: MapId(0),
-            camera_from_world: pose,
-            motion: None,
-            picture: Default::default(),
-            thumbnail: Thumbnail::default(),
-            scale_from: None,
-            observations: Default::default(),
-            covisible: Vec::new(),
-            corners: Vec::new(),
-        }
-    }
-
     /// A room 2 to 6 m away that two keyframes of a turn see, its landmarks half as far as they are; and the matches of a frame
     /// at `pose`.
     fn scene(pose: &Se3<Camera, World>) -> (Map, Vec<Match>) {
@@ -299,7 +282,8 @@ mod tests {
         let mut map = Map::default();
         let turned: Se3<Camera, World> =
             Se3::new(UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.05, 0.0)), Vector3::zeros());
-        let keyframes = [Se3::identity(), turned].map(|p| (map.add_keyframe(keyframe(p)), p));
+        let keyframes =
+            [Se3::identity(), turned].map(|p| (map.add_keyframe(examples::keyframe(Default::default(), p)), p));
         let mut matches = Vec::new();
         for i in 0..120u32 {
             let (a, b, c) = (f64::from(i % 12), f64::from(i / 12), f64::from(i * 7 % 13));
@@ -312,19 +296,8 @@ mod tests {
                 .collect();
             let (Some(pixel), true) = (see(pose), seen.len() == 2) else { continue };
             let assumed = AssumedDistance { inverse: TRUE_OVER_ASSUMED / 4.0, sigma: 1.0 };
-            let id = map.add_landmark(
-                Landmark {
-                    position: point.normalize() / assumed.inverse,
-                    covariance: nalgebra::Matrix3::identity(),
-                    observers: Vec::new(),
-                    created_by: keyframes[1].0,
-                    assumed: Some(assumed),
-                    sought: 1,
-                    found: 1,
-                    disagreed: 0,
-                },
-                &seen,
-            );
+            let landmark = examples::landmark(point.normalize() / assumed.inverse, keyframes[1].0);
+            let id = map.add_landmark(Landmark { assumed: Some(assumed), ..landmark }, &seen);
             matches.push(Match {
                 landmark: id,
                 template: seen[0].0,

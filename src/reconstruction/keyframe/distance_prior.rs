@@ -46,16 +46,9 @@ pub fn assume(
         .iter()
         .all(|(k, o)| map.keyframe(*k).is_some_and(|k| ray.agrees(&k.camera_from_world, o, camera, readout_s)));
     let along = ray.direction * (SIGMA_SHARE * distance);
-    (agree && !others.is_empty()).then(|| Landmark {
-        position: ray.point(),
-        covariance: along * along.transpose(),
-        observers: Vec::new(),
-        created_by: others.last().map_or(anchor, |o| o.0),
-        assumed: Some(ray.assumed),
-        sought: 1,
-        found: 1,
-        disagreed: 0,
-    })
+    let (newest, _) = others.last().filter(|_| agree)?;
+    let landmark = Landmark::new(ray.point(), along * along.transpose(), *newest);
+    Some(Landmark { assumed: Some(ray.assumed), ..landmark })
 }
 
 /// Triangulates the landmarks at assumed distances that the newest keyframe sees under enough parallax.

@@ -196,11 +196,8 @@ mod tests {
 
     use super::*;
     use crate::features::descriptor::Descriptor;
-    use crate::features::thumbnail::Thumbnail;
-    use crate::geometry::frames::World;
     use crate::image::{GreyImage, Pyramid};
-    use crate::map::MapId;
-    use crate::map::picture::KeyframePicture;
+    use crate::map::examples;
     use crate::reconstruction::config::ReconstructionConfig;
     use crate::reconstruction::measurement::CHI2_2D_95;
     use crate::reconstruction::measurement::rolling_shutter::Shutter;
@@ -235,33 +232,13 @@ mod tests {
             let mut pyramid = Pyramid::new(4);
             pyramid.build(&picture(shifts[k], seeds[k]));
             let moved = Vector3::new(-(shifts[k] as f64) / FOCAL_PX, 0.0, 0.0);
-            map.add_keyframe(Keyframe {
-                sequence: k as u64,
-                timestamp_ns: 0,
-                map: MapId(0),
-                camera_from_world: Se3::<Camera, World>::new(UnitQuaternion::identity(), moved),
-                motion: None,
-                picture: KeyframePicture::new(Arc::new(pyramid)),
-                thumbnail: Thumbnail::default(),
-                scale_from: None,
-                observations: Default::default(),
-                covisible: Vec::new(),
-                corners: Vec::new(),
-            })
+            let pose = Se3::new(UnitQuaternion::identity(), moved);
+            map.add_keyframe(examples::keyframe(Arc::new(pyramid), pose))
         });
         for n in 0..20 {
             let pixel = Vector2::new(60.0 + 12.0 * n as f32, 20.0);
             let seen = [0, 1, 2].map(|k| (ids[k], observation(camera, pixel - Vector2::new(shifts[k] as f32, 0.0))));
-            let landmark = Landmark {
-                position: seen[0].1.normalised.push(1.0),
-                covariance: Matrix3::identity() * 1e-6,
-                observers: Vec::new(),
-                created_by: ids[0],
-                assumed: None,
-                sought: 1,
-                found: 1,
-                disagreed: 0,
-            };
+            let landmark = Landmark::new(seen[0].1.normalised.push(1.0), Matrix3::identity() * 1e-6, ids[0]);
             map.add_landmark(landmark, &seen);
         }
         (map, ids[2])

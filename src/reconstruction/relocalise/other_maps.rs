@@ -306,7 +306,7 @@ pub fn retire(map: &Map, events: &mut Vec<TrajectoryEvent>) {
 mod tests {
     use super::*;
     use crate::geometry::random::Random;
-    use crate::map::{Keyframe, Landmark, Observation};
+    use crate::map::{Keyframe, Landmark, Observation, examples};
     use nalgebra::{Matrix2, Matrix3, UnitQuaternion, Vector2, Vector3};
 
     /// Two keyframes of the present map that see the same 40 points of another one, whose unit is a third of it.
@@ -318,32 +318,11 @@ mod tests {
     }
 
     fn keyframe(camera_from_world: Se3<Camera, World>) -> Keyframe {
-        Keyframe {
-            sequence: 0,
-            timestamp_ns: 0,
-            map: MapId(0),
-            camera_from_world,
-            motion: None,
-            picture: Default::default(),
-            thumbnail: Default::default(),
-            scale_from: None,
-            observations: Default::default(),
-            covisible: Vec::new(),
-            corners: Vec::new(),
-        }
+        examples::keyframe(Default::default(), camera_from_world)
     }
 
     fn landmark(position: Vector3<f64>) -> Landmark {
-        Landmark {
-            position,
-            covariance: Matrix3::identity() * 1e-6,
-            observers: Vec::new(),
-            created_by: KeyframeId(0),
-            assumed: None,
-            sought: 0,
-            found: 0,
-            disagreed: 0,
-        }
+        Landmark::new(position, Matrix3::identity() * 1e-6, KeyframeId(0))
     }
 
     /// `known`: how many of the points are landmarks of the present map, too; `baseline` of its keyframes.

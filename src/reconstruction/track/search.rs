@@ -297,7 +297,6 @@ mod tests {
     #[test]
     fn a_condensed_view_from_too_near_gives_way_to_one_from_the_right_distance() {
         use crate::map::view::{DESCRIBED_LEVELS, Description};
-        use crate::map::{Landmark, Map};
         let pixel = Vector2::new(163.0, 117.0);
         let point = Vector3::new(0.0, 0.0, 4.0);
         let mut map = Map::default();
@@ -309,17 +308,7 @@ mod tests {
             (map.add_keyframe(keyframe), observation)
         });
         let [near, beside, twin] = seen.map(|s| s.0);
-        let landmark = Landmark {
-            position: point,
-            covariance: nalgebra::Matrix3::identity(),
-            observers: Vec::new(),
-            created_by: near,
-            assumed: None,
-            sought: 1,
-            found: 1,
-            disagreed: 0,
-        };
-        let landmark = map.add_landmark(landmark, &seen);
+        let landmark = map.add_landmark(examples::landmark(point, near), &seen);
         let candidate = Candidate { landmark, point, pixel: pixel.cast(), cell: 0 };
         let chosen = |map: &Map| closest_view(map, &Vector3::zeros(), &candidate).expect("a view").keyframe.centre();
         // The twin keeps the patch that the other then needs not.
