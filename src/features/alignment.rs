@@ -1,8 +1,8 @@
 //! Sub-pixel alignment of a small patch: the kernel of frame-to-frame flow and of tracking against the map.
 //!
 //! In: a template of N x N grey values (8 x 8 unless said otherwise) with a border of one pixel, a picture (one pyramid
-//! level) and a start in pixels of that level. Out: the position in the picture where the template's centre lies, with
-//! a residual; or a named reason why there is none.
+//! level) and a start in pixels of that level. Out: the position in the picture where the template's centre lies, and
+//! how alike the two are; or `None`.
 //!
 //! Model: I(p + u) = a T(u) + b for all u of the patch, with gain a and bias b free (auto exposure), solved for p by the
 //! inverse-compositional Gauss-Newton method (Baker & Matthews, Lucas-Kanade 20 Years On, IJCV 2004, section 3.2; gain
@@ -42,14 +42,14 @@ const SINGULAR_EIGENVALUE: f32 = 1e-3;
 const MAX_SUM_OF_MAGNITUDES: f32 = 130_000.0;
 const _: () = assert!((MAX_SUM_OF_MAGNITUDES as i64 + 128) * (MAX_SAMPLE as i64) < 1 << 31);
 
-/// When to stop, and what to call a failure.
+/// When to stop, and what is not found.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AlignOptions {
     /// Bound on the iterations.
     pub max_iterations: u32,
     /// A step below this ends the iteration, pixels of the level.
     pub convergence_px: f32,
-    /// After `max_iterations`, a last step above this is [`AlignFailure::Diverged`], pixels of the level.
+    /// After `max_iterations`, a last step above this has not converged, pixels of the level.
     pub accept_step_px: f32,
     /// Farthest that the result may lie from the start, pixels of the level.
     pub max_shift_px: f32,
@@ -66,27 +66,8 @@ impl Default for AlignOptions {
 pub struct Aligned {
     /// The template's centre, pixels of the level.
     pub position: Vector2<f32>,
-    /// Zero-mean sum of squared differences over the number of pixels, grey². Contains the gain.
-    pub ssd: f32,
     /// Normalised cross-correlation, -1 to 1: free of gain and bias.
     pub ncc: f32,
-    /// Gain a of the picture over the template.
-    pub gain: f32,
-    pub iterations: u32,
-}
-
-/// Why a template was not found.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-pub enum AlignFailure {
-    /// The patch would reach outside the picture.
-    #[error("patch left the picture")]
-    LeftPicture,
-    /// Too far from the start, not converging, or the picture there is the template's negative.
-    #[error("alignment diverged")]
-    Diverged,
-    /// The template has no gradient in some direction.
-    #[error("template cannot be localised: structure tensor is singular")]
-    Singular,
 }
 
 /// What of a patch does not depend on where it is looked for. `N` is 8 or 16.
@@ -236,7 +217,7 @@ impl<const N: usize> PatchTemplate<N> {
     pub fn ncc(&self, image: &GreyImage, position: Vector2<f32>) -> Option<f32> {
         let mut patch = [[0; N]; N];
         self.products(image, position - self.offset, &mut patch)?;
-        Some(self.score(&patch).1)
+        Some(self.score(&patch))
     }
 
     /// Samples `patch` around `center`; returns where that really is and the products of the samples with the two step
@@ -266,9 +247,9 @@ impl<const N: usize> PatchTemplate<N> {
         Some((window.first.map(|v| v + Self::RADIUS), out))
     }
 
-    /// Zero-mean SSD per pixel, NCC and gain of a sampled patch.
+    /// NCC of a sampled patch.
     #[inline(always)]
-    fn score(&self, patch: &[[i16; N]; N]) -> (f32, f32, f32) {
+    fn score(&self, patch: &[[i16; N]; N]) -> f32 {
         let area = (N * N) as f32;
         let mut sums = [f32x8::ZERO; 3];
         for (row, pixels) in patch.iter().zip(&self.pixels) {
@@ -283,21 +264,20 @@ impl<const N: usize> PatchTemplate<N> {
         let energy = (squares - sum * sum / area).max(0.0) * (1.0 / (SCALE * SCALE));
         let product = product * self.unit[2];
         let norm = (energy * self.energy).sqrt();
-        let ncc = if norm > 0.0 { product / norm } else { 0.0 };
-        let gain = if self.energy > 0.0 { product / self.energy } else { 0.0 };
-        (((energy - 2.0 * product + self.energy) / area).max(0.0), ncc, gain)
+        if norm > 0.0 { product / norm } else { 0.0 }
     }
 }
 
-/// Finds `template` in `image` from `start` (pixels of `image`) on.
+/// Finds `template` in `image` from `start` (pixels of `image`) on; `None` where it has no gradient in some direction,
+/// would reach outside, does not converge near the start, or the picture there is its negative.
 pub fn align<const N: usize>(
     template: &PatchTemplate<N>,
     image: &GreyImage,
     start: Vector2<f32>,
     options: &AlignOptions,
-) -> Result<Aligned, AlignFailure> {
+) -> Option<Aligned> {
     if template.unit[0] == 0.0 {
-        return Err(AlignFailure::Singular);
+        return None;
     }
     let max_shift_squared = options.max_shift_px * options.max_shift_px;
     let inverse_energy = 1.0 / template.energy;
@@ -305,32 +285,26 @@ pub fn align<const N: usize>(
     let mut position = start;
     let mut patch = [[0; N]; N];
     let mut step_squared = f32::INFINITY;
-    let mut iterations = 0;
-    while iterations < options.max_iterations {
-        let (sampled, [x, y, product]) =
-            template.products(image, position, &mut patch).ok_or(AlignFailure::LeftPicture)?;
+    for _ in 0..options.max_iterations {
+        let (sampled, [x, y, product]) = template.products(image, position, &mut patch)?;
         // Far from the solution the gain is not meaningful: bounded, it only shortens or lengthens the step.
         let gain = (1.0 + product * inverse_energy).clamp(0.5, 2.0);
         let step = Vector2::new(x, y) / gain;
         position = sampled - step;
-        iterations += 1;
         step_squared = step.norm_squared();
         // Written so that NaN fails, here and below.
         if !((position - start).norm_squared() <= max_shift_squared) {
-            return Err(AlignFailure::Diverged);
+            return None;
         }
         if step_squared < options.convergence_px * options.convergence_px {
             break;
         }
     }
     if !(step_squared <= options.accept_step_px * options.accept_step_px) {
-        return Err(AlignFailure::Diverged);
+        return None;
     }
-    let (ssd, ncc, gain) = template.score(&patch);
-    if !(ncc > 0.0) {
-        return Err(AlignFailure::Diverged);
-    }
-    Ok(Aligned { position: position + template.offset, ssd, ncc, gain, iterations })
+    let ncc = template.score(&patch);
+    (ncc > 0.0).then(|| Aligned { position: position + template.offset, ncc })
 }
 
 /// Eight lanes of a row.

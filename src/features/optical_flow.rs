@@ -78,13 +78,13 @@ fn descend(
         let Some(template) = Template::from_image(&from.levels[level], level_from_base(level, point.place)) else {
             continue;
         };
-        if let Ok(a) = align(&template, &to.levels[level], level_from_base(level, place), &options)
+        if let Some(a) = align(&template, &to.levels[level], level_from_base(level, place), &options)
             && a.ncc > COARSE_NCC
         {
             place = base_from_level(level, a.position);
         }
     }
     let options = AlignOptions { max_shift_px: 4.0, ..AlignOptions::default() };
-    let a = align(&point.template, &to.levels[0], place, &options).ok()?;
+    let a = align(&point.template, &to.levels[0], place, &options)?;
     Some((a.position, a.ncc))
 }

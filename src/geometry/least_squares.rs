@@ -58,6 +58,16 @@ pub trait Damped {
     fn length(step: &Self::Step) -> f64;
 }
 
+/// Marquardt's damping of a block, with `least_pivot` added to every pivot, so that what nothing depends on stays where
+/// it is.
+pub fn damped<const N: usize>(block: &SMatrix<f64, N, N>, damping: f64, least_pivot: f64) -> SMatrix<f64, N, N> {
+    let mut block = *block;
+    for i in 0..N {
+        block[(i, i)] += damping * block[(i, i)] + least_pivot;
+    }
+    block
+}
+
 /// `JᵀWJ` and `JᵀWr` at one state.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NormalEquations<const N: usize> {

@@ -44,7 +44,7 @@ pub mod unknown_turn;
 pub use camera_model::{CameraModel, CameraModelError};
 pub use lens_model::LensModel;
 pub use se3::Se3;
-pub use statistics::median;
+pub use statistics::{SIGMA_OVER_MEDIAN, median};
 
 /// Marker types of the coordinate frames that a [`Se3`] maps between.
 pub mod frames {

@@ -84,6 +84,11 @@ impl<To, From> Se3<To, From> {
         Se3::new(self.rotation, self.translation)
     }
 
+    /// The same with lengths that are `factor` times as long.
+    pub fn rescaled(&self, factor: f64) -> Self {
+        Self::new(self.rotation, self.translation * factor)
+    }
+
     /// Decoupled left perturbation, tangent `[rotation (rad), translation]` in `To`'s axes:
     /// `R' = exp(w) R`, `t' = t + v`... applied as `x' = exp(w) (R x + t) + v`.
     pub fn perturb_left(&self, delta: &Vector6<f64>) -> Self {

@@ -1,5 +1,8 @@
 //! Of a set of numbers.
 
+/// Standard deviation of a normal distribution over the median of its deviations' magnitudes.
+pub const SIGMA_OVER_MEDIAN: f64 = 1.4826;
+
 /// The upper one of an even number; `None` of nothing. Reorders `values`. Cost: linear.
 pub fn median(values: &mut [f64]) -> Option<f64> {
     let middle = values.len() / 2;

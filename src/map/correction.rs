@@ -29,7 +29,7 @@ impl Correction {
 
     /// A camera whose surroundings move so is there.
     pub fn placed(camera_from_world: &Se3<Camera, World>, new_from_old: &Sim3<World, World>) -> Se3<Camera, World> {
-        (new_from_old.rigid() * scaled(&camera_from_world.inverse(), new_from_old.scale)).inverse()
+        (new_from_old.rigid() * camera_from_world.inverse().rescaled(new_from_old.scale)).inverse()
     }
 
     /// The keyframe that a landmark moves with: the one that it was made at, else the last of those that observe it.
@@ -62,9 +62,4 @@ impl Map {
         }
         self.revision += 1;
     }
-}
-
-/// The same pose with its length in another unit.
-fn scaled<To, From>(pose: &Se3<To, From>, scale: f64) -> Se3<To, From> {
-    Se3::new(pose.rotation, pose.translation * scale)
 }

@@ -57,18 +57,9 @@ pub fn changes(camera: &CameraModel, map: &mut Map, is_everything: bool) -> MapC
     MapChanges::take(optics, 5, vec![(head, map)], is_everything)
 }
 
-/// Found the one time that it was sought; a unit uncertain.
+/// A new one, a unit uncertain.
 pub fn landmark(position: Vector3<f64>, created_by: KeyframeId) -> Landmark {
-    Landmark {
-        position,
-        covariance: Matrix3::identity(),
-        observers: Vec::new(),
-        created_by,
-        assumed: None,
-        sought: 1,
-        found: 1,
-        disagreed: 0,
-    }
+    Landmark::new(position, Matrix3::identity(), created_by)
 }
 
 /// A copy of this picture in memory, which cannot be read the first few times.

@@ -130,6 +130,20 @@ pub struct Landmark {
 impl Landmark {
     /// Frames that are counted, some days of them: beyond, and of a file that says more, it is the share found that counts.
     pub const MOST_SOUGHT: u32 = 1 << 24;
+
+    /// Found the one time that it was sought, in the frame that made it.
+    pub fn new(position: Vector3<f64>, covariance: Matrix3<f64>, created_by: KeyframeId) -> Self {
+        Self {
+            position,
+            covariance,
+            observers: Vec::new(),
+            created_by,
+            assumed: None,
+            sought: 1,
+            found: 1,
+            disagreed: 0,
+        }
+    }
 }
 
 /// What a landmark's distance from its first observer is taken to be as long as no parallax tells it.

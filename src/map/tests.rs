@@ -4,19 +4,8 @@ use super::*;
 use crate::geometry::random::Random;
 
 fn keyframe(landmarks: &[u32]) -> Keyframe {
-    Keyframe {
-        sequence: 0,
-        timestamp_ns: 0,
-        map: MapId(0),
-        camera_from_world: Se3::identity(),
-        motion: None,
-        picture: Default::default(),
-        thumbnail: Thumbnail::default(),
-        scale_from: None,
-        observations: landmarks.iter().map(|&l| observation(l)).collect(),
-        covisible: Vec::new(),
-        corners: Vec::new(),
-    }
+    let observations = landmarks.iter().map(|&l| observation(l)).collect();
+    Keyframe { observations, ..examples::keyframe(Default::default(), Se3::identity()) }
 }
 
 fn observation(landmark: u32) -> Observation {
@@ -31,16 +20,7 @@ fn observation(landmark: u32) -> Observation {
 }
 
 fn landmark() -> Landmark {
-    Landmark {
-        position: Vector3::zeros(),
-        covariance: Matrix3::zeros(),
-        observers: Vec::new(),
-        created_by: KeyframeId(0),
-        assumed: None,
-        sought: 0,
-        found: 0,
-        disagreed: 0,
-    }
+    Landmark::new(Vector3::zeros(), Matrix3::zeros(), KeyframeId(0))
 }
 
 #[test]

@@ -71,7 +71,7 @@ fn way_over<N: Iterator<Item = KeyframeId>>(
 mod tests {
     use super::*;
     use crate::geometry::Se3;
-    use crate::map::{Keyframe, MapId};
+    use crate::map::{Keyframe, MapId, examples};
     use nalgebra::{UnitQuaternion, Vector3};
 
     /// Keyframes around a square of side 10, one a unit, and a unit short of the start.
@@ -85,19 +85,8 @@ mod tests {
                 2 => [10.0 - along, 10.0],
                 _ => [0.0, 10.0 - along],
             };
-            map.add_keyframe(Keyframe {
-                sequence: i as u64,
-                timestamp_ns: 0,
-                map: MapId(0),
-                camera_from_world: Se3::new(UnitQuaternion::identity(), -Vector3::new(at[0], 0.0, at[1])),
-                motion: None,
-                picture: Default::default(),
-                thumbnail: Default::default(),
-                scale_from: None,
-                observations: Default::default(),
-                covisible: Vec::new(),
-                corners: Vec::new(),
-            });
+            let pose = Se3::new(UnitQuaternion::identity(), -Vector3::new(at[0], 0.0, at[1]));
+            map.add_keyframe(Keyframe { sequence: i as u64, ..examples::keyframe(Default::default(), pose) });
         }
         map
     }

@@ -63,11 +63,11 @@ impl Ahead {
         let just_before = from_ns.max(to_ns - NOW_NS);
         let dt = (to_ns - just_before) as f64 * 1e-9;
         let motion = wheels.ahead(just_before, to_ns, LATE_NS).map(|now| {
-            let step = scaled(&camera_motion(&robot, &now).inverse(), units_per_m);
+            let step = camera_motion(&robot, &now).inverse().rescaled(units_per_m);
             CameraMotion::over(&step, dt)
         });
         Some(Self {
-            now_from_last: scaled(&camera_motion(&robot, &increment).inverse(), units_per_m),
+            now_from_last: camera_motion(&robot, &increment).inverse().rescaled(units_per_m),
             covariance: scaled_covariance(&camera_covariance(&robot, &increment), units_per_m),
             motion,
             way_m: increment.way_m,
@@ -94,11 +94,7 @@ impl Ahead {
 
     /// Covariance of the left perturbation of a pose that was known so before this motion.
     pub fn carry(&self, covariance: &Matrix6<f64>) -> Matrix6<f64> {
-        let turn = self.now_from_last.rotation.to_rotation_matrix().into_inner();
-        let mut carried = Matrix6::zeros();
-        carried.fixed_view_mut::<3, 3>(0, 0).copy_from(&turn);
-        carried.fixed_view_mut::<3, 3>(3, 3).copy_from(&turn);
-        carried.fixed_view_mut::<3, 3>(3, 0).copy_from(&(self.now_from_last.translation.cross_matrix() * turn));
+        let carried = self.now_from_last.adjoint();
         carried * covariance * carried.transpose() + self.covariance
     }
 
@@ -221,10 +217,6 @@ fn camera_covariance(robot: &Robot, increment: &Increment) -> Matrix6<f64> {
     into_camera.fixed_view_mut::<3, 3>(3, 3).copy_from(&axes);
     into_camera.fixed_view_mut::<3, 3>(3, 0).copy_from(&-(axes * lever.cross_matrix()));
     into_camera * base * into_camera.transpose()
-}
-
-fn scaled(motion: &Se3<Camera, Camera>, factor: f64) -> Se3<Camera, Camera> {
-    Se3::new(motion.rotation, motion.translation * factor)
 }
 
 fn scaled_covariance(covariance: &Matrix6<f64>, factor: f64) -> Matrix6<f64> {

@@ -13,23 +13,23 @@ use super::adjust::job::Adjustment;
 use super::consensus::{AGREEING_SHARE, FrameTracks, PosedViews};
 use super::keyframe::bind_new;
 use super::keyframe::point::{observations_of, refine_point};
-use super::measurement::Correspondence;
+use super::measurement::{Correspondence, TWO_VIEW_SIGMA_PX};
 use super::odometry::Odometry;
 use super::optics::Optics;
 use super::track::association::{Seed, Target};
 use super::track::pose::{PoseOptions, optimise_pose};
-use super::track::template::{SearchOptions, observe, refine_in};
+use super::track::template::{observe, refine_in};
 use super::types::{PoseEstimate, TrackingState, TrajectoryEvent};
 use crate::features::FrameFeatures;
 use crate::features::thumbnail::thumbnail_of;
-use crate::geometry::Se3;
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
+use crate::geometry::{Se3, median};
 use crate::map::picture::KeyframePicture;
 use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Observation};
-use initialiser::{START_SIGMA_PX, Start};
+use initialiser::Start;
 use untracked::is_untracked;
-use views::View;
+use views::{View, Views};
 
 /// Standard deviation of the direction of the first motion that a start may have, rad; the longer the camera moves and nothing
 /// better comes the more is allowed: so much more after so many seconds, and at most so many times.
@@ -100,27 +100,26 @@ impl Reconstruction {
 
     /// The first keyframes and their landmarks, adjusted, and the newest frame's pose; `None` if too little of it holds.
     fn build_map(&mut self, start: &Start, features: &FrameFeatures) -> Option<Se3<Camera, World>> {
-        let mut depths: Vec<f64> = start.points.iter().map(|p| p.point.z).collect();
-        depths.sort_unstable_by(f64::total_cmp);
+        let mut depths: Vec<f64> = start.points.iter().map(|(_, point)| point.z).collect();
         // The unit of a map is the median depth of its start.
-        let scale = 1.0 / depths[depths.len() / 2];
+        let scale = 1.0 / median(&mut depths)?;
         let second: Se3<Camera, World> =
             Se3::new(start.second_from_first.rotation, start.second_from_first.translation * scale);
-        let first = &start.first;
+        let Views { first, between, newest } = &start.views;
         let a = self.add_view(first, Se3::identity());
         // Ascending track id, for the views in between.
-        let mut points: Vec<(u64, Vector3<f64>)> = start.points.iter().map(|p| (p.track, p.point * scale)).collect();
+        let mut points: Vec<(u64, Vector3<f64>)> =
+            start.points.iter().map(|&(track, point)| (track, point * scale)).collect();
         points.sort_unstable_by_key(|p| p.0);
         let mut views = vec![(a, &first.frame)];
         let mut guess = Se3::identity();
         let position = |track| points.binary_search_by_key(&track, |p| p.0).ok().map(|i| points[i].1);
-        for view in &start.between {
+        for view in between {
             if let Some(pose) = self.solve_pose(&view.frame, &guess, position) {
                 guess = pose;
                 views.push((self.add_view(view, pose), &view.frame));
             }
         }
-        let newest = &start.newest;
         let b = self.add_view(&View { frame: newest.clone(), pyramid: features.pyramid.clone() }, second);
         views.push((b, newest));
         let inv_sigma = 1.0 / self.config.sigma_px;
@@ -131,17 +130,8 @@ impl Reconstruction {
                     Some((k, observe(&self.optics.camera, LandmarkId::default(), frame.track(track)?, inv_sigma)?))
                 })
                 .collect();
-            let landmark = Landmark {
-                position: point,
-                covariance: Matrix3::from_element(f64::NAN),
-                observers: Vec::new(),
-                assumed: None,
-                created_by: b,
-                sought: 1,
-                found: 1,
-                disagreed: 0,
-            };
             if seen.len() >= 2 {
+                let landmark = Landmark::new(point, Matrix3::from_element(f64::NAN), b);
                 let id = self.active.map.add_landmark(landmark, &seen);
                 if !is_untracked(track) {
                     self.active.bindings.set(track, Target::Landmark(id));
@@ -157,7 +147,8 @@ impl Reconstruction {
         self.optics.noise.learn(noise);
         // What an unknown lens makes unsure becomes no surer by sharp pictures.
         let share = if self.optics.intrinsics.is_calibrated() { self.optics.noise.share() } else { 1.0 };
-        if sigma * share > MAX_DIRECTION_SIGMA * (1.0 + start.trying_s / PATIENCE_S).min(LARGEST_RELAXATION) {
+        let relaxation = (1.0 + self.initialiser.trying_s / PATIENCE_S).min(LARGEST_RELAXATION);
+        if sigma * share > MAX_DIRECTION_SIGMA * relaxation {
             return None;
         }
         if self.optics.intrinsics.is_calibrated() {
@@ -218,14 +209,13 @@ impl Reconstruction {
 
     /// Replaces the tracked places in the later views by alignment with the first one's templates: flow drifts.
     fn refine_views(&mut self, first: KeyframeId) {
-        let options = SearchOptions::precise(self.config.sigma_px);
         let ids: Vec<LandmarkId> = self.active.map.landmarks.iter().map(|(id, _)| LandmarkId(id)).collect();
         for id in ids {
             let Some(landmark) = self.active.map.landmark(id) else { continue };
             let observers = landmark.observers.clone();
             let mut position = landmark.position;
             for &k in observers.iter().filter(|k| **k != first) {
-                match self.refined(first, k, id, &position, &options) {
+                match self.refined(first, k, id, &position) {
                     Some(new) => self.active.map.replace_observation(k, new),
                     None => self.active.map.remove_observation(k, id),
                 }
@@ -247,11 +237,10 @@ impl Reconstruction {
         other: KeyframeId,
         id: LandmarkId,
         point: &Vector3<f64>,
-        options: &SearchOptions,
     ) -> Option<Observation> {
         let [a, b] = [self.active.map.keyframe(first)?, self.active.map.keyframe(other)?];
         let start = b.observation(id)?.pixel;
-        refine_in(a, &a.observation(id)?, b, point, start, &self.optics.camera, options)
+        refine_in(a, &a.observation(id)?, b, point, start, &self.optics.camera, self.config.sigma_px)
     }
 
     /// How the camera moved at each view, from the views before and after: a rolling shutter shows it.
@@ -337,7 +326,7 @@ impl Reconstruction {
             let Some(point) = position(track) else { continue };
             let Some(normalised) = self.optics.camera.undistort(&pixel.cast()) else { continue };
             let pixel_scale = self.optics.camera.pixel_scale(&normalised);
-            pairs.push(Correspondence::new(point, normalised, pixel_scale, 1.0 / START_SIGMA_PX));
+            pairs.push(Correspondence::new(point, normalised, pixel_scale, 1.0 / TWO_VIEW_SIGMA_PX));
         }
         let mut inlier = Vec::new();
         let solution =

@@ -25,7 +25,7 @@ use super::measurement::rolling_shutter::Shutter;
 use super::track::association::{Bindings, Seed, Target};
 use super::track::frame::QUICK_TURN_RAD;
 use super::track::search::Match;
-use super::track::template::{SearchOptions, observe, refine_in};
+use super::track::template::{observe, refine_in};
 use crate::features::thumbnail::thumbnail_of;
 use crate::features::{Feedback, FrameFeatures};
 use crate::geometry::camera_motion::CameraMotion;
@@ -71,6 +71,16 @@ pub fn wants_keyframe(inputs: &KeyframeInputs, config: &ReconstructionConfig) ->
         || inputs.parallax_deg > config.keyframe_parallax_deg
 }
 
+/// What does not change while a keyframe is made.
+#[derive(Clone, Copy)]
+pub struct Lens<'a> {
+    pub camera: &'a CameraModel,
+    pub config: &'a ReconstructionConfig,
+    pub shutter: &'a Shutter,
+    /// Squared residual, in supposed standard deviations, beyond which a place is an outlier.
+    pub outlier_chi2: f64,
+}
+
 /// A tracked frame on its way into the map.
 pub struct NewKeyframe<'a> {
     pub features: &'a FrameFeatures,
@@ -81,9 +91,7 @@ pub struct NewKeyframe<'a> {
     /// Matches that agree with the pose, ascending landmark id.
     pub matches: &'a [Match],
     pub motion: Option<CameraMotion>,
-    pub shutter: &'a Shutter,
-    /// Squared residual, in supposed standard deviations, beyond which a place is an outlier.
-    pub outlier_chi2: f64,
+    pub lens: Lens<'a>,
     /// The last turn that the scale of its pose came through.
     pub scale_from: Option<TurnId>,
     /// Its pose rests on assumed distances: nothing can be triangulated from it.
@@ -109,11 +117,9 @@ pub fn insert_keyframe(
     map: &mut Map,
     bindings: &mut Bindings,
     new: &NewKeyframe<'_>,
-    camera: &CameraModel,
-    config: &ReconstructionConfig,
     feedback: &mut Feedback,
 ) -> KeyframeId {
-    let observations = new.matches.iter().filter_map(|m| observe_match(camera, m)).collect();
+    let observations = new.matches.iter().filter_map(|m| observe_match(new.lens.camera, m)).collect();
     let id = map.add_keyframe(Keyframe {
         sequence: new.features.sequence,
         timestamp_ns: new.features.timestamp_ns,
@@ -137,20 +143,18 @@ pub fn insert_keyframe(
                     feedback.forget.push(track.id);
                 }
             }
-            Some(Target::Seed(mut seed)) => {
-                match triangulate_seed(map, &seed, id, track.position, new, camera, config) {
-                    SeedOutcome::Landmark(landmark) => bindings.set(track.id, Target::Landmark(landmark)),
-                    SeedOutcome::Waits => {
-                        seed.add(id, track.position);
-                        bindings.set(track.id, Target::Seed(seed));
-                    }
-                    SeedOutcome::Wrong => {
-                        bindings.remove(track.id);
-                        feedback.forget.push(track.id);
-                    }
-                    SeedOutcome::Orphan => bindings.set(track.id, Target::Seed(Seed::new(id, track.position))),
+            Some(Target::Seed(mut seed)) => match triangulate_seed(map, &seed, id, track.position, new) {
+                SeedOutcome::Landmark(landmark) => bindings.set(track.id, Target::Landmark(landmark)),
+                SeedOutcome::Waits => {
+                    seed.add(id, track.position);
+                    bindings.set(track.id, Target::Seed(seed));
                 }
-            }
+                SeedOutcome::Wrong => {
+                    bindings.remove(track.id);
+                    feedback.forget.push(track.id);
+                }
+                SeedOutcome::Orphan => bindings.set(track.id, Target::Seed(Seed::new(id, track.position))),
+            },
             // Unbound, or its landmark is gone.
             _ => match new.matches.iter().find(|m| (m.pixel - track.position).norm() < SAME_CORNER_PX) {
                 Some(m) if !is_bound(bindings, m.landmark) => bindings.set(track.id, Target::Landmark(m.landmark)),
@@ -211,9 +215,8 @@ fn triangulate_seed(
     newest: KeyframeId,
     pixel: Vector2<f32>,
     new: &NewKeyframe<'_>,
-    camera: &CameraModel,
-    config: &ReconstructionConfig,
 ) -> SeedOutcome {
+    let Lens { camera, config, shutter, .. } = new.lens;
     let Some(&(anchor_id, anchor_pixel)) = seed.observations().iter().find(|(k, _)| is_whole(map, *k)) else {
         return SeedOutcome::Orphan;
     };
@@ -242,14 +245,12 @@ fn triangulate_seed(
         (None, _) => return SeedOutcome::Waits,
     };
     // Refine the place in the new picture (and in those between) against the anchor's template.
-    let options = SearchOptions::precise(config.sigma_px);
-    let displaced = |keyframe: &Keyframe, o: Observation| displaced(keyframe, o, &point, new.shutter);
-    let readout_s = new.shutter.readout_s;
+    let displaced = |keyframe: &Keyframe, o: Observation| displaced(keyframe, o, &point, shutter);
+    let readout_s = shutter.readout_s;
     let mut seen: Vec<(KeyframeId, Observation)> = vec![(anchor_id, displaced(anchor, a))];
     for &(id, pixel) in seed.observations().iter().chain(&[(newest, pixel)]) {
         let Some(keyframe) = map.keyframe(id).filter(|_| id != anchor_id) else { continue };
-        let refined = refine_in(anchor, &a, keyframe, &point, pixel, camera, &options);
-        match refined {
+        match refine_in(anchor, &a, keyframe, &point, pixel, camera, config.sigma_px) {
             Some(o) => seen.push((id, displaced(keyframe, o))),
             None if id == newest => return SeedOutcome::Wrong,
             None => {}
@@ -268,7 +269,7 @@ fn triangulate_seed(
     if !enough(&met) {
         return SeedOutcome::Waits;
     }
-    match made_of(map, &seen, newest, camera, config, (readout_s, new.outlier_chi2)) {
+    match made_of(map, &seen, &new.lens) {
         Some((landmark, seen)) => SeedOutcome::Landmark(map.add_landmark(landmark, &seen)),
         None => SeedOutcome::Wrong,
     }
@@ -285,15 +286,14 @@ pub(super) fn displaced(keyframe: &Keyframe, o: Observation, point: &Vector3<f64
 pub(super) fn made_of(
     map: &Map,
     seen: &[(KeyframeId, Observation)],
-    newest: KeyframeId,
-    camera: &CameraModel,
-    config: &ReconstructionConfig,
-    (readout_s, outlier_chi2): (f64, f64),
+    lens: &Lens<'_>,
 ) -> Option<(Landmark, Vec<(KeyframeId, Observation)>)> {
-    let (&(anchor_id, first), &(last_id, last)) = (seen.first()?, seen.last()?);
-    let (anchor, newest_keyframe) = (map.keyframe(anchor_id)?, map.keyframe(last_id)?);
+    let Lens { camera, config, shutter, outlier_chi2 } = *lens;
+    let readout_s = shutter.readout_s;
+    let (&(anchor, first), &(newest, last)) = (seen.first()?, seen.last()?);
+    let [anchor_pose, newest_pose] = [map.keyframe(anchor)?, map.keyframe(newest)?].map(|k| k.camera_from_world);
     let (first, last) = (first.at_middle_row(readout_s), last.at_middle_row(readout_s));
-    let (mut point, angle) = triangulate(&anchor.camera_from_world, &first, &newest_keyframe.camera_from_world, &last)?;
+    let (mut point, angle) = triangulate(&anchor_pose, &first, &newest_pose, &last)?;
     if angle < config.min_parallax_deg.to_radians() {
         return None;
     }
@@ -303,20 +303,10 @@ pub(super) fn made_of(
             .is_some_and(|k| reprojection_chi2(&k.camera_from_world, &point, o, camera, readout_s) <= outlier_chi2)
     };
     let seen: Vec<_> = seen.iter().filter(agrees).copied().collect();
-    if seen.len() < 2 || seen[0].0 != anchor_id || seen.last().map(|s| s.0) != Some(newest) {
+    if seen.len() < 2 || seen[0].0 != anchor || seen.last().map(|s| s.0) != Some(newest) {
         return None;
     }
-    let landmark = Landmark {
-        position: point,
-        covariance,
-        observers: Vec::new(),
-        created_by: newest,
-        assumed: None,
-        sought: 1,
-        found: 1,
-        disagreed: 0,
-    };
-    Some((landmark, seen))
+    Some((Landmark::new(point, covariance, newest), seen))
 }
 
 /// Midpoint of the two rays' closest approach, and the angle between the rays (rad); `None` behind either camera.

@@ -10,12 +10,18 @@ pub mod rolling_shutter;
 use nalgebra::{Matrix2, Matrix3, Matrix6, Vector2, Vector3, Vector6};
 
 use crate::geometry::frames::{Camera, World};
-use crate::geometry::{CameraModel, Se3};
+use crate::geometry::{CameraModel, Se3, median};
 use crate::map::{AssumedDistance, Observation};
 use inverse_distance::Ray;
 
 /// Points nearer to the image plane, or behind it, are not seen, map units.
 pub(crate) const NEAREST: f64 = 1e-6;
+
+/// Price of a place behind the camera in squared outlier limits: a step that does this is no gain.
+pub(crate) const BEHIND_CAMERA: f64 = 100.0;
+
+/// Standard deviation of a place in either of two views that tracks over many frames join, px.
+pub const TWO_VIEW_SIGMA_PX: f64 = 1.0;
 
 /// 95 % limit of chi-square with two degrees of freedom.
 pub const CHI2_2D_95: f64 = 5.991;
@@ -32,8 +38,6 @@ pub struct Correspondence {
     pub normalised: Vector2<f64>,
     /// Square root of the information of `normalised`: standard deviations that a step on that plane counts as.
     pub sqrt_information: Matrix2<f64>,
-    /// Variance of a place in the picture, px².
-    pub variance_px2: f64,
     /// Where only this is known of the point: its distance is eliminated at whatever pose the pair is compared with.
     pub ray: Option<Ray>,
 }
@@ -62,8 +66,7 @@ impl Correspondence {
     /// `pixel_scale`: pixels that steps on the plane z = 1 count as there ([`CameraModel::pixel_scale`]); `inv_sigma_px`: one over the
     /// standard deviation of a place in the picture, 1/px.
     pub fn new(point: Vector3<f64>, normalised: Vector2<f64>, pixel_scale: Matrix2<f64>, inv_sigma_px: f64) -> Self {
-        let (sqrt_information, variance_px2) = (pixel_scale * inv_sigma_px, inv_sigma_px.powi(-2));
-        Self { point, normalised, sqrt_information, variance_px2, ray: None }
+        Self { point, normalised, sqrt_information: pixel_scale * inv_sigma_px, ray: None }
     }
 
     /// What it tells of a pose near `pose` when its point is uncertain itself: `e' W e`, `W = (s² I + J P J')⁻¹` with P the point's
@@ -123,7 +126,7 @@ impl Ray {
             let n = p.xy() / p.z;
             (p.z > NEAREST).then(|| (n, (n * rotated.z - rotated.xy()) / (p.z * inverse * inverse)))
         };
-        let pixels = |v: &Vector2<f64>| scaled(&pair.sqrt_information, 1.0, v.x, v.y);
+        let pixels = |v: &Vector2<f64>| scaled(&pair.sqrt_information, v.x, v.y);
         let (mut inverse, (mut n, mut derivative)) = (mean, see(mean)?);
         for _ in 0..3 {
             let (e, j) = (pixels(&(n - pair.normalised)), pixels(&derivative));
@@ -164,7 +167,7 @@ fn residual_of_point(pose: &Se3<Camera, World>, pair: &Correspondence) -> Option
     }
     let iz = 1.0 / p.z;
     let scale = pair.sqrt_information;
-    Some(Residual { e: scaled(&scale, 1.0, p.x * iz - pair.normalised.x, p.y * iz - pair.normalised.y), p, scale })
+    Some(Residual { e: scaled(&scale, p.x * iz - pair.normalised.x, p.y * iz - pair.normalised.y), p, scale })
 }
 
 /// A pinhole's scale: the short way then, with the same bits as the long one.
@@ -173,14 +176,13 @@ pub(crate) fn is_diagonal(scale: &Matrix2<f64>) -> bool {
     scale.m12 == 0.0 && scale.m21 == 0.0
 }
 
-/// A step on the plane z = 1 in pixels, times `factor`.
+/// A step on the plane z = 1 in standard deviations.
 #[inline]
-pub(crate) fn scaled(scale: &Matrix2<f64>, factor: f64, x: f64, y: f64) -> Vector2<f64> {
-    let m = |v: f64| factor * v;
+pub(crate) fn scaled(scale: &Matrix2<f64>, x: f64, y: f64) -> Vector2<f64> {
     if is_diagonal(scale) {
-        return Vector2::new(m(scale.m11) * x, m(scale.m22) * y);
+        return Vector2::new(scale.m11 * x, scale.m22 * y);
     }
-    Vector2::new(m(scale.m11) * x + m(scale.m12) * y, m(scale.m21) * x + m(scale.m22) * y)
+    Vector2::new(scale.m11 * x + scale.m12 * y, scale.m21 * x + scale.m22 * y)
 }
 
 /// Rows of d e / d delta at camera point `p`: tangent `[rotation, translation]`, `p' = exp(w) p + v`.
@@ -207,6 +209,11 @@ pub(crate) fn jacobian_rows(p: &Vector3<f64>, scale: &Matrix2<f64>) -> ([f64; 6]
         ]
     };
     (row(scale.m11, scale.m12), row(scale.m21, scale.m22))
+}
+
+/// Median of distances, map units; `None` where that is none.
+pub(crate) fn middle_distance(distances: &mut [f64]) -> Option<f64> {
+    median(distances).filter(|distance| distance.is_finite() && *distance > NEAREST)
 }
 
 #[inline]
@@ -250,7 +257,7 @@ mod tests {
                 let step = |i: usize| Vector3::ith(i, 1e-6);
                 let slope = |i: usize| (at(pair.point + step(i)) - at(pair.point - step(i))) / 2e-6;
                 let j = nalgebra::Matrix2x3::from_columns(&[slope(0), slope(1), slope(2)]);
-                let spread = Matrix2::identity() * pair.variance_px2 + j * covariance * j.transpose();
+                let spread = Matrix2::identity() * 1.25f64.powi(-2) + j * covariance * j.transpose();
                 let e = at(pair.point);
                 let expected = e.dot(&(spread.try_inverse().unwrap() * e));
                 let whitened = residual(&pose, &pair.with_uncertain_point(&pose, &covariance)).unwrap().e;

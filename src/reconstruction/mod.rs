@@ -55,9 +55,9 @@ use initialise::initialiser::Initialiser;
 use initialise::orientation::OrientationTracker;
 use keyframe::cull;
 use keyframe::distance_prior;
-use keyframe::epipolar::{EpipolarMatcher, Lens};
+use keyframe::epipolar::EpipolarMatcher;
 use keyframe::pictures::{WHOLE_PICTURES, condense_pictures, reduce_pictures};
-use keyframe::{KeyframeInputs, NewKeyframe};
+use keyframe::{KeyframeInputs, Lens, NewKeyframe};
 use loops::Loops;
 use measurement::inverse_distance::mostly_assumed;
 use optics::Optics;
@@ -439,6 +439,7 @@ impl Reconstruction {
             Ok(())
         });
         let Ok(picture) = copied;
+        let lens = Lens { camera, config, shutter, outlier_chi2: noise.outlier_chi2() };
         let new = NewKeyframe {
             features,
             picture,
@@ -446,19 +447,18 @@ impl Reconstruction {
             map_id: active.id,
             matches: self.tracker.matches(),
             motion: active.odometry.motion(),
-            shutter,
-            outlier_chi2: noise.outlier_chi2(),
+            lens,
             scale_from: map.keyframe(active.reference).and_then(|k| k.scale_from),
             unmeasured: !measured,
             assumed_distance: distance_prior::distance_to_assume(self.tracker.matches(), &pose.inverse().translation),
         };
         let before = map.landmarks.len();
-        let id = keyframe::insert_keyframe(map, bindings, &new, camera, config, feedback);
+        let id = keyframe::insert_keyframe(map, bindings, &new, feedback);
         if measured {
             let min_parallax = config.min_parallax_deg.to_radians();
             distance_prior::triangulate_assumed(map, id, camera, shutter.readout_s, min_parallax);
             let first_new = map.landmarks.next_id();
-            self.epipolar.complete(map, id, &Lens { camera, config, shutter, outlier_chi2: noise.outlier_chi2() });
+            self.epipolar.complete(map, id, &lens);
             keyframe::bind_new(map, bindings, features, id, first_new);
         }
         counters.keyframes_made += 1;

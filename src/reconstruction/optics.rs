@@ -31,15 +31,12 @@ impl Optics {
 
     /// For another run.
     pub fn saved(&self) -> SavedOptics {
-        let lens = &self.intrinsics;
         let (readout_s, readout_information) = self.shutter.saved();
         SavedOptics {
             calibration: self.calibration.clone(),
-            is_guessed: lens.guessed,
-            camera: self.camera.clone(),
             readout_s,
             readout_information,
-            ..lens.saved(&self.camera)
+            ..self.intrinsics.saved(&self.camera)
         }
     }
 

@@ -243,26 +243,14 @@ fn rotation_of(motion: &ImageMotion, camera: &CameraModel) -> UnitQuaternion<f64
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::map::{Keyframe, MapId};
+    use crate::map::{Keyframe, examples};
     use nalgebra::Vector2;
 
     #[test]
     fn every_keyframe_gets_its_turn() {
         let mut map = Map::default();
         for sequence in 0..7 {
-            map.add_keyframe(Keyframe {
-                sequence,
-                timestamp_ns: 0,
-                map: MapId(0),
-                camera_from_world: Se3::identity(),
-                motion: None,
-                picture: Default::default(),
-                thumbnail: Thumbnail::default(),
-                scale_from: None,
-                observations: Default::default(),
-                covisible: Vec::new(),
-                corners: Vec::new(),
-            });
+            map.add_keyframe(Keyframe { sequence, ..examples::keyframe(Default::default(), Se3::identity()) });
         }
         let (mut next, mut seen) = (0, Vec::new());
         for _ in 0..4 {

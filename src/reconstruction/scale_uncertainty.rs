@@ -187,22 +187,10 @@ mod tests {
     use nalgebra::Vector3;
 
     use super::*;
-    use crate::map::{Keyframe, MapId};
+    use crate::map::{Keyframe, examples};
 
     fn keyframe(scale_from: Option<TurnId>) -> Keyframe {
-        Keyframe {
-            sequence: 0,
-            timestamp_ns: 0,
-            map: MapId(0),
-            camera_from_world: Se3::identity(),
-            motion: None,
-            picture: Default::default(),
-            thumbnail: Default::default(),
-            scale_from,
-            observations: Default::default(),
-            covisible: Vec::new(),
-            corners: Vec::new(),
-        }
+        Keyframe { scale_from, ..examples::keyframe(Default::default(), Se3::identity()) }
     }
 
     #[test]

@@ -15,7 +15,7 @@ use crate::features::thumbnail::Thumbnail;
 use crate::image::{GreyImage, Pyramid};
 use crate::map::saved::{MapHead, SavedMap, SavedMaps};
 use crate::map::scale::{MapScale, ScaleSource};
-use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, MapId};
+use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, MapId, examples};
 use crate::motion::scale::ScaleMeasurement;
 
 const FOCAL_PX: f64 = 300.0;
@@ -46,19 +46,7 @@ fn wall(shift: usize) -> Pyramid {
 fn keyframe(camera_from_world: Se3<Camera, World>, pyramid: Pyramid) -> Keyframe {
     let mut thumbnail = Thumbnail::default();
     thumbnail.build(&pyramid);
-    Keyframe {
-        sequence: 0,
-        timestamp_ns: 0,
-        map: crate::map::MapId(0),
-        camera_from_world,
-        motion: None,
-        picture: crate::map::picture::KeyframePicture::new(Arc::new(pyramid)),
-        thumbnail,
-        scale_from: None,
-        observations: Default::default(),
-        covisible: Vec::new(),
-        corners: Vec::new(),
-    }
+    Keyframe { thumbnail, ..examples::keyframe(Arc::new(pyramid), camera_from_world) }
 }
 
 /// Tracking in a map of one keyframe at the world's origin, which sees 165 landmarks on the wall; the frame before was at `last`.
@@ -69,17 +57,8 @@ fn before_the_wall(last: Se3<Camera, World>) -> Reconstruction {
     for n in 0..165 {
         let pixel = Vector2::new(24.0 + 18.0 * (n % 15) as f32, 24.0 + 18.0 * (n / 15) as f32);
         let seen = observe(&camera, LandmarkId::default(), pixel, 1.0).unwrap();
-        let landmark = Landmark {
-            position: seen.normalised.push(1.0),
-            covariance: Matrix3::identity() * 1e-8,
-            observers: Vec::new(),
-            created_by: id,
-            assumed: None,
-            sought: 9,
-            found: 9,
-            disagreed: 0,
-        };
-        map.add_landmark(landmark, &[(id, seen)]);
+        let landmark = Landmark::new(seen.normalised.push(1.0), Matrix3::identity() * 1e-8, id);
+        map.add_landmark(Landmark { sought: 9, found: 9, ..landmark }, &[(id, seen)]);
     }
     let config = ReconstructionConfig::default();
     let mut reconstruction = Reconstruction::new(&config, &camera, Box::new(InlineWorker::default()), true);

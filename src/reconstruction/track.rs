@@ -47,7 +47,6 @@ pub struct Tracked {
     pub sought: usize,
     /// The same of those that should look as they did.
     pub alike: [usize; 2],
-    pub rms_px: f64,
     /// Tracks of the frame before led there.
     pub by_flow: bool,
 }
@@ -290,8 +289,7 @@ impl Tracker {
         if tracks == 0 || self.pairs.len() < MIN_FLOW {
             return None;
         }
-        let options = PoseOptions { first_round_relaxation: 25.0, ..PoseOptions::default() };
-        let solution = optimise_pose(guess, &self.pairs, &options, &mut self.inlier)?;
+        let solution = optimise_pose(guess, &self.pairs, &PoseOptions::from_poor_start(), &mut self.inlier)?;
         let agree = self.inlier.iter().take(tracks).filter(|agrees| **agrees).count();
         let is_enough = solution.inliers >= MIN_FLOW && 2 * solution.inliers >= self.pairs.len();
         is_enough.then_some((solution.camera_from_world, agree))
@@ -355,7 +353,6 @@ impl Tracker {
             landmarks,
             sought,
             alike: [found_alike, sought_alike],
-            rms_px: solution.rms_px,
             by_flow: false,
         })
     }

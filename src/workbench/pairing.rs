@@ -169,7 +169,7 @@ pub fn align_pairs(first: &Corners, second: &Corners, pairs: &mut [Pair]) {
         let (Some(from), Some(to)) = (first.nearest_scale(size_px), second.nearest_scale(size_px)) else { continue };
         let template = PatchTemplate::<16>::from_image(&from.image, from.local(&pair.a).cast::<f32>());
         let Some(template) = template else { continue };
-        if let Ok(found) = align(&template, &to.image, to.local(&pair.b).cast::<f32>(), &options)
+        if let Some(found) = align(&template, &to.image, to.local(&pair.b).cast::<f32>(), &options)
             && found.ncc >= ALIGN_NCC
         {
             pair.b = to.base(&found.position.cast::<f64>());

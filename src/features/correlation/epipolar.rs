@@ -161,7 +161,7 @@ impl EpipolarCorrelator {
         let mut position = top + (corner - Vector2::new(x as f32, y as f32));
         if search.align
             && let Some(template) = Template::from_image(first, corner)
-            && let Ok(aligned) = align(&template, second, position, &AlignOptions::default())
+            && let Some(aligned) = align(&template, second, position, &AlignOptions::default())
             && (aligned.position - position).norm() <= AGREEMENT_PX
         {
             position = aligned.position;

@@ -5,7 +5,7 @@
 
 use nalgebra::{SMatrix, SVector};
 
-use super::Damped;
+use super::{Damped, damped};
 
 /// Added to every pivot, so that what nothing depends on stays where it is.
 const LEAST_PIVOT: f64 = 1e-12;
@@ -47,22 +47,14 @@ pub struct Reduced<const S: usize, const B: usize> {
     eliminated: Vec<(SMatrix<f64, B, S>, SVector<f64, B>)>,
 }
 
-fn damped<const N: usize>(matrix: &SMatrix<f64, N, N>, damping: f64) -> SMatrix<f64, N, N> {
-    let mut matrix = *matrix;
-    for i in 0..N {
-        matrix[(i, i)] += damping * matrix[(i, i)] + LEAST_PIVOT;
-    }
-    matrix
-}
-
 impl<const S: usize, const B: usize> ArrowEquations<S, B> {
     /// Without the blocks, at a damping; `None` if one of them is not positive definite.
     pub fn reduce(&self, damping: f64) -> Option<Reduced<S, B>> {
-        let mut information = damped(&self.shared, damping);
+        let mut information = damped(&self.shared, damping, LEAST_PIVOT);
         let mut gradient = self.gradient;
         let mut eliminated = Vec::with_capacity(self.blocks.len());
         for block in &self.blocks {
-            let factor = nalgebra::Cholesky::new(damped(&block.own, damping))?;
+            let factor = nalgebra::Cholesky::new(damped(&block.own, damping, LEAST_PIVOT))?;
             let by_shared = factor.solve(&block.cross.transpose());
             let by_gradient = factor.solve(&block.gradient);
             information -= block.cross * by_shared;

@@ -6,7 +6,7 @@ use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::random::Random;
 use crate::geometry::sim3::Sim3;
-use crate::map::{Correction, Keyframe};
+use crate::map::{Correction, Keyframe, examples};
 
 fn placed(edge: f64, corner_sigma: f64, view_sigma: f64) -> PlacedTag {
     PlacedTag {
@@ -189,19 +189,8 @@ fn map_before(print: &Print, tone: impl Fn(f64) -> f64) -> (CameraModel, Map, Ve
         let aim = Vector3::new(0.1, 0.03 * f64::from(i), 0.0);
         let look = UnitQuaternion::face_towards(&(aim - eye), &Vector3::y()).inverse();
         let camera_from_metres: Se3<Camera, World> = Se3::new(look, -(look * eye));
-        let id = map.add_keyframe(Keyframe {
-            sequence: i as u64,
-            timestamp_ns: 0,
-            map: MapId(3),
-            camera_from_world: Se3::new(look, camera_from_metres.translation / 2.5),
-            motion: None,
-            picture: Default::default(),
-            thumbnail: Default::default(),
-            scale_from: None,
-            observations: Default::default(),
-            covisible: Vec::new(),
-            corners: Vec::new(),
-        });
+        let pose = Se3::new(look, camera_from_metres.translation / 2.5);
+        let id = map.add_keyframe(Keyframe { map: MapId(3), ..examples::keyframe(Default::default(), pose) });
         pictures.push((id, picture(&camera, &camera_from_metres, print, &tone)));
     }
     (camera, map, pictures)

@@ -1,29 +1,13 @@
 use nalgebra::{Matrix2, Matrix3, UnitQuaternion, Vector2, Vector3};
 
 use super::*;
-use crate::map::{Landmark, LandmarkId, MapId, Observation};
+use crate::map::{Landmark, LandmarkId, MapId, Observation, examples};
 
 const KEYFRAMES: usize = 60;
 /// What the scale loses over the whole way.
 const LOST: f64 = 0.3;
 /// Standard deviation of a landmark: 2 % of its distance.
 const SIGMA: f64 = 0.06;
-
-fn keyframe(camera_from_world: Se3<Camera, World>) -> Keyframe {
-    Keyframe {
-        sequence: 0,
-        timestamp_ns: 0,
-        map: MapId(0),
-        camera_from_world,
-        motion: None,
-        picture: Default::default(),
-        thumbnail: Default::default(),
-        scale_from: None,
-        observations: Default::default(),
-        covisible: Vec::new(),
-        corners: Vec::new(),
-    }
-}
 
 fn observation() -> Observation {
     Observation {
@@ -58,24 +42,15 @@ fn drifted() -> (Map, Vec<KeyframeId>) {
             step.translation *= unit(i);
             pose = step * pose;
         }
-        ids.push(map.add_keyframe(keyframe(pose)));
+        ids.push(map.add_keyframe(examples::keyframe(Default::default(), pose)));
     }
     for i in 2..KEYFRAMES {
         for n in 0..20 {
             let seen = [ids[i - 2], ids[i - 1], ids[i]].map(|k| (k, observation()));
             let x = Vector3::new(0.1 * f64::from(n) - 1.0, 0.3, 3.0) * unit(i);
             let position = map.keyframe(ids[i]).expect("made").camera_from_world.inverse().transform(&x);
-            let landmark = Landmark {
-                position,
-                covariance: Matrix3::identity() * (SIGMA * unit(i)).powi(2),
-                observers: Vec::new(),
-                created_by: ids[i],
-                assumed: None,
-                sought: 0,
-                found: 0,
-                disagreed: 0,
-            };
-            map.add_landmark(landmark, &seen);
+            let covariance = Matrix3::identity() * (SIGMA * unit(i)).powi(2);
+            map.add_landmark(Landmark::new(position, covariance, ids[i]), &seen);
         }
     }
     (map, ids)
@@ -198,7 +173,7 @@ fn neighbours_by_number_of_different_maps_are_not_tied_unless_nothing_else_holds
     let ids: Vec<KeyframeId> = (0..)
         .zip(made_in)
         .map(|(i, map)| (at(i), MapId(map)))
-        .map(|(pose, id)| map.add_keyframe(Keyframe { map: id, ..keyframe(pose) }))
+        .map(|(pose, id)| map.add_keyframe(Keyframe { map: id, ..examples::keyframe(Default::default(), pose) }))
         .collect();
     let told = LoopEdge {
         old: ids[0],

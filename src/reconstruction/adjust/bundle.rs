@@ -26,7 +26,7 @@ pub use globals::{GLOBALS, Globals, INTRINSICS, IntrinsicsJacobian, IntrinsicsVe
 pub use lengths::KnownLength;
 use normal_equations::Adjustment;
 pub use options::BundleOptions;
-use options::{INITIAL_DAMPING, PASSES};
+use options::PASSES;
 pub use problem::{BundleObservation, BundleProblem};
 pub use targets::TargetCorner;
 
@@ -44,11 +44,12 @@ impl BundleProblem {
 
     fn adjust_with<const W: usize>(&mut self, options: &BundleOptions) {
         for _ in 0..PASSES {
+            // A map is near its minimum, so that nearly whole steps pay: the usual damping at the start.
             let lm = LmOptions {
                 max_iterations: options.steps,
                 relative_cost: options.relative_gain,
                 step_norm: 0.0,
-                initial_damping: INITIAL_DAMPING,
+                ..LmOptions::default()
             };
             let start = std::mem::take(&mut self.state);
             let (state, _) = minimise(&Adjustment::<W>::new(self, options.outlier_chi2), start, &lm);

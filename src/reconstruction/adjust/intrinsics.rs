@@ -30,12 +30,14 @@ use crate::map::Map;
 use crate::map::saved::SavedOptics;
 use crate::reconstruction::measurement::rolling_shutter::{BELIEVED, Shutter};
 
-/// Standard deviation of a measured focal length, and of a nominal one, as a share of it.
+/// Standard deviation of a measured focal length, of a nominal one, and of an unknown one, as a share of it.
 const CALIBRATED_FOCAL: f64 = 0.01;
 const NOMINAL_FOCAL: f64 = 0.05;
+const UNKNOWN_FOCAL: f64 = 0.25;
 /// Standard deviation of the principal point, as a share of the picture's width.
 const CALIBRATED_CENTRE: f64 = 1e-4;
 const NOMINAL_CENTRE: f64 = 0.0125;
+const UNKNOWN_CENTRE: f64 = 0.025;
 /// Standard deviations of k1, k2, and p1 and p2 of a lens that was measured (or is nominal: rectified pictures have such a one), and of one
 /// that nobody has.
 const CALIBRATED_DISTORTION: [f64; 4] = [0.02, 0.02, 0.001, 0.001];
@@ -77,12 +79,15 @@ pub enum LensPrior {
 
 impl LensPrior {
     /// A camera of which nothing is known but that webcams see some 60 degrees.
-    pub const UNKNOWN: Self = Self::Guess { focal: 0.25, centre: 0.025 };
+    pub const UNKNOWN: Self = Self::Guess { focal: UNKNOWN_FOCAL, centre: UNKNOWN_CENTRE };
 
     /// An estimate of an earlier run, with the standard deviations that were published with it: never surer than the floor of what the
     /// model leaves out, and never less sure than knowing nothing.
     pub fn kept(focal_sigma: f64, centre: f64) -> Self {
-        Self::Guess { focal: focal_sigma.clamp(MODEL_FLOOR, 0.25), centre: centre.clamp(0.002, 0.025) }
+        Self::Guess {
+            focal: focal_sigma.clamp(MODEL_FLOOR, UNKNOWN_FOCAL),
+            centre: centre.clamp(0.002, UNKNOWN_CENTRE),
+        }
     }
 }
 
@@ -143,7 +148,7 @@ pub struct LensEstimate {
 #[derive(Debug, Clone)]
 pub struct Intrinsics {
     /// Nobody has calibrated this camera.
-    pub guessed: bool,
+    guessed: bool,
     /// As it was calibrated, guessed, or found with the map before.
     expected: CameraModel,
     /// Standard deviations (log focal length, principal point in px, distortion) without the present map.
@@ -290,7 +295,7 @@ impl Intrinsics {
             ]);
             // Believing a part of the data is weighing the prior the more.
             let mut information = self.sigma.map(|s| 1.0 / (BELIEVED * s * s));
-            if !is_pinhole(camera) || self.hold_distortion {
+            if camera.lens.is_wide_angle() || self.hold_distortion {
                 information.as_mut_slice()[WITHOUT_DISTORTION..].fill(f64::INFINITY);
             }
             job.refine_intrinsics(map, camera, &expected, &information);
@@ -308,7 +313,7 @@ impl Intrinsics {
     ) -> Option<Adjustment> {
         let mut job = Adjustment::global(map, camera, shutter, steps)?;
         let mut information = self.sigma.map(|s| 1.0 / (s * s));
-        if !is_pinhole(camera) {
+        if camera.lens.is_wide_angle() {
             information.as_mut_slice()[WITHOUT_DISTORTION..].fill(f64::INFINITY);
         }
         job.refine_intrinsics(map, camera, &IntrinsicsVector::zeros(), &information);
@@ -368,7 +373,7 @@ impl Intrinsics {
     /// Takes over the lens of an adjustment that was merged, here and in every observation and free corner of the map.
     pub fn merge(&mut self, found: &FoundIntrinsics, refined: CameraModel, map: &mut Map, camera: &mut CameraModel) {
         // What was found with the distortion held says less of the focal length than it seems to.
-        let complete = !is_pinhole(camera) || !found.held[WITHOUT_DISTORTION];
+        let complete = camera.lens.is_wide_angle() || !found.held[WITHOUT_DISTORTION];
         if let Some(variance) = found.variance.filter(|_| complete) {
             // The prior was the surer by the share that is believed: so were both together.
             let sigma = variance.map(|v| (v / BELIEVED).max(0.0).sqrt());
@@ -400,11 +405,6 @@ fn changed(camera: &CameraModel, change: &IntrinsicsVector) -> Option<CameraMode
     }
     with(distortion.into())
         .filter(|c| c.covers_picture() || !camera.covers_picture() && c.valid_radius() >= camera.valid_radius())
-}
-
-/// Brown's model, of any distortion: not a wide-angle lens.
-fn is_pinhole(camera: &CameraModel) -> bool {
-    matches!(camera.lens, LensModel::RadialTangential(_))
 }
 
 /// Numbers that nobody measured.

@@ -213,17 +213,18 @@ impl Adjustment {
         expected: &IntrinsicsVector,
         information: &IntrinsicsVector,
     ) {
-        let Globals { expected: all_expected, information: all_information, jacobians } = &mut self.problem.globals;
-        all_expected.fixed_rows_mut::<INTRINSICS>(1).copy_from(expected);
-        all_information.fixed_rows_mut::<INTRINSICS>(1).copy_from(information);
-        jacobians.reserve_exact(self.problem.observations.len());
+        let mut jacobians = Vec::with_capacity(self.problem.observations.len());
         for (i, &id) in self.landmarks.iter().enumerate() {
-            for k in self.problem.first[i] as usize..self.problem.first[i + 1] as usize {
+            for k in self.problem.range(i) {
                 let keyframe = self.keyframes[self.problem.observations[k].camera as usize];
                 let o = map.keyframe(keyframe).and_then(|k| k.observation(id));
                 jacobians.push(o.map_or_else(IntrinsicsJacobian::zeros, |o| intrinsics_jacobian(&o, camera)));
             }
         }
+        let globals = &mut self.problem.globals;
+        globals.expected.fixed_rows_mut::<INTRINSICS>(1).copy_from(expected);
+        globals.information.fixed_rows_mut::<INTRINSICS>(1).copy_from(information);
+        globals.jacobians = jacobians;
     }
 
     /// With this limit of squared residuals, in supposed standard deviations.
@@ -257,8 +258,7 @@ fn seen_by(index: usize, o: &Observation, camera: &CameraModel) -> BundleObserva
         camera: index as u32,
         normalised: o.normalised,
         displacement: o.displacement,
-        pixel_scale: camera.pixel_scale(&o.normalised),
-        inv_sigma_px: o.inv_sigma_px,
+        sqrt_information: camera.pixel_scale(&o.normalised) * o.inv_sigma_px,
     }
 }
 
@@ -318,7 +318,7 @@ impl AdjustmentResult {
                 continue;
             }
             map.measure_landmark(id, point, job.problem.point_covariances[i]);
-            for k in job.problem.first[i] as usize..job.problem.first[i + 1] as usize {
+            for k in job.problem.range(i) {
                 if !job.problem.inlier[k] {
                     outliers.push((job.keyframes[job.problem.observations[k].camera as usize], id));
                 }
@@ -340,10 +340,8 @@ impl AdjustmentResult {
 
     /// Landmarks of the job with at least two inlier observations.
     pub fn supported_landmarks(&self) -> usize {
-        let p = &self.job.problem;
-        (0..p.state.points.len())
-            .filter(|&i| (p.first[i] as usize..p.first[i + 1] as usize).filter(|&k| p.inlier[k]).count() >= 2)
-            .count()
+        let problem = &self.job.problem;
+        (0..problem.state.points.len()).filter(|i| problem.inliers(*i).count() >= 2).count()
     }
 }
 

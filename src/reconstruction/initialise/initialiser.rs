@@ -23,35 +23,21 @@ use crate::reconstruction::adjust::intrinsics::LensFreedom;
 use crate::reconstruction::config::ReconstructionConfig;
 use crate::reconstruction::consensus::{FrameTracks, MAX_DISAGREEMENTS};
 use crate::reconstruction::keyframe::epipolar::FED;
-
-/// One corner of a first map.
-#[derive(Debug, Clone, Copy)]
-pub struct StartPoint {
-    pub track: u64,
-    /// In the first camera's coordinates.
-    pub point: Vector3<f64>,
-}
+use crate::reconstruction::measurement::TWO_VIEW_SIGMA_PX;
 
 /// A first map: the motion between two frames, points, and views in between to hold them together.
 #[derive(Debug)]
 pub struct Start {
-    pub first: View,
-    /// How long the camera has moved without a start, s.
-    pub trying_s: f64,
-    /// In order of time; neither the first nor the newest frame is among them.
-    pub between: Vec<View>,
-    /// The newest frame.
-    pub newest: FrameTracks,
+    pub views: Views,
     /// Some of its points are corners that no track follows, known again by what they look like.
     pub by_corners: bool,
     pub second_from_first: Se3<Second, First>,
-    pub points: Vec<StartPoint>,
+    /// Track and place in the first camera's coordinates.
+    pub points: Vec<(u64, Vector3<f64>)>,
 }
 
 /// Frames that are remembered for a pose afterwards; older ones are dropped.
 const MAX_PENDING: usize = 900;
-/// Standard deviation of a track over the frames of a start, px.
-pub const START_SIGMA_PX: f64 = 1.0;
 /// So long after the camera began to move, s, corners that look alike are asked as well as tracks: a turn on the spot before a lens that nobody has
 /// calibrated begins a map by them else; and where frames are many tracks alone have given a start by then, a later one with more parallax.
 const CORNERS_AFTER_S: f64 = 0.25;
@@ -74,7 +60,7 @@ pub struct Initialiser {
     /// A start of this frame has been asked; another one shares its picture.
     voted: bool,
     /// How long the camera has moved without a start, s: standing still takes it back. It outlasts the reference.
-    trying_s: f64,
+    pub trying_s: f64,
     last_ns: Option<i64>,
     lengths: Vec<f64>,
     untracked: UntrackedViews,
@@ -288,23 +274,15 @@ impl Initialiser {
         camera: &CameraModel,
         config: &ReconstructionConfig,
     ) -> Option<Start> {
-        let Views { first, between, newest } = views;
         let seen_first: Vec<Vector2<f64>> = pairs.places.iter().map(|p| p.first).collect();
         let seen_newest: Vec<Vector2<f64>> = pairs.places.iter().map(|p| p.second).collect();
         let options =
-            TwoViewOptions { seed: newest.sequence, ..TwoViewOptions::new(START_SIGMA_PX, camera.focal_px()) };
+            TwoViewOptions { seed: views.newest.sequence, ..TwoViewOptions::new(TWO_VIEW_SIGMA_PX, camera.focal_px()) };
         let solution = reconstruct_two_views(&seen_first, &seen_newest, &options).ok()?;
-        let points: Vec<StartPoint> = pairs
-            .tracks
-            .iter()
-            .zip(&solution.points)
-            .filter_map(|(&track, point)| Some(StartPoint { track, point: (*point)? }))
-            .collect();
+        let places = pairs.tracks.iter().zip(&solution.points);
+        let points: Vec<_> = places.filter_map(|(&track, point)| Some((track, (*point)?))).collect();
         (points.len() >= config.start_landmarks).then_some(Start {
-            first,
-            trying_s: self.trying_s,
-            between,
-            newest,
+            views,
             by_corners: false,
             second_from_first: solution.second_from_first,
             points,

@@ -34,7 +34,7 @@ use crate::geometry::epipolar::sampson_squared;
 use crate::geometry::essential::{essential_of, motion_information, refine_motion};
 use crate::geometry::frames::{First, Second};
 use crate::geometry::least_squares::{LeastSquares, LmOptions, Loss, NormalEquations, minimise};
-use crate::geometry::{CameraModel, Se3, median};
+use crate::geometry::{CameraModel, SIGMA_OVER_MEDIAN, Se3, median};
 use crate::reconstruction::adjust::intrinsics::LensFreedom;
 
 /// Standard deviation of a track over some dozen frames, px: the least that any are taken for.
@@ -215,6 +215,16 @@ const UNKNOWNS: usize = 10;
 const LENS: usize = 6;
 const OF_LENS: usize = UNKNOWNS - LENS;
 
+/// Of every descent.
+fn lm_options() -> LmOptions {
+    LmOptions { max_iterations: STEPS, relative_cost: 1e-4, step_norm: 1e-7, ..LmOptions::default() }
+}
+
+/// Of residuals in standard deviations of a track, scaled to how far off they typically are.
+fn loss_of(typical_px: f64) -> Loss {
+    Loss::Cauchy(2.0 * (typical_px / TRACK_PX).max(1.0))
+}
+
 struct TurnProblem<'a> {
     pairs: &'a [Pair],
     lens: SupposedLens,
@@ -227,10 +237,10 @@ impl TurnProblem<'_> {
     /// The state near `state` that explains the tracks best, the translation held as it is, and how well it does
     /// ([`Self::typical_px`]). The loss is left scaled to that.
     fn fit(&mut self, mut state: TurnState, lengths: &mut Vec<f64>) -> (TurnState, f64) {
-        let options = LmOptions { max_iterations: STEPS, relative_cost: 1e-4, step_norm: 1e-7, ..LmOptions::default() };
+        let options = lm_options();
         let mut typical = self.typical_px(&state, lengths);
         for _ in 0..ROUNDS {
-            self.loss = Loss::Cauchy(2.0 * (typical / TRACK_PX).max(1.0));
+            self.loss = loss_of(typical);
             let (found, summary) = minimise(self, state, &options);
             state = found;
             let before = std::mem::replace(&mut typical, self.typical_px(&state, lengths));
@@ -238,7 +248,7 @@ impl TurnProblem<'_> {
                 break;
             }
         }
-        self.loss = Loss::Cauchy(2.0 * (typical / TRACK_PX).max(1.0));
+        self.loss = loss_of(typical);
         (state, typical)
     }
 
@@ -388,15 +398,14 @@ fn motion(
     let eigen = SymmetricEigen::try_new(moment, 1e-12, 100)?;
     let start: Se3<Second, First> =
         Se3::new(turn.rotation, eigen.eigenvectors.column(eigen.eigenvalues.imin()).into_owned());
-    let options = LmOptions { max_iterations: STEPS, relative_cost: 1e-4, step_norm: 1e-7, ..LmOptions::default() };
+    let options = lm_options();
     let loss = Loss::Cauchy(2.0 * typical_px.max(TRACK_PX) / focal_px);
     let near = refine_motion(&start, matches(pairs), loss, &options)?;
     let found = refine_motion(&near, matches(pairs), Loss::Cauchy(2.0 * TRACK_PX / focal_px), &options)?;
     let squared = sampson_px2(&found, focal_px);
     lengths.clear();
     lengths.extend(pairs.iter().map(|p| squared(p).sqrt()));
-    // Of a normal distribution on one axis.
-    let typical_px = 1.4826 * median(lengths)?;
+    let typical_px = SIGMA_OVER_MEDIAN * median(lengths)?;
     Some(ViewMotion { second_from_first: found, typical_px })
 }
 

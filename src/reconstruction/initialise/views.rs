@@ -27,8 +27,10 @@ impl View {
 }
 
 /// The views of a start, the corners that no track follows among their tracks: first, in between, newest.
+#[derive(Debug)]
 pub struct Views {
     pub first: View,
+    /// In order of time; neither the first nor the newest frame is among them.
     pub between: Vec<View>,
     pub newest: FrameTracks,
 }

@@ -21,8 +21,8 @@ use crate::geometry::{CameraModel, Se3, median};
 use crate::map::{AssumedDistance, KeyframeId, LandmarkId, Map, vote};
 use crate::motion::scale::ScaleFusion;
 use crate::reconstruction::Reconstruction;
-use crate::reconstruction::measurement::Correspondence;
 use crate::reconstruction::measurement::inverse_distance::{Ray, SIGMA_SHARE};
+use crate::reconstruction::measurement::{Correspondence, TWO_VIEW_SIGMA_PX};
 use crate::reconstruction::segments::Wheels;
 use crate::reconstruction::track::pose::{PoseOptions, optimise_pose};
 use crate::reconstruction::track::search::Match;
@@ -35,8 +35,6 @@ const MIN_PARALLAX_DEG: f64 = 0.5;
 const NEARLY_ALL: f64 = 0.7;
 /// So many landmarks whose distance is known say how long the step was; else the assumed distances do.
 const MIN_MEASURED: usize = 10;
-/// Standard deviation of a place in either view, px.
-const SIGMA_PX: f64 = 1.0;
 
 impl Reconstruction {
     /// Landmarks at assumed distances are looked for next where this frame makes them most likely.
@@ -171,7 +169,7 @@ fn place(
         min_matches: MIN_MATCHES,
         min_points: MIN_POINTS,
         min_parallax_rad: MIN_PARALLAX_DEG.to_radians(),
-        ..TwoViewOptions::new(SIGMA_PX, camera.focal_px())
+        ..TwoViewOptions::new(TWO_VIEW_SIGMA_PX, camera.focal_px())
     };
     let solution = reconstruct_two_views(&first, &second, &options).ok()?;
     let lengths = |assumed: bool| -> Vec<f64> {
@@ -216,7 +214,7 @@ fn assume_anew(
     let mut seen: Vec<LandmarkId> = since.flat_map(|(_, k)| k.observations.landmarks()).collect();
     seen.sort_unstable();
     seen.dedup();
-    let sigma_rad = SQRT_2 * SIGMA_PX / camera.focal_px();
+    let sigma_rad = SQRT_2 * TWO_VIEW_SIGMA_PX / camera.focal_px();
     for id in seen {
         let Some(mut ray) = Ray::of(id, map, readout_s) else { continue };
         ray.assumed = AssumedDistance { inverse: 1.0 / scene, sigma: SIGMA_SHARE / scene };
@@ -245,7 +243,7 @@ fn resolve_between(map: &mut Map, from: KeyframeId, camera: &CameraModel, readou
                 Some(Correspondence::observed(landmark.position, &o, camera, readout_s))
             })
             .collect();
-        let options = PoseOptions { first_round_relaxation: 25.0, leverage: false, ..PoseOptions::default() };
+        let options = PoseOptions { leverage: false, ..PoseOptions::from_poor_start() };
         let solved = optimise_pose(&keyframe.camera_from_world, &pairs, &options, &mut inlier);
         if let Some(solved) = solved.filter(|s| 2 * s.inliers > pairs.len()) {
             map.place_keyframe(id, solved.camera_from_world);
@@ -261,9 +259,8 @@ mod tests {
     use nalgebra::UnitQuaternion;
 
     use super::*;
-    use crate::features::thumbnail::Thumbnail;
     use crate::map::scale::ScaleSource;
-    use crate::map::{Keyframe, Landmark, MapId};
+    use crate::map::{Landmark, examples};
     use crate::motion::hand_eye::Robot;
     use crate::motion::scale::ScaleMeasurement;
     use crate::motion::wheel::WheelReading;
@@ -276,22 +273,6 @@ mod tests {
         CameraModel::new(640, 480, 520.0, 520.0, 320.0, 240.0, [0.0; 5]).expect("a camera")
     }
 
-    fn keyframe(pose: Se3<Camera, World>) -> Keyframe {
-        Keyframe {
-            sequence: 0,
-            timestamp_ns: 0,
-            map: MapId(0),
-            camera_from_world: pose,
-            motion: None,
-            picture: Default::default(),
-            thumbnail: Thumbnail::default(),
-            scale_from: None,
-            observations: Default::default(),
-            covisible: Vec::new(),
-            corners: Vec::new(),
-        }
-    }
-
     /// A room 2 to 6 m away that two keyframes of a turn see, its landmarks half as far as they are; and the matches of a frame
     /// at `pose`.
     fn scene(pose: &Se3<Camera, World>) -> (Map, Vec<Match>) {
@@ -299,7 +280,8 @@ mod tests {
         let mut map = Map::default();
         let turned: Se3<Camera, World> =
             Se3::new(UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.05, 0.0)), Vector3::zeros());
-        let keyframes = [Se3::identity(), turned].map(|p| (map.add_keyframe(keyframe(p)), p));
+        let keyframes =
+            [Se3::identity(), turned].map(|p| (map.add_keyframe(examples::keyframe(Default::default(), p)), p));
         let mut matches = Vec::new();
         for i in 0..120u32 {
             let (a, b, c) = (f64::from(i % 12), f64::from(i / 12), f64::from(i * 7 % 13));
@@ -312,19 +294,8 @@ mod tests {
                 .collect();
             let (Some(pixel), true) = (see(pose), seen.len() == 2) else { continue };
             let assumed = AssumedDistance { inverse: TRUE_OVER_ASSUMED / 4.0, sigma: 1.0 };
-            let id = map.add_landmark(
-                Landmark {
-                    position: point.normalize() / assumed.inverse,
-                    covariance: nalgebra::Matrix3::identity(),
-                    observers: Vec::new(),
-                    created_by: keyframes[1].0,
-                    assumed: Some(assumed),
-                    sought: 1,
-                    found: 1,
-                    disagreed: 0,
-                },
-                &seen,
-            );
+            let landmark = examples::landmark(point.normalize() / assumed.inverse, keyframes[1].0);
+            let id = map.add_landmark(Landmark { assumed: Some(assumed), ..landmark }, &seen);
             matches.push(Match {
                 landmark: id,
                 template: seen[0].0,

@@ -15,10 +15,10 @@
 use nalgebra::Vector3;
 
 use super::point::{observations_of, refine_point, reprojection_chi2};
-use crate::geometry::{CameraModel, median};
+use crate::geometry::CameraModel;
 use crate::map::{KeyframeId, Landmark, LandmarkId, Map, Observation};
-use crate::reconstruction::measurement::CHI2_2D_95;
 use crate::reconstruction::measurement::inverse_distance::{Ray, SIGMA_SHARE, mostly_assumed};
+use crate::reconstruction::measurement::{CHI2_2D_95, middle_distance};
 use crate::reconstruction::track::search::Match;
 
 /// A distance is told by parallax once its standard deviation is below this share of it (a degree of parallax gives 0.13).
@@ -29,7 +29,7 @@ const HELD_BELOW: usize = 30;
 /// Median distance of the matches' landmarks from `centre`.
 pub fn distance_to_assume(matches: &[Match], centre: &Vector3<f64>) -> Option<f64> {
     let mut distances: Vec<f64> = matches.iter().map(|m| (m.point - centre).norm()).collect();
-    median(&mut distances).filter(|d| d.is_finite() && *d > 1e-6)
+    middle_distance(&mut distances)
 }
 
 /// A landmark at `distance` on the ray of its first observation; `None` if the others cannot have seen it anywhere there.
@@ -46,16 +46,9 @@ pub fn assume(
         .iter()
         .all(|(k, o)| map.keyframe(*k).is_some_and(|k| ray.agrees(&k.camera_from_world, o, camera, readout_s)));
     let along = ray.direction * (SIGMA_SHARE * distance);
-    (agree && !others.is_empty()).then(|| Landmark {
-        position: ray.point(),
-        covariance: along * along.transpose(),
-        observers: Vec::new(),
-        created_by: others.last().map_or(anchor, |o| o.0),
-        assumed: Some(ray.assumed),
-        sought: 1,
-        found: 1,
-        disagreed: 0,
-    })
+    let (newest, _) = others.last().filter(|_| agree)?;
+    let landmark = Landmark::new(ray.point(), along * along.transpose(), *newest);
+    Some(Landmark { assumed: Some(ray.assumed), ..landmark })
 }
 
 /// Triangulates the landmarks at assumed distances that the newest keyframe sees under enough parallax.

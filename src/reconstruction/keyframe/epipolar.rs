@@ -2,8 +2,8 @@
 //!
 //! In a blurred, fast or slow sequence the frame-to-frame tracks are cut long before a degree of parallax has passed, and what has no
 //! depth yet goes with them. The corners themselves are still in the pictures. Those of the covisible keyframes that are no landmark yet
-//! are looked for among the newest keyframe's, near the line on which any distance from [`NEAREST`] of the scene's median one to
-//! infinity puts them, by binary descriptors that must be unambiguous along it. What is found is aligned against the older
+//! are looked for among the newest keyframe's, near the line on which any distance from [`NEAREST_SHARE`] of the scene's
+//! median one to infinity puts them, by binary descriptors that must be unambiguous along it. What is found is aligned against the older
 //! keyframe's patch, triangulated, and looked for in the keyframes around as well. (Mur-Artal, Montiel, Tardós, "ORB-SLAM", T-RO 2015, section
 //! VI.C, has such a search; the alignment is ours.)
 //!
@@ -17,13 +17,12 @@
 use nalgebra::{Vector2, Vector3};
 
 use super::corners::CornerFinder;
-use super::{displaced, made_of, triangulate};
+use super::{Lens, displaced, made_of, triangulate};
 use crate::geometry::frames::Camera;
-use crate::geometry::{CameraModel, Se3, median};
+use crate::geometry::{CameraModel, Se3};
 use crate::map::{FreeCorner, Keyframe, KeyframeId, Landmark, LandmarkId, Map, Observation};
-use crate::reconstruction::config::ReconstructionConfig;
-use crate::reconstruction::measurement::rolling_shutter::Shutter;
-use crate::reconstruction::track::template::{SearchOptions, observe, refine_in};
+use crate::reconstruction::measurement::{NEAREST, middle_distance};
+use crate::reconstruction::track::template::{observe, refine_in};
 
 /// A frame with so many landmarks in view is safe from running out of them before new ones are made.
 pub const FED: usize = 120;
@@ -32,22 +31,12 @@ pub const FED: usize = 120;
 pub(super) const NEIGHBOURS: usize = 5;
 pub(super) const MIN_SHARED: u32 = 15;
 /// Nearest distance looked at, as a share of the median one.
-const NEAREST: f64 = 0.25;
+const NEAREST_SHARE: f64 = 0.25;
 /// Distance of a corner from the epipolar line, px.
 const BESIDE_LINE_PX: f64 = 3.0;
 /// Bits in which descriptors of one corner may differ, and the share of the next best one's along the line.
 const MAX_BITS: u32 = 60;
 const MAX_RATIO: f64 = 0.8;
-
-/// What does not change while a keyframe is completed.
-#[derive(Clone, Copy)]
-pub struct Lens<'a> {
-    pub camera: &'a CameraModel,
-    pub config: &'a ReconstructionConfig,
-    pub shutter: &'a Shutter,
-    /// Squared residual, in supposed standard deviations, beyond which a place is an outlier.
-    pub outlier_chi2: f64,
-}
 
 /// Buffers, kept between keyframes.
 #[derive(Debug, Default)]
@@ -88,7 +77,7 @@ impl EpipolarMatcher {
         let beside = BESIDE_LINE_PX / lens.camera.focal_px();
         let (mut old_used, mut new_used, mut made) = (Vec::new(), Vec::new(), Vec::new());
         for (i, corner) in old.corners.iter().enumerate() {
-            let Some(line) = Segment::of(&corner.normalised, &new_from_old.relabel(), NEAREST * median) else {
+            let Some(line) = Segment::of(&corner.normalised, &new_from_old.relabel(), NEAREST_SHARE * median) else {
                 continue;
             };
             let Some(j) = best_along(&line, corner, &new.corners, beside) else { continue };
@@ -117,7 +106,7 @@ impl EpipolarMatcher {
         (new_id, new_pixel): (KeyframeId, Vector2<f32>),
         lens: &Lens<'_>,
     ) -> Option<(Landmark, Vec<(KeyframeId, Observation)>)> {
-        let Lens { camera, config, shutter, outlier_chi2 } = *lens;
+        let Lens { camera, config, shutter, .. } = *lens;
         let (old, new) = (map.keyframe(old_id)?, map.keyframe(new_id)?);
         let see = |pixel| observe(camera, LandmarkId::default(), pixel, 1.0 / config.sigma_px);
         let (a, b) = (see(old_pixel)?, see(new_pixel)?);
@@ -126,21 +115,20 @@ impl EpipolarMatcher {
             let (point, angle) = triangulate(old, &a.normalised, new, &b.normalised)?;
             (angle >= config.min_parallax_deg.to_radians()).then_some(point)
         };
-        let options = SearchOptions::precise(config.sigma_px);
-        let b = refine_in(old, &a, new, &meet(&b)?, b.pixel, camera, &options)?;
+        let b = refine_in(old, &a, new, &meet(&b)?, b.pixel, camera, config.sigma_px)?;
         let point = meet(&b)?;
         let mut seen = vec![(old_id, displaced(old, a, &point, shutter))];
         for &(id, _) in self.around.iter().filter(|k| k.0 != old_id) {
             let Some(other) = map.keyframe(id).filter(|k| k.picture.whole().is_some()) else { continue };
             let p = other.camera_from_world.transform(&point);
-            let visible = |pixel: &Vector2<f64>| p.z > 1e-6 && camera.contains(pixel, 10.0);
+            let visible = |pixel: &Vector2<f64>| p.z > NEAREST && camera.contains(pixel, 10.0);
             let Some(pixel) = camera.project(&p).filter(visible) else { continue };
-            if let Some(o) = refine_in(old, &a, other, &point, pixel.cast(), camera, &options) {
+            if let Some(o) = refine_in(old, &a, other, &point, pixel.cast(), camera, config.sigma_px) {
                 seen.push((id, displaced(other, o, &point, shutter)));
             }
         }
         seen.push((new_id, displaced(new, b, &point, shutter)));
-        made_of(map, &seen, new_id, camera, config, (shutter.readout_s, outlier_chi2))
+        made_of(map, &seen, lens)
     }
 }
 
@@ -197,7 +185,7 @@ pub(super) fn median_distance(map: &Map, keyframe: &Keyframe) -> Option<f64> {
     let centre = keyframe.centre();
     let measured = |id| map.landmark(id).filter(|l| l.assumed.is_none());
     let distances = keyframe.observations.landmarks().filter_map(|id| Some((measured(id)?.position - centre).norm()));
-    median(&mut distances.collect::<Vec<_>>()).filter(|d| d.is_finite() && *d > 1e-6)
+    middle_distance(&mut distances.collect::<Vec<_>>())
 }
 
 #[cfg(test)]
@@ -208,12 +196,11 @@ mod tests {
 
     use super::*;
     use crate::features::descriptor::Descriptor;
-    use crate::features::thumbnail::Thumbnail;
-    use crate::geometry::frames::World;
     use crate::image::{GreyImage, Pyramid};
-    use crate::map::MapId;
-    use crate::map::picture::KeyframePicture;
+    use crate::map::examples;
+    use crate::reconstruction::config::ReconstructionConfig;
     use crate::reconstruction::measurement::CHI2_2D_95;
+    use crate::reconstruction::measurement::rolling_shutter::Shutter;
 
     const FOCAL_PX: f64 = 400.0;
 
@@ -245,33 +232,13 @@ mod tests {
             let mut pyramid = Pyramid::new(4);
             pyramid.build(&picture(shifts[k], seeds[k]));
             let moved = Vector3::new(-(shifts[k] as f64) / FOCAL_PX, 0.0, 0.0);
-            map.add_keyframe(Keyframe {
-                sequence: k as u64,
-                timestamp_ns: 0,
-                map: MapId(0),
-                camera_from_world: Se3::<Camera, World>::new(UnitQuaternion::identity(), moved),
-                motion: None,
-                picture: KeyframePicture::new(Arc::new(pyramid)),
-                thumbnail: Thumbnail::default(),
-                scale_from: None,
-                observations: Default::default(),
-                covisible: Vec::new(),
-                corners: Vec::new(),
-            })
+            let pose = Se3::new(UnitQuaternion::identity(), moved);
+            map.add_keyframe(examples::keyframe(Arc::new(pyramid), pose))
         });
         for n in 0..20 {
             let pixel = Vector2::new(60.0 + 12.0 * n as f32, 20.0);
             let seen = [0, 1, 2].map(|k| (ids[k], observation(camera, pixel - Vector2::new(shifts[k] as f32, 0.0))));
-            let landmark = Landmark {
-                position: seen[0].1.normalised.push(1.0),
-                covariance: Matrix3::identity() * 1e-6,
-                observers: Vec::new(),
-                created_by: ids[0],
-                assumed: None,
-                sought: 1,
-                found: 1,
-                disagreed: 0,
-            };
+            let landmark = Landmark::new(seen[0].1.normalised.push(1.0), Matrix3::identity() * 1e-6, ids[0]);
             map.add_landmark(landmark, &seen);
         }
         (map, ids[2])

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use nalgebra::{Matrix2, Matrix3, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3};
 use rustix::time::{ClockId, clock_gettime};
 
 use super::cull::{cull_keyframes, cull_landmarks, thin_out};
@@ -14,7 +14,6 @@ use crate::geometry::random::Random;
 use crate::geometry::{CameraModel, Se3};
 use crate::image::{GreyImage, Pyramid};
 use crate::map::examples;
-use crate::map::picture::KeyframePicture;
 use crate::map::view::{CoarseDescriptor, DESCRIBED_LEVELS, Description, PLACE_DESCRIPTORS};
 use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, MapId, Observation, Sought};
 use crate::places::index::{DESCRIPTORS, PlaceIndex};
@@ -114,33 +113,14 @@ impl Drive {
         }
         let observations = seen.iter().map(|id| self.observation(*id)).collect();
         let began = cpu_seconds();
-        let id = self.map.add_keyframe(Keyframe {
-            sequence: 0,
-            timestamp_ns: 0,
-            map: MapId(0),
-            camera_from_world: Se3::new(UnitQuaternion::identity(), Vector3::x() * -0.3 * along),
-            motion: None,
-            picture: KeyframePicture::new(self.pyramid.clone()),
-            thumbnail: Default::default(),
-            scale_from: None,
-            observations,
-            covisible: Vec::new(),
-            corners: Vec::new(),
-        });
+        let pose = Se3::new(UnitQuaternion::identity(), Vector3::x() * -0.3 * along);
+        let keyframe = Keyframe { observations, ..examples::keyframe(self.pyramid.clone(), pose) };
+        let id = self.map.add_keyframe(keyframe);
         let mut took = cpu_seconds() - began;
         for _ in 0..NEW * usize::from(before.is_some() && self.room.is_empty()) {
             let ends = [before.unwrap_or_default(), id].map(|k| (k, self.observation(LandmarkId(0))));
-            let landmark = Landmark {
-                position: Vector3::new(0.3 * along, 0.0, self.random.uniform(1.0, 6.0)),
-                covariance: Matrix3::identity(),
-                observers: Vec::new(),
-                created_by: id,
-                assumed: None,
-                sought: 1,
-                found: 1,
-                disagreed: 0,
-            };
-            let landmark = self.map.add_landmark(landmark, &ends);
+            let position = Vector3::new(0.3 * along, 0.0, self.random.uniform(1.0, 6.0));
+            let landmark = self.map.add_landmark(examples::landmark(position, id), &ends);
             // As many more as it takes to the average, in the mean: exponential.
             let more = -(SEEN_BY - 2.0) * self.random.uniform(1e-9, 1.0).ln();
             self.in_view.push((landmark, more.round() as u32));

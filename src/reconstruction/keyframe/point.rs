@@ -6,8 +6,8 @@ use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::map::{KeyframeId, LandmarkId, Map, Observation};
 use crate::motion::floor::{FloorPoint, LEAST_OBSERVERS};
-use crate::reconstruction::measurement::jacobian_rows;
 use crate::reconstruction::measurement::rolling_shutter::Shutter;
+use crate::reconstruction::measurement::{NEAREST, jacobian_rows};
 
 /// Squared, sigma-scaled distance of an observation from where the point is projected; infinite behind the camera.
 pub fn reprojection_chi2(
@@ -18,7 +18,7 @@ pub fn reprojection_chi2(
     readout_s: f64,
 ) -> f64 {
     let p = pose.transform(point);
-    if p.z < 1e-6 {
+    if p.z < NEAREST {
         return f64::INFINITY;
     }
     let e = Vector2::new(p.x / p.z, p.y / p.z) - o.at_middle_row(readout_s);
@@ -40,7 +40,7 @@ pub fn refine_point(
             let Some(keyframe) = map.keyframe(*k) else { continue };
             let pose = &keyframe.camera_from_world;
             let p = pose.transform(point);
-            if p.z < 1e-6 {
+            if p.z < NEAREST {
                 return None;
             }
             let scale = camera.pixel_scale(&o.normalised) * o.inv_sigma_px;

@@ -306,11 +306,11 @@ fn is_little(map: &Map, sighting: &Sighting, told: &Similarity) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{Matrix2, Matrix3, UnitQuaternion, Vector2, Vector3};
+    use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3};
 
     use super::*;
     use crate::geometry::{CameraModel, Se3};
-    use crate::map::{Keyframe, Landmark, LandmarkId, MapId, Observation};
+    use crate::map::{LandmarkId, Observation, examples};
     use crate::reconstruction::track::search::Match;
     use crate::reconstruction::{InlineWorker, ReconstructionConfig};
 
@@ -322,19 +322,8 @@ mod tests {
         let map = &mut r.active.map;
         let ids: Vec<KeyframeId> = (0..6)
             .map(|i| {
-                map.add_keyframe(Keyframe {
-                    sequence: i,
-                    timestamp_ns: 0,
-                    map: MapId(0),
-                    camera_from_world: Se3::new(UnitQuaternion::identity(), Vector3::x() * -(i as f64)),
-                    motion: None,
-                    picture: Default::default(),
-                    thumbnail: Default::default(),
-                    scale_from: None,
-                    observations: Default::default(),
-                    covisible: Vec::new(),
-                    corners: Vec::new(),
-                })
+                let pose = Se3::new(UnitQuaternion::identity(), Vector3::x() * -f64::from(i));
+                map.add_keyframe(examples::keyframe(Default::default(), pose))
             })
             .collect();
         let mut found = Vec::new();
@@ -344,17 +333,7 @@ mod tests {
             let (landmark, inv_sigma_px) = (LandmarkId(0), 1.0);
             let normalised_from_pixel = Matrix2::identity();
             let seen = Observation { landmark, pixel, normalised, displacement, inv_sigma_px, normalised_from_pixel };
-            let landmark = Landmark {
-                position,
-                covariance: Matrix3::identity(),
-                observers: Vec::new(),
-                created_by: ids[1],
-                assumed: None,
-                sought: 1,
-                found: 1,
-                disagreed: 0,
-            };
-            let landmark = map.add_landmark(landmark, &[(ids[0], seen), (ids[1], seen)]);
+            let landmark = map.add_landmark(examples::landmark(position, ids[1]), &[(ids[0], seen), (ids[1], seen)]);
             found.push(Match {
                 landmark,
                 template: ids[0],

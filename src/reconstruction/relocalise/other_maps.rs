@@ -14,7 +14,7 @@ use super::asked::Asked;
 use super::spread::shows_a_place;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::sim3::Sim3;
-use crate::geometry::{Se3, median};
+use crate::geometry::{SIGMA_OVER_MEDIAN, Se3, median};
 use crate::map::graph::Tie;
 use crate::map::observations::Observations;
 use crate::map::saved::{MapHead, SavedMap};
@@ -270,7 +270,7 @@ pub fn agreed_ratio(logarithms: &mut [f64]) -> Option<(f64, f64)> {
     let middle = median(logarithms).filter(|_| n >= MIN_COMMON)?;
     let mut off: Vec<f64> = logarithms.iter().map(|r| (r - middle).abs()).collect();
     // Of a normal distribution: its standard deviation from the median deviation, and the median's from that.
-    let sigma = 1.4826 * median(&mut off)? * (std::f64::consts::FRAC_PI_2 / n as f64).sqrt();
+    let sigma = SIGMA_OVER_MEDIAN * median(&mut off)? * (std::f64::consts::FRAC_PI_2 / n as f64).sqrt();
     (sigma <= MAX_SCALE_SIGMA).then(|| (middle.exp(), sigma))
 }
 
@@ -286,7 +286,7 @@ pub fn retire(map: &Map, events: &mut Vec<TrajectoryEvent>) {
 mod tests {
     use super::*;
     use crate::geometry::random::Random;
-    use crate::map::{Keyframe, Landmark, Observation};
+    use crate::map::{Keyframe, Landmark, Observation, examples};
     use nalgebra::{Matrix2, Matrix3, UnitQuaternion, Vector2, Vector3};
 
     /// Two keyframes of the present map that see the same 40 points of another one, whose unit is a third of it.
@@ -298,32 +298,11 @@ mod tests {
     }
 
     fn keyframe(camera_from_world: Se3<Camera, World>) -> Keyframe {
-        Keyframe {
-            sequence: 0,
-            timestamp_ns: 0,
-            map: MapId(0),
-            camera_from_world,
-            motion: None,
-            picture: Default::default(),
-            thumbnail: Default::default(),
-            scale_from: None,
-            observations: Default::default(),
-            covisible: Vec::new(),
-            corners: Vec::new(),
-        }
+        examples::keyframe(Default::default(), camera_from_world)
     }
 
     fn landmark(position: Vector3<f64>) -> Landmark {
-        Landmark {
-            position,
-            covariance: Matrix3::identity() * 1e-6,
-            observers: Vec::new(),
-            created_by: KeyframeId(0),
-            assumed: None,
-            sought: 0,
-            found: 0,
-            disagreed: 0,
-        }
+        Landmark::new(position, Matrix3::identity() * 1e-6, KeyframeId(0))
     }
 
     /// `known`: how many of the points are landmarks of the present map, too; `baseline` of its keyframes.

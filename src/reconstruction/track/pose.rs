@@ -13,12 +13,15 @@ mod minima;
 use nalgebra::Matrix6;
 
 pub use self::descent::PoseOptions;
-use self::descent::descend;
+use self::descent::{descend, judge};
 use self::leverage::{Fit, judge_leverage};
 pub use self::minima::lowest_minimum;
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
-use crate::reconstruction::measurement::{Correspondence, residual};
+use crate::reconstruction::measurement::Correspondence;
+
+/// Rounds of optimisation, outliers judged anew after each.
+const ROUNDS: usize = 3;
 
 /// Result of [`optimise_pose`].
 #[derive(Debug, Clone, Copy)]
@@ -27,8 +30,6 @@ pub struct PoseSolution {
     pub inliers: usize,
     /// Information (inverse covariance) of the left perturbation, inliers only, unit weights: rad and map units.
     pub information: Matrix6<f64>,
-    /// Root mean square of the inliers' residuals, px.
-    pub rms_px: f64,
 }
 
 /// Robust pose from `start`. `inlier` (same length as `pairs`) is overwritten. `None` with fewer than four usable pairs,
@@ -45,9 +46,8 @@ pub fn optimise_pose(
         return None;
     }
     let mut pose = *start;
-    let rounds = options.rounds.max(1);
-    for round in 0..rounds {
-        let relaxed = round == 0 && rounds > 1;
+    for round in 0..ROUNDS {
+        let relaxed = round == 0;
         pose = descend(&pose, pairs, inlier, options, relaxed).0;
         let limit = options.outlier_chi2 * if relaxed { options.first_round_relaxation } else { 1.0 };
         if judge(&pose, pairs, limit, inlier) < 4 {
@@ -58,29 +58,15 @@ pub fn optimise_pose(
     if options.leverage {
         judge_leverage(&mut pose, &mut fit, pairs, options, inlier);
     }
-    let solution = PoseSolution {
-        camera_from_world: pose,
-        inliers: fit.count,
-        information: fit.information,
-        rms_px: (fit.sum_px2 / fit.count.max(1) as f64).sqrt(),
-    };
+    let solution = PoseSolution { camera_from_world: pose, inliers: fit.count, information: fit.information };
     (pose.is_finite() && fit.information.iter().all(|v| v.is_finite())).then_some(solution)
-}
-
-/// Says of every pair whether it lies within `limit`; how many do.
-fn judge(pose: &Se3<Camera, World>, pairs: &[Correspondence], limit: f64, inlier: &mut [bool]) -> usize {
-    let mut count = 0;
-    for (pair, flag) in pairs.iter().zip(inlier) {
-        *flag = residual(pose, pair).is_some_and(|seen| seen.e.norm_squared() <= limit);
-        count += usize::from(*flag);
-    }
-    count
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::geometry::random::Random;
+    use crate::reconstruction::measurement::residual;
     use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3, Vector6};
 
     pub fn scene(seed: u64, n: usize, noise_px: f64, outliers: usize) -> (Se3<Camera, World>, Vec<Correspondence>) {

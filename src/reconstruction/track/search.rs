@@ -13,7 +13,7 @@ use crate::geometry::{CameraModel, Se3};
 use crate::image::Pyramid;
 use crate::map::picture::Detail;
 use crate::map::{Keyframe, KeyframeId, LandmarkId, Map, Observation};
-use crate::reconstruction::measurement::Correspondence;
+use crate::reconstruction::measurement::{Correspondence, NEAREST};
 
 /// A landmark found in the frame.
 #[derive(Debug, Clone, Copy)]
@@ -119,7 +119,7 @@ impl Search {
         for &id in local {
             let Some(landmark) = map.landmark(id) else { continue };
             let camera_point = pose.transform(&landmark.position);
-            if camera_point.z < 1e-6 {
+            if camera_point.z < NEAREST {
                 continue;
             }
             let Some(pixel) = camera.project(&camera_point) else { continue };
@@ -297,7 +297,6 @@ mod tests {
     #[test]
     fn a_condensed_view_from_too_near_gives_way_to_one_from_the_right_distance() {
         use crate::map::view::{DESCRIBED_LEVELS, Description};
-        use crate::map::{Landmark, Map};
         let pixel = Vector2::new(163.0, 117.0);
         let point = Vector3::new(0.0, 0.0, 4.0);
         let mut map = Map::default();
@@ -309,17 +308,7 @@ mod tests {
             (map.add_keyframe(keyframe), observation)
         });
         let [near, beside, twin] = seen.map(|s| s.0);
-        let landmark = Landmark {
-            position: point,
-            covariance: nalgebra::Matrix3::identity(),
-            observers: Vec::new(),
-            created_by: near,
-            assumed: None,
-            sought: 1,
-            found: 1,
-            disagreed: 0,
-        };
-        let landmark = map.add_landmark(landmark, &seen);
+        let landmark = map.add_landmark(examples::landmark(point, near), &seen);
         let candidate = Candidate { landmark, point, pixel: pixel.cast(), cell: 0 };
         let chosen = |map: &Map| closest_view(map, &Vector3::zeros(), &candidate).expect("a view").keyframe.centre();
         // The twin keeps the patch that the other then needs not.

@@ -22,13 +22,13 @@ use super::association::{Seed, TRACK_SIGMA_PX, Target};
 use super::frame::{Frame, QUICK_TURN_RAD};
 use super::search::Match;
 use super::template::observe;
+use crate::geometry::Se3;
 use crate::geometry::camera_motion::CameraMotion;
 use crate::geometry::frames::{Camera, World};
-use crate::geometry::{Se3, median};
 use crate::map::{LandmarkId, Observation};
-use crate::reconstruction::measurement::Correspondence;
 use crate::reconstruction::measurement::inverse_distance::Ray;
 use crate::reconstruction::measurement::rolling_shutter::Shutter;
+use crate::reconstruction::measurement::{Correspondence, middle_distance};
 
 /// A seed that the frame sees.
 #[derive(Debug, Clone, Copy)]
@@ -96,8 +96,8 @@ impl SeedRays {
     pub fn note_distance(&mut self, matches: &[Match], centre: &Vector3<f64>) {
         self.distances.clear();
         self.distances.extend(matches.iter().filter(|m| m.inlier).map(|m| (m.point - centre).norm()));
-        if let Some(median) = median(&mut self.distances) {
-            self.distance = (median.is_finite() && median > 1e-6).then_some(median);
+        if !self.distances.is_empty() {
+            self.distance = middle_distance(&mut self.distances);
         }
     }
 }

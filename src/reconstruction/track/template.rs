@@ -104,7 +104,7 @@ pub fn align_template(
         };
         let template = Template::from_pixels(&pixels);
         match align(&template, &pyramid.levels[level], level_from_base(level, position), &AlignOptions::default()) {
-            Ok(aligned) if aligned.ncc >= MIN_CORRELATION => {
+            Some(aligned) if aligned.ncc >= MIN_CORRELATION => {
                 position = base_from_level(level, aligned.position);
                 found_level = Some(level);
             }
@@ -146,7 +146,8 @@ pub fn affine_warp(
     Some(projection * in_plane * seen.normalised_from_pixel * depth)
 }
 
-/// The place of `a`'s patch (in `anchor`) near `start` in another keyframe, given the point's position.
+/// The place of `a`'s patch (in `anchor`) near `start` in another keyframe, given the point's position; `sigma_px`: at
+/// full resolution.
 pub fn refine_in(
     anchor: &Keyframe,
     a: &Observation,
@@ -154,10 +155,11 @@ pub fn refine_in(
     point: &Vector3<f64>,
     start: Vector2<f32>,
     camera: &CameraModel,
-    options: &SearchOptions,
+    sigma_px: f64,
 ) -> Option<Observation> {
     let affine = affine_warp(camera, anchor, a, &other.camera_from_world, point)?;
-    let found = align_template(anchor, a, other.picture.whole()?, &affine, start.cast(), options)?;
+    let options = SearchOptions::precise(sigma_px);
+    let found = align_template(anchor, a, other.picture.whole()?, &affine, start.cast(), &options)?;
     observe(camera, a.landmark, found.pixel, found.inv_sigma_px)
 }
 

@@ -38,8 +38,8 @@ pub struct HeldFloor {
     pub around: Vec<Vector3<f64>>,
 }
 
-/// Derivatives of a residual's two rows by N unknowns; a height has one row, the other is zero.
-type Rows<const N: usize> = [SVector<f64, N>; 2];
+/// Derivatives of a residual's two rows (a place's x and y) by N unknowns; a height has one row, the other is zero.
+pub(super) type Rows<const N: usize> = [SVector<f64, N>; 2];
 
 /// Residuals and their derivatives by the floor's pose and by what lies or drives there.
 pub(super) struct FloorTerm<const N: usize> {

@@ -93,7 +93,7 @@ impl Globals {
     }
 }
 
-/// Focal length of the residuals in units of the `pixel_scale`s'.
+/// Focal length of the residuals in units of that which observations were made with.
 pub(super) fn focal_scale(values: &GlobalVector) -> f64 {
     if values[1] == 0.0 { 1.0 } else { values[1].exp() }
 }

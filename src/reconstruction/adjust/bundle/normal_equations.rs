@@ -5,20 +5,19 @@
 
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, SMatrix, SVector, Vector1, Vector3, Vector6};
 
+use super::floor::Rows;
 use super::globals::focal_scale;
-use super::options::{BEHIND_CAMERA, LEAST_PIVOT};
+use super::options::LEAST_PIVOT;
 use super::problem::{BundleProblem, BundleState};
 use crate::geometry::Se3;
 use crate::geometry::cholesky::DenseCholesky;
 use crate::geometry::frames::{Camera, World};
-use crate::geometry::least_squares::{Damped, LeastSquares, Loss};
-use crate::reconstruction::measurement::jacobian_rows;
+use crate::geometry::least_squares::{Damped, LeastSquares, Loss, damped};
+use crate::reconstruction::measurement::{BEHIND_CAMERA, jacobian_rows};
 
 /// In the place of a fixed camera's index among the free ones.
 const FIXED: usize = usize::MAX;
 type Matrix6x3 = SMatrix<f64, 6, 3>;
-/// Derivatives of a residual's x and y by N unknowns.
-type Rows<const N: usize> = [SVector<f64, N>; 2];
 
 /// A bundle adjustment with its first `W` global parameters: one, or all of them.
 pub(super) struct Adjustment<'a, const W: usize> {
@@ -120,15 +119,6 @@ fn subtract_product<const R: usize, const C: usize>(
             *value -= a[(r, 0)] * b[(c, 0)] + a[(r, 1)] * b[(c, 1)] + a[(r, 2)] * b[(c, 2)];
         }
     }
-}
-
-/// Marquardt's damping.
-fn damped<const N: usize>(block: &SMatrix<f64, N, N>, damping: f64) -> SMatrix<f64, N, N> {
-    let mut block = *block;
-    for i in 0..N {
-        block[(i, i)] += damping * block[(i, i)] + LEAST_PIVOT;
-    }
-    block
 }
 
 impl<'p, const W: usize> Adjustment<'p, W> {
@@ -252,12 +242,11 @@ impl<'p, const W: usize> Adjustment<'p, W> {
         let o = &self.problem.observations[k];
         let (e, p) = self.problem.residual(state, point, k)?;
         let (_, weight) = Loss::Huber(self.limit).evaluate(e.norm_squared());
-        let pixels = o.pixel_scale * o.inv_sigma_px;
-        let (jx, jy) = jacobian_rows(&p, &(pixels * focal_scale(&state.globals)));
+        let (jx, jy) = jacobian_rows(&p, &(o.sqrt_information * focal_scale(&state.globals)));
         // d e / d point = d e / d translation * R.
         let by_point = |j: &[f64; 6]| rotation.tr_mul(&Vector3::new(j[3], j[4], j[5]));
         let off = self.problem.off(state, k, &p);
-        let global = pixels * self.problem.globals.jacobian::<W>(k, &off, &o.displacement, &state.globals);
+        let global = o.sqrt_information * self.problem.globals.jacobian::<W>(k, &off, &o.displacement, &state.globals);
         Some(Linearised {
             residual: [Vector1::new(e.x), Vector1::new(e.y)],
             weight,
@@ -369,7 +358,7 @@ impl<const W: usize> System<W> {
         let mut s = DMatrix::<f64>::zeros(at + W, at + W);
         let mut g = DVector::<f64>::zeros(at + W);
         for (i, camera) in self.cameras.iter().enumerate() {
-            s.fixed_view_mut::<6, 6>(6 * i, 6 * i).copy_from(&damped(&camera.own, damping));
+            s.fixed_view_mut::<6, 6>(6 * i, 6 * i).copy_from(&damped(&camera.own, damping, LEAST_PIVOT));
             s.fixed_view_mut::<W, 6>(at, 6 * i).copy_from(&camera.global);
             g.fixed_rows_mut::<6>(6 * i).copy_from(&-camera.gradient);
         }
@@ -381,7 +370,7 @@ impl<const W: usize> System<W> {
         g.fixed_rows_mut::<W>(at).copy_from(&-self.global_gradient);
         let mut inverses = Vec::with_capacity(self.points.len());
         for (i, point) in self.points.iter().enumerate() {
-            let inverse = damped(&point.own, damping).try_inverse();
+            let inverse = damped(&point.own, damping, LEAST_PIVOT).try_inverse();
             let inverse = inverse.filter(|m| m.iter().all(|v| v.is_finite())).unwrap_or_else(Matrix3::zeros);
             let rest = inverse * point.gradient;
             let seen = self.seen(i);

@@ -5,14 +5,9 @@ use crate::reconstruction::measurement::CHI2_2D_95;
 
 /// Passes; outliers are judged after each.
 pub(super) const PASSES: usize = 2;
-/// Damping at the start of each pass, as a share of the diagonal: a map is near its minimum, so that nearly whole steps pay, and the few
-/// that a pass has are not spent on finding that out.
-pub(super) const INITIAL_DAMPING: f64 = 1e-4;
 /// Added to every pivot, squared standard deviations per squared unit (rad, map units): what no observation holds stays where it is. The
 /// information of one pixel on one unit of the map is some 1e5.
 pub(super) const LEAST_PIVOT: f64 = 1e-9;
-/// Price of an observation behind its camera in squared outlier limits: a step that does this is no gain.
-pub(super) const BEHIND_CAMERA: f64 = 100.0;
 /// Relative damping that holds what nothing holds (the scale, a point that one camera sees) while the rest is marginalised:
 /// far below what any of it costs, far above the loss of digits. The first at which the system is positive definite.
 pub(super) const GAUGE_DAMPING: [f64; 3] = [1e-9, 1e-7, 1e-5];

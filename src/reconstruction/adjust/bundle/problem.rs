@@ -19,10 +19,8 @@ pub struct BundleObservation {
     pub normalised: Vector2<f64>,
     /// How far a rolling shutter moved it, per second of readout time.
     pub displacement: Vector2<f64>,
-    /// Pixels that steps on that plane count as there.
-    pub pixel_scale: Matrix2<f64>,
-    /// One over the standard deviation, 1/px.
-    pub inv_sigma_px: f64,
+    /// Square root of its information: standard deviations that a step on that plane counts as.
+    pub sqrt_information: Matrix2<f64>,
 }
 
 /// What is adjusted.
@@ -74,7 +72,7 @@ impl BundleProblem {
             return None;
         }
         let off = self.globals.through_new_lens(k, self.off(state, k, &p), &state.globals);
-        Some((scaled(&observation.pixel_scale, observation.inv_sigma_px, off.x, off.y), p))
+        Some((scaled(&observation.sqrt_information, off.x, off.y), p))
     }
 
     /// From where observation `k` was seen through the old lens to where `p` (in the camera's coordinates) is, on the plane z = 1.
@@ -86,12 +84,12 @@ impl BundleProblem {
     }
 
     /// The observations of a point.
-    pub(super) fn range(&self, point: usize) -> std::ops::Range<usize> {
+    pub fn range(&self, point: usize) -> std::ops::Range<usize> {
         self.first[point] as usize..self.first[point + 1] as usize
     }
 
     /// The inliers among them.
-    pub(super) fn inliers(&self, point: usize) -> impl Iterator<Item = usize> + '_ {
+    pub fn inliers(&self, point: usize) -> impl Iterator<Item = usize> + '_ {
         self.range(point).filter(|&k| self.inlier[k])
     }
 

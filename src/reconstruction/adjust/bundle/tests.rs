@@ -38,8 +38,7 @@ fn problem(seed: u64, cameras: usize, points: usize, noise_px: f64) -> BundlePro
                 camera: c as u32,
                 normalised: Vector2::new(q.x / q.z, q.y / q.z) + noise,
                 displacement: Vector2::zeros(),
-                pixel_scale: Matrix2::new(500.0, 0.0, 0.0, 510.0),
-                inv_sigma_px: 1.0,
+                sqrt_information: Matrix2::new(500.0, 0.0, 0.0, 510.0),
             });
         }
         p.state.points.push(point);
@@ -107,7 +106,7 @@ fn the_noise_of_places_is_told_whatever_was_supposed_and_beside_outliers() {
         for (k, o) in p.observations.iter_mut().enumerate() {
             let off = Vector2::new(random.normal() / 500.0, random.normal() / 510.0) * noise_px;
             o.normalised += if k % 61 == 0 { Vector2::new(0.05, 0.02) } else { off };
-            o.inv_sigma_px = 1.0 / supposed_px;
+            o.sqrt_information *= 1.0 / supposed_px;
         }
         p.adjust(&BundleOptions { steps: 30, ..BundleOptions::default() });
         let told = p.noise().expect("enough") * supposed_px;
@@ -143,7 +142,8 @@ fn outliers_are_named_and_the_rest_still_fits() {
 /// observations' own sigmas.
 fn free_intrinsics(p: &mut BundleProblem, active: usize, information: f64) {
     let jacobian = |o: &BundleObservation| {
-        let px = Vector2::new(1.0 / o.pixel_scale.m11, 1.0 / o.pixel_scale.m22);
+        // By the focal lengths of `problem`.
+        let px = Vector2::new(1.0 / 500.0, 1.0 / 510.0);
         let mut j = IntrinsicsJacobian::zeros();
         j.set_column(0, &-o.normalised);
         j.set_column(1, &Vector2::new(-px.x, 0.0));
@@ -164,7 +164,7 @@ fn a_wrong_focal_length_is_found_with_the_rest_and_its_sigma_is_honest() {
         let mut p = problem(seed, 6, 80, 0.1);
         for o in &mut p.observations {
             o.normalised *= 1.03;
-            o.inv_sigma_px = 3f64.sqrt() / 0.1;
+            o.sqrt_information *= 3f64.sqrt() / 0.1;
         }
         free_intrinsics(&mut p, WITHOUT_DISTORTION, 1e-6);
         disturb(&mut p, seed + 3);
@@ -241,8 +241,7 @@ fn add_targets(p: &mut BundleProblem, targets: usize, noise_px: f64) {
                     camera: camera as u32,
                     normalised: q.xy() / q.z + noise,
                     displacement: Vector2::new(0.1, x),
-                    pixel_scale: Matrix2::new(500.0, 0.0, 0.0, 510.0),
-                    inv_sigma_px: 4.0,
+                    sqrt_information: Matrix2::new(500.0, 0.0, 0.0, 510.0) * 4.0,
                 });
                 p.corners.push(corner);
             }

@@ -5,13 +5,11 @@ use nalgebra::Vector6;
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::least_squares::{LeastSquares, LmOptions, Loss, NormalEquations, minimise};
-use crate::reconstruction::measurement::{CHI2_2D_95, Correspondence, residual};
+use crate::reconstruction::measurement::{BEHIND_CAMERA, CHI2_2D_95, Correspondence, residual};
 
 /// Options of [`optimise_pose`](super::optimise_pose).
 #[derive(Debug, Clone, Copy)]
 pub struct PoseOptions {
-    /// Rounds of optimisation, outliers judged anew after each.
-    pub rounds: usize,
     /// Steps a round at the most.
     pub steps: usize,
     /// Limit of the squared, sigma-scaled residual above which a pair is an outlier.
@@ -24,7 +22,7 @@ pub struct PoseOptions {
 
 impl Default for PoseOptions {
     fn default() -> Self {
-        Self { rounds: 3, steps: 6, outlier_chi2: CHI2_2D_95, first_round_relaxation: 4.0, leverage: true }
+        Self { steps: 6, outlier_chi2: CHI2_2D_95, first_round_relaxation: 4.0, leverage: true }
     }
 }
 
@@ -33,6 +31,11 @@ impl PoseOptions {
     pub fn judged_by(outlier_chi2: f64) -> Self {
         Self { outlier_chi2, ..Self::default() }
     }
+
+    /// From a start that may be far off.
+    pub fn from_poor_start() -> Self {
+        Self { first_round_relaxation: 25.0, ..Self::default() }
+    }
 }
 
 /// What the pairs that are inliers cost a pose.
@@ -40,7 +43,7 @@ struct PoseProblem<'a> {
     pairs: &'a [Correspondence],
     inlier: &'a [bool],
     loss: Loss,
-    /// A constant price of a pair behind the camera, so that a step that does this is no gain.
+    /// The price of a pair behind the camera.
     behind: f64,
 }
 
@@ -86,8 +89,18 @@ pub(super) fn descend(
 ) -> (Se3<Camera, World>, f64) {
     let limit = options.outlier_chi2.sqrt();
     let loss = if relaxed { Loss::Cauchy(limit) } else { Loss::Huber(limit) };
-    let problem = PoseProblem { pairs, inlier, loss, behind: 100.0 * options.outlier_chi2 };
+    let problem = PoseProblem { pairs, inlier, loss, behind: BEHIND_CAMERA * options.outlier_chi2 };
     let lm = LmOptions { max_iterations: options.steps, relative_cost: 1e-6, step_norm: 1e-8, initial_damping: 1e-6 };
     let (pose, summary) = minimise(&problem, *start, &lm);
     (pose, summary.final_cost)
+}
+
+/// Says of every pair whether it lies within `limit`; how many do.
+pub(super) fn judge(pose: &Se3<Camera, World>, pairs: &[Correspondence], limit: f64, inlier: &mut [bool]) -> usize {
+    let mut count = 0;
+    for (pair, flag) in pairs.iter().zip(inlier) {
+        *flag = residual(pose, pair).is_some_and(|seen| seen.e.norm_squared() <= limit);
+        count += usize::from(*flag);
+    }
+    count
 }

@@ -8,7 +8,7 @@
 
 use nalgebra::{Matrix2, Matrix6, Vector6};
 
-use super::descent::{PoseOptions, descend};
+use super::descent::{PoseOptions, descend, judge};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 use crate::reconstruction::measurement::{Correspondence, accumulate, residual};
@@ -24,22 +24,19 @@ const MIN_LEFT: f64 = 0.01;
 pub(super) struct Fit {
     pub(super) information: Matrix6<f64>,
     pub(super) count: usize,
-    /// Of residuals whitened by the landmarks' own uncertainty, in px.
-    pub(super) sum_px2: f64,
 }
 
 impl Fit {
     pub(super) fn of(pose: &Se3<Camera, World>, pairs: &[Correspondence], inlier: &[bool]) -> Self {
-        let (mut information, mut sum_px2, mut count) = (Matrix6::zeros(), 0.0, 0usize);
+        let (mut information, mut count) = (Matrix6::zeros(), 0usize);
         for (pair, _) in pairs.iter().zip(inlier).filter(|(_, ok)| **ok) {
             let Some(seen) = residual(pose, pair) else { continue };
-            let (e, (jx, jy)) = (seen.e, seen.rows());
+            let (jx, jy) = seen.rows();
             accumulate(&mut information, &jx, &jy, 1.0);
-            sum_px2 += e.norm_squared() * pair.variance_px2;
             count += 1;
         }
         information.fill_lower_triangle_with_upper_triangle();
-        Self { information, count, sum_px2 }
+        Self { information, count }
     }
 
     /// The inlier with the largest studentised residual, if that is beyond the limit: its innovation, had the pose been solved without it.
@@ -108,10 +105,8 @@ pub(super) fn judge_leverage(
     if count == 0 {
         return;
     }
-    for (i, (pair, flag)) in pairs.iter().zip(inlier.iter_mut()).enumerate() {
-        let agrees = residual(pose, pair).is_some_and(|seen| seen.e.norm_squared() <= limit);
-        *flag = agrees && !out[..count].contains(&i);
-    }
+    judge(pose, pairs, limit, inlier);
+    out[..count].iter().for_each(|i| inlier[*i] = false);
     *pose = descend(pose, pairs, inlier, options, false).0;
     *fit = Fit::of(pose, pairs, inlier);
 }
@@ -139,7 +134,6 @@ mod tests {
                 pair.normalised = p.xy() / p.z + noise;
                 // The largest noise is taken for the standard deviation: at that of the noise one right pair of 20 is beyond the limit.
                 pair.sqrt_information /= 0.3;
-                pair.variance_px2 = 0.3 * 0.3;
             }
             let near = Vector3::new(-0.3, 0.1, 0.7);
             let off_by = |wrong_px: f64, leverage: bool| {
