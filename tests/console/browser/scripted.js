@@ -12,7 +12,7 @@ const pictures = process.argv[2];
 const LANDMARKS = 100_000;
 // What it takes to read a message of so many landmarks number by number, ms, where an update may take 4 ms: on a slower machine, or one that has other
 // work, it may take longer in proportion.
-const READING_MS = 0.5;
+const READING_MS = 1;
 mkdirSync(pictures, { recursive: true });
 
 const isBlue = (r, g, b) => b > 100 && b > r + 50;
