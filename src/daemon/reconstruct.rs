@@ -227,7 +227,8 @@ impl ReconstructStep {
     }
 
     /// Whether the pictures have the size that the camera model is for. The first frame tells it; a camera that sends another one later begins a
-    /// new map, or, where its calibration cannot be scaled to that, is waited for until it sends the right size again.
+    /// new map, or, where its calibration cannot be scaled to that or frames are only located in a map, is waited for until it sends the right size
+    /// again.
     fn fits(&mut self, features: &FrameFeatures) -> Result<bool, String> {
         let Some(picture) = features.pyramid.levels.first() else { return Ok(false) };
         let size = |pixels: usize| u32::try_from(pixels).unwrap_or(u32::MAX);
@@ -237,19 +238,16 @@ impl ReconstructStep {
             return Ok(true);
         }
         let stays = self.reconstruction.is_some() && self.map_file.as_ref().is_some_and(|desk| desk.localise_only);
-        let fitted = match stays {
-            true => Err(format!(
-                "a map that is only located in stays, and it is of {} x {} pixels",
-                self.size.0, self.size.1
-            )),
-            false => self.calibration.fit(width, height),
-        };
+        let fitted = if stays { Err(None) } else { self.calibration.fit(width, height).map_err(Some) };
         match fitted {
             Ok(camera) => self.begin(camera)?,
-            Err(reason) if self.size == (0, 0) => return Err(reason),
+            Err(Some(reason)) if self.size == (0, 0) => return Err(reason),
             Err(reason) => {
-                if !self.status.calibration_refused() {
-                    error!(reason, "calibration does not fit the size that the camera sends now");
+                let (map_width, map_height) = self.size;
+                match reason {
+                    _ if self.status.calibration_refused() => {}
+                    Some(reason) => error!(reason, "calibration does not fit the size that the camera sends now"),
+                    None => error!(width, height, map_width, map_height, "pictures are not of the located map's size"),
                 }
                 self.status.set_calibration_refused(true);
                 self.status.wrong_size.add(1);
@@ -284,7 +282,7 @@ impl ReconstructStep {
     fn begin(&mut self, camera: CameraModel) -> Result<(), String> {
         self.tell_camera(&camera);
         if let Some(reconstruction) = self.reconstruction.as_mut() {
-            if let Some(desk) = self.map_file.as_mut().filter(|desk| !desk.localise_only) {
+            if let Some(desk) = self.map_file.as_mut() {
                 desk.let_go("the camera sends another size of picture");
             }
             reconstruction.change_camera(&camera, self.calibration.prior);

@@ -128,8 +128,15 @@ pub struct Landmark {
 }
 
 impl Landmark {
-    /// Frames that are counted, some days of them: beyond, and of a file that says more, it is the share found that counts.
+    /// Frames that are counted, some days of them: beyond it is the share found that counts.
     pub const MOST_SOUGHT: u32 = 1 << 24;
+
+    /// Counts fewer frames, the same share of them found, where there are more than that.
+    pub fn bound_counts(&mut self) {
+        while self.sought.max(self.found) >= Self::MOST_SOUGHT {
+            (self.sought, self.found) = (self.sought / 2, self.found / 2);
+        }
+    }
 
     /// Found the one time that it was sought, in the frame that made it.
     pub fn new(position: Vector3<f64>, covariance: Matrix3<f64>, created_by: KeyframeId) -> Self {
@@ -387,9 +394,7 @@ impl Map {
     /// Counts that a landmark was looked for in a frame. By itself no reason to write it to a file anew.
     pub fn count_sighting(&mut self, landmark: LandmarkId, sought: Sought) {
         let Some(l) = self.landmarks.get_mut_unnoticed(landmark.0) else { return };
-        if l.sought >= Landmark::MOST_SOUGHT {
-            (l.sought, l.found) = (l.sought / 2, l.found / 2);
-        }
+        l.bound_counts();
         l.sought += 1;
         match sought {
             Sought::Found => (l.found, l.disagreed) = (l.found + 1, 0),
@@ -473,11 +478,14 @@ impl Map {
         self.revision += 1;
     }
 
-    /// Undistorts all observations and free corners by another camera model of the same pictures.
+    /// Undistorts all observations and free corners by a camera model of the same pictures, where another one has done so.
     pub fn undistort_anew(&mut self, camera: &CameraModel) {
         let lens = Arc::new(camera.clone());
         self.lens = Some(lens.clone());
-        for (_, keyframe) in self.keyframes.iter_mut() {
+        let by_another = |(id, k): (u32, &Keyframe)| (!k.observations.are_undistorted_by(&lens)).then_some(id);
+        // Only what changes is written to the map's file anew.
+        for id in self.keyframes.iter().filter_map(by_another).collect::<Vec<_>>() {
+            let Some(keyframe) = self.keyframes.get_mut(id) else { continue };
             keyframe.observations.undistort_anew(&lens);
             for corner in &mut keyframe.corners {
                 corner.normalised = camera.undistort(&corner.pixel.cast()).unwrap_or(corner.normalised);

@@ -273,6 +273,17 @@ impl Observations {
         }
     }
 
+    /// Whether this lens has undistorted them: always all at once.
+    pub(super) fn are_undistorted_by(&self, lens: &CameraModel) -> bool {
+        match &self.0 {
+            Kept::Whole(all) => all.first().is_some_and(|o| {
+                let here = lens.undistort_jacobian(&o.pixel.cast());
+                here == Some((o.normalised, o.normalised_from_pixel))
+            }),
+            Kept::Packed { lens: by, .. } => **by == *lens,
+        }
+    }
+
     /// Undistorts all by another lens of the same pictures.
     pub(super) fn undistort_anew(&mut self, by: &Arc<CameraModel>) {
         match &mut self.0 {
@@ -376,7 +387,9 @@ mod tests {
         // Another lens: both follow it.
         let other = Arc::new(CameraModel::new(640, 480, 500.0, 500.0, 320.0, 240.0, [0.0; 5]).expect("a camera"));
         for all in [&mut whole, &mut packed] {
+            assert!(all.are_undistorted_by(&lens) && !all.are_undistorted_by(&other));
             all.undistort_anew(&other);
+            assert!(all.are_undistorted_by(&other) && !all.are_undistorted_by(&lens));
             let o = all.get(LandmarkId(131)).expect("there");
             assert!((o.normalised.x - (f64::from(o.pixel.x) - 320.0) / 500.0).abs() < 1e-9);
         }

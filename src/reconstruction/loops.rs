@@ -64,7 +64,7 @@ struct FoundLoop {
 #[derive(Default)]
 pub struct Loops {
     index: PlaceIndex,
-    /// Of other runs, not yet in it.
+    /// Of starts, other runs and second looks, not yet in it.
     to_enter: VecDeque<KeyframeId>,
     describer: PlaceDescriber,
     seen: Vec<Descriptor>,

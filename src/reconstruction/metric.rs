@@ -180,7 +180,7 @@ impl Reconstruction {
         self.move_parts(&parts, |part| told.contains(&part));
     }
 
-    /// By which motions; none before wheels tell how long the newest unit is.
+    /// Parts of the map with units of their own and the motions that bring them into one; none before wheels tell how long the newest unit is.
     fn told_parts(&self) -> Vec<(Option<TurnId>, Sim3<World, World>)> {
         let active = &self.active;
         let newest = active.map.keyframe(active.reference).and_then(|k| k.scale_from);
@@ -214,11 +214,19 @@ impl Reconstruction {
         active.odometry.rescale(factor);
         active.scale.rescale(factor);
         active.unadjusted = active.map.newest();
+        self.rescale_told(factor);
         self.wheels.rescale(factor);
         self.blind.rescale(factor);
         self.tracker.rescale(factor);
         self.active.probation.end();
         self.contradiction.look_anew();
+    }
+
+    /// What was told of the part behind a turn is of lengths that are `factor` times as long now.
+    pub(super) fn rescale_told(&mut self, factor: f64) {
+        if let Some((_, word)) = &mut self.told_behind {
+            word.log_metres_per_unit -= factor.ln();
+        }
     }
 
     /// The same, and in the record of a trajectory, and what tags and the floor have told. For a map of which nobody knows the scale.
@@ -246,9 +254,6 @@ impl Reconstruction {
         }
         let active = &mut self.active;
         active.fusion.rescale(factor);
-        if let Some((_, word)) = &mut self.told_behind {
-            word.log_metres_per_unit -= factor.ln();
-        }
         let after = active.odometry.last.map(|last| last.camera_from_world);
         if first {
             active.odometry.odom_from_camera.translation *= factor;

@@ -183,7 +183,8 @@ impl Wheels {
         self.scale.renew(|segment_before| {
             let Some((begin, end)) = ends.next() else { return };
             if let Some(now) = segment((begin, end), map, segment_before.at_depths) {
-                (segment_before.turn, segment_before.step, segment_before.unit) = (now.turn, now.step, now.unit);
+                let before = segment_before;
+                (before.turn, before.step, before.sigma, before.unit) = (now.turn, now.step, now.sigma, now.unit);
             }
         });
     }

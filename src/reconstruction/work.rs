@@ -1,5 +1,5 @@
-//! Work on copies, and who runs it: what comes of it follows from its input alone, so it can run anywhere, and delays
-//! no pose.
+//! Work on copies, and who runs it: what comes of it follows from its input alone, so it can run anywhere, also where it
+//! delays no pose.
 //!
 //! There are two kinds: mapping ([`adjust::job`](super::adjust::job)), and looking for old places
 //! ([`loops::recognition`](super::loops::recognition)).

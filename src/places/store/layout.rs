@@ -407,16 +407,17 @@ impl Raw {
         let page: Vec<LandmarkRecord> = postcard::from_bytes(bytes).ok()?;
         page.iter().all(|l| l.id / PAGE as u32 == number && l.is_sound()).then_some(())?;
         for l in page {
-            let landmark = Landmark {
+            let mut landmark = Landmark {
                 position: l.position.into(),
                 covariance: Matrix3::from_column_slice(&l.covariance),
                 observers: Vec::new(),
                 created_by: KeyframeId(l.created_by),
                 assumed: l.assumed.map(|[inverse, sigma]| AssumedDistance { inverse, sigma }),
-                sought: l.sought.min(Landmark::MOST_SOUGHT),
-                found: l.found.min(Landmark::MOST_SOUGHT),
+                sought: l.sought,
+                found: l.found,
                 disagreed: l.disagreed.min(Landmark::MOST_SOUGHT),
             };
+            landmark.bound_counts();
             self.landmarks.push((l.id, landmark));
         }
         Some(())

@@ -59,12 +59,14 @@ impl Mapper {
         self.moved.take()
     }
 
-    /// Forgets the job under way, but for a piece, which depends on nothing that has changed.
-    pub fn discard(&mut self) {
+    /// Forgets the job under way, but for a piece, which depends on nothing that has changed; true if there was one.
+    pub fn discard(&mut self) -> bool {
         self.moved = None;
-        if !self.is_piece && self.posted.take().is_some() {
+        let is_forgotten = !self.is_piece && self.posted.take().is_some();
+        if is_forgotten {
             self.worker.discard();
         }
+        is_forgotten
     }
 
     /// The result, once it is to be merged, and whether it comes later than `merge_after` frames after it was posted (live only).

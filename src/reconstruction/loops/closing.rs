@@ -64,7 +64,7 @@ impl Reconstruction {
         loops.index.add(id, &loops.seen);
     }
 
-    /// Enters some of the keyframes that another run has left.
+    /// Enters some of the keyframes that wait.
     pub(in crate::reconstruction) fn enter_loaded(&mut self) {
         let Self { loops, active, others, .. } = self;
         loops.enter(&active.map, others, ENTERED_WITH_FRAME);
@@ -149,9 +149,10 @@ impl Reconstruction {
                 self.counters.loops_tied += 1;
             }
             false => {
-                self.mapper.discard();
-                // What is discarded is to be done yet, should the loop not be closed.
-                self.active.unadjusted = map.newest();
+                if self.mapper.discard() {
+                    // To be done yet, should the loop not be closed.
+                    (self.active.unadjusted, self.active.next_global) = (map.newest(), 0);
+                }
                 self.loops.waiting = Some(FoundLoop { sightings, told });
             }
         }
@@ -201,6 +202,7 @@ impl Reconstruction {
             floor.follow(&here);
         }
         active.scale.follow(&active.map);
+        self.rescale_told(here.scale);
     }
 
     /// What both keyframes were found to see of the old place is one with what they see.
