@@ -193,18 +193,13 @@ impl Reconstruction {
     /// Adjusts the whole (new, small) map at once: how surely the newest camera's direction from the first is known (rad), and the
     /// readout time found with it (s, and its variance), and what it leaves of places; `None` if too few landmarks hold.
     fn adjust_globally(&mut self) -> Option<(f64, (f64, f64), Option<f64>)> {
-        let Optics { camera, shutter, intrinsics, noise, .. } = &self.optics;
+        let Optics { camera, shutter, noise, .. } = &self.optics;
         let job = Adjustment::global(&self.active.map, camera, shutter, START_STEPS)?;
         let result = job.judged_by(noise.outlier_chi2()).run();
         let supported = result.supported_landmarks();
-        let (mut sigma, readout, noise) = (result.direction_sigma(), result.readout(), result.noise);
+        let told = (result.direction_sigma(), result.readout(), result.noise);
         result.merge(&mut self.active.map);
-        if !intrinsics.is_calibrated() {
-            // What the lens may be wrong by, the direction may be as well.
-            sigma =
-                intrinsics.unknown_lens_job(&self.active.map, camera, shutter, START_STEPS)?.run().direction_sigma();
-        }
-        (supported >= self.config.start_landmarks).then_some((sigma, readout, noise))
+        (supported >= self.config.start_landmarks).then_some(told)
     }
 
     /// Replaces the tracked places in the later views by alignment with the first one's templates: flow drifts.

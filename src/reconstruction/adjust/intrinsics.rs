@@ -303,23 +303,6 @@ impl Intrinsics {
         Some(job)
     }
 
-    /// Global bundle adjustment through a lens that is free within what is known of it.
-    pub fn unknown_lens_job(
-        &self,
-        map: &Map,
-        camera: &CameraModel,
-        shutter: &Shutter,
-        steps: usize,
-    ) -> Option<Adjustment> {
-        let mut job = Adjustment::global(map, camera, shutter, steps)?;
-        let mut information = self.sigma.map(|s| 1.0 / (s * s));
-        if camera.lens.is_wide_angle() {
-            information.as_mut_slice()[WITHOUT_DISTORTION..].fill(f64::INFINITY);
-        }
-        job.refine_intrinsics(map, camera, &IntrinsicsVector::zeros(), &information);
-        Some(job)
-    }
-
     /// Keyframes at which the map is to be adjusted globally again: when it has grown by a third; a guessed lens at every keyframe of a
     /// small map and when a larger one has grown by a sixth.
     pub fn next_global(&self, keyframes: usize) -> usize {
