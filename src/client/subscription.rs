@@ -41,6 +41,8 @@ pub struct Subscription<T: Topic> {
     looked: Option<Instant>,
     /// Since when opening fails in a way that should pass.
     trouble: Option<Instant>,
+    /// A first message was waited for since it was opened.
+    waited: bool,
     /// The iterator has given its error.
     ended: bool,
     /// Looks every so often instead of being woken.
@@ -90,7 +92,7 @@ impl<T: Topic> std::fmt::Debug for Open<T> {
 
 impl<T: Topic> Subscription<T> {
     pub(super) fn new(link: Arc<Link>) -> Self {
-        Self { link, open: None, latest: None, looked: None, trouble: None, ended: false, polls: None }
+        Self { link, open: None, latest: None, looked: None, trouble: None, waited: false, ended: false, polls: None }
     }
 
     /// For a reader that need not have a message at once: no message wakes it, [`Self::wait`] looks every `pause` instead. That spares the
@@ -157,9 +159,10 @@ impl<T: Topic> Subscription<T> {
     }
 
     /// As [`Self::latest`], but if this subscription has had no message at all and a daemon is there, it waits up to `timeout`
-    /// for the first: a late joiner's last pose, map or health comes within a tenth of a second.
+    /// for the first, once: a late joiner's last pose, map or health comes within a tenth of a second, and a daemon without a camera says nothing
+    /// for hours.
     pub fn latest_within(&mut self, timeout: Duration) -> Result<Option<&T::Item>, ClientError> {
-        if self.latest()?.is_none() && self.is_connected() {
+        if self.latest()?.is_none() && self.is_connected() && !std::mem::replace(&mut self.waited, true) {
             self.latest = self.wait(timeout)?;
         }
         self.latest()
@@ -258,6 +261,7 @@ impl<T: Topic> Subscription<T> {
             Some(_) => None,
         };
         self.open = Some(Open { port, listener, node, heard: Instant::now(), alone: None });
+        self.waited = false;
         Ok(())
     }
 

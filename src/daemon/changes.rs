@@ -11,7 +11,7 @@ use crate::motion::scale::ScaleMeasurement;
 use crate::reconstruction::{PoseEstimate, Reconstruction, TrackingState};
 
 /// What was told last.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct ChangeLog {
     state: Option<TrackingState>,
     resets: u32,
@@ -28,28 +28,6 @@ pub struct ChangeLog {
     tag_scale: Option<ScaleMeasurement>,
     blind: BlindLog,
     floor: FloorLog,
-}
-
-impl Default for ChangeLog {
-    fn default() -> Self {
-        Self {
-            state: None,
-            resets: 0,
-            maps_joined: 0,
-            loops_closed: 0,
-            loops_tied: 0,
-            spool_faults: 0,
-            pictures_unread: 0,
-            pictures_lost: 0,
-            blind_turns: 0,
-            contradictions: 0,
-            scale: MapScale::Unknown,
-            slipping: false,
-            tag_scale: None,
-            blind: BlindLog::default(),
-            floor: FloorLog::default(),
-        }
-    }
 }
 
 impl ChangeLog {

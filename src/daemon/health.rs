@@ -356,9 +356,10 @@ impl HealthWatch {
     /// State of the last frame; but a robot whose pictures have stopped, or cannot be used any more, is no longer being tracked.
     fn state(&self, errors: u64, now_ns: i64) -> TrackingState {
         let blind = errors & (error::NO_CAMERA | error::NO_FRAMES | error::BAD_CALIBRATION) != 0;
-        let stale = self.status.last_pose_arrival_ns().is_some_and(|at| now_ns - at > NO_FRAMES_NS);
+        // Pictures that come and cannot be decoded are no frames either, nor are those that a stage hangs over.
+        let blind = blind || self.status.last_processed_arrival_ns().is_some_and(|at| now_ns - at > NO_FRAMES_NS);
         match self.status.state() {
-            TrackingState::Tracking if blind || stale => TrackingState::Lost,
+            TrackingState::Tracking if blind => TrackingState::Lost,
             TrackingState::DeadReckoning if blind => TrackingState::Lost,
             TrackingState::Orientation if blind => TrackingState::Initializing,
             state => state,

@@ -213,10 +213,20 @@ impl MapDesk {
                     return;
                 }
                 self.last_write_ns = Some(timestamp_ns);
-                // There is room: nobody else sends. If the thread has gone, the end tells.
-                let _ = orders.try_send(Order::Keep(Box::new(reconstruction.take_changes(everything)), None));
+                // There is room: nobody else sends.
+                let order = Order::Keep(Box::new(reconstruction.take_changes(everything)), None);
+                if orders.try_send(order).is_err() {
+                    // The thread has gone.
+                    self.word.fails.store(true, Ordering::Release);
+                }
             }
-            _ => return,
+            Some(KeeperLink::Queue(_)) => {
+                // What was handed over last waits still: a disk that is slow, or hangs.
+                let waits = self.last_ns.is_some_and(|last| timestamp_ns.saturating_sub(last) >= RETRY_AFTER_NS);
+                self.word.fails.fetch_or(waits, Ordering::AcqRel);
+                return;
+            }
+            None => return,
         }
         self.last_ns = Some(timestamp_ns);
     }
@@ -331,6 +341,27 @@ mod tests {
         );
         desk.let_go("reset");
         assert_eq!(desk.mode(MapId(3)) & map_mode::STORED, 0);
+    }
+
+    #[test]
+    fn a_disk_that_hangs_and_a_thread_that_has_gone_are_told() {
+        let mut r = begun(&camera(300.0), LensPrior::Calibrated);
+        let desk = |orders| {
+            let plan = MapPlan { path: "a.map".into(), file: None, saved: None, localise_only: false, may_fail: false };
+            plan.split().0.linked(Some(KeeperLink::Queue(orders)))
+        };
+        let (orders, queue) = crossbeam::channel::bounded(2);
+        let mut hangs = desk(orders);
+        hangs.turn(&mut r, 0);
+        hangs.turn(&mut r, RETRY_AFTER_NS - 1);
+        assert!(!hangs.fails(), "it is slow");
+        hangs.turn(&mut r, RETRY_AFTER_NS);
+        assert!(hangs.fails() && queue.len() == 1);
+        let (orders, queue) = crossbeam::channel::bounded(2);
+        drop(queue);
+        let mut gone = desk(orders);
+        gone.turn(&mut r, 0);
+        assert!(gone.fails());
     }
 
     #[test]

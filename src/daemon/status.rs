@@ -100,8 +100,9 @@ pub struct Status {
     landmarks_tracked: AtomicU32,
     /// Points followed in the last frame.
     points_followed: AtomicU32,
-    /// CLOCK_MONOTONIC of the arrival of the last frame, and of the last with a pose, ns; 0 before the first.
+    /// CLOCK_MONOTONIC of the arrival of the last frame, of the last that was looked at, and of the last with a pose, ns; 0 before the first.
     last_arrival_ns: AtomicI64,
+    last_processed_arrival_ns: AtomicI64,
     last_pose_arrival_ns: AtomicI64,
     /// CLOCK_MONOTONIC when the base's driver was heard last on the wire, ns; 0 before.
     wheels_heard_ns: AtomicI64,
@@ -174,6 +175,7 @@ impl Default for Status {
             landmarks_tracked: AtomicU32::new(0),
             points_followed: AtomicU32::new(0),
             last_arrival_ns: AtomicI64::new(0),
+            last_processed_arrival_ns: AtomicI64::new(0),
             last_pose_arrival_ns: AtomicI64::new(0),
             wheels_heard_ns: AtomicI64::new(0),
             lens_knowledge: AtomicU8::new(2),
@@ -274,6 +276,7 @@ impl Status {
             TrackingState::DeadReckoning => 4,
         };
         self.state.store(state, Ordering::Relaxed);
+        self.last_processed_arrival_ns.store(estimate.arrival_ns, Ordering::Relaxed);
         self.map_id.store(estimate.map.0, Ordering::Relaxed);
         self.reset_counter.store(estimate.reset_counter, Ordering::Relaxed);
         self.landmarks_tracked.store(estimate.landmarks, Ordering::Relaxed);
@@ -394,6 +397,11 @@ impl Status {
     /// CLOCK_MONOTONIC of the last frame's arrival, if there was one.
     pub fn last_arrival_ns(&self) -> Option<i64> {
         Some(self.last_arrival_ns.load(Ordering::Relaxed)).filter(|ns| *ns != 0)
+    }
+
+    /// The same of the last frame that was looked at, whatever came of it.
+    pub fn last_processed_arrival_ns(&self) -> Option<i64> {
+        Some(self.last_processed_arrival_ns.load(Ordering::Relaxed)).filter(|ns| *ns != 0)
     }
 
     /// The same of the last frame with a pose.

@@ -141,7 +141,8 @@ impl WheelScale {
         self.ratio(unit).is_some_and(|(_, sigma)| sigma <= TOLD_SIGMA)
     }
 
-    fn ratio(&self, unit: Unit) -> Option<(f64, f64)> {
+    /// The same with its standard deviation.
+    pub fn ratio(&self, unit: Unit) -> Option<(f64, f64)> {
         let newest = self.segments.last().filter(|s| s.unit == unit).map(|_| (0.0, 0.0));
         newest.or_else(|| {
             self.of_newest()?.other_units.iter().flatten().find(|o| o.unit == unit).map(|o| (o.log_ratio, o.sigma))

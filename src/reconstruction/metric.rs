@@ -83,7 +83,7 @@ impl Reconstruction {
         }
     }
 
-    /// The part of the map behind `turn` becomes metric, by what the camera's height or tags say there; what lies before is metric already.
+    /// The part of the map behind `turn` becomes metric, by what is told there; what lies before is metric already, and stays as long as it is.
     fn unify_by_word(&mut self, turn: TurnId, word: &ScaleMeasurement) {
         let Some((before_log, ..)) = self.active.fusion.fused() else { return };
         let newest = self.active.map.keyframe(self.active.reference).and_then(|k| k.scale_from);
@@ -94,9 +94,13 @@ impl Reconstruction {
         self.discard_job();
         let before = self.active.odometry.last.map(|last| last.camera_from_world);
         let log = word.log_metres_per_unit;
-        let ratio = |part: Option<TurnId>| part.is_none().then_some(before_log - log);
+        let ratio = |part: Option<TurnId>| match part {
+            None => Some(before_log - log),
+            Some(_) => self.wheels.log_ratio(part),
+        };
         let parts = self.active.scale.parts_in_one_unit(&self.active.map, newest, ratio);
-        self.move_parts(&parts, |part| part.is_none() || part == newest);
+        let between: Vec<_> = parts.iter().map(|(part, _)| *part).filter(|part| self.wheels.tells(*part)).collect();
+        self.move_parts(&parts, |part| part.is_none() || part == newest || between.contains(&part));
         self.scale_lengths(log.exp());
         if let Some(tags) = &mut self.tags {
             // Others that told the scale hang before the turn.
@@ -133,11 +137,7 @@ impl Reconstruction {
         if !self.wheels.scale.is_silent() {
             self.follow_wheels(features);
         }
-        let due = self.active.fusion.due().or_else(|| {
-            let is_told = self.active.fusion.is_metric() && self.wheels.tells_doubted();
-            (is_told && self.told_parts().len() > 1).then_some(1.0)
-        });
-        if let Some(factor) = due {
+        if let Some(factor) = self.active.fusion.due() {
             self.rescale(factor);
         }
         if let Some((turn, word)) = self.told_behind.take() {
@@ -151,10 +151,25 @@ impl Reconstruction {
             self.wheels.interrupt();
             return;
         };
-        if self.wheels.follow(end, &self.active.map)
-            && let Some(word) = self.wheels.scale.measurement()
-        {
-            self.active.fusion.add(&word);
+        if !self.wheels.follow(end, &self.active.map) {
+            return;
+        }
+        let Some(word) = self.wheels.scale.measurement() else { return };
+        match self.wheels.newest_part() {
+            // Of the newest part alone: in what the others have told its unit has no place.
+            Some(turn) if self.active.fusion.is_metric() => {
+                // What is known of the map's beginning, carried over the turn by the wheels, may be surer than what they tell behind it: an error common
+                // to both wheels is not in it.
+                let carried = self.wheels.ratio_of_beginning().zip(self.active.fusion.fused());
+                let carried = carried.map(|((ratio, ratio_sigma), (log, sigma, _))| ScaleMeasurement {
+                    log_metres_per_unit: log - ratio,
+                    sigma: sigma.hypot(ratio_sigma),
+                    ..word
+                });
+                let word = carried.filter(|carried| carried.sigma < word.sigma).unwrap_or(word);
+                self.told_behind = (word.sigma <= METRIC_SIGMA).then_some((turn, word));
+            }
+            _ => _ = self.active.fusion.add(&word),
         }
     }
 
@@ -173,21 +188,17 @@ impl Reconstruction {
         })
     }
 
-    /// Parts of the map with units of their own, behind turns on the spot, take one unit, as far as wheels tell how long theirs are.
+    /// Parts of the map with units of their own, behind turns on the spot, take one unit, as far as wheels tell how long theirs are: not before they tell
+    /// how long the newest one is. Of a map of which nothing is metric yet.
     fn unify_units(&mut self) {
-        let parts = self.told_parts();
-        let told: Vec<_> = parts.iter().map(|(part, _)| *part).filter(|part| self.wheels.tells(*part)).collect();
-        self.move_parts(&parts, |part| told.contains(&part));
-    }
-
-    /// Parts of the map with units of their own and the motions that bring them into one; none before wheels tell how long the newest unit is.
-    fn told_parts(&self) -> Vec<(Option<TurnId>, Sim3<World, World>)> {
         let active = &self.active;
         let newest = active.map.keyframe(active.reference).and_then(|k| k.scale_from);
         if newest.is_some() && !self.wheels.tells_doubted() {
-            return Vec::new();
+            return;
         }
-        active.scale.parts_in_one_unit(&active.map, newest, |part| self.wheels.log_ratio(part))
+        let parts = active.scale.parts_in_one_unit(&active.map, newest, |part| self.wheels.log_ratio(part));
+        let told: Vec<_> = parts.iter().map(|(part, _)| *part).filter(|part| self.wheels.tells(*part)).collect();
+        self.move_parts(&parts, |part| told.contains(&part));
     }
 
     /// Parts of the map take one unit by these motions; those that are `told` have the scale of the map's beginning from then on.
@@ -247,7 +258,9 @@ impl Reconstruction {
         let first = !self.active.fusion.is_metric();
         self.discard_job();
         let before = self.active.odometry.last.map(|last| last.camera_from_world);
-        self.unify_units();
+        if first {
+            self.unify_units();
+        }
         self.scale_lengths(factor);
         if let Some(tags) = &mut self.tags {
             tags.rescale(factor);

@@ -91,6 +91,11 @@ impl Wheels {
         self.scale.log_ratio(unit_behind(part))
     }
 
+    /// The same of the unit of the map's beginning, with its standard deviation.
+    pub fn ratio_of_beginning(&self) -> Option<(f64, f64)> {
+        self.scale.ratio(unit_behind(None))
+    }
+
     /// They tell how long that unit is, and surely.
     pub fn tells(&self, part: Option<TurnId>) -> bool {
         self.scale.tells(unit_behind(part))
@@ -98,8 +103,13 @@ impl Wheels {
 
     /// They tell the scale of the newest unit, and it is one behind a turn.
     pub fn tells_doubted(&self) -> bool {
-        let newest = self.scale.segments().last().map_or_else(Unit::default, |s| s.unit);
-        newest != Unit::default() && self.scale.measurement().is_some()
+        self.newest_part().is_some() && self.scale.measurement().is_some()
+    }
+
+    /// The turn that the newest unit lies behind.
+    pub fn newest_part(&self) -> Option<TurnId> {
+        let Unit(unit) = self.scale.segments().last()?.unit;
+        Some(TurnId(u16::try_from(unit.checked_sub(1)?).ok()?))
     }
 
     /// The surroundings of keyframes have moved so.

@@ -1,6 +1,6 @@
 //! What is sent arrives, to whom and as what it should.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use cairn::client::{Client, ClientError};
 use cairn::image::GreyImage;
@@ -100,6 +100,18 @@ fn the_latest_pose_is_one_line_away() {
     next(&mut place.client().poses());
     let asked = place.command(Role::Latest).output().expect("helper");
     assert!(asked.status.success(), "{}", String::from_utf8_lossy(&asked.stderr));
+}
+
+#[test]
+fn a_daemon_that_has_no_pose_yet_is_waited_for_once() {
+    let place = Place::new();
+    let _publisher = place.publisher();
+    let mut poses = place.client().poses();
+    connect(&mut poses);
+    let begin = Instant::now();
+    let wait = Duration::from_millis(400);
+    assert!((0..20).all(|_| poses.latest_within(wait).unwrap().is_none()));
+    assert!((wait..4 * wait).contains(&begin.elapsed()), "{:?}", begin.elapsed());
 }
 
 #[test]

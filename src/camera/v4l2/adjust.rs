@@ -9,7 +9,7 @@
 
 use super::controls::{
     AUTO_GAIN, AUTOFOCUS, Controls, EXPOSURE, EXPOSURE_MODE, FOCUS, GAIN, MODE_APERTURE_PRIORITY, MODE_AUTO,
-    MODE_MANUAL, UNITS_PER_MS, automatic_exposure,
+    MODE_MANUAL, UNITS_PER_MS, automatic_exposure, is_hung,
 };
 use crate::camera::controls::{Control, ControlError, ControlState, Decides, Setting};
 use std::io;
@@ -52,11 +52,6 @@ pub fn set(device: &impl Controls, control: Control, to: Setting) -> Result<Cont
 
 fn refused(control: Control, error: &io::Error) -> ControlError {
     ControlError::Refused { control, reason: error.to_string() }
-}
-
-/// The driver has given up waiting for the camera.
-fn is_hung(error: &io::Error) -> bool {
-    error.kind() == io::ErrorKind::TimedOut
 }
 
 /// What the camera answers, `None` if it does not have it; an error if it hangs.

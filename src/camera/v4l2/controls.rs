@@ -126,7 +126,14 @@ impl Lock {
     }
 
     fn lock(&self, device: &impl Controls) {
-        let (exposure, gain) = (device.get(EXPOSURE).ok(), device.get(GAIN).ok());
+        // A camera that hangs takes seconds for each of a dozen requests, and no frame is taken meanwhile.
+        let exposure = match device.get(EXPOSURE) {
+            Err(error) if is_hung(&error) => {
+                return tracing::warn!(%error, "camera does not answer, its exposure stays automatic");
+            }
+            exposure => exposure.ok(),
+        };
+        let gain = device.get(GAIN).ok();
         prefer(device, AUTO_GAIN, 0, "automatic gain");
         prefer(device, AUTO_WHITE_BALANCE, 0, "automatic white balance");
         let Some(exposure) = exposure else {
@@ -144,6 +151,11 @@ impl Lock {
         }
         tracing::info!(exposure_ms = f64::from(locked) / UNITS_PER_MS, gain = gain_locked, "exposure locked");
     }
+}
+
+/// The driver has given up waiting for the camera's answer.
+pub fn is_hung(error: &std::io::Error) -> bool {
+    error.kind() == std::io::ErrorKind::TimedOut
 }
 
 fn units(ms: f64) -> i32 {
@@ -272,6 +284,17 @@ mod tests {
         let now = |id| camera.get(id).ok();
         assert_eq!((now(EXPOSURE_MODE), now(EXPOSURE), now(GAIN)), (Some(MODE_MANUAL), Some(50), Some(80)));
         assert_eq!(now(AUTO_WHITE_BALANCE), Some(0));
+    }
+
+    #[test]
+    fn a_camera_that_hangs_is_asked_once_and_keeps_its_automatic() {
+        let config = V4l2Config { lock_after_s: 2.0, ..V4l2Config::default() };
+        let camera = Fake::new(&[(EXPOSURE_MODE, (0, 3, 3)), (EXPOSURE, (3, 2047, 100))]).hanging();
+        let mut lock = Lock::new(&config);
+        for s in [10, 12, 14] {
+            lock.frame(&camera, s * 1_000_000_000);
+        }
+        assert_eq!(camera.timeouts(), 1);
     }
 
     #[test]

@@ -1,4 +1,5 @@
 use super::*;
+use crate::reconstruction::PoseEstimate;
 
 const MS: i64 = 1_000_000;
 
@@ -149,5 +150,21 @@ fn a_map_that_cannot_be_stored_is_a_fault_for_as_long_as_it_cannot() {
     for is_not in [false, true, false] {
         status.set_map_not_stored(is_not);
         assert_eq!(watch.tick(MS).errors & error::SAVE_FAILED != 0, is_not);
+    }
+}
+
+#[test]
+fn a_robot_whose_pictures_cannot_be_used_is_placed_by_nothing() {
+    let (status, mut watch) = watch();
+    for (state, then) in [
+        (TrackingState::Tracking, TrackingState::Lost),
+        (TrackingState::DeadReckoning, TrackingState::Lost),
+        (TrackingState::Orientation, TrackingState::Initializing),
+    ] {
+        status.set_frame(&PoseEstimate { state, arrival_ns: 1000 * MS, ..PoseEstimate::default() }, 0);
+        // Pictures go on coming, and none of them can be decoded.
+        status.set_last_arrival_ns(3500 * MS);
+        assert_eq!(watch.tick(1500 * MS).state, convert::state(state));
+        assert_eq!(watch.tick(3500 * MS).state, convert::state(then), "{state:?}");
     }
 }
