@@ -1832,7 +1832,7 @@ void cairn_close(struct cairn_client *client);
 
 /**
  * The newest pose, without waiting; the same one again while no newer has come (look at `cairn_pose_is_usable`). A client that
- * has had none yet waits up to 0.4 s for the last pose of a daemon that is there.
+ * has had none yet waits up to 0.4 s, once, for the last pose of a daemon that is there.
  *
  * # Safety
  * `client` comes from `cairn_connect`; `pose` may be written.

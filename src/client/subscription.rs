@@ -162,8 +162,11 @@ impl<T: Topic> Subscription<T> {
     /// for the first, once: a late joiner's last pose, map or health comes within a tenth of a second, and a daemon without a camera says nothing
     /// for hours.
     pub fn latest_within(&mut self, timeout: Duration) -> Result<Option<&T::Item>, ClientError> {
-        if self.latest()?.is_none() && self.is_connected() && !std::mem::replace(&mut self.waited, true) {
+        if self.latest()?.is_none() && self.is_connected() && !self.waited {
+            let begin = Instant::now();
             self.latest = self.wait(timeout)?;
+            // A signal ends it early.
+            self.waited = begin.elapsed() >= timeout;
         }
         self.latest()
     }

@@ -72,6 +72,9 @@ pub struct MapDesk {
     pub(super) word: Arc<KeeperWord>,
     /// Time of the frame after which it was written last.
     last_ns: Option<i64>,
+    /// Time of the first frame at which what was handed over waited still, and whether it waits for so long that the disk hangs.
+    busy_since_ns: Option<i64>,
+    hangs: bool,
     /// Time of the frame after which changes were handed over last.
     last_write_ns: Option<i64>,
 }
@@ -104,6 +107,8 @@ impl MapDesk {
             requests: None,
             word: Arc::default(),
             last_ns: None,
+            busy_since_ns: None,
+            hangs: false,
             last_write_ns: None,
         }
     }
@@ -169,7 +174,7 @@ impl MapDesk {
 
     /// What was handed over last is not in the file.
     pub fn fails(&self) -> bool {
-        self.keeps && self.word.fails.load(Ordering::Acquire)
+        self.keeps && (self.hangs || self.word.fails.load(Ordering::Acquire))
     }
 
     /// What happened to maps.
@@ -192,6 +197,10 @@ impl MapDesk {
         if !self.keeps || self.localise_only {
             return;
         }
+        let is_busy = matches!(&self.link, Some(KeeperLink::Queue(orders)) if !orders.is_empty());
+        let since = self.busy_since_ns.filter(|since| *since <= timestamp_ns).unwrap_or(timestamp_ns);
+        self.busy_since_ns = is_busy.then_some(since);
+        self.hangs = is_busy && timestamp_ns.saturating_sub(since) >= RETRY_AFTER_NS;
         let every = if self.word.wants_everything.load(Ordering::Acquire) { RETRY_AFTER_NS } else { WRITE_EVERY_NS };
         let is_due = |last: i64| timestamp_ns < last || timestamp_ns.saturating_sub(last) >= every;
         if !self.last_ns.is_none_or(is_due) {
@@ -220,13 +229,7 @@ impl MapDesk {
                     self.word.fails.store(true, Ordering::Release);
                 }
             }
-            Some(KeeperLink::Queue(_)) => {
-                // What was handed over last waits still: a disk that is slow, or hangs.
-                let waits = self.last_ns.is_some_and(|last| timestamp_ns.saturating_sub(last) >= RETRY_AFTER_NS);
-                self.word.fails.fetch_or(waits, Ordering::AcqRel);
-                return;
-            }
-            None => return,
+            _ => return,
         }
         self.last_ns = Some(timestamp_ns);
     }
@@ -353,10 +356,14 @@ mod tests {
         let (orders, queue) = crossbeam::channel::bounded(2);
         let mut hangs = desk(orders);
         hangs.turn(&mut r, 0);
-        hangs.turn(&mut r, RETRY_AFTER_NS - 1);
-        assert!(!hangs.fails(), "it is slow");
+        hangs.turn(&mut r, 1);
         hangs.turn(&mut r, RETRY_AFTER_NS);
+        assert!(!hangs.fails(), "it is slow");
+        hangs.turn(&mut r, RETRY_AFTER_NS + 1);
         assert!(hangs.fails() && queue.len() == 1);
+        queue.recv().expect("what waited");
+        hangs.turn(&mut r, RETRY_AFTER_NS + 2);
+        assert!(!hangs.fails(), "it has gone on");
         let (orders, queue) = crossbeam::channel::bounded(2);
         drop(queue);
         let mut gone = desk(orders);

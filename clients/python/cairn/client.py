@@ -347,6 +347,7 @@ class Subscription:
         self._client, self._topic, self._convert = client, topic, convert
         self._payload, self._header = payload, header
         self._open = None  # service, subscriber, listener
+        self._waited = False  # for a first message, since it was opened
         self._latest = None
         self._looked = -1e9
         self._trouble = self._alone = None
@@ -381,10 +382,11 @@ class Subscription:
     def latest(self):
         """The newest message there is; the same one again while no newer has come (look at its age), None while there is none.
 
-        A subscription that has had none yet waits up to 0.4 s for the last message of a daemon that is there.
+        A subscription that has had none yet waits up to 0.4 s, once, for the last message of a daemon that is there.
         """
         self._drain()
-        if self._latest is None and self.connected:
+        if self._latest is None and self.connected and not self._waited:
+            self._waited = True
             self._latest = self.wait(FIRST)
             self._drain()
         return self._latest
@@ -489,6 +491,7 @@ class Subscription:
         except iox2.EventOpenError as error:
             return self._troubled("opening its events", error)
         self._open = (service, subscriber, listener)
+        self._waited = False
         self._heard, self._alone = time.monotonic(), None
 
     def _full(self, limit):
