@@ -233,18 +233,22 @@ fn halve(slot: &mut RawFrame) {
     (slot.width, slot.height, slot.stride) = (slot.width / 2, slot.height / 2, slot.width / 2);
 }
 
-#[test]
-fn a_camera_that_comes_back_with_another_size_begins_a_new_map_with_its_calibration_scaled() {
-    let folder = tempfile::tempdir().expect("folder");
+/// These frames, counted from one, come in half the size.
+fn halving(which: std::ops::RangeInclusive<u32>) -> Edit {
     let mut frames = 0;
-    let edit: Edit = Box::new(move |slot| {
+    Box::new(move |slot| {
         frames += 1;
-        if (31..=60).contains(&frames) {
+        if which.contains(&frames) {
             halve(slot);
         }
         Ok(Grab::Frame)
-    });
-    let parts = parts(3.0, Pacing::LockStep, folder.path(), edit);
+    })
+}
+
+#[test]
+fn a_camera_that_comes_back_with_another_size_begins_a_new_map_with_its_calibration_scaled() {
+    let folder = tempfile::tempdir().expect("folder");
+    let parts = parts(3.0, Pacing::LockStep, folder.path(), halving(31..=60));
     let (status, fx) = (parts.status.clone(), parts.calibration.model.fx);
     let mut lenses = Vec::new();
     let end = lockstep::run(parts, &AtomicBool::new(false), &mut |status| {
@@ -303,15 +307,7 @@ fn a_map_that_is_only_located_in_keeps_its_camera_when_another_size_comes() {
     let go = |parts: Parts| lockstep::run(parts, &AtomicBool::new(false), &mut |_| true).expect("starts");
     go(Parts { map_file: plan(None, None, false), ..parts(3.0, Pacing::LockStep, folder.path(), untouched()) });
     let saved = crate::places::store::read(&path).expect("a map").saved;
-    let mut frames = 0;
-    let edit: Edit = Box::new(move |slot| {
-        frames += 1;
-        if (46..=60).contains(&frames) {
-            halve(slot);
-        }
-        Ok(Grab::Frame)
-    });
-    let localised = parts(3.0, Pacing::LockStep, folder.path(), edit);
+    let localised = parts(3.0, Pacing::LockStep, folder.path(), halving(46..=60));
     let status = localised.status.clone();
     let end = go(Parts { map_file: plan(None, Some(saved), true), ..localised });
     assert_eq!(end.cause, EndCause::SourceEnded);

@@ -9,6 +9,7 @@ mod consistency;
 mod correction;
 pub mod export;
 pub mod graph;
+mod landmark;
 mod numbers;
 pub mod observations;
 mod part;
@@ -33,6 +34,7 @@ use crate::geometry::frames::{Camera, World};
 use crate::geometry::sim3::Sim3;
 use crate::geometry::{CameraModel, Se3};
 pub use correction::Correction;
+pub use landmark::{AssumedDistance, Landmark, Sought};
 pub use numbers::Numbers;
 use observations::Observations;
 pub use observations::{LandmarkId, Observation};
@@ -51,15 +53,6 @@ pub struct MapId(pub u32);
 /// A turn on the spot of a map, from which on lengths are those of an assumed distance.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct TurnId(pub u16);
-
-/// What came of looking for a landmark in a frame.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Sought {
-    Found,
-    /// Something was found that does not agree with the frame's pose.
-    Disagreed,
-    Missed,
-}
 
 /// A corner of a keyframe that is no landmark yet.
 #[derive(Debug, Clone, Copy)]
@@ -106,60 +99,6 @@ impl Keyframe {
     pub fn observation(&self, landmark: LandmarkId) -> Option<Observation> {
         self.observations.get(landmark)
     }
-}
-
-/// A point of the scene.
-#[derive(Debug, Clone)]
-pub struct Landmark {
-    pub position: Vector3<f64>,
-    /// Covariance of `position` with the keyframes held fixed, map units squared.
-    pub covariance: Matrix3<f64>,
-    /// Keyframes that observe it, ascending id.
-    pub observers: Vec<KeyframeId>,
-    /// Keyframe at whose time it was made.
-    pub created_by: KeyframeId,
-    /// `None`: its place rests on what was seen alone.
-    pub assumed: Option<AssumedDistance>,
-    /// Frames in which it was looked for, and in how many it was found and agreed with the pose.
-    pub sought: u32,
-    pub found: u32,
-    /// Frames in a row in which it was found but disagreed.
-    pub disagreed: u32,
-}
-
-impl Landmark {
-    /// Frames that are counted, some days of them: beyond it is the share found that counts.
-    pub const MOST_SOUGHT: u32 = 1 << 24;
-
-    /// Counts fewer frames, the same share of them found, where there are more than that.
-    pub fn bound_counts(&mut self) {
-        while self.sought.max(self.found) >= Self::MOST_SOUGHT {
-            (self.sought, self.found) = (self.sought / 2, self.found / 2);
-        }
-    }
-
-    /// Found the one time that it was sought, in the frame that made it.
-    pub fn new(position: Vector3<f64>, covariance: Matrix3<f64>, created_by: KeyframeId) -> Self {
-        Self {
-            position,
-            covariance,
-            observers: Vec::new(),
-            created_by,
-            assumed: None,
-            sought: 1,
-            found: 1,
-            disagreed: 0,
-        }
-    }
-}
-
-/// What a landmark's distance from its first observer is taken to be as long as no parallax tells it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct AssumedDistance {
-    /// 1 / map units.
-    pub inverse: f64,
-    /// Its standard deviation, 1 / map units.
-    pub sigma: f64,
 }
 
 /// Keyframes and landmarks of the current map.
@@ -393,13 +332,8 @@ impl Map {
 
     /// Counts that a landmark was looked for in a frame. By itself no reason to write it to a file anew.
     pub fn count_sighting(&mut self, landmark: LandmarkId, sought: Sought) {
-        let Some(l) = self.landmarks.get_mut_unnoticed(landmark.0) else { return };
-        l.bound_counts();
-        l.sought += 1;
-        match sought {
-            Sought::Found => (l.found, l.disagreed) = (l.found + 1, 0),
-            Sought::Disagreed => l.disagreed += 1,
-            Sought::Missed => {}
+        if let Some(l) = self.landmarks.get_mut_unnoticed(landmark.0) {
+            l.count(sought);
         }
     }
 

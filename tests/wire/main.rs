@@ -6,6 +6,7 @@
 
 mod delivery;
 mod killing;
+mod latest;
 mod other_user;
 mod placement;
 mod support;

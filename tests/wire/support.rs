@@ -222,7 +222,7 @@ fn helper() {
                 poses.wait(Duration::from_millis(100)).expect("wait");
             }
         }
-        "latest" => crate::delivery::ask_for_the_latest(),
+        "latest" => crate::latest::ask_for_the_latest(),
         "watch" => crate::watching::watch(),
         "driver" => crate::wheels::drive(&mut Client::with_endpoint(endpoint(&root)).expect("client").wheels()),
         other => panic!("no role {other}"),
