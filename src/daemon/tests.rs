@@ -9,6 +9,8 @@ use crate::camera::{FrameSource, Grab, Pacing, SourceDescription, SourceError};
 use crate::frame::Clock;
 use crate::geometry::CameraModel;
 
+mod threads;
+
 /// What happens to a frame on its way.
 type Edit = Box<dyn FnMut(&mut RawFrame) -> Result<Grab, SourceError> + Send>;
 
