@@ -1852,7 +1852,7 @@ int32_t cairn_pose_wait(struct cairn_client *client,
                         struct cairn_pose *pose);
 
 /**
- * 1 if the robot may act on this pose: it was tracked, and its frame arrived no longer than `max_age_ns` ago; else 0.
+ * 1 if the robot may act on this pose: it was tracked, and its frame is no older than `max_age_ns`; else 0.
  *
  * # Safety
  * `pose` is null or may be read.

@@ -86,7 +86,7 @@ struct Features : detail::Held<cairn_features, cairn_features_release> {
     const cairn_feature *end() const { return (*this)->features + (*this)->count; }
 };
 
-// The robot may act on this pose: tracked, and its frame arrived no longer than max_age ago.
+// The robot may act on this pose: tracked, and its frame is no older than max_age.
 inline bool usable(const Pose &pose, Duration max_age) {
     return cairn_pose_is_usable(&pose, detail::ns(max_age)) != 0;
 }

@@ -12,31 +12,32 @@ use super::{CliError, exit_code, session};
 use crate::calibration::store;
 use crate::config::MapConfig;
 use crate::daemon::{Calibration, MapFolder, MapPlan};
-use crate::places::store::{Fault, MapFile, StoreError, read_to_locate};
+use crate::places::store::{Contents, Fault, MapFile, StoreError, read_to_locate};
 use crate::reconstruction::LensPrior;
 
 /// Opens or, where it is missing, plans the file. Nothing in it changes before the first frame.
 pub fn plan(path: &Path, localise_only: bool) -> Result<MapPlan, CliError> {
     let exists =
         path.try_exists().map_err(|e| CliError::new(exit_code::NO_INPUT, format!("{}: {e}", path.display())))?;
+    let plan = MapPlan { path: path.into(), file: None, saved: None, edition: None, localise_only, may_fail: false };
     if localise_only {
         if !exists {
             let message = format!("{}: there is no such file, and `--localise` needs a map", path.display());
             return Err(CliError::new(exit_code::NO_INPUT, message));
         }
-        let saved = read_to_locate(path).map_err(|e| error(&e))?.saved;
+        let Contents { saved, edition, .. } = read_to_locate(path).map_err(|e| error(&e))?;
         if saved.maps.is_empty() {
             let message = format!("{}: there is no map in it to be located in", path.display());
             return Err(CliError::new(exit_code::DATA, message));
         }
-        return Ok(MapPlan { path: path.into(), file: None, saved: Some(saved), localise_only, may_fail: false });
+        return Ok(MapPlan { saved: Some(saved), edition: Some(edition), ..plan });
     }
     if !exists {
         session::check_outputs([&Some(path.to_path_buf())])?;
-        return Ok(MapPlan { path: path.into(), file: None, saved: None, localise_only, may_fail: false });
+        return Ok(plan);
     }
-    let (file, contents) = MapFile::open(path).map_err(|e| error(&e))?;
-    Ok(MapPlan { path: path.into(), file: Some(file), saved: Some(contents.saved), localise_only, may_fail: false })
+    let (file, Contents { saved, edition, .. }) = MapFile::open(path).map_err(|e| error(&e))?;
+    Ok(MapPlan { file: Some(file), saved: Some(saved), edition: Some(edition), ..plan })
 }
 
 /// Where commands find maps by name.

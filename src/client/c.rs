@@ -264,7 +264,7 @@ pub unsafe extern "C" fn cairn_pose_wait(client: *mut Handle, timeout_ns: u64, p
     unsafe { hand_over(item, pose, |pose| pose) }
 }
 
-/// 1 if the robot may act on this pose: it was tracked, and its frame arrived no longer than `max_age_ns` ago; else 0.
+/// 1 if the robot may act on this pose: it was tracked, and its frame is no older than `max_age_ns`; else 0.
 ///
 /// # Safety
 /// `pose` is null or may be read.

@@ -23,7 +23,7 @@ impl Pose {
         latest(&POSES, Client::poses)
     }
 
-    /// The robot may act on this pose: it was tracked, and its frame arrived no longer than `max_age` ago.
+    /// The robot may act on this pose: it was tracked, and its frame is no older than `max_age` ([`Self::age_ns`]).
     pub fn is_usable(&self, max_age: Duration) -> bool {
         self.is_tracking() && u128::try_from(self.age_ns(monotonic_ns())).is_ok_and(|age| age <= max_age.as_nanos())
     }

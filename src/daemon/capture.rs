@@ -35,10 +35,8 @@ pub enum Supply {
 /// What one step came to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Captured {
-    /// The slot holds a good frame.
+    /// The slot holds a good frame. Its time is later than the last one's, or has gone back for good.
     Frame,
-    /// The same, and its time went back for good: the map must be forgotten.
-    FrameOfNewTimeline,
     /// No good frame this time.
     Nothing,
     /// There is no source at the moment; nothing is to be done for so long.
@@ -192,7 +190,7 @@ impl CaptureStep {
             Verdict::AcceptNewTimeline => {
                 self.share(slot);
                 warn!(timestamp_ns = slot.timestamp_ns, "time went back for good, starting over");
-                Captured::FrameOfNewTimeline
+                Captured::Frame
             }
             Verdict::Drop(fault) => {
                 self.status.bad_timestamps.add(1);

@@ -13,7 +13,6 @@ use super::feature::FeatureStep;
 use super::map_file::KeeperLink;
 use super::reconstruct::ReconstructStep;
 use super::recorder::{Recorder, RecorderLink, Written};
-use super::request::Request;
 use super::status::Status;
 use super::supervisor::{End, EndCause};
 use super::wheels::WheelIntake;
@@ -61,7 +60,6 @@ pub fn run(parts: Parts, stop: &AtomicBool, go_on: &mut dyn FnMut(&Status) -> bo
         }
         match capture.step(&mut slot, TURN) {
             Captured::Frame => {}
-            Captured::FrameOfNewTimeline => reconstruct.request(Request::Reset { why: "time went back" }),
             Captured::Nothing => continue,
             Captured::End { failed: false } => break EndCause::SourceEnded,
             Captured::End { failed: true } | Captured::Absent(_) => break EndCause::SourceFailed,

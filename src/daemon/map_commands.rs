@@ -112,7 +112,7 @@ impl MapDesk {
             && let Some(path) = self.path.clone()
         {
             // It was only read so far.
-            let keeper = Keeper::new(path, None, true, self.word.clone());
+            let keeper = Keeper::new(path, None, self.edition, self.word.clone());
             send(orders, Order::Switch(Some(Box::new(keeper))))?;
             self.keeps = true;
         }
@@ -129,7 +129,7 @@ impl MapDesk {
         prior: LensPrior,
         loaded: Loaded,
     ) -> Result<String, String> {
-        let Loaded { path, file, saved } = loaded;
+        let Loaded { path, file, edition, saved } = loaded;
         let shown = path.display().to_string();
         check_camera(&saved.optics, camera, prior).map_err(|reason| format!("{shown}: {reason}"))?;
         check_ids(reconstruction, &saved).map_err(|reason| format!("{shown}: {reason}"))?;
@@ -138,15 +138,14 @@ impl MapDesk {
             // What has come while the file was read.
             send(&orders, Order::Keep(self.last_changes(reconstruction), None))?;
         }
-        let exists = true;
-        let keeper = (!self.localise_only).then(|| Keeper::new(path.clone(), file, exists, self.word.clone()));
+        let keeper = (!self.localise_only).then(|| Keeper::new(path.clone(), file, Some(edition), self.word.clone()));
         self.keeps = keeper.is_some();
         send(&orders, Order::Switch(keeper.map(Box::new)))?;
         self.note_stored(Some(&saved));
         let (maps, keyframes) = (saved.maps.len(), saved.maps.first().map_or(0, |m| m.map.keyframes.len()));
         info!(path = shown, maps, keyframes, localise_only = self.localise_only, "map loaded");
         reconstruction.exchange(saved, self.localise_only);
-        self.path = Some(path);
+        (self.path, self.edition) = (Some(path), Some(edition));
         self.hand_over_everything();
         Ok(format!("gone on in {shown}: {keyframes} keyframes; lost until a place of it is recognised"))
     }
@@ -161,7 +160,7 @@ impl MapDesk {
         if self.is_kept() {
             send(orders, Order::Keep(self.last_changes(reconstruction), None))?;
         }
-        let keeper = Keeper::new(path.clone(), None, false, self.word.clone());
+        let keeper = Keeper::new(path.clone(), None, None, self.word.clone());
         send(orders, Order::Switch(Some(Box::new(keeper))))?;
         self.forget_stored();
         self.keeps = true;
@@ -221,7 +220,7 @@ mod tests {
         let optics = r.take_changes(true).optics;
         let told = |r: &mut Reconstruction, own: &CameraModel| {
             let saved = SavedMaps { frame_ns: 0, optics: optics.clone(), maps: Vec::new() };
-            let loaded = Loaded { path: "barn.map".into(), file: None, saved };
+            let loaded = Loaded { path: "barn.map".into(), file: None, edition: Default::default(), saved };
             keep_merged(r, own, LensPrior::Calibrated, loaded).expect_err("refused")
         };
         let other = told(&mut r, &camera(310.0));

@@ -21,7 +21,7 @@ use crate::geometry::CameraModel;
 use crate::map::MapId;
 use crate::map::saved::{Ids, SavedMaps, SavedOptics};
 use crate::messages::map_mode;
-use crate::places::store::{MOST_IDS, MapFile};
+use crate::places::store::{Edition, MOST_IDS, MapFile};
 use crate::reconstruction::{LensPrior, Reconstruction, TrajectoryEvent};
 
 /// Between two writes, ns of the frames' time: what a power cut loses at the most, with the time that a write takes.
@@ -38,8 +38,9 @@ pub struct MapPlan {
     pub path: PathBuf,
     /// Open for writing; `None`: it is still to be made, or only looked at.
     pub file: Option<MapFile>,
-    /// What was in it.
+    /// What was in it, and which edition that is.
     pub saved: Option<SavedMaps>,
+    pub edition: Option<Edition>,
     /// Nothing is written, and the maps stay as they are.
     pub localise_only: bool,
     /// Nobody has named it: where it turns out to be another camera's the run goes on without.
@@ -58,6 +59,8 @@ pub struct MapDesk {
     /// `None`: the map has no file.
     pub(super) path: Option<PathBuf>,
     saved: Option<SavedMaps>,
+    /// Of the file that the maps were read from.
+    pub(super) edition: Option<Edition>,
     /// Maps that came from the file, or have become a part of one.
     stored: BTreeSet<MapId>,
     /// Its maps outlive a reset: nothing is written to them that would have to be kept from the file.
@@ -82,13 +85,12 @@ pub struct MapDesk {
 impl MapPlan {
     /// The keeper, and the desk without its link to it.
     pub fn split(self) -> (MapDesk, Option<Keeper>) {
-        let Self { path, file, saved, localise_only, may_fail } = self;
+        let Self { path, file, saved, edition, localise_only, may_fail } = self;
         let mut desk =
             MapDesk { path: Some(path.clone()), localise_only, keeps: !localise_only, ..MapDesk::without_file() };
         desk.note_stored(saved.as_ref());
-        (desk.saved, desk.may_fail) = (saved, may_fail);
-        let exists = file.is_some();
-        let keeper = (!localise_only).then(|| Keeper::new(path, file, exists, desk.word.clone()));
+        (desk.saved, desk.edition, desk.may_fail) = (saved, edition, may_fail);
+        let keeper = (!localise_only).then(|| Keeper::new(path, file, edition, desk.word.clone()));
         (desk, keeper)
     }
 }
@@ -99,6 +101,7 @@ impl MapDesk {
         Self {
             path: None,
             saved: None,
+            edition: None,
             stored: BTreeSet::new(),
             localise_only: false,
             keeps: false,
@@ -330,7 +333,14 @@ mod tests {
 
     #[test]
     fn a_map_that_a_stored_one_was_joined_to_counts_as_stored() {
-        let plan = MapPlan { path: "a.map".into(), file: None, saved: None, localise_only: true, may_fail: false };
+        let plan = MapPlan {
+            path: "a.map".into(),
+            file: None,
+            saved: None,
+            edition: None,
+            localise_only: true,
+            may_fail: false,
+        };
         let mut desk = plan.split().0;
         desk.keeps = true;
         desk.stored.insert(MapId(3));
@@ -347,10 +357,41 @@ mod tests {
     }
 
     #[test]
+    fn a_map_that_was_only_located_in_grows_into_its_own_file_and_no_other() {
+        let dir = tempfile::tempdir().expect("folder");
+        let path = dir.path().join("a.map");
+        let mut r = begun(&camera(300.0), LensPrior::Calibrated);
+        let make = |r: &mut Reconstruction| {
+            MapFile::create(&path, &r.take_changes(true)).and_then(MapFile::close).expect("a map");
+            std::fs::read(&path).expect("bytes")
+        };
+        make(&mut r);
+        let edition = Some(crate::places::store::read(&path).expect("whole").edition);
+        let plan =
+            MapPlan { path: path.clone(), file: None, saved: None, edition, localise_only: true, may_fail: false };
+        let (orders, queue) = crossbeam::channel::bounded(2);
+        let mut desk = plan.split().0.linked(Some(KeeperLink::Queue(orders)));
+        std::fs::remove_file(&path).expect("removed");
+        let other = make(&mut begun(&camera(300.0), LensPrior::Calibrated));
+        desk.localise(&mut r, false).expect("switched off");
+        let Ok(Order::Switch(Some(mut keeper))) = queue.try_recv() else { panic!("nobody keeps the map") };
+        keeper.keep(&r.take_changes(true));
+        assert_eq!(keeper.close(), Ok(Some(dir.path().join("a-2.map"))));
+        assert!(std::fs::read(&path).expect("bytes") == other, "somebody else's map");
+    }
+
+    #[test]
     fn a_disk_that_hangs_and_a_thread_that_has_gone_are_told() {
         let mut r = begun(&camera(300.0), LensPrior::Calibrated);
         let desk = |orders| {
-            let plan = MapPlan { path: "a.map".into(), file: None, saved: None, localise_only: false, may_fail: false };
+            let plan = MapPlan {
+                path: "a.map".into(),
+                file: None,
+                saved: None,
+                edition: None,
+                localise_only: false,
+                may_fail: false,
+            };
             plan.split().0.linked(Some(KeeperLink::Queue(orders)))
         };
         let (orders, queue) = crossbeam::channel::bounded(2);
@@ -375,7 +416,14 @@ mod tests {
     fn a_file_is_made_written_in_time_and_after_a_failure_anew() {
         let dir = tempfile::tempdir().expect("folder");
         let path = dir.path().join("missing").join("a.map");
-        let plan = MapPlan { path: path.clone(), file: None, saved: None, localise_only: false, may_fail: false };
+        let plan = MapPlan {
+            path: path.clone(),
+            file: None,
+            saved: None,
+            edition: None,
+            localise_only: false,
+            may_fail: false,
+        };
         let (desk, keeper) = plan.split();
         let mut desk = desk.linked(keeper.map(|keeper| KeeperLink::Inline(Box::new(keeper))));
         let mut r = begun(&camera(300.0), LensPrior::Calibrated);

@@ -16,7 +16,7 @@ use super::map_folder::MapFolder;
 use super::request::{CopyTo, Loaded, Reply, Request};
 use crate::map::saved::{Ids, MapChanges, SavedMaps};
 use crate::messages::TEXT_LEN;
-use crate::places::store::{Fault, MOST_IDS, MapFile, StoreError, read_to_locate};
+use crate::places::store::{Contents, Edition, Fault, MOST_IDS, MapFile, StoreError, read_to_locate};
 
 /// Ids that a run may give while a file is read: half a minute of keyframes and landmarks at the utmost.
 const MEANWHILE: Ids = Ids { maps: 16, keyframes: 1 << 10, landmarks: 1 << 17 };
@@ -36,7 +36,8 @@ pub struct KeeperWord {
 pub struct Keeper {
     path: PathBuf,
     file: Option<MapFile>,
-    exists: bool,
+    /// What the file had when it was read or written last; `None`: it is to be made.
+    left: Option<Edition>,
     /// Why the newest changes are not in the file.
     failed: Option<StoreError>,
     word: Arc<KeeperWord>,
@@ -84,26 +85,21 @@ pub enum Order {
 }
 
 impl Keeper {
-    /// `file`: open for writing; `None`: to be opened, or made unless it `exists`, with the first changes.
-    pub fn new(path: PathBuf, file: Option<MapFile>, exists: bool, word: Arc<KeeperWord>) -> Self {
-        Self { path, file, exists, failed: None, word }
+    /// `file`: open for writing; `None`: to be opened with the first changes, which go into that edition of it and no other, or to be made.
+    pub fn new(path: PathBuf, file: Option<MapFile>, left: Option<Edition>, word: Arc<KeeperWord>) -> Self {
+        Self { path, file, left, failed: None, word }
     }
 
-    /// Writes changes; everything, if the file is to be made or opened anew. Everything is written twice where a spool did not give a picture: what was
-    /// handed over last nothing repeats later.
+    /// Writes changes; everything, if the file is to be made or opened anew. Everything is written twice where a spool did not give a picture, or the
+    /// file is not where it was: what was handed over last nothing repeats later.
     pub fn keep(&mut self, changes: &MapChanges) {
         self.keep_once(changes);
-        if changes.is_everything && self.lacks_pictures() {
+        if changes.is_everything && (self.lacks_pictures() || self.has_lost_file()) {
             self.keep_once(changes);
         }
     }
 
     fn keep_once(&mut self, changes: &MapChanges) {
-        if matches!(&self.failed, Some(StoreError { fault: Fault::Replaced, .. })) {
-            // It is somebody else's now, however whole; everything handed over again would not change that.
-            self.word.wants_everything.store(false, Ordering::Release);
-            return;
-        }
         if self.failed.is_some() && !changes.is_everything {
             // They were on their way when the ones before were lost, and make no map without those.
             self.word.wants_everything.store(true, Ordering::Release);
@@ -127,7 +123,8 @@ impl Keeper {
                 if self.failed.is_none() {
                     error!(%reason, "map file not written, tried again later");
                 }
-                (self.file, self.failed) = (None, Some(reason));
+                self.left = self.file.take().map(|file| file.edition()).or(self.left);
+                self.failed = Some(reason);
                 self.word.wants_everything.store(true, Ordering::Release);
             }
         }
@@ -139,17 +136,35 @@ impl Keeper {
         matches!(&self.failed, Some(StoreError { fault: Fault::Spool(_), .. }))
     }
 
+    fn has_lost_file(&self) -> bool {
+        matches!(&self.failed, Some(StoreError { fault: Fault::Replaced, .. }))
+    }
+
     /// The file, to write the changes to; `None` if they are in it already, as it was made with them.
     fn ready(&mut self, changes: &MapChanges, without_unread: bool) -> Result<Option<&mut MapFile>, StoreError> {
         if self.file.is_none() {
-            let file = match (self.exists, without_unread) {
-                (true, _) => MapFile::open(&self.path)?.0,
-                (false, false) => MapFile::create(&self.path, changes)?,
-                (false, true) => MapFile::create_without_unread(&self.path, changes)?,
+            let make = |path: &Path| match without_unread {
+                false => MapFile::create(path, changes),
+                true => MapFile::create_without_unread(path, changes),
             };
-            let made = !std::mem::replace(&mut self.exists, true);
+            let there = match self.left.map(|left| MapFile::open_again(&self.path, &left)) {
+                Some(Err(reason)) if !reason.fault.is_missing() => Err(reason),
+                Some(Ok(file)) => Ok((file, false)),
+                Some(Err(_)) | None => make(&self.path).map(|file| (file, true)),
+            };
+            let (file, is_made) = match there {
+                Err(reason) if reason.fault.is_of_another_file() => {
+                    // Neither map is lost.
+                    let beside = beside(&self.path);
+                    let file = make(&beside)?;
+                    error!(%reason, kept_in = %beside.display(), "map file is another one now, the map is kept beside it");
+                    self.path = beside;
+                    (file, true)
+                }
+                there => there?,
+            };
             self.file = Some(file);
-            if made {
+            if is_made {
                 return Ok(None);
             }
         }
@@ -161,11 +176,15 @@ impl Keeper {
 
     /// Closes the file: where it lies, or why what came last is not in it.
     pub fn close(self) -> Result<Option<PathBuf>, String> {
+        self.close_as(MapFile::close)
+    }
+
+    fn close_as(self, close: fn(MapFile) -> Result<(), StoreError>) -> Result<Option<PathBuf>, String> {
         if let Some(failed) = self.failed {
             return Err(failed.to_string());
         }
         let Some(file) = self.file else { return Ok(None) };
-        file.close().map_err(|e| e.to_string())?;
+        close(file).map_err(|e| e.to_string())?;
         info!(path = %self.path.display(), "map file closed");
         Ok(Some(self.path))
     }
@@ -177,6 +196,14 @@ impl Keeper {
             Some(reason) => Err(reason.to_string()),
         }
     }
+}
+
+/// A name for a map whose own is taken: `kitchen-2.map` for `kitchen.map`. No longer than commands may name.
+fn beside(path: &Path) -> PathBuf {
+    let stem: String = path.file_stem().unwrap_or_default().to_string_lossy().chars().take(60).collect();
+    let ending = path.extension().map(|e| format!(".{}", e.to_string_lossy())).unwrap_or_default();
+    let mut names = (2_u64..).map(|n| path.with_file_name(format!("{stem}-{n}{ending}")));
+    names.find(|name| name.symlink_metadata().is_err()).unwrap_or_else(|| path.into())
 }
 
 /// The keeper's thread: works off orders until the desk is gone.
@@ -232,7 +259,8 @@ pub fn serve(mut keeper: Option<Keeper>, orders: &Receiver<Order>) -> Result<Opt
             }
         }
     }
-    keeper.map_or(Ok(None), Keeper::close)
+    // A service manager waits.
+    keeper.map_or(Ok(None), |keeper| keeper.close_as(MapFile::close_now))
 }
 
 /// Whoever asked may have gone.
@@ -259,23 +287,27 @@ fn left(keeper: Option<&Keeper>) -> Result<(), String> {
 
 fn load(path: PathBuf, given: Ids, localise_only: bool, keeper: Option<&Keeper>) -> Result<Loaded, String> {
     other_than_present(&path, keeper)?;
-    let (file, saved) = match localise_only {
-        true => (None, read_to_locate(&path).map_err(|e| e.to_string())?.saved),
+    let (file, contents) = match localise_only {
+        true => (None, read_to_locate(&path).map_err(|e| e.to_string())?),
         false => {
             let (file, contents) = MapFile::open(&path).map_err(|e| e.to_string())?;
-            (Some(file), contents.saved)
+            (Some(file), contents)
         }
     };
-    let saved = of_this_run(saved, given).map_err(|reason| format!("{}: {reason}", path.display()))?;
-    Ok(Loaded { path, file, saved })
+    loaded(path, file, contents, given)
 }
 
 /// Only read: it stays as it is, and nobody's.
 fn read_to_merge(path: PathBuf, given: Ids, keeper: Option<&Keeper>) -> Result<Loaded, String> {
     other_than_present(&path, keeper)?;
-    let saved = read_to_locate(&path).map_err(|e| e.to_string())?.saved;
+    let contents = read_to_locate(&path).map_err(|e| e.to_string())?;
+    loaded(path, None, contents, given)
+}
+
+fn loaded(path: PathBuf, file: Option<MapFile>, contents: Contents, given: Ids) -> Result<Loaded, String> {
+    let Contents { edition, saved, .. } = contents;
     let saved = of_this_run(saved, given).map_err(|reason| format!("{}: {reason}", path.display()))?;
-    Ok(Loaded { path, file: None, saved })
+    Ok(Loaded { path, file, edition, saved })
 }
 
 fn other_than_present(path: &Path, keeper: Option<&Keeper>) -> Result<(), String> {
@@ -343,73 +375,4 @@ fn copy(everything: &MapChanges, to: CopyTo, keeper: Option<&Keeper>) -> Result<
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::geometry::CameraModel;
-    use crate::map::saved::{MapHead, SavedMap};
-    use crate::map::scale::MapScale;
-    use crate::map::{KeyframeId, Map, MapId};
-    use crate::reconstruction::{InlineWorker, Reconstruction, ReconstructionConfig};
-
-    fn begun() -> Reconstruction {
-        let camera = CameraModel::new(320, 240, 300.0, 300.0, 159.5, 119.5, [0.0; 5]).expect("camera");
-        Reconstruction::new(&ReconstructionConfig::default(), &camera, Box::new(InlineWorker::default()), true)
-    }
-
-    #[test]
-    fn what_follows_a_write_that_failed_is_not_written_without_what_was_lost() {
-        let dir = tempfile::tempdir().expect("folder");
-        let path = dir.path().join("missing/a.map");
-        let word = Arc::<KeeperWord>::default();
-        let mut keeper = Keeper::new(path.clone(), None, false, word.clone());
-        let mut reconstruction = begun();
-        keeper.keep(&reconstruction.take_changes(true));
-        assert!(keeper.outcome().is_err() && word.wants_everything.swap(false, Ordering::AcqRel));
-        std::fs::create_dir(dir.path().join("missing")).expect("made");
-        let some = reconstruction.take_changes(false);
-        assert!(!some.is_everything);
-        keeper.keep(&some);
-        assert!(keeper.outcome().is_err() && !path.exists(), "a part of a map");
-        assert!(word.wants_everything.load(Ordering::Acquire) && word.fails.load(Ordering::Acquire));
-        keeper.keep(&reconstruction.take_changes(true));
-        assert!(keeper.outcome().is_ok() && path.exists() && !word.fails.load(Ordering::Acquire));
-    }
-
-    #[test]
-    fn a_map_to_be_merged_is_nobody_elses_no_other_one_and_left_as_it_is() {
-        let dir = tempfile::tempdir().expect("folder");
-        let (path, empty) = (dir.path().join("a.map"), dir.path().join("b.map"));
-        let given = Ids::default();
-        let told =
-            |path: &PathBuf, keeper: Option<&Keeper>| read_to_merge(path.clone(), given, keeper).expect_err("refused");
-        assert!(told(&path, None).contains("cannot be read"));
-        let changes = begun().take_changes(true);
-        let held = MapFile::create(&path, &changes).expect("made");
-        assert!(told(&path, None).contains("another process"));
-        let keeper = Keeper::new(path.clone(), None, true, Arc::default());
-        assert!(told(&path, Some(&keeper)).contains("the present map"));
-        held.close().expect("closed");
-        MapFile::create(&empty, &changes).and_then(MapFile::close).expect("made");
-        let bytes = std::fs::read(&empty).expect("read");
-        assert!(told(&empty, Some(&keeper)).contains("no map in it"));
-        assert_eq!(std::fs::read(&empty).expect("read"), bytes);
-        let full = Ids { maps: 0, keyframes: u32::MAX - 5, landmarks: 0 };
-        let one = SavedMap { head: head(), map: Map::default() };
-        let saved = || SavedMaps { frame_ns: 0, optics: changes.optics.clone(), maps: vec![one] };
-        assert!(of_this_run(saved(), full).err().is_some_and(|told| told.contains("used up")));
-    }
-
-    fn head() -> MapHead {
-        MapHead { id: MapId(0), reference: KeyframeId(0), frames: 0, scale: MapScale::Unknown, turns: vec![] }
-    }
-
-    #[test]
-    fn a_copy_whose_path_fits_into_no_answer_is_not_made() {
-        let dir = tempfile::tempdir().expect("folder");
-        let deep = dir.path().join("d".repeat(200)).join("e".repeat(200)).join("f".repeat(100));
-        let folder = MapFolder::new(deep.clone());
-        let told = copy(&begun().take_changes(true), CopyTo::Sender(folder), None).expect_err("too long");
-        assert!(told.contains("bytes"), "{told}");
-        assert_eq!(std::fs::read_dir(deep.join("copies")).expect("made").count(), 0);
-    }
-}
+mod tests;

@@ -154,8 +154,8 @@ pub(super) fn start(parts: Parts) -> Result<Threads, DaemonError> {
     let (orders, order_queue) = bounded::<Order>(RECORD_QUEUE);
     let recorder = spawn("cairn-recorder", move || serve(recorder, &order_queue))?;
 
-    let (worker, mapping) = ThreadWorker::spawn("cairn-mapping").map_err(DaemonError::Thread)?;
-    let (place_worker, places) = ThreadWorker::spawn("cairn-places").map_err(DaemonError::Thread)?;
+    let (worker, mapping) = ThreadWorker::spawn("cairn-mapping", status.clone()).map_err(DaemonError::Thread)?;
+    let (place_worker, places) = ThreadWorker::spawn("cairn-places", status.clone()).map_err(DaemonError::Thread)?;
     let link = RecorderLink::Queue(orders, status.clone());
     let wheels = Arc::new(WheelQueue::new(status.wheels.clone()));
     let (requests, request_queue) = bounded(REQUEST_QUEUE);
@@ -195,9 +195,8 @@ pub(super) fn start(parts: Parts) -> Result<Threads, DaemonError> {
     let features = spawn("cairn-features", move || extract(feature_step, consumer, &empty_queue, &full, &beat))?;
     let capture_step = CaptureStep::new(supply, status.clone()).map_err(DaemonError::Thread)?;
     let capture_step = capture_step.sharing(encoded).with_wheels(WheelIntake::new(wheels));
-    let to_reset = requests.clone();
     let (camera, orders) = bounded(CAMERA_QUEUE);
-    let capture = spawn("cairn-capture", move || capture_frames(capture_step, producer, &to_reset, &orders, &status))?;
+    let capture = spawn("cairn-capture", move || capture_frames(capture_step, producer, &orders, &status))?;
     Ok(Threads { capture, features, reconstruction, mapping, places, recorder, map_file, requests, camera, maps })
 }
 
@@ -231,7 +230,6 @@ pub fn spawn<T: Send + 'static>(
 fn capture_frames(
     mut step: CaptureStep,
     mut ring: Producer<RawFrame>,
-    requests: &Sender<Request>,
     orders: &Receiver<CameraOrder>,
     status: &Status,
 ) -> bool {
@@ -246,11 +244,6 @@ fn capture_frames(
             Captured::Frame => {
                 ring.publish();
                 status.dropped.set(ring.dropped());
-            }
-            Captured::FrameOfNewTimeline => {
-                // If the queue is full, somebody else's reset is on its way.
-                let _ = requests.try_send(Request::Reset { why: "time went back" });
-                ring.publish();
             }
             Captured::Nothing => {}
             Captured::Absent(pause) => rest(pause, status),

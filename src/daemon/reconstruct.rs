@@ -77,7 +77,8 @@ pub struct ReconstructStep {
     changes: ChangeLog,
     /// Times that a planner has put the map elsewhere: to its readers each is a reset.
     pub(super) placements: u32,
-    last_frame_ns: i64,
+    /// Time of the newest frame, if there was one.
+    last_frame_ns: Option<i64>,
     /// What is said of the lens, and how surely it was known when it was last handed over to be kept.
     lens: Option<LensKnowledge>,
     kept_sigma: f64,
@@ -122,7 +123,7 @@ impl ReconstructStep {
             spool_folder: None,
             changes: ChangeLog::default(),
             placements: 0,
-            last_frame_ns: 0,
+            last_frame_ns: None,
             lens: None,
             kept_sigma: f64::INFINITY,
         }
@@ -181,6 +182,11 @@ impl ReconstructStep {
     pub fn step(&mut self, features: &FrameFeatures, ready_ns: i64, feedback: &mut Feedback) -> Result<(), String> {
         self.status.queue.record_ns(monotonic_ns() - ready_ns);
         self.listen();
+        // Times ascend, unless all that rests on earlier ones is void (`timestamps`). It ends here, between the last frame of the old time and the first
+        // of the new one, however many frames were on their way.
+        if self.last_frame_ns.replace(features.timestamp_ns).is_some_and(|last| features.timestamp_ns < last) {
+            self.request(Request::Reset { why: "time went back" });
+        }
         if !self.fits(features)? {
             return Ok(());
         }
@@ -204,7 +210,6 @@ impl ReconstructStep {
             reconstruction.map(features, feedback);
         }
         self.status.mapping.record(begin.elapsed());
-        self.last_frame_ns = estimate.timestamp_ns;
         let sequence = estimate.sequence;
         self.note_changes(&estimate);
         self.note_lens(KEEP_AGAIN);
@@ -423,7 +428,7 @@ impl ReconstructStep {
         }
         reconstruction.snapshot_newest(&mut self.snapshot, outlet.most_of_map());
         self.status.set_map(&self.snapshot);
-        let context = context(reconstruction, self.placements, self.last_frame_ns, self.status.map_mode());
+        let context = context(reconstruction, self.placements, self.last_frame_ns.unwrap_or(0), self.status.map_mode());
         match outlet.map(reconstruction, &self.snapshot, &context, &self.tag) {
             Ok(()) => self.status.maps_published.add(1),
             Err(error) => self.publish_failed(&error),
@@ -436,7 +441,7 @@ impl ReconstructStep {
         if !outlet.obstacles_due() {
             return;
         }
-        let map = context(reconstruction, self.placements, self.last_frame_ns, 0);
+        let map = context(reconstruction, self.placements, self.last_frame_ns.unwrap_or(0), 0);
         if let Err(error) = obstacles::tell(outlet, reconstruction, &self.obstacles, &self.scale, sequence, map) {
             self.publish_failed(&error);
         }

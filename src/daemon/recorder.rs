@@ -34,6 +34,11 @@ pub struct Outputs {
 }
 
 impl Outputs {
+    /// Those that can be written although nobody knows the map any more.
+    pub(super) fn without_map(&self) -> Self {
+        Self { trajectory: None, map: None, overview: None, ..self.clone() }
+    }
+
     /// Where pictures of far keyframes may wait: beside a trajectory that is a file, else in `fallback`, else in a folder for temporary files that is
     /// not memory.
     pub fn spool_folder(&self, fallback: Option<&Path>) -> PathBuf {

@@ -10,7 +10,7 @@ use super::recorder::SaveKind;
 use crate::geometry::Se3;
 use crate::geometry::frames::Body;
 use crate::map::saved::SavedMaps;
-use crate::places::store::MapFile;
+use crate::places::store::{Edition, MapFile};
 use crate::publish::convert::Map;
 
 /// What became of a command: a sentence either way.
@@ -64,6 +64,7 @@ pub struct Loaded {
     pub path: PathBuf,
     /// Open for writing; `None`: it is only to be located in, or its maps are to be parts of another one.
     pub file: Option<MapFile>,
+    pub edition: Edition,
     pub saved: SavedMaps,
 }
 

@@ -60,9 +60,11 @@ pub struct Tick<'a> {
 }
 
 /// A stage that has not ended so long after it was told to is given up.
-const GIVE_UP: Duration = Duration::from_secs(3);
-/// The recorder has so long to write out what was handed to it.
-const WRITE_OUT: Duration = Duration::from_secs(20);
+pub(super) const GIVE_UP: Duration = Duration::from_secs(3);
+/// The same of the one that has map and trajectory: without its last word they cannot be written.
+const LAST_WORD: Duration = Duration::from_secs(8);
+/// And of those who write what was handed to them; the unit gives 30 s in all.
+const WRITTEN: Duration = Duration::from_secs(23);
 /// A save that has not answered after this long is reported as failed.
 const SAVE_TIMEOUT: Duration = Duration::from_secs(30);
 
@@ -74,34 +76,64 @@ pub fn supervise(
     stop: &AtomicBool,
     go_on: &mut dyn FnMut(&Tick<'_>) -> bool,
 ) -> Result<End, DaemonError> {
-    let status = parts.status.clone();
-    let outputs = parts.outputs.clone();
-    let stall_after = Duration::from_millis(parts.config.daemon.stall_after_ms);
-    let is_found_by_identity = parts.config.calibration.is_found_by_identity();
-    let began = Instant::now();
-    let threads = start(parts)?;
+    let run = Run::of(&parts, clock);
+    Ok(attend(start(parts)?, &run, desk, stop, go_on))
+}
 
-    let mut watch = HealthWatch::new(status.clone(), clock, stall_after, monotonic_ns());
+/// What the supervisor knows of a run.
+pub(super) struct Run {
+    status: Arc<Status>,
+    outputs: Outputs,
+    stall_after: Duration,
+    is_found_by_identity: bool,
+    clock: Clock,
+}
+
+impl Run {
+    pub fn of(parts: &Parts, clock: Clock) -> Self {
+        Self {
+            status: parts.status.clone(),
+            outputs: parts.outputs.clone(),
+            stall_after: Duration::from_millis(parts.config.daemon.stall_after_ms),
+            is_found_by_identity: parts.config.calibration.is_found_by_identity(),
+            clock,
+        }
+    }
+}
+
+/// Sees to these threads until they have ended.
+pub(super) fn attend(
+    threads: Threads,
+    run: &Run,
+    desk: Option<Desk>,
+    stop: &AtomicBool,
+    go_on: &mut dyn FnMut(&Tick<'_>) -> bool,
+) -> End {
+    let Run { status, outputs, stall_after, is_found_by_identity, clock } = run;
+    let began = Instant::now();
+    let mut watch = HealthWatch::new(status.clone(), *clock, *stall_after, monotonic_ns());
     let requests = threads.requests.clone();
     let maps = threads.maps.clone();
     let camera = CameraDesk::new(threads.camera.clone(), is_found_by_identity.then(|| requests.clone()));
     let mut bench = Bench { desk, saves: Vec::new(), requests, camera, maps, faults: RateLimiter::default() };
     let mut announcer = Announcer::default();
-    let mut stopped_at = None;
+    let (mut stopped_at, mut ordered) = (None, false);
     loop {
         let health = bench.turn(&mut watch);
         let elapsed = began.elapsed();
         announcer.turn(&health, elapsed);
         report_suppressed(false);
-        let wanted = !stop.load(Ordering::Relaxed) && go_on(&Tick { status: &status, elapsed });
-        if !wanted && stopped_at.is_none() {
-            info!(after_ms = elapsed.as_millis() as u64, "stopping");
-            notify(&[NotifyState::Stopping]);
-            status.request_stop();
-            stopped_at = Some(Instant::now());
-        }
+        let wanted = !stop.load(Ordering::Relaxed) && go_on(&Tick { status, elapsed });
+        // A stage that panics takes the others with it; without one of these they would go on for months.
+        let lacks_hands = threads.lack_hands();
         let finished =
             threads.capture.is_finished() && threads.features.is_finished() && threads.reconstruction.is_finished();
+        if (!wanted || (lacks_hands && !finished)) && stopped_at.is_none() {
+            info!(after_ms = elapsed.as_millis() as u64, "stopping");
+            tell_stopping();
+            status.request_stop();
+            (stopped_at, ordered) = (Some(Instant::now()), !wanted);
+        }
         if finished || stopped_at.is_some_and(|at| at.elapsed() > GIVE_UP) {
             break;
         }
@@ -109,52 +141,69 @@ pub fn supervise(
         thread::sleep(if stopped_at.is_some() || threads.capture.is_finished() { TURN / 20 } else { TURN });
     }
     drop(bench);
-    let deadline = stopped_at.unwrap_or_else(Instant::now) + GIVE_UP;
-    Ok(wind_up(threads, &status, &outputs, stopped_at.is_some(), deadline))
+    if stopped_at.is_none() {
+        tell_stopping();
+    }
+    wind_up(threads, status, outputs, ordered, stopped_at.unwrap_or_else(Instant::now))
 }
 
-/// Joins what ends, writes the files, and says how it went.
-fn wind_up(threads: Threads, status: &Arc<Status>, outputs: &Outputs, stopped: bool, deadline: Instant) -> End {
+/// From now on the service manager's limit for a stop holds, and not its watchdog, which nobody feeds while files are written.
+fn tell_stopping() {
+    notify(&[NotifyState::Stopping, NotifyState::WatchdogUsec(u32::MAX)]);
+}
+
+impl Threads {
+    /// Somebody has ended who works for the stages: when they do, or in a panic. (Whoever keeps the map file may end before, and it is told that
+    /// nothing is written.)
+    fn lack_hands(&self) -> bool {
+        self.mapping.is_finished() || self.places.is_finished() || self.recorder.is_finished()
+    }
+}
+
+/// Joins what ends, writes the files, and says how it went. `stopped`: by order, and the stages were told so `at`.
+fn wind_up(threads: Threads, status: &Arc<Status>, outputs: &Outputs, stopped: bool, at: Instant) -> End {
     let Threads { capture, features, reconstruction, mapping, places, recorder, map_file, requests, camera, maps: _ } =
         threads;
     drop((requests, camera));
     let mut cause = if stopped { EndCause::Stopped } else { EndCause::SourceEnded };
-    match join(capture, "capture", deadline) {
+    match join(capture, "capture", at + GIVE_UP) {
         Ok(true) if !stopped => cause = EndCause::SourceFailed,
         Ok(_) => {}
         Err(broken) => cause = broken,
     }
-    if let Err(broken) = join(features, "features", deadline) {
+    if let Err(broken) = join(features, "features", at + GIVE_UP) {
         cause = broken;
     }
-    let mut map = FinalMap::default();
-    let mut whole = false;
-    match join(reconstruction, "reconstruction", deadline) {
-        Ok(Ok(last)) => (map, whole) = (last, true),
+    let (mut map, mut outputs) = (FinalMap::default(), outputs.clone());
+    let has_ended = wait(&reconstruction, at + LAST_WORD);
+    match join(reconstruction, "reconstruction", at + LAST_WORD) {
+        Ok(Ok(last)) => map = last,
         Ok(Err(reason)) => {
             status.set_calibration_refused(true);
             error!(reason, "calibration does not fit");
-            cause = EndCause::Calibration(reason);
+            (cause, outputs) = (EndCause::Calibration(reason), Outputs::default());
         }
-        Err(broken) => cause = broken,
+        // Without its last word nothing true can be written of the map; older files stay as they are.
+        Err(broken) => (cause, outputs) = (broken, outputs.without_map()),
     }
     let mut written = Written::default();
-    // Without reconstruction's last word nothing true can be written; older files stay as they are.
-    if whole {
-        // Their queues are closed now; what is in them may take a slow disk a while.
-        let deadline = Instant::now() + WRITE_OUT;
-        if join(mapping, "mapping", deadline).is_err() {
-            warn!("mapping thread ended badly");
+    // While it hangs it holds their queues open.
+    if has_ended {
+        for (hands, stage) in [(mapping, "mapping"), (places, "places")] {
+            // One that is at a job still is left to it.
+            if wait(&hands, Instant::now() + TURN)
+                && let Err(broken) = join(hands, stage, at)
+            {
+                cause = broken;
+            }
         }
-        if join(places, "places", deadline).is_err() {
-            warn!("places thread ended badly");
-        }
-        match join(recorder, "recorder", deadline) {
-            Ok(mut recorder) => written = Recorder::write(&mut recorder, outputs, &map),
+        // What is in the queues may take a slow disk a while.
+        match join(recorder, "recorder", at + WRITTEN) {
+            Ok(mut recorder) => written = Recorder::write(&mut recorder, &outputs, &map),
             Err(broken) => cause = broken,
         }
         if let Some(keeper) = map_file {
-            match join(keeper, "map file", deadline) {
+            match join(keeper, "map file", at + WRITTEN) {
                 Ok(outcome) => written.note_map(outcome),
                 Err(broken) => cause = broken,
             }
@@ -167,12 +216,17 @@ fn wind_up(threads: Threads, status: &Arc<Status>, outputs: &Outputs, stopped: b
     End { cause, map, written }
 }
 
-/// Waits for a thread that is about to end; one that does not is left behind.
-fn join<T>(handle: JoinHandle<T>, stage: &'static str, deadline: Instant) -> Result<T, EndCause> {
+/// Waits for a thread that is about to end; whether it has.
+fn wait<T>(handle: &JoinHandle<T>, deadline: Instant) -> bool {
     while !handle.is_finished() && Instant::now() < deadline {
         thread::sleep(Duration::from_millis(2));
     }
-    if !handle.is_finished() {
+    handle.is_finished()
+}
+
+/// The same, and what it gives; one that does not end is left behind.
+fn join<T>(handle: JoinHandle<T>, stage: &'static str, deadline: Instant) -> Result<T, EndCause> {
+    if !wait(&handle, deadline) {
         error!(stage, "stage does not end, left behind");
         return Err(EndCause::Broken(format!("the {stage} stage hangs")));
     }

@@ -9,6 +9,8 @@ use crate::camera::{FrameSource, Grab, Pacing, SourceDescription, SourceError};
 use crate::frame::Clock;
 use crate::geometry::CameraModel;
 
+mod threads;
+
 /// What happens to a frame on its way.
 type Edit = Box<dyn FnMut(&mut RawFrame) -> Result<Grab, SourceError> + Send>;
 
@@ -302,14 +304,15 @@ fn a_size_that_the_calibration_is_not_for_is_told_and_the_map_goes_on_when_it_is
 fn a_map_that_is_only_located_in_keeps_its_camera_when_another_size_comes() {
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path().join("a.map");
-    let plan =
-        |file, saved, localise_only| Some(MapPlan { path: path.clone(), file, saved, localise_only, may_fail: false });
+    let plan = |saved, localise_only| {
+        Some(MapPlan { path: path.clone(), file: None, saved, edition: None, localise_only, may_fail: false })
+    };
     let go = |parts: Parts| lockstep::run(parts, &AtomicBool::new(false), &mut |_| true).expect("starts");
-    go(Parts { map_file: plan(None, None, false), ..parts(3.0, Pacing::LockStep, folder.path(), untouched()) });
+    go(Parts { map_file: plan(None, false), ..parts(3.0, Pacing::LockStep, folder.path(), untouched()) });
     let saved = crate::places::store::read(&path).expect("a map").saved;
     let localised = parts(3.0, Pacing::LockStep, folder.path(), halving(46..=60));
     let status = localised.status.clone();
-    let end = go(Parts { map_file: plan(None, Some(saved), true), ..localised });
+    let end = go(Parts { map_file: plan(Some(saved), true), ..localised });
     assert_eq!(end.cause, EndCause::SourceEnded);
     assert_eq!((status.wrong_size.get(), status.processed.get()), (20, 70), "waited for until the right size is there");
     assert!(status.tracked.get() > 60, "{} of 70 frames located", status.tracked.get());

@@ -181,9 +181,11 @@ impl Pose {
         self.clock() == Clock::Monotonic
     }
 
-    /// How long ago the frame arrived in the daemon, ns; `now_ns` is CLOCK_MONOTONIC (`client::monotonic_ns`).
+    /// How long ago the frame was taken, ns, or, of a recording, arrived in the daemon; `now_ns` is CLOCK_MONOTONIC (`client::monotonic_ns`).
     pub fn age_ns(&self, now_ns: i64) -> i64 {
-        now_ns.saturating_sub(self.arrival_ns)
+        // A frame may have waited in its driver through a stall; a driver's clock may be some ms ahead.
+        let since = if self.is_live() { self.timestamp_ns.min(self.arrival_ns) } else { self.arrival_ns };
+        now_ns.saturating_sub(since)
     }
 
     /// The covariance as a full matrix, body axes, order x, y, z, rotation about x, y, z.
@@ -239,6 +241,15 @@ mod tests {
         assert_eq!((pose.anchor(), pose.metric()), (None, None));
         let metric = Pose { scale: crate::messages::SCALE_METRIC, scale_sigma: 0.012, ..pose };
         assert_eq!(metric.metric(), Some(0.012));
+    }
+
+    #[test]
+    fn a_frame_that_waited_in_its_driver_is_as_old_as_it_is() {
+        let pose = Pose { timestamp_ns: 1_000, arrival_ns: 5_000, ..Pose::default() };
+        assert!(pose.is_live() && pose.age_ns(5_100) == 4_100);
+        // A driver's clock that is ahead makes no frame of the future.
+        assert_eq!(Pose { timestamp_ns: 5_200, ..pose }.age_ns(5_100), 100);
+        assert_eq!(Pose { clock: crate::messages::CLOCK_RECORDING, ..pose }.age_ns(5_100), 100);
     }
 
     #[test]

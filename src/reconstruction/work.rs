@@ -16,8 +16,8 @@ pub trait Work: Send {
 pub trait Worker<W: Work>: Send {
     /// Starts a job; never called while one is under way.
     fn post(&mut self, job: W);
-    /// The result if there is one; with `wait`, blocks until it is there (`None` then only if no job is under way or
-    /// the worker died).
+    /// The result if there is one; with `wait`, blocks until it is there (`None` then only if no job is under way, the
+    /// worker died, or it takes too long for a daemon that is to stop).
     fn take(&mut self, wait: bool) -> Option<W::Outcome>;
     /// Forgets the job under way: its result is never given. Another may be posted at once. Does not wait where it can
     /// be avoided.

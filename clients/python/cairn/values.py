@@ -119,11 +119,12 @@ class Pose(Value):
 
     @property
     def age(self):
-        """Seconds since the frame arrived in the daemon."""
-        return (time.monotonic_ns() - self.raw.arrival_ns) * 1e-9
+        """Seconds since the frame was taken or, of a recording, arrived in the daemon."""
+        raw = self.raw
+        return (time.monotonic_ns() - (min(raw.timestamp_ns, raw.arrival_ns) if self.live else raw.arrival_ns)) * 1e-9
 
     def usable(self, max_age=0.2):
-        """The robot may act on it: it was tracked, and its frame arrived no longer than `max_age` seconds ago (nor in the future)."""
+        """The robot may act on it: it was tracked, and its frame is no older than `max_age` seconds (nor in the future)."""
         return self.tracking and 0.0 <= self.age <= max_age
 
     @property

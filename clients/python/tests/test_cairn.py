@@ -128,6 +128,14 @@ def test_the_words_are_the_headers_numbers():
     assert numbers("REPLY") == {name: i for i, name in enumerate(messages.REPLIES)}
 
 
+def test_a_frame_that_waited_in_its_driver_is_as_old_as_it_is():
+    now = time.monotonic_ns()
+    raw = messages.Pose(state=1, timestamp_ns=now - 5_000_000_000, arrival_ns=now)
+    assert cairn.Pose(raw).tracking and 5.0 <= cairn.Pose(raw).age < 6.0 and not cairn.Pose(raw).usable(1.0)
+    raw.clock = 1
+    assert cairn.Pose(raw).usable(1.0)
+
+
 def test_an_orientation_without_a_position_is_a_heading_and_nothing_to_drive_by():
     half = 0.5**0.5
     raw = messages.Pose(state=3, position=(math.nan,) * 3, odom_orientation=(0, 0, half, half), arrival_ns=time.monotonic_ns())

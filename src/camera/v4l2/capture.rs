@@ -5,8 +5,8 @@
 //! - Every buffer that was taken is given back, whatever was in it.
 //! - A buffer that the driver flags as broken, that is empty, or shorter than its picture is skipped with the reason.
 //! - Frame numbers follow the driver's, so that what it lost shows as a gap; a driver that does not count is counted for.
-//! - Timestamps count CLOCK_MONOTONIC. A driver's that is not (or that lies more than a second ahead or a minute back) is
-//!   replaced by the moment of arrival; a small lead is kept, differences are signed. One that does not advance is skipped.
+//! - Timestamps count CLOCK_MONOTONIC. A driver's that is not (or that lies more than a second ahead or, unless it goes on from one that was,
+//!   a minute back) is replaced by the moment of arrival; a small lead is kept, differences are signed. One that does not advance is skipped.
 //! - Passing errors are skipped frames; 30 in a row, without a frame between them, mean that the camera is gone.
 //!
 //! Cost: the copy. Not here: system calls.
@@ -22,7 +22,7 @@ const MAX_TROUBLE: u32 = 30;
 const MAX_GAP: u32 = 10_000;
 /// A timestamp this far ahead of now is not from our clock. (35 ms ahead have been seen from one that was.)
 const MAX_AHEAD_NS: i64 = 1_000_000_000;
-/// Nor is one this far back. (A process that was stopped finds old frames in its buffers, and rightly old.)
+/// Nor is one this far back, as a first one. (A process that was stopped finds old frames in its buffers, and rightly old.)
 const MAX_BEHIND_NS: i64 = 60_000_000_000;
 
 /// A buffer that the driver has filled.
@@ -81,11 +81,13 @@ pub struct Capture<Q> {
     /// Number of the last frame, and the driver's for it.
     last: Option<(u64, u32)>,
     last_timestamp_ns: Option<i64>,
+    /// The driver's last timestamp, if it was of our clock.
+    believed_ns: Option<i64>,
 }
 
 impl<Q: BufferQueue> Capture<Q> {
     pub fn new(queue: Q, layout: Layout, path: String) -> Self {
-        Self { queue, layout, path, gone: None, trouble: 0, last: None, last_timestamp_ns: None }
+        Self { queue, layout, path, gone: None, trouble: 0, last: None, last_timestamp_ns: None, believed_ns: None }
     }
 
     pub fn queue(&self) -> &Q {
@@ -156,7 +158,8 @@ impl<Q: BufferQueue> Capture<Q> {
         if bytes.is_empty() {
             return Err("the buffer is empty".into());
         }
-        let timestamp_ns = timestamp(filled.timestamp_ns, arrival_ns);
+        let believed_ns = believed(filled.timestamp_ns, arrival_ns, self.believed_ns);
+        let timestamp_ns = believed_ns.unwrap_or(arrival_ns);
         if self.last_timestamp_ns.is_some_and(|last| timestamp_ns <= last) {
             return Err(format!("timestamp {timestamp_ns} ns does not advance"));
         }
@@ -181,16 +184,29 @@ impl<Q: BufferQueue> Capture<Q> {
                 (slot.format, slot.width, slot.height, slot.stride) = (PixelFormat::Grey, width, height, width);
             }
         }
-        self.last_timestamp_ns = Some(timestamp_ns);
+        (self.last_timestamp_ns, self.believed_ns) = (Some(timestamp_ns), believed_ns);
         (slot.sequence, slot.timestamp_ns, slot.arrival_ns) = (sequence, timestamp_ns, arrival_ns);
         Ok(())
     }
 }
 
-/// The driver's timestamp if it can be one of our clock, else the arrival.
-fn timestamp(driver_ns: Option<i64>, arrival_ns: i64) -> i64 {
-    match driver_ns {
-        Some(t) if t > 0 && (-MAX_AHEAD_NS..=MAX_BEHIND_NS).contains(&arrival_ns.saturating_sub(t)) => t,
-        _ => arrival_ns,
+/// The driver's timestamp if it can be one of our clock. `before`: the one before, if it was.
+fn believed(driver_ns: Option<i64>, arrival_ns: i64, before: Option<i64>) -> Option<i64> {
+    let behind = |t: i64| arrival_ns.saturating_sub(t);
+    let goes_on = |t: i64| behind(t) <= MAX_BEHIND_NS || before.is_some_and(|before| t > before);
+    driver_ns.filter(|t| *t > 0 && behind(*t) >= -MAX_AHEAD_NS && goes_on(*t))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_frame_that_waited_for_long_keeps_its_time_if_the_driver_is_known_to_have_our_clock() {
+        let (now, late) = (1_000_000_000_000, 2 * MAX_BEHIND_NS);
+        assert_eq!(believed(Some(now), now + late, None), None);
+        assert_eq!(believed(Some(now), now + late, Some(now - 1)), Some(now));
+        assert_eq!(believed(Some(now), now + late, Some(now)), None);
+        assert_eq!(believed(Some(now + late), now, Some(now - 1)), None);
     }
 }

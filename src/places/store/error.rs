@@ -37,8 +37,8 @@ pub enum Fault {
     Busy,
     #[error("exists already")]
     Exists,
-    /// Somebody has put another file in its place meanwhile; both untouched.
-    #[error("is another file now than the one that was opened; it is left as it is")]
+    /// Somebody has moved or removed it meanwhile, put another file in its place, or gone on in it; all untouched.
+    #[error("is another file now than the one that was opened, or gone; it is left as it is")]
     Replaced,
     /// A picture that is to be written waits in a spool, which does not give it.
     #[error("cannot be written, as a picture that waits in the spool cannot be read: {0}")]
@@ -52,6 +52,16 @@ impl Fault {
     /// With the file's name.
     pub fn of(self, path: &std::path::Path) -> StoreError {
         StoreError { path: path.display().to_string(), fault: self }
+    }
+
+    /// What lies there is not what is to be written to.
+    pub fn is_of_another_file(&self) -> bool {
+        matches!(self, Self::Exists | Self::Replaced) || self.is_in_the_data()
+    }
+
+    /// There is no such file.
+    pub fn is_missing(&self) -> bool {
+        matches!(self, Self::Read(error) if error.kind() == io::ErrorKind::NotFound)
     }
 
     /// The file is there and whoever made it is at fault, not the system.

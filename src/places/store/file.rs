@@ -1,9 +1,8 @@
 //! A map file: made, read, written to.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
-use std::fs::{File, OpenOptions, TryLockError};
-use std::io;
-use std::os::unix::fs::{FileExt, MetadataExt};
+use std::fs::{File, OpenOptions};
+use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -11,9 +10,9 @@ use super::backend::Access;
 use super::error::{FORMAT, Fault, StoreError};
 use super::front::Front;
 use super::layout::{HeaderOf, HeaderRecord, MOST_IDS, Raw, encode_keyframe, encode_landmarks};
+use super::naming::{folder_of, give_name, inode, is_at, lock, nameless, renewed};
 use super::picture;
 use super::records::{Kind, Records, Tally};
-use crate::atomic_file::create_unique;
 use crate::map::Keyframe;
 use crate::map::away::CopyFault;
 use crate::map::saved::{MapChanges, SavedMaps};
@@ -34,9 +33,24 @@ pub struct Contents {
     /// Version of the program that wrote it last.
     pub cairn: String,
     pub bytes: u64,
+    pub edition: Edition,
     /// Of the records: keyframes, their pictures, landmarks. The rest is the database's own, and room.
     pub record_bytes: [u64; 3],
     pub saved: SavedMaps,
+}
+
+/// Which map a file has, and as of which write: a copy that somebody else has gone on in is another one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Edition {
+    id: [u8; 16],
+    /// Of its records. A write that failed may be in the file or not: then these are those before and after it.
+    tallies: [Tally; 2],
+}
+
+impl Edition {
+    fn is_one_of(&self, other: &Self) -> bool {
+        self.id == other.id && other.tallies.contains(&self.tallies[0])
+    }
 }
 
 /// Reads a file in full and verifies it; its bytes stay as they are.
@@ -83,6 +97,9 @@ const NOT_STORED: u32 = u32::MAX;
 /// A map file that this process writes to; another one that opens it is told so.
 pub struct MapFile {
     path: PathBuf,
+    edition: Edition,
+    /// Device and number of the file itself, whatever its name is by now.
+    inode: (u64, u64),
     /// It was verified and is locked; the library gets it with the first write, so that until then its bytes stay as they are.
     verified: Option<File>,
     /// `None` before the first write, and once it is given up.
@@ -119,6 +136,8 @@ impl MapFile {
             let handle = file.try_clone().map_err(Fault::Write)?;
             let mut own = Self {
                 path: path.into(),
+                edition: Edition { id, tallies: [Tally::default(); 2] },
+                inode: inode(&file)?,
                 verified: None,
                 records: Some(Records::open(handle, Access::Write)?),
                 tally: Tally::default(),
@@ -127,7 +146,7 @@ impl MapFile {
                 without_unread,
                 left_out: 0,
             };
-            own.put(first)?;
+            own.put_in(first)?;
             file.sync_all().map_err(Fault::Write)?;
             give_name(&temporary, path)?;
             Ok(own)
@@ -148,16 +167,36 @@ impl MapFile {
             let keyframes = contents.saved.maps.iter().flat_map(|m| m.map.keyframes.iter());
             let stored = |k: &Keyframe| Stored { revision: k.picture.revision(), timestamp_ns: k.timestamp_ns };
             let keyframes = keyframes.map(|(id, k)| (id, stored(k))).collect();
-            let (path, verified) = (path.into(), Some(file));
-            let own =
-                Self { path, verified, records: None, tally, keyframes, pages, without_unread: false, left_out: 0 };
+            let own = Self {
+                path: path.into(),
+                edition: contents.edition,
+                inode: inode(&file)?,
+                verified: Some(file),
+                records: None,
+                tally,
+                keyframes,
+                pages,
+                without_unread: false,
+                left_out: 0,
+            };
             Ok((own, contents))
         };
         open().map_err(|fault: Fault| fault.of(path))
     }
 
+    /// Opens a file to write to it what began from this edition, or was left in it: another one is refused, and stays as it is.
+    pub fn open_again(path: &Path, left: &Edition) -> Result<Self, StoreError> {
+        let (own, _) = Self::open(path)?;
+        if own.edition.is_one_of(left) { Ok(own) } else { Err(Fault::Replaced.of(path)) }
+    }
+
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// What is in it.
+    pub fn edition(&self) -> Edition {
+        self.edition
     }
 
     /// In the next write a picture that the spool does not give is left out, instead of nothing being written: one bad block of a disk must not keep a
@@ -171,7 +210,7 @@ impl MapFile {
         self.left_out
     }
 
-    /// Writes what has changed; it is on the disk when this returns. Bytes that were handed over to be written.
+    /// Writes what has changed; it is on the disk when this returns, under the file's name. Bytes that were handed over to be written.
     ///
     /// After an error nothing of the changes is in the file, and it takes no more.
     pub fn write(&mut self, changes: &MapChanges) -> Result<u64, StoreError> {
@@ -180,6 +219,14 @@ impl MapFile {
     }
 
     fn put(&mut self, changes: &MapChanges) -> Result<u64, Fault> {
+        // Moved or removed it would take all there is, and nobody find it.
+        if !is_at(self.inode, &self.path)? {
+            return Err(Fault::Replaced);
+        }
+        self.put_in(changes)
+    }
+
+    fn put_in(&mut self, changes: &MapChanges) -> Result<u64, Fault> {
         if changes.next_keyframe.max(changes.next_landmark) > MOST_IDS {
             // No reader would take it. What is in the file is whole, and gets small ids when a run begins with it.
             return Err(Fault::GivenUp("ids are used up; a restart makes room for others".into()));
@@ -219,15 +266,23 @@ impl MapFile {
         // What cannot be written leaves a file of an older format what it is, too.
         if let Some(verified) = &self.verified {
             let renewed = renewed(verified, &self.path)?;
+            if let Some(copy) = &renewed {
+                self.inode = inode(copy)?;
+            }
             let own = self.verified.take();
             let file = renewed.or(own).ok_or(Fault::Replaced)?;
             self.records = Some(Records::open(file, Access::Write)?);
         }
         let records = self.records.as_mut().ok_or_else(|| Fault::GivenUp("an earlier write failed".into()))?;
-        let outcome = records.write(self.tally, &new, &removed, |tally| HeaderRecord::encode(&header, tally));
+        let mut attempted = self.tally;
+        let outcome = records.write(self.tally, &new, &removed, |tally| {
+            attempted = tally;
+            HeaderRecord::encode(&header, tally)
+        });
         match outcome {
-            Ok(tally) => self.tally = tally,
+            Ok(tally) => (self.tally, self.edition.tallies) = (tally, [tally; 2]),
             Err(fault) => {
+                self.edition.tallies[1] = attempted;
                 self.records = None;
                 return Err(fault);
             }
@@ -278,8 +333,15 @@ impl MapFile {
         Ok(records)
     }
 
-    /// Closes it; the next one to open it has nothing to repair.
+    /// Closes it, as small as it can be; the next one to open it has nothing to repair.
     pub fn close(mut self) -> Result<(), StoreError> {
+        let path = self.path.clone();
+        self.records.as_mut().map_or(Ok(()), Records::compact).map_err(|fault| fault.of(&path))?;
+        self.close_now()
+    }
+
+    /// The same without making it smaller first, for whoever is waited for.
+    pub fn close_now(mut self) -> Result<(), StoreError> {
         let path = self.path.clone();
         self.records.take().map_or(Ok(()), Records::close).map_err(|fault| fault.of(&path))
     }
@@ -299,103 +361,6 @@ pub fn adopt<E: From<StoreError>>(path: &Path, fill: impl FnOnce(&File) -> Resul
     filled().inspect_err(|_| {
         // Nobody knows it by this name but us.
         let _ = std::fs::remove_file(&temporary);
-    })
-}
-
-fn folder_of(path: &Path) -> &Path {
-    match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    }
-}
-
-/// A file that is to have this name once it is whole: new, locked, and cleared away at a later start should this process be killed.
-fn nameless(path: &Path) -> Result<(File, PathBuf), Fault> {
-    let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-    create_unique(folder_of(path), &format!(".{name}"), false).map_err(Fault::Write)
-}
-
-/// It replaces nothing.
-fn give_name(temporary: &Path, path: &Path) -> Result<(), Fault> {
-    use rustix::fs::{CWD, RenameFlags, renameat_with};
-    let renamed = renameat_with(CWD, temporary, CWD, path, RenameFlags::NOREPLACE);
-    linked_instead(renamed.map_err(Into::into), temporary, path)?;
-    // Some file systems refuse to sync a folder; the file is whole and has its name.
-    let _ = File::open(folder_of(path)).and_then(|f| f.sync_all());
-    Ok(())
-}
-
-/// Where the file is of an older format: a copy of the present one that has taken its place.
-fn renewed(file: &File, path: &Path) -> Result<Option<File>, Fault> {
-    let front = Front::read(file)?;
-    if front.format == FORMAT {
-        return Ok(None);
-    }
-    // A link to it stays one.
-    let gone =
-        |error: io::Error| if error.kind() == io::ErrorKind::NotFound { Fault::Replaced } else { Fault::Read(error) };
-    let path = path.canonicalize().map_err(gone)?;
-    let folder = path.parent().unwrap_or(Path::new("/"));
-    let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-    let (copy, temporary) = create_unique(folder, &format!(".{name}"), false).map_err(Fault::Write)?;
-    let filled = || {
-        lock(copy.try_lock())?;
-        let mut piece = vec![0; 1 << 20];
-        let mut at = 0;
-        loop {
-            let read = file.read_at(&mut piece, at).map_err(Fault::Read)?;
-            if read == 0 {
-                break;
-            }
-            copy.write_all_at(&piece[..read], at).map_err(Fault::Write)?;
-            at += read as u64;
-        }
-        copy.write_all_at(&front.page(), 0).and_then(|()| copy.sync_all()).map_err(Fault::Write)?;
-        // Somebody may have moved another map there since it was opened.
-        if !is_at(file, &path)? {
-            return Err(Fault::Replaced);
-        }
-        std::fs::rename(&temporary, &path).map_err(Fault::Write)?;
-        let _ = File::open(folder).and_then(|f| f.sync_all());
-        Ok(())
-    };
-    filled().inspect_err(|_: &Fault| {
-        let _ = std::fs::remove_file(&temporary);
-    })?;
-    Ok(Some(copy))
-}
-
-/// Whether this is what the path holds.
-fn is_at(file: &File, path: &Path) -> Result<bool, Fault> {
-    let own = file.metadata().map_err(Fault::Read)?;
-    match std::fs::symlink_metadata(path) {
-        Ok(there) => Ok((there.dev(), there.ino()) == (own.dev(), own.ino())),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(false),
-        Err(error) => Err(Fault::Read(error)),
-    }
-}
-
-/// What came of renaming without replacing; network file systems that cannot do that can link a second name.
-fn linked_instead(renamed: io::Result<()>, temporary: &Path, path: &Path) -> Result<(), Fault> {
-    let named = match renamed {
-        Err(e) if matches!(e.raw_os_error(), Some(libc::EINVAL | libc::ENOSYS)) => {
-            std::fs::hard_link(temporary, path).inspect(|()| {
-                // It has its own name; the other is cleared away at a later start.
-                let _ = std::fs::remove_file(temporary);
-            })
-        }
-        other => other,
-    };
-    named.map_err(|e| match e.kind() {
-        io::ErrorKind::AlreadyExists => Fault::Exists,
-        _ => Fault::Write(e),
-    })
-}
-
-fn lock(outcome: Result<(), TryLockError>) -> Result<(), Fault> {
-    outcome.map_err(|e| match e {
-        TryLockError::WouldBlock => Fault::Busy,
-        TryLockError::Error(error) => Fault::Read(error),
     })
 }
 
@@ -471,6 +436,7 @@ fn look_inside(file: &File, spool: Option<&Path>) -> Result<(Contents, Tally, BT
         written_ns: header.written_ns,
         cairn: header.cairn,
         bytes,
+        edition: Edition { id: front.id, tallies: [tally; 2] },
         record_bytes,
         saved: raw.maps().map_err(Fault::Broken)?,
     };
@@ -494,6 +460,8 @@ fn now_ns() -> i64 {
 
 #[cfg(test)]
 mod tests {
+    use std::io;
+
     use super::*;
 
     #[test]
@@ -501,23 +469,5 @@ mod tests {
         let failed = as_look(Fault::Write(io::Error::from_raw_os_error(libc::EIO)));
         assert!(matches!(failed, Fault::Read(_)) && !failed.is_in_the_data());
         assert!(as_look(Fault::Write(io::ErrorKind::UnexpectedEof.into())).is_in_the_data());
-    }
-
-    #[test]
-    fn where_a_file_cannot_be_renamed_without_replacing_it_is_linked() {
-        let dir = tempfile::tempdir().unwrap();
-        let [temporary, path] = ["t", "a.map"].map(|name| dir.path().join(name));
-        for errno in [libc::EINVAL, libc::ENOSYS] {
-            let refused = || Err(io::Error::from_raw_os_error(errno));
-            std::fs::write(&temporary, "new").unwrap();
-            linked_instead(refused(), &temporary, &path).unwrap();
-            assert!(!temporary.exists() && std::fs::read(&path).unwrap() == b"new");
-            std::fs::write(&temporary, "newer").unwrap();
-            assert!(matches!(linked_instead(refused(), &temporary, &path), Err(Fault::Exists)));
-            assert!(std::fs::read(&path).unwrap() == b"new");
-            std::fs::remove_file(&path).unwrap();
-        }
-        let full = linked_instead(Err(io::Error::from_raw_os_error(libc::ENOSPC)), &temporary, &path);
-        assert!(matches!(full, Err(Fault::Write(_))) && !path.exists());
     }
 }

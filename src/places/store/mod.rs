@@ -26,15 +26,18 @@
 mod backend;
 #[cfg(test)]
 mod condensed_tests;
+#[cfg(test)]
+mod edition_tests;
 mod error;
 mod file;
 mod front;
 mod layout;
+mod naming;
 pub(super) mod picture;
 mod records;
 #[cfg(test)]
 mod tests;
 
 pub use error::{Fault, StoreError};
-pub use file::{Contents, MapFile, adopt, read, read_to_locate};
+pub use file::{Contents, Edition, MapFile, adopt, read, read_to_locate};
 pub use layout::MOST_IDS;

@@ -179,14 +179,20 @@ impl Records {
         Ok(tally)
     }
 
+    /// Gives back the space that older versions of records had, which may take a while; a file that cannot be made smaller is as good.
+    pub fn compact(&mut self) -> Result<(), Fault> {
+        let Some(mut database) = self.database.take() else { return Ok(()) };
+        self.database = Some(guarded(move || {
+            let _ = database.compact();
+            Ok(database)
+        })?);
+        Ok(())
+    }
+
     /// Closes it for good: what is on the disk needs no repair when it is opened next.
     pub fn close(mut self) -> Result<(), Fault> {
-        let Some(mut database) = self.database.take() else { return Ok(()) };
-        guarded(move || {
-            // Space that older versions of records had; a file that cannot be made smaller is as good.
-            let _ = database.compact();
-            Ok(database.close()?)
-        })
+        let Some(database) = self.database.take() else { return Ok(()) };
+        guarded(move || Ok(database.close()?))
     }
 }
 

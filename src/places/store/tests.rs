@@ -23,7 +23,7 @@ fn camera(lens: LensModel) -> CameraModel {
     CameraModel::new(128, 96, 100.3, 101.7, 63.2, 47.9, lens).unwrap()
 }
 
-fn optics(random: &mut Random) -> SavedOptics {
+pub(super) fn optics(random: &mut Random) -> SavedOptics {
     SavedOptics {
         calibration: camera(LensModel::PINHOLE),
         is_guessed: true,
@@ -93,7 +93,7 @@ fn observation(random: &mut Random, follows: bool) -> Observation {
 }
 
 /// Adds a keyframe, and landmarks that it shares with those before.
-fn grow(map: &mut Map, id: MapId, random: &mut Random) {
+pub(super) fn grow(map: &mut Map, id: MapId, random: &mut Random) {
     let before: Vec<KeyframeId> = map.keyframes.iter().map(|(id, _)| KeyframeId(id)).collect();
     let new = map.add_keyframe(keyframe(random, id));
     let follows = random.uniform(0.0, 1.0) < 0.5;
@@ -122,7 +122,7 @@ fn head(id: u32) -> MapHead {
 }
 
 /// Two maps of one run that are not joined, with whole and reduced pictures.
-fn two_maps(random: &mut Random) -> [Map; 2] {
+pub(super) fn two_maps(random: &mut Random) -> [Map; 2] {
     let mut first = Map::default();
     (0..6).for_each(|_| grow(&mut first, MapId(4), random));
     let mut second = first.successor();
@@ -133,7 +133,7 @@ fn two_maps(random: &mut Random) -> [Map; 2] {
     [first, second]
 }
 
-fn changes(maps: &mut [Map; 2], optics: &SavedOptics, everything: bool) -> MapChanges {
+pub(super) fn changes(maps: &mut [Map; 2], optics: &SavedOptics, everything: bool) -> MapChanges {
     let [first, second] = maps;
     MapChanges::take(optics.clone(), 77, vec![(head(4), first), (head(7), second)], everything)
 }
@@ -156,7 +156,7 @@ fn told(map: &Map) -> String {
     text
 }
 
-fn is_there(path: &Path, maps: &[Map; 2], optics: &SavedOptics) {
+pub(super) fn is_there(path: &Path, maps: &[Map; 2], optics: &SavedOptics) {
     let contents = read(path).expect("whole");
     assert_eq!(contents.saved.optics, *optics);
     assert_eq!((contents.saved.frame_ns, contents.saved.maps.len()), (77, 2));
