@@ -15,6 +15,7 @@ impl Reconstruction {
     /// Events since the last call, in order; to be drained after every frame.
     pub fn take_trajectory_events(&mut self, out: &mut Vec<TrajectoryEvent>) {
         self.second_look.hear(&self.events);
+        self.surroundings.hear(&self.events);
         out.append(&mut self.events);
     }
 

@@ -23,11 +23,12 @@ use std::any::Any;
 
 use super::adjust::intrinsics::MODEL_FLOOR;
 use super::adjust::job::Piece;
+use super::recording::Recorded;
 use super::relocalise::other_maps::{OtherMap, OtherMaps, retire};
 use super::{Reconstruction, TrajectoryEvent};
 use crate::geometry::frames::Camera;
 use crate::map::{KeyframeId, MapId};
-use kept::{Frame, Kept, Recorded};
+use kept::{Frame, Kept};
 use moved::{Moves, Placed};
 use remapping::{Again, Remapping};
 
@@ -120,17 +121,17 @@ impl Reconstruction {
     }
 
     /// Records where the frames of a map that was begun wrongly are in the present one.
-    fn record_anew(&mut self, frames: &[Recorded], old: &OtherMap, moves: &Moves<'_>) {
+    fn record_anew(&mut self, frames: &[(i64, Recorded)], old: &OtherMap, moves: &Moves<'_>) {
         // What was recorded before has a place of its own, in the map that is no more, until it is replaced.
         retire(&old.map, &mut self.events);
         let map = self.active.id;
-        for frame in frames.iter().filter(|frame| frame.map == old.id) {
+        for (timestamp_ns, frame) in frames.iter().filter(|(_, frame)| frame.map == old.id) {
             let Some(keyframe) = old.map.keyframe(frame.keyframe) else { continue };
             let before = keyframe.camera_from_world.inverse() * frame.keyframe_from_camera.relabel::<Camera, Camera>();
-            let Some((now, parent)) = moves.follow(frame.timestamp_ns, &before) else { continue };
+            let Some((now, parent)) = moves.follow(*timestamp_ns, &before) else { continue };
             let Some(beside) = self.active.map.keyframe(parent) else { continue };
             self.events.push(TrajectoryEvent::Pose {
-                timestamp_ns: frame.timestamp_ns,
+                timestamp_ns: *timestamp_ns,
                 map,
                 keyframe: parent,
                 keyframe_from_camera: (beside.camera_from_world * now).relabel(),
