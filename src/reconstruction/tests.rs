@@ -249,7 +249,7 @@ fn a_map_that_the_picture_contradicts_for_a_second_is_lost_without_what_it_grew_
 fn a_new_map_that_the_picture_contradicts_is_given_up_and_its_frames_have_no_pose_again() {
     let mut reconstruction = before_the_wall(Se3::identity());
     let Reconstruction { optics, initialiser, active, .. } = &mut reconstruction;
-    initialiser.watch(&moving(0, 6.0), &optics.camera, &optics.intrinsics.uncertainty());
+    initialiser.watch(&moving(0, 6.0), &optics.camera, optics.intrinsics.supposed(&optics.camera));
     let start: Vec<_> = initialiser.pending.drain(..).collect();
     let mut posed = PosedViews::default();
     start.iter().for_each(|frame| posed.push(frame.clone(), &Se3::identity()));

@@ -40,7 +40,7 @@ impl Reconstruction {
     /// A frame that the map does not know, long after the last one that it did: perhaps the one that begins the next map.
     pub(in crate::reconstruction) fn begin_beside(&mut self, features: &FrameFeatures) -> PoseEstimate {
         let Optics { camera, intrinsics, .. } = &self.optics;
-        let starts = self.initialiser.step(features, camera, &intrinsics.uncertainty(), &self.config);
+        let starts = self.initialiser.step(features, camera, intrinsics.supposed(camera), &self.config);
         if starts.is_empty() {
             return self.estimate_none(features);
         }
