@@ -100,7 +100,7 @@ impl Reconstruction {
             return Err(NoScan::NoFloor);
         }
         // Of the part of the map that has the present unit, and on this floor: one that was carried, or stood on something else, has not been on it.
-        let part = map.keyframe(self.active.reference).and_then(|k| k.scale_from);
+        let part = self.active.part();
         let has_unit = |id: KeyframeId| map.keyframe(id).is_some_and(|k| k.scale_from == part);
         let stood = |camera_from_world: &Se3<Camera, World>| plane.carries(&camera_from_world.inverse().translation);
         let add_seen = |scanner: &mut Scanner, SeenFrom { place, seen, .. }: &SeenFrom| {

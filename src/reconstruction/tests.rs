@@ -383,7 +383,7 @@ fn of_maps_that_were_only_located_in_none_is_left_when_others_are_loaded() {
     r.resume(saved(3), true);
     let resets = r.reset_counter();
     r.exchange(saved(100), true);
-    let ids: Vec<u32> = r.others.kept.iter().map(|other| other.id.0).collect();
+    let ids: Vec<u32> = r.others.kept.iter().map(|other| other.own.id.0).collect();
     assert_eq!((r.map_id(), ids, r.state()), (MapId(100), vec![101], TrackingState::Lost));
     assert!(r.localise_only && r.reset_counter() > resets);
     let retired = |e: &TrajectoryEvent| match e {

@@ -172,10 +172,10 @@ impl Reconstruction {
     /// Moves the map as a closed loop says, and fuses what is one.
     pub(in crate::reconstruction) fn take_over_loop(&mut self, closed: Option<Correction>) {
         let (Some(found), Some(correction)) = (self.loops.under_way.take(), closed) else { return };
-        let before = self.active.odometry.last.map(|last| last.camera_from_world);
+        let before = self.active.odometry.pose();
         self.end_checks();
         self.move_map(&correction);
-        if let Some((old, new)) = before.zip(self.active.odometry.last.map(|last| last.camera_from_world)) {
+        if let Some((old, new)) = before.zip(self.active.odometry.pose()) {
             self.corrections.close_loop(&old, &new);
         }
         self.counters.loops_closed += 1;
