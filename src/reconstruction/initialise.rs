@@ -331,3 +331,6 @@ impl Reconstruction {
             .then_some(solution.camera_from_world)
     }
 }
+
+#[cfg(test)]
+mod tests;
