@@ -38,6 +38,7 @@ mod commander;
 mod error;
 mod latest;
 mod link;
+mod search;
 mod subscription;
 mod topics;
 mod wheel;

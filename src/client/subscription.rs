@@ -5,12 +5,11 @@ use std::time::{Duration, Instant};
 
 use iceoryx2::port::ReceiveError;
 use iceoryx2::port::listener::{Listener, ListenerCreateError, ListenerWaitError};
-use iceoryx2::prelude::{MessagingPattern, Node, PortFactory as _, ServiceName};
-use iceoryx2::service::Service as _;
+use iceoryx2::prelude::{Node, PortFactory as _, ServiceName};
 use iceoryx2::service::builder::event::EventOpenError;
-use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
 
 use super::link::{Ipc, Link};
+use super::search::Search;
 use super::topics::{
     EncodedTopic, FeaturesTopic, FrameTopic, GraphTopic, HealthTopic, KeyframesTopic, MapTopic, ObstaclesTopic,
     OpenFailure, PoseTopic, TagsTopic, Topic, WheelTopic,
@@ -23,8 +22,6 @@ const SILENCE: Duration = Duration::from_secs(1);
 const NEWCOMER: Duration = Duration::from_millis(120);
 /// A daemon that is restarted within this time finds the services as they were.
 const GRACE: Duration = Duration::from_millis(500);
-/// Something half made or half removed that stays so for this long is an error.
-const PATIENCE: Duration = Duration::from_secs(10);
 /// Longest sleep while connected.
 const NAP: Duration = Duration::from_millis(500);
 
@@ -34,13 +31,9 @@ const NAP: Duration = Duration::from_millis(500);
 /// [`Self::latest`] to get the state of the world now. An error stays one: waiting longer does not cure it.
 #[derive(Debug)]
 pub struct Subscription<T: Topic> {
-    link: Arc<Link>,
+    search: Search,
     open: Option<Open<T>>,
     latest: Option<T::Item>,
-    /// When the service was looked for last, while it is not open.
-    looked: Option<Instant>,
-    /// Since when opening fails in a way that should pass.
-    trouble: Option<Instant>,
     /// A first message was waited for since it was opened.
     waited: bool,
     /// The iterator has given its error.
@@ -92,7 +85,8 @@ impl<T: Topic> std::fmt::Debug for Open<T> {
 
 impl<T: Topic> Subscription<T> {
     pub(super) fn new(link: Arc<Link>) -> Self {
-        Self { link, open: None, latest: None, looked: None, trouble: None, waited: false, ended: false, polls: None }
+        let search = Search::new(link, T::NAME);
+        Self { search, open: None, latest: None, waited: false, ended: false, polls: None }
     }
 
     /// For a reader that need not have a message at once: no message wakes it, [`Self::wait`] looks every `pause` instead. That spares the
@@ -111,39 +105,39 @@ impl<T: Topic> Subscription<T> {
     /// or [`Self::wait`] from time to time.
     pub fn try_next(&mut self) -> Result<Option<T::Item>, ClientError> {
         if self.open.is_none() {
-            if self.looked.is_some_and(|t| t.elapsed() < LOOK_EVERY) {
+            if !self.search.is_due() {
                 return Ok(None);
             }
-            self.looked = Some(Instant::now());
             self.connect()?;
         }
         let Some(open) = &mut self.open else { return Ok(None) };
         // Receiving also connects to a daemon that is new.
-        if self.link.receiving_may_hang()
+        if self.search.link.receiving_may_hang()
             && open.heard.elapsed() >= NEWCOMER
-            && let Err(reason) = self.link.clear_unfilled()
+            && let Err(reason) = self.search.link.clear_unfilled()
         {
-            self.troubled("receiving", reason)?;
+            self.search.troubled("receiving", reason)?;
             return Ok(None);
         }
         match T::receive(&open.port) {
             Ok(Some(item)) => {
-                (open.heard, open.alone, self.trouble) = (Instant::now(), None, None);
+                (open.heard, open.alone) = (Instant::now(), None);
+                self.search.works();
                 Ok(Some(item))
             }
             Ok(None) => {
-                self.trouble = None;
+                self.search.works();
                 self.tend();
                 Ok(None)
             }
             Err(ReceiveError::ExceedsMaxBorrows) => {
                 let limit = T::max_held(&open.port);
-                Err(ClientError::TooManyHeld { service: self.name()?.to_string(), limit })
+                Err(ClientError::TooManyHeld { service: self.search.name()?.to_string(), limit })
             }
             Err(ReceiveError::ConnectionFailure(e)) => {
                 // The publisher may have died while we connected. Start over, and give up only if that goes on.
                 self.close();
-                self.troubled("connecting to the publisher", e.to_string())?;
+                self.search.troubled("connecting to the publisher", e.to_string())?;
                 Ok(None)
             }
         }
@@ -188,7 +182,7 @@ impl<T: Topic> Subscription<T> {
                 continue;
             };
             // Shorter naps without a publisher: its going is noticed after GRACE, its coming is an event.
-            let nap = if open.alone.is_some() || self.trouble.is_some() { LOOK_EVERY } else { NAP };
+            let nap = if open.alone.is_some() || self.search.is_troubled() { LOOK_EVERY } else { NAP };
             let Some(listener) = &open.listener else {
                 std::thread::sleep(left.min(self.polls.unwrap_or(nap)));
                 continue;
@@ -198,7 +192,7 @@ impl<T: Topic> Subscription<T> {
                 Err(ListenerWaitError::InterruptSignal) => return Ok(None),
                 Err(e) => {
                     self.close();
-                    self.troubled("waiting", format!("{e:?}"))?;
+                    self.search.troubled("waiting", format!("{e:?}"))?;
                 }
             }
         }
@@ -214,10 +208,10 @@ impl<T: Topic> Subscription<T> {
             }
             // Silent: if it was killed, somebody has to clear its remains away, and that may be us.
             open.heard = Instant::now();
-            if self.link.clear_unfilled().is_err() {
+            if self.search.link.clear_unfilled().is_err() {
                 return;
             }
-            self.link.clear_after_daemon(&open.node);
+            self.search.link.clear_after_daemon(&open.node);
             if T::publishers(&open.port) > 0 {
                 return;
             }
@@ -234,27 +228,19 @@ impl<T: Topic> Subscription<T> {
             self.latest = None;
         }
         self.open = None;
-        self.looked = Some(Instant::now());
-    }
-
-    fn name(&self) -> Result<ServiceName, ClientError> {
-        Ok(self.link.endpoint().service(T::NAME)?)
+        self.search.rest();
     }
 
     /// Opens the service if it is there.
     fn connect(&mut self) -> Result<(), ClientError> {
-        if !self.link.probe(T::NAME)? {
-            self.trouble = None;
-            return Ok(());
-        }
-        let name = self.name()?;
-        if let Err(reason) = self.link.clear_unfilled() {
-            return self.troubled("opening it", reason);
-        }
-        let node = self.link.node()?;
+        let Some((node, name)) = self.search.look()? else { return Ok(()) };
         let port = match T::open(&node, &name) {
             Ok(port) => port,
-            Err(failure) => return self.open_failed(&name, failure),
+            Err(OpenFailure::Service(failure)) => return self.search.open_failed(failure, T::TYPE),
+            Err(OpenFailure::Full { limit }) => {
+                return Err(ClientError::TooManySubscribers { service: name.to_string(), limit });
+            }
+            Err(OpenFailure::Port(failure)) => return self.search.troubled("subscribing", failure.to_string()),
         };
         let listener = match self.polls {
             None => match self.listener(&node, &name)? {
@@ -277,52 +263,10 @@ impl<T: Topic> Subscription<T> {
                     service: name.to_string(),
                     limit: service.static_config().max_listeners(),
                 }),
-                Err(e) => self.troubled("listening for its events", e.to_string()).map(|()| None),
+                Err(e) => self.search.troubled("listening for its events", e.to_string()).map(|()| None),
             },
             Err(EventOpenError::VersionMismatch) => Err(ClientError::IpcVersionMismatch { service: name.to_string() }),
-            Err(e) => self.troubled("opening its events", e.to_string()).map(|()| None),
-        }
-    }
-
-    fn open_failed(&mut self, name: &ServiceName, failure: OpenFailure) -> Result<(), ClientError> {
-        use PublishSubscribeOpenError as E;
-        let service = name.to_string();
-        match failure {
-            // It went away between looking and opening.
-            OpenFailure::Service(E::DoesNotExist | E::IsMarkedForDestruction | E::Interrupt) => Ok(()),
-            OpenFailure::Service(E::VersionMismatch) => Err(ClientError::IpcVersionMismatch { service }),
-            OpenFailure::Service(E::IncompatibleTypes) => {
-                let theirs = self.type_on_the_wire(name);
-                Err(ClientError::VersionMismatch { service, ours: T::TYPE.into(), theirs })
-            }
-            OpenFailure::Service(E::ExceedsMaxNumberOfNodes) => {
-                Err(ClientError::TooManySubscribers { service, limit: crate::messages::services::MAX_NODES })
-            }
-            OpenFailure::Full { limit } => Err(ClientError::TooManySubscribers { service, limit }),
-            OpenFailure::Service(e) => self.troubled("opening it", e.to_string()),
-            OpenFailure::Port(e) => self.troubled("subscribing", e.to_string()),
-        }
-    }
-
-    /// A failure that should pass, because somebody is just making or clearing away things; an error when it does not.
-    fn troubled(&mut self, doing: &'static str, reason: String) -> Result<(), ClientError> {
-        let since = *self.trouble.get_or_insert_with(Instant::now);
-        if since.elapsed() < PATIENCE {
-            return Ok(());
-        }
-        self.trouble = None;
-        Err(ClientError::Ipc { service: self.name()?.to_string(), doing, reason })
-    }
-
-    /// Type name of the service as it exists.
-    fn type_on_the_wire(&self, name: &ServiceName) -> String {
-        let details = Ipc::details(name, self.link.endpoint().config(), MessagingPattern::PublishSubscribe);
-        match details {
-            Ok(Some(details)) => {
-                let types = details.static_details.publish_subscribe().message_type_details();
-                format!("{} of {} bytes", types.payload.type_name(), types.payload.size())
-            }
-            _ => "another type".into(),
+            Err(e) => self.search.troubled("opening its events", e.to_string()).map(|()| None),
         }
     }
 }

@@ -8,30 +8,26 @@ use std::time::{Duration, Instant};
 
 use iceoryx2::port::publisher::{Publisher, PublisherCreateError};
 use iceoryx2::prelude::{BackpressureStrategy, CallbackProgression, Node, PortFactory as _};
-use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
-use super::link::{Ipc, Link};
-use super::{Client, ClientError, LOOK_EVERY, monotonic_ns};
-use crate::messages::services::{MAX_NODES, topic};
+use super::link::Ipc;
+use super::search::Search;
+use super::{Client, ClientError, monotonic_ns};
+use crate::messages::services::topic;
 use crate::messages::{UNKNOWN_NS, WheelOdometry};
 
 /// A daemon that is restarted within this time finds the service as it was; then it is let go, so that one of another version can make its own.
 const GRACE: Duration = Duration::from_millis(500);
 /// How often the remains of killed processes are cleared away, a killed daemon's among them.
 const CLEAN_UP_EVERY: Duration = Duration::from_secs(2);
-/// Something half made or half removed that stays so for this long is an error.
-const PATIENCE: Duration = Duration::from_secs(10);
 /// A message is the mean over the time since the one before only if that is no longer ago, ns.
 const LONGEST_INTERVAL_NS: i64 = 500_000_000;
 
 /// `PREFIX/wheel`, from the driver's side; made by [`Client::wheels`].
 #[derive(Debug)]
 pub struct WheelPublisher {
-    link: Arc<Link>,
+    search: Search,
     open: Option<Open>,
-    looked: Option<Instant>,
-    trouble: Option<Instant>,
     sequence: u64,
     last_ns: Option<i64>,
 }
@@ -61,8 +57,8 @@ impl Client {
     /// # }
     /// ```
     pub fn wheels(&self) -> WheelPublisher {
-        let (open, looked, trouble, last_ns) = (None, None, None, None);
-        WheelPublisher { link: self.link.clone(), open, looked, trouble, sequence: 0, last_ns }
+        let search = Search::new(self.link.clone(), topic::WHEEL);
+        WheelPublisher { search, open: None, sequence: 0, last_ns: None }
     }
 }
 
@@ -83,16 +79,15 @@ impl WheelPublisher {
         self.sequence += 1;
         self.last_ns = Some(message.timestamp_ns);
         if self.open.is_none() {
-            if self.looked.is_some_and(|looked| looked.elapsed() < LOOK_EVERY) {
+            if !self.search.is_due() {
                 return Ok(false);
             }
-            self.looked = Some(Instant::now());
             self.connect()?;
         }
         let Some(open) = &mut self.open else { return Ok(false) };
         let sent = open.port.send_copy(message).map_err(|e| e.to_string());
-        if open.cleaned.elapsed() >= CLEAN_UP_EVERY && self.link.clear_unfilled().is_ok() {
-            self.link.clear_after_daemon(&open.node);
+        if open.cleaned.elapsed() >= CLEAN_UP_EVERY && self.search.link.clear_unfilled().is_ok() {
+            self.search.link.clear_after_daemon(&open.node);
             open.cleaned = Instant::now();
         }
         if open.service.dynamic_config().number_of_subscribers() > 0 {
@@ -104,13 +99,13 @@ impl WheelPublisher {
         let heard = open.alone.is_none();
         match sent {
             Ok(_) => {
-                self.trouble = None;
+                self.search.works();
                 Ok(heard)
             }
             Err(reason) => {
                 // The daemon may have died meanwhile. Start over, and give up only if that goes on.
                 self.open = None;
-                self.troubled("sending", reason).map(|()| false)
+                self.search.troubled("sending", reason).map(|()| false)
             }
         }
     }
@@ -122,18 +117,10 @@ impl WheelPublisher {
 
     /// Opens the service if a daemon has made it.
     fn connect(&mut self) -> Result<(), ClientError> {
-        if !self.link.probe(topic::WHEEL)? {
-            self.trouble = None;
-            return Ok(());
-        }
-        let name = self.link.endpoint().service(topic::WHEEL)?;
-        if let Err(reason) = self.link.clear_unfilled() {
-            return self.troubled("opening it", reason);
-        }
-        let node = self.link.node()?;
+        let Some((node, name)) = self.search.look()? else { return Ok(()) };
         let service = match node.service_builder(&name).publish_subscribe::<WheelOdometry>().open() {
             Ok(service) => service,
-            Err(error) => return self.open_failed(error),
+            Err(error) => return self.search.open_failed(error, WheelOdometry::TYPE_NAME),
         };
         if service.dynamic_config().number_of_publishers() > 0 {
             // A driver that was killed is none.
@@ -146,36 +133,10 @@ impl WheelPublisher {
         let port = match builder.create() {
             Ok(port) => port,
             Err(PublisherCreateError::ExceedsMaxSupportedPublishers) => return Err(second(&service)),
-            Err(e) => return self.troubled("making its publisher", e.to_string()),
+            Err(e) => return self.search.troubled("making its publisher", e.to_string()),
         };
         self.open = Some(Open { port, service, node, alone: None, cleaned: Instant::now() });
         Ok(())
-    }
-
-    fn open_failed(&mut self, error: PublishSubscribeOpenError) -> Result<(), ClientError> {
-        use PublishSubscribeOpenError as E;
-        let service = self.link.endpoint().service(topic::WHEEL)?.to_string();
-        match error {
-            // It went away between looking and opening.
-            E::DoesNotExist | E::IsMarkedForDestruction | E::Interrupt => Ok(()),
-            E::VersionMismatch => Err(ClientError::IpcVersionMismatch { service }),
-            E::IncompatibleTypes => {
-                let (ours, theirs) = (WheelOdometry::TYPE_NAME.into(), "another type".into());
-                Err(ClientError::VersionMismatch { service, ours, theirs })
-            }
-            E::ExceedsMaxNumberOfNodes => Err(ClientError::TooManySubscribers { service, limit: MAX_NODES }),
-            e => self.troubled("opening it", e.to_string()),
-        }
-    }
-
-    /// A failure that should pass; an error when it does not.
-    fn troubled(&mut self, doing: &'static str, reason: String) -> Result<(), ClientError> {
-        if self.trouble.get_or_insert_with(Instant::now).elapsed() < PATIENCE {
-            return Ok(());
-        }
-        self.trouble = None;
-        let service = self.link.endpoint().service(topic::WHEEL)?.to_string();
-        Err(ClientError::Ipc { service, doing, reason })
     }
 }
 

@@ -52,80 +52,44 @@ pub(super) trait Judged: Display {
     fn verdict(&self) -> Verdict;
 }
 
-impl Judged for PublishSubscribeOpenOrCreateError {
-    fn verdict(&self) -> Verdict {
-        use {PublishSubscribeCreateError as C, PublishSubscribeOpenError as O};
-        match self {
-            Self::PublishSubscribeOpenError(e) => match e {
-                O::HangsInCreation | O::ServiceInCorruptedState => Verdict::Broken,
-                O::InsufficientPermissions => Verdict::Forbidden,
-                O::DoesNotExist
-                | O::Interrupt
-                | O::InternalFailure
-                | O::IsMarkedForDestruction
-                | O::ExceedsMaxNumberOfNodes
-                | O::UnableToCreateServiceTag => Verdict::Passing,
-                _ => Verdict::OtherShape,
-            },
-            Self::PublishSubscribeCreateError(e) => match e {
-                C::HangsInCreation | C::ServiceInCorruptedState => Verdict::Broken,
-                C::InsufficientPermissions => Verdict::Forbidden,
-                _ => Verdict::Passing,
-            },
-            Self::SystemInFlux => Verdict::Passing,
+/// Of a builder's error: `broken`, what a half made service is called when it is created.
+macro_rules! judged {
+    ($error:ident, $open:ident, $create:ident, broken: $($broken:ident)|+) => {
+        impl Judged for $error {
+            fn verdict(&self) -> Verdict {
+                match self {
+                    Self::$open(e) => match e {
+                        $open::HangsInCreation | $open::ServiceInCorruptedState => Verdict::Broken,
+                        $open::InsufficientPermissions => Verdict::Forbidden,
+                        $open::DoesNotExist
+                        | $open::Interrupt
+                        | $open::InternalFailure
+                        | $open::IsMarkedForDestruction
+                        | $open::ExceedsMaxNumberOfNodes
+                        | $open::UnableToCreateServiceTag => Verdict::Passing,
+                        _ => Verdict::OtherShape,
+                    },
+                    Self::$create(e) => match e {
+                        $($create::$broken)|+ => Verdict::Broken,
+                        $create::InsufficientPermissions => Verdict::Forbidden,
+                        _ => Verdict::Passing,
+                    },
+                    Self::SystemInFlux => Verdict::Passing,
+                }
+            }
         }
-    }
+    };
 }
 
-impl Judged for EventOpenOrCreateError {
-    fn verdict(&self) -> Verdict {
-        use {EventCreateError as C, EventOpenError as O};
-        match self {
-            Self::EventOpenError(e) => match e {
-                O::HangsInCreation | O::ServiceInCorruptedState => Verdict::Broken,
-                O::InsufficientPermissions => Verdict::Forbidden,
-                O::DoesNotExist
-                | O::Interrupt
-                | O::InternalFailure
-                | O::IsMarkedForDestruction
-                | O::ExceedsMaxNumberOfNodes
-                | O::UnableToCreateServiceTag => Verdict::Passing,
-                _ => Verdict::OtherShape,
-            },
-            Self::EventCreateError(e) => match e {
-                C::ServiceInCorruptedState => Verdict::Broken,
-                C::InsufficientPermissions => Verdict::Forbidden,
-                _ => Verdict::Passing,
-            },
-            Self::SystemInFlux => Verdict::Passing,
-        }
-    }
-}
-
-impl Judged for RequestResponseOpenOrCreateError {
-    fn verdict(&self) -> Verdict {
-        use {RequestResponseCreateError as C, RequestResponseOpenError as O};
-        match self {
-            Self::RequestResponseOpenError(e) => match e {
-                O::HangsInCreation | O::ServiceInCorruptedState => Verdict::Broken,
-                O::InsufficientPermissions => Verdict::Forbidden,
-                O::DoesNotExist
-                | O::Interrupt
-                | O::InternalFailure
-                | O::IsMarkedForDestruction
-                | O::ExceedsMaxNumberOfNodes
-                | O::UnableToCreateServiceTag => Verdict::Passing,
-                _ => Verdict::OtherShape,
-            },
-            Self::RequestResponseCreateError(e) => match e {
-                C::HangsInCreation | C::ServiceInCorruptedState => Verdict::Broken,
-                C::InsufficientPermissions => Verdict::Forbidden,
-                _ => Verdict::Passing,
-            },
-            Self::SystemInFlux => Verdict::Passing,
-        }
-    }
-}
+judged!(
+    PublishSubscribeOpenOrCreateError, PublishSubscribeOpenError, PublishSubscribeCreateError,
+    broken: HangsInCreation | ServiceInCorruptedState
+);
+judged!(EventOpenOrCreateError, EventOpenError, EventCreateError, broken: ServiceInCorruptedState);
+judged!(
+    RequestResponseOpenOrCreateError, RequestResponseOpenError, RequestResponseCreateError,
+    broken: HangsInCreation | ServiceInCorruptedState
+);
 
 /// Waits until nothing half made in shared memory would hold who opens or clears away something: as a rule not at all, else a moment, or
 /// until what a killed process left is old enough to be removed.

@@ -15,6 +15,7 @@ impl Reconstruction {
     /// Events since the last call, in order; to be drained after every frame.
     pub fn take_trajectory_events(&mut self, out: &mut Vec<TrajectoryEvent>) {
         self.second_look.hear(&self.events);
+        self.surroundings.hear(&self.events);
         out.append(&mut self.events);
     }
 
@@ -47,7 +48,7 @@ impl Reconstruction {
 
     /// The last frame's pose lies in or behind a turn on the spot, and its distance from there is that of an assumption.
     pub fn scale_is_assumed(&self) -> bool {
-        let through = self.active.map.keyframe(self.active.reference).and_then(|k| k.scale_from);
+        let through = self.active.part();
         let behind = through.is_some_and(|turn| self.active.scale.is_assumed(turn));
         self.state == TrackingState::Tracking && (behind || self.rests_on_assumed())
     }

@@ -5,7 +5,8 @@ use super::consensus::probation::Probation;
 use super::odometry::Odometry;
 use super::scale_uncertainty::ScaleUncertainty;
 use super::track::association::Bindings;
-use crate::map::{KeyframeId, Map, MapId};
+use crate::map::saved::{MapHead, SavedMap};
+use crate::map::{KeyframeId, Map, MapId, TurnId};
 use crate::motion::scale::ScaleFusion;
 
 pub struct ActiveMap {
@@ -64,6 +65,24 @@ impl ActiveMap {
             is_placed: false,
             next_id: MapId(id.0 + 1),
         }
+    }
+
+    /// One that another run has left.
+    pub fn of_another_run(saved: SavedMap) -> Self {
+        let SavedMap { head: MapHead { id, reference, frames, scale, turns }, map } = saved;
+        let (scale, fusion) = (ScaleUncertainty::restored(&turns), ScaleFusion::of_stored(scale));
+        Self { reference, frames, scale, fusion, ..Self::new(map, id) }
+    }
+
+    /// What another run has to know of it.
+    pub fn head(&self) -> MapHead {
+        let Self { id, reference, frames, scale, fusion, .. } = self;
+        MapHead { id: *id, reference: *reference, frames: *frames, scale: fusion.scale(), turns: scale.saved() }
+    }
+
+    /// The last turn that the scale of the frame tracked last came through.
+    pub fn part(&self) -> Option<TurnId> {
+        self.map.keyframe(self.reference)?.scale_from
     }
 
     /// An empty one whose ids go on after this one's.

@@ -106,11 +106,11 @@ impl Reconstruction {
         if let (Some(found), Some(lens)) = (found, lens) {
             optics.intrinsics.merge(&found, lens, &mut active.map, &mut optics.camera);
         }
-        let before = active.odometry.last.map(|last| last.camera_from_world);
+        let before = active.odometry.pose();
         active.odometry.correct(&old_from_new);
         active.probation.correct(&old_from_new);
         self.contradiction.correct(&old_from_new);
-        if let Some((old, new)) = before.zip(active.odometry.last.map(|last| last.camera_from_world)) {
+        if let Some((old, new)) = before.zip(active.odometry.pose()) {
             self.corrections.adjusted(&old, &new);
         }
         if when != Merge::AtTheEnd && optics.intrinsics.wants_restart(&optics.camera) {

@@ -21,6 +21,7 @@ use super::Reconstruction;
 use super::active_map::ActiveMap;
 use super::dead_reckoning::{Ahead, Reckoned};
 use super::odometry::{LastFrame, Odometry};
+use super::optics::Optics;
 use super::relocalise::other_maps::WORTH_KEEPING;
 use super::segments::MOVED_SIGMAS;
 use super::track::Tracker;
@@ -115,8 +116,8 @@ impl Reconstruction {
         (here, odom_from_camera): (Se3<Camera, World>, Se3<Odom, Camera>),
         units_per_m: f64,
     ) -> Option<PoseEstimate> {
-        let (camera, freedom) = (&self.optics.camera, self.optics.intrinsics.uncertainty());
-        let starts = self.initialiser.step(features, camera, &freedom, &self.config);
+        let Optics { camera, intrinsics, .. } = &self.optics;
+        let starts = self.initialiser.step(features, camera, intrinsics.supposed(camera), &self.config);
         if starts.is_empty() {
             return None;
         }

@@ -203,7 +203,7 @@ fn agrees((x1, x2): &(Vector2<f64>, Vector2<f64>), motion: &Se3<Camera, Camera>,
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+pub mod tests {
     use nalgebra::{UnitQuaternion, Vector3};
 
     use super::*;

@@ -107,7 +107,7 @@ impl Reconstruction {
 
     fn covariance(&self, tracked: &Tracked, step_s: Option<f64>) -> Matrix6<f64> {
         let mut covariance = self.covariance_in_map(tracked, step_s);
-        if let Some(turn) = self.active.map.keyframe(self.active.reference).and_then(|k| k.scale_from) {
+        if let Some(turn) = self.active.part() {
             let mut translation = covariance.fixed_view_mut::<3, 3>(3, 3);
             translation += self.active.scale.covariance(&self.active.map, turn, &tracked.camera_from_world);
         }

@@ -150,7 +150,7 @@ impl FarPictures {
         self.unread_until.retain(|_, until| frame < *until);
         let mut brought = 0;
         for &id in self.wanted.iter().filter(|id| !self.unread_until.contains_key(id)) {
-            for map in std::iter::once(&mut *map).chain(others.kept.iter_mut().map(|other| &mut other.map)) {
+            for map in std::iter::once(&mut *map).chain(others.kept.iter_mut().map(|other| &mut other.own.map)) {
                 match map.bring_picture_back(id) {
                     Ok(false) => {}
                     Ok(true) => {
@@ -196,7 +196,7 @@ impl FarPictures {
             if over == 0 {
                 break;
             }
-            for map in std::iter::once(&mut *map).chain(others.kept.iter_mut().map(|other| &mut other.map)) {
+            for map in std::iter::once(&mut *map).chain(others.kept.iter_mut().map(|other| &mut other.own.map)) {
                 let mut failed = None;
                 let is_away = map.put_picture_away(id, |picture| {
                     spool.put(picture).unwrap_or_else(|error| {

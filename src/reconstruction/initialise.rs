@@ -42,9 +42,10 @@ const START_STEPS: usize = 20;
 impl Reconstruction {
     /// A frame without a map: perhaps the one that makes it; else how the camera has turned since the first one.
     pub(super) fn try_start(&mut self, features: &FrameFeatures) -> PoseEstimate {
-        let uncertainty = self.optics.intrinsics.uncertainty();
-        let starts = self.initialiser.step(features, &self.optics.camera, &uncertainty, &self.config);
-        let orientation = self.orientation.step(features, &self.optics.camera, &uncertainty);
+        let Optics { camera, intrinsics, .. } = &self.optics;
+        let lens = intrinsics.supposed(camera);
+        let starts = self.initialiser.step(features, camera, lens, &self.config);
+        let orientation = self.orientation.step(features, camera, lens);
         match self.start_from(&starts, features) {
             Some(estimate) => self.go_on_turning(estimate),
             None => self.estimate_turned(features, orientation),
@@ -330,3 +331,6 @@ impl Reconstruction {
             .then_some(solution.camera_from_world)
     }
 }
+
+#[cfg(test)]
+mod tests;

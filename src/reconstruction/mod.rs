@@ -380,7 +380,8 @@ impl Reconstruction {
         if is_lost_long {
             return self.begin_beside(features);
         }
-        self.initialiser.watch(features, &self.optics.camera, &self.optics.intrinsics.uncertainty());
+        let Optics { camera, intrinsics, .. } = &self.optics;
+        self.initialiser.watch(features, camera, intrinsics.supposed(camera));
         self.estimate_none(features)
     }
 

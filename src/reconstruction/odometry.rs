@@ -110,6 +110,11 @@ impl Odometry {
         self.lost_since_ns.map_or(0.0, |since_ns| timestamp_ns.saturating_sub(since_ns) as f64 * 1e-9)
     }
 
+    /// Where the camera was last, in the map as it is now.
+    pub fn pose(&self) -> Option<Se3<Camera, World>> {
+        self.last.map(|last| last.camera_from_world)
+    }
+
     /// The last frame, if it is the one just before.
     pub fn followed(&self) -> Option<&LastFrame> {
         self.last.as_ref().filter(|_| self.lost_frames == 0)

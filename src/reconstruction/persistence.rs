@@ -14,13 +14,11 @@ use super::Reconstruction;
 use super::active_map::ActiveMap;
 use super::keyframe::SAME_CORNER_PX;
 use super::relocalise::other_maps::OtherMap;
-use super::scale_uncertainty::ScaleUncertainty;
 use super::track::association::Target;
 use super::types::TrackingState;
 use crate::features::FrameFeatures;
 use crate::map::MapId;
-use crate::map::saved::{Ids, MapChanges, MapHead, SavedMap, SavedMaps, Taken};
-use crate::motion::scale::ScaleFusion;
+use crate::map::saved::{Ids, MapChanges, SavedMap, SavedMaps, Taken};
 
 impl Reconstruction {
     /// What has changed in all maps since the last call; `everything`, and the first time, all there is.
@@ -32,27 +30,20 @@ impl Reconstruction {
             |before: &Taken| before.camera == taken.camera && before.maps.iter().all(|id| taken.maps.contains(id));
         let is_everything = everything || !self.taken.as_ref().is_some_and(is_known);
         self.taken = Some(taken);
-        let ActiveMap { map, id, reference, frames, scale, fusion, .. } = &mut self.active;
-        let (told, turns) = (fusion.scale(), scale.saved());
-        let head = MapHead { id: *id, reference: *reference, frames: *frames, scale: told, turns };
-        let others = self.others.kept.iter_mut().filter(|other| !other.is_merged).map(|other| {
-            let OtherMap { map, id, reference, scale, fusion, frames, .. } = other;
-            let (told, turns) = (fusion.scale(), scale.saved());
-            (MapHead { id: *id, reference: *reference, frames: *frames, scale: told, turns }, map)
-        });
-        let maps = std::iter::once((head, map)).chain(others).collect();
+        let others = self.others.kept.iter_mut().filter(|other| !other.is_merged).map(|other| &mut other.own);
+        let maps = std::iter::once(&mut self.active).chain(others).map(|own| (own.head(), &mut own.map)).collect();
         MapChanges::take(optics, self.frame_ns, maps, is_everything)
     }
 
     /// Those that a file of this run is about: what is to be merged becomes a part of one when it is joined.
     fn own_maps(&self) -> Vec<MapId> {
-        let others = self.others.kept.iter().filter(|other| !other.is_merged).map(|other| other.id);
+        let others = self.others.kept.iter().filter(|other| !other.is_merged).map(|other| other.own.id);
         std::iter::once(self.active.id).chain(others).collect()
     }
 
     /// Whether keyframes or landmarks have been added, changed or removed since changes were taken last.
     pub fn has_changes(&self) -> bool {
-        let others = self.others.kept.iter().filter(|other| !other.is_merged).map(|other| &other.map);
+        let others = self.others.kept.iter().filter(|other| !other.is_merged).map(|other| &other.own.map);
         self.taken.is_none() || std::iter::once(&self.active.map).chain(others).any(crate::map::Map::has_changed)
     }
 
@@ -66,25 +57,17 @@ impl Reconstruction {
         // A file with the very last number is refused when it is read.
         let next_id = newest_id.and_then(|id| id.checked_add(1)).unwrap_or_default();
         let mut maps = saved.maps.into_iter();
-        let Some(SavedMap { head, map }) = maps.next() else { return };
+        let Some(first) = maps.next() else { return };
         self.localise_only = localise_only;
-        let next_global = self.optics.intrinsics.next_global(map.keyframes.len());
-        self.active = ActiveMap {
-            reference: head.reference,
-            frames: head.frames,
-            scale: ScaleUncertainty::restored(&head.turns),
-            fusion: ScaleFusion::of_stored(head.scale),
-            next_global,
-            next_id: MapId(next_id),
-            ..ActiveMap::new(map, head.id)
-        };
+        let next_global = self.optics.intrinsics.next_global(first.map.keyframes.len());
+        self.active = ActiveMap { next_global, next_id: MapId(next_id), ..ActiveMap::of_another_run(first) };
         self.surroundings.first = self.active.map.keyframes.next_id();
         // It speaks for nothing that a frame is near: landmarks must.
         self.active.odometry.lost_frames = 1;
         self.state = TrackingState::Lost;
         for saved in maps {
             // All of them were kept before.
-            self.others.keep(OtherMap::of_another_run(saved, false), usize::MAX);
+            self.others.keep(OtherMap::new(ActiveMap::of_another_run(saved)), usize::MAX);
         }
         self.loops.expect(&self.active.map, &self.others);
         self.taken = Some(Taken { maps: self.own_maps(), camera: self.optics.camera.clone() });

@@ -21,7 +21,7 @@ impl Reconstruction {
         }
         let others = std::mem::take(&mut self.others);
         // No pose of this run hangs on what waits to be merged.
-        others.kept.iter().filter(|other| !other.is_merged).for_each(|other| retire(&other.map, &mut self.events));
+        others.kept.iter().filter(|other| !other.is_merged).for_each(|other| retire(&other.own.map, &mut self.events));
         self.end_map();
     }
 
@@ -56,6 +56,11 @@ impl Reconstruction {
     /// Puts the present map aside, for the next one to be joined to, and starts over.
     pub(super) fn put_aside(&mut self) {
         let old = self.leave_map();
+        self.keep_aside(old);
+    }
+
+    /// Keeps a map, for the next one to be joined to; others may have to go for it.
+    pub(super) fn keep_aside(&mut self, old: ActiveMap) {
         let gone = self.others.keep(OtherMap::new(old), self.config.max_keyframes);
         gone.iter().for_each(|map| retire(map, &mut self.events));
     }

@@ -23,11 +23,12 @@ use std::any::Any;
 
 use super::adjust::intrinsics::MODEL_FLOOR;
 use super::adjust::job::Piece;
+use super::recording::Recorded;
 use super::relocalise::other_maps::{OtherMap, OtherMaps, retire};
 use super::{Reconstruction, TrajectoryEvent};
 use crate::geometry::frames::Camera;
 use crate::map::{KeyframeId, MapId};
-use kept::{Frame, Kept, Recorded};
+use kept::{Frame, Kept};
 use moved::{Moves, Placed};
 use remapping::{Again, Remapping};
 
@@ -93,10 +94,10 @@ impl Reconstruction {
         // Nobody has ever been told where it is, so it follows the present one as a merged map does.
         let other = OtherMap { sightings, is_merged: true, ..OtherMap::new(active) };
         self.active.next_id = MapId(new.0 + 1);
-        self.loops.expect_more(&other.map);
+        self.loops.expect_more(&other.own.map);
         self.join(other, &told.present_from_other, told.log_scale_sigma);
         for id in begun_wrongly {
-            let Some(index) = self.others.kept.iter().position(|other| other.id == id) else { continue };
+            let Some(index) = self.others.kept.iter().position(|other| other.own.id == id) else { continue };
             let old = self.others.kept.remove(index);
             match Moves::of(&placed, &old, &self.active.map, told.present_from_other.scale) {
                 None => self.others.kept.insert(index, old),
@@ -120,27 +121,27 @@ impl Reconstruction {
     }
 
     /// Records where the frames of a map that was begun wrongly are in the present one.
-    fn record_anew(&mut self, frames: &[Recorded], old: &OtherMap, moves: &Moves<'_>) {
+    fn record_anew(&mut self, frames: &[(i64, Recorded)], old: &OtherMap, moves: &Moves<'_>) {
         // What was recorded before has a place of its own, in the map that is no more, until it is replaced.
-        retire(&old.map, &mut self.events);
+        retire(&old.own.map, &mut self.events);
         let map = self.active.id;
-        for frame in frames.iter().filter(|frame| frame.map == old.id) {
-            let Some(keyframe) = old.map.keyframe(frame.keyframe) else { continue };
+        for (timestamp_ns, frame) in frames.iter().filter(|(_, frame)| frame.map == old.own.id) {
+            let Some(keyframe) = old.own.map.keyframe(frame.keyframe) else { continue };
             let before = keyframe.camera_from_world.inverse() * frame.keyframe_from_camera.relabel::<Camera, Camera>();
-            let Some((now, parent)) = moves.follow(frame.timestamp_ns, &before) else { continue };
+            let Some((now, parent)) = moves.follow(*timestamp_ns, &before) else { continue };
             let Some(beside) = self.active.map.keyframe(parent) else { continue };
             self.events.push(TrajectoryEvent::Pose {
-                timestamp_ns: frame.timestamp_ns,
+                timestamp_ns: *timestamp_ns,
                 map,
                 keyframe: parent,
                 keyframe_from_camera: (beside.camera_from_world * now).relabel(),
             });
         }
-        self.events.push(TrajectoryEvent::MapJoined { map: old.id, into: map, scale: 1.0 });
+        self.events.push(TrajectoryEvent::MapJoined { map: old.own.id, into: map, scale: 1.0 });
     }
 }
 
 /// A map kept aside that has not become a part of another one yet, and that nobody's goals lie in.
 fn can_be_moved(others: &OtherMaps, id: MapId) -> bool {
-    others.kept.iter().any(|other| other.id == id && !other.is_placed)
+    others.kept.iter().any(|other| other.own.id == id && !other.own.is_placed)
 }

@@ -14,19 +14,19 @@ use crate::features::Track;
 use crate::features::thumbnail::Thumbnail;
 use crate::image::{GreyImage, Pyramid};
 use crate::map::saved::{MapHead, SavedMap, SavedMaps};
-use crate::map::scale::{MapScale, ScaleSource};
+use crate::map::scale::{MapScale, ScaleSource, ScaleSources};
 use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, MapId, examples};
-use crate::motion::scale::ScaleMeasurement;
+use crate::motion::scale::ScaleFusion;
 
-const FOCAL_PX: f64 = 300.0;
-const FRAME_NS: i64 = 33_000_000;
+pub(super) const FOCAL_PX: f64 = 300.0;
+pub(super) const FRAME_NS: i64 = 33_000_000;
 
-fn camera() -> CameraModel {
+pub(super) fn camera() -> CameraModel {
     CameraModel::new(320, 240, FOCAL_PX, FOCAL_PX, 159.5, 119.5, [0.0; 5]).unwrap()
 }
 
 /// A wall of speckles at distance 1, seen by a camera that has moved to the right by `shift` px at its distance.
-fn wall(shift: usize) -> Pyramid {
+pub(super) fn wall(shift: usize) -> Pyramid {
     let mut picture = GreyImage::new(320, 240);
     let speckle = |x: usize, y: usize| {
         let mixed =
@@ -69,7 +69,7 @@ fn before_the_wall(last: Se3<Camera, World>) -> Reconstruction {
     reconstruction
 }
 
-fn frame(timestamp_ns: i64, shift: usize) -> FrameFeatures {
+pub(super) fn frame(timestamp_ns: i64, shift: usize) -> FrameFeatures {
     let pyramid = Arc::new(wall(shift));
     FrameFeatures { sequence: 1, timestamp_ns, arrival_ns: 0, decoded_ns: 0, pyramid, tracks: Vec::new() }
 }
@@ -249,7 +249,7 @@ fn a_map_that_the_picture_contradicts_for_a_second_is_lost_without_what_it_grew_
 fn a_new_map_that_the_picture_contradicts_is_given_up_and_its_frames_have_no_pose_again() {
     let mut reconstruction = before_the_wall(Se3::identity());
     let Reconstruction { optics, initialiser, active, .. } = &mut reconstruction;
-    initialiser.watch(&moving(0, 6.0), &optics.camera, &optics.intrinsics.uncertainty());
+    initialiser.watch(&moving(0, 6.0), &optics.camera, optics.intrinsics.supposed(&optics.camera));
     let start: Vec<_> = initialiser.pending.drain(..).collect();
     let mut posed = PosedViews::default();
     start.iter().for_each(|frame| posed.push(frame.clone(), &Se3::identity()));
@@ -322,6 +322,36 @@ fn a_map_becomes_metric_at_once_and_later_refinements_leave_the_smooth_pose() {
 }
 
 #[test]
+fn metres_behind_turns_in_a_row_leave_what_was_metric_as_long_as_it_is_and_what_lies_between_doubted() {
+    let mut r = before_the_wall(Se3::identity());
+    let sources = ScaleSources::default().with(ScaleSource::Height);
+    r.active.fusion = ScaleFusion::of_stored(MapScale::Metric { sigma: 0.01, sources });
+    // It turns at keyframe 1 and again at keyframe 3: each time half a unit is a keyframe's step from there.
+    let at = |x: f64| Se3::new(UnitQuaternion::identity(), Vector3::x() * -x);
+    let ActiveMap { map, scale, .. } = &mut r.active;
+    let [one, two, three, four, five] =
+        [1.0, 1.5, 2.0, 2.5, 3.0].map(|x| map.add_keyframe(examples::keyframe(Default::default(), at(x))));
+    let first = scale.add(map, one, None, true);
+    [two, three].into_iter().for_each(|id| map.set_scale_origin(id, first));
+    let second = scale.add(map, three, first, true);
+    [four, five].into_iter().for_each(|id| map.set_scale_origin(id, second));
+    (r.active.reference, r.active.odometry) = (five, Odometry::begin(0, at(3.0)));
+    let doubted = |r: &Reconstruction| matches!(r.scale(), MapScale::Metric { sigma, .. } if sigma > 0.5);
+    assert!(doubted(&r));
+    let word = ScaleMeasurement { source: ScaleSource::Height, log_metres_per_unit: 2.0_f64.ln(), sigma: 0.01 };
+    r.hear_at(five, &word, 0.0);
+    r.follow_scale(&frame(0, 0));
+    let place = |id: KeyframeId| r.active.map.keyframe(id).unwrap().centre().x;
+    let places = [KeyframeId(0), one, two, three, four, five].map(place);
+    let expected = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0];
+    assert!(places.iter().zip(expected).all(|(x, y)| (x - y).abs() < 1e-9), "{places:?}");
+    let parts = [KeyframeId(0), one, two, three, four, five].map(|id| r.active.map.keyframe(id).unwrap().scale_from);
+    assert_eq!(parts, [None, None, first, first, None, None]);
+    assert!(!doubted(&r) && r.active.scale.sigma_behind(first, false) > 0.4);
+    assert!((r.active.odometry.pose().unwrap().inverse().translation.x - 5.0).abs() < 1e-9);
+}
+
+#[test]
 fn a_map_that_begins_beside_a_loaded_one_has_a_number_that_no_keyframe_has() {
     let mut map = Map::default();
     // Made in a map of a greater number, which was joined to the one that is tracked in.
@@ -383,7 +413,7 @@ fn of_maps_that_were_only_located_in_none_is_left_when_others_are_loaded() {
     r.resume(saved(3), true);
     let resets = r.reset_counter();
     r.exchange(saved(100), true);
-    let ids: Vec<u32> = r.others.kept.iter().map(|other| other.id.0).collect();
+    let ids: Vec<u32> = r.others.kept.iter().map(|other| other.own.id.0).collect();
     assert_eq!((r.map_id(), ids, r.state()), (MapId(100), vec![101], TrackingState::Lost));
     assert!(r.localise_only && r.reset_counter() > resets);
     let retired = |e: &TrajectoryEvent| match e {

@@ -122,15 +122,16 @@ impl LensKnowledge {
     }
 }
 
-/// Standard deviations of what is believed of a lens.
+/// The lens that is supposed, and how far it may be from what it is.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LensFreedom {
-    /// Of log focal length.
-    pub focal: f64,
-    /// Of the principal point, px.
-    pub centre_px: f64,
-    /// Of the first distortion coefficient.
-    pub distortion: f64,
+pub struct SupposedLens {
+    pub focal_px: f64,
+    /// Standard deviation of log focal length.
+    pub focal_sigma: f64,
+    /// The same of the principal point, px.
+    pub centre_sigma_px: f64,
+    /// The same of the first distortion coefficient.
+    pub distortion_sigma: f64,
 }
 
 /// The lens as it is believed now.
@@ -222,9 +223,14 @@ impl Intrinsics {
         };
     }
 
-    /// How far the lens may be from what it is supposed to be.
-    pub fn uncertainty(&self) -> LensFreedom {
-        LensFreedom { focal: self.sigma[0], centre_px: self.sigma[1], distortion: self.sigma[3] }
+    /// How far the lens may be from this camera's, which it is supposed to be.
+    pub fn supposed(&self, camera: &CameraModel) -> SupposedLens {
+        SupposedLens {
+            focal_px: camera.focal_px(),
+            focal_sigma: self.sigma[0],
+            centre_sigma_px: self.sigma[1],
+            distortion_sigma: self.sigma[3],
+        }
     }
 
     /// What may be said of the lens.

@@ -12,14 +12,14 @@ use std::collections::VecDeque;
 
 use nalgebra::{Vector2, Vector3};
 
-use super::turn::{Pair, SupposedLens, unexplained_px};
+use super::turn::{Pair, unexplained_px};
 use super::untracked::UntrackedViews;
 use super::views::{MAX_BETWEEN, MIN_COMMON, Pairs, View, Views};
 use crate::features::{FrameFeatures, Track};
 use crate::geometry::frames::{First, Second};
 use crate::geometry::two_view::{TwoViewOptions, reconstruct_two_views};
 use crate::geometry::{CameraModel, Se3};
-use crate::reconstruction::adjust::intrinsics::LensFreedom;
+use crate::reconstruction::adjust::intrinsics::SupposedLens;
 use crate::reconstruction::config::ReconstructionConfig;
 use crate::reconstruction::consensus::{FrameTracks, MAX_DISAGREEMENTS};
 use crate::reconstruction::keyframe::epipolar::FED;
@@ -130,15 +130,14 @@ impl Initialiser {
         self.views.push(view());
     }
 
-    /// Takes a frame; what it could start together with a view before, best first. `freedom`: of the lens.
+    /// Takes a frame; what it could start together with a view before, best first. `lens`: what `camera` is believed to be.
     pub fn step(
         &mut self,
         features: &FrameFeatures,
         camera: &CameraModel,
-        freedom: &LensFreedom,
+        lens: SupposedLens,
         config: &ReconstructionConfig,
     ) -> Vec<Start> {
-        let lens = SupposedLens { focal_px: camera.focal_px(), freedom: *freedom };
         let followed = self.follow(features, camera);
         let few = followed.as_ref().is_none_or(|pairs| pairs.tracks.len() < FED);
         let mut starts = match followed {
@@ -213,9 +212,8 @@ impl Initialiser {
 
     /// Remembers a frame without asking for a start: while there is still hope for another map. The way that the camera goes meanwhile is
     /// time spent trying all the same.
-    pub fn watch(&mut self, features: &FrameFeatures, camera: &CameraModel, freedom: &LensFreedom) {
+    pub fn watch(&mut self, features: &FrameFeatures, camera: &CameraModel, lens: SupposedLens) {
         if let Some(pairs) = self.follow(features, camera) {
-            let lens = SupposedLens { focal_px: camera.focal_px(), freedom: *freedom };
             let flow = unexplained_px(&pairs.places, lens, &mut self.lengths);
             self.spend_patience(features.timestamp_ns, flow);
         }
@@ -302,7 +300,8 @@ fn pairs_with(view: &View, features: &FrameFeatures, camera: &CameraModel) -> Op
 mod tests {
     use super::*;
 
-    const LENS: LensFreedom = LensFreedom { focal: 0.01, centre_px: 0.1, distortion: 0.02 };
+    const LENS: SupposedLens =
+        SupposedLens { focal_px: 500.0, focal_sigma: 0.01, centre_sigma_px: 0.1, distortion_sigma: 0.02 };
 
     /// Where a camera that has moved so sees some eighty points.
     fn places(moved: Vector3<f64>) -> Vec<Vector2<f64>> {
@@ -339,7 +338,7 @@ mod tests {
                     tracks: tracks.collect(),
                     ..FrameFeatures::default()
                 };
-                assert!(initialiser.step(&features, &camera, &LENS, &config).is_empty());
+                assert!(initialiser.step(&features, &camera, LENS, &config).is_empty());
                 frames += 1;
             }
             initialiser.trying_s
@@ -365,7 +364,7 @@ mod tests {
                 age: 1,
             });
             let features = FrameFeatures { sequence: n, tracks: tracks.collect(), ..FrameFeatures::default() };
-            initialiser.step(&features, &camera, &LENS, &config);
+            initialiser.step(&features, &camera, LENS, &config);
         }
         let held: Vec<u64> = initialiser.views.iter().map(|v| v.frame.sequence).collect();
         assert_eq!(held, [1, 2, 3, 4, 5]);
@@ -377,7 +376,7 @@ mod tests {
         let config = ReconstructionConfig::default();
         let mut initialiser = Initialiser::default();
         let mut in_a_frame = |ask: fn(&mut Initialiser) -> bool| {
-            initialiser.step(&FrameFeatures::default(), &camera, &LENS, &config);
+            initialiser.step(&FrameFeatures::default(), &camera, LENS, &config);
             [ask(&mut initialiser), ask(&mut initialiser)]
         };
         let disagree = |i: &mut Initialiser| {

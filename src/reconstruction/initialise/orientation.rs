@@ -18,10 +18,10 @@
 
 use nalgebra::{Matrix3, Matrix3x4, UnitQuaternion, Vector2, Vector3};
 
-use super::turn::{MAX_PAIRS, MIN_TRACKS, Pair, SupposedLens, TurnState, ViewTurn, view_turn};
+use super::turn::{MAX_PAIRS, MIN_TRACKS, Pair, TurnState, ViewTurn, view_turn};
 use crate::features::FrameFeatures;
 use crate::geometry::CameraModel;
-use crate::reconstruction::adjust::intrinsics::LensFreedom;
+use crate::reconstruction::adjust::intrinsics::SupposedLens;
 use crate::reconstruction::odometry::LONGEST_STEP_S;
 use crate::reconstruction::types::OrientationEstimate;
 
@@ -112,12 +112,12 @@ impl OrientationTracker {
         known.map(|known| known.first_from_camera)
     }
 
-    /// The orientation of a frame; `uncertainty` of the lens that `camera` is supposed to have.
+    /// The orientation of a frame; `lens`: what `camera` is believed to be.
     pub fn step(
         &mut self,
         features: &FrameFeatures,
         camera: &CameraModel,
-        uncertainty: &LensFreedom,
+        lens: SupposedLens,
     ) -> Option<OrientationEstimate> {
         let common = self.pair_up(features, camera);
         let Some(anchor) = self.first_from_anchor.filter(|_| common >= MIN_TRACKS) else {
@@ -125,7 +125,6 @@ impl OrientationTracker {
             return Some(self.tell(known, TurnState::none()));
         };
         let guess = self.last.map_or(TurnState::none(), |(_, turn)| turn);
-        let lens = SupposedLens { focal_px: camera.focal_px(), freedom: *uncertainty };
         let turn = view_turn(&self.pairs, &guess, lens, &mut self.lengths)?;
         let known = anchor.turned(features.timestamp_ns, &turn);
         let halved = (common as f64) < FEW_SHARE * self.anchor.len() as f64;

@@ -35,7 +35,7 @@ use crate::geometry::essential::{essential_of, motion_information, refine_motion
 use crate::geometry::frames::{First, Second};
 use crate::geometry::least_squares::{LeastSquares, LmOptions, Loss, NormalEquations, minimise};
 use crate::geometry::{CameraModel, SIGMA_OVER_MEDIAN, Se3, median};
-use crate::reconstruction::adjust::intrinsics::LensFreedom;
+use crate::reconstruction::adjust::intrinsics::SupposedLens;
 
 /// Standard deviation of a track over some dozen frames, px: the least that any are taken for.
 const TRACK_PX: f64 = 0.5;
@@ -99,13 +99,6 @@ pub struct ViewTurn {
     pub by_lens: Matrix3x4<f64>,
     /// The turn that explains the tracks best: to begin with at the next frame.
     pub state: TurnState,
-}
-
-/// The lens that is supposed: its focal length, px, and how far it may be from what it is.
-#[derive(Debug, Clone, Copy)]
-pub struct SupposedLens {
-    pub focal_px: f64,
-    pub freedom: LensFreedom,
 }
 
 /// The median flow (px) that no turn and no lens near the supposed one explains, of at most [`MAX_PAIRS`] evenly chosen pairs.
@@ -255,9 +248,9 @@ impl TurnProblem<'_> {
     /// Information of translation (frontal plane one unit away), logarithm of the focal length, distortion, and principal point.
     fn prior(&self) -> SVector<f64, UNKNOWNS> {
         let information = |sigma: f64| 1.0 / sigma.max(1e-4).powi(2);
-        let shift = (self.lens.focal_px / self.hidden_px).powi(2);
-        let LensFreedom { focal, centre_px, distortion } = self.lens.freedom;
-        let [focal, distortion, centre] = [focal, distortion, centre_px / self.lens.focal_px].map(information);
+        let SupposedLens { focal_px, focal_sigma, centre_sigma_px, distortion_sigma } = self.lens;
+        let shift = (focal_px / self.hidden_px).powi(2);
+        let [focal, distortion, centre] = [focal_sigma, distortion_sigma, centre_sigma_px / focal_px].map(information);
         SVector::from([0.0, 0.0, 0.0, shift, shift, shift, focal, distortion, centre, centre])
     }
 
@@ -411,7 +404,7 @@ fn motion(
 
 impl ViewMotion {
     fn turn(&self, pairs: &[Pair], lens: SupposedLens, state: TurnState) -> Option<ViewTurn> {
-        let SupposedLens { focal_px, freedom } = lens;
+        let SupposedLens { focal_px, focal_sigma, distortion_sigma, .. } = lens;
         if !agrees(pairs, sampson_px2(&self.second_from_first, focal_px)) {
             return None;
         }
@@ -428,8 +421,8 @@ impl ViewMotion {
             second_from_first: rotation,
             covariance: covariance.fixed_view::<3, 3>(0, 0).into_owned(),
             by_lens: Matrix3x4::from_columns(&[
-                across * freedom.focal,
-                across * (2.0 * square * freedom.distortion),
+                across * focal_sigma,
+                across * (2.0 * square * distortion_sigma),
                 Vector3::zeros(),
                 Vector3::zeros(),
             ]),

@@ -63,7 +63,7 @@ impl Reconstruction {
             (features.sequence, &way),
         )?;
         let pose = placed.camera_from_world;
-        if let Some(before) = self.active.odometry.last.map(|last| last.camera_from_world) {
+        if let Some(before) = self.active.odometry.pose() {
             self.corrections.moved(&before, &pose);
         }
         self.active.odometry.replace(pose);

@@ -172,10 +172,10 @@ impl Reconstruction {
     /// Moves the map as a closed loop says, and fuses what is one.
     pub(in crate::reconstruction) fn take_over_loop(&mut self, closed: Option<Correction>) {
         let (Some(found), Some(correction)) = (self.loops.under_way.take(), closed) else { return };
-        let before = self.active.odometry.last.map(|last| last.camera_from_world);
+        let before = self.active.odometry.pose();
         self.end_checks();
         self.move_map(&correction);
-        if let Some((old, new)) = before.zip(self.active.odometry.last.map(|last| last.camera_from_world)) {
+        if let Some((old, new)) = before.zip(self.active.odometry.pose()) {
             self.corrections.close_loop(&old, &new);
         }
         self.counters.loops_closed += 1;
@@ -308,12 +308,13 @@ fn is_little(map: &Map, sighting: &Sighting, told: &Similarity) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3};
+    use nalgebra::{UnitQuaternion, Vector2, Vector3};
 
     use super::*;
     use crate::geometry::{CameraModel, Se3};
-    use crate::map::{LandmarkId, Observation, examples};
+    use crate::map::{LandmarkId, examples};
     use crate::reconstruction::track::search::Match;
+    use crate::reconstruction::track::template::observe;
     use crate::reconstruction::{InlineWorker, ReconstructionConfig};
 
     /// Six keyframes side by side, 20 landmarks that the first two share; the last two have been recognised to be where those are.
@@ -328,35 +329,38 @@ mod tests {
                 map.add_keyframe(examples::keyframe(Default::default(), pose))
             })
             .collect();
-        let mut found = Vec::new();
         for i in 0..20 {
-            let position = Vector3::new(0.1 * f64::from(i), 0.0, 3.0);
-            let (pixel, normalised, displacement) = (Vector2::new(i as f32, 9.0), Vector2::zeros(), Vector2::zeros());
-            let (landmark, inv_sigma_px) = (LandmarkId(0), 1.0);
-            let normalised_from_pixel = Matrix2::identity();
-            let seen = Observation { landmark, pixel, normalised, displacement, inv_sigma_px, normalised_from_pixel };
-            let landmark = map.add_landmark(examples::landmark(position, ids[1]), &[(ids[0], seen), (ids[1], seen)]);
-            found.push(Match {
-                landmark,
-                template: ids[0],
-                point: position,
-                pixel,
-                normalised,
-                displacement,
-                inv_sigma_px,
-                inlier: true,
-                is_alike: true,
-            });
+            let position = Vector3::new(0.05 * f64::from(i), 0.04 * f64::from(i % 7), 3.0);
+            let seen = |x: f64| {
+                let pixel = camera.project(&(position - Vector3::x() * x)).expect("in front");
+                observe(&camera, LandmarkId(0), pixel.cast(), 1.0).expect("in the picture")
+            };
+            map.add_landmark(examples::landmark(position, ids[1]), &[(ids[0], seen(0.0)), (ids[1], seen(1.0))]);
         }
-        let sighting = |at: usize, x: f64| Sighting {
-            keyframe: ids[at],
-            there: Se3::new(UnitQuaternion::identity(), Vector3::x() * -x),
-            found: found.clone(),
-        };
-        let sightings = [sighting(4, 0.0), sighting(5, 1.0)];
+        let sightings = [sighting(map, 4, 0.0), sighting(map, 5, 1.0)];
         let told = Similarity { present_from_other: Sim3::identity(), log_scale_sigma: 0.01 };
         r.loops.waiting = Some(FoundLoop { sightings, told });
         r
+    }
+
+    /// All landmarks were seen from there.
+    fn sighting(map: &Map, keyframe: u32, x: f64) -> Sighting {
+        let found = map.landmarks.iter().map(|(id, landmark)| {
+            let seen = landmark.position - Vector3::x() * x;
+            Match {
+                landmark: LandmarkId(id),
+                template: KeyframeId(0),
+                point: landmark.position,
+                pixel: Vector2::new(id as f32, 9.0),
+                normalised: seen.xy() / seen.z,
+                displacement: Vector2::zeros(),
+                inv_sigma_px: 1.0,
+                inlier: true,
+                is_alike: true,
+            }
+        });
+        let there = Se3::new(UnitQuaternion::identity(), Vector3::x() * -x);
+        Sighting { keyframe: KeyframeId(keyframe), there, found: found.collect() }
     }
 
     #[test]
@@ -381,6 +385,28 @@ mod tests {
         drop(r.loop_closure().expect("a job"));
         r.discard_job();
         assert!(r.loops.waiting.is_none() && r.loops.under_way.is_none());
+    }
+
+    #[test]
+    fn an_adjustment_that_gave_way_to_a_loop_is_done_whatever_becomes_of_the_loop() {
+        for is_closed in [false, true] {
+            let mut r = found_a_loop();
+            r.loops.forget_found();
+            r.active.unadjusted = r.active.map.newest();
+            r.active.next_global = 0;
+            r.post_adjustment();
+            assert!(r.mapper.is_busy() && r.active.unadjusted.is_none(), "it is under way");
+            // Six tenths of a unit have drifted.
+            let told = [sighting(&r.active.map, 4, 3.4), sighting(&r.active.map, 5, 4.4)];
+            told.into_iter().for_each(|sighting| r.weigh(sighting));
+            assert!(r.loops.waiting.is_some() && !r.mapper.is_busy(), "what it began from is about to move");
+            let job = r.loop_closure().expect("a job");
+            r.take_over_loop(is_closed.then(|| job.run().expect("closed")));
+            assert_eq!(r.counters.loops_closed, u64::from(is_closed));
+            r.post_adjustment();
+            r.merge_adjustment(Merge::AtTheEnd);
+            assert_eq!(r.counters.adjustments, 1, "closed: {is_closed}");
+        }
     }
 
     /// After a way of ten, with nothing drifted.

@@ -15,8 +15,8 @@
 
 use super::asked::Asked;
 use super::other_maps::{
-    ATTEMPT_GAP, LONGEST_GAP, OtherMap, OtherMaps, REMEMBERED, Sighting, at_corner, found_in, log_ratio, retire,
-    seen_most_by, similarity,
+    ATTEMPT_GAP, LONGEST_GAP, OtherMap, OtherMaps, REMEMBERED, Sighting, at_corner, found_in, log_ratio, seen_most_by,
+    similarity,
 };
 use crate::features::FrameFeatures;
 use crate::geometry::CameraModel;
@@ -40,7 +40,7 @@ impl Reconstruction {
     /// A frame that the map does not know, long after the last one that it did: perhaps the one that begins the next map.
     pub(in crate::reconstruction) fn begin_beside(&mut self, features: &FrameFeatures) -> PoseEstimate {
         let Optics { camera, intrinsics, .. } = &self.optics;
-        let starts = self.initialiser.step(features, camera, &intrinsics.uncertainty(), &self.config);
+        let starts = self.initialiser.step(features, camera, intrinsics.supposed(camera), &self.config);
         if starts.is_empty() {
             return self.estimate_none(features);
         }
@@ -62,15 +62,14 @@ impl Reconstruction {
         self.optics.intrinsics.end_map(&self.optics.camera);
         self.counters.resets += 1;
         estimate.reset_counter = self.reset_counter();
-        let gone = self.others.keep(OtherMap::new(old), self.config.max_keyframes);
-        gone.iter().for_each(|map| retire(map, &mut self.events));
+        self.keep_aside(old);
         estimate
     }
 
     /// Somebody has said where the robot is in the present map: when one that was lost is joined to it, it is not told in that one's frame; when it
     /// is lost itself, it gives its frame to the map that it is joined to. What was said of a map before holds no more.
     pub fn hold_frame(&mut self) {
-        self.others.kept.iter_mut().for_each(|other| other.is_placed = false);
+        self.others.kept.iter_mut().for_each(|other| other.own.is_placed = false);
         self.active.is_placed = true;
     }
 
@@ -112,7 +111,7 @@ impl Reconstruction {
         let (readout_s, min_parallax) = (self.optics.shutter.readout_s, self.config.min_parallax_deg.to_radians());
         let tell = |(i, before)| {
             let pair = [before, &sighting];
-            let told = similarity(&self.active.map, &other.map, pair, readout_s, min_parallax)?;
+            let told = similarity(&self.active.map, &other.own.map, pair, readout_s, min_parallax)?;
             Some((i, told, self.join_sigma(other, pair, &told)?))
         };
         // One keyframe that is asked again is no second witness.
@@ -144,7 +143,7 @@ impl Reconstruction {
     /// Keyframes of a map kept aside that a picture may show the place of.
     pub(super) fn likely_in(&mut self, index: usize, features: &FrameFeatures) -> Vec<KeyframeId> {
         let Some(other) = self.others.kept.get(index) else { return Vec::new() };
-        self.loops.likely(&other.map, &features.pyramid)
+        self.loops.likely(&other.own.map, &features.pyramid)
     }
 
     /// Where the keyframe `id` is in a map kept aside, if it is; perhaps near the `likely` ones.
@@ -174,7 +173,7 @@ impl Reconstruction {
         let bindings = Bindings::default();
         let frame = Frame {
             features,
-            map: &other.map,
+            map: &other.own.map,
             bindings: &bindings,
             camera: &self.optics.camera,
             config: &self.config,
@@ -184,8 +183,8 @@ impl Reconstruction {
             shutter: &self.optics.shutter,
             outlier_chi2: self.optics.noise.outlier_chi2(),
         };
-        let Some(placed) = relocaliser.place_once(&frame, other.reference, likely) else {
-            self.far.ask_ahead(relocaliser.ahead(&other.map));
+        let Some(placed) = relocaliser.place_once(&frame, other.own.reference, likely) else {
+            self.far.ask_ahead(relocaliser.ahead(&other.own.map));
             return None;
         };
         Some((placed, found_in(&frame, &relocaliser.tracker, id, &placed)?))
@@ -194,23 +193,24 @@ impl Reconstruction {
     /// Makes the other map a part of this one. `scale_sigma`: of the logarithm of the ratio of their units.
     pub(in crate::reconstruction) fn join(
         &mut self,
-        mut other: OtherMap,
+        other: OtherMap,
         present_from_other: &Sim3<World, World>,
         scale_sigma: f64,
     ) {
         self.discard_job();
         let active = &mut self.active;
+        let OtherMap { own: mut other, sightings, is_merged } = other;
         // The lens may be known better by now.
         other.map.undistort_anew(&self.optics.camera);
         other.map.transform(present_from_other);
-        let newest = other.sightings.last().map(|s| s.keyframe);
+        let newest = sightings.last().map(|s| s.keyframe);
         let through = newest.and_then(|id| active.map.keyframe(id)?.scale_from);
         active.scale.absorb(&other.scale, &mut other.map, present_from_other, through);
         let is_larger = other.map.keyframes.len() > active.map.keyframes.len();
         let knows_unit = active.fusion.fused().is_some();
         // Goals of a planner lie in the frame of the map that it has placed; in another unit they are nowhere.
         let keeps_goals = other.is_placed && (!knows_unit || other.fusion.is_metric());
-        let goes_back = (is_larger || keeps_goals) && !other.is_merged && !active.is_placed;
+        let goes_back = (is_larger || keeps_goals) && !is_merged && !active.is_placed;
         active.is_placed |= goes_back && keeps_goals;
         // A unit that something has told stays; else it is the other's, whose own words then hold as they are.
         let takes_unit = goes_back && !knows_unit;
@@ -220,8 +220,8 @@ impl Reconstruction {
             false => active.fusion.inherit(&other.fusion, -present_from_other.scale.ln(), scale_sigma),
         }
         let own = |s: &Sighting| active.map.keyframe(s.keyframe).map(|k| k.observations.clone()).unwrap_or_default();
-        let seen: Vec<Observations> = other.sightings.iter().map(own).collect();
-        let by = other.sightings.last().and_then(|s| Some((seen_most_by(&other.map, s)?, s.keyframe)));
+        let seen: Vec<Observations> = sightings.iter().map(own).collect();
+        let by = sightings.last().and_then(|s| Some((seen_most_by(&other.map, s)?, s.keyframe)));
         if let Some((from, to)) = by {
             self.others.note_join(other.id, from, to);
         }
@@ -229,7 +229,7 @@ impl Reconstruction {
         // Two keyframes that were recognised vouch for the map.
         active.probation.end();
         self.contradiction.end();
-        for (sighting, seen) in other.sightings.iter().zip(&seen) {
+        for (sighting, seen) in sightings.iter().zip(&seen) {
             add_found(&mut active.map, sighting, seen, &self.optics.camera);
         }
         self.events.push(TrajectoryEvent::MapJoined {
@@ -249,7 +249,7 @@ impl Reconstruction {
 
     /// The whole map moves such that what has just become a part of it lies where it was; `takes_unit`: and is as large as it was.
     fn go_back_to(&mut self, other_from_present: &Sim3<World, World>, takes_unit: bool) {
-        let before = self.active.odometry.last.map(|last| last.camera_from_world);
+        let before = self.active.odometry.pose();
         let Sim3 { scale, rotation, translation, .. } = *other_from_present;
         if takes_unit {
             self.change_unit(scale);
@@ -257,7 +257,7 @@ impl Reconstruction {
         let motion = Sim3::new(1.0, rotation, if takes_unit { translation } else { translation / scale });
         self.active.scale.carry(&motion);
         self.move_map(&Correction { keyframes: Vec::new(), younger: Some(motion) });
-        if let Some((old, new)) = before.zip(self.active.odometry.last.map(|last| last.camera_from_world)) {
+        if let Some((old, new)) = before.zip(self.active.odometry.pose()) {
             self.corrections.carried(&old, &new);
         }
     }

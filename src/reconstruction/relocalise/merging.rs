@@ -22,6 +22,7 @@ use crate::map::remade::remade;
 use crate::map::saved::{SavedMap, SavedMaps, SavedOptics};
 use crate::map::{Keyframe, KeyframeId, Map, MapId};
 use crate::reconstruction::Reconstruction;
+use crate::reconstruction::active_map::ActiveMap;
 use crate::reconstruction::keyframe::distance_prior::is_blind;
 use crate::reconstruction::types::TrackingState;
 
@@ -85,9 +86,9 @@ impl Reconstruction {
         self.leave_ids_to(&new);
         let waiting = Waiting { maps: new.len(), keyframes };
         for saved in new {
-            let other = OtherMap::of_another_run(saved, true);
-            self.loops.expect_more(&other.map);
-            self.others.add(other);
+            let own = ActiveMap::of_another_run(saved);
+            self.loops.expect_more(&own.map);
+            self.others.add(OtherMap { is_merged: true, ..OtherMap::new(own) });
         }
         self.others.asked = Asked::default();
         Ok(waiting)
@@ -179,7 +180,7 @@ impl Reconstruction {
         if !other.is_merged {
             return Some(MAX_SCALE_SIGMA);
         }
-        let active = &self.active;
+        let (active, other) = (&self.active, &other.own);
         let here =
             |s: &Sighting| active.scale.sigma_behind(active.map.keyframe(s.keyframe).and_then(|k| k.scale_from), false);
         let there = |s: &Sighting| {

@@ -173,14 +173,14 @@ fn a_larger_map_that_was_lost_stays_where_it_was_and_the_present_one_goes_there(
             let word = ScaleMeasurement { source: ScaleSource::Wheels, log_metres_per_unit: 0.4, sigma: 0.2 };
             assert!(r.add_scale(&word));
         }
-        let mut lost = OtherMap::of_another_run(for_run(&r, vec![another_day()]).maps.remove(0), false);
+        let mut lost = ActiveMap::of_another_run(for_run(&r, vec![another_day()]).maps.remove(0));
         lost.map.transform(&elsewhere);
         assert!(lost.map.keyframes.len() > r.active.map.keyframes.len());
         let there: Vec<(KeyframeId, Vector3<f64>)> =
             lost.map.keyframes.iter().map(|(id, k)| (KeyframeId(id), k.centre())).collect();
         let told = Sim3::new(1.0 / OTHER_UNIT, UnitQuaternion::identity(), Vector3::zeros()) * elsewhere.inverse();
         let revision = r.corrections.revision;
-        r.join(lost, &told, 0.01);
+        r.join(OtherMap::new(lost), &told, 0.01);
         // A unit that something has told stays; about its origin the other map lies as it did.
         let unit = if is_told { OTHER_UNIT.recip() } else { 1.0 };
         for (id, centre) in &there {
@@ -211,11 +211,11 @@ fn a_larger_map_that_was_lost_is_metric_still_and_comes_over_where_this_one_was_
         }
         let mut saved = for_run(&r, vec![another_day()]).maps.remove(0);
         saved.head.scale = MapScale::Metric { sigma: 0.01, sources: ScaleSources::default().with(ScaleSource::Wheels) };
-        let lost = OtherMap::of_another_run(saved, false);
+        let lost = ActiveMap::of_another_run(saved);
         let last = lost.map.newest().expect("four");
         let there = lost.map.keyframe(last).expect("there").centre();
         let told = Sim3::new(1.0 / OTHER_UNIT, UnitQuaternion::identity(), Vector3::zeros());
-        r.join(lost, &told, 0.05);
+        r.join(OtherMap::new(lost), &told, 0.05);
         let now = r.active.map.keyframe(last).expect("a part").centre();
         if is_placed {
             assert!((now - there / OTHER_UNIT).norm() < 1e-9, "{now}");
@@ -243,7 +243,7 @@ fn a_smaller_map_that_was_lost_gives_its_frame_back_where_a_planner_had_placed_i
             r.hold_frame();
         }
         let saved = for_run(&r, vec![another_day()]).maps.remove(0);
-        let mut lost = OtherMap { is_placed: there, ..OtherMap::of_another_run(saved, false) };
+        let mut lost = ActiveMap { is_placed: there, ..ActiveMap::of_another_run(saved) };
         let last = lost.map.newest().expect("four");
         let others: Vec<u32> = lost.map.keyframes.ids().filter(|id| *id != last.0).collect();
         others.into_iter().for_each(|id| _ = lost.map.remove_keyframe(KeyframeId(id)));
@@ -252,7 +252,7 @@ fn a_smaller_map_that_was_lost_gives_its_frame_back_where_a_planner_had_placed_i
         let turn = UnitQuaternion::from_scaled_axis(Vector3::z() * 0.3);
         let told = Sim3::new(1.0 / OTHER_UNIT, turn, Vector3::x());
         let joined = told.transform(&was);
-        r.join(lost, &told, 0.05);
+        r.join(OtherMap::new(lost), &told, 0.05);
         let now = r.active.map.keyframe(last).expect("a part").centre();
         let gives_back = there && !here;
         let expected = if gives_back { was } else { joined };
@@ -267,7 +267,7 @@ fn a_planners_word_holds_of_the_last_map_that_it_was_said_of_and_in_that_ones_un
     stand(&mut r, 0..2);
     let another = || {
         let saved = for_run(&r, vec![another_day()]).maps.remove(0);
-        OtherMap { is_placed: true, ..OtherMap::of_another_run(saved, false) }
+        OtherMap::new(ActiveMap { is_placed: true, ..ActiveMap::of_another_run(saved) })
     };
     let (lost, kept) = (another(), another());
     r.others.add(kept);
@@ -276,9 +276,9 @@ fn a_planners_word_holds_of_the_last_map_that_it_was_said_of_and_in_that_ones_un
     r.active.fusion = ScaleFusion::of_stored(metric);
     r.join(lost, &Sim3::new(1.0 / OTHER_UNIT, UnitQuaternion::identity(), Vector3::x()), 0.05);
     assert!(!r.is_placed());
-    assert!(r.others.kept[0].is_placed);
+    assert!(r.others.kept[0].own.is_placed);
     r.hold_frame();
-    assert!(r.is_placed() && !r.others.kept[0].is_placed);
+    assert!(r.is_placed() && !r.others.kept[0].own.is_placed);
 }
 
 #[test]
@@ -347,10 +347,10 @@ fn all_maps_of_a_file_are_taken_but_those_that_are_worth_nothing() {
     let loaded = for_run(&r, vec![another_day(), small, far]);
     let next = [&loaded.maps[0], &loaded.maps[2]].map(|m| m.map.keyframes.next_id());
     assert_eq!(r.merge(loaded), Ok(Waiting { maps: 2, keyframes: 9 }));
-    let kept: Vec<usize> = r.others.merged().map(|other| other.map.keyframes.len()).collect();
+    let kept: Vec<usize> = r.others.merged().map(|other| other.own.map.keyframes.len()).collect();
     assert_eq!(kept, [4, 5]);
     assert!(next.iter().all(|next| *next <= r.active.map.keyframes.next_id()));
-    assert!(r.others.merged().all(|other| other.id < r.active.next_id));
+    assert!(r.others.merged().all(|other| other.own.id < r.active.next_id));
 }
 
 #[test]
@@ -420,15 +420,14 @@ fn what_is_inherited_is_as_unsure_as_the_join_and_the_turns_on_both_sides() {
     };
     let other = |is_merged| {
         let SavedMap { head, map } = saved(vec![another_day()]).maps.remove(0);
-        let mut other = OtherMap::of_another_run(SavedMap { head, map }, is_merged);
-        other.fusion = metric(0.01);
-        other
+        let own = ActiveMap { fusion: metric(0.01), ..ActiveMap::of_another_run(SavedMap { head, map }) };
+        OtherMap { is_merged, ..OtherMap::new(own) }
     };
     let sighting = |keyframe: u32, other: &OtherMap| {
-        let found = other.map.keyframe(other.reference).into_iter().flat_map(|k| k.observations.iter());
+        let found = other.own.map.keyframe(other.own.reference).into_iter().flat_map(|k| k.observations.iter());
         let found = found.map(|o| Match {
             landmark: o.landmark,
-            template: other.reference,
+            template: other.own.reference,
             point: Vector3::z(),
             pixel: o.pixel,
             normalised: o.normalised,
@@ -457,10 +456,10 @@ fn what_is_inherited_is_as_unsure_as_the_join_and_the_turns_on_both_sides() {
     let behind = r.active.scale.sigma_behind(turn, false);
     assert!(behind > 0.4);
     near(sigma(&r, &merged, 1.7), 0.02_f64.hypot(behind));
-    let theirs = merged.scale.add(&merged.map, merged.reference, None, false);
-    let ids: Vec<u32> = merged.map.keyframes.ids().collect();
-    ids.iter().for_each(|id| merged.map.set_scale_origin(KeyframeId(*id), theirs));
-    let there = merged.scale.sigma_behind(theirs, false);
+    let theirs = merged.own.scale.add(&merged.own.map, merged.own.reference, None, false);
+    let ids: Vec<u32> = merged.own.map.keyframes.ids().collect();
+    ids.iter().for_each(|id| merged.own.map.set_scale_origin(KeyframeId(*id), theirs));
+    let there = merged.own.scale.sigma_behind(theirs, false);
     near(sigma(&r, &merged, 1.7), 0.02_f64.hypot(behind).hypot(there));
     assert_eq!(sigma(&r, &lost, 1.7), Some(MAX_SCALE_SIGMA));
     // Both metric, and no turn: metres are metres.

@@ -17,13 +17,9 @@ use crate::geometry::sim3::Sim3;
 use crate::geometry::{SIGMA_OVER_MEDIAN, Se3, median};
 use crate::map::graph::Tie;
 use crate::map::observations::Observations;
-use crate::map::saved::{MapHead, SavedMap};
 use crate::map::{KeyframeId, LandmarkId, Map, MapId, vote};
-use crate::motion::scale::ScaleFusion;
 use crate::reconstruction::active_map::ActiveMap;
 use crate::reconstruction::keyframe::{SAME_CORNER_PX, triangulate};
-use crate::reconstruction::odometry::Odometry;
-use crate::reconstruction::scale_uncertainty::ScaleUncertainty;
 use crate::reconstruction::track::frame::Frame;
 use crate::reconstruction::track::search::Match;
 use crate::reconstruction::track::{Tracked, Tracker};
@@ -92,36 +88,17 @@ pub struct Similarity {
 
 /// A map kept aside.
 pub struct OtherMap {
-    pub map: Map,
-    pub id: MapId,
-    /// Where it was tracked last.
-    pub reference: KeyframeId,
-    pub odometry: Odometry,
-    pub scale: ScaleUncertainty,
-    pub fusion: ScaleFusion,
-    /// Frames tracked in it.
-    pub frames: u64,
+    /// As it was when frames were placed in it last.
+    pub own: ActiveMap,
     /// Keyframes of the present map that were recognised in it, the newest last.
     pub sightings: Vec<Sighting>,
     /// It came by a command ([`merging`](super::merging)).
     pub is_merged: bool,
-    /// Somebody has said where the robot was in it.
-    pub is_placed: bool,
 }
 
 impl OtherMap {
-    pub fn new(lost: ActiveMap) -> Self {
-        let ActiveMap { map, id, reference, odometry, scale, fusion, frames, is_placed, .. } = lost;
-        let (sightings, is_merged) = (Vec::new(), false);
-        Self { map, id, reference, odometry, scale, fusion, frames, sightings, is_merged, is_placed }
-    }
-
-    /// A map of another run.
-    pub fn of_another_run(saved: SavedMap, is_merged: bool) -> Self {
-        let SavedMap { head: MapHead { id, reference, frames, scale, turns }, map } = saved;
-        let (scale, fusion) = (ScaleUncertainty::restored(&turns), ScaleFusion::of_stored(scale));
-        let (odometry, sightings, is_placed) = (Odometry::default(), Vec::new(), false);
-        Self { map, id, reference, odometry, scale, fusion, frames, sightings, is_merged, is_placed }
+    pub fn new(own: ActiveMap) -> Self {
+        Self { own, sightings: Vec::new(), is_merged: false }
     }
 }
 
@@ -154,7 +131,7 @@ impl OtherMaps {
     }
 
     pub fn maps(&self) -> impl Iterator<Item = &Map> {
-        self.kept.iter().map(|other| &other.map)
+        self.kept.iter().map(|other| &other.own.map)
     }
 
     /// Those that came by a command.
@@ -172,12 +149,12 @@ impl OtherMaps {
                 .iter()
                 .enumerate()
                 .filter(|(_, other)| !other.is_merged)
-                .map(|(i, other)| (other.map.keyframes.len(), i))
+                .map(|(i, other)| (other.own.map.keyframes.len(), i))
                 .collect();
             let keyframes: usize = own.iter().map(|(keyframes, _)| keyframes).sum();
             let is_full = own.len() > MAX_KEPT || own.len() > 1 && keyframes > max_keyframes;
             let Some((_, smallest)) = own.into_iter().min().filter(|_| is_full) else { return gone };
-            gone.push(self.kept.remove(smallest).map);
+            gone.push(self.kept.remove(smallest).own.map);
         }
     }
 
@@ -412,18 +389,7 @@ mod tests {
         (0..keyframes).for_each(|_| {
             map.add_keyframe(keyframe(Se3::identity()));
         });
-        OtherMap {
-            map,
-            id: MapId(id),
-            odometry: Odometry::default(),
-            reference: KeyframeId(0),
-            scale: ScaleUncertainty::default(),
-            fusion: Default::default(),
-            frames: 100,
-            sightings: Vec::new(),
-            is_merged: false,
-            is_placed: false,
-        }
+        OtherMap::new(ActiveMap::new(map, MapId(id)))
     }
 
     #[test]
@@ -435,7 +401,7 @@ mod tests {
         let sizes = |gone: &[Map]| gone.iter().map(|m| m.keyframes.len()).collect::<Vec<_>>();
         assert_eq!(sizes(&others.keep(map(4, 8), 40)), [5], "a fifth");
         assert_eq!(sizes(&others.keep(map(5, 30), 40)), [6, 7, 8], "54, 47; 39 have room");
-        let kept: Vec<u32> = others.kept.iter().map(|other| other.id.0).collect();
+        let kept: Vec<u32> = others.kept.iter().map(|other| other.own.id.0).collect();
         assert_eq!(kept, [1, 5], "in the order in which they were lost");
         assert_eq!(sizes(&others.keep(map(6, 50), 40)), [9, 30], "the last one stays, however large");
     }

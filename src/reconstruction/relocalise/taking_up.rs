@@ -15,6 +15,7 @@ use super::other_maps::{LONGEST_GAP, OtherMap, OtherMaps};
 use crate::features::FrameFeatures;
 use crate::motion::scale::ScaleFusion;
 use crate::reconstruction::Reconstruction;
+use crate::reconstruction::active_map::ActiveMap;
 use crate::reconstruction::track::Tracked;
 use crate::reconstruction::types::TrackingState;
 
@@ -31,14 +32,14 @@ impl Reconstruction {
         *gap = (2 * *gap).min(LONGEST_GAP);
         *next_attempt = self.counters.frames + *gap;
         // No keyframe of the present map: called as where it is looked for.
-        let called = other.reference;
+        let called = other.own.reference;
         let likely = self.likely_in(index, features);
         let (placed, _) = self.look_in(index, features, (called, None), &likely)?;
         let other = self.others.kept.remove(index);
         let old = self.leave_map();
         // There are no more of them than before.
         self.others.add(OtherMap::new(old));
-        self.take_up(other);
+        self.take_up(other.own);
         std::mem::swap(&mut self.tracker, &mut self.others.relocaliser.tracker);
         Some(placed)
     }
@@ -48,15 +49,15 @@ impl Reconstruction {
     pub(in crate::reconstruction) fn give_up_map(&mut self) {
         let beside = self.active.beside;
         self.end_map();
-        if let Some(index) = self.others.kept.iter().position(|other| Some(other.id) == beside) {
+        if let Some(index) = self.others.kept.iter().position(|other| Some(other.own.id) == beside) {
             let other = self.others.kept.remove(index);
-            self.take_up(other);
+            self.take_up(other.own);
         }
     }
 
     /// Frames are looked for in this map from now on; there is none.
-    fn take_up(&mut self, other: OtherMap) {
-        let OtherMap { mut map, id, reference, mut odometry, scale, fusion, frames, is_placed, .. } = other;
+    fn take_up(&mut self, other: ActiveMap) {
+        let ActiveMap { mut map, id, reference, mut odometry, scale, fusion, frames, is_placed, .. } = other;
         let active = &mut self.active;
         // Ids go on after those of the maps that were there meanwhile.
         map.absorb(std::mem::take(&mut active.map));

@@ -1,12 +1,11 @@
 //! What is kept for a second look, and how far that has come.
 
-use crate::geometry::Se3;
-use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame};
 use crate::image::GreyImage;
 use crate::map::{Keyframe, KeyframeId, MapId};
 use crate::reconstruction::active_map::ActiveMap;
 use crate::reconstruction::adjust::intrinsics::LensPrior;
 use crate::reconstruction::adjust::job::{MappingJob, Piece};
+use crate::reconstruction::recording::Recorded;
 use crate::reconstruction::types::TrajectoryEvent;
 
 /// Pictures that are kept, bytes at the most: 80 keyframes of 640x480, but 12 of 1920x1080, which is too few; beyond it every second one goes.
@@ -43,15 +42,6 @@ enum Stage {
     Over,
 }
 
-/// A frame's place in the map as it was recorded.
-#[derive(Debug, Clone, Copy)]
-pub struct Recorded {
-    pub map: MapId,
-    pub timestamp_ns: i64,
-    pub keyframe: KeyframeId,
-    pub keyframe_from_camera: Se3<KeyframeFrame, Camera>,
-}
-
 /// What is kept for it.
 #[derive(Debug, Default)]
 pub struct Kept {
@@ -59,7 +49,8 @@ pub struct Kept {
     pub seen: Vec<(Frame, GreyImage)>,
     /// Keyframes with smaller numbers have been asked for their pictures.
     next: u32,
-    pub frames: Vec<Recorded>,
+    /// Those that were recorded, with their timestamps.
+    pub frames: Vec<(i64, Recorded)>,
     /// Maps that were put aside as their lens was wrong.
     pub begun_wrongly: Vec<MapId>,
 }
@@ -124,31 +115,16 @@ impl SecondLook {
 
 impl Kept {
     pub fn hear(&mut self, event: &TrajectoryEvent) {
-        let on = |id: KeyframeId| move |frame: &&mut Recorded| frame.keyframe == id;
+        self.frames.iter_mut().for_each(|(_, place)| place.hear(event));
         match *event {
             TrajectoryEvent::Pose { timestamp_ns, map, keyframe, keyframe_from_camera } => {
-                self.frames.push(Recorded { map, timestamp_ns, keyframe, keyframe_from_camera });
+                self.frames.push((timestamp_ns, Recorded { map, keyframe, keyframe_from_camera }));
             }
-            TrajectoryEvent::KeyframeRemoved { keyframe, parent, parent_from_keyframe, .. } => {
-                self.frames.iter_mut().filter(on(keyframe)).for_each(|frame| {
-                    frame.keyframe_from_camera = parent_from_keyframe * frame.keyframe_from_camera;
-                    frame.keyframe = parent;
-                });
-            }
-            TrajectoryEvent::KeyframeScaled { keyframe, scale } => {
-                let frames = self.frames.iter_mut().filter(on(keyframe));
-                frames.for_each(|frame| frame.keyframe_from_camera.translation *= scale);
-            }
-            // It has become metric, or is a part of another one.
-            TrajectoryEvent::MapJoined { map, into, scale } => {
-                for frame in self.frames.iter_mut().filter(|frame| frame.map == map) {
-                    frame.keyframe_from_camera.translation *= scale;
-                    frame.map = into;
-                }
+            TrajectoryEvent::MapJoined { map, into, .. } => {
                 let pictures = self.seen.iter_mut().map(|(of, _)| &mut of.map);
                 pictures.chain(&mut self.begun_wrongly).filter(|of| **of == map).for_each(|of| *of = into);
             }
-            TrajectoryEvent::KeyframeRetired { .. } => {}
+            _ => {}
         }
     }
 
@@ -180,6 +156,7 @@ mod tests {
     use nalgebra::{UnitQuaternion, Vector3};
 
     use super::*;
+    use crate::geometry::Se3;
 
     #[test]
     fn a_frame_is_remembered_where_it_hangs_now_and_in_the_unit_of_now() {
@@ -205,7 +182,7 @@ mod tests {
         assert!(look.next_piece(true).is_none(), "nobody looks yet");
         let kept = look.keeping().expect("the lens is not known");
         let frames: Vec<_> =
-            kept.frames.iter().map(|f| (f.map.0, f.keyframe.0, f.keyframe_from_camera.translation.x)).collect();
+            kept.frames.iter().map(|(_, f)| (f.map.0, f.keyframe.0, f.keyframe_from_camera.translation.x)).collect();
         assert_eq!((frames, &kept.begun_wrongly), (vec![(4, 8, 26.0), (4, 8, 2.0)], &vec![MapId(4)]));
     }
 

@@ -55,9 +55,9 @@ impl<'a> Moves<'a> {
     /// `scale`: the new map's unit in the `present` one's, which it is a part of by now. `None` if too few have a place to tell lengths.
     pub fn of(placed: &[Placed], old: &'a OtherMap, present: &Map, scale: f64) -> Option<Self> {
         let mut keyframes = Vec::new();
-        for place in placed.iter().filter(|place| place.map == old.id) {
+        for place in placed.iter().filter(|place| place.map == old.own.id) {
             let after = place.world_from_camera(present, scale);
-            if let Some((before, after)) = old.map.keyframe(place.keyframe).zip(after) {
+            if let Some((before, after)) = old.own.map.keyframe(place.keyframe).zip(after) {
                 keyframes.push(Moved { parent: place.parent, before, after });
             }
         }

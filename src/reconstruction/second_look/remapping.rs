@@ -5,7 +5,7 @@
 
 use std::collections::BTreeMap;
 
-use super::kept::{Frame, Kept, Recorded};
+use super::kept::{Frame, Kept};
 use super::moved::Placed;
 use crate::features::{FeatureStage, FeaturesConfig, Feedback, FrameFeatures};
 use crate::geometry::Se3;
@@ -16,6 +16,7 @@ use crate::reconstruction::active_map::ActiveMap;
 use crate::reconstruction::adjust::job::Piece;
 use crate::reconstruction::config::ReconstructionConfig;
 use crate::reconstruction::optics::Optics;
+use crate::reconstruction::recording::Recorded;
 use crate::reconstruction::relocalise::merging::LEAST_SCALE_SIGMA;
 use crate::reconstruction::relocalise::other_maps::{Sighting, Similarity, agreed_ratio, depth_ratios};
 use crate::reconstruction::relocalise::spread::shows_a_place;
@@ -116,8 +117,12 @@ impl Remapping {
         let ActiveMap { map: new, id, .. } = &self.own.active;
         let keyframes: BTreeMap<i64, KeyframeId> =
             new.keyframes.iter().map(|(id, k)| (k.timestamp_ns, KeyframeId(id))).collect();
-        let recorded: BTreeMap<i64, &Recorded> =
-            recorded.frames.iter().filter(|frame| frame.map == *id).map(|frame| (frame.timestamp_ns, frame)).collect();
+        let recorded: BTreeMap<i64, &Recorded> = recorded
+            .frames
+            .iter()
+            .filter(|(_, place)| place.map == *id)
+            .map(|(time_ns, place)| (*time_ns, place))
+            .collect();
         let placed = |&Frame { map, keyframe, timestamp_ns, .. }: &Frame| {
             let own = keyframes.get(&-timestamp_ns).map(|id| (*id, Se3::identity()));
             let beside = || recorded.get(&-timestamp_ns).map(|f| (f.keyframe, f.keyframe_from_camera.relabel()));

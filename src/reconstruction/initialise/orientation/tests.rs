@@ -3,7 +3,8 @@ use crate::features::Track;
 use crate::geometry::random::Random;
 
 /// A calibrated lens.
-const KNOWN: LensFreedom = LensFreedom { focal: 0.01, centre_px: 0.1, distortion: 0.02 };
+const KNOWN: SupposedLens =
+    SupposedLens { focal_px: 500.0, focal_sigma: 0.01, centre_sigma_px: 0.1, distortion_sigma: 0.02 };
 
 fn camera() -> CameraModel {
     CameraModel::new(640, 480, 500.0, 500.0, 320.0, 240.0, [0.0; 5]).expect("a camera")
@@ -57,7 +58,7 @@ fn a_full_turn_on_the_spot_is_told_with_an_honest_covariance() {
         for i in 0..240u64 {
             let truth = yaw(i as f64 / 240.0 * std::f64::consts::TAU);
             let seen = features(&room, &mut random, i, &truth, Vector3::zeros());
-            let told = tracker.step(&seen, &camera(), &KNOWN).unwrap_or_else(|| panic!("seed {seed}, frame {i}"));
+            let told = tracker.step(&seen, &camera(), KNOWN).unwrap_or_else(|| panic!("seed {seed}, frame {i}"));
             if i == 0 {
                 assert_eq!(told.first_from_camera, UnitQuaternion::identity());
                 // Zeros would be read as unknown, and nobody could invert them.
@@ -90,7 +91,7 @@ fn a_turn_in_an_arc_is_told_although_the_camera_moves() {
             let angle = i as f64 * 0.015;
             let position = Vector3::new(1.0 - angle.cos(), 0.0, angle.sin()) * 0.5;
             let seen = features(&room, &mut random, i, &yaw(angle), position);
-            let told = tracker.step(&seen, &camera(), &KNOWN).unwrap_or_else(|| panic!("seed {seed}, frame {i}"));
+            let told = tracker.step(&seen, &camera(), KNOWN).unwrap_or_else(|| panic!("seed {seed}, frame {i}"));
             if i > 0 {
                 outside += usize::from(squared(&told, &yaw(angle)) > 7.81);
                 count += 1;
@@ -124,7 +125,7 @@ fn darkness_ends_it_and_what_comes_after_is_counted_as_unrelated() {
         if dark {
             seen.tracks.clear();
         }
-        tracker.step(&seen, &camera(), &KNOWN)
+        tracker.step(&seen, &camera(), KNOWN)
     };
     assert_eq!(see(&mut tracker, 0, true), None);
     assert!(see(&mut tracker, 1, false).is_some() && see(&mut tracker, 2, false).is_some());

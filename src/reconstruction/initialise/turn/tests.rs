@@ -32,8 +32,8 @@ fn turned(x: f64, y: f64, z: f64, shift: Vector3<f64>) -> Se3<Second, First> {
 }
 
 fn lens(focal_sigma: f64) -> SupposedLens {
-    let (centre_px, distortion) = if focal_sigma > KNOWN { (16.0, 0.1) } else { (0.1, 0.02) };
-    SupposedLens { focal_px: FOCAL_PX, freedom: LensFreedom { focal: focal_sigma, centre_px, distortion } }
+    let (centre_sigma_px, distortion_sigma) = if focal_sigma > KNOWN { (16.0, 0.1) } else { (0.1, 0.02) };
+    SupposedLens { focal_px: FOCAL_PX, focal_sigma, centre_sigma_px, distortion_sigma }
 }
 
 fn found(pairs: &[Pair], focal_sigma: f64) -> Option<ViewTurn> {
@@ -176,7 +176,7 @@ fn camera(focal: f64, k1: f64, centre: [f64; 2]) -> CameraModel {
 #[test]
 fn a_turn_seen_through_a_wrong_lens_is_explained_and_a_translation_is_not() {
     let supposed = camera(554.0, 0.0, [319.5, 239.5]);
-    let lens = SupposedLens { focal_px: 554.0, freedom: LensFreedom { focal: 0.25, centre_px: 16.0, distortion: 0.1 } };
+    let lens = SupposedLens { focal_px: 554.0, focal_sigma: 0.25, centre_sigma_px: 16.0, distortion_sigma: 0.1 };
     for view in [37f64, 60.0, 75.0, 90.0] {
         let real = camera(320.0 / (0.5 * view).to_radians().tan(), -0.12, [325.0, 236.0]);
         let left = |shift| {
@@ -194,8 +194,8 @@ fn a_turn_seen_through_a_wrong_lens_is_explained_and_a_translation_is_not() {
 fn a_lens_that_is_known_is_held() {
     let (real, supposed) = (camera(330.0, 0.0, [319.5, 239.5]), camera(554.0, 0.0, [319.5, 239.5]));
     let pairs = seen_through(&real, &supposed, &turned(0.05, 0.22, 0.03, Vector3::zeros()));
-    let freedom = LensFreedom { focal: 0.002, centre_px: 0.1, distortion: 0.001 };
-    let left = unexplained_px(&pairs, SupposedLens { focal_px: 554.0, freedom }, &mut Vec::new());
+    let lens = SupposedLens { focal_px: 554.0, focal_sigma: 0.002, centre_sigma_px: 0.1, distortion_sigma: 0.001 };
+    let left = unexplained_px(&pairs, lens, &mut Vec::new());
     assert!(left > 4.0, "{left}");
 }
 
