@@ -135,17 +135,16 @@ impl WheelHistory {
 
     /// The motion from one time to another, ns, its yaw rates taken times `yaw_factor`; `None` where data is missing.
     pub fn integrate(&self, from_ns: i64, to_ns: i64, yaw_factor: f64) -> Option<Increment> {
-        self.integrate_open(from_ns, to_ns, yaw_factor, OPEN_END_NS)
+        self.integrate_until(from_ns, to_ns, yaw_factor, OPEN_END_NS)
     }
 
     /// The same up to a time that the newest readings may not reach yet: the last one is supposed to hold for so long, ns, with the variance that this
     /// deserves; `None` where data is missing or the newest reading is older.
     pub fn integrate_until(&self, from_ns: i64, to_ns: i64, yaw_factor: f64, longest_ns: i64) -> Option<Increment> {
         let fresh = self.newest_ns().is_some_and(|newest| to_ns.saturating_sub(newest) <= longest_ns);
-        if fresh { self.integrate_open(from_ns, to_ns, yaw_factor, longest_ns) } else { None }
-    }
-
-    fn integrate_open(&self, from_ns: i64, to_ns: i64, yaw_factor: f64, open_ns: i64) -> Option<Increment> {
+        if !fresh {
+            return None;
+        }
         let mut sum = Sum { yaw_factor, ..Sum::default() };
         let first = self.readings.partition_point(|r| r.timestamp_ns <= from_ns);
         let mut at = from_ns;
@@ -157,7 +156,8 @@ impl WheelHistory {
             let begin = reading.from_ns.max(at).min(to_ns);
             if begin > at {
                 let longest = if before.is_none() || at == from_ns { OPEN_END_NS } else { LONGEST_GAP_NS };
-                if begin - at > longest {
+                let missing = before.is_some_and(|before| reading.from_ns - before.timestamp_ns > LONGEST_GAP_NS);
+                if missing || begin - at > longest {
                     return None;
                 }
                 sum.add(before.unwrap_or(reading), begin - at, BRIDGE_SHARE);
@@ -170,9 +170,6 @@ impl WheelHistory {
             before = Some(reading);
         }
         if at < to_ns {
-            if to_ns - at > open_ns {
-                return None;
-            }
             sum.add(before?, to_ns - at, BRIDGE_SHARE);
         }
         Some(Increment { motion: sum.motion, covariance: sum.covariance, way_m: sum.way_m })
@@ -283,6 +280,7 @@ mod tests {
         assert!(history.integrate(500 * MS, 1015 * MS, 1.0).is_some(), "a reading may be on its way");
         assert!(history.integrate(500 * MS, 1200 * MS, 1.0).is_none());
         assert!(history.integrate(-100 * MS, 500 * MS, 1.0).is_none());
+        assert!(history.integrate(5000 * MS, 5010 * MS, 1.0).is_none(), "a short time, long after the last reading");
         // A hole of 0.4 s is bridged, one of 0.6 s is not.
         assert!(history.add(&reading(1400, 1450, 1.0, 0.0)));
         let bridged = history.integrate(500 * MS, 1450 * MS, 1.0).expect("a short hole");
@@ -291,6 +289,7 @@ mod tests {
         assert!(bridged.covariance[(0, 0)] > 10.0 * sure.covariance[(0, 0)], "and says that it was");
         assert!(history.add(&reading(2050, 2100, 1.0, 0.0)));
         assert!(history.integrate(1300 * MS, 2100 * MS, 1.0).is_none());
+        assert!(history.integrate(1800 * MS, 1815 * MS, 1.0).is_none(), "a short time within what is missing");
     }
 
     #[test]
