@@ -23,6 +23,7 @@ mod metric;
 mod odometry;
 mod optics;
 mod persistence;
+mod recorded;
 mod recording;
 mod relocalise;
 mod reset;

@@ -5,7 +5,7 @@
 use nalgebra::Vector3;
 
 use super::Reconstruction;
-use super::recording::Recorded;
+use super::recorded::Recorded;
 use super::surroundings::{NoScan, SeenFrom};
 use crate::geometry::Se3;
 use crate::geometry::frames::{Body, Camera, World};

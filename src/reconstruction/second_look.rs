@@ -23,7 +23,7 @@ use std::any::Any;
 
 use super::adjust::intrinsics::MODEL_FLOOR;
 use super::adjust::job::Piece;
-use super::recording::Recorded;
+use super::recorded::Recorded;
 use super::relocalise::other_maps::{OtherMap, OtherMaps, retire};
 use super::{Reconstruction, TrajectoryEvent};
 use crate::geometry::frames::Camera;

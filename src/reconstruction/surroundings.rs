@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use super::recording::Recorded;
+use super::recorded::Recorded;
 use super::types::TrajectoryEvent;
 use crate::map::KeyframeId;
 use crate::motion::floor::seen::Seen;

@@ -5,7 +5,7 @@ use crate::map::{Keyframe, KeyframeId, MapId};
 use crate::reconstruction::active_map::ActiveMap;
 use crate::reconstruction::adjust::intrinsics::LensPrior;
 use crate::reconstruction::adjust::job::{MappingJob, Piece};
-use crate::reconstruction::recording::Recorded;
+use crate::reconstruction::recorded::Recorded;
 use crate::reconstruction::types::TrajectoryEvent;
 
 /// Pictures that are kept, bytes at the most: 80 keyframes of 640x480, but 12 of 1920x1080, which is too few; beyond it every second one goes.

@@ -16,7 +16,7 @@ use crate::reconstruction::active_map::ActiveMap;
 use crate::reconstruction::adjust::job::Piece;
 use crate::reconstruction::config::ReconstructionConfig;
 use crate::reconstruction::optics::Optics;
-use crate::reconstruction::recording::Recorded;
+use crate::reconstruction::recorded::Recorded;
 use crate::reconstruction::relocalise::merging::LEAST_SCALE_SIGMA;
 use crate::reconstruction::relocalise::other_maps::{Sighting, Similarity, agreed_ratio, depth_ratios};
 use crate::reconstruction::relocalise::spread::shows_a_place;
