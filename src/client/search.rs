@@ -14,6 +14,9 @@ use crate::messages::services::MAX_NODES;
 /// Something half made or half removed that stays so for this long is an error.
 const PATIENCE: Duration = Duration::from_secs(10);
 
+/// A service that is there, and the node to open it with.
+type Found = (Arc<Node<Ipc>>, ServiceName);
+
 /// See module.
 #[derive(Debug)]
 pub(super) struct Search {
@@ -49,7 +52,7 @@ impl Search {
     }
 
     /// What the service can be opened with, if it is there and nothing is in the way.
-    pub fn look(&mut self) -> Result<Option<(Arc<Node<Ipc>>, ServiceName)>, ClientError> {
+    pub fn look(&mut self) -> Result<Option<Found>, ClientError> {
         if !self.link.probe(self.topic)? {
             self.trouble = None;
             return Ok(None);
