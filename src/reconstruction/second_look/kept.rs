@@ -115,16 +115,14 @@ impl SecondLook {
 
 impl Kept {
     pub fn hear(&mut self, event: &TrajectoryEvent) {
+        if let TrajectoryEvent::Pose { timestamp_ns, map, keyframe, keyframe_from_camera } = *event {
+            self.frames.push((timestamp_ns, Recorded { map, keyframe, keyframe_from_camera }));
+            return;
+        }
         self.frames.iter_mut().for_each(|(_, place)| place.hear(event));
-        match *event {
-            TrajectoryEvent::Pose { timestamp_ns, map, keyframe, keyframe_from_camera } => {
-                self.frames.push((timestamp_ns, Recorded { map, keyframe, keyframe_from_camera }));
-            }
-            TrajectoryEvent::MapJoined { map, into, .. } => {
-                let pictures = self.seen.iter_mut().map(|(of, _)| &mut of.map);
-                pictures.chain(&mut self.begun_wrongly).filter(|of| **of == map).for_each(|of| *of = into);
-            }
-            _ => {}
+        if let TrajectoryEvent::MapJoined { map, into, .. } = *event {
+            let pictures = self.seen.iter_mut().map(|(of, _)| &mut of.map);
+            pictures.chain(&mut self.begun_wrongly).filter(|of| **of == map).for_each(|of| *of = into);
         }
     }
 
