@@ -215,9 +215,9 @@ impl Floor {
         self.refused
     }
 
-    /// The part that was asked last has the unit of the map's beginning now: what is known of it holds on.
-    pub fn unify(&mut self) {
-        self.part = None;
+    /// Parts of the map have other names: what is known of the one that was asked last holds on.
+    pub fn rename(&mut self, becomes: impl Fn(Option<TurnId>) -> Option<TurnId>) {
+        self.part = becomes(self.part);
     }
 
     /// The map where the robot is was moved by this, as by a loop: the floor with it.

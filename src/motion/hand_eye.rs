@@ -115,6 +115,18 @@ impl Robot {
     pub fn step_of(&self, base: &Planar) -> Vector3<f64> {
         swing(base.yaw, &self.lever_m) + base.translation.push(0.0)
     }
+
+    /// Its variance, summed over the axes, m^2: by the wheels' noise, and by what is not known of their yaw rate and of the lever.
+    pub fn step_variance(&self, base: &Increment) -> f64 {
+        let Planar { translation, yaw } = base.motion;
+        let covariance = &base.covariance;
+        let swung = swing(yaw, &self.lever_m).xy() + self.lever_m;
+        let by_yaw = swung.norm_squared() * covariance[(2, 2)];
+        let by_factor = (0.5 * translation + swung).norm_squared() * (self.sigma[FACTOR - KNOTS] * yaw).powi(2);
+        let by_lever =
+            2.0 * (1.0 - yaw.cos()) * (self.sigma[LEVER - KNOTS].powi(2) + self.sigma[LEVER + 1 - KNOTS].powi(2));
+        (covariance[(0, 0)] + covariance[(1, 1)]).max(0.0) + by_yaw + by_factor + by_lever
+    }
 }
 
 /// `(Rz(yaw) - I) p`
@@ -220,6 +232,26 @@ pub struct OtherUnit {
     /// ln of how many of the newest unit it is long, and its standard deviation.
     pub log_ratio: f64,
     pub sigma: f64,
+    pub belief: Belief,
+}
+
+/// How much of the motion in a unit the wheels were believed in.
+#[derive(Debug, Clone, Copy)]
+pub struct Belief {
+    /// Share of the time in motion, and that time, s.
+    pub share: f64,
+    pub seconds: f64,
+}
+
+impl Belief {
+    /// `None`: nothing has moved.
+    fn of(segments: &[Segment], unit: Unit) -> Option<Self> {
+        let span = |s: &Segment| (s.to_ns - s.from_ns) as f64 * 1e-9;
+        let telling = |s: &&Segment| s.unit == unit && s.wheels.is_some() && s.step.norm() > TELLING * s.sigma;
+        let moving = || segments.iter().filter(telling);
+        let (all, seconds) = (moving().map(span).sum::<f64>(), moving().filter(|s| !s.slips).map(span).sum::<f64>());
+        (all > 0.0).then(|| Self { share: seconds / all, seconds })
+    }
 }
 
 /// What the segments tell.
@@ -233,9 +265,8 @@ pub struct Solution {
     pub sigma: f64,
     pub other_units: [Option<OtherUnit>; OTHERS],
     pub robot: Robot,
-    /// Of the newest unit: share of the time in motion in which the wheels were believed, and that time, s.
-    pub believed_share: f64,
-    pub believed_s: f64,
+    /// Of the newest unit.
+    pub belief: Belief,
     /// Variance of the steps' residuals, as a factor on what is expected of both.
     pub noise: f64,
 }
@@ -543,24 +574,21 @@ fn finish(problem: &Problem<'_>, state: &State, segments: &[Segment], noise: f64
     let covariance = information.cholesky()?.inverse();
     let mut robot = state.robot;
     robot.sigma = std::array::from_fn(|i| covariance[(KNOTS + i, KNOTS + i)].max(0.0).sqrt());
-    let span = |s: &Segment| (s.to_ns - s.from_ns) as f64 * 1e-9;
     let (newest, others) = units(segments);
-    let telling = |s: &&Segment| s.unit == newest && s.wheels.is_some() && s.step.norm() > TELLING * s.sigma;
-    let moving = || segments.iter().filter(telling);
-    let (all, believed) = (moving().map(span).sum::<f64>(), moving().filter(|s| !s.slips).map(span).sum::<f64>());
+    let belief = Belief::of(segments, newest)?;
     let (log_scale, sigma) = (state.log_scale[KNOTS - 1], covariance[(KNOTS - 1, KNOTS - 1)].sqrt());
     let finite = log_scale.is_finite() && sigma.is_finite() && robot.sigma.iter().all(|s| s.is_finite());
-    (finite && all > 0.0).then_some(Solution {
+    finite.then_some(Solution {
         unit: newest,
         log_scale,
         sigma,
         other_units: std::array::from_fn(|i| {
             let sigma = covariance[(RATIO + i, RATIO + i)].sqrt();
-            Some(OtherUnit { unit: others[i]?, log_ratio: state.log_ratio[i], sigma })
+            let unit = others[i]?;
+            Some(OtherUnit { unit, log_ratio: state.log_ratio[i], sigma, belief: Belief::of(segments, unit)? })
         }),
         robot,
-        believed_share: believed / all,
-        believed_s: believed,
+        belief,
         noise,
     })
 }

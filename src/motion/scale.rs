@@ -21,7 +21,7 @@ const REFINE_LEAST: f64 = 0.001;
 /// poses have wrong alike does not average out (in eight drives of the simulator by the true height lengths were 1.5 % off, RMS). What tells by wheels or tags has it in its sigma already.
 const COMMON_SIGMA: [f64; 4] = [0.0, 0.012, 0.0, 0.0];
 /// The word of a source that told a stored scale, too, takes its place once its standard deviation is below this share of it.
-const SURER_SHARE: f64 = 0.7;
+pub const SURER_SHARE: f64 = 0.7;
 /// A word this many standard deviations from what its own source has said so far, several times, replaces that; fewer times it is left out.
 const CONTRADICTS: f64 = 5.0;
 const INSISTS: u32 = 3;
@@ -35,6 +35,11 @@ struct Word {
     common_variance: f64,
     /// Words in a row that contradict.
     contradicted: u32,
+}
+
+/// What all words of a source share, given what is said of it.
+fn common_variance(source: ScaleSource, common_sigma: f64) -> f64 {
+    common_sigma.powi(2).max(COMMON_SIGMA[source as usize].powi(2))
 }
 
 /// All that is said of one map's scale.
@@ -84,7 +89,7 @@ impl ScaleFusion {
         if !log.is_finite() || !sigma.is_finite() || sigma <= 0.0 || !common_sigma.is_finite() {
             return false;
         }
-        let common_variance = common_sigma.powi(2).max(COMMON_SIGMA[source as usize].powi(2));
+        let common_variance = common_variance(source, common_sigma);
         let new = Word { log, variance: sigma * sigma, common_variance, contradicted: 0 };
         let word = &mut self.words[source as usize];
         let Some(before) = word.as_mut().filter(|_| source == ScaleSource::Height) else {
@@ -151,12 +156,24 @@ impl ScaleFusion {
         due.then(|| log.exp())
     }
 
-    /// Where the robot is, lengths are known anew by this word: what was said of another part of the map does not make
-    /// them surer.
-    pub fn heard_behind_turn(&mut self, word: &ScaleMeasurement) {
-        let variance = word.sigma.powi(2) + COMMON_SIGMA[word.source as usize].powi(2);
+    /// Where the robot is, lengths are known anew by this word, whose source's words share an error of `common_sigma`: what was said of another part of the map
+    /// does not make them surer.
+    pub fn heard_behind_turn(&mut self, word: &ScaleMeasurement, common_sigma: f64) {
+        let variance = word.sigma.powi(2) + common_variance(word.source, common_sigma);
         for word in self.words.iter_mut().flatten() {
             word.variance = word.variance.max(variance - word.common_variance);
+        }
+    }
+
+    /// What was said of another unit is said of the present one: ln of how many of these it is long, and the standard deviation of that; `None`: nobody
+    /// knows, and nothing is left of it.
+    pub fn carry(&mut self, ratio: Option<(f64, f64)>) {
+        for word in &mut self.words {
+            *word = word.zip(ratio).map(|(word, (log_ratio, sigma))| Word {
+                log: word.log - log_ratio,
+                variance: word.variance + sigma * sigma,
+                ..word
+            });
         }
     }
 
@@ -226,10 +243,24 @@ mod tests {
         fusion.rescale(1.0);
         let sigma = |fusion: &ScaleFusion| fusion.fused().expect("a word").1;
         let before = sigma(&fusion);
-        fusion.heard_behind_turn(&word(ScaleSource::Height, 0.0, 0.03));
+        fusion.heard_behind_turn(&word(ScaleSource::Height, 0.0, 0.03), 0.006);
         assert!(before < 0.013 && (sigma(&fusion) - 0.03_f64.hypot(0.012)).abs() < 1e-9, "{before} {}", sigma(&fusion));
-        fusion.heard_behind_turn(&word(ScaleSource::Height, 0.0, 0.01));
+        fusion.heard_behind_turn(&word(ScaleSource::Height, 0.0, 0.01), 0.006);
         assert!(sigma(&fusion) > 0.03, "what was less sure before stays so");
+        fusion.heard_behind_turn(&word(ScaleSource::Height, 0.0, 0.01), 0.05);
+        assert!((sigma(&fusion) - 0.01_f64.hypot(0.05)).abs() < 1e-9, "by a height that is known to 5 %");
+    }
+
+    #[test]
+    fn what_was_said_of_another_unit_is_carried_over_with_the_doubt_of_the_ratio_or_forgotten() {
+        let mut fusion = ScaleFusion::default();
+        fusion.add(&word(ScaleSource::Tag, 0.3, 0.03));
+        // A unit there is two of the present ones long.
+        fusion.carry(Some((2.0_f64.ln(), 0.04)));
+        let (log, sigma, _) = fusion.fused().expect("told");
+        assert!((log - (0.3 - 2.0_f64.ln())).abs() < 1e-12 && (sigma - 0.05).abs() < 1e-12, "{log} {sigma}");
+        fusion.carry(None);
+        assert!(fusion.fused().is_none());
     }
 
     #[test]

@@ -23,12 +23,13 @@ pub mod dock;
 pub mod edge_length;
 pub mod sheet;
 
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{UnitQuaternion, Vector2, Vector3};
 use tracing::warn;
 
 use super::scale::{ScaleFusion, ScaleMeasurement};
 use crate::features::tags::{FAMILY_SIZE, KNOWN_INSET_PX, Tag, TagDetector, UNKNOWN_INSET_PX};
-use crate::geometry::frames::Camera;
+use crate::geometry::frames::{Camera, World};
+use crate::geometry::sim3::Sim3;
 use crate::geometry::{CameraModel, Se3};
 use crate::image::GreyImage;
 use crate::map::scale::ScaleSource;
@@ -257,8 +258,9 @@ pub struct Tags {
     chessboard: Option<Finder>,
     found: Vec<Tag>,
     known: Vec<Known>,
-    /// Of this map.
+    /// Of this map, and of its part behind this turn on the spot.
     measured: MapId,
+    part: Option<TurnId>,
     measurement: Option<ScaleMeasurement>,
 }
 
@@ -273,6 +275,7 @@ impl Tags {
             found: Vec::new(),
             known: Vec::new(),
             measured: MapId::default(),
+            part: None,
             measurement: None,
         })
     }
@@ -311,7 +314,7 @@ impl Tags {
         if seen {
             let part = map.keyframe(keyframe).and_then(|k| k.scale_from);
             self.measure(map, part, optics);
-            self.measured = map_id;
+            (self.measured, self.part) = (map_id, part);
         }
         seen
     }
@@ -361,13 +364,26 @@ impl Tags {
 
     /// Lengths of the map were multiplied by `scale`: what was told before is told in the new unit.
     pub fn rescale(&mut self, scale: f64) {
+        self.carry(&Sim3::new(scale, UnitQuaternion::identity(), Vector3::zeros()));
+    }
+
+    /// Parts of the map have moved: what was told of one is told of it as it is now.
+    pub fn follow_parts(&mut self, becomes: impl Fn(Option<TurnId>) -> (Option<TurnId>, Sim3<World, World>)) {
+        let (part, motion) = becomes(self.part);
+        self.part = part;
+        self.carry(&motion);
+    }
+
+    fn carry(&mut self, motion: &Sim3<World, World>) {
         for placed in self.known.iter_mut().filter_map(|known| known.placed.as_mut()) {
-            placed.log_edge += scale.ln();
-            placed.world_from_tag.translation *= scale;
-            placed.place_sigma *= scale;
+            placed.log_edge += motion.scale.ln();
+            let place = &mut placed.world_from_tag;
+            place.rotation = motion.rotation * place.rotation;
+            place.translation = motion.transform(&place.translation);
+            placed.place_sigma *= motion.scale;
         }
         if let Some(measurement) = &mut self.measurement {
-            measurement.log_metres_per_unit -= scale.ln();
+            measurement.log_metres_per_unit -= motion.scale.ln();
         }
     }
 

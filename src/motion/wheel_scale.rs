@@ -10,7 +10,7 @@
 //!
 //! Cost: a solution every few segments, 2 ms. Not here: what the map does with it.
 
-use super::hand_eye::{ROBOT, Robot, Segment, Solution, Unit, solve};
+use super::hand_eye::{Belief, OtherUnit, ROBOT, Robot, Segment, Solution, Unit, solve};
 use super::planar::{Increment, WheelHistory};
 use super::scale::ScaleMeasurement;
 use super::wheel::WheelReading;
@@ -28,14 +28,21 @@ const SEGMENTS: usize = 240;
 /// four.
 const BELIEVED_S: f64 = 6.0;
 const BELIEVED_SHARE: f64 = 0.6;
-/// Standard deviation up to which it is told.
-const TOLD_SIGMA: f64 = 0.03;
+/// Standard deviation up to which it is told, and up to which parts of a map whose ratio is known so have one unit.
+pub const TOLD_SIGMA: f64 = 0.03;
 /// Where camera and wheels agree so much worse than they should (variances), it is no noise that they disagree by: half of what is young is slip, and the
 /// solution lies between both. (Without this limit 11 of 24 simulated drives with a burst every 8.5 s were at times told a scale up to 30 % wrong;
 /// with it none more than 4 %.)
 const TOLD_NOISE: f64 = 4.0;
 /// What is known of the robot is, for the next map, so many times as uncertain: it may have been lifted meanwhile.
 const NEXT_MAP: f64 = 2.0;
+
+/// Standard deviation of a length that wheels tell in a moment, which may be the one at which they slip, as a share.
+pub const MOMENT_SIGMA: f64 = 0.2;
+
+fn is_enough(belief: &Belief) -> bool {
+    belief.seconds >= BELIEVED_S && belief.share >= BELIEVED_SHARE
+}
 
 /// `[wheel]`: what is known of the base's wheels.
 #[derive(Debug, Clone, PartialEq, serde::Deserialize, serde::Serialize)]
@@ -98,6 +105,11 @@ impl WheelScale {
         }
     }
 
+    /// Standard deviation of an error common to both wheels' radii, as a share.
+    pub fn radius_sigma(&self) -> f64 {
+        self.radius_sigma
+    }
+
     /// Takes a reading; `false` if it makes no sense.
     pub fn add_reading(&mut self, reading: &WheelReading) -> bool {
         let taken = self.history.add(reading);
@@ -131,22 +143,30 @@ impl WheelScale {
         }
     }
 
-    /// How long a unit of the map is: ln of how many of the newest, where that is known.
-    pub fn log_ratio(&self, unit: Unit) -> Option<f64> {
-        self.ratio(unit).map(|(log, _)| log)
+    /// How long a unit of the map is: ln of how many of another, and its standard deviation.
+    pub fn ratio(&self, unit: Unit, of: Unit) -> Option<(f64, f64)> {
+        if unit == of {
+            return Some((0.0, 0.0));
+        }
+        let ((log, sigma), (other_log, other_sigma)) = self.of_the_newest(unit).zip(self.of_the_newest(of))?;
+        Some((log - other_log, sigma.hypot(other_sigma)))
     }
 
-    /// That is known as surely as a scale that is told.
-    pub fn tells(&self, unit: Unit) -> bool {
-        self.ratio(unit).is_some_and(|(_, sigma)| sigma <= TOLD_SIGMA)
+    /// The same of the newest one, in which they may slip at the moment.
+    fn of_the_newest(&self, unit: Unit) -> Option<(f64, f64)> {
+        let solution = self.of_newest().filter(|s| s.noise <= TOLD_NOISE)?;
+        let known = |belief: &Belief| if is_enough(belief) { 0.0 } else { MOMENT_SIGMA };
+        if solution.unit == unit {
+            return Some((0.0, known(&solution.belief)));
+        }
+        let other = solution.other_units.iter().flatten().find(|other| other.unit == unit)?;
+        Some((other.log_ratio, other.sigma.hypot(known(&other.belief))))
     }
 
-    /// The same with its standard deviation.
-    pub fn ratio(&self, unit: Unit) -> Option<(f64, f64)> {
-        let newest = self.segments.last().filter(|s| s.unit == unit).map(|_| (0.0, 0.0));
-        newest.or_else(|| {
-            self.of_newest()?.other_units.iter().flatten().find(|o| o.unit == unit).map(|o| (o.log_ratio, o.sigma))
-        })
+    /// Units beside the newest one whose ratio is known.
+    pub fn others(&self) -> impl Iterator<Item = Unit> {
+        let others = self.of_newest().into_iter().flat_map(|solution| solution.other_units.iter().flatten());
+        others.map(|other| other.unit)
     }
 
     /// The solution, if it is of the newest unit. While the readings of that one's first segment are on their way, the solution before stands for what is
@@ -155,20 +175,23 @@ impl WheelScale {
         self.solution.as_ref().filter(|s| self.segments.last().is_none_or(|newest| newest.unit == s.unit))
     }
 
-    /// Units whose ratio is known are as long as the newest from now on, and those that are told are one with it.
-    pub fn unify_units(&mut self) {
-        let ratios: Vec<_> = self.segments.iter().map(|s| (self.log_ratio(s.unit), self.tells(s.unit))).collect();
-        for (segment, (log_ratio, told)) in self.segments.iter_mut().zip(ratios) {
-            let factor = log_ratio.map_or(1.0, f64::exp);
+    /// Units are renamed, and lengths in them multiplied: name and factor for each.
+    pub fn follow_units(&mut self, becomes: impl Fn(Unit) -> (Unit, f64)) {
+        for segment in &mut self.segments {
+            let (unit, factor) = becomes(segment.unit);
             segment.step *= factor;
             segment.sigma *= factor;
-            if told {
-                segment.unit = Unit::default();
-            }
+            segment.unit = unit;
         }
-        if let Some(solution) = &mut self.solution {
-            solution.other_units = Default::default();
-            solution.unit = self.segments.last().map_or(solution.unit, |newest| newest.unit);
+        let Some(solution) = &mut self.solution else { return };
+        let (newest, own) = becomes(solution.unit);
+        (solution.unit, solution.log_scale) = (newest, solution.log_scale - own.ln());
+        for other in &mut solution.other_units {
+            *other = other.and_then(|other| {
+                let (unit, factor) = becomes(other.unit);
+                let log_ratio = other.log_ratio + own.ln() - factor.ln();
+                (unit != newest).then_some(OtherUnit { unit, log_ratio, ..other })
+            });
         }
     }
 
@@ -204,13 +227,9 @@ impl WheelScale {
 
     /// ln(metres per map unit) and its standard deviation, an error common to both wheels in it; `None` until they are believed.
     pub fn measurement(&self) -> Option<ScaleMeasurement> {
-        let s = self.of_newest()?;
-        let agree = s.believed_s >= BELIEVED_S && s.believed_share >= BELIEVED_SHARE && s.noise <= TOLD_NOISE;
-        (agree && s.sigma <= TOLD_SIGMA).then(|| ScaleMeasurement {
-            source: ScaleSource::Wheels,
-            log_metres_per_unit: s.log_scale,
-            sigma: s.sigma.hypot(self.radius_sigma),
-        })
+        let s = self.of_newest().filter(|s| is_enough(&s.belief) && s.noise <= TOLD_NOISE && s.sigma <= TOLD_SIGMA)?;
+        let sigma = s.sigma.hypot(self.radius_sigma);
+        Some(ScaleMeasurement { source: ScaleSource::Wheels, log_metres_per_unit: s.log_scale, sigma })
     }
 
     /// The base's motion between two times of pictures, ns, corrected by what is known of the wheels.

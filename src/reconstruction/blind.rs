@@ -19,7 +19,7 @@ use nalgebra::{Matrix6, Vector3};
 
 use super::Reconstruction;
 use super::active_map::ActiveMap;
-use super::dead_reckoning::{Ahead, Reckoned};
+use super::dead_reckoning::{Ahead, Metre, Reckoned};
 use super::odometry::{LastFrame, Odometry};
 use super::optics::Optics;
 use super::relocalise::other_maps::WORTH_KEEPING;
@@ -32,6 +32,7 @@ use crate::geometry::frames::{Camera, Odom, World};
 use crate::geometry::sim3::Sim3;
 use crate::map::scale::ScaleSource;
 use crate::map::{KeyframeId, Map};
+use crate::motion::scale::METRIC_SIGMA;
 
 /// A keyframe that looks elsewhere than the expected pose by more than this sees nothing of the same, rad; and how far away counts as much as a
 /// radian, m.
@@ -53,12 +54,20 @@ impl Reconstruction {
             return None;
         }
         let last = self.active.odometry.last?;
-        Ahead::of(&self.wheels.scale, (last.timestamp_ns, timestamp_ns), self.units_per_m()).filter(Ahead::is_believed)
+        Ahead::of(&self.wheels.scale, (last.timestamp_ns, timestamp_ns), self.metre()).filter(Ahead::is_believed)
     }
 
-    /// Map units of now for a metre of the wheels: near one, as the map is metric.
-    fn units_per_m(&self) -> f64 {
-        self.active.fusion.word(ScaleSource::Wheels).map_or(1.0, |log| (-log).exp())
+    /// A metre of the wheels in the map: near one unit, as that is metric. Where its scale is in doubt behind a turn, this is not.
+    fn metre(&self) -> Metre {
+        let fusion = &self.active.fusion;
+        match fusion.word(ScaleSource::Wheels) {
+            // An error that all wheels share is in both.
+            Some(log) => Metre { units: (-log).exp(), sigma: 0.0 },
+            None => {
+                let of_map = fusion.fused().map_or(METRIC_SIGMA, |(_, sigma, _)| sigma);
+                Metre { units: 1.0, sigma: of_map.hypot(self.wheels.scale.radius_sigma()) }
+            }
+        }
     }
 
     /// The keyframe to search around: after frames that were not tracked, the one with the view nearest to the expected one.
@@ -90,7 +99,7 @@ impl Reconstruction {
         self.blind.note(ahead, odom_from_camera);
         if !self.localise_only
             && self.active.map.keyframes.len() >= WORTH_KEEPING
-            && let Some(estimate) = self.go_on_from(features, (camera_from_world, odom_from_camera), ahead.units_per_m)
+            && let Some(estimate) = self.go_on_from(features, (camera_from_world, odom_from_camera), ahead.metre)
         {
             return estimate;
         }
@@ -114,7 +123,7 @@ impl Reconstruction {
         &mut self,
         features: &FrameFeatures,
         (here, odom_from_camera): (Se3<Camera, World>, Se3<Odom, Camera>),
-        units_per_m: f64,
+        metre: Metre,
     ) -> Option<PoseEstimate> {
         let Optics { camera, intrinsics, .. } = &self.optics;
         let starts = self.initialiser.step(features, camera, intrinsics.supposed(camera), &self.config);
@@ -126,7 +135,7 @@ impl Reconstruction {
         let next = self.active.successor();
         let old = std::mem::replace(&mut self.active, next);
         let tracker = std::mem::take(&mut self.tracker);
-        let begun = self.start_from(&starts, features).and_then(|_| self.placed_by_wheels(&here, units_per_m));
+        let begun = self.start_from(&starts, features).and_then(|_| self.placed_by_wheels(&here, metre));
         let Some(present_from_start) = begun else {
             let revision = self.active.map.revision;
             (self.active, self.tracker) = (old, tracker);
@@ -149,19 +158,19 @@ impl Reconstruction {
         Some(estimate)
     }
 
-    /// How the map that has just begun lies to the one before, given where its newest camera is there, and that one's units for a metre of the
-    /// wheels; `None` if its motion and the wheels' disagree.
-    fn placed_by_wheels(&self, here: &Se3<Camera, World>, units_per_m: f64) -> Option<Sim3<World, World>> {
+    /// How the map that has just begun lies to the one before, given where its newest camera is there, and how long a metre of the wheels is in that one;
+    /// `None` if its motion and the wheels' disagree.
+    fn placed_by_wheels(&self, here: &Se3<Camera, World>, metre: Metre) -> Option<Sim3<World, World>> {
         let newest = self.active.odometry.last?;
         let first = self.active.map.keyframes.iter().next()?.1;
         let seen = (newest.camera_from_world * first.camera_from_world.inverse()).relabel::<Camera, Camera>();
-        let driven = Ahead::of(&self.wheels.scale, (first.timestamp_ns, newest.timestamp_ns), units_per_m)?;
+        let driven = Ahead::of(&self.wheels.scale, (first.timestamp_ns, newest.timestamp_ns), metre)?;
         let way = driven.now_from_last.translation.norm();
         let turn = seen.rotation.angle_to(&driven.now_from_last.rotation);
         let direction = seen.translation.angle(&driven.now_from_last.translation);
         let (sigma_m, sigma_rad) = driven.sigma();
         let agrees = turn <= START_TURN_RAD + 3.0 * sigma_rad && direction <= START_DIRECTION_RAD;
-        if !agrees || way <= MOVED_SIGMAS * sigma_m * units_per_m {
+        if !agrees || way <= MOVED_SIGMAS * sigma_m * metre.units {
             return None;
         }
         let scale = way / seen.translation.norm();

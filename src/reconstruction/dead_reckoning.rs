@@ -9,8 +9,16 @@
 //! ```
 //!
 //! Covariance, by left perturbations `[w, v]` of `now_from_last`: that of the wheels' readings, which grows by time and way ([`Increment`]); what
-//! is not known of rotation and lever of the mount and of the yaw rate factor; a floor that is no plane; all turned into the camera's axes
-//! by `w = R' w_b`, `v = R' (w_b x p + v_b)`. A wheel that slips in the dark is in none of it: nothing sees it.
+//! is not known of rotation and lever of the mount, of the yaw rate factor and of `m`; a floor that is no plane. With `S` the camera's step, `d` an error of
+//! the mount's rotation and `q` one of the lever, all in the base's axes at the end:
+//!
+//! ```text
+//! base (w_b, v_b):  w = R' w_b               v = R' (w_b x p + v_b)
+//! mount:            w = R' (B^-1 d - d)      v = R' B^-1 (d x S)
+//! lever:            w = 0                    v = R' (B^-1 q - q)
+//! ```
+//!
+//! A wheel that slips in the dark is in none of it: nothing sees it.
 //!
 //! Cost: 30 ns a reading since then. Not here: what becomes of a frame ([`blind`](super::blind)).
 
@@ -36,6 +44,15 @@ const NOW_NS: i64 = 60_000_000;
 /// Standard deviation of the mount's rotation, rad, above which nothing is predicted by wheels.
 const MOUNT_RAD: f64 = 0.1;
 
+/// How long a metre of the wheels is in the map.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Metre {
+    /// Map units.
+    pub units: f64,
+    /// Its standard deviation as a share.
+    pub sigma: f64,
+}
+
 /// The camera's motion since the frame that was tracked last, by the wheels.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ahead {
@@ -48,13 +65,12 @@ pub struct Ahead {
     /// Of the base, m, and the time, s.
     pub way_m: f64,
     pub span_s: f64,
-    /// Map units a metre.
-    pub units_per_m: f64,
+    pub metre: Metre,
 }
 
 impl Ahead {
     /// The motion from one time to another (ns); `None` where the wheels say nothing of it, or the mount is not known.
-    pub fn of(wheels: &WheelScale, (from_ns, to_ns): (i64, i64), units_per_m: f64) -> Option<Self> {
+    pub fn of(wheels: &WheelScale, (from_ns, to_ns): (i64, i64), metre: Metre) -> Option<Self> {
         let robot = wheels.robot();
         if to_ns <= from_ns || wheels.slipping || robot.sigma[..3].iter().any(|sigma| *sigma > MOUNT_RAD) {
             return None;
@@ -63,17 +79,16 @@ impl Ahead {
         let just_before = from_ns.max(to_ns - NOW_NS);
         let dt = (to_ns - just_before) as f64 * 1e-9;
         let motion = wheels.ahead(just_before, to_ns, LATE_NS).map(|now| {
-            let step = camera_motion(&robot, &now).inverse().rescaled(units_per_m);
+            let step = camera_motion(&robot, &now).inverse().rescaled(metre.units);
             CameraMotion::over(&step, dt)
         });
-        Some(Self {
-            now_from_last: camera_motion(&robot, &increment).inverse().rescaled(units_per_m),
-            covariance: scaled_covariance(&camera_covariance(&robot, &increment), units_per_m),
-            motion,
-            way_m: increment.way_m,
-            span_s: (to_ns - from_ns) as f64 * 1e-9,
-            units_per_m,
-        })
+        let now_from_last = camera_motion(&robot, &increment).inverse().rescaled(metre.units);
+        let mut covariance = scaled_covariance(&camera_covariance(&robot, &increment), metre.units);
+        let longer = now_from_last.translation * metre.sigma;
+        let mut place = covariance.fixed_view_mut::<3, 3>(3, 3);
+        place += longer * longer.transpose();
+        let span_s = (to_ns - from_ns) as f64 * 1e-9;
+        Some(Self { now_from_last, covariance, motion, way_m: increment.way_m, span_s, metre })
     }
 
     /// Standard deviations of place (its worst direction, m) and turn (rad).
@@ -82,7 +97,7 @@ impl Ahead {
             let block: Matrix3<f64> = self.covariance.fixed_view::<3, 3>(corner, corner).into_owned();
             block.symmetric_eigenvalues().max().max(0.0).sqrt()
         };
-        (worst(3) / self.units_per_m, worst(0))
+        (worst(3) / self.metre.units, worst(0))
     }
 
     /// The wheels alone may tell the place so long after the last sight of it.
@@ -107,7 +122,7 @@ impl Ahead {
         let off = *pose * (self.now_from_last * *last).inverse();
         let (place, turn) = self.sigma();
         off.rotation.angle() <= ROOM_RAD + 3.0 * turn
-            && off.translation.norm() <= self.units_per_m * (ROOM_M + ROOM_SHARE * self.way_m + 3.0 * place)
+            && off.translation.norm() <= self.metre.units * (ROOM_M + ROOM_SHARE * self.way_m + 3.0 * place)
     }
 }
 
@@ -187,7 +202,6 @@ fn camera_covariance(robot: &Robot, increment: &Increment) -> Matrix6<f64> {
     let yaw = increment.motion.yaw;
     let end_from_start = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -yaw);
     let turned = end_from_start.to_rotation_matrix();
-    let step = robot.step_of(&increment.motion);
     // Errors of the base at the end, rotation and translation in its axes there.
     let mut by_wheels = Matrix6x3::zeros();
     by_wheels.fixed_view_mut::<3, 2>(3, 0).copy_from(&turned.matrix().fixed_view::<3, 2>(0, 0));
@@ -196,27 +210,32 @@ fn camera_covariance(robot: &Robot, increment: &Increment) -> Matrix6<f64> {
     base[(0, 0)] += ROCKING_RAD * ROCKING_RAD;
     base[(1, 1)] += ROCKING_RAD * ROCKING_RAD;
     base[(5, 5)] += (UPWARDS_SHARE * increment.way_m).powi(2);
-    let mut add = |rotation: Vector3<f64>, translation: Vector3<f64>| {
+    let square = |rotation: Vector3<f64>, translation: Vector3<f64>| {
         let column = Vector6::new(rotation.x, rotation.y, rotation.z, translation.x, translation.y, translation.z);
-        base += column * column.transpose();
+        column * column.transpose()
     };
+    // Half of what a turn is wrong by is a wrong direction of the way.
+    let heading = Vector3::new(0.0, 0.0, robot.sigma[5] * yaw);
+    base += square(heading, turned * (0.5 * heading).cross(&increment.motion.translation.push(0.0)));
+    let lever = robot.lever_m.push(0.0);
+    let mut from_base_to_lens = Matrix6::identity();
+    from_base_to_lens.fixed_view_mut::<3, 3>(3, 0).copy_from(&-lever.cross_matrix());
+    let mut camera = from_base_to_lens * base * from_base_to_lens.transpose();
+    // The mount is wrong by the same at both ends.
+    let step = robot.step_of(&increment.motion);
     for i in 0..3 {
         let axis = Vector3::ith(i, robot.sigma[i]);
-        add(axis.cross(&Vector3::new(0.0, 0.0, yaw)), turned * axis.cross(&step));
+        camera += square(turned * axis - axis, turned * axis.cross(&step));
     }
     for i in 0..2 {
         let lever = Vector3::ith(i, robot.sigma[3 + i]);
-        add(Vector3::zeros(), lever - turned * lever);
+        camera += square(Vector3::zeros(), turned * lever - lever);
     }
-    let heading = robot.sigma[5] * yaw;
-    add(Vector3::new(0.0, 0.0, heading), turned * Vector3::new(0.0, 0.0, 0.5 * heading).cross(&step));
     let axes = robot.base_from_camera.inverse().to_rotation_matrix().into_inner();
-    let lever = robot.lever_m.push(0.0);
     let mut into_camera = Matrix6::zeros();
     into_camera.fixed_view_mut::<3, 3>(0, 0).copy_from(&axes);
     into_camera.fixed_view_mut::<3, 3>(3, 3).copy_from(&axes);
-    into_camera.fixed_view_mut::<3, 3>(3, 0).copy_from(&-(axes * lever.cross_matrix()));
-    into_camera * base * into_camera.transpose()
+    into_camera * camera * into_camera.transpose()
 }
 
 fn scaled_covariance(covariance: &Matrix6<f64>, factor: f64) -> Matrix6<f64> {
@@ -242,23 +261,30 @@ mod tests {
     }
 
     /// A curve of two seconds at 0.5 m/s and 0.6 rad/s, noisy or not.
-    fn curve(mut noise: impl FnMut() -> f64) -> WheelScale {
+    fn readings(mut noise: impl FnMut() -> f64) -> Vec<WheelReading> {
+        let reading = |i: i64| WheelReading {
+            from_ns: i * 50_000_000,
+            timestamp_ns: (i + 1) * 50_000_000,
+            linear_x_mps: 0.5 + SIGMA[0] * noise(),
+            linear_y_mps: 0.0,
+            angular_z_radps: 0.6 + SIGMA[2] * noise(),
+            variance: SIGMA.map(|s| s * s),
+        };
+        (0..40).map(reading).collect()
+    }
+
+    fn curve(noise: impl FnMut() -> f64) -> WheelScale {
         let mut wheels = WheelScale::new(robot(), 0.01);
-        for i in 0..40 {
-            wheels.add_reading(&WheelReading {
-                from_ns: i * 50_000_000,
-                timestamp_ns: (i + 1) * 50_000_000,
-                linear_x_mps: 0.5 + SIGMA[0] * noise(),
-                linear_y_mps: 0.0,
-                angular_z_radps: 0.6 + SIGMA[2] * noise(),
-                variance: SIGMA.map(|s| s * s),
-            });
-        }
+        readings(noise).iter().for_each(|reading| assert!(wheels.add_reading(reading)));
         wheels
     }
 
+    fn exact(units: f64) -> Metre {
+        Metre { units, sigma: 0.0 }
+    }
+
     fn ahead(wheels: &WheelScale) -> Ahead {
-        Ahead::of(wheels, (0, 2_000_000_000), 2.0).expect("told")
+        Ahead::of(wheels, (0, 2_000_000_000), exact(2.0)).expect("told")
     }
 
     #[test]
@@ -301,17 +327,61 @@ mod tests {
     }
 
     #[test]
+    fn covariance_of_what_is_not_known_of_the_robot_is_that_of_the_motion_itself() {
+        let (wheels, h) = (curve(|| 0.0), 1e-6);
+        let known = Robot { sigma: [0.0; 7], ..robot() };
+        for i in 0..6 {
+            // In a longer arc what is wrong of the yaw rate shortens the chord, too, which is of the second order in the turn.
+            let to_ns = if i < 5 { 2_000_000_000 } else { 500_000_000 };
+            let increment = wheels.between(0, to_ns).expect("told");
+            let (mut wrong, mut driven) = (known, increment);
+            match i {
+                0..3 => {
+                    let turn = UnitQuaternion::from_scaled_axis(Vector3::ith(i, h));
+                    wrong.base_from_camera = turn * wrong.base_from_camera;
+                }
+                3 | 4 => wrong.lever_m[i - 3] += h,
+                _ => {
+                    let mut by_factor = WheelScale::new(Robot { yaw_factor: 1.0 + h, ..robot() }, 0.01);
+                    readings(|| 0.0).iter().for_each(|reading| assert!(by_factor.add_reading(reading)));
+                    driven = by_factor.between(0, to_ns).expect("told");
+                }
+            }
+            let off = camera_motion(&wrong, &driven).inverse() * camera_motion(&known, &increment);
+            let (w, t) = (off.rotation.scaled_axis(), off.translation);
+            let column = Vector6::new(w.x, w.y, w.z, t.x, t.y, t.z) / h;
+            let expected = column * column.transpose();
+            let mut doubted = known;
+            doubted.sigma[i] = 1.0;
+            let told = camera_covariance(&doubted, &increment) - camera_covariance(&known, &increment);
+            let most = if i < 5 { 1e-4 } else { 0.1 };
+            assert!((told - expected).norm() < most * expected.norm(), "{i}: {told} {expected}");
+        }
+    }
+
+    #[test]
+    fn a_metre_of_doubtful_length_makes_the_place_doubtful_along_the_way() {
+        let wheels = curve(|| 0.0);
+        let of = |sigma: f64| Ahead::of(&wheels, (0, 2_000_000_000), Metre { units: 2.0, sigma }).expect("told");
+        let added = of(0.1).covariance - of(0.0).covariance;
+        let way = of(0.0).now_from_last.translation * 0.1;
+        assert!((added.fixed_view::<3, 3>(3, 3) - way * way.transpose()).norm() < 1e-12);
+        assert!(added.fixed_view::<3, 6>(0, 0).norm() == 0.0);
+        assert!(of(0.0).is_believed() && !of(0.5).is_believed(), "half of 0.9 m is not known");
+    }
+
+    #[test]
     fn wheels_are_believed_for_a_while_and_not_without_a_mount() {
         let wheels = curve(|| 0.0);
         assert!(ahead(&wheels).is_believed());
-        let told = |from: i64, to: i64| Ahead::of(&wheels, (from, to), 1.0);
+        let told = |from: i64, to: i64| Ahead::of(&wheels, (from, to), exact(1.0));
         assert!(told(0, 2_100_000_000).is_some() && told(0, 2_300_000_000).is_none(), "silent");
         let far = Ahead { way_m: LONGEST_M + 0.1, ..ahead(&wheels) };
         let long = Ahead { span_s: LONGEST_S + 0.1, ..ahead(&wheels) };
         let vague = Ahead { covariance: ahead(&wheels).covariance * 400.0, ..ahead(&wheels) };
         assert!(!far.is_believed() && !long.is_believed() && !vague.is_believed());
         let unknown = WheelScale::new(Robot::unknown(), 0.01);
-        assert!(Ahead::of(&unknown, (0, 1), 1.0).is_none());
+        assert!(Ahead::of(&unknown, (0, 1), exact(1.0)).is_none());
     }
 
     #[test]

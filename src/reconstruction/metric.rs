@@ -13,18 +13,20 @@
 use nalgebra::{UnitQuaternion, Vector3};
 
 use super::Reconstruction;
+use super::active_map::ActiveMap;
 use super::keyframe::distance_prior;
 use super::odometry::Odometry;
+use super::scale_uncertainty::{Parts, ToldBehind};
 use super::segments::{FrameEnd, Wheels};
 use super::types::{TrackingState, TrajectoryEvent};
 use crate::features::FrameFeatures;
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::geometry::sim3::Sim3;
-use crate::map::scale::{MapScale, ScaleSource};
+use crate::map::scale::MapScale;
 use crate::map::{Correction, KeyframeId, MapId, TurnId};
 use crate::motion::hand_eye::Robot;
-use crate::motion::scale::{METRIC_SIGMA, ScaleMeasurement};
+use crate::motion::scale::{METRIC_SIGMA, SURER_SHARE, ScaleMeasurement};
 use crate::motion::wheel::WheelReading;
 
 impl Reconstruction {
@@ -65,58 +67,70 @@ impl Reconstruction {
         self.state == TrackingState::Tracking && self.pending.turned.is_some()
     }
 
-    /// What the camera's height or tags say of the part of the map that keyframe `at` is in, and the standard deviation of an error that all words of the source
-    /// share. Of a part of a metric map behind a turn on the spot it tells how long the unit there is, and both become one: wheels do the same by
-    /// themselves, where there are any.
+    /// What a source says of the part of the map that keyframe `at` is in, and the standard deviation of an error that all of its words share.
     pub(super) fn hear_at(&mut self, at: KeyframeId, word: &ScaleMeasurement, common_sigma: f64) {
-        match self.active.map.keyframe(at).and_then(|k| k.scale_from) {
-            None => {
-                self.active.fusion.add_sharing(word, common_sigma);
-            }
-            Some(turn) if self.active.fusion.is_metric() && self.wheels.scale.is_silent() => {
-                // Tags say something long before they are as sure as a map's scale has to be.
-                if word.sigma <= METRIC_SIGMA {
-                    self.told_behind = Some((turn, *word));
-                }
-            }
-            Some(_) => {}
+        let part = self.active.map.keyframe(at).and_then(|k| k.scale_from);
+        self.hear_of(part, word, common_sigma);
+    }
+
+    /// The same of a part. Of one behind a turn on the spot, which has a unit of its own, it is heard once it is sure enough to give it another; of
+    /// several words in a frame that is the surest.
+    fn hear_of(&mut self, part: Option<TurnId>, word: &ScaleMeasurement, common_sigma: f64) {
+        let Some(turn) = part else {
+            self.active.fusion.add_sharing(word, common_sigma);
+            return;
+        };
+        let told = ToldBehind { turn, word: *word, common_sigma };
+        let is_surer = self.told_behind.is_none_or(|other| other.turn != turn || told.sigma() < other.sigma());
+        if told.sigma() <= METRIC_SIGMA && is_surer {
+            self.told_behind = Some(told);
         }
     }
 
-    /// The part of the map behind `turn` becomes metric, by what is told there; what lies before is metric already, and stays as long as it is.
-    fn unify_by_word(&mut self, turn: TurnId, word: &ScaleMeasurement) {
-        let Some((before_log, ..)) = self.active.fusion.fused() else { return };
-        let newest = self.active.map.keyframe(self.active.reference).and_then(|k| k.scale_from);
+    /// The part of the map behind a turn has been told its scale, and one with it become all whose ratio to it is known; where the map's beginning is metric
+    /// it stays as long as it is.
+    fn become_one_with(&mut self, told: &ToldBehind) {
+        let newest = Some(told.turn);
+        let ActiveMap { fusion, scale, .. } = &self.active;
+        let metric = fusion.fused().filter(|_| fusion.is_metric()).map(|(log, ..)| log);
         // The robot has gone back meanwhile, or on behind another turn: it will be asked again.
-        if newest != Some(turn) {
+        if self.active.part() != newest || scale.is_enclosed(newest) {
             return;
         }
         self.discard_job();
-        let before = self.active.odometry.last.map(|last| last.camera_from_world);
-        let log = word.log_metres_per_unit;
-        let ratio = |part: Option<TurnId>| match part {
-            None => Some(before_log - log),
-            Some(_) => self.wheels.log_ratio(part),
+        let before = self.active.odometry.pose();
+        let log = told.word.log_metres_per_unit;
+        let wheels = &self.wheels;
+        let of_beginning = wheels.ratio(None, newest);
+        // A metric map's beginning stays as long as it is, and by that the wheels may tell a part between more surely than by the newest.
+        let stays = metric.map(|beginning| (beginning - log, 0.0));
+        let by_beginning = |part| {
+            let ((log, _), (ratio, sigma)) = stays.zip(wheels.ratio(part, None))?;
+            Some((log + ratio, sigma))
         };
-        let parts = self.active.scale.parts_in_one_unit(&self.active.map, newest, ratio);
-        let between: Vec<_> = parts.iter().map(|(part, _)| *part).filter(|part| self.wheels.tells(*part)).collect();
-        self.move_parts(&parts, |part| part.is_none() || part == newest || between.contains(&part));
-        self.scale_lengths(log.exp());
-        if let Some(tags) = &mut self.tags {
-            // Others that told the scale hang before the turn.
-            tags.rescale(if word.source == ScaleSource::Tag { log } else { before_log }.exp());
-        }
-        self.active.fusion.rescale(before_log.exp());
-        self.active.fusion.heard_behind_turn(word);
-        let keyframes = self.active.map.keyframes.iter().map(|(id, _)| KeyframeId(id));
-        self.events.extend(keyframes.map(|keyframe| TrajectoryEvent::KeyframeScaled { keyframe, scale: log.exp() }));
-        let now = self.active.odometry.last.map(|last| last.camera_from_world);
-        if let Some((old, new)) = before.zip(now) {
+        let parts = self.active.scale.in_one_unit(&self.active.map, newest, |part| match part {
+            None => stays.or(of_beginning),
+            Some(_) => {
+                wheels.ratio(part, newest).into_iter().chain(by_beginning(part)).min_by(|a, b| a.1.total_cmp(&b.1))
+            }
+        });
+        self.move_parts(&parts);
+        let fusion = &mut self.active.fusion;
+        let Some(beginning) = metric else {
+            fusion.carry(of_beginning);
+            fusion.add_sharing(&told.word, told.common_sigma);
+            if let Some(factor) = fusion.due() {
+                self.rescale(factor);
+            }
+            return;
+        };
+        // Its words are of the beginning, which has become as much longer as the newest unit was told to be and its own was known to be.
+        fusion.carry(Some((beginning - log, 0.0)));
+        fusion.heard_behind_turn(&told.word, told.common_sigma);
+        self.change_unit(log.exp());
+        self.active.fusion.rescale(log.exp());
+        if let Some((old, new)) = before.zip(self.active.odometry.pose()) {
             self.corrections.moved(&old, &new);
-        }
-        if let Some(floor) = &mut self.floor {
-            floor.rescale(log.exp(), self.active.id);
-            floor.unify();
         }
     }
 
@@ -140,8 +154,8 @@ impl Reconstruction {
         if let Some(factor) = self.active.fusion.due() {
             self.rescale(factor);
         }
-        if let Some((turn, word)) = self.told_behind.take() {
-            self.unify_by_word(turn, &word);
+        if let Some(told) = self.told_behind.take() {
+            self.become_one_with(&told);
         }
     }
 
@@ -155,21 +169,33 @@ impl Reconstruction {
             return;
         }
         let Some(word) = self.wheels.scale.measurement() else { return };
-        match self.wheels.newest_part() {
-            // Of the newest part alone: in what the others have told its unit has no place.
-            Some(turn) if self.active.fusion.is_metric() => {
-                // What is known of the map's beginning, carried over the turn by the wheels, may be surer than what they tell behind it: an error common
-                // to both wheels is not in it.
-                let carried = self.wheels.ratio_of_beginning().zip(self.active.fusion.fused());
-                let carried = carried.map(|((ratio, ratio_sigma), (log, sigma, _))| ScaleMeasurement {
-                    log_metres_per_unit: log - ratio,
-                    sigma: sigma.hypot(ratio_sigma),
-                    ..word
-                });
-                let word = carried.filter(|carried| carried.sigma < word.sigma).unwrap_or(word);
-                self.told_behind = (word.sigma <= METRIC_SIGMA).then_some((turn, word));
-            }
-            _ => _ = self.active.fusion.add(&word),
+        let newest = self.wheels.newest_part();
+        // What is known of a metric map's beginning, carried over the turn by the wheels, may be surer than what they tell behind it: an error common
+        // to both wheels is not in it.
+        let known = self.active.fusion.fused().filter(|_| newest.is_some() && self.active.fusion.is_metric());
+        let carried = self.wheels.ratio(None, newest).zip(known).map(|((ratio, ratio_sigma), (log, sigma, _))| {
+            ScaleMeasurement { log_metres_per_unit: log - ratio, sigma: sigma.hypot(ratio_sigma), ..word }
+        });
+        let word = carried.filter(|carried| carried.sigma < word.sigma).unwrap_or(word);
+        self.hear_of(newest, &word, 0.0);
+        let scale = &self.active.scale;
+        let is_surer = |part| {
+            let sigma = self.wheels.ratio(part, None).map_or(f64::INFINITY, |(_, sigma)| sigma);
+            !scale.is_enclosed(part) && sigma < SURER_SHARE * scale.sigma_behind(part, false)
+        };
+        if newest.is_none() && self.active.fusion.is_metric() && self.wheels.others().any(is_surer) {
+            self.take_up_told();
+        }
+    }
+
+    /// What is in doubt of a metric map, and what the wheels have told the ratio of since, takes its unit.
+    fn take_up_told(&mut self) {
+        self.discard_job();
+        let before = self.active.odometry.pose();
+        let parts = self.active.scale.in_one_unit(&self.active.map, None, |part| self.wheels.ratio(part, None));
+        self.move_parts(&parts);
+        if let Some((old, new)) = before.zip(self.active.odometry.pose()) {
+            self.corrections.moved(&old, &new);
         }
     }
 
@@ -188,34 +214,23 @@ impl Reconstruction {
         })
     }
 
-    /// Parts of the map with units of their own, behind turns on the spot, take one unit, as far as wheels tell how long theirs are: not before they tell
-    /// how long the newest one is. Of a map of which nothing is metric yet.
-    fn unify_units(&mut self) {
-        let active = &self.active;
-        let newest = active.map.keyframe(active.reference).and_then(|k| k.scale_from);
-        if newest.is_some() && !self.wheels.tells_doubted() {
-            return;
+    /// Parts of the map, and what was told of them, move and are named so.
+    fn move_parts(&mut self, parts: &Parts) {
+        let keyframes: Vec<_> =
+            self.active.map.keyframes.iter().map(|(id, k)| (KeyframeId(id), k.scale_from)).collect();
+        let moved = keyframes.iter().map(|(id, part)| (*id, parts.of(*part).motion)).collect();
+        self.move_map(&Correction { keyframes: moved, younger: None });
+        for (id, part) in keyframes {
+            self.active.map.set_scale_origin(id, parts.of(part).name);
         }
-        let parts = active.scale.parts_in_one_unit(&active.map, newest, |part| self.wheels.log_ratio(part));
-        let told: Vec<_> = parts.iter().map(|(part, _)| *part).filter(|part| self.wheels.tells(*part)).collect();
-        self.move_parts(&parts, |part| told.contains(&part));
-    }
-
-    /// Parts of the map take one unit by these motions; those that are `told` have the scale of the map's beginning from then on.
-    fn move_parts(&mut self, parts: &[(Option<TurnId>, Sim3<World, World>)], told: impl Fn(Option<TurnId>) -> bool) {
-        if parts.len() < 2 {
-            return;
+        self.active.scale.rename(parts);
+        self.wheels.follow_parts(parts);
+        if let Some(tags) = &mut self.tags {
+            tags.follow_parts(|part| (parts.of(part).name, parts.of(part).motion));
         }
-        let of = |part: Option<TurnId>| parts.iter().find(|(id, _)| *id == part).map_or_else(Sim3::identity, |p| p.1);
-        let marked: Vec<_> = self.active.map.keyframes.iter().map(|(id, k)| (KeyframeId(id), k.scale_from)).collect();
-        let keyframes = marked.iter().map(|(id, part)| (*id, of(*part))).collect();
-        self.move_map(&Correction { keyframes, younger: None });
-        let active = &mut self.active;
-        for (id, _) in marked.iter().filter(|(_, part)| told(*part)) {
-            active.map.set_scale_origin(*id, None);
+        if let Some(floor) = &mut self.floor {
+            floor.rename(|part| parts.of(part).name);
         }
-        self.wheels.scale.unify_units();
-        active.scale.follow(&active.map);
     }
 
     /// All that has a length of the present map becomes `factor` times as long.
@@ -235,12 +250,12 @@ impl Reconstruction {
 
     /// What was told of the part behind a turn is of lengths that are `factor` times as long now.
     pub(super) fn rescale_told(&mut self, factor: f64) {
-        if let Some((_, word)) = &mut self.told_behind {
-            word.log_metres_per_unit -= factor.ln();
+        if let Some(told) = &mut self.told_behind {
+            told.word.log_metres_per_unit -= factor.ln();
         }
     }
 
-    /// The same, and in the record of a trajectory, and what tags and the floor have told. For a map of which nobody knows the scale.
+    /// The same, and in the record of a trajectory, and what tags and the floor have told.
     pub(super) fn change_unit(&mut self, factor: f64) {
         self.scale_lengths(factor);
         let keyframes = self.active.map.keyframes.iter().map(|(id, _)| KeyframeId(id));
@@ -257,17 +272,14 @@ impl Reconstruction {
     fn rescale(&mut self, factor: f64) {
         let first = !self.active.fusion.is_metric();
         self.discard_job();
-        let before = self.active.odometry.last.map(|last| last.camera_from_world);
-        if first {
-            self.unify_units();
-        }
+        let before = self.active.odometry.pose();
         self.scale_lengths(factor);
         if let Some(tags) = &mut self.tags {
             tags.rescale(factor);
         }
         let active = &mut self.active;
         active.fusion.rescale(factor);
-        let after = active.odometry.last.map(|last| last.camera_from_world);
+        let after = active.odometry.pose();
         if first {
             active.odometry.odom_from_camera.translation *= factor;
             let (map, into) = (active.id, active.next_id);

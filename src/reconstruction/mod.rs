@@ -65,6 +65,7 @@ use optics::Optics;
 use relocalise::Relocaliser;
 use relocalise::descriptors::describe_kept;
 use relocalise::other_maps::{OtherMaps, WORTH_KEEPING};
+use scale_uncertainty::ToldBehind;
 use second_look::kept::SecondLook;
 use segments::Wheels;
 use surroundings::Surroundings;
@@ -76,11 +77,10 @@ use crate::features::{Feedback, FrameFeatures};
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::image::pyramid::PyramidPool;
+use crate::map::Sought;
 use crate::map::saved::Taken;
-use crate::map::{Sought, TurnId};
 use crate::motion::floor::{Floor, ScaleConfig};
 use crate::motion::hand_eye::Robot;
-use crate::motion::scale::ScaleMeasurement;
 use crate::motion::tag::{self, TagConfig, Tags};
 use crate::motion::wheel_scale::WheelConfig;
 
@@ -118,8 +118,8 @@ pub struct Reconstruction {
     tags: Option<Tags>,
     /// Where the camera's height above the floor is known.
     floor: Option<Floor>,
-    /// What the camera's height says of the part of the map behind a turn on the spot, until the frame's end.
-    told_behind: Option<(TurnId, ScaleMeasurement)>,
+    /// What was told of the part of the map behind a turn on the spot, until the frame's end.
+    told_behind: Option<ToldBehind>,
     surroundings: Surroundings,
     /// Of the newest keyframes and their neighbours: when one is reduced the next takes its place, which keeps the heap in one piece.
     pictures: PyramidPool,

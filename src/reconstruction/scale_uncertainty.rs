@@ -23,24 +23,80 @@ use crate::geometry::frames::{Camera, World};
 use crate::geometry::sim3::Sim3;
 use crate::map::saved::SavedTurn;
 use crate::map::{KeyframeId, Map, TurnId};
+use crate::motion::scale::ScaleMeasurement;
+use crate::motion::wheel_scale::{MOMENT_SIGMA, TOLD_SIGMA};
 
 /// Standard deviation of the length of a step that assumed distances tell, as a share of it. Behind ten simulated turns of 90 and 180
 /// degrees the logarithm of what became of the scale had an RMS of 0.42, one of them left out at which tracking itself went astray.
 const SCALE_SIGMA: f64 = 0.5;
-/// The same where wheels tell the step, which may be the moment at which they slip.
-const WHEELS_SIGMA: f64 = 0.2;
 /// So many turns are kept apart; the doubt of more goes to the ones before them.
 const MAX_TURNS: usize = 128;
+
+/// What was told of the scale of the part of the map behind a turn.
+#[derive(Debug, Clone, Copy)]
+pub struct ToldBehind {
+    pub turn: TurnId,
+    pub word: ScaleMeasurement,
+    /// Standard deviation of an error that all words of the source share.
+    pub common_sigma: f64,
+}
+
+impl ToldBehind {
+    pub fn sigma(&self) -> f64 {
+        self.word.sigma.hypot(self.common_sigma)
+    }
+}
+
+/// A part of the map: how it moves, what it is named from now on, and the standard deviation of the ratio of its unit to the one that all take.
+#[derive(Debug, Clone, Copy)]
+pub struct Part {
+    pub motion: Sim3<World, World>,
+    pub name: Option<TurnId>,
+    sigma: f64,
+    /// The part that it hangs on.
+    on: Option<usize>,
+    /// So does one of those that all take the unit of.
+    is_enclosed: bool,
+}
+
+impl Part {
+    /// One that nothing is known of.
+    fn resting(name: Option<TurnId>) -> Self {
+        Self { motion: Sim3::identity(), name, sigma: f64::INFINITY, on: None, is_enclosed: false }
+    }
+}
+
+/// What becomes of all parts of the map: of its beginning, and behind each turn.
+#[derive(Debug)]
+pub struct Parts(Vec<Part>);
+
+impl Parts {
+    pub fn of(&self, part: Option<TurnId>) -> Part {
+        // Of a turn that is none of the map's nobody knows anything.
+        self.0.get(index(part)).copied().unwrap_or(Part::resting(part))
+    }
+}
+
+fn index(part: Option<TurnId>) -> usize {
+    part.map_or(0, |turn| 1 + usize::from(turn.0))
+}
+
+/// Of all parts that a map may have, in their order.
+fn names() -> impl Iterator<Item = Option<TurnId>> {
+    std::iter::once(None).chain((0..).map(|id| Some(TurnId(id))))
+}
 
 /// All turns of the present map whose next step had its length from assumed distances.
 #[derive(Debug)]
 pub struct ScaleUncertainty {
     turns: Vec<SavedTurn>,
+    /// Parts between others that are as long as they should be: to make them longer would tear the map.
+    enclosed: Vec<TurnId>,
 }
 
 impl Default for ScaleUncertainty {
     fn default() -> Self {
-        Self { turns: Vec::with_capacity(MAX_TURNS) }
+        Self { turns: Vec::with_capacity(MAX_TURNS), enclosed: Vec::new() }
     }
 }
 
@@ -59,7 +115,12 @@ impl ScaleUncertainty {
 
     /// The length of the step behind a turn was assumed, and not that of wheels.
     pub fn is_assumed(&self, id: TurnId) -> bool {
-        self.turns.get(usize::from(id.0)).is_some_and(|turn| turn.variance > WHEELS_SIGMA * WHEELS_SIGMA)
+        self.turns.get(usize::from(id.0)).is_some_and(|turn| turn.variance > MOMENT_SIGMA * MOMENT_SIGMA)
+    }
+
+    /// A part lies between others that are as long as they should be, and cannot be made any longer.
+    pub fn is_enclosed(&self, part: Option<TurnId>) -> bool {
+        part.is_some_and(|turn| self.enclosed.contains(&turn))
     }
 
     /// A turn at `keyframe`, whose own scale came through `before`: what its next keyframes are to be marked with. `assumed`: so was the length of the
@@ -70,7 +131,7 @@ impl ScaleUncertainty {
         if before.as_ref().is_some_and(is_the_same) {
             return before;
         }
-        let variance = if assumed { SCALE_SIGMA } else { WHEELS_SIGMA }.powi(2);
+        let variance = if assumed { SCALE_SIGMA } else { MOMENT_SIGMA }.powi(2);
         if self.turns.len() < MAX_TURNS {
             self.turns.push(SavedTurn { keyframe, centre, variance, before });
             return u16::try_from(self.turns.len() - 1).ok().map(TurnId);
@@ -102,6 +163,7 @@ impl ScaleUncertainty {
             ..*turn
         };
         self.turns.extend(other.turns.iter().map(renewed).take(MAX_TURNS - first));
+        self.enclosed.extend(other.enclosed.iter().filter_map(|part| renumbered(Some(*part))));
         let keyframes: Vec<_> = map.keyframes.iter().map(|(id, k)| (KeyframeId(id), k.scale_from)).collect();
         for (id, turn) in keyframes {
             map.set_scale_origin(id, renumbered(turn));
@@ -115,32 +177,63 @@ impl ScaleUncertainty {
         }
     }
 
-    /// How the parts of the map move when each shrinks or grows about the turn that ends it, by `log_ratio`: ln of how many of the newest unit its
-    /// own is long, where that is known. The map's origin stays. Parts and their motions, the one behind `newest` first.
-    pub fn parts_in_one_unit(
+    /// What becomes of the parts of the map when they grow or shrink, about the turns that they hang at, to the unit of one of them: `ratio` is ln of how
+    /// many of its units another's is long, and its standard deviation. A part of which that is known no better than from the one that it hangs on moves
+    /// with that one. The map's origin stays. Parts whose ratio is known to [`TOLD_SIGMA`] have the name of the map's beginning from then on; any other is named by
+    /// the turn between it and the part whose unit they take. Those between parts of that name move no more.
+    pub fn in_one_unit(
         &self,
         map: &Map,
-        newest: Option<TurnId>,
-        log_ratio: impl Fn(Option<TurnId>) -> Option<f64>,
-    ) -> Vec<(Option<TurnId>, Sim3<World, World>)> {
-        let mut parts = vec![(newest, Sim3::identity())];
-        let (mut part, mut motion) = (newest, Sim3::identity());
-        // Each turn is older than the next, so this ends; the bound only says so.
-        for _ in 0..MAX_TURNS {
-            let Some(turn) = part.and_then(|id| self.turns.get(usize::from(id.0))) else { break };
-            part = turn.before;
-            if let Some(log_ratio) = log_ratio(part) {
+        part: Option<TurnId>,
+        ratio: impl Fn(Option<TurnId>) -> Option<(f64, f64)>,
+    ) -> Parts {
+        let mut parts: Vec<Option<Part>> = vec![None; 1 + self.turns.len()];
+        parts[index(part)] = Some(Part { sigma: 0.0, ..Part::resting(None) });
+        // Each turn joins two parts and there are no circles: what hangs on a part that is told is told in the next round.
+        let mut told = true;
+        while std::mem::take(&mut told) {
+            for (turn, turn_id) in self.turns.iter().zip(names().skip(1)) {
+                let ends = [index(turn_id), index(turn.before)];
+                let (there, at, on) = match ends.map(|end| parts[end]) {
+                    [Some(at), None] => (turn.before, at, ends[0]),
+                    [None, Some(at)] => (turn_id, at, ends[1]),
+                    _ => continue,
+                };
+                let rigid = (at.motion.scale, at.sigma.hypot(turn.variance.sqrt()));
+                let told_surer = ratio(there).filter(|(_, sigma)| *sigma < rigid.1 && !self.is_enclosed(there));
+                let (scale, sigma) = told_surer.map_or(rigid, |(log, sigma)| (log.exp(), sigma));
                 let centre = map.keyframe(turn.keyframe).map_or(turn.centre, |k| k.centre());
-                let scale = log_ratio.exp();
-                motion = Sim3::new(scale, UnitQuaternion::identity(), motion.transform(&centre) - scale * centre);
+                let motion =
+                    Sim3::new(scale, UnitQuaternion::identity(), at.motion.transform(&centre) - scale * centre);
+                let name = turn_id.filter(|_| sigma > TOLD_SIGMA);
+                parts[index(there)] =
+                    Some(Part { motion, name, sigma, on: Some(on), is_enclosed: self.is_enclosed(there) });
+                let mut between = name.is_none().then_some(on);
+                while let Some(part) = between.and_then(|on| parts[on].as_mut()).filter(|part| part.name.is_some()) {
+                    part.is_enclosed = true;
+                    between = part.on;
+                }
+                told = true;
             }
-            parts.push((part, motion));
         }
-        // The oldest part keeps its place.
-        for (_, moved) in &mut parts {
-            moved.translation -= motion.translation;
+        let mut parts: Vec<Part> =
+            parts.into_iter().zip(names()).map(|(part, name)| part.unwrap_or(Part::resting(name))).collect();
+        let moved = parts[0].motion.translation;
+        parts.iter_mut().for_each(|part| part.motion.translation -= moved);
+        Parts(parts)
+    }
+
+    /// Parts have these names from now on, and are known so.
+    pub fn rename(&mut self, parts: &Parts) {
+        for (turn, id) in self.turns.iter_mut().zip(names().skip(1)) {
+            let (behind, before) = (parts.of(id), parts.of(turn.before));
+            // What is named by this turn came through it.
+            let (from, to) = if before.name == id { (behind, before) } else { (before, behind) };
+            turn.before = from.name;
+            turn.variance = turn.variance.min(to.sigma.powi(2));
         }
-        parts
+        let enclosed = parts.0.iter().filter(|part| part.is_enclosed);
+        self.enclosed = enclosed.filter_map(|part| part.name).collect();
     }
 
     /// The whole map has moved so, also where a turn's keyframe is gone.
@@ -207,17 +300,45 @@ mod tests {
         let second = doubt.add(&map, second_turn, first, false);
         // Before the first turn a unit is half as long as behind the second, between both three times.
         let logs = [(None, 0.5_f64.ln()), (first, 3.0_f64.ln())];
-        let told = |part| logs.iter().find(|(p, _)| *p == part).map(|(_, log)| *log);
-        let parts = doubt.parts_in_one_unit(&map, second, told);
-        let moved = |part, z: f64| {
-            let motion = parts.iter().find(|(p, _)| *p == part).expect("a part").1;
-            motion.transform(&Vector3::new(0.0, 0.0, z)).z
-        };
+        let told = |part| logs.iter().find(|(p, _)| *p == part).map(|(_, log)| (*log, 0.01));
+        let parts = doubt.in_one_unit(&map, second, told);
+        let moved = |part, z: f64| parts.of(part).motion.transform(&Vector3::new(0.0, 0.0, z)).z;
         assert!(moved(None, 0.0).abs() < 1e-12 && (moved(None, 4.0) - 2.0).abs() < 1e-12, "4 of that unit are 2");
         assert!((moved(first, 4.0) - 2.0).abs() < 1e-12 && (moved(first, 6.0) - 8.0).abs() < 1e-12, "and 2 are 6");
         assert!((moved(second, 6.0) - 8.0).abs() < 1e-12 && (moved(second, 7.0) - 9.0).abs() < 1e-12);
-        let untold = doubt.parts_in_one_unit(&map, second, |_| None);
-        assert!(untold.iter().all(|(_, motion)| motion.scale == 1.0));
+        assert!([None, first, second].iter().all(|part| parts.of(*part).name.is_none()), "all are one");
+        let untold = doubt.in_one_unit(&map, second, |_| Some((0.7, 2.0)));
+        assert!([None, first, second].iter().all(|part| untold.of(*part).motion.scale == 1.0));
+    }
+
+    #[test]
+    fn where_nothing_tells_the_beginning_it_is_in_doubt_beside_the_newest_part() {
+        let mut map = Map::default();
+        let mut doubt = ScaleUncertainty::default();
+        let turns: Vec<KeyframeId> = (0..3).map(|_| map.add_keyframe(keyframe(None))).collect();
+        let first = doubt.add(&map, turns[0], None, true);
+        let second = doubt.add(&map, turns[1], first, false);
+        // A way that was left at the first part, and one behind the newest.
+        let aside = doubt.add(&map, turns[2], first, true);
+        let told = |part: Option<TurnId>| part.is_none().then_some((2.0_f64.ln(), 0.1));
+        let parts = doubt.in_one_unit(&map, second, told);
+        let names = [second, first, None, aside].map(|part| parts.of(part).name);
+        assert_eq!(names, [None, second, first, aside]);
+        assert_eq!(parts.of(aside).motion.scale, parts.of(first).motion.scale, "it hangs there");
+        assert_eq!(parts.of(None).motion.scale, 2.0);
+        let (assumed, by_wheels) = (SCALE_SIGMA, MOMENT_SIGMA);
+        doubt.rename(&parts);
+        let sigma = |part| doubt.sigma_behind(part, false);
+        assert_eq!((sigma(None), sigma(second)), (0.0, by_wheels));
+        assert!((sigma(first) - by_wheels.hypot(0.1)).abs() < 1e-12, "the beginning, as it was told");
+        assert!((sigma(aside) - by_wheels.hypot(assumed)).abs() < 1e-12, "and what hangs at the first part");
+        // The beginning, which is named by the first turn now, is told: what lies between is not, and can be made no longer without a gap.
+        let surer = doubt.in_one_unit(&map, None, |part| (part == first).then_some((0.0, 0.02)));
+        doubt.rename(&surer);
+        assert_eq!([second, first, aside].map(|part| surer.of(part).name), [second, None, aside]);
+        assert_eq!([second, first, aside].map(|part| doubt.is_enclosed(part)), [true, false, false]);
+        let torn = doubt.in_one_unit(&map, None, |part| (part == second).then_some((0.3, 0.01)));
+        assert_eq!((torn.of(second).motion.scale, torn.of(second).name), (1.0, second));
     }
 
     #[test]

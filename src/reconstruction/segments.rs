@@ -3,6 +3,7 @@
 //! Each end of a segment is a frame beside a keyframe, as in a trajectory, so that what an adjustment finds later of both keyframes is in the
 //! segment the next time it is asked. Once a keyframe is gone, the segment keeps the motion that it had.
 
+use super::scale_uncertainty::Parts;
 use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, Keyframe as KeyframeFrame, World};
 use crate::map::scale::ScaleSource;
@@ -47,6 +48,10 @@ fn unit_behind(turn: Option<TurnId>) -> Unit {
     Unit(turn.map_or(0, |turn| 1 + u32::from(turn.0)))
 }
 
+fn turn_before(unit: Unit) -> Option<TurnId> {
+    Some(TurnId(u16::try_from(unit.0.checked_sub(1)?).ok()?))
+}
+
 /// Wheels beside the present map.
 #[derive(Debug)]
 pub struct Wheels {
@@ -86,30 +91,27 @@ impl Wheels {
         }
     }
 
-    /// What the wheels say of the unit behind a turn: ln of how many of the newest unit it is long.
-    pub fn log_ratio(&self, part: Option<TurnId>) -> Option<f64> {
-        self.scale.log_ratio(unit_behind(part))
+    /// What the wheels say of the unit behind a turn: ln of how many of another part's it is long, and its standard deviation.
+    pub fn ratio(&self, part: Option<TurnId>, of: Option<TurnId>) -> Option<(f64, f64)> {
+        self.scale.ratio(unit_behind(part), unit_behind(of))
     }
 
-    /// The same of the unit of the map's beginning, with its standard deviation.
-    pub fn ratio_of_beginning(&self) -> Option<(f64, f64)> {
-        self.scale.ratio(unit_behind(None))
-    }
-
-    /// They tell how long that unit is, and surely.
-    pub fn tells(&self, part: Option<TurnId>) -> bool {
-        self.scale.tells(unit_behind(part))
-    }
-
-    /// They tell the scale of the newest unit, and it is one behind a turn.
-    pub fn tells_doubted(&self) -> bool {
-        self.newest_part().is_some() && self.scale.measurement().is_some()
+    /// Parts with other units than the newest one's.
+    pub fn others(&self) -> impl Iterator<Item = Option<TurnId>> {
+        self.scale.others().map(turn_before)
     }
 
     /// The turn that the newest unit lies behind.
     pub fn newest_part(&self) -> Option<TurnId> {
-        let Unit(unit) = self.scale.segments().last()?.unit;
-        Some(TurnId(u16::try_from(unit.checked_sub(1)?).ok()?))
+        turn_before(self.scale.segments().last()?.unit)
+    }
+
+    /// Parts of the map have moved and been named anew.
+    pub fn follow_parts(&mut self, parts: &Parts) {
+        self.scale.follow_units(|unit| {
+            let part = parts.of(turn_before(unit));
+            (unit_behind(part.name), part.motion.scale)
+        });
     }
 
     /// The surroundings of keyframes have moved so.
@@ -169,9 +171,8 @@ impl Wheels {
         if self.scale.segments().iter().rev().take_while(|s| s.to_ns > from_ns).any(slipped) {
             return None;
         }
-        let base = self.scale.between(from_ns, to_ns)?;
-        let length = self.scale.robot().step_of(&base.motion).norm();
-        let sigma = (base.covariance[(0, 0)] + base.covariance[(1, 1)]).max(0.0).sqrt();
+        let (base, robot) = (self.scale.between(from_ns, to_ns)?, self.scale.robot());
+        let (length, sigma) = (robot.step_of(&base.motion).norm(), robot.step_variance(&base).sqrt());
         (length > MOVED_SIGMAS * sigma).then(|| (length / metres_per_unit, sigma / metres_per_unit))
     }
 

@@ -15,8 +15,8 @@ use crate::features::thumbnail::Thumbnail;
 use crate::image::{GreyImage, Pyramid};
 use crate::map::saved::{MapHead, SavedMap, SavedMaps};
 use crate::map::scale::{MapScale, ScaleSource, ScaleSources};
-use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, MapId, examples};
-use crate::motion::scale::ScaleFusion;
+use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, MapId, TurnId, examples};
+use crate::motion::scale::{ScaleFusion, ScaleMeasurement};
 
 pub(super) const FOCAL_PX: f64 = 300.0;
 pub(super) const FRAME_NS: i64 = 33_000_000;
@@ -271,8 +271,8 @@ fn a_new_map_that_the_picture_contradicts_is_given_up_and_its_frames_have_no_pos
     );
 }
 
-fn word(log_metres_per_unit: f64) -> ScaleMeasurement {
-    ScaleMeasurement { source: ScaleSource::Wheels, log_metres_per_unit, sigma: 0.012 }
+fn word(source: ScaleSource, metres_per_unit: f64, sigma: f64) -> ScaleMeasurement {
+    ScaleMeasurement { source, log_metres_per_unit: metres_per_unit.ln(), sigma }
 }
 
 #[test]
@@ -289,7 +289,7 @@ fn a_map_becomes_metric_at_once_and_later_refinements_leave_the_smooth_pose() {
     let x = |pose: Option<Vector3<f64>>| pose.expect("a pose").x;
     let before = step(&mut r, 1);
     assert!(before.scale == MapScale::Unknown && r.base().is_none());
-    assert!(r.add_scale(&word(3.0_f64.ln())));
+    assert!(r.add_scale(&word(ScaleSource::Wheels, 3.0, 0.012)));
     let last = step(&mut r, 2);
     assert_eq!((last.reset_counter, last.map), (before.reset_counter, before.map), "it is scaled after this frame");
     // Three metres to a unit: the next pose is in metres, in another map, by one reset.
@@ -301,7 +301,7 @@ fn a_map_becomes_metric_at_once_and_later_refinements_leave_the_smooth_pose() {
     assert!((world(&metric) - 9.0 * pixel).abs() < 0.01 && (odom(&metric) - 9.0 * pixel).abs() < 0.01, "{metric:?}");
     assert!((metric.linear_velocity.x - 3.0 * pixel / 0.033).abs() < 0.3, "{}", metric.linear_velocity);
     // Ten per cent more: map coordinates move, with their revision; the smooth pose goes on.
-    r.add_scale(&word(1.1_f64.ln()));
+    r.add_scale(&word(ScaleSource::Wheels, 1.1, 0.012));
     let (wait, refined) = (step(&mut r, 4), step(&mut r, 5));
     assert_eq!((refined.reset_counter, refined.map), (metric.reset_counter, metric.map));
     assert_eq!(refined.map_revision, wait.map_revision + 1);
@@ -321,12 +321,9 @@ fn a_map_becomes_metric_at_once_and_later_refinements_leave_the_smooth_pose() {
     assert!(numbers.is_sorted_by(|a, b| a < b), "{numbers:?}");
 }
 
-#[test]
-fn metres_behind_turns_in_a_row_leave_what_was_metric_as_long_as_it_is_and_what_lies_between_doubted() {
+/// Keyframes before the wall, half a unit apart behind a turn at the one at 1 and another at the one at 2; the newest is tracked.
+fn behind_two_turns() -> (Reconstruction, [KeyframeId; 6]) {
     let mut r = before_the_wall(Se3::identity());
-    let sources = ScaleSources::default().with(ScaleSource::Height);
-    r.active.fusion = ScaleFusion::of_stored(MapScale::Metric { sigma: 0.01, sources });
-    // It turns at keyframe 1 and again at keyframe 3: each time half a unit is a keyframe's step from there.
     let at = |x: f64| Se3::new(UnitQuaternion::identity(), Vector3::x() * -x);
     let ActiveMap { map, scale, .. } = &mut r.active;
     let [one, two, three, four, five] =
@@ -336,19 +333,58 @@ fn metres_behind_turns_in_a_row_leave_what_was_metric_as_long_as_it_is_and_what_
     let second = scale.add(map, three, first, true);
     [four, five].into_iter().for_each(|id| map.set_scale_origin(id, second));
     (r.active.reference, r.active.odometry) = (five, Odometry::begin(0, at(3.0)));
-    let doubted = |r: &Reconstruction| matches!(r.scale(), MapScale::Metric { sigma, .. } if sigma > 0.5);
-    assert!(doubted(&r));
-    let word = ScaleMeasurement { source: ScaleSource::Height, log_metres_per_unit: 2.0_f64.ln(), sigma: 0.01 };
-    r.hear_at(five, &word, 0.0);
+    (r, [KeyframeId(0), one, two, three, four, five])
+}
+
+/// Where they are, and the turns that their scale came through.
+fn places(r: &Reconstruction, ids: &[KeyframeId; 6]) -> ([f64; 6], [Option<u16>; 6]) {
+    let keyframe = |id: KeyframeId| r.active.map.keyframe(id).expect("it is there");
+    (ids.map(|id| keyframe(id).centre().x), ids.map(|id| keyframe(id).scale_from.map(|turn| turn.0)))
+}
+
+fn near(found: &[f64; 6], expected: &[f64; 6]) -> bool {
+    found.iter().zip(expected).all(|(x, y)| (x - y).abs() < 1e-9)
+}
+
+#[test]
+fn metres_behind_turns_in_a_row_leave_what_was_metric_as_long_as_it_is_and_what_lies_between_doubted() {
+    let (mut r, ids) = behind_two_turns();
+    let sources = ScaleSources::default().with(ScaleSource::Height);
+    r.active.fusion = ScaleFusion::of_stored(MapScale::Metric { sigma: 0.01, sources });
+    let sigma = |r: &Reconstruction| match r.scale() {
+        MapScale::Metric { sigma, .. } => sigma,
+        MapScale::Unknown => f64::NAN,
+    };
+    assert!(sigma(&r) > 0.5);
+    // The surest word of a frame is heard, whoever told it, and wherever a driver of wheels has spoken.
+    r.hear_at(ids[5], &word(ScaleSource::Height, 2.0, 0.01), 0.02);
+    r.hear_at(ids[5], &word(ScaleSource::Tag, 3.0, 0.03), 0.0);
     r.follow_scale(&frame(0, 0));
-    let place = |id: KeyframeId| r.active.map.keyframe(id).unwrap().centre().x;
-    let places = [KeyframeId(0), one, two, three, four, five].map(place);
-    let expected = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0];
-    assert!(places.iter().zip(expected).all(|(x, y)| (x - y).abs() < 1e-9), "{places:?}");
-    let parts = [KeyframeId(0), one, two, three, four, five].map(|id| r.active.map.keyframe(id).unwrap().scale_from);
-    assert_eq!(parts, [None, None, first, first, None, None]);
-    assert!(!doubted(&r) && r.active.scale.sigma_behind(first, false) > 0.4);
+    let (found, turns) = places(&r, &ids);
+    assert!(near(&found, &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0]), "{found:?}");
+    assert_eq!(turns, [None, None, Some(1), Some(1), None, None]);
+    assert!((sigma(&r) - 0.01_f64.hypot(0.02)).abs() < 1e-9, "what all heights share is in it: {}", sigma(&r));
+    assert!(r.active.scale.sigma_behind(Some(TurnId(1)), false) > 0.4);
     assert!((r.active.odometry.pose().unwrap().inverse().translation.x - 5.0).abs() < 1e-9);
+}
+
+#[test]
+fn the_first_metres_of_a_map_may_be_told_behind_turns_and_then_its_beginning_is_in_doubt() {
+    let (mut r, ids) = behind_two_turns();
+    // What was said of the beginning says nothing of the newest part.
+    r.hear_at(ids[0], &word(ScaleSource::Tag, 9.0, 0.08), 0.0);
+    r.hear_at(ids[5], &word(ScaleSource::Height, 2.0, 0.01), 0.0);
+    let resets = r.reset_counter();
+    r.follow_scale(&frame(0, 0));
+    assert_eq!(r.reset_counter(), resets + 1);
+    let (found, turns) = places(&r, &ids);
+    assert!(near(&found, &[0.0, 2.0, 3.0, 4.0, 5.0, 6.0]), "all are twice as long: {found:?}");
+    assert_eq!(turns, [Some(0), Some(0), Some(1), Some(1), None, None]);
+    let MapScale::Metric { sigma, sources } = r.scale() else { panic!("it is metric") };
+    assert!(sigma < 0.02 && sources == ScaleSources::default().with(ScaleSource::Height), "{sigma} {sources}");
+    // Back at the beginning it is not known.
+    r.active.reference = ids[0];
+    assert!(matches!(r.scale(), MapScale::Metric { sigma, .. } if sigma > 0.5));
 }
 
 #[test]
