@@ -160,8 +160,10 @@ impl ScaleFusion {
     /// does not make them surer.
     pub fn heard_behind_turn(&mut self, word: &ScaleMeasurement, common_sigma: f64) {
         let variance = word.sigma.powi(2) + common_variance(word.source, common_sigma);
+        let known = self.fused().map_or(variance, |(_, sigma, _)| sigma * sigma);
+        let wider = (variance / known).max(1.0);
         for word in self.words.iter_mut().flatten() {
-            word.variance = word.variance.max(variance - word.common_variance);
+            word.variance = wider * (word.variance + word.common_variance) - word.common_variance;
         }
     }
 
@@ -247,6 +249,9 @@ mod tests {
         assert!(before < 0.013 && (sigma(&fusion) - 0.03_f64.hypot(0.012)).abs() < 1e-9, "{before} {}", sigma(&fusion));
         fusion.heard_behind_turn(&word(ScaleSource::Height, 0.0, 0.01), 0.006);
         assert!(sigma(&fusion) > 0.03, "what was less sure before stays so");
+        fusion.add(&word(ScaleSource::Tag, 0.0, 0.01));
+        fusion.heard_behind_turn(&word(ScaleSource::Tag, 0.0, 0.04), 0.0);
+        assert!((sigma(&fusion) - 0.04).abs() < 1e-9, "whatever several have said elsewhere");
         fusion.heard_behind_turn(&word(ScaleSource::Height, 0.0, 0.01), 0.05);
         assert!((sigma(&fusion) - 0.01_f64.hypot(0.05)).abs() < 1e-9, "by a height that is known to 5 %");
     }

@@ -110,6 +110,11 @@ impl WheelScale {
         self.radius_sigma
     }
 
+    /// Standard deviation of what they tell of the map's scale, such an error left out.
+    pub fn sigma(&self) -> f64 {
+        self.solution.map_or(TOLD_SIGMA, |solution| solution.sigma)
+    }
+
     /// Takes a reading; `false` if it makes no sense.
     pub fn add_reading(&mut self, reading: &WheelReading) -> bool {
         let taken = self.history.add(reading);

@@ -70,7 +70,7 @@ impl ActiveMap {
     /// One that another run has left.
     pub fn of_another_run(saved: SavedMap) -> Self {
         let SavedMap { head: MapHead { id, reference, frames, scale, turns }, map } = saved;
-        let (scale, fusion) = (ScaleUncertainty::restored(&turns), ScaleFusion::of_stored(scale));
+        let (scale, fusion) = (ScaleUncertainty::restored(&turns, &map), ScaleFusion::of_stored(scale));
         Self { reference, frames, scale, fusion, ..Self::new(map, id) }
     }
 

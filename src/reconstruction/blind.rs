@@ -57,12 +57,12 @@ impl Reconstruction {
         Ahead::of(&self.wheels.scale, (last.timestamp_ns, timestamp_ns), self.metre()).filter(Ahead::is_believed)
     }
 
-    /// A metre of the wheels in the map: near one unit, as that is metric. Where its scale is in doubt behind a turn, this is not.
+    /// A metre of the wheels in the map: near one unit, as that is metric. Behind a turn the map's scale may be in doubt; how far the wheels went is not.
     fn metre(&self) -> Metre {
         let fusion = &self.active.fusion;
         match fusion.word(ScaleSource::Wheels) {
             // An error that all wheels share is in both.
-            Some(log) => Metre { units: (-log).exp(), sigma: 0.0 },
+            Some(log) => Metre { units: (-log).exp(), sigma: self.wheels.scale.sigma() },
             None => {
                 let of_map = fusion.fused().map_or(METRIC_SIGMA, |(_, sigma, _)| sigma);
                 Metre { units: 1.0, sigma: of_map.hypot(self.wheels.scale.radius_sigma()) }

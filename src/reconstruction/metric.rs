@@ -26,7 +26,7 @@ use crate::geometry::sim3::Sim3;
 use crate::map::scale::MapScale;
 use crate::map::{Correction, KeyframeId, MapId, TurnId};
 use crate::motion::hand_eye::Robot;
-use crate::motion::scale::{METRIC_SIGMA, SURER_SHARE, ScaleMeasurement};
+use crate::motion::scale::{METRIC_SIGMA, ScaleMeasurement};
 use crate::motion::wheel::WheelReading;
 
 impl Reconstruction {
@@ -81,8 +81,11 @@ impl Reconstruction {
             return;
         };
         let told = ToldBehind { turn, word: *word, common_sigma };
+        let ActiveMap { fusion, scale, .. } = &self.active;
+        let known = fusion.fused().filter(|_| fusion.is_metric());
+        let known = known.map_or(METRIC_SIGMA, |(_, sigma, _)| sigma.hypot(scale.sigma_behind(part, false)));
         let is_surer = self.told_behind.is_none_or(|other| other.turn != turn || told.sigma() < other.sigma());
-        if told.sigma() <= METRIC_SIGMA && is_surer {
+        if told.sigma() <= known.min(METRIC_SIGMA) && is_surer {
             self.told_behind = Some(told);
         }
     }
@@ -119,8 +122,9 @@ impl Reconstruction {
         let Some(beginning) = metric else {
             fusion.carry(of_beginning);
             fusion.add_sharing(&told.word, told.common_sigma);
-            if let Some(factor) = fusion.due() {
-                self.rescale(factor);
+            match fusion.due() {
+                Some(factor) => self.rescale(factor),
+                None => self.note_moved(before),
             }
             return;
         };
@@ -129,6 +133,11 @@ impl Reconstruction {
         fusion.heard_behind_turn(&told.word, told.common_sigma);
         self.change_unit(log.exp());
         self.active.fusion.rescale(log.exp());
+        self.note_moved(before);
+    }
+
+    /// The camera was at `before`, and parts of the map have moved.
+    fn note_moved(&mut self, before: Option<Se3<Camera, World>>) {
         if let Some((old, new)) = before.zip(self.active.odometry.pose()) {
             self.corrections.moved(&old, &new);
         }
@@ -179,10 +188,7 @@ impl Reconstruction {
         let word = carried.filter(|carried| carried.sigma < word.sigma).unwrap_or(word);
         self.hear_of(newest, &word, 0.0);
         let scale = &self.active.scale;
-        let is_surer = |part| {
-            let sigma = self.wheels.ratio(part, None).map_or(f64::INFINITY, |(_, sigma)| sigma);
-            !scale.is_enclosed(part) && sigma < SURER_SHARE * scale.sigma_behind(part, false)
-        };
+        let is_surer = |part| self.wheels.ratio(part, None).is_some_and(|(_, sigma)| scale.is_surer(part, sigma));
         if newest.is_none() && self.active.fusion.is_metric() && self.wheels.others().any(is_surer) {
             self.take_up_told();
         }
@@ -194,9 +200,7 @@ impl Reconstruction {
         let before = self.active.odometry.pose();
         let parts = self.active.scale.in_one_unit(&self.active.map, None, |part| self.wheels.ratio(part, None));
         self.move_parts(&parts);
-        if let Some((old, new)) = before.zip(self.active.odometry.pose()) {
-            self.corrections.moved(&old, &new);
-        }
+        self.note_moved(before);
     }
 
     /// The frame of this time, if it was tracked and its place has a scale of its own.
@@ -215,15 +219,17 @@ impl Reconstruction {
     }
 
     /// Parts of the map, and what was told of them, move and are named so.
-    fn move_parts(&mut self, parts: &Parts) {
+    pub(super) fn move_parts(&mut self, parts: &Parts) {
         let keyframes: Vec<_> =
             self.active.map.keyframes.iter().map(|(id, k)| (KeyframeId(id), k.scale_from)).collect();
         let moved = keyframes.iter().map(|(id, part)| (*id, parts.of(*part).motion)).collect();
+        self.active.scale.rename(parts);
         self.move_map(&Correction { keyframes: moved, younger: None });
         for (id, part) in keyframes {
             self.active.map.set_scale_origin(id, parts.of(part).name);
         }
-        self.active.scale.rename(parts);
+        // What was under way began from places that are no more.
+        self.active.unadjusted = self.active.map.newest();
         self.wheels.follow_parts(parts);
         if let Some(tags) = &mut self.tags {
             tags.follow_parts(|part| (parts.of(part).name, parts.of(part).motion));
@@ -236,9 +242,10 @@ impl Reconstruction {
     /// All that has a length of the present map becomes `factor` times as long.
     fn scale_lengths(&mut self, factor: f64) {
         let active = &mut self.active;
-        active.map.transform(&Sim3::new(factor, UnitQuaternion::identity(), Vector3::zeros()));
+        let motion = Sim3::new(factor, UnitQuaternion::identity(), Vector3::zeros());
+        active.map.transform(&motion);
         active.odometry.rescale(factor);
-        active.scale.rescale(factor);
+        active.scale.carry(&motion);
         active.unadjusted = active.map.newest();
         self.rescale_told(factor);
         self.wheels.rescale(factor);
@@ -279,7 +286,6 @@ impl Reconstruction {
         }
         let active = &mut self.active;
         active.fusion.rescale(factor);
-        let after = active.odometry.pose();
         if first {
             active.odometry.odom_from_camera.translation *= factor;
             let (map, into) = (active.id, active.next_id);
@@ -293,9 +299,7 @@ impl Reconstruction {
         } else {
             let keyframes = active.map.keyframes.iter().map(|(id, _)| KeyframeId(id));
             self.events.extend(keyframes.map(|keyframe| TrajectoryEvent::KeyframeScaled { keyframe, scale: factor }));
-            if let Some((old, new)) = before.zip(after) {
-                self.corrections.moved(&old, &new);
-            }
+            self.note_moved(before);
         }
         if let Some(floor) = &mut self.floor {
             floor.rescale(factor, self.active.id);

@@ -23,7 +23,7 @@ use crate::geometry::frames::{Camera, World};
 use crate::geometry::sim3::Sim3;
 use crate::map::saved::SavedTurn;
 use crate::map::{KeyframeId, Map, TurnId};
-use crate::motion::scale::ScaleMeasurement;
+use crate::motion::scale::{SURER_SHARE, ScaleMeasurement};
 use crate::motion::wheel_scale::{MOMENT_SIGMA, TOLD_SIGMA};
 
 /// Standard deviation of the length of a step that assumed distances tell, as a share of it. Behind ten simulated turns of 90 and 180
@@ -55,7 +55,7 @@ pub struct Part {
     sigma: f64,
     /// The part that it hangs on.
     on: Option<usize>,
-    /// So does one of those that all take the unit of.
+    /// Another part that has the unit hangs on it.
     is_enclosed: bool,
 }
 
@@ -106,10 +106,17 @@ impl ScaleUncertainty {
         self.turns.clone()
     }
 
-    /// What another run knew.
-    pub fn restored(saved: &[SavedTurn]) -> Self {
+    /// What another run knew of this map.
+    pub fn restored(saved: &[SavedTurn], map: &Map) -> Self {
         let mut own = Self::default();
         own.turns.extend(saved.iter().take(MAX_TURNS));
+        // A turn at a keyframe of a part that it does not tell any more joins that part a second time.
+        for (turn, id) in saved.iter().zip(names().skip(1)) {
+            let part = map.keyframe(turn.keyframe).and_then(|k| k.scale_from);
+            if part != id && part != turn.before {
+                own.enclosed.extend(part);
+            }
+        }
         own
     }
 
@@ -118,9 +125,22 @@ impl ScaleUncertainty {
         self.turns.get(usize::from(id.0)).is_some_and(|turn| turn.variance > MOMENT_SIGMA * MOMENT_SIGMA)
     }
 
-    /// A part lies between others that are as long as they should be, and cannot be made any longer.
+    /// A part, or one that it hangs on, lies between others that are as long as they should be, and cannot be made any longer.
     pub fn is_enclosed(&self, part: Option<TurnId>) -> bool {
-        part.is_some_and(|turn| self.enclosed.contains(&turn))
+        self.from(part).any(|(id, _)| self.enclosed.contains(&id))
+    }
+
+    /// Wheels tell the ratio of a part to the one that it hangs on, which has the unit of all, better than it was known: `sigma`.
+    pub fn is_surer(&self, part: Option<TurnId>, sigma: f64) -> bool {
+        let turn = part.and_then(|id| self.turns.get(usize::from(id.0))).filter(|turn| turn.before.is_none());
+        turn.is_some_and(|turn| sigma < SURER_SHARE * turn.variance.sqrt()) && !self.is_enclosed(part)
+    }
+
+    /// The turn of a part, that of the part which it hangs on, and so on.
+    fn from(&self, part: Option<TurnId>) -> impl Iterator<Item = (TurnId, &SavedTurn)> {
+        let turn = |id: TurnId| Some((id, self.turns.get(usize::from(id.0))?));
+        // There are no circles, so this ends; the bound only says so.
+        std::iter::successors(part.and_then(turn), move |(_, last)| last.before.and_then(turn)).take(MAX_TURNS)
     }
 
     /// A turn at `keyframe`, whose own scale came through `before`: what its next keyframes are to be marked with. `assumed`: so was the length of the
@@ -132,9 +152,19 @@ impl ScaleUncertainty {
             return before;
         }
         let variance = if assumed { SCALE_SIGMA } else { MOMENT_SIGMA }.powi(2);
+        let turn = SavedTurn { keyframe, centre, variance, before };
         if self.turns.len() < MAX_TURNS {
-            self.turns.push(SavedTurn { keyframe, centre, variance, before });
+            self.turns.push(turn);
             return u16::try_from(self.turns.len() - 1).ok().map(TurnId);
+        }
+        // One that tells no part's scale any more makes room.
+        let is_named = |id: Option<TurnId>| {
+            self.turns.iter().any(|turn| turn.before == id) || map.keyframes.iter().any(|(_, k)| k.scale_from == id)
+        };
+        if let Some(Some(free)) = names().skip(1).take(MAX_TURNS).find(|id| !is_named(*id)) {
+            self.turns[usize::from(free.0)] = turn;
+            self.enclosed.retain(|id| *id != free);
+            return Some(free);
         }
         let id = before.or(u16::try_from(MAX_TURNS - 1).ok().map(TurnId))?;
         self.turns.get_mut(usize::from(id.0))?.variance += variance;
@@ -179,15 +209,17 @@ impl ScaleUncertainty {
 
     /// What becomes of the parts of the map when they grow or shrink, about the turns that they hang at, to the unit of one of them: `ratio` is ln of how
     /// many of its units another's is long, and its standard deviation. A part of which that is known no better than from the one that it hangs on moves
-    /// with that one. The map's origin stays. Parts whose ratio is known to [`TOLD_SIGMA`] have the name of the map's beginning from then on; any other is named by
-    /// the turn between it and the part whose unit they take. Those between parts of that name move no more.
+    /// with that one. The map's origin stays. Parts whose ratio is known to [`TOLD_SIGMA`] have that unit from then on, and no turn's name; any other is
+    /// named by the turn between it and the one that it takes the unit of. Those between parts of one unit are enclosed.
     pub fn in_one_unit(
         &self,
         map: &Map,
         part: Option<TurnId>,
         ratio: impl Fn(Option<TurnId>) -> Option<(f64, f64)>,
     ) -> Parts {
-        let mut parts: Vec<Option<Part>> = vec![None; 1 + self.turns.len()];
+        // A file may name turns that there are none of.
+        let named = self.turns.iter().map(|turn| index(turn.before)).chain([index(part), self.turns.len()]);
+        let mut parts: Vec<Option<Part>> = vec![None; 1 + named.max().unwrap_or(0)];
         parts[index(part)] = Some(Part { sigma: 0.0, ..Part::resting(None) });
         // Each turn joins two parts and there are no circles: what hangs on a part that is told is told in the next round.
         let mut told = true;
@@ -223,14 +255,16 @@ impl ScaleUncertainty {
         Parts(parts)
     }
 
-    /// Parts have these names from now on, and are known so.
+    /// Parts have moved, have these names from now on, and are known so.
     pub fn rename(&mut self, parts: &Parts) {
         for (turn, id) in self.turns.iter_mut().zip(names().skip(1)) {
             let (behind, before) = (parts.of(id), parts.of(turn.before));
             // What is named by this turn came through it.
             let (from, to) = if before.name == id { (behind, before) } else { (before, behind) };
             turn.before = from.name;
-            turn.variance = turn.variance.min(to.sigma.powi(2));
+            turn.variance = turn.variance.min(from.sigma.powi(2) + to.sigma.powi(2));
+            // Where its keyframe is gone, too.
+            turn.centre = behind.motion.transform(&turn.centre);
         }
         let enclosed = parts.0.iter().filter(|part| part.is_enclosed);
         self.enclosed = enclosed.filter_map(|part| part.name).collect();
@@ -241,35 +275,21 @@ impl ScaleUncertainty {
         self.turns.iter_mut().for_each(|turn| turn.centre = motion.transform(&turn.centre));
     }
 
-    /// The map's lengths are `factor` times as long from now on.
-    pub fn rescale(&mut self, factor: f64) {
-        self.turns.iter_mut().for_each(|turn| turn.centre *= factor);
-    }
-
     /// Standard deviation of the scale that came through `last`, as a share, beside that of the map's beginning; `assuming`: of a step whose length is
     /// being assumed now.
     pub fn sigma_behind(&self, last: Option<TurnId>, assuming: bool) -> f64 {
-        let (mut variance, mut next) = (if assuming { SCALE_SIGMA.powi(2) } else { 0.0 }, last);
-        for _ in 0..=MAX_TURNS {
-            let Some(turn) = next.and_then(|id| self.turns.get(usize::from(id.0))) else { break };
-            variance += turn.variance;
-            next = turn.before;
-        }
-        variance.sqrt()
+        let step = if assuming { SCALE_SIGMA.powi(2) } else { 0.0 };
+        (step + self.from(last).map(|(_, turn)| turn.variance).sum::<f64>()).sqrt()
     }
 
     /// What to add to the translation's covariance (left perturbation, camera's axes, map units^2) of a pose that rests on scale
     /// that came through `last`.
     pub fn covariance(&self, map: &Map, last: TurnId, pose: &Se3<Camera, World>) -> Matrix3<f64> {
         let mut sum = Matrix3::zeros();
-        let mut next = Some(last);
-        // Each turn is older than the next, so this ends; the bound only says so.
-        for _ in 0..=MAX_TURNS {
-            let Some(turn) = next.and_then(|id| self.turns.get(usize::from(id.0))) else { break };
+        for (_, turn) in self.from(Some(last)) {
             let centre = map.keyframe(turn.keyframe).map_or(turn.centre, |k| k.centre());
             let way = pose.transform(&centre);
             sum += way * way.transpose() * turn.variance;
-            next = turn.before;
         }
         sum
     }
@@ -330,13 +350,18 @@ mod tests {
         doubt.rename(&parts);
         let sigma = |part| doubt.sigma_behind(part, false);
         assert_eq!((sigma(None), sigma(second)), (0.0, by_wheels));
-        assert!((sigma(first) - by_wheels.hypot(0.1)).abs() < 1e-12, "the beginning, as it was told");
+        // What was told of the beginning, by the newest, tells the step between it and the first part no better than both.
+        assert!((sigma(first).powi(2) - (2.0 * by_wheels.powi(2) + 0.1_f64.powi(2))).abs() < 1e-12);
         assert!((sigma(aside) - by_wheels.hypot(assumed)).abs() < 1e-12, "and what hangs at the first part");
         // The beginning, which is named by the first turn now, is told: what lies between is not, and can be made no longer without a gap.
         let surer = doubt.in_one_unit(&map, None, |part| (part == first).then_some((0.0, 0.02)));
         doubt.rename(&surer);
         assert_eq!([second, first, aside].map(|part| surer.of(part).name), [second, None, aside]);
-        assert_eq!([second, first, aside].map(|part| doubt.is_enclosed(part)), [true, false, false]);
+        assert_eq!([second, first, aside].map(|part| doubt.is_enclosed(part)), [true, false, true]);
+        // So it is for another run, which finds the turn at the other end of what lies between.
+        turns.iter().zip([second, None, aside]).for_each(|(id, part)| map.set_scale_origin(*id, part));
+        let restored = ScaleUncertainty::restored(&doubt.saved(), &map);
+        assert_eq!([second, first, aside].map(|part| restored.is_enclosed(part)), [true, false, true]);
         let torn = doubt.in_one_unit(&map, None, |part| (part == second).then_some((0.3, 0.01)));
         assert_eq!((torn.of(second).motion.scale, torn.of(second).name), (1.0, second));
     }

@@ -214,6 +214,7 @@ impl Reconstruction {
         active.is_placed |= goes_back && keeps_goals;
         // A unit that something has told stays; else it is the other's, whose own words then hold as they are.
         let takes_unit = goes_back && !knows_unit;
+        let scale_sigma = scale_sigma.hypot(if knows_unit { active.scale.sigma_behind(through, false) } else { 0.0 });
         match takes_unit {
             true => active.fusion.inherit(&other.fusion, 0.0, 0.0),
             // A length of one here is 1 / scale there.
@@ -226,6 +227,12 @@ impl Reconstruction {
             self.others.note_join(other.id, from, to);
         }
         active.map.absorb(other.map);
+        if !knows_unit && through.is_some() && active.fusion.fused().is_some() {
+            // What was said is of the other's unit, which is that of the part where it was recognised, and not of this map's beginning.
+            let parts = active.scale.in_one_unit(&active.map, through, |_| None);
+            self.move_parts(&parts);
+        }
+        let active = &mut self.active;
         // Two keyframes that were recognised vouch for the map.
         active.probation.end();
         self.contradiction.end();
