@@ -13,6 +13,10 @@
 //! (`v` of the left perturbation moves the centre by `-R' v` and turns nothing, so rotation has no part in it.) Once the anchor is a
 //! keyframe from before the turn, or one made while the robot was located by such, the sum is empty again.
 //!
+//! So the map consists of parts, each with a unit of its own, that hang together at turns. Where the scale of one is told, or the ratio of two, parts grow or
+//! shrink about their turns ([`ScaleUncertainty::in_one_unit`]); those that have one unit then have one name, and the scale of any other came through the turn
+//! between it and them, whichever was first.
+//!
 //! Cost: nothing until there is a turn, then a few ns a frame. Deliberately not here: that an adjustment, which ties both sides together
 //! when the robot sees both, makes the factor itself better known.
 
@@ -275,7 +279,7 @@ impl ScaleUncertainty {
         self.turns.iter_mut().for_each(|turn| turn.centre = motion.transform(&turn.centre));
     }
 
-    /// Standard deviation of the scale that came through `last`, as a share, beside that of the map's beginning; `assuming`: of a step whose length is
+    /// Standard deviation of the scale that came through `last`, as a share, beside that of the map's unit; `assuming`: of a step whose length is
     /// being assumed now.
     pub fn sigma_behind(&self, last: Option<TurnId>, assuming: bool) -> f64 {
         let step = if assuming { SCALE_SIGMA.powi(2) } else { 0.0 };

@@ -10,7 +10,7 @@ use super::backend::Access;
 use super::error::{FORMAT, Fault, StoreError};
 use super::front::Front;
 use super::layout::{HeaderOf, HeaderRecord, MOST_IDS, Raw, encode_keyframe, encode_landmarks};
-use super::naming::{folder_of, give_name, inode, is_at, lock, nameless, renewed};
+use super::naming::{folder_of, give_name, inode, is_at, lock, lock_soon, nameless, renewed};
 use super::picture;
 use super::records::{Kind, Records, Tally};
 use crate::map::Keyframe;
@@ -162,7 +162,7 @@ impl MapFile {
     pub fn open(path: &Path) -> Result<(Self, Contents), StoreError> {
         let open = || {
             let file = OpenOptions::new().read(true).write(true).open(path).map_err(Fault::Read)?;
-            lock(file.try_lock())?;
+            lock_soon(&file)?;
             let (contents, tally, pages) = look(&file, Some(folder_of(path)))?;
             let keyframes = contents.saved.maps.iter().flat_map(|m| m.map.keyframes.iter());
             let stored = |k: &Keyframe| Stored { revision: k.picture.revision(), timestamp_ns: k.timestamp_ns };

@@ -4,6 +4,7 @@ use std::fs::{File, TryLockError};
 use std::io;
 use std::os::unix::fs::{FileExt, MetadataExt};
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 use super::error::{FORMAT, Fault};
 use super::front::Front;
@@ -15,6 +16,9 @@ pub(super) fn folder_of(path: &Path) -> &Path {
         _ => Path::new("."),
     }
 }
+
+/// Whoever reads a map file holds it for so long, but for one of a whole building.
+const READ_BY_OTHERS: Duration = Duration::from_secs(2);
 
 /// A file that is to have this name once it is whole: new, locked, and cleared away at a later start should this process be killed.
 pub(super) fn nameless(path: &Path) -> Result<(File, PathBuf), Fault> {
@@ -109,9 +113,37 @@ pub(super) fn lock(outcome: Result<(), TryLockError>) -> Result<(), Fault> {
     })
 }
 
+/// The same of a file that somebody may be reading at the moment, as `cairn map info` does: it is waited for a little.
+pub(super) fn lock_soon(file: &File) -> Result<(), Fault> {
+    let until = Instant::now() + READ_BY_OTHERS;
+    loop {
+        match lock(file.try_lock()) {
+            Err(Fault::Busy) if Instant::now() < until => std::thread::sleep(Duration::from_millis(20)),
+            outcome => return outcome,
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_file_that_somebody_reads_is_waited_for_and_one_that_is_held_is_not_for_long() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.map");
+        std::fs::write(&path, "a map").unwrap();
+        let [reader, own, other] = [(); 3].map(|()| File::open(&path).unwrap());
+        reader.try_lock_shared().unwrap();
+        let reading = std::thread::spawn(move || {
+            std::thread::sleep(Duration::from_millis(200));
+            drop(reader);
+        });
+        lock_soon(&own).unwrap();
+        reading.join().unwrap();
+        let began = Instant::now();
+        assert!(matches!(lock_soon(&other), Err(Fault::Busy)) && began.elapsed() >= READ_BY_OTHERS);
+    }
 
     #[test]
     fn where_a_file_cannot_be_renamed_without_replacing_it_is_linked() {
