@@ -110,9 +110,9 @@ impl WheelScale {
         self.radius_sigma
     }
 
-    /// Standard deviation of what they tell of the map's scale, such an error left out.
+    /// Standard deviation of what they have told of the map's scale, such an error left out.
     pub fn sigma(&self) -> f64 {
-        self.solution.map_or(TOLD_SIGMA, |solution| solution.sigma)
+        self.solution.map_or(TOLD_SIGMA, |solution| solution.sigma.min(TOLD_SIGMA))
     }
 
     /// Takes a reading; `false` if it makes no sense.

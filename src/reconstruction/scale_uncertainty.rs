@@ -87,7 +87,7 @@ fn index(part: Option<TurnId>) -> usize {
 
 /// Of all parts that a map may have, in their order.
 fn names() -> impl Iterator<Item = Option<TurnId>> {
-    std::iter::once(None).chain((0..).map(|id| Some(TurnId(id))))
+    std::iter::once(None).chain((0..=u16::MAX).map(|id| Some(TurnId(id))))
 }
 
 /// All turns of the present map whose next step had its length from assumed distances.
@@ -112,15 +112,17 @@ impl ScaleUncertainty {
 
     /// What another run knew of this map.
     pub fn restored(saved: &[SavedTurn], map: &Map) -> Self {
-        let mut own = Self::default();
+        let (mut own, mut enclosed) = (Self::default(), Vec::new());
         own.turns.extend(saved.iter().take(MAX_TURNS));
-        // A turn at a keyframe of a part that it does not tell any more joins that part a second time.
-        for (turn, id) in saved.iter().zip(names().skip(1)) {
-            let part = map.keyframe(turn.keyframe).and_then(|k| k.scale_from);
-            if part != id && part != turn.before {
-                own.enclosed.extend(part);
-            }
+        // A turn that tells no part's scale any more joins two parts a second time: what lies between them is enclosed.
+        for (turn, id) in own.turns.iter().zip(names().skip(1)) {
+            let Some(keyframe) = map.keyframe(turn.keyframe).filter(|_| !own.is_named(map, id)) else { continue };
+            let ends =
+                [keyframe.scale_from, turn.before].map(|end| own.from(end).map(|(id, _)| id).collect::<Vec<_>>());
+            let on_one_way = ends[0].iter().chain(&ends[1]).filter(|id| !ends.iter().all(|way| way.contains(id)));
+            enclosed.extend(on_one_way.copied());
         }
+        own.enclosed = enclosed;
         own
     }
 
@@ -138,6 +140,11 @@ impl ScaleUncertainty {
     pub fn is_surer(&self, part: Option<TurnId>, sigma: f64) -> bool {
         let turn = part.and_then(|id| self.turns.get(usize::from(id.0))).filter(|turn| turn.before.is_none());
         turn.is_some_and(|turn| sigma < SURER_SHARE * turn.variance.sqrt()) && !self.is_enclosed(part)
+    }
+
+    /// There is a part of this name.
+    fn is_named(&self, map: &Map, name: Option<TurnId>) -> bool {
+        self.turns.iter().any(|turn| turn.before == name) || map.keyframes.iter().any(|(_, k)| k.scale_from == name)
     }
 
     /// The turn of a part, that of the part which it hangs on, and so on.
@@ -162,10 +169,7 @@ impl ScaleUncertainty {
             return u16::try_from(self.turns.len() - 1).ok().map(TurnId);
         }
         // One that tells no part's scale any more makes room.
-        let is_named = |id: Option<TurnId>| {
-            self.turns.iter().any(|turn| turn.before == id) || map.keyframes.iter().any(|(_, k)| k.scale_from == id)
-        };
-        if let Some(Some(free)) = names().skip(1).take(MAX_TURNS).find(|id| !is_named(*id)) {
+        if let Some(Some(free)) = names().skip(1).take(MAX_TURNS).find(|id| !self.is_named(map, *id)) {
             self.turns[usize::from(free.0)] = turn;
             self.enclosed.retain(|id| *id != free);
             return Some(free);
@@ -236,14 +240,14 @@ impl ScaleUncertainty {
                     _ => continue,
                 };
                 let rigid = (at.motion.scale, at.sigma.hypot(turn.variance.sqrt()));
-                let told_surer = ratio(there).filter(|(_, sigma)| *sigma < rigid.1 && !self.is_enclosed(there));
+                let is_enclosed = there.is_some_and(|id| self.enclosed.contains(&id));
+                let told_surer = ratio(there).filter(|(_, sigma)| *sigma < rigid.1 && !is_enclosed);
                 let (scale, sigma) = told_surer.map_or(rigid, |(log, sigma)| (log.exp(), sigma));
                 let centre = map.keyframe(turn.keyframe).map_or(turn.centre, |k| k.centre());
                 let motion =
                     Sim3::new(scale, UnitQuaternion::identity(), at.motion.transform(&centre) - scale * centre);
                 let name = turn_id.filter(|_| sigma > TOLD_SIGMA);
-                parts[index(there)] =
-                    Some(Part { motion, name, sigma, on: Some(on), is_enclosed: self.is_enclosed(there) });
+                parts[index(there)] = Some(Part { motion, name, sigma, on: Some(on), is_enclosed });
                 let mut between = name.is_none().then_some(on);
                 while let Some(part) = between.and_then(|on| parts[on].as_mut()).filter(|part| part.name.is_some()) {
                     part.is_enclosed = true;
@@ -342,8 +346,9 @@ mod tests {
         let turns: Vec<KeyframeId> = (0..3).map(|_| map.add_keyframe(keyframe(None))).collect();
         let first = doubt.add(&map, turns[0], None, true);
         let second = doubt.add(&map, turns[1], first, false);
-        // A way that was left at the first part, and one behind the newest.
+        // A way that was left at the first part.
         let aside = doubt.add(&map, turns[2], first, true);
+        let doubted = doubt.saved();
         let told = |part: Option<TurnId>| part.is_none().then_some((2.0_f64.ln(), 0.1));
         let parts = doubt.in_one_unit(&map, second, told);
         let names = [second, first, None, aside].map(|part| parts.of(part).name);
@@ -366,6 +371,8 @@ mod tests {
         turns.iter().zip([second, None, aside]).for_each(|(id, part)| map.set_scale_origin(*id, part));
         let restored = ScaleUncertainty::restored(&doubt.saved(), &map);
         assert_eq!([second, first, aside].map(|part| restored.is_enclosed(part)), [true, false, true]);
+        let untouched = ScaleUncertainty::restored(&doubted, &map);
+        assert!([first, second, aside].iter().all(|part| !untouched.is_enclosed(*part)), "nothing was told of these");
         let torn = doubt.in_one_unit(&map, None, |part| (part == second).then_some((0.3, 0.01)));
         assert_eq!((torn.of(second).motion.scale, torn.of(second).name), (1.0, second));
     }

@@ -214,7 +214,9 @@ impl Reconstruction {
         active.is_placed |= goes_back && keeps_goals;
         // A unit that something has told stays; else it is the other's, whose own words then hold as they are.
         let takes_unit = goes_back && !knows_unit;
-        let scale_sigma = scale_sigma.hypot(if knows_unit { active.scale.sigma_behind(through, false) } else { 0.0 });
+        // What was measured is the ratio to the part where it was recognised; of a merged map more is doubted already.
+        let of_part = if knows_unit && !is_merged { active.scale.sigma_behind(through, false) } else { 0.0 };
+        let scale_sigma = scale_sigma.hypot(of_part);
         match takes_unit {
             true => active.fusion.inherit(&other.fusion, 0.0, 0.0),
             // A length of one here is 1 / scale there.
