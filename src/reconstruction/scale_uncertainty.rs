@@ -269,7 +269,8 @@ impl ScaleUncertainty {
             let (behind, before) = (parts.of(id), parts.of(turn.before));
             // What is named by this turn came through it.
             let (from, to) = if before.name == id { (behind, before) } else { (before, behind) };
-            turn.before = from.name;
+            // Where nothing is named by it, it tells that it leads to what has the unit.
+            turn.before = from.name.filter(|_| behind.name.is_some());
             turn.variance = turn.variance.min(from.sigma.powi(2) + to.sigma.powi(2));
             // Where its keyframe is gone, too.
             turn.centre = behind.motion.transform(&turn.centre);
