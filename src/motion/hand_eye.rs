@@ -115,18 +115,6 @@ impl Robot {
     pub fn step_of(&self, base: &Planar) -> Vector3<f64> {
         swing(base.yaw, &self.lever_m) + base.translation.push(0.0)
     }
-
-    /// Its variance, summed over the axes, m^2: by the wheels' noise, and by what is not known of their yaw rate and of the lever.
-    pub fn step_variance(&self, base: &Increment) -> f64 {
-        let Planar { translation, yaw } = base.motion;
-        let covariance = &base.covariance;
-        let swung = swing(yaw, &self.lever_m).xy() + self.lever_m;
-        let by_yaw = swung.norm_squared() * covariance[(2, 2)];
-        let by_factor = (0.5 * translation + swung).norm_squared() * (self.sigma[FACTOR - KNOTS] * yaw).powi(2);
-        let by_lever =
-            2.0 * (1.0 - yaw.cos()) * (self.sigma[LEVER - KNOTS].powi(2) + self.sigma[LEVER + 1 - KNOTS].powi(2));
-        (covariance[(0, 0)] + covariance[(1, 1)]).max(0.0) + by_yaw + by_factor + by_lever
-    }
 }
 
 /// `(Rz(yaw) - I) p`

@@ -171,8 +171,9 @@ impl Wheels {
         if self.scale.segments().iter().rev().take_while(|s| s.to_ns > from_ns).any(slipped) {
             return None;
         }
-        let (base, robot) = (self.scale.between(from_ns, to_ns)?, self.scale.robot());
-        let (length, sigma) = (robot.step_of(&base.motion).norm(), robot.step_variance(&base).sqrt());
+        let base = self.scale.between(from_ns, to_ns)?;
+        let length = self.scale.robot().step_of(&base.motion).norm();
+        let sigma = (base.covariance[(0, 0)] + base.covariance[(1, 1)]).max(0.0).sqrt();
         (length > MOVED_SIGMAS * sigma).then(|| (length / metres_per_unit, sigma / metres_per_unit))
     }
 
