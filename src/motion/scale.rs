@@ -20,7 +20,8 @@ const REFINE_LEAST: f64 = 0.001;
 /// No number of words makes a source better than this, whatever is said of the error that all its words share: a floor is no plane, and what
 /// poses have wrong alike does not average out (in eight drives of the simulator by the true height lengths were 1.5 % off, RMS). What tells by wheels or tags has it in its sigma already.
 const COMMON_SIGMA: [f64; 4] = [0.0, 0.012, 0.0, 0.0];
-/// The word of a source that told a stored scale, too, takes its place once its standard deviation is below this share of it.
+/// What is known anew takes the place of what was known before once its standard deviation is below this share of that: the word of a source that told a
+/// stored scale, too, and the ratio of a part behind a turn.
 pub const SURER_SHARE: f64 = 0.7;
 /// A word this many standard deviations from what its own source has said so far, several times, replaces that; fewer times it is left out.
 const CONTRADICTS: f64 = 5.0;

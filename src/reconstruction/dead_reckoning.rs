@@ -260,7 +260,7 @@ mod tests {
         Robot { sigma: [1e-4; 7], ..mounted }
     }
 
-    /// A curve of two seconds at 0.5 m/s and 0.6 rad/s, noisy or not.
+    /// Of a curve of two seconds at 0.5 m/s and 0.6 rad/s, noisy or not.
     fn readings(mut noise: impl FnMut() -> f64) -> Vec<WheelReading> {
         let reading = |i: i64| WheelReading {
             from_ns: i * 50_000_000,

@@ -90,8 +90,8 @@ impl Reconstruction {
         }
     }
 
-    /// The part of the map behind a turn has been told its scale, and one with it become all whose ratio to it is known; where the map's beginning is metric
-    /// it stays as long as it is.
+    /// The part of the map behind a turn has been told its scale, and one with it become all whose ratio to it is known; where the part that has
+    /// the map's unit is metric, that stays as long as it is.
     fn become_one_with(&mut self, told: &ToldBehind) {
         let newest = Some(told.turn);
         let ActiveMap { fusion, scale, .. } = &self.active;
