@@ -25,9 +25,13 @@
 //!
 //! Cost: 200 segments take about 2 ms. Not here: which motions make a segment, when a scale is believed.
 
+mod segment;
+
 use nalgebra::{Matrix3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
 
-use super::planar::{Increment, Planar, WheelHistory};
+use self::segment::Wheels;
+pub use self::segment::{Belief, Segment, Unit};
+use super::planar::{Planar, WheelHistory};
 use crate::geometry::least_squares::{LeastSquares, LmOptions, Loss, NormalEquations, minimise};
 use crate::geometry::{median, ros_from_optical};
 
@@ -123,87 +127,6 @@ fn swing(yaw: f64, p: &Vector2<f64>) -> Vector3<f64> {
     Vector3::new((c - 1.0) * p.x - s * p.y, s * p.x + (c - 1.0) * p.y, 0.0)
 }
 
-/// What the wheels say of a segment, near some yaw rate factor and time offset.
-#[derive(Debug, Clone, Copy)]
-struct Wheels {
-    near: (f64, f64),
-    increment: Increment,
-    /// Derivatives of x, y, yaw.
-    by_factor: Vector3<f64>,
-    by_offset: Vector3<f64>,
-}
-
-impl Wheels {
-    fn of(history: &WheelHistory, (from_ns, to_ns): (i64, i64), factor: f64, offset_s: f64) -> Option<Self> {
-        let at = |factor: f64, offset_s: f64| {
-            let offset_ns = (offset_s * 1e9).round() as i64;
-            history.integrate(from_ns.saturating_add(offset_ns), to_ns.saturating_add(offset_ns), factor)
-        };
-        let numbers = |i: &Increment| i.motion.translation.push(i.motion.yaw);
-        let increment = at(factor, offset_s)?;
-        let here = numbers(&increment);
-        let by_factor = (numbers(&at(factor + FACTOR_STEP, offset_s)?) - here) / FACTOR_STEP;
-        // The newest readings may not reach further: the other side will do.
-        let later = at(factor, offset_s + OFFSET_STEP_S).map(|i| (numbers(&i) - here) / OFFSET_STEP_S);
-        let earlier = || at(factor, offset_s - OFFSET_STEP_S).map(|i| (here - numbers(&i)) / OFFSET_STEP_S);
-        let by_offset = later.or_else(earlier)?;
-        Some(Self { near: (factor, offset_s), increment, by_factor, by_offset })
-    }
-
-    fn at(&self, factor: f64, offset_s: f64) -> Vector3<f64> {
-        let Planar { translation, yaw } = self.increment.motion;
-        translation.push(yaw) + self.by_factor * (factor - self.near.0) + self.by_offset * (offset_s - self.near.1)
-    }
-}
-
-/// Names a part of a map that has one unit of length; its scale drifts, and no more.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Unit(pub u32);
-
-/// The same motion, seen by the camera and by the wheels.
-#[derive(Debug, Clone, Copy)]
-pub struct Segment {
-    /// Clock of the pictures.
-    pub from_ns: i64,
-    pub to_ns: i64,
-    /// The camera's motion, start_from_end: axis times angle (rad), and translation (map units), in its axes at the start.
-    pub turn: Vector3<f64>,
-    pub step: Vector3<f64>,
-    /// Standard deviation of each axis of `step`, map units.
-    pub sigma: f64,
-    /// The way of the camera up to here since its map began, in mean depths of the scene.
-    pub at_depths: f64,
-    /// Part of the map whose lengths have one unit: behind a turn on the spot whose next step had an assumed length begins another.
-    pub unit: Unit,
-    wheels: Option<Wheels>,
-    /// By the last solution: the wheels contradict.
-    pub slips: bool,
-}
-
-impl Segment {
-    pub fn new(
-        (from_ns, to_ns): (i64, i64),
-        (turn, step): (Vector3<f64>, Vector3<f64>),
-        sigma: f64,
-        at_depths: f64,
-        unit: Unit,
-    ) -> Self {
-        Self { from_ns, to_ns, turn, step, sigma, at_depths, unit, wheels: None, slips: false }
-    }
-
-    /// What the wheels say, near what is known of the robot; stays as it was where the readings are gone. `false`: they say nothing.
-    pub fn weigh(&mut self, history: &WheelHistory, robot: &Robot) -> bool {
-        let renewed = Wheels::of(history, (self.from_ns, self.to_ns), robot.yaw_factor, robot.time_offset_s);
-        self.wheels = renewed.or(self.wheels);
-        self.wheels.is_some()
-    }
-
-    /// By the wheels, m; 0 where they say nothing.
-    pub fn way_m(&self) -> f64 {
-        self.wheels.map_or(0.0, |w| w.increment.way_m)
-    }
-}
-
 /// All unknowns.
 #[derive(Debug, Clone, Copy)]
 struct State {
@@ -221,25 +144,6 @@ pub struct OtherUnit {
     pub log_ratio: f64,
     pub sigma: f64,
     pub belief: Belief,
-}
-
-/// How much of the motion in a unit the wheels were believed in.
-#[derive(Debug, Clone, Copy)]
-pub struct Belief {
-    /// Share of the time in motion, and that time, s.
-    pub share: f64,
-    pub seconds: f64,
-}
-
-impl Belief {
-    /// `None`: nothing has moved.
-    fn of(segments: &[Segment], unit: Unit) -> Option<Self> {
-        let span = |s: &Segment| (s.to_ns - s.from_ns) as f64 * 1e-9;
-        let telling = |s: &&Segment| s.unit == unit && s.wheels.is_some() && s.step.norm() > TELLING * s.sigma;
-        let moving = || segments.iter().filter(telling);
-        let (all, seconds) = (moving().map(span).sum::<f64>(), moving().filter(|s| !s.slips).map(span).sum::<f64>());
-        (all > 0.0).then(|| Self { share: seconds / all, seconds })
-    }
 }
 
 /// What the segments tell.
@@ -563,7 +467,7 @@ fn finish(problem: &Problem<'_>, state: &State, segments: &[Segment], noise: f64
     let mut robot = state.robot;
     robot.sigma = std::array::from_fn(|i| covariance[(KNOTS + i, KNOTS + i)].max(0.0).sqrt());
     let (newest, others) = units(segments);
-    let belief = Belief::of(segments, newest)?;
+    let belief = Belief::of(segments, newest, &state.robot)?;
     let (log_scale, sigma) = (state.log_scale[KNOTS - 1], covariance[(KNOTS - 1, KNOTS - 1)].sqrt());
     let finite = log_scale.is_finite() && sigma.is_finite() && robot.sigma.iter().all(|s| s.is_finite());
     finite.then_some(Solution {
@@ -573,7 +477,12 @@ fn finish(problem: &Problem<'_>, state: &State, segments: &[Segment], noise: f64
         other_units: std::array::from_fn(|i| {
             let sigma = covariance[(RATIO + i, RATIO + i)].sqrt();
             let unit = others[i]?;
-            Some(OtherUnit { unit, log_ratio: state.log_ratio[i], sigma, belief: Belief::of(segments, unit)? })
+            Some(OtherUnit {
+                unit,
+                log_ratio: state.log_ratio[i],
+                sigma,
+                belief: Belief::of(segments, unit, &state.robot)?,
+            })
         }),
         robot,
         belief,

@@ -4,7 +4,7 @@
 //! they tell of the scale ([`ScaleMeasurement`]) and of the robot ([`Robot`]), and whether the wheels slipped in the newest segment.
 //!
 //! A scale is told once the camera and the wheels have agreed for `BELIEVED_S` of motion, longer than a wheel spins or skids in one go,
-//! and in `BELIEVED_SHARE` of the motion. Its sigma is the solution's beside that of an error common to both wheels, which one camera
+//! and `BELIEVED_TIMES` as long as they agree on any other. Its sigma is the solution's beside that of an error common to both wheels, which one camera
 //! and the wheels cannot see. The window is the newest `SEGMENTS` segments (140 s of driving and more): older ones are forgotten, for the scale of
 //! a monocular map drifts; within the window that drift is a part of the model ([`super::hand_eye`]). What is known of the robot outlasts a map.
 //!
@@ -24,10 +24,10 @@ pub const LONGEST_SEGMENT_NS: i64 = 3_000_000_000;
 const WAITS_NS: i64 = 2_000_000_000;
 /// Segments that are kept.
 const SEGMENTS: usize = 240;
-/// Motion in which wheels and camera agree before a scale is told, s, and its share of all motion. A wheel that spins does so for a second or
-/// four.
+/// Motion in which wheels and camera agree before a scale is told, s, and so many times as long as they tell any other one. A wheel that spins does so for a
+/// second or four.
 const BELIEVED_S: f64 = 6.0;
-const BELIEVED_SHARE: f64 = 0.6;
+const BELIEVED_TIMES: f64 = 1.5;
 /// Standard deviation up to which it is told, and up to which parts of a map whose ratio is known so have one unit.
 pub const TOLD_SIGMA: f64 = 0.03;
 /// Where camera and wheels agree so much worse than they should (variances), it is no noise that they disagree by: half of what is young is slip, and the
@@ -41,7 +41,7 @@ const NEXT_MAP: f64 = 2.0;
 pub const MOMENT_SIGMA: f64 = 0.2;
 
 fn is_enough(belief: &Belief) -> bool {
-    belief.seconds >= BELIEVED_S && belief.share >= BELIEVED_SHARE
+    belief.seconds >= BELIEVED_S && belief.seconds >= BELIEVED_TIMES * belief.rival_s
 }
 
 /// `[wheel]`: what is known of the base's wheels.
