@@ -97,19 +97,19 @@ fn wheels_that_slip_most_of_the_time_tell_nothing_and_a_short_drive_neither() {
 
 #[test]
 fn bursts_that_tell_no_scale_of_their_own_do_not_outweigh_what_agrees() {
-    // Of twenty seconds' segments the middle ones slip: each as much as another, or all alike.
+    // Of twenty seconds' segments more than four of ten slip, in the middle: by four different shares, or all alike.
     let told = |slip: &dyn Fn(usize) -> f64| {
         let mut drive = drive(12, |d| (d.seconds, d.drift) = (20.0, 0.0));
         let n = drive.segments.len();
-        for (i, segment) in drive.segments.iter_mut().enumerate().filter(|(i, _)| (n / 4..n - n / 4 - 1).contains(i)) {
+        for (i, segment) in drive.segments.iter_mut().enumerate().skip(3 * n / 10).take(43 * n / 100) {
             segment.step *= slip(i);
         }
         (after(&drive, Robot::unknown()).measurement(), drive.log_scale)
     };
     let (word, truth) = told(&|i| [0.45, 0.55, 0.65, 0.75][i % 4]);
-    let word = word.expect("half of the time at one scale, and no other as long");
+    let word = word.expect("most of the time at one scale, and at no other nearly as long");
     assert!((word.log_metres_per_unit - truth).abs() < 3.0 * word.sigma, "{word:?}, {truth}");
-    assert!(told(&|_| 0.6).0.is_none(), "two scales as long as each other");
+    assert!(told(&|_| 0.6).0.is_none(), "at another nearly as long");
 }
 
 #[test]
