@@ -69,7 +69,7 @@ impl Correspondence {
         Self { point, normalised, sqrt_information: pixel_scale * inv_sigma_px, ray: None }
     }
 
-    /// What it tells of a pose near `pose` when its point is uncertain itself: `e' W e`, `W = (s² I + J P J')⁻¹` with P the point's
+    /// What it tells of a pose near `pose` when its point is uncertain itself: `e' W e`, `W = (I + J P J')⁻¹` with P the point's
     /// covariance (world axes, map units²) and J the derivative of the residual by the point. The residual is whitened once, so everything
     /// that follows (loss, outliers, information) is in standard deviations of the innovation. Unchanged where P is not known.
     pub fn with_uncertain_point(self, pose: &Se3<Camera, World>, covariance: &Matrix3<f64>) -> Self {

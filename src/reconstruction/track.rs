@@ -2,11 +2,11 @@
 //!
 //! 1. *Prediction*: constant velocity, then corrected by the frame-to-frame tracks that are bound to landmarks (motion-only
 //!    optimisation): it follows any acceleration that the flow could follow.
-//! 2. *Search*: local landmarks are projected and aligned against keyframe templates ([`search`](super::search)).
+//! 2. *Search*: local landmarks are projected and aligned against keyframe templates ([`search`]).
 //! 3. *Optimisation*: robust, motion-only, over everything found, each place whitened by what is known of its landmark. Where that
 //!    is only a ray of most, as after a turn on the spot, it begins in several directions (`pose::minima`). In a quick turn tracks without depth hold the pose across their epipolar lines (`seed_rays`).
 //!    Immature landmarks must then agree with the mature ones (`maturity`).
-//! 4. If that rests on too few landmarks: once more with a wide, coarse-to-fine search from each other guess that there is.
+//! 4. If that fails or is not believed: again with a wide, coarse-to-fine search, from the prediction by flow and then from every guess.
 //!
 //! Everything reads the map and writes only its own buffers.
 
@@ -47,7 +47,7 @@ pub struct Tracked {
     pub sought: usize,
     /// The same of those that should look as they did.
     pub alike: [usize; 2],
-    /// Tracks of the frame before led there.
+    /// Found by the narrow search around the prediction by flow.
     pub by_flow: bool,
 }
 
@@ -57,7 +57,8 @@ impl Tracked {
         self.landmarks as f64 / self.sought.max(1) as f64
     }
 
-    /// Twice the landmarks that a frame with a good prediction needs, and enough of those looked for.
+    /// Enough where nothing else speaks for the pose: twice `min_landmarks`, a third of those looked for, and in a map that no frame of this run was tracked in
+    /// 60 % of those that should look as they did.
     pub fn speaks_for_itself(&self, frame: &Frame<'_>) -> bool {
         let [found, sought] = self.alike;
         // Not of those alone that should look as they did: from a wrong place most are seen from aside.
@@ -101,7 +102,7 @@ const LOCAL_ROOM: usize = 16_384;
 /// (`tests/places`). A place itself shows 0.85 to 0.98 in the median, on another day too, but 0.35 to 0.5 where a hand has moved quickly on.
 const SHARE_HERE: f64 = 1.0 / 3.0;
 const SHARE_ANYWHERE: f64 = 0.6;
-/// Bound tracks that a prediction by flow must rest on.
+/// Bound tracks and seeds that a prediction by flow must rest on.
 const MIN_FLOW: usize = 10;
 /// A pose that so many landmarks or tracks agree with needs no competitors.
 pub const PLENTY: usize = 30;
@@ -131,7 +132,7 @@ impl Default for Tracker {
 }
 
 impl Tracker {
-    /// Places a frame near a known pose. `guesses`: constant velocity, last pose, ..., the most likely first; what is not `believed` is as if it was not found.
+    /// Places a frame near a known pose. `guesses`: constant velocity, by the wheels, and the last pose at the end; what is not `believed` is as if it was not found.
     pub fn track(
         &mut self,
         frame: &Frame<'_>,
@@ -179,7 +180,7 @@ impl Tracker {
         if let Some(other) = other.filter(|other| other.landmarks > tracked.landmarks && believed(self, other)) {
             return other;
         }
-        // What is told is what was found last.
+        // Callers read the matches of the last search: they must be those of the pose that is returned.
         let again = self.refine(frame, pose, radius_px, 0);
         again.map_or(tracked, |again| Tracked { by_flow: true, ..again })
     }

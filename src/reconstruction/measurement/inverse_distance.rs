@@ -23,7 +23,8 @@ pub struct Ray {
 }
 
 impl Ray {
-    /// `None` for a landmark whose distance is told.
+    /// `None` for a landmark whose distance is told. The ray begins at the first keyframe that is left of those that saw it, wherever its distance was assumed
+    /// from: that is within its standard deviation.
     pub fn of(id: LandmarkId, map: &Map, readout_s: f64) -> Option<Self> {
         let landmark = map.landmark(id)?;
         let assumed = landmark.assumed?;
@@ -54,7 +55,7 @@ impl Ray {
     }
 }
 
-/// Whether so much of what a pose rests on is at assumed distances that only two views can tell its motion.
+/// More than two thirds of what a pose rests on is at assumed distances: the map hardly tells its position, and two views have to.
 pub fn mostly_assumed(assumed: usize, landmarks: usize) -> bool {
     3 * assumed > 2 * landmarks
 }

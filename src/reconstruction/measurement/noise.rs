@@ -1,8 +1,8 @@
 //! How exactly places are found in this camera's pictures, against what is supposed (`sigma_px`).
 //!
-//! What is supposed is right where a hand turns a webcam with a rolling shutter; sharp pictures show places up to four times more exactly: bundle
-//! adjustments leave 0.13 to 0.21 px of these, 0.36 to 0.52 px of those (robust standard deviations, medians of eleven recordings). A limit that is right
-//! for the latter lets corners pass as landmarks in the former that are none: where an edge crosses another one behind it, say. Three of four rooms of the
+//! What is supposed is right where a hand turns a webcam with a rolling shutter: bundle adjustments leave 0.36 to 0.52 px there, and 0.13 to 0.21 px in
+//! sharp pictures (robust standard deviations, medians of eleven recordings). In sharp pictures a limit that is right for the webcam lets corners pass as
+//! landmarks that are none: where an edge crosses another one behind it, say. Three of four rooms of the
 //! simulator's `desk_sweep` bent by it.
 //!
 //! In: what adjustments leave ([`AdjustmentResult::noise`](crate::reconstruction::adjust::job::AdjustmentResult)). Out: the limit beyond which a place is an
@@ -25,7 +25,7 @@ pub struct PlaceNoise {
 const BEYOND_FIT: f64 = 3.0;
 /// The smallest share that is believed: what is left of a fit does not show where all of it is off.
 const LEAST: f64 = 0.5;
-/// Adjustments that it is the mean of, the newest counting most: neighbouring ones have most observations in common.
+/// The newest adjustment weighs one over this in the mean, once there were so many: neighbouring ones have most observations in common.
 const ADJUSTMENTS: u32 = 5;
 
 impl Default for PlaceNoise {

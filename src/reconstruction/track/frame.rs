@@ -26,10 +26,10 @@ pub struct Frame<'a> {
     pub before: Option<(Se3<Camera, World>, f64)>,
     /// The map is the one that is tracked in, and a frame of this run was tracked in it, if not the one before: the camera is likely to be in it still.
     pub was_here: bool,
-    /// Motion that is expected (that of the frame before).
+    /// Motion that is expected: that of the frame before, else by the wheels.
     pub motion: Option<CameraMotion>,
     pub shutter: &'a Shutter,
-    /// Squared residual, in supposed standard deviations, beyond which a place is an outlier.
+    /// Squared residual, in units of `config.sigma_px`, beyond which a place is an outlier.
     pub outlier_chi2: f64,
 }
 
@@ -39,8 +39,8 @@ pub fn motion_since(frame: &Frame<'_>, pose: &Se3<Camera, World>) -> Option<Came
     Some(CameraMotion::over(&(*pose * before.inverse()), *dt))
 }
 
-/// What a place in the frame tells of a pose, given what is known of the landmark there: of any, if the landmark's distance is assumed and only its ray
-/// known, else of poses near `pose`. (Without what is known of landmarks two of 35 sequences lose a third of their frames, and a car's errors
+/// The pair, weighed by what is known of its landmark: of one at an assumed distance only the ray, and the distance is eliminated anew at every pose; else it
+/// is whitened once, with the landmark's covariance as it shows at `pose`. (Without what is known of landmarks two of 35 sequences lose a third of their frames, and a car's errors
 /// double.)
 pub fn measurement_of(
     frame: &Frame<'_>,

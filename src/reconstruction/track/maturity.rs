@@ -4,7 +4,7 @@
 //! each of them agrees with the pose, because together they bend it. Landmarks that were found in many frames did not move for
 //! that long: they are mature. So the pose is solved from them alone, and an immature landmark takes part only if it lies where that pose, with its own
 //! uncertainty, lets it lie. If those together still move the pose by more than its uncertainty, they lie there because they move
-//! together, and only those are left that agree without that allowance.
+//! together, and they are judged once more with that pose taken as exact.
 //!
 //! Input: the pairs of one frame (world point, undistorted observation), which of them are of mature landmarks, the solution over all and the
 //! options that it was made with. Output: the solution over the mature ones and the immature ones that agree. Test: chi-square of the

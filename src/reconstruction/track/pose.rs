@@ -1,7 +1,7 @@
 //! Pose of one frame from landmarks of known position, or on known rays (motion-only adjustment).
 //!
 //! Input: pairs of a world point and its undistorted observation. Output: `camera_from_world` that minimises
-//! `sum rho(|e|^2)`, `e = A (pi(T X) - n)` with Huber's rho (Triggs et al. 2000, section 4), A the standard deviations that a
+//! `sum rho(|e|^2)`, `e = A (pi(T X) - n)` with Huber's rho (in the first round Cauchy's; Triggs et al. 2000, section 4), A the standard deviations that a
 //! step on the plane z = 1 counts as ([`Correspondence::sqrt_information`]), outliers taken out between rounds by the chi-square limit and at the end by what the others make of those that decide a direction by themselves, and the 6x6
 //! information of the result. Levenberg-Marquardt (`least_squares`) on the left perturbation of [`Se3::perturb_left`]. Cost: about 80 ns a
 //! pair and step, more on a ray. Allocates nothing.

@@ -32,7 +32,7 @@ pub struct Match {
     pub inv_sigma_px: f64,
     /// Agreed with the pose in the end.
     pub inlier: bool,
-    /// A view from nearly here shows it.
+    /// A view from nearly the same direction shows it.
     pub is_alike: bool,
 }
 
@@ -68,7 +68,7 @@ pub struct Search {
     per_cell: Vec<u32>,
     /// Found in the last call of [`align`](Self::align), ascending landmark id.
     pub matches: Vec<Match>,
-    /// Looked for but not found in the last call.
+    /// Looked for but not found in the last call, or should be in the picture and no view is near enough to look for it by.
     pub missed: Vec<LandmarkId>,
     /// How many of these should look as they did.
     pub missed_alike: usize,
@@ -101,8 +101,8 @@ impl Default for Search {
 }
 
 impl Search {
-    /// Projects `local` at `pose` and keeps up to `limit` visible ones, spread over the picture. There is nothing to look for where all that shows a
-    /// landmark is elsewhere: it takes no other's place, and is not missed.
+    /// Projects `local` at `pose` and keeps up to `limit` visible ones, spread over the picture. Landmarks of which no
+    /// picture in memory holds a patch are left out: they take no other's place, and are not missed.
     pub fn select(
         &mut self,
         map: &Map,
@@ -256,7 +256,7 @@ fn closest_view<'a>(map: &'a Map, centre: &Vector3<f64>, candidate: &Candidate) 
         let other = candidate.point - keyframe.centre();
         let other_depth = other.norm();
         let cosine = ray.dot(&other) / (depth * other_depth).max(1e-12);
-        // Angle first; a scale change of two costs as much as a turn by 25 degrees.
+        // Detail first, then the angle; a scale change of two costs as much as a turn by 25 degrees.
         let levels = (depth / other_depth.max(1e-12)).log2();
         let closeness = cosine - 0.1 * levels.abs();
         // What was seen from nearer is cut from a coarser level, which not every picture has.

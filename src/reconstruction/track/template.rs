@@ -36,7 +36,8 @@ pub fn observe(
 /// How a patch is looked for.
 #[derive(Debug, Clone, Copy)]
 pub struct SearchOptions {
-    /// Found positions farther from the prediction are refused, level-0 px.
+    /// Found positions farther from the prediction are refused, px of the level that they were found on. (Alignment ends some px from where it began all the
+    /// same: in a narrow search that decides.)
     pub radius_px: f64,
     /// Pyramid levels above the landmark's own at which alignment starts: 0 for a good prediction, 2 or 3 for a poor one.
     pub coarse_levels: usize,
@@ -108,7 +109,7 @@ pub fn align_template(
                 position = base_from_level(level, aligned.position);
                 found_level = Some(level);
             }
-            // A coarse level may lack texture; the finest decides.
+            // A coarse level may lack texture.
             _ if level > own => {}
             _ => break,
         }

@@ -13,7 +13,7 @@ use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 use crate::reconstruction::measurement::{Correspondence, accumulate, residual};
 
-/// Pairs that the others may contradict in one frame. What moves past a robot shows more of them, and then `maturity` decides.
+/// Pairs that the others may contradict in one solution. What moves past a robot shows more of them, and then `maturity` decides.
 const MAX_REMOVED: usize = 8;
 /// A pair has leverage from this many times the mean share of the pose that pairs decide (Hoaglin, Welsch 1978).
 const HIGH_LEVERAGE: f64 = 2.0;

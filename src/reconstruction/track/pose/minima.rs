@@ -6,7 +6,7 @@
 //! hill in between. So a descent is begun in every direction, as far from where the rays were seen as the camera has come, and the lowest end is taken.
 //!
 //! Kept by ablation: of the quarter metres in 16 drives around a square (45 s each) 3.1 % lead 10 degrees up or down without it and with distances
-//! eliminated once a solution, 0.6 % so. Cost: seven short descents, some 2 ms, a solution (of which a frame takes two) after a turn on the spot.
+//! eliminated once a solution, 0.6 % so. Cost: seven short descents, some 2 ms, a solution (of which a search takes one to three) after a turn on the spot.
 
 use nalgebra::Vector3;
 
@@ -18,8 +18,8 @@ use crate::reconstruction::measurement::Correspondence;
 /// A way shorter than this share of the distance assumed (mean of the inverses) says next to nothing of where it leads.
 const SHORTEST_WAY: f64 = 0.01;
 
-/// The end of a short descent that costs least (of one whose turn is known to some pixels: distances are eliminated to first order), from `start` and from as far away in other directions; `start` itself where the camera has not come far
-/// from where the rays were seen. `inlier` is overwritten.
+/// The cheapest end of short descents from `start` and from six places that are as far from where the rays were seen, ahead, aside and so on as the camera looks;
+/// `start` itself where that is near. Its rotation has to be right to some pixels: distances are eliminated to first order. `inlier` is overwritten.
 pub fn lowest_minimum(
     start: &Se3<Camera, World>,
     pairs: &[Correspondence],
