@@ -12,7 +12,7 @@
 //! units: in a part of the map that has another unit than the newest, r_u is added to l
 //! ```
 //!
-//! Behind a turn on the spot whose next step had an assumed length a map goes on in another unit ([`Unit`]): no drift makes such a jump. Each
+//! Behind a turn on the spot whose next step had a length that was assumed, or told by wheels in a moment, a map goes on in another unit ([`Unit`]): no drift makes such a jump. Each
 //! unit's ratio is an unknown of its own, and what is known of the robot is known in all of them.
 //!
 //! (Hand-eye calibration with planar motion: Guo, Mirzaei, Roumeliotis 2012 and Heng, Li, Pollefeys 2013 for the mount, Censi et al. 2013 for

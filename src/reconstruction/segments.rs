@@ -178,7 +178,8 @@ impl Wheels {
     }
 
     /// The same in metres, an error common to both wheels taken out as far as other sources tell it: what a metric map is held to. Only of a
-    /// time that a segment beyond it has judged: held at once, the map bends to wheels that slip, and then they agree.
+    /// time before the end of the newest segment, which have judged it but for frames that were not tracked and turns on the spot: held at once, the map bends
+    /// to wheels that slip, and then they agree.
     pub fn held(&self, fusion: &ScaleFusion, from_ns: i64, to_ns: i64) -> Option<(f64, f64)> {
         let judged_ns = self.scale.segments().last()?.to_ns;
         if to_ns > judged_ns {

@@ -55,7 +55,8 @@ pub struct Segment {
     pub sigma: f64,
     /// The way of the camera up to here since its map began, in mean depths of the scene.
     pub at_depths: f64,
-    /// Part of the map whose lengths have one unit: behind a turn on the spot whose next step had an assumed length begins another.
+    /// Part of the map whose lengths have one unit: behind a turn on the spot whose next step had a length that was assumed, or told by
+    /// wheels in a moment, begins another.
     pub unit: Unit,
     pub(super) wheels: Option<Wheels>,
     /// By the last solution: the wheels contradict.
