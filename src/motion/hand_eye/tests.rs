@@ -93,3 +93,27 @@ fn the_lever_moves_the_camera_of_a_base_that_turns_on_the_spot() {
     let step = robot.step_of(&on_the_spot);
     assert!((step - Vector3::new(-0.3, 0.3, 0.0)).norm() < 1e-12, "{step}");
 }
+
+#[test]
+fn bursts_are_a_rival_as_far_as_they_tell_one_scale() {
+    let case = drive(12, |d| (d.noise, d.seconds, d.drift) = (0.0, 20.0, 0.0));
+    let believed = |shares: &[f64]| {
+        let mut segments = case.segments.clone();
+        for (i, s) in segments.iter_mut().enumerate() {
+            assert!(s.weigh(&case.history, &case.truth));
+            if (8..20).contains(&i) {
+                s.slips = true;
+                s.step *= shares[i % shares.len()];
+            }
+        }
+        let length = |s: &Segment| (s.to_ns - s.from_ns) as f64 * 1e-9;
+        let [slipped, all]: [f64; 2] = [&segments[8..20], &segments[..]].map(|s| s.iter().map(length).sum());
+        let belief = Belief::of(&segments, Unit::default(), &case.truth).expect("motion");
+        assert!((belief.seconds - (all - slipped)).abs() < 1e-9, "{belief:?}");
+        assert!(Belief::of(&segments, Unit(9), &case.truth).is_none(), "nothing has moved there");
+        belief.rival_s / slipped
+    };
+    assert!((believed(&[0.6]) - 1.0).abs() < 1e-9, "all alike");
+    let of_four = believed(&[0.45, 0.55, 0.65, 0.75]);
+    assert!((0.2..0.3).contains(&of_four), "each a quarter: {of_four}");
+}

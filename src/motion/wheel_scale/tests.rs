@@ -96,21 +96,11 @@ fn wheels_that_slip_most_of_the_time_tell_nothing_and_a_short_drive_neither() {
 }
 
 #[test]
-fn bursts_that_tell_no_scale_of_their_own_do_not_outweigh_what_agrees() {
-    // Of twenty seconds' segments more than four of ten slip, in the middle: by four different shares, or all alike.
-    let told = |slip: &dyn Fn(usize) -> f64| {
-        // Both are better than supposed, or that nearly half of the motion contradicts would pass for noise.
-        let mut drive = drive(12, |d| (d.seconds, d.drift, d.noise) = (20.0, 0.0, 0.3));
-        let n = drive.segments.len();
-        for (i, segment) in drive.segments.iter_mut().enumerate().skip(3 * n / 10).take(43 * n / 100) {
-            segment.step *= slip(i);
-        }
-        (after(&drive, Robot::unknown()).measurement(), drive.log_scale)
-    };
-    let (word, truth) = told(&|i| [0.45, 0.55, 0.65, 0.75][i % 4]);
-    let word = word.expect("most of the time at one scale, and at no other nearly as long");
-    assert!((word.log_metres_per_unit - truth).abs() < 3.0 * word.sigma, "{word:?}, {truth}");
-    assert!(told(&|_| 0.6).0.is_none(), "at another nearly as long");
+fn wheels_are_believed_by_how_long_they_agree_beside_any_other_scale() {
+    let is_enough = |seconds, rival_s| is_enough(&Belief { seconds, rival_s });
+    assert!(is_enough(6.7, 3.3) && is_enough(6.7, 0.0), "more than a burst, and half as long again as another");
+    assert!(!is_enough(5.9, 0.0), "a wheel may spin as long");
+    assert!(!is_enough(8.0, 6.0), "two scales nearly as long as each other");
 }
 
 #[test]
