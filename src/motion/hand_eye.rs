@@ -25,20 +25,21 @@
 //!
 //! Cost: 200 segments take about 2 ms. Not here: which motions make a segment, when a scale is believed.
 
+mod robot;
 mod segment;
 
 use nalgebra::{Matrix3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
 
-use self::segment::Wheels;
+use self::robot::swing;
+pub use self::robot::{ROBOT, Robot};
 pub use self::segment::{Belief, Segment, Unit};
+use self::segment::{SLIP_SHARE, TELLING, Wheels};
 use super::planar::{Planar, WheelHistory};
 use crate::geometry::least_squares::{LeastSquares, LmOptions, Loss, NormalEquations, minimise};
-use crate::geometry::{median, ros_from_optical};
+use crate::geometry::median;
 
 /// Places along the way at which the scale is an unknown of its own.
 pub const KNOTS: usize = 6;
-/// Unknowns of the robot: rotation about forward, left and up, lever x and y, yaw rate factor, time offset.
-pub const ROBOT: usize = 7;
 /// Units beside the newest one whose ratio to it is found; segments of older ones are left out.
 const OTHERS: usize = 3;
 const UNKNOWNS: usize = KNOTS + ROBOT + OTHERS;
@@ -60,72 +61,14 @@ pub const UPWARDS_SHARE: f64 = 0.01;
 /// Scale of Cauchy's loss, standard deviations of a residual of three numbers; and beyond which a segment contradicts.
 const CAUCHY: f64 = 3.0;
 const CONTRADICTS: f64 = 4.5;
-/// A segment whose ways differ by less than this is no slip, whatever its residual.
-const SLIP_SHARE: f64 = 0.06;
 /// Median of chi squared with three degrees of freedom.
 const CHI2_3D_MEDIAN: f64 = 2.366;
 /// The noise level is taken from the residuals within these bounds (variances, as a factor on what is expected).
 const NOISE: (f64, f64) = (0.1, 16.0);
 /// Passes with the loss, each at wheels and weights renewed.
 const PASSES: usize = 3;
-/// Below this a segment tells no direction, rad of turn; of the step, as a share of its standard deviation.
+/// Below this a segment tells no direction, rad of turn.
 const STRAIGHT_RAD: f64 = 0.08;
-const TELLING: f64 = 10.0;
-/// Steps of the numeric derivatives by factor and offset.
-const FACTOR_STEP: f64 = 1e-3;
-const OFFSET_STEP_S: f64 = 2e-3;
-
-/// What is known of the robot, or taken for known.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Robot {
-    /// Camera's axes (optical) to the base's (REP-103).
-    pub base_from_camera: UnitQuaternion<f64>,
-    /// The camera before and left of the base's origin, m.
-    pub lever_m: Vector2<f64>,
-    /// True yaw rate over the wheels'.
-    pub yaw_factor: f64,
-    /// What is added to the time of a picture for that of the wheels, s.
-    pub time_offset_s: f64,
-    /// Standard deviations: rotation about the base's forward, left and up (rad), lever (m), factor, offset (s).
-    pub sigma: [f64; ROBOT],
-}
-
-impl Robot {
-    /// Nothing is known but that a camera more likely looks forward than anywhere else.
-    pub fn unknown() -> Self {
-        Self {
-            base_from_camera: ros_from_optical(),
-            lever_m: Vector2::zeros(),
-            yaw_factor: 1.0,
-            time_offset_s: 0.0,
-            sigma: [2.0, 2.0, 2.0, 1.0, 1.0, 0.05, 0.05],
-        }
-    }
-
-    /// The mount is given.
-    pub fn mounted(base_from_camera: UnitQuaternion<f64>, lever_m: Vector2<f64>) -> Self {
-        let given = [1e-4, 1e-4, 1e-4, 1e-4, 1e-4];
-        let mut robot = Self { base_from_camera, lever_m, ..Self::unknown() };
-        robot.sigma[..5].copy_from_slice(&given);
-        robot
-    }
-
-    /// The camera's mount was found to a radian's fraction.
-    fn knows_rotation(&self) -> bool {
-        self.sigma[..3].iter().all(|s| *s < 0.2)
-    }
-
-    /// The camera's motion that a base's motion makes, in the base's axes, m.
-    pub fn step_of(&self, base: &Planar) -> Vector3<f64> {
-        swing(base.yaw, &self.lever_m) + base.translation.push(0.0)
-    }
-}
-
-/// `(Rz(yaw) - I) p`
-fn swing(yaw: f64, p: &Vector2<f64>) -> Vector3<f64> {
-    let (s, c) = yaw.sin_cos();
-    Vector3::new((c - 1.0) * p.x - s * p.y, s * p.x + (c - 1.0) * p.y, 0.0)
-}
 
 /// All unknowns.
 #[derive(Debug, Clone, Copy)]

@@ -2,8 +2,16 @@
 
 use nalgebra::Vector3;
 
-use super::{FACTOR_STEP, OFFSET_STEP_S, Robot, SLIP_SHARE, TELLING};
+use super::robot::Robot;
 use crate::motion::planar::{Increment, Planar, WheelHistory};
+
+/// A segment whose ways differ by less than this is no slip, whatever its residual.
+pub(super) const SLIP_SHARE: f64 = 0.06;
+/// A step below so many of its standard deviations tells nothing.
+pub(super) const TELLING: f64 = 10.0;
+/// Steps of the numeric derivatives by factor and offset.
+const FACTOR_STEP: f64 = 1e-3;
+const OFFSET_STEP_S: f64 = 2e-3;
 
 /// What the wheels say of a segment, near some yaw rate factor and time offset.
 #[derive(Debug, Clone, Copy)]
