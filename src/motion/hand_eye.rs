@@ -28,7 +28,7 @@
 mod robot;
 mod segment;
 
-use nalgebra::{Matrix3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Matrix3, SMatrix, SVector, UnitQuaternion, Vector3};
 
 use self::robot::swing;
 pub use self::robot::{ROBOT, Robot};

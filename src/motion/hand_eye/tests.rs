@@ -1,3 +1,5 @@
+use nalgebra::Vector2;
+
 use super::super::synthetic::{Drive, drive};
 use super::*;
 use crate::geometry::random::Random;
