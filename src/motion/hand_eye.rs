@@ -12,8 +12,8 @@
 //! units: in a part of the map that has another unit than the newest, r_u is added to l
 //! ```
 //!
-//! Behind a turn on the spot whose next step had a length that was assumed, or told by wheels in a moment, a map goes on in another unit ([`Unit`]): no drift makes such a jump. Each
-//! unit's ratio is an unknown of its own, and what is known of the robot is known in all of them.
+//! Behind a turn on the spot whose next step had a length that was assumed, or told by wheels in a moment, a map goes on in another unit ([`Unit`]): no drift
+//! makes such a jump. Each unit's ratio is an unknown of its own, and what is known of the robot is known in all of them.
 //!
 //! (Hand-eye calibration with planar motion: Guo, Mirzaei, Roumeliotis 2012 and Heng, Li, Pollefeys 2013 for the mount, Censi et al. 2013 for
 //! factor and trust.) Straight driving tells yaw and pitch of the camera, turning tells roll and pitch, yaw rate factor and lever; what the motions
@@ -34,7 +34,7 @@ use self::robot::swing;
 pub use self::robot::{ROBOT, Robot};
 pub use self::segment::{Belief, Segment, Unit};
 use self::segment::{SLIP_SHARE, TELLING, Wheels};
-use super::planar::{Planar, WheelHistory};
+use super::planar::WheelHistory;
 use crate::geometry::least_squares::{LeastSquares, LmOptions, Loss, NormalEquations, minimise};
 use crate::geometry::median;
 
@@ -279,11 +279,10 @@ impl LeastSquares for Problem<'_> {
 /// ratios (a burst of slip at the beginning may well be half of all).
 fn starts(segments: &[Segment], prior: &Robot) -> Option<[State; 3]> {
     let mut robot = *prior;
-    let told = || segments.iter().filter_map(|s| Some((s, s.wheels.as_ref()?.increment.motion)));
     if !prior.knows_rotation() {
         // Wahba's problem. A little of the prior says what no motion tells.
         let mut sum = 0.1 * prior.base_from_camera.to_rotation_matrix().into_inner();
-        for (s, base) in told() {
+        for (s, base) in segments.iter().filter_map(|s| Some((s, s.wheels.as_ref()?.increment.motion))) {
             if base.yaw.abs() < STRAIGHT_RAD && s.step.norm() > TELLING * s.sigma && base.translation.norm() > 1e-3 {
                 sum += base.translation.push(0.0).normalize() * s.step.normalize().transpose();
             }
@@ -297,13 +296,10 @@ fn starts(segments: &[Segment], prior: &Robot) -> Option<[State; 3]> {
         let rotation = nalgebra::Rotation3::from_matrix_unchecked(u * proper * v);
         robot.base_from_camera = UnitQuaternion::from_rotation_matrix(&rotation);
     }
-    let ratio = |(s, base): (&Segment, Planar)| {
-        let ratio = (robot.step_of(&base).norm() / s.step.norm()).ln();
-        (s.step.norm() > TELLING * s.sigma && ratio.is_finite()).then_some(ratio)
-    };
     let (newest, others) = units(segments);
     let quartile = |unit: Unit, quarter: usize| {
-        let mut ratios: Vec<f64> = told().filter(|(s, _)| s.unit == unit).filter_map(ratio).collect();
+        let ratio = |s: &Segment| s.log_metres_per_unit(&robot).filter(|log| log.is_finite());
+        let mut ratios: Vec<f64> = segments.iter().filter(|s| s.unit == unit).filter_map(ratio).collect();
         ratios.sort_unstable_by(f64::total_cmp);
         ratios.get(quarter * ratios.len() / 4).copied()
     };

@@ -89,41 +89,40 @@ impl Segment {
         self.wheels.is_some()
     }
 
+    /// ln of the metres that the wheels make of a map unit here; `None` where they say nothing, or the camera's step tells nothing.
+    pub(super) fn log_metres_per_unit(&self, robot: &Robot) -> Option<f64> {
+        let wheels = self.wheels.filter(|_| self.step.norm() > TELLING * self.sigma)?;
+        Some((robot.step_of(&wheels.increment.motion).norm() / self.step.norm()).ln())
+    }
+
     /// By the wheels, m; 0 where they say nothing.
     pub fn way_m(&self) -> f64 {
         self.wheels.map_or(0.0, |w| w.increment.way_m)
     }
 }
 
-/// How long the wheels and the camera agreed in a unit.
+/// How long the wheels and the camera agreed in a unit, and how long at the most on another scale.
 #[derive(Debug, Clone, Copy)]
 pub struct Belief {
-    /// Time in motion, s.
+    /// Time in motion in which they agreed, s.
     pub seconds: f64,
-    /// The longest time in which the wheels contradicted and yet told one scale, s: a wheel spins for some seconds, and not always as much.
+    /// The most time in which the wheels slipped and told one scale all the same, s: a wheel spins for some seconds, and not always as much.
     pub rival_s: f64,
 }
 
 impl Belief {
     /// `None`: nothing has moved.
     pub(super) fn of(segments: &[Segment], unit: Unit, robot: &Robot) -> Option<Self> {
-        let span = |s: &Segment| (s.to_ns - s.from_ns) as f64 * 1e-9;
-        let moving = |s: &&Segment| s.unit == unit && s.step.norm() > TELLING * s.sigma;
-        let (mut any, mut seconds) = (false, 0.0);
-        let mut slipped: Vec<(f64, f64)> = Vec::new();
-        for s in segments.iter().filter(moving) {
-            let Some(wheels) = &s.wheels else { continue };
-            any = true;
-            if s.slips {
-                slipped.push(((robot.step_of(&wheels.increment.motion).norm() / s.step.norm()).ln(), span(s)));
-            } else {
-                seconds += span(s);
-            }
-        }
+        let told = || {
+            let of_unit = segments.iter().filter(|s| s.unit == unit);
+            of_unit.filter_map(|s| Some((s.slips, s.log_metres_per_unit(robot)?, (s.to_ns - s.from_ns) as f64 * 1e-9)))
+        };
+        let slipped: Vec<(f64, f64)> = told().filter(|s| s.0).map(|(_, log, span)| (log, span)).collect();
         let alike = |from: &(f64, f64)| {
             slipped.iter().filter(|s| (0.0..=SLIP_SHARE).contains(&(s.0 - from.0))).map(|s| s.1).sum()
         };
         let rival_s = slipped.iter().map(alike).fold(0.0, f64::max);
-        any.then_some(Self { seconds, rival_s })
+        let seconds = told().filter(|s| !s.0).map(|s| s.2).sum();
+        told().next().map(|_| Self { seconds, rival_s })
     }
 }

@@ -3,6 +3,7 @@ use nalgebra::Vector2;
 use super::super::synthetic::{Drive, drive};
 use super::*;
 use crate::geometry::random::Random;
+use crate::motion::planar::Planar;
 
 /// Segments of a drive, weighed.
 fn weighed(drive: &Drive) -> Vec<Segment> {
