@@ -108,6 +108,8 @@ async function buttons(page) {
   const isNear = (x) => page.waitForFunction((near) => Math.abs(Number.parseFloat([...document.querySelectorAll("#numbers div")].find((d) => d.firstChild.textContent === "Position").lastChild.textContent) - near) < 3, x);
   for (const [i, value] of ["50", "0", "0"].entries()) await place.locator("input").nth(i).fill(value);
   await place.getByRole("button").click();
+  // Poses that say so may arrive before the answer does.
+  await place.locator("output[data-ok=true]").waitFor();
   await isNear(50);
   check(true, "the robot is where it was said to be");
   await place.locator("input").nth(0).fill("-70");
