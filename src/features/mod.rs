@@ -121,8 +121,6 @@ pub struct FrameFeatures {
 /// What flows back from reconstruction to the feature stage.
 #[derive(Debug, Clone, Default)]
 pub struct Feedback {
-    /// Frame that this feedback results from.
-    pub sequence: u64,
     /// Tracks to forget, ascending.
     pub forget: Vec<u64>,
 }

@@ -28,8 +28,6 @@ pub struct ImageMotion {
     pub center_px: Vector2<f32>,
     /// Normalised cross-correlation of the overlapping parts of the thumbnails, -1 to 1.
     pub ncc: f32,
-    /// Share of the previous picture that is still seen, 0 to 1.
-    pub overlap: f32,
 }
 
 impl ImageMotion {
@@ -320,8 +318,7 @@ impl ThumbnailAligner {
         let scale = previous.scale as f32;
         // Centre of the part of level 0 that the thumbnail covers, where its own centre lies.
         let center_px = center.map(|v| (v + 0.5) * scale - 0.5);
-        let overlap = n / ((width - 2) * (height - 2)) as f32;
-        Some(ImageMotion { angle_rad: angle, shift_px: shift * scale, center_px, ncc, overlap })
+        Some(ImageMotion { angle_rad: angle, shift_px: shift * scale, center_px, ncc })
     }
 
     /// Collects the pixels of `previous` that are seen after the motion; returns the Gauss-Newton matrix.
@@ -399,7 +396,7 @@ mod tests {
 
     fn motion([width, height]: [usize; 2], angle_rad: f32, shift: [f32; 2]) -> ImageMotion {
         let center_px = Vector2::new(width as f32 - 1.0, height as f32 - 1.0) * 0.5;
-        ImageMotion { angle_rad, shift_px: Vector2::from(shift), center_px, ncc: 1.0, overlap: 1.0 }
+        ImageMotion { angle_rad, shift_px: Vector2::from(shift), center_px, ncc: 1.0 }
     }
 
     /// Within a thumbnail's pixel.

@@ -386,7 +386,6 @@ impl Reconstruction {
 
     /// Keyframe work for the frame just tracked (the same `features`), after its pose was published.
     pub fn map(&mut self, features: &FrameFeatures, feedback: &mut Feedback) {
-        feedback.sequence = features.sequence;
         feedback.forget.clear();
         self.enter_loaded();
         let Self { far, active, others, loops, counters, config, .. } = self;

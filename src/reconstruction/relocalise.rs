@@ -294,7 +294,6 @@ mod tests {
             shift_px: Vector2::new(50.0, -20.0),
             center_px: Vector2::new(319.5, 239.5),
             ncc: 1.0,
-            overlap: 0.9,
         };
         let rotation = rotation_of(&motion, &camera);
         // The ray of the old picture's centre is seen where the motion says.

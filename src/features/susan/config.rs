@@ -90,11 +90,6 @@ impl SusanConfig {
         }
     }
 
-    /// The study's figures for the smoothed response: g = 0.255, with t = 90.
-    pub fn study_smoothed() -> Self {
-        Self { response: SusanResponse::Exponential, geometric_threshold: 0.255, ..Self::study() }
-    }
-
     /// Whether false corners are told by more than the area.
     pub(super) fn asks(&self) -> bool {
         self.min_centroid_px > 0.0 || self.contiguous || self.reject_edges

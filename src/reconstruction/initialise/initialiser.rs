@@ -190,11 +190,14 @@ impl Initialiser {
         config: &ReconstructionConfig,
     ) -> Vec<Start> {
         let mut starts = Vec::new();
-        let shared = self.untracked.shared_with(features, camera);
-        for (n, shared) in shared.iter().enumerate() {
+        // Where no view's tracks are alive these tell whether the camera moves.
+        let are_alive = self.last_ns == Some(features.timestamp_ns);
+        if are_alive && self.trying_s < CORNERS_AFTER_S {
+            return starts;
+        }
+        for (n, shared) in self.untracked.shared_with(features, camera).iter().enumerate() {
             let flow = unexplained_px(&shared.pairs.places, lens, &mut self.lengths);
-            if n == 0 && self.last_ns != Some(features.timestamp_ns) {
-                // No view's tracks are alive.
+            if n == 0 && !are_alive {
                 self.spend_patience(features.timestamp_ns, flow);
             }
             if self.trying_s < CORNERS_AFTER_S {
