@@ -122,8 +122,7 @@ struct LandmarkRecord {
     assumed: Option<[f64; 2]>,
     sought: u32,
     found: u32,
-    /// Once the frames in a row in which it disagreed: zero since.
-    reserved: u32,
+    disagreed: u32,
 }
 
 /// What a header is made of.
@@ -388,7 +387,7 @@ pub fn encode_landmarks(page: &[(u32, Landmark)]) -> Option<Vec<u8>> {
         assumed: l.assumed.map(|a| [a.inverse, a.sigma]),
         sought: l.sought,
         found: l.found,
-        reserved: 0,
+        disagreed: l.disagreed,
     };
     postcard::to_stdvec(&page.iter().map(record).collect::<Vec<_>>()).ok()
 }
@@ -416,6 +415,7 @@ impl Raw {
                 assumed: l.assumed.map(|[inverse, sigma]| AssumedDistance { inverse, sigma }),
                 sought: l.sought,
                 found: l.found,
+                disagreed: l.disagreed.min(Landmark::MOST_SOUGHT),
             };
             landmark.bound_counts();
             self.landmarks.push((l.id, landmark));
