@@ -190,7 +190,7 @@ impl Initialiser {
         config: &ReconstructionConfig,
     ) -> Vec<Start> {
         let mut starts = Vec::new();
-        // Where no view's tracks are alive these tell whether the camera moves.
+        // Where no view's tracks are alive, corners tell whether the camera moves: then they are matched from the first frame on.
         let are_alive = self.last_ns == Some(features.timestamp_ns);
         if are_alive && self.trying_s < CORNERS_AFTER_S {
             return starts;
