@@ -2,7 +2,7 @@
 //!
 //! Keyframe (its map, and the way so far) -> [`Floor::see`] -> ln(metres per map unit) with its standard deviation. [`plane`] finds the floor among
 //! the landmarks that the newest keyframes see, and says why it does not. Believed is what several keyframes in a row tell alike
-//! (`ASKED`); a word is given again once half of the keyframes asked are new, so that words share little but what adjustments made of them: once the
+//! (`ASKED`), once the camera was driven over it; a word is given again once half of the keyframes asked are new, so that words share little but what adjustments made of them: once the
 //! map is metric they hold its floor ([`Floor::driven`]). What is wrong with the measured height (`camera_height_sigma_m`) is in all of them
 //! ([`Floor::common_sigma`]).
 //!
@@ -26,7 +26,7 @@ use crate::geometry::ros_from_optical;
 use crate::geometry::sim3::Sim3;
 use crate::map::scale::ScaleSource;
 use crate::map::{Keyframe, KeyframeId, LandmarkId, Map, MapId, TurnId};
-pub use plane::{Driven, FloorPoint, NoFloor, Plane, UpPrior};
+pub use plane::{Driven, FloorPoint, Found, NoFloor, Plane, UpPrior};
 
 /// Keyframes whose landmarks are asked, and landmarks at the most: the newest.
 const KEYFRAMES: usize = 40;
@@ -156,9 +156,15 @@ impl Floor {
             (self.map, self.part, self.up_found) = (id, part, up_found);
         }
         self.since_word = self.since_word.map(|n| n + 1);
-        let found = self.look(map, newest, look);
-        self.refused = found.err();
-        let Ok(plane) = found else {
+        // Behind a turn a floor that was found is still there, and the camera sits as it did.
+        let (prior, least) = match self.up_found.filter(|_| part.is_some()) {
+            Some(up_camera) => (UpPrior { up_camera, sigma_rad: FOUND_TILT_RAD }, Driven::AGAIN),
+            None => (self.prior, Driven::FIRST),
+        };
+        let found = self.look(map, newest, &prior, look);
+        let driven_over = found.and_then(|found| found.driven_over(&least));
+        self.refused = driven_over.err();
+        let Ok(Found { plane, .. }) = found else {
             self.told.clear();
             return None;
         };
@@ -172,7 +178,7 @@ impl Floor {
             self.told.drain(..self.told.len() - 1);
             return None;
         }
-        if self.told.len() < ASKED {
+        if self.told.len() < ASKED || driven_over.is_err() {
             return None;
         }
         self.believed = Some(plane);
@@ -237,7 +243,7 @@ impl Floor {
         (self.believed, self.up_found, self.refused, self.since_word) = (None, None, None, None);
     }
 
-    fn look(&mut self, map: &Map, newest: KeyframeId, look: Look<'_>) -> Result<Plane, NoFloor> {
+    fn look(&mut self, map: &Map, newest: KeyframeId, prior: &UpPrior, look: Look<'_>) -> Result<Found, NoFloor> {
         let Some(last) = map.keyframe(newest) else { return Err(NoFloor::FewMetres) };
         // Behind a turn on the spot lengths may be those of an assumption: other ones than before it.
         let recent = |id: &u32| map.keyframe(KeyframeId(*id)).filter(|k| k.scale_from == last.scale_from);
@@ -255,12 +261,7 @@ impl Floor {
             self.points.push(point);
         }
         let cameras: Vec<Se3<Camera, World>> = keyframes.iter().map(|k| k.camera_from_world).collect();
-        // Behind a turn a floor that was found is still there, and the camera sits as it did.
-        let (prior, least) = match self.up_found.filter(|_| last.scale_from.is_some()) {
-            Some(up_camera) => (UpPrior { up_camera, sigma_rad: FOUND_TILT_RAD }, Driven::AGAIN),
-            None => (self.prior, Driven::FIRST),
-        };
-        plane::find_floor(&self.points, &cameras, &prior, &least, u64::from(newest.0))
+        plane::find_floor(&self.points, &cameras, prior, u64::from(newest.0))
     }
 }
 

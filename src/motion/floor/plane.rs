@@ -1,7 +1,8 @@
 //! The plane that a driven camera moves parallel to, at one height: found among landmarks, or refused with the reason.
 //!
 //! Landmarks (position, covariance) and cameras (poses in order of time) in the map's unit, and where "up" is in the camera as far as the mount
-//! tells -> unit normal n, height H of the cameras above the plane with its standard deviation, tilt of the mount; or [`NoFloor`].
+//! tells -> unit normal n, height H of the cameras above the plane with its standard deviation, tilt of the mount, and how far the camera was driven over it
+//! ([`Found`]); or [`NoFloor`].
 //!
 //! 1. Candidates: planes through three landmarks that lie below the camera (RANSAC, Fischler and Bolles 1981, seeded), with a normal that the mount
 //!    allows. The score counts landmarks on the plane, less those beneath it: below a floor there is nothing, below a table top there is.
@@ -235,14 +236,32 @@ fn cumulative(x: f64) -> f64 {
     1.0 / (1.0 + (-1.702 * x).exp())
 }
 
+/// A plane that may be the floor, and how far the camera was driven over it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Found {
+    pub plane: Plane,
+    /// The way, in heights, and stations of it with a landmark of the plane on the strip.
+    way: f64,
+    stations: usize,
+}
+
+impl Found {
+    /// The floor, if it was driven over it as far as is asked.
+    pub fn driven_over(&self, least: &Driven) -> Result<Plane, NoFloor> {
+        if self.way < least.way {
+            return Err(NoFloor::FewMetres);
+        }
+        if self.stations < least.stations { Err(NoFloor::NotDrivenOver(self.stations)) } else { Ok(self.plane) }
+    }
+}
+
 /// See module. `seed`: of the draw; the same question has the same answer.
 pub fn find_floor(
     points: &[FloorPoint],
     cameras: &[Se3<Camera, World>],
     prior: &UpPrior,
-    least: &Driven,
     seed: u64,
-) -> Result<Plane, NoFloor> {
+) -> Result<Found, NoFloor> {
     let centres: Vec<Vector3<f64>> = cameras.iter().map(|c| c.inverse().translation).collect();
     let ups = cameras.iter().map(|c| c.rotation.inverse() * prior.up_camera.into_inner());
     let (Some(last), Some(up)) = (centres.last(), Unit::try_new(ups.sum::<Vector3<f64>>(), 1e-9)) else {
@@ -257,21 +276,24 @@ pub fn find_floor(
     if on.len() < LEAST_LANDMARKS {
         return Err(NoFloor::FewLandmarks);
     }
-    is_floor(&fitted, points, &on, &centres, least)?;
+    is_level(&fitted, points, &on, &centres)?;
     sigma = sigma.hypot(COMMON_SIGMA);
     if sigma > MOST_SIGMA {
         return Err(NoFloor::Unsure(sigma));
     }
     let ups: Vector3<f64> = cameras.iter().map(|c| c.rotation * fitted.normal).sum();
-    Ok(Plane {
+    let height = fitted.height();
+    let plane = Plane {
         normal: fitted.normal,
         offset: fitted.floor,
-        height: fitted.height(),
+        height,
         sigma,
         up_camera: Unit::try_new(ups, 1e-9).unwrap_or(prior.up_camera),
         landmarks: on.len(),
         scatter: fitted.scatter,
-    })
+    };
+    let way = steps(&centres, height).map(|(a, b)| (b - a).norm()).sum::<f64>() / height;
+    Ok(Found { plane, way, stations: driven_stations(&fitted, points, &on, &centres) })
 }
 
 fn best_candidate(
@@ -382,29 +404,16 @@ pub fn basis(normal: &Unit<Vector3<f64>>) -> (Vector3<f64>, Vector3<f64>) {
     (e1, normal.cross(&e1))
 }
 
-fn is_floor(
-    plane: &Candidate,
-    points: &[FloorPoint],
-    on: &[usize],
-    centres: &[Vector3<f64>],
-    least: &Driven,
-) -> Result<(), NoFloor> {
-    let height = plane.height();
+/// The camera keeps one height above it, and nothing lies beneath it.
+fn is_level(plane: &Candidate, points: &[FloorPoint], on: &[usize], centres: &[Vector3<f64>]) -> Result<(), NoFloor> {
     let stray = centres.iter().map(|c| (plane.normal.dot(c) - plane.cameras).powi(2)).sum::<f64>();
-    let stray = (stray / centres.len() as f64).sqrt() / height;
+    let stray = (stray / centres.len() as f64).sqrt() / plane.height();
     if stray > MOST_STRAY {
         return Err(NoFloor::NotParallel(stray));
     }
     let beneath = points.iter().filter(|point| plane.side(point) < 0).count();
-    if beneath as f64 > MOST_BENEATH * on.len() as f64 || plane.scatter.mistakes > MOST_BENEATH {
-        return Err(NoFloor::SomethingBeneath(beneath));
-    }
-    let way: f64 = steps(centres, height).map(|(a, b)| (b - a).norm()).sum();
-    if way < least.way * height {
-        return Err(NoFloor::FewMetres);
-    }
-    let stations = driven_stations(plane, points, on, centres);
-    if stations < least.stations { Err(NoFloor::NotDrivenOver(stations)) } else { Ok(()) }
+    let something = beneath as f64 > MOST_BENEATH * on.len() as f64 || plane.scatter.mistakes > MOST_BENEATH;
+    if something { Err(NoFloor::SomethingBeneath(beneath)) } else { Ok(()) }
 }
 
 fn steps(centres: &[Vector3<f64>], height: f64) -> impl Iterator<Item = (Vector3<f64>, Vector3<f64>)> {

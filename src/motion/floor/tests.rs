@@ -29,6 +29,10 @@ fn prior() -> UpPrior {
     UpPrior { up_camera, sigma_rad: 0.15 }
 }
 
+fn floor_of(points: &[FloorPoint], cameras: &[Se3<Camera, World>], seed: u64) -> Result<Plane, NoFloor> {
+    find_floor(points, cameras, &prior(), seed)?.driven_over(&Driven::FIRST)
+}
+
 /// Landmarks on a level rectangle, with noise of this standard deviation.
 fn sheet(random: &mut Random, x: [f64; 2], y: [f64; 2], z: f64, count: usize, sigma: f64) -> Vec<FloorPoint> {
     let mut point = || {
@@ -55,8 +59,7 @@ fn a_floor_that_is_driven_over_tells_height_and_tilt_within_what_it_says() {
         let mut random = Random::new(seed);
         let mut points = sheet(&mut random, [1.0, 6.0], [-1.0, 1.0], 0.0, 150, 0.01);
         points.extend(walls(&mut random));
-        let plane = find_floor(&points, &driven(), &prior(), &Driven::FIRST, seed)
-            .unwrap_or_else(|e| panic!("seed {seed}: {e:?}"));
+        let plane = floor_of(&points, &driven(), seed).unwrap_or_else(|e| panic!("seed {seed}: {e:?}"));
         let error = (plane.height / HEIGHT).ln();
         assert!(error.abs() < 0.015, "seed {seed}: {error}");
         assert!(plane.sigma > 0.001 && plane.sigma < 0.02, "seed {seed}: sigma {}", plane.sigma);
@@ -78,7 +81,7 @@ fn low_things_do_not_lift_a_floor() {
             let z = random.uniform(0.02, 0.14) * HEIGHT;
             points.extend(sheet(&mut random, [1.0, 6.0], [-1.0, 1.0], z, 1, sigma));
         }
-        let plane = find_floor(&points, &driven(), &prior(), &Driven::FIRST, seed).expect("a floor");
+        let plane = floor_of(&points, &driven(), seed).expect("a floor");
         assert!((0.1..0.5).contains(&plane.scatter.things) && plane.scatter.mistakes < 0.1, "{:?}", plane.scatter);
         (plane.height / HEIGHT).ln()
     };
@@ -95,7 +98,7 @@ fn what_has_a_floor_closely_beneath_it_is_none() {
         let mut random = Random::new(seed);
         let mut points = sheet(&mut random, [1.0, 6.0], [-1.0, 1.0], 0.0, 100, 0.01 * HEIGHT);
         points.extend(sheet(&mut random, [1.0, 6.0], [-1.0, 1.0], -0.1 * HEIGHT, 50, 0.01 * HEIGHT));
-        let found = find_floor(&points, &driven(), &prior(), &Driven::FIRST, seed);
+        let found = floor_of(&points, &driven(), seed);
         assert!(!found.is_ok_and(|plane| plane.height < 1.05 * HEIGHT), "seed {seed}");
     }
 }
@@ -106,28 +109,28 @@ fn what_is_no_floor_is_refused_for_its_reason() {
     let floor = sheet(&mut random, [1.0, 6.0], [-1.0, 1.0], 0.0, 150, 0.01);
     // Beside the way, half as high as the camera, with no floor in sight.
     let table = sheet(&mut random, [1.0, 6.0], [0.8, 2.0], 0.35, 150, 0.01);
-    let found = find_floor(&table, &driven(), &prior(), &Driven::FIRST, 1);
+    let found = floor_of(&table, &driven(), 1);
     assert!(matches!(found, Err(NoFloor::NotDrivenOver(_))), "a table: {found:?}");
     // Two benches, one on either side: the way is between them.
     let mut benches = table.clone();
     benches.extend(sheet(&mut random, [1.0, 6.0], [-2.0, -0.8], 0.35, 150, 0.01));
-    let found = find_floor(&benches, &driven(), &prior(), &Driven::FIRST, 1);
+    let found = floor_of(&benches, &driven(), 1);
     assert!(matches!(found, Err(NoFloor::NotDrivenOver(_))), "benches: {found:?}");
     // Flown over a table, with the floor below it.
     let mut over = sheet(&mut random, [1.0, 6.0], [-1.0, 1.0], 0.35, 150, 0.01);
     over.extend(sheet(&mut random, [1.0, 6.0], [-2.0, 2.0], 0.0, 60, 0.01));
-    let found = find_floor(&over, &driven(), &prior(), &Driven::FIRST, 1);
+    let found = floor_of(&over, &driven(), 1);
     assert!(!found.as_ref().is_ok_and(|p| (p.height / 0.35 - 1.0).abs() < 0.2), "a table above a floor: {found:?}");
     let carried: Vec<_> =
         (0..20).map(|i| camera([0.2 * f64::from(i), 0.0, HEIGHT + 0.15 * (f64::from(i)).sin()])).collect();
-    let found = find_floor(&floor, &carried, &prior(), &Driven::FIRST, 1);
+    let found = floor_of(&floor, &carried, 1);
     assert!(matches!(found, Err(NoFloor::NotParallel(_))), "carried: {found:?}");
     let standing = vec![camera([0.0, 0.0, HEIGHT]); 20];
-    let found = find_floor(&floor, &standing, &prior(), &Driven::FIRST, 1);
+    let found = floor_of(&floor, &standing, 1);
     assert!(matches!(found, Err(NoFloor::FewMetres)), "standing: {found:?}");
-    let found = find_floor(&walls(&mut random), &driven(), &prior(), &Driven::FIRST, 1);
+    let found = floor_of(&walls(&mut random), &driven(), 1);
     assert!(found.is_err(), "a wall: {found:?}");
-    let found = find_floor(&floor[..10], &driven(), &prior(), &Driven::FIRST, 1);
+    let found = floor_of(&floor[..10], &driven(), 1);
     assert!(matches!(found, Err(NoFloor::FewLandmarks)), "{found:?}");
 }
 
@@ -135,7 +138,7 @@ fn what_is_no_floor_is_refused_for_its_reason() {
 fn a_floor_carries_who_stands_on_it() {
     let mut random = Random::new(3);
     let points = sheet(&mut random, [1.0, 6.0], [-1.0, 1.0], 0.0, 150, 0.01);
-    let plane = find_floor(&points, &driven(), &prior(), &Driven::FIRST, 5).expect("a floor");
+    let plane = floor_of(&points, &driven(), 5).expect("a floor");
     assert!(plane.carries(&Vector3::new(2.0, 1.0, HEIGHT)));
     // Lifted over a sofa, driven up a step, nowhere.
     for z in [2.0 * HEIGHT, 1.15 * HEIGHT, 0.8 * HEIGHT, f64::NAN] {
@@ -147,10 +150,7 @@ fn a_floor_carries_who_stands_on_it() {
 fn the_same_question_has_the_same_answer() {
     let mut random = Random::new(3);
     let points = sheet(&mut random, [1.0, 6.0], [-1.0, 1.0], 0.0, 150, 0.01);
-    assert_eq!(
-        find_floor(&points, &driven(), &prior(), &Driven::FIRST, 5),
-        find_floor(&points, &driven(), &prior(), &Driven::FIRST, 5)
-    );
+    assert_eq!(floor_of(&points, &driven(), 5), floor_of(&points, &driven(), 5));
 }
 
 #[test]
