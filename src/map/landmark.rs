@@ -4,15 +4,6 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::KeyframeId;
 
-/// What came of looking for a landmark in a frame.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Sought {
-    Found,
-    /// Something was found that does not agree with the frame's pose.
-    Disagreed,
-    Missed,
-}
-
 /// A point of the scene.
 #[derive(Debug, Clone)]
 pub struct Landmark {
@@ -28,8 +19,6 @@ pub struct Landmark {
     /// Frames in which it was looked for, and in how many it was found and agreed with the pose.
     pub sought: u32,
     pub found: u32,
-    /// Frames in a row in which it was found but disagreed.
-    pub disagreed: u32,
 }
 
 impl Landmark {
@@ -37,14 +26,10 @@ impl Landmark {
     pub const MOST_SOUGHT: u32 = 1 << 24;
 
     /// Counts that it was looked for in a frame.
-    pub fn count(&mut self, sought: Sought) {
+    pub fn count(&mut self, found: bool) {
         self.bound_counts();
         self.sought += 1;
-        match sought {
-            Sought::Found => (self.found, self.disagreed) = (self.found + 1, 0),
-            Sought::Disagreed => self.disagreed += 1,
-            Sought::Missed => {}
-        }
+        self.found += u32::from(found);
     }
 
     /// Counts fewer frames, the same share of them found, where there are more than that.
@@ -56,16 +41,7 @@ impl Landmark {
 
     /// Found the one time that it was sought, in the frame that made it.
     pub fn new(position: Vector3<f64>, covariance: Matrix3<f64>, created_by: KeyframeId) -> Self {
-        Self {
-            position,
-            covariance,
-            observers: Vec::new(),
-            created_by,
-            assumed: None,
-            sought: 1,
-            found: 1,
-            disagreed: 0,
-        }
+        Self { position, covariance, observers: Vec::new(), created_by, assumed: None, sought: 1, found: 1 }
     }
 }
 

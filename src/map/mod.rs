@@ -34,7 +34,7 @@ use crate::geometry::frames::{Camera, World};
 use crate::geometry::sim3::Sim3;
 use crate::geometry::{CameraModel, Se3};
 pub use correction::Correction;
-pub use landmark::{AssumedDistance, Landmark, Sought};
+pub use landmark::{AssumedDistance, Landmark};
 pub use numbers::Numbers;
 use observations::Observations;
 pub use observations::{LandmarkId, Observation};
@@ -330,25 +330,16 @@ impl Map {
         }
     }
 
-    /// Counts that a landmark was looked for in a frame. By itself no reason to write it to a file anew.
-    pub fn count_sighting(&mut self, landmark: LandmarkId, sought: Sought) {
+    /// Counts that a landmark was looked for in a frame, and whether it was found there. By itself no reason to write it to a file anew.
+    pub fn count_sighting(&mut self, landmark: LandmarkId, found: bool) {
         if let Some(l) = self.landmarks.get_mut_unnoticed(landmark.0) {
-            l.count(sought);
+            l.count(found);
         }
     }
 
-    /// Landmarks that may have changed in any way since the last call, sightings among them, ascending; those for which `again` holds are told the
-    /// next time, too.
-    pub fn take_touched_landmarks(&mut self, again: impl Fn(&Landmark) -> bool) -> Vec<LandmarkId> {
-        let touched = self.landmarks.take_touched();
-        touched
-            .iter()
-            .filter(|id| self.landmarks.get(**id).is_some_and(&again))
-            .copied()
-            .collect::<Vec<_>>()
-            .into_iter()
-            .for_each(|id| self.landmarks.touch(id));
-        touched.into_iter().map(LandmarkId).collect()
+    /// Landmarks that may have changed in any way since the last call, sightings among them, ascending.
+    pub fn take_touched_landmarks(&mut self) -> Vec<LandmarkId> {
+        self.landmarks.take_touched().into_iter().map(LandmarkId).collect()
     }
 
     /// The newest keyframe of this run.

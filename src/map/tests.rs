@@ -242,7 +242,7 @@ fn of_more_sightings_than_are_counted_the_share_stays() {
     let seen_from = map.add_keyframe(keyframe(&[]));
     let before = Landmark { sought: Landmark::MOST_SOUGHT, found: Landmark::MOST_SOUGHT / 4, ..landmark() };
     let id = map.add_landmark(before, &[(seen_from, observation(0))]);
-    map.count_sighting(id, Sought::Found);
+    map.count_sighting(id, true);
     let after = map.landmark(id).expect("there");
     assert_eq!((after.sought, after.found), (Landmark::MOST_SOUGHT / 2 + 1, Landmark::MOST_SOUGHT / 8 + 1));
 }

@@ -16,8 +16,6 @@ pub struct ReconstructionConfig {
     pub keyframe_share: f64,
     /// A keyframe is made when the median parallax to the reference keyframe exceeds this, degrees. 0.5..=20.0.
     pub keyframe_parallax_deg: f64,
-    /// Frames between two keyframes at the least. 1..=60.
-    pub keyframe_gap_frames: u64,
     /// Smallest parallax at which a landmark is made, degrees. 0.2..=10.0.
     pub min_parallax_deg: f64,
     /// Time from the first row's exposure to the last one's (rolling shutter), ms; negative: last row first. -40.0..=40.0.
@@ -62,7 +60,6 @@ impl Default for ReconstructionConfig {
             sigma_px: 0.8,
             keyframe_share: 0.75,
             keyframe_parallax_deg: 3.0,
-            keyframe_gap_frames: 2,
             min_parallax_deg: 1.0,
             readout_ms: 0.0,
             estimate_readout: true,
@@ -104,7 +101,6 @@ impl ReconstructionConfig {
         within("sigma_px", self.sigma_px, 0.1, 4.0, "px")?;
         within("keyframe_share", self.keyframe_share, 0.3, 0.95, "")?;
         within("keyframe_parallax_deg", self.keyframe_parallax_deg, 0.5, 20.0, "degrees")?;
-        within("keyframe_gap_frames", self.keyframe_gap_frames, 1, 60, "frames")?;
         within("min_parallax_deg", self.min_parallax_deg, 0.2, 10.0, "degrees")?;
         within("readout_ms", self.readout_ms, -40.0, 40.0, "ms")?;
         within("adjusted_keyframes", self.adjusted_keyframes, 2, 40, "")?;

@@ -40,7 +40,6 @@ use point::{refine_point, reprojection_chi2};
 /// What the decision looks at.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct KeyframeInputs {
-    pub frames_since_keyframe: u64,
     /// Landmarks the frame's pose rests on.
     pub landmarks: usize,
     /// Landmarks of the reference keyframe.
@@ -58,17 +57,11 @@ const FEW_IN_QUICK_TURN: f64 = 0.55;
 /// Whether a frame becomes a keyframe.
 pub fn wants_keyframe(inputs: &KeyframeInputs, config: &ReconstructionConfig) -> bool {
     let expected = inputs.reference_landmarks.min(config.landmarks_per_frame) as f64;
-    // A view that changes within two frames (fast turn, low frame rate) leaves no time to wait; nor do the last landmarks.
-    let urgent = (inputs.landmarks as f64) < config.keyframe_share * config.keyframe_share * expected
-        || inputs.landmarks < 3 * config.min_landmarks && inputs.parallax_deg > config.min_parallax_deg
-        || inputs.turn_rad > QUICK_TURN_RAD
-            && (inputs.landmarks as f64) < FEW_IN_QUICK_TURN * config.landmarks_per_frame as f64;
-    if inputs.frames_since_keyframe < config.keyframe_gap_frames && !urgent {
-        return false;
-    }
-    urgent
-        || (inputs.landmarks as f64) < config.keyframe_share * expected
+    let landmarks = inputs.landmarks as f64;
+    landmarks < config.keyframe_share * expected
         || inputs.parallax_deg > config.keyframe_parallax_deg
+        || inputs.landmarks < 3 * config.min_landmarks && inputs.parallax_deg > config.min_parallax_deg
+        || inputs.turn_rad > QUICK_TURN_RAD && landmarks < FEW_IN_QUICK_TURN * config.landmarks_per_frame as f64
 }
 
 /// What does not change while a keyframe is made.
@@ -370,14 +363,12 @@ mod tests {
     #[test]
     fn a_keyframe_is_wanted_when_landmarks_run_out_or_the_view_has_changed() {
         let config = ReconstructionConfig::default();
-        let many = KeyframeInputs { landmarks: 150, reference_landmarks: 160, ..Default::default() };
-        let plenty = KeyframeInputs { frames_since_keyframe: 30, ..many };
+        let plenty = KeyframeInputs { landmarks: 150, reference_landmarks: 160, ..Default::default() };
         assert!(!wants_keyframe(&plenty, &config));
         assert!(wants_keyframe(&KeyframeInputs { landmarks: 80, ..plenty }, &config));
         assert!(wants_keyframe(&KeyframeInputs { parallax_deg: 10.0, ..plenty }, &config));
-        let soon = KeyframeInputs { frames_since_keyframe: config.keyframe_gap_frames - 1, landmarks: 110, ..plenty };
-        assert!(!wants_keyframe(&soon, &config));
-        assert!(wants_keyframe(&KeyframeInputs { turn_rad: 0.2, ..soon }, &config), "a quick turn");
-        assert!(wants_keyframe(&KeyframeInputs { landmarks: 60, ..soon }, &config), "half of the view is gone already");
+        let fewer = KeyframeInputs { reference_landmarks: 120, landmarks: 110, ..plenty };
+        assert!(!wants_keyframe(&fewer, &config));
+        assert!(wants_keyframe(&KeyframeInputs { turn_rad: 0.2, ..fewer }, &config), "a quick turn");
     }
 }

@@ -77,7 +77,6 @@ use crate::features::{Feedback, FrameFeatures};
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::{CameraModel, Se3};
 use crate::image::pyramid::PyramidPool;
-use crate::map::Sought;
 use crate::map::saved::Taken;
 use crate::motion::floor::{Floor, ScaleConfig};
 use crate::motion::hand_eye::Robot;
@@ -297,10 +296,10 @@ impl Reconstruction {
         let telling = 2 * tracked.landmarks >= tracked.sought;
         let map = &mut self.active.map;
         for m in self.tracker.matches().iter().filter(|m| m.inlier || telling) {
-            map.count_sighting(m.landmark, if m.inlier { Sought::Found } else { Sought::Disagreed });
+            map.count_sighting(m.landmark, m.inlier);
         }
         for id in self.tracker.missed().iter().filter(|_| telling) {
-            map.count_sighting(*id, Sought::Missed);
+            map.count_sighting(*id, false);
         }
     }
 
@@ -339,12 +338,11 @@ impl Reconstruction {
 
     /// Whether the frame just tracked becomes a keyframe; notes as well whether it comes out of a turn on the spot.
     fn decide_keyframe(&mut self, pose: &Se3<Camera, World>) -> bool {
-        let ActiveMap { map, odometry, reference, last_keyframe_frame, .. } = &self.active;
+        let ActiveMap { map, odometry, reference, .. } = &self.active;
         let Some(reference) = map.keyframe(*reference) else { return false };
         let parallax_deg = self.tracker.median_parallax_deg(&pose.inverse().translation, &reference.centre());
         let matches = self.tracker.matches();
         let inputs = KeyframeInputs {
-            frames_since_keyframe: self.counters.frames - last_keyframe_frame,
             landmarks: matches.len(),
             reference_landmarks: reference.observations.len(),
             parallax_deg,
@@ -467,7 +465,7 @@ impl Reconstruction {
         active.last_keyframe_frame = counters.frames;
         active.reference = id;
         active.scale.follow(map);
-        counters.landmarks_culled += cull::cull_landmarks(map, id);
+        counters.landmarks_culled += cull::cull_landmarks(map);
         let mut held = self.tags.as_ref().map_or_else(Vec::new, |tags| tags.rest_on(map));
         held.extend(self.loops.ends());
         held.sort_unstable();

@@ -122,7 +122,8 @@ struct LandmarkRecord {
     assumed: Option<[f64; 2]>,
     sought: u32,
     found: u32,
-    disagreed: u32,
+    /// Once the frames in a row in which it disagreed: zero since.
+    reserved: u32,
 }
 
 /// What a header is made of.
@@ -387,7 +388,7 @@ pub fn encode_landmarks(page: &[(u32, Landmark)]) -> Option<Vec<u8>> {
         assumed: l.assumed.map(|a| [a.inverse, a.sigma]),
         sought: l.sought,
         found: l.found,
-        disagreed: l.disagreed,
+        reserved: 0,
     };
     postcard::to_stdvec(&page.iter().map(record).collect::<Vec<_>>()).ok()
 }
@@ -415,7 +416,6 @@ impl Raw {
                 assumed: l.assumed.map(|[inverse, sigma]| AssumedDistance { inverse, sigma }),
                 sought: l.sought,
                 found: l.found,
-                disagreed: l.disagreed.min(Landmark::MOST_SOUGHT),
             };
             landmark.bound_counts();
             self.landmarks.push((l.id, landmark));

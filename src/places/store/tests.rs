@@ -106,7 +106,6 @@ pub(super) fn grow(map: &mut Map, id: MapId, random: &mut Random) {
             assumed: (random.uniform(0.0, 1.0) < 0.1).then_some(AssumedDistance { inverse: 0.1, sigma: 0.3 }),
             sought: 9,
             found: 8,
-            disagreed: 1,
         };
         let other = before[(random.uniform(0.0, 1.0) * before.len() as f64) as usize % before.len()];
         map.add_landmark(landmark, &[(other, observation(random, follows)), (new, observation(random, follows))]);
@@ -411,12 +410,12 @@ fn of_more_sightings_than_anybody_counts_the_share_is_read() {
     let (mut maps, optics) = (two_maps(&mut random), optics(&mut random));
     let mut all = changes(&mut maps, &optics, true);
     for (_, landmark) in all.landmarks.values_mut().flatten() {
-        (landmark.sought, landmark.found, landmark.disagreed) = (u32::MAX, u32::MAX / 4, u32::MAX);
+        (landmark.sought, landmark.found) = (u32::MAX, u32::MAX / 4);
     }
     MapFile::create(&path, &all).unwrap().close().unwrap();
     for saved in read(&path).unwrap().saved.maps {
         for (_, l) in saved.map.landmarks.iter() {
-            assert!(l.sought < Landmark::MOST_SOUGHT && l.disagreed <= Landmark::MOST_SOUGHT);
+            assert!(l.sought < Landmark::MOST_SOUGHT);
             assert!((f64::from(l.found) / f64::from(l.sought) - 0.25).abs() < 1e-6, "{} of {}", l.found, l.sought);
         }
     }

@@ -1,4 +1,4 @@
-//! What a map loses at a keyframe: landmarks that did not prove themselves, keyframes that say what others say, and where it is too large those
+//! What a map loses at a keyframe: landmarks that are rarely found, keyframes that say what others say, and where it is too large those
 //! that are needed least.
 //!
 //! Cost: what was touched since the last keyframe, what the newest shares landmarks with, and a few keyframes here and there: it
@@ -21,17 +21,10 @@ const COMPARED: usize = 8;
 /// Keyframes that are looked at for one to go. Half a millisecond.
 const LOOKED_AT: usize = 48;
 
-/// Landmarks that were made lately and did not prove themselves, and those that disagree all the time, go.
-pub fn cull_landmarks(map: &mut Map, newest: KeyframeId) -> u64 {
-    let numbers = map.numbers.clone();
-    let age = |l: &Landmark| numbers.since(l.created_by, newest);
-    // What nothing has touched since was judged before, but for its age.
-    let touched = map.take_touched_landmarks(|l| age(l) < 6);
-    let is_doomed = |l: &Landmark| {
-        let rarely_found = l.sought >= 10 && 4 * l.found < l.sought;
-        let not_confirmed = (3..6).contains(&age(l)) && l.observers.len() < 3 && 2 * l.found < l.sought;
-        rarely_found || not_confirmed || l.disagreed >= 8
-    };
+/// Landmarks that are rarely found, or disagree, where they are looked for go. What was not looked for since the last keyframe was judged before.
+pub fn cull_landmarks(map: &mut Map) -> u64 {
+    let touched = map.take_touched_landmarks();
+    let is_doomed = |l: &Landmark| l.sought >= 10 && 4 * l.found < l.sought;
     let doomed: Vec<LandmarkId> = touched.into_iter().filter(|id| map.landmark(*id).is_some_and(is_doomed)).collect();
     for &id in &doomed {
         map.remove_landmark(id);

@@ -15,7 +15,7 @@ use crate::geometry::{CameraModel, Se3};
 use crate::image::{GreyImage, Pyramid};
 use crate::map::examples;
 use crate::map::view::{CoarseDescriptor, DESCRIBED_LEVELS, Description, PLACE_DESCRIPTORS};
-use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, MapId, Observation, Sought};
+use crate::map::{Keyframe, KeyframeId, Landmark, LandmarkId, Map, MapId, Observation};
 use crate::places::index::{DESCRIPTORS, PlaceIndex};
 use crate::places::store::MapFile;
 use crate::reconstruction::far_pictures::FarPictures;
@@ -125,7 +125,7 @@ impl Drive {
             let more = -(SEEN_BY - 2.0) * self.random.uniform(1e-9, 1.0).ln();
             self.in_view.push((landmark, more.round() as u32));
         }
-        seen.iter().for_each(|l| self.map.count_sighting(*l, Sought::Found));
+        seen.iter().for_each(|l| self.map.count_sighting(*l, true));
         let whole = Descriptor(std::array::from_fn(|_| 0));
         let mut word = || self.random.below(1 << 32) as u64 | (self.random.below(1 << 32) as u64) << 32;
         let described: Vec<Descriptor> = (0..DESCRIPTORS).map(|_| Descriptor(whole.0.map(|_| word()))).collect();
@@ -133,7 +133,7 @@ impl Drive {
         let began = cpu_seconds();
         let (map, config) = (&mut self.map, &self.config);
         let mut events = Vec::new();
-        cull_landmarks(map, id);
+        cull_landmarks(map);
         let culled = cull_keyframes((map, MapId(0)), id, (&self.lens, &self.held), config, &mut events)
             + thin_out((map, MapId(0)), id, (config.max_keyframes, &self.held), &mut self.thinned, &mut events);
         self.removed.extend(events.iter().filter_map(|event| match event {

@@ -71,14 +71,9 @@ impl Remapping {
         optics: &Optics,
         config: &ReconstructionConfig,
     ) -> Self {
-        // The lens is the present map's; whether a picture is a keyframe the present one has decided.
-        let config = ReconstructionConfig {
-            refine_intrinsics: false,
-            keyframe_gap_frames: 1,
-            merge_after_frames: 1,
-            loops: false,
-            ..config.clone()
-        };
+        // The lens is the present map's.
+        let config =
+            ReconstructionConfig { refine_intrinsics: false, merge_after_frames: 1, loops: false, ..config.clone() };
         let mut own = Reconstruction::new(&config, &optics.camera, Box::new(InlineWorker::default()), true);
         own.optics.shutter = optics.shutter.backwards();
         own.optics.noise = optics.noise;
