@@ -41,7 +41,7 @@ use crate::geometry::median;
 /// Places along the way at which the scale is an unknown of its own.
 pub const KNOTS: usize = 6;
 /// Units beside the newest one whose ratio to it is found; segments of older ones are left out.
-const OTHERS: usize = 3;
+const OTHERS: usize = 7;
 const UNKNOWNS: usize = KNOTS + ROBOT + OTHERS;
 const RATIO: usize = KNOTS + ROBOT;
 const LEVER: usize = KNOTS + 3;

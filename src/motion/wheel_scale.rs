@@ -3,9 +3,8 @@
 //! Input: readings as they come, and segments of the present map (the camera's motion over [`SEGMENT_NS`] or more, map units). Output: what
 //! they tell of the scale ([`ScaleMeasurement`]) and of the robot ([`Robot`]), and whether the wheels slipped in the newest segment.
 //!
-//! A scale is told once the camera and the wheels have agreed for `BELIEVED_S` of motion, longer than a wheel spins or skids in one go,
-//! and `BELIEVED_TIMES` as long as they agree on any other. Its sigma is the solution's beside that of an error common to both wheels, which one camera
-//! and the wheels cannot see. The window is the newest `SEGMENTS` segments (140 s of driving and more): older ones are forgotten, for the scale of
+//! A scale is told once it is known to `TOLD_SIGMA`: the solution's sigma beside the doubt whether the wheels slipped in all of the time in which the
+//! camera and they agreed ([`slip_sigma`]). An error common to both wheels, which one camera and the wheels cannot see, is then in its sigma, too. The window is the newest `SEGMENTS` segments (140 s of driving and more): older ones are forgotten, for the scale of
 //! a monocular map drifts; within the window that drift is a part of the model ([`super::hand_eye`]). What is known of the robot outlasts a map.
 //!
 //! Cost: a solution every few segments, 2 ms. Not here: what the map does with it.
@@ -24,9 +23,7 @@ pub const LONGEST_SEGMENT_NS: i64 = 3_000_000_000;
 const WAITS_NS: i64 = 2_000_000_000;
 /// Segments that are kept.
 const SEGMENTS: usize = 240;
-/// Motion in which wheels and camera agree before a scale is told, s, and so many times as long as they tell any other one. A wheel that spins does so for a
-/// second or four.
-const BELIEVED_S: f64 = 6.0;
+/// So many times as long as they tell any other scale wheels and camera must agree.
 const BELIEVED_TIMES: f64 = 1.5;
 /// Standard deviation up to which it is told, and up to which parts of a map whose ratio is known so have one unit.
 pub const TOLD_SIGMA: f64 = 0.03;
@@ -39,9 +36,14 @@ const NEXT_MAP: f64 = 2.0;
 
 /// Standard deviation of a length that wheels tell in a moment, which may be the one at which they slip, as a share.
 pub const MOMENT_SIGMA: f64 = 0.2;
+/// That doubt falls with the time for which they agree, as a normal distribution's density, s: a wheel that spins or skids does so for a second or four.
+/// (3 % after 4.1 s, 1 % after 5.2, nothing after 6.)
+const SLIP_S: f64 = 3.0;
 
-fn is_enough(belief: &Belief) -> bool {
-    belief.seconds >= BELIEVED_S && belief.seconds >= BELIEVED_TIMES * belief.rival_s
+/// Standard deviation of a scale on which wheels and camera agree so long, for all that the wheels may have slipped, as a share.
+fn slip_sigma(belief: &Belief) -> f64 {
+    let rivals = belief.seconds < BELIEVED_TIMES * belief.rival_s;
+    if rivals { MOMENT_SIGMA } else { MOMENT_SIGMA * (-(belief.seconds / SLIP_S).powi(2)).exp() }
 }
 
 /// `[wheel]`: what is known of the base's wheels.
@@ -160,12 +162,11 @@ impl WheelScale {
     /// The same of the newest one, in which they may slip at the moment.
     fn of_the_newest(&self, unit: Unit) -> Option<(f64, f64)> {
         let solution = self.of_newest().filter(|s| s.noise <= TOLD_NOISE)?;
-        let known = |belief: &Belief| if is_enough(belief) { 0.0 } else { MOMENT_SIGMA };
         if solution.unit == unit {
-            return Some((0.0, known(&solution.belief)));
+            return Some((0.0, slip_sigma(&solution.belief)));
         }
         let other = solution.other_units.iter().flatten().find(|other| other.unit == unit)?;
-        Some((other.log_ratio, other.sigma.hypot(known(&other.belief))))
+        Some((other.log_ratio, other.sigma.hypot(slip_sigma(&other.belief))))
     }
 
     /// Units beside the newest one whose ratio is known.
@@ -232,8 +233,12 @@ impl WheelScale {
 
     /// ln(metres per map unit) and its standard deviation, an error common to both wheels in it; `None` until they are believed.
     pub fn measurement(&self) -> Option<ScaleMeasurement> {
-        let s = self.of_newest().filter(|s| is_enough(&s.belief) && s.noise <= TOLD_NOISE && s.sigma <= TOLD_SIGMA)?;
-        let sigma = s.sigma.hypot(self.radius_sigma);
+        let s = self.of_newest().filter(|s| s.noise <= TOLD_NOISE)?;
+        let sigma = s.sigma.hypot(slip_sigma(&s.belief));
+        if sigma > TOLD_SIGMA {
+            return None;
+        }
+        let sigma = sigma.hypot(self.radius_sigma);
         Some(ScaleMeasurement { source: ScaleSource::Wheels, log_metres_per_unit: s.log_scale, sigma })
     }
 

@@ -83,7 +83,7 @@ fn slip_is_seen_where_it_is_and_nowhere_else() {
 
 #[test]
 fn wheels_that_slip_most_of_the_time_tell_nothing_and_a_short_drive_neither() {
-    let short = drive(7, |d| d.seconds = 5.0);
+    let short = drive(7, |d| d.seconds = 4.0);
     assert!(after(&short, Robot::unknown()).measurement().is_none());
     let mut skid = drive(8, |d| d.seconds = 20.0);
     // A camera that stands still half of the time while the wheels turn at random speeds.
@@ -97,10 +97,13 @@ fn wheels_that_slip_most_of_the_time_tell_nothing_and_a_short_drive_neither() {
 
 #[test]
 fn wheels_are_believed_by_how_long_they_agree_beside_any_other_scale() {
-    let is_enough = |seconds, rival_s| is_enough(&Belief { seconds, rival_s });
-    assert!(is_enough(6.7, 3.3) && is_enough(6.7, 0.0), "more than a burst, and half as long again as another");
-    assert!(!is_enough(5.9, 0.0), "a wheel may spin as long");
-    assert!(!is_enough(8.0, 6.0), "two scales nearly as long as each other");
+    let sigma = |seconds, rival_s| slip_sigma(&Belief { seconds, rival_s });
+    assert!(sigma(6.7, 3.3) < 0.002 && sigma(6.7, 0.0) < 0.002, "more than a burst, and half as long again as another");
+    assert!(
+        sigma(2.0, 0.0) > 0.1 && sigma(4.0, 0.0) > TOLD_SIGMA && sigma(4.2, 0.0) < TOLD_SIGMA,
+        "a wheel may spin as long"
+    );
+    assert_eq!(sigma(8.0, 6.0), MOMENT_SIGMA, "two scales nearly as long as each other");
 }
 
 #[test]

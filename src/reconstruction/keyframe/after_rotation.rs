@@ -4,21 +4,23 @@
 //! known, as at the start of a map, and a pose optimised frame by frame runs into the nearest shape that is flat. So they are placed
 //! as at the start: two-view geometry ([`two_view`](crate::geometry::two_view)) between a keyframe of the turn and the newest frame, as soon as that
 //! finds enough parallax. The length of the step is what the landmarks of known distance make of it, if a few are left in view, else the
-//! wheels' way where the map is metric by them, else what the assumed distances make of it; everything else is measured.
+//! wheels' way where the map is metric by them, else what the assumed distances make of it; everything else is measured. Where two motions explain what is
+//! seen, as a plane allows, and for as long as the way is straight, the one is taken that leads where the camera went before the turn: a robot drives on as it
+//! drove.
 //!
 //! Input: the newest frame's matches. Output: its pose; the distances assumed are from then on those that the two views have told, and the keyframes in
 //! between are solved anew. Cost: a few milliseconds, once after each turn (and at each attempt before).
 
 use std::f64::consts::SQRT_2;
 
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Unit, Vector2, Vector3};
 
 use super::distance_prior::{is_blind, is_held};
 use crate::features::FrameFeatures;
 use crate::geometry::frames::{Camera, World};
-use crate::geometry::two_view::{TwoViewOptions, reconstruct_two_views};
+use crate::geometry::two_view::{TwoViewFailure, TwoViewOptions, TwoViewReconstruction, reconstruct_two_views};
 use crate::geometry::{CameraModel, Se3, median};
-use crate::map::{AssumedDistance, KeyframeId, LandmarkId, Map, vote};
+use crate::map::{AssumedDistance, Keyframe, KeyframeId, LandmarkId, Map, vote};
 use crate::motion::scale::ScaleFusion;
 use crate::reconstruction::Reconstruction;
 use crate::reconstruction::measurement::inverse_distance::{Ray, SIGMA_SHARE};
@@ -33,6 +35,12 @@ const MIN_POINTS: usize = 30;
 const MIN_PARALLAX_DEG: f64 = 0.5;
 /// Share of the most landmarks in common that the keyframe of the turn must have.
 const NEARLY_ALL: f64 = 0.7;
+/// Keyframes before the turn that tell where the camera went, and the share of their way that must lead there in the camera's axes: a hand goes now here,
+/// now there.
+const STEPS_BEFORE: usize = 10;
+const ONE_WAY: f64 = 0.97;
+/// A motion leads there that is no further off than this, rad; of two that explain the matches the other must be twice as far off at the least.
+const THERE_RAD: f64 = 0.15;
 /// So many landmarks whose distance is known say how long the step was; else the assumed distances do.
 const MIN_MEASURED: usize = 10;
 
@@ -171,7 +179,11 @@ fn place(
         min_parallax_rad: MIN_PARALLAX_DEG.to_radians(),
         ..TwoViewOptions::new(TWO_VIEW_SIGMA_PX, camera.focal_px())
     };
-    let solution = reconstruct_two_views(&first, &second, &options).ok()?;
+    let solution = match reconstruct_two_views(&first, &second, &options) {
+        Ok(solution) => solution,
+        Err(TwoViewFailure::Ambiguous { best, runner_up }) => along(&heading_before(map, from)?, [*best, *runner_up])?,
+        Err(_) => return None,
+    };
     let lengths = |assumed: bool| -> Vec<f64> {
         let of_kind = seen.iter().zip(&solution.points).filter(|(s, _)| s.2 == assumed);
         of_kind.filter_map(|((_, distance, _), point)| Some(distance / (*point)?.norm())).collect()
@@ -194,6 +206,30 @@ fn place(
     assume_anew(map, (from, &step), &met.collect::<Vec<_>>(), camera, readout_s);
     resolve_between(map, from, camera, readout_s);
     Some(Placed { camera_from_world: step * from_world, from, step: told })
+}
+
+/// Where the camera went before the turn at `from`, in its own axes; `None` where that was nowhere in particular.
+fn heading_before(map: &Map, from: KeyframeId) -> Option<Unit<Vector3<f64>>> {
+    let (mut sum, mut way) = (Vector3::zeros(), 0.0);
+    let before = map.numbers.below(from.0).map(KeyframeId).take_while(|id| !map.numbers.is_merged(*id));
+    let mut later: Option<&Keyframe> = None;
+    for keyframe in before.filter(|id| !is_blind(map, *id)).filter_map(|id| map.keyframe(id)).take(STEPS_BEFORE) {
+        if let Some(later) = later.replace(keyframe) {
+            let step = later.camera_from_world.rotation * (later.centre() - keyframe.centre());
+            (sum, way) = (sum + step, way + step.norm());
+        }
+    }
+    Unit::try_new(sum, 1e-9).filter(|_| sum.norm() > ONE_WAY * way)
+}
+
+/// Of two motions that explain the matches the one that leads where the camera is heading, if the other does not.
+fn along(heading: &Unit<Vector3<f64>>, motions: [TwoViewReconstruction; 2]) -> Option<TwoViewReconstruction> {
+    // The first camera's centre lies behind the second one, which is on its way.
+    let off = |motion: &TwoViewReconstruction| (-motion.second_from_first.translation).angle(heading);
+    let [best, other] = motions;
+    let (there, elsewhere) = if off(&best) <= off(&other) { (best, other) } else { (other, best) };
+    let is_there = off(&there) <= THERE_RAD && off(&elsewhere) >= 2.0 * THERE_RAD;
+    (is_there && there.wide_points >= MIN_POINTS).then_some(there)
 }
 
 /// Assumes of all that was seen since `from` and has no known distance what the `step` from there tells: of what two views have met (`met`, ascending, in
@@ -276,8 +312,12 @@ mod tests {
     /// A room 2 to 6 m away that two keyframes of a turn see, its landmarks half as far as they are; and the matches of a frame
     /// at `pose`.
     fn scene(pose: &Se3<Camera, World>) -> (Map, Vec<Match>) {
+        seen(Map::default(), pose, |_, _, c| 2.0 + 4.0 * c / 12.0)
+    }
+
+    /// The same with each landmark at a depth, by its direction (x and y at depth 1) and a number from 0 to 12.
+    fn seen(mut map: Map, pose: &Se3<Camera, World>, depth: impl Fn(f64, f64, f64) -> f64) -> (Map, Vec<Match>) {
         let camera = camera();
-        let mut map = Map::default();
         let turned: Se3<Camera, World> =
             Se3::new(UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.05, 0.0)), Vector3::zeros());
         let keyframes =
@@ -285,8 +325,8 @@ mod tests {
         let mut matches = Vec::new();
         for i in 0..120u32 {
             let (a, b, c) = (f64::from(i % 12), f64::from(i / 12), f64::from(i * 7 % 13));
-            let depth = 2.0 + 4.0 * c / 12.0;
-            let point = Vector3::new((a / 11.0 - 0.5) * 0.9, (b / 9.0 - 0.5) * 0.7, 1.0) * depth;
+            let (x, y) = ((a / 11.0 - 0.5) * 0.9, (b / 9.0 - 0.5) * 0.7);
+            let point = Vector3::new(x, y, 1.0) * depth(x, y, c);
             let see = |p: &Se3<Camera, World>| camera.project(&p.transform(&point)).map(|px| px.cast::<f32>());
             let seen: Vec<_> = keyframes
                 .iter()
@@ -377,6 +417,33 @@ mod tests {
             let length = truth.translation.norm() / found.translation.norm();
             assert!((length / TRUE_OVER_ASSUMED - 1.0).abs() < 0.25, "moved by {by:?}: {length} times too short");
         }
+    }
+
+    #[test]
+    fn before_a_wall_the_camera_goes_on_as_it_went_before_the_turn() {
+        let wheels = Wheels::new(Robot::unknown(), 0.01);
+        let truth = moved(Vector3::new(0.0, 0.0, 0.4));
+        let (s, c) = 0.6_f64.sin_cos();
+        let wall = |x: f64, _: f64, _: f64| 3.0 / (c + s * x);
+        let (mut map, matches) = seen(Map::default(), &truth, wall);
+        assert!(place(&mut map, &matches, &camera(), 0.0, (1, &silent(&wheels))).is_none(), "two motions explain it");
+        // It has driven ahead, towards where it turned, or swayed.
+        let went = |step: fn(f64) -> Vector3<f64>| {
+            let mut map = Map::default();
+            for i in 1..=6 {
+                let before = Se3::new(UnitQuaternion::identity(), step(f64::from(7 - i)));
+                map.add_keyframe(examples::keyframe(Default::default(), before));
+            }
+            map
+        };
+        let (mut map, matches) = seen(went(|back| Vector3::z() * (0.2 * back)), &truth, wall);
+        let placed = place(&mut map, &matches, &camera(), 0.0, (1, &silent(&wheels))).expect("a place");
+        let found = placed.camera_from_world;
+        let (turn, off) =
+            ((found.rotation * truth.rotation.inverse()).angle(), found.translation.angle(&truth.translation));
+        assert!(turn.to_degrees() < 0.3 && off.to_degrees() < 3.0, "off by {turn} and {off} rad");
+        let (mut map, matches) = seen(went(|back| Vector3::x() * (0.2 * (back % 2.0))), &truth, wall);
+        assert!(place(&mut map, &matches, &camera(), 0.0, (1, &silent(&wheels))).is_none());
     }
 
     #[test]
