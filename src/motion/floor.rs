@@ -2,8 +2,8 @@
 //!
 //! Keyframe (its map, and the way so far) -> [`Floor::see`] -> ln(metres per map unit) with its standard deviation. [`plane`] finds the floor among
 //! the landmarks that the newest keyframes see, and says why it does not. Believed is what several keyframes in a row tell alike
-//! (`ASKED`), once the camera was driven over it; a word is given again once half of the keyframes asked are new, so that words share little but what adjustments made of them: once the
-//! map is metric they hold its floor ([`Floor::driven`]). What is wrong with the measured height (`camera_height_sigma_m`) is in all of them
+//! (`ASKED`), once the camera was driven over it; a word is given again once half of the keyframes asked are new, so that words share little but
+//! what adjustments made of them: once the map is metric they hold its floor ([`Floor::driven`]). What is wrong with the measured height (`camera_height_sigma_m`) is in all of them
 //! ([`Floor::common_sigma`]).
 //!
 //! Cost: at keyframes only, after the pose was published: 2 to 4 ms, and some 5 to look at the landmarks, here and where it is held. Bounded: the newest `KEYFRAMES` keyframes and `LANDMARKS` landmarks.

@@ -37,7 +37,7 @@ const NEXT_MAP: f64 = 2.0;
 /// Standard deviation of a length that wheels tell in a moment, which may be the one at which they slip, as a share.
 pub const MOMENT_SIGMA: f64 = 0.2;
 /// That doubt falls with the time for which they agree, as a normal distribution's density, s: a wheel that spins or skids does so for a second or four.
-/// (3 % after 4.1 s, 1 % after 5.2, nothing after 6.)
+/// (3 % after 4.1 s, 1 % after 5.2, 0.4 % after 6.)
 const SLIP_S: f64 = 3.0;
 
 /// Standard deviation of a scale on which wheels and camera agree so long, for all that the wheels may have slipped, as a share.
@@ -114,7 +114,7 @@ impl WheelScale {
 
     /// Standard deviation of what they have told of the map's scale, such an error left out.
     pub fn sigma(&self) -> f64 {
-        self.solution.map_or(TOLD_SIGMA, |solution| solution.sigma.min(TOLD_SIGMA))
+        self.solution.map_or(TOLD_SIGMA, |s| s.sigma.hypot(slip_sigma(&s.belief)).min(TOLD_SIGMA))
     }
 
     /// Takes a reading; `false` if it makes no sense.
@@ -234,11 +234,8 @@ impl WheelScale {
     /// ln(metres per map unit) and its standard deviation, an error common to both wheels in it; `None` until they are believed.
     pub fn measurement(&self) -> Option<ScaleMeasurement> {
         let s = self.of_newest().filter(|s| s.noise <= TOLD_NOISE)?;
-        let sigma = s.sigma.hypot(slip_sigma(&s.belief));
-        if sigma > TOLD_SIGMA {
-            return None;
-        }
-        let sigma = sigma.hypot(self.radius_sigma);
+        let told = s.sigma.hypot(slip_sigma(&s.belief));
+        let sigma = Some(told).filter(|told| *told <= TOLD_SIGMA)?.hypot(self.radius_sigma);
         Some(ScaleMeasurement { source: ScaleSource::Wheels, log_metres_per_unit: s.log_scale, sigma })
     }
 

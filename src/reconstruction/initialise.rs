@@ -294,6 +294,9 @@ impl Reconstruction {
                 keyframe_from_camera,
             });
         }
+        let made = self.active.map.keyframes.iter().map(|(id, k)| (k.timestamp_ns, KeyframeId(id)));
+        self.events
+            .extend(made.map(|(timestamp_ns, keyframe)| TrajectoryEvent::KeyframeMade { timestamp_ns, keyframe }));
         self.active.probation.keep(pending);
     }
 

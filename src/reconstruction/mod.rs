@@ -460,6 +460,7 @@ impl Reconstruction {
             self.epipolar.complete(map, id, &lens);
             keyframe::bind_new(map, bindings, features, id, first_new);
         }
+        self.events.push(TrajectoryEvent::KeyframeMade { timestamp_ns: features.timestamp_ns, keyframe: id });
         counters.keyframes_made += 1;
         counters.landmarks_made += (map.landmarks.len() - before) as u64;
         active.last_keyframe_frame = counters.frames;

@@ -25,7 +25,7 @@ pub mod taking_up;
 use nalgebra::{UnitQuaternion, Vector3};
 
 use super::track::frame::Frame;
-use super::track::{Guess, Tracked, Tracker};
+use super::track::{Guess, PLENTY, Tracked, Tracker};
 use crate::features::thumbnail::{ImageMotion, Thumbnail, ThumbnailAligner};
 use crate::geometry::frames::Camera;
 use crate::geometry::{CameraModel, Se3};
@@ -43,8 +43,6 @@ const MATCHED_SIMILAR: usize = 1;
 /// Keyframes that the rounds come to in the next frames: pictures that are elsewhere are to be here by then, and with them those of neighbours, which
 /// have neighbouring numbers for the most part.
 const AHEAD: usize = 12;
-/// A pose that so many landmarks agree with needs no competitors.
-const PLENTY: usize = 30;
 /// Guesses from descriptors in one frame.
 const DESCRIPTOR_GUESSES: usize = 2;
 

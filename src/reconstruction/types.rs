@@ -104,6 +104,8 @@ impl Default for PoseEstimate {
 pub enum TrajectoryEvent {
     /// A frame was tracked (or solved afterwards): its pose relative to a keyframe, which later adjustments move.
     Pose { timestamp_ns: i64, map: MapId, keyframe: KeyframeId, keyframe_from_camera: Se3<Keyframe, Camera> },
+    /// The frame of this time has become `keyframe`: adjustments place it better than it was tracked, and with it the frames since the keyframe before.
+    KeyframeMade { timestamp_ns: i64, keyframe: KeyframeId },
     /// `keyframe` was culled; poses that refer to it now hang on `parent`.
     KeyframeRemoved {
         map: MapId,

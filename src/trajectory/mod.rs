@@ -6,7 +6,7 @@
 //! ([`format_timestamp`]), no header, whole or not at all ([`crate::atomic_file`]).
 //! Cost: 1 us a line each way.
 //!
-//! Deliberately not here: interpolation. A pose that was not estimated is not written.
+//! Deliberately not here: poses between frames. One that was not estimated is not written.
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Write};
@@ -19,6 +19,7 @@ use crate::geometry::Se3;
 use crate::geometry::frames::{Camera, World};
 
 pub mod beside;
+mod between;
 mod odometry;
 mod record;
 mod spool;

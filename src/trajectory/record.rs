@@ -13,6 +13,7 @@ const KIND_REMOVED: u32 = 2;
 const KIND_RETIRED: u32 = 3;
 const KIND_JOINED: u32 = 4;
 const KIND_SCALED: u32 = 5;
+const KIND_MADE: u32 = 6;
 
 /// `kind u32, map or keyframe u32, keyframe, parent or map u32, map u32, timestamp i64, q xyzw 4 f64, t 3 f64`, little endian.
 pub fn encode(event: &TrajectoryEvent) -> [u8; RECORD_BYTES] {
@@ -29,6 +30,9 @@ pub fn encode(event: &TrajectoryEvent) -> [u8; RECORD_BYTES] {
         }
         TrajectoryEvent::MapJoined { map, into, scale } => {
             ([KIND_JOINED, map.0, into.0, 0], 0, none, Vector3::new(*scale, 0.0, 0.0))
+        }
+        TrajectoryEvent::KeyframeMade { timestamp_ns, keyframe } => {
+            ([KIND_MADE, keyframe.0, 0, 0], *timestamp_ns, none, Vector3::zeros())
         }
         TrajectoryEvent::KeyframeScaled { keyframe, scale } => {
             ([KIND_SCALED, keyframe.0, 0, 0], 0, none, Vector3::new(*scale, 0.0, 0.0))
@@ -73,6 +77,10 @@ pub fn decode(record: &[u8]) -> Option<TrajectoryEvent> {
         KIND_JOINED => {
             Some(TrajectoryEvent::MapJoined { map: MapId(word(1)?), into: MapId(word(2)?), scale: translation.x })
         }
+        KIND_MADE => Some(TrajectoryEvent::KeyframeMade {
+            timestamp_ns: long(0).map(i64::from_le_bytes)?,
+            keyframe: KeyframeId(word(1)?),
+        }),
         KIND_SCALED => Some(TrajectoryEvent::KeyframeScaled { keyframe: KeyframeId(word(1)?), scale: translation.x }),
         _ => None,
     }
@@ -95,6 +103,7 @@ mod tests {
             },
             TrajectoryEvent::MapJoined { map: MapId(2), into: MapId(5), scale: 0.3 },
             TrajectoryEvent::KeyframeScaled { keyframe: KeyframeId(6), scale: 1.25 },
+            TrajectoryEvent::KeyframeMade { timestamp_ns: -7, keyframe: KeyframeId(8) },
             TrajectoryEvent::KeyframeRemoved {
                 map: MapId(7),
                 keyframe: KeyframeId(3),

@@ -3,7 +3,7 @@
 //! Input: [`TrajectoryEvent`]s (pose relative to a keyframe, 80 bytes each) or published poses, as they come. Output: one
 //! TUM file of the largest map, and one for each other map beside it if that is wanted. A frame's pose is `world_from_keyframe * keyframe_from_camera` with the keyframe as the
 //! map knows it at the end; a keyframe that was removed hands its frames to its parent, however often. Maps that were joined are one:
-//! what was recorded in the unit of one is written in that of the other.
+//! what was recorded in the unit of one is written in that of the other. Frames between two keyframes follow both ([`between`](super::between)).
 //!
 //! Memory does not grow while recording: a 64 KiB buffer over a temporary file that has no name any more once it is open,
 //! so nothing is left behind however the process ends. 30 frames a second are 8.6 MB of disk an hour; the file stops
@@ -19,6 +19,7 @@ use std::os::unix::fs::FileExt;
 use std::path::Path;
 
 use super::beside::{self, Beside};
+use super::between::{Made, Tracked, between};
 use super::record::{RECORD_BYTES, decode, encode};
 use super::{TrajectoryError, write_tum_line};
 use crate::atomic_file::{create_unique, write_atomically};
@@ -97,7 +98,7 @@ impl TrajectorySpool {
         others: &mut Option<Beside>,
     ) -> Result<TrajectorySummary, TrajectoryError> {
         let joined = self.records.joined_maps()?;
-        let mut moved = BTreeMap::new();
+        let (mut moved, mut made) = (BTreeMap::new(), Vec::new());
         // A keyframe's frame is its camera's.
         let mut known: BTreeMap<KeyframeId, Option<Se3<World, Keyframe>>> =
             keyframe_poses.iter().map(|(id, pose)| (*id, Some(pose.relabel()))).collect();
@@ -108,6 +109,7 @@ impl TrajectorySpool {
                 units.removed.insert(keyframe, (number, parent));
                 moved.insert(keyframe, (parent, parent_from_keyframe));
             }
+            TrajectoryEvent::KeyframeMade { timestamp_ns, keyframe } => made.push((timestamp_ns, keyframe)),
             TrajectoryEvent::KeyframeScaled { keyframe, scale } => units.note(keyframe, number, scale),
             TrajectoryEvent::KeyframeRetired { keyframe, world_from_camera } => {
                 known.insert(keyframe, Some(world_from_camera.relabel()));
@@ -122,7 +124,8 @@ impl TrajectorySpool {
             keyframe_from_camera.translation *= joined.of(map).1 * units.since(keyframe, number);
             world_from_keyframe(keyframe, &mut known, &moved).map(|w| w * keyframe_from_camera)
         };
-        self.records.write_maps(path, &joined, resolve, others)
+        made.sort_unstable();
+        self.records.write_maps(path, (&joined, &made), resolve, others)
     }
 }
 
@@ -229,7 +232,7 @@ impl LiveTrajectory {
 
     /// Writes the poses of the map that most of them were published in (poses of different maps are unrelated).
     pub fn write_tum(&mut self, path: &Path) -> Result<TrajectorySummary, TrajectoryError> {
-        self.records.write_maps(path, &JoinedMaps::default(), |_, _, _, pose| Some(pose.relabel()), &mut None)
+        self.records.write_maps(path, (&JoinedMaps::default(), &[]), |_, _, _, pose| Some(pose.relabel()), &mut None)
     }
 }
 
@@ -320,10 +323,11 @@ impl RecordFile {
     fn write_maps(
         &mut self,
         path: &Path,
-        joined: &JoinedMaps,
+        maps: (&JoinedMaps, &[(i64, KeyframeId)]),
         mut resolve: impl FnMut(u32, MapId, KeyframeId, Se3<Keyframe, Camera>) -> Option<Se3<World, Camera>>,
         others: &mut Option<Beside>,
     ) -> Result<TrajectorySummary, TrajectoryError> {
+        let joined = maps.0;
         let mut poses_of_map = BTreeMap::<MapId, u64>::new();
         self.for_each(|_, event| {
             if let TrajectoryEvent::Pose { map, .. } = event {
@@ -332,7 +336,7 @@ impl RecordFile {
         })?;
         let largest = poses_of_map.iter().max_by_key(|(map, poses)| (**poses, std::cmp::Reverse(**map)));
         let (map, poses) = largest.map(|(map, poses)| (*map, *poses)).unzip();
-        let mut summary = self.write_map((path, ""), (map, poses.unwrap_or_default()), joined, &mut resolve)?;
+        let mut summary = self.write_map((path, ""), (map, poses.unwrap_or_default()), maps, &mut resolve)?;
         summary.other_maps = poses_of_map.len().saturating_sub(1) as u64;
         summary.poses_in_other_maps = poses_of_map.values().sum::<u64>() - poses.unwrap_or_default();
         // A pipe or a device has nothing beside it.
@@ -340,7 +344,7 @@ impl RecordFile {
             for (other, poses) in poses_of_map.iter().filter(|(other, _)| Some(**other) != map) {
                 let path = beside::path_of(path, *other);
                 let written = beside::check_free(&path)
-                    .and_then(|()| self.write_map((&path, beside::MARK), (Some(*other), *poses), joined, &mut resolve));
+                    .and_then(|()| self.write_map((&path, beside::MARK), (Some(*other), *poses), maps, &mut resolve));
                 match written {
                     Ok(_) => others.files.push(path),
                     Err(error) => others.failures.push(error),
@@ -355,7 +359,7 @@ impl RecordFile {
         &mut self,
         (path, begin): (&Path, &str),
         (map, poses): (Option<MapId>, u64),
-        joined: &JoinedMaps,
+        (joined, made): (&JoinedMaps, &[(i64, KeyframeId)]),
         resolve: &mut impl FnMut(u32, MapId, KeyframeId, Se3<Keyframe, Camera>) -> Option<Se3<World, Camera>>,
     ) -> Result<TrajectorySummary, TrajectoryError> {
         let mut summary = TrajectorySummary { map, events_lost: self.lost, ..Default::default() };
@@ -379,19 +383,41 @@ impl RecordFile {
         summary.poses_written = order.len() as u64;
 
         write_atomically(path, |out| {
-            let mut record = [0; RECORD_BYTES];
             out.write_all(begin.as_bytes())?;
-            for (timestamp_ns, number) in &order {
-                self.file.read_exact_at(&mut record, u64::from(*number) * RECORD_BYTES as u64)?;
-                if let Some(TrajectoryEvent::Pose { map, keyframe, keyframe_from_camera, .. }) = decode(&record)
-                    && let Some(pose) = resolve(*number, map, keyframe, keyframe_from_camera)
-                {
-                    write_tum_line(out, *timestamp_ns, &pose)?;
+            // The keyframe before each frame, and the one after it.
+            let (mut made, mut before, mut after) = (made.iter(), None, None::<Made>);
+            for at in &order {
+                while after.is_none_or(|after| after.timestamp_ns() < at.0) {
+                    before = after.take().or(before);
+                    let Some((timestamp_ns, keyframe)) = made.next() else { break };
+                    let Ok(i) = order.binary_search_by_key(timestamp_ns, |at| at.0) else { continue };
+                    let (Some(tracked), number) = (self.tracked(order[i], resolve)?, order[i].1) else { continue };
+                    // Without a way there is no unit.
+                    let adjusted = resolve(number, map.unwrap_or_default(), *keyframe, Se3::identity());
+                    after = adjusted.map(|adjusted| Made::new(tracked, *keyframe, &adjusted));
+                }
+                if let Some(tracked) = self.tracked(*at, resolve)? {
+                    write_tum_line(out, at.0, &between(&tracked, before.as_ref(), after.as_ref()))?;
                 }
             }
             Ok(())
         })?;
         Ok(summary)
+    }
+
+    /// The pose of a time that is recorded by a number.
+    fn tracked(
+        &self,
+        (timestamp_ns, number): (i64, u32),
+        resolve: &mut impl FnMut(u32, MapId, KeyframeId, Se3<Keyframe, Camera>) -> Option<Se3<World, Camera>>,
+    ) -> io::Result<Option<Tracked>> {
+        let mut record = [0; RECORD_BYTES];
+        self.file.read_exact_at(&mut record, u64::from(number) * RECORD_BYTES as u64)?;
+        let Some(TrajectoryEvent::Pose { map, keyframe, keyframe_from_camera, .. }) = decode(&record) else {
+            return Ok(None);
+        };
+        let pose = resolve(number, map, keyframe, keyframe_from_camera);
+        Ok(pose.map(|world_from_camera| Tracked { timestamp_ns, by: keyframe, world_from_camera }))
     }
 }
 

@@ -246,12 +246,12 @@ pub struct Found {
 }
 
 impl Found {
-    /// The floor, if it was driven over it as far as is asked.
-    pub fn driven_over(&self, least: &Driven) -> Result<Plane, NoFloor> {
+    /// Whether it was driven over as far as is asked.
+    pub fn driven_over(&self, least: &Driven) -> Result<(), NoFloor> {
         if self.way < least.way {
             return Err(NoFloor::FewMetres);
         }
-        if self.stations < least.stations { Err(NoFloor::NotDrivenOver(self.stations)) } else { Ok(self.plane) }
+        if self.stations < least.stations { Err(NoFloor::NotDrivenOver(self.stations)) } else { Ok(()) }
     }
 }
 

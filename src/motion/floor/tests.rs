@@ -30,7 +30,8 @@ fn prior() -> UpPrior {
 }
 
 fn floor_of(points: &[FloorPoint], cameras: &[Se3<Camera, World>], seed: u64) -> Result<Plane, NoFloor> {
-    find_floor(points, cameras, &prior(), seed)?.driven_over(&Driven::FIRST)
+    let found = find_floor(points, cameras, &prior(), seed)?;
+    found.driven_over(&Driven::FIRST).map(|()| found.plane)
 }
 
 /// Landmarks on a level rectangle, with noise of this standard deviation.

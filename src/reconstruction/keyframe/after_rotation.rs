@@ -35,9 +35,11 @@ const MIN_POINTS: usize = 30;
 const MIN_PARALLAX_DEG: f64 = 0.5;
 /// Share of the most landmarks in common that the keyframe of the turn must have.
 const NEARLY_ALL: f64 = 0.7;
-/// Keyframes before the turn that tell where the camera went, and the share of their way that must lead there in the camera's axes: a hand goes now here,
-/// now there.
-const STEPS_BEFORE: usize = 10;
+/// Steps from keyframe to keyframe before the turn that tell where the camera went, at the least and at the most, among so many keyframes, none of which
+/// turns by more than this (rad); and the share of them that must lead there in the camera's axes: a hand goes now here, now there.
+const STEPS: std::ops::RangeInclusive<usize> = 4..=10;
+const BEFORE: usize = 40;
+const STRAIGHT_RAD: f64 = 0.05;
 const ONE_WAY: f64 = 0.97;
 /// A motion leads there that is no further off than this, rad; of two that explain the matches the other must be twice as far off at the least.
 const THERE_RAD: f64 = 0.15;
@@ -208,18 +210,20 @@ fn place(
     Some(Placed { camera_from_world: step * from_world, from, step: told })
 }
 
-/// Where the camera went before the turn at `from`, in its own axes; `None` where that was nowhere in particular.
+/// Where the camera went before the turn at `from`, in its own axes; `None` where that was nowhere in particular. In another run it may have sat elsewhere
+/// on the robot.
 fn heading_before(map: &Map, from: KeyframeId) -> Option<Unit<Vector3<f64>>> {
-    let (mut sum, mut way) = (Vector3::zeros(), 0.0);
-    let before = map.numbers.below(from.0).map(KeyframeId).take_while(|id| !map.numbers.is_merged(*id));
-    let mut later: Option<&Keyframe> = None;
-    for keyframe in before.filter(|id| !is_blind(map, *id)).filter_map(|id| map.keyframe(id)).take(STEPS_BEFORE) {
-        if let Some(later) = later.replace(keyframe) {
-            let step = later.camera_from_world.rotation * (later.centre() - keyframe.centre());
-            (sum, way) = (sum + step, way + step.norm());
-        }
-    }
-    Unit::try_new(sum, 1e-9).filter(|_| sum.norm() > ONE_WAY * way)
+    let before = map.numbers.below(from.0).map(KeyframeId).take_while(|id| map.numbers.is_new(*id)).take(BEFORE);
+    let seeing: Vec<&Keyframe> = before.filter(|id| !is_blind(map, *id)).filter_map(|id| map.keyframe(id)).collect();
+    let step = |pair: &[&Keyframe]| {
+        let [later, earlier] = [pair[0], pair[1]].map(|k| k.camera_from_world);
+        let is_straight = later.rotation.angle_to(&earlier.rotation) <= STRAIGHT_RAD;
+        (later.rotation * (pair[0].centre() - pair[1].centre())).try_normalize(1e-9).filter(|_| is_straight)
+    };
+    let steps: Vec<Vector3<f64>> = seeing.windows(2).filter_map(step).take(*STEPS.end()).collect();
+    let sum: Vector3<f64> = steps.iter().sum();
+    let is_one_way = STEPS.contains(&steps.len()) && sum.norm() > ONE_WAY * steps.len() as f64;
+    Unit::try_new(sum, 1e-9).filter(|_| is_one_way)
 }
 
 /// Of two motions that explain the matches the one that leads where the camera is heading, if the other does not.
@@ -427,7 +431,7 @@ mod tests {
         let wall = |x: f64, _: f64, _: f64| 3.0 / (c + s * x);
         let (mut map, matches) = seen(Map::default(), &truth, wall);
         assert!(place(&mut map, &matches, &camera(), 0.0, (1, &silent(&wheels))).is_none(), "two motions explain it");
-        // It has driven ahead, towards where it turned, or swayed.
+        // It has driven ahead to where it turned; then it has swayed.
         let went = |step: fn(f64) -> Vector3<f64>| {
             let mut map = Map::default();
             for i in 1..=6 {

@@ -25,7 +25,7 @@ fn held_sigma(length: f64, sigma: f64) -> f64 {
 
 impl Adjustment {
     /// Holds distances between keyframes that follow one another, at the places that `length` knows (times of both, ns): its length and standard
-    /// deviation, m. Those of them that stay where they are or lie further apart than `LONGEST_STEP_NS` are left alone.
+    /// deviation, m. Those of them that stay where they are, lie further apart than `LONGEST_STEP_NS` or have a unit that is in doubt are left alone.
     pub fn hold_lengths(&mut self, map: &Map, mut length: impl FnMut(i64, i64) -> Option<(f64, f64)>) {
         for i in 1..self.keyframes.len() {
             if self.problem.fixed[i - 1] && self.problem.fixed[i] {
