@@ -96,6 +96,9 @@ impl Reconstruction {
         self.counters.frames_tracked += 1;
         self.active.odometry = Odometry::begin(features.timestamp_ns, camera_from_world);
         self.record_pose(features.timestamp_ns, &camera_from_world);
+        let made = self.active.map.keyframes.iter().map(|(id, k)| (k.timestamp_ns, KeyframeId(id)));
+        self.events
+            .extend(made.map(|(timestamp_ns, keyframe)| TrajectoryEvent::KeyframeMade { timestamp_ns, keyframe }));
         Some(self.estimate_tracked(features, &tracked, None, true))
     }
 
@@ -294,9 +297,6 @@ impl Reconstruction {
                 keyframe_from_camera,
             });
         }
-        let made = self.active.map.keyframes.iter().map(|(id, k)| (k.timestamp_ns, KeyframeId(id)));
-        self.events
-            .extend(made.map(|(timestamp_ns, keyframe)| TrajectoryEvent::KeyframeMade { timestamp_ns, keyframe }));
         self.active.probation.keep(pending);
     }
 

@@ -7,7 +7,8 @@
 //! pose' = pose e(t)      e(t): from e(before) to e(after), by rotation and by translation      e(keyframe) = tracked^-1 adjusted
 //! ```
 //!
-//! all relative to the keyframe that the frame was tracked by; that one itself is not off. Frames of which one end was tracked by another stay as they are.
+//! all relative to the keyframe that the frame was tracked by; that one itself is not off. Frames of which one end was tracked by another stay as they
+//! are, but for a keyframe's own.
 
 use nalgebra::UnitQuaternion;
 
@@ -53,8 +54,13 @@ impl Made {
 
 /// A frame's pose between the keyframes `before` and `after` it, or at the latter.
 pub fn between(frame: &Tracked, before: Option<&Made>, after: Option<&Made>) -> Se3<World, Camera> {
-    let ends = [before, after].map(|made| Some((made?.timestamp_ns(), made?.off(frame.by)?)));
-    let [Some((from_ns, from)), Some((to_ns, to))] = ends else { return frame.world_from_camera };
+    let end = |made: &Made| Some((made.timestamp_ns(), made.off(frame.by)?));
+    let Some((to_ns, to)) = after.and_then(end) else { return frame.world_from_camera };
+    let (from_ns, from) = match before.and_then(end) {
+        Some(from) => from,
+        None if to_ns == frame.timestamp_ns => (to_ns - 1, to),
+        None => return frame.world_from_camera,
+    };
     let share = (frame.timestamp_ns - from_ns) as f64 / (to_ns - from_ns).max(1) as f64;
     let axis = |off: &Se3<Camera, Camera>| off.rotation.scaled_axis();
     let off = Se3::new(

@@ -109,7 +109,7 @@ impl TrajectorySpool {
                 units.removed.insert(keyframe, (number, parent));
                 moved.insert(keyframe, (parent, parent_from_keyframe));
             }
-            TrajectoryEvent::KeyframeMade { timestamp_ns, keyframe } => made.push((timestamp_ns, keyframe)),
+            TrajectoryEvent::KeyframeMade { timestamp_ns, keyframe } => made.push((timestamp_ns, number, keyframe)),
             TrajectoryEvent::KeyframeScaled { keyframe, scale } => units.note(keyframe, number, scale),
             TrajectoryEvent::KeyframeRetired { keyframe, world_from_camera } => {
                 known.insert(keyframe, Some(world_from_camera.relabel()));
@@ -323,7 +323,7 @@ impl RecordFile {
     fn write_maps(
         &mut self,
         path: &Path,
-        maps: (&JoinedMaps, &[(i64, KeyframeId)]),
+        maps: (&JoinedMaps, &[(i64, u32, KeyframeId)]),
         mut resolve: impl FnMut(u32, MapId, KeyframeId, Se3<Keyframe, Camera>) -> Option<Se3<World, Camera>>,
         others: &mut Option<Beside>,
     ) -> Result<TrajectorySummary, TrajectoryError> {
@@ -359,7 +359,7 @@ impl RecordFile {
         &mut self,
         (path, begin): (&Path, &str),
         (map, poses): (Option<MapId>, u64),
-        (joined, made): (&JoinedMaps, &[(i64, KeyframeId)]),
+        (joined, made): (&JoinedMaps, &[(i64, u32, KeyframeId)]),
         resolve: &mut impl FnMut(u32, MapId, KeyframeId, Se3<Keyframe, Camera>) -> Option<Se3<World, Camera>>,
     ) -> Result<TrajectorySummary, TrajectoryError> {
         let mut summary = TrajectorySummary { map, events_lost: self.lost, ..Default::default() };
@@ -389,9 +389,11 @@ impl RecordFile {
             for at in &order {
                 while after.is_none_or(|after| after.timestamp_ns() < at.0) {
                     before = after.take().or(before);
-                    let Some((timestamp_ns, keyframe)) = made.next() else { break };
-                    let Ok(i) = order.binary_search_by_key(timestamp_ns, |at| at.0) else { continue };
-                    let (Some(tracked), number) = (self.tracked(order[i], resolve)?, order[i].1) else { continue };
+                    let Some((timestamp_ns, made_at, keyframe)) = made.next() else { break };
+                    // What was recorded of a frame after it had become a keyframe is no place of that one: another map has seen it anew.
+                    let recorded = order.binary_search_by_key(timestamp_ns, |at| at.0).ok().map(|i| order[i]);
+                    let Some(own) = recorded.filter(|(_, number)| number < made_at) else { continue };
+                    let (Some(tracked), number) = (self.tracked(own, resolve)?, own.1) else { continue };
                     // Without a way there is no unit.
                     let adjusted = resolve(number, map.unwrap_or_default(), *keyframe, Se3::identity());
                     after = adjusted.map(|adjusted| Made::new(tracked, *keyframe, &adjusted));

@@ -165,6 +165,39 @@ fn frames_follow_their_keyframe_and_removed_keyframes_their_parent() {
 }
 
 #[test]
+fn frames_between_two_keyframes_follow_both_but_for_what_was_seen_anew() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("t.txt");
+    let mut spool = TrajectorySpool::create(dir.path()).unwrap();
+    let made = |i: i64, keyframe| TrajectoryEvent::KeyframeMade { timestamp_ns: i * S, keyframe: KeyframeId(keyframe) };
+    // Tracked by keyframe 1 to 4 and 8 m; keyframes 2 and 3 lie at 4.4 m and 8 m now.
+    for event in [
+        pose_event(0, 0, 1, 0.0),
+        made(0, 1),
+        pose_event(S, 0, 1, 1.0),
+        pose_event(2 * S, 0, 1, 2.0),
+        pose_event(4 * S, 0, 1, 4.0),
+        made(4, 2),
+        pose_event(6 * S, 0, 2, 2.0),
+        pose_event(8 * S, 0, 2, 4.0),
+        made(8, 3),
+        pose_event(9 * S, 0, 3, 1.0),
+    ] {
+        spool.record(&event).unwrap();
+    }
+    let known = [keyframe(1, 0.0), keyframe(2, 4.4), keyframe(3, 8.0)];
+    spool.write_tum(&path, &known).unwrap();
+    let places = || lines(&path).iter().map(|line| line.1).collect::<Vec<_>>();
+    let expected = [0.0, 1.1, 2.2, 4.4, 6.2, 8.0, 9.0];
+    assert!(places().iter().zip(expected).all(|(x, e)| (x - e).abs() < 1e-6), "{:?}", places());
+    // The frame of keyframe 2 is known anew, from elsewhere: it tells nothing of where that keyframe should be.
+    spool.record(&pose_event(4 * S, 0, 3, -3.5)).unwrap();
+    spool.write_tum(&path, &known).unwrap();
+    let expected = [0.0, 1.0, 2.0, 4.5, 6.4, 8.0, 9.0];
+    assert!(places().iter().zip(expected).all(|(x, e)| (x - e).abs() < 1e-6), "{:?}", places());
+}
+
+#[test]
 fn only_the_largest_map_is_written_and_the_rest_is_counted() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("t.txt");
