@@ -38,7 +38,7 @@ const NEARLY_ALL: f64 = 0.7;
 /// Steps from keyframe to keyframe before the turn that tell where the camera went, at the least and at the most, among so many keyframes, none of which
 /// turns by more than this (rad); and the share of them that must lead there in the camera's axes: a hand goes now here, now there.
 const STEPS: std::ops::RangeInclusive<usize> = 4..=10;
-const BEFORE: usize = 40;
+const BEFORE: usize = 120;
 const STRAIGHT_RAD: f64 = 0.05;
 const ONE_WAY: f64 = 0.97;
 /// A motion leads there that is no further off than this, rad; of two that explain the matches the other must be twice as far off at the least.
