@@ -4,7 +4,8 @@
 //! they tell of the scale ([`ScaleMeasurement`]) and of the robot ([`Robot`]), and whether the wheels slipped in the newest segment.
 //!
 //! A scale is told once it is known to `TOLD_SIGMA`: the solution's sigma beside the doubt whether the wheels slipped in all of the time in which the
-//! camera and they agreed (`slip_sigma`). An error common to both wheels, which one camera and the wheels cannot see, is then in its sigma, too. The window is the newest `SEGMENTS` segments (140 s of driving and more): older ones are forgotten, for the scale of
+//! camera and they agreed (`slip_sigma`). An error common to both wheels, which one camera and the wheels cannot see, is then in its sigma, too.
+//! The window is the newest `SEGMENTS` segments (140 s of driving and more): older ones are forgotten, for the scale of
 //! a monocular map drifts; within the window that drift is a part of the model ([`super::hand_eye`]). What is known of the robot outlasts a map.
 //!
 //! Cost: a solution every few segments, 2 ms. Not here: what the map does with it.

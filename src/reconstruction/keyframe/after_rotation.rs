@@ -35,10 +35,9 @@ const MIN_POINTS: usize = 30;
 const MIN_PARALLAX_DEG: f64 = 0.5;
 /// Share of the most landmarks in common that the keyframe of the turn must have.
 const NEARLY_ALL: f64 = 0.7;
-/// Steps from keyframe to keyframe before the turn that tell where the camera went, at the least and at the most, among so many keyframes, none of which
-/// turns by more than this (rad); and the share of them that must lead there in the camera's axes: a hand goes now here, now there.
+/// Steps from keyframe to keyframe before the turn that tell where the camera went, at the least and at the most, none of which turns by more than this
+/// (rad); and the share of them that must lead there in the camera's axes: a hand goes now here, now there.
 const STEPS: std::ops::RangeInclusive<usize> = 4..=10;
-const BEFORE: usize = 120;
 const STRAIGHT_RAD: f64 = 0.05;
 const ONE_WAY: f64 = 0.97;
 /// A motion leads there that is no further off than this, rad; of two that explain the matches the other must be twice as far off at the least.
@@ -213,14 +212,16 @@ fn place(
 /// Where the camera went before the turn at `from`, in its own axes; `None` where that was nowhere in particular. In another run it may have sat elsewhere
 /// on the robot.
 fn heading_before(map: &Map, from: KeyframeId) -> Option<Unit<Vector3<f64>>> {
-    let before = map.numbers.below(from.0).map(KeyframeId).take_while(|id| map.numbers.is_new(*id)).take(BEFORE);
-    let seeing: Vec<&Keyframe> = before.filter(|id| !is_blind(map, *id)).filter_map(|id| map.keyframe(id)).collect();
-    let step = |pair: &[&Keyframe]| {
-        let [later, earlier] = [pair[0], pair[1]].map(|k| k.camera_from_world);
-        let is_straight = later.rotation.angle_to(&earlier.rotation) <= STRAIGHT_RAD;
-        (later.rotation * (pair[0].centre() - pair[1].centre())).try_normalize(1e-9).filter(|_| is_straight)
+    let before = map.numbers.below(from.0).map(KeyframeId).take_while(|id| map.numbers.is_new(*id));
+    let seeing = before.filter(|id| !is_blind(map, *id)).filter_map(|id| map.keyframe(id));
+    let mut last: Option<&Keyframe> = None;
+    let step = |earlier| {
+        let later = last.replace(earlier)?;
+        let rotation = later.camera_from_world.rotation;
+        let is_straight = rotation.angle_to(&earlier.camera_from_world.rotation) <= STRAIGHT_RAD;
+        (rotation * (later.centre() - earlier.centre())).try_normalize(1e-9).filter(|_| is_straight)
     };
-    let steps: Vec<Vector3<f64>> = seeing.windows(2).filter_map(step).take(*STEPS.end()).collect();
+    let steps: Vec<Vector3<f64>> = seeing.filter_map(step).take(*STEPS.end()).collect();
     let sum: Vector3<f64> = steps.iter().sum();
     let is_one_way = STEPS.contains(&steps.len()) && sum.norm() > ONE_WAY * steps.len() as f64;
     Unit::try_new(sum, 1e-9).filter(|_| is_one_way)
