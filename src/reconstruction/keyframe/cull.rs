@@ -32,8 +32,8 @@ pub fn cull_landmarks(map: &mut Map) -> u64 {
     doomed.len() as u64
 }
 
-/// Removes keyframes around `newest` whose landmarks are nearly all seen by three others; and one at the most of those that what newer ones of the same
-/// place see makes up for, none that something else rests on (`held`, ascending).
+/// Removes keyframes around `newest` whose landmarks are nearly all seen by three others, and one at the most of those that what newer ones of the same
+/// place see makes up for; none that something else rests on (`held`, ascending).
 pub fn cull_keyframes(
     (map, map_id): (&mut Map, MapId),
     newest: KeyframeId,
@@ -44,7 +44,7 @@ pub fn cull_keyframes(
     let is_redundant = |(redundant, total): (f64, f64)| redundant > config.redundant_share * total;
     let mut around = Vec::new();
     map.covisible(newest, 1, usize::MAX, &mut around);
-    around.retain(|(id, _)| map.numbers.since(*id, newest) >= YOUNG_KEYFRAMES);
+    around.retain(|(id, _)| map.numbers.since(*id, newest) >= YOUNG_KEYFRAMES && held.binary_search(id).is_err());
     let all = around.len();
     around.retain(|(id, _)| {
         let is_spared = seen_enough(map, *id).is_some_and(is_redundant) && spared(map, *id).is_some_and(is_redundant);
@@ -53,9 +53,8 @@ pub fn cull_keyframes(
     let mut culled = all - around.len();
     // Some of them at each keyframe, others at the next.
     let apart = around.len().div_ceil(COMPARED).max(1);
-    let compared = around.iter().skip(newest.0 as usize % apart).step_by(apart).map(|a| a.0);
-    let mut superseded = compared.filter(|id| held.binary_search(id).is_err());
-    let superseded = superseded.find(|id| spared_or_made_up_for(map, camera, *id, newest).is_some_and(is_redundant));
+    let mut compared = around.iter().skip(newest.0 as usize % apart).step_by(apart).map(|a| a.0);
+    let superseded = compared.find(|id| spared_or_made_up_for(map, camera, *id, newest).is_some_and(is_redundant));
     culled += usize::from(superseded.is_some_and(|id| remove((map, map_id), id, events)));
     culled as u64
 }
@@ -207,5 +206,38 @@ mod tests {
         map.remove_keyframe(own);
         assert_eq!(map.landmarks.len(), 108);
         map.check_consistency().expect("consistent");
+    }
+
+    #[test]
+    fn what_something_rests_on_is_never_redundant() {
+        let camera = CameraModel::new(320, 240, 300.0, 300.0, 159.5, 119.5, [0.0; 5]).expect("a camera");
+        let stays = |is_held: bool| {
+            let mut map = Map::default();
+            let mut pyramid = Pyramid::new(5);
+            pyramid.build(&GreyImage::new(320, 240));
+            let pyramid = Arc::new(pyramid);
+            // All see the same, so that the old ones say nothing of their own.
+            let all: Vec<KeyframeId> = (0..YOUNG_KEYFRAMES + 4)
+                .map(|_| map.add_keyframe(examples::keyframe(pyramid.clone(), Se3::identity())))
+                .collect();
+            for i in 0..20 {
+                let observation = Observation {
+                    landmark: LandmarkId(0),
+                    pixel: Vector2::new(20.0 + 10.0 * i as f32, 120.0),
+                    normalised: Vector2::zeros(),
+                    displacement: Vector2::zeros(),
+                    inv_sigma_px: 1.0,
+                    normalised_from_pixel: Matrix2::identity(),
+                };
+                let seen: Vec<_> = all.iter().map(|id| (*id, observation)).collect();
+                map.add_landmark(examples::landmark(Vector3::z(), all[0]), &seen);
+            }
+            let (newest, held) = (all[all.len() - 1], if is_held { vec![all[1]] } else { vec![] });
+            let (config, mut events) = (ReconstructionConfig::default(), Vec::new());
+            let gone = cull_keyframes((&mut map, MapId(0)), newest, (&camera, &held), &config, &mut events);
+            assert_eq!(gone, if is_held { 3 } else { 4 });
+            map.keyframe(all[1]).is_some()
+        };
+        assert!(stays(true) && !stays(false));
     }
 }

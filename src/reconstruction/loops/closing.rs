@@ -35,8 +35,8 @@ const AROUND: usize = 20;
 const LITTLE_RAD: f64 = 0.01;
 const LITTLE_DEPTHS: f64 = 0.02;
 const LITTLE_LOG_SCALE: f64 = 0.02;
-/// Closed loops that are remembered for the next pose graph.
-const MOST_CLOSED: usize = 4096;
+/// Ends of closed loops that are remembered for the next pose graph, and that therefore no keyframe makes up for.
+const MOST_CLOSED: usize = 64;
 
 impl Reconstruction {
     /// Who recognises places from now on; without this call it is done at once, which delays the poses after it.
