@@ -197,7 +197,9 @@ impl Map {
     pub fn remove_observation(&mut self, keyframe: KeyframeId, landmark: LandmarkId) {
         let Some(entry) = self.landmarks.get_mut(landmark.0) else { return };
         let Ok(i) = entry.observers.binary_search(&keyframe) else { return };
+        let from_next = (i == 0).then(|| assumed_from_next(&self.keyframes, entry)).flatten();
         entry.observers.remove(i);
+        entry.assumed = from_next.or(entry.assumed);
         for &other in &entry.observers {
             change_covisibility(&mut self.keyframes, keyframe, other, -1);
         }
@@ -435,6 +437,17 @@ pub fn vote(votes: &mut Vec<(KeyframeId, u32)>, keyframe: KeyframeId) {
         Ok(i) => votes[i].1 += 1,
         Err(i) => votes.insert(i, (keyframe, 1)),
     }
+}
+
+/// The distance that is assumed of a landmark as the second of its observers has it, from which it counts once the first one is gone.
+fn assumed_from_next(keyframes: &Store<Keyframe>, landmark: &Landmark) -> Option<AssumedDistance> {
+    let AssumedDistance { inverse, sigma } = landmark.assumed?;
+    let [first, next, ..] = landmark.observers[..] else { return None };
+    let (first, next) = (keyframes.get(first.0)?.centre(), keyframes.get(next.0)?.centre());
+    let ray = (landmark.position - first).try_normalize(f64::MIN_POSITIVE)?;
+    let from_next = (first + ray / inverse - next).norm().recip();
+    let sigma = sigma * (from_next / inverse);
+    (from_next > 0.0 && sigma.is_finite()).then_some(AssumedDistance { inverse: from_next, sigma })
 }
 
 fn change_covisibility(keyframes: &mut Store<Keyframe>, a: KeyframeId, b: KeyframeId, by: i32) {

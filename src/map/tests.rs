@@ -246,3 +246,24 @@ fn of_more_sightings_than_are_counted_the_share_stays() {
     let after = map.landmark(id).expect("there");
     assert_eq!((after.sought, after.found), (Landmark::MOST_SOUGHT / 2 + 1, Landmark::MOST_SOUGHT / 8 + 1));
 }
+
+#[test]
+fn an_assumed_distance_is_told_from_the_first_observer_that_is_left() {
+    let mut map = Map::default();
+    let views = [0.0, 3.0, 4.0].map(|x| {
+        let pose = Se3::new(nalgebra::UnitQuaternion::identity(), Vector3::x() * -x);
+        map.add_keyframe(Keyframe { camera_from_world: pose, picture: picture(), ..keyframe(&[]) })
+    });
+    // Assumed four in front of the first one; it was looked for nearer since.
+    let assumed = AssumedDistance { inverse: 0.25, sigma: 0.05 };
+    let made = Landmark { position: Vector3::z() * 2.0, assumed: Some(assumed), created_by: views[0], ..landmark() };
+    let seen = views.map(|view| (view, Observation { pixel: Vector2::new(80.0, 60.0), ..observation(0) }));
+    let [first, second] = [(); 2].map(|()| map.add_landmark(made.clone(), &seen));
+    map.remove_observation(views[2], first);
+    assert_eq!(map.landmark(first).unwrap().assumed, Some(assumed), "the last one told nothing");
+    map.remove_keyframe(views[0]);
+    // Three to the side and four ahead: five away, as surely as before by its share.
+    let AssumedDistance { inverse, sigma } = map.landmark(second).unwrap().assumed.unwrap();
+    assert!((inverse - 0.2).abs() < 1e-12 && (sigma - 0.04).abs() < 1e-12, "{inverse} +- {sigma}");
+    map.check_consistency().unwrap();
+}

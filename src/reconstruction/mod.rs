@@ -92,7 +92,7 @@ const WEAK_SHARE: f64 = 0.25;
 struct Pending {
     /// Its pose, if it becomes a keyframe.
     keyframe: Option<Se3<Camera, World>>,
-    /// Most of what it sees is at assumed distances; the median parallax if they are right, degrees.
+    /// Most of what it sees is at assumed distances; the median parallax to where these were seen first, if they are right, degrees.
     turned: Option<f64>,
 }
 
@@ -340,7 +340,8 @@ impl Reconstruction {
     fn decide_keyframe(&mut self, pose: &Se3<Camera, World>) -> bool {
         let ActiveMap { map, odometry, reference, .. } = &self.active;
         let Some(reference) = map.keyframe(*reference) else { return false };
-        let parallax_deg = self.tracker.median_parallax_deg(&pose.inverse().translation, &reference.centre());
+        let (here, there) = (pose.inverse().translation, reference.centre());
+        let parallax_deg = self.tracker.median_parallax_deg(&here, |_| Some(there));
         let matches = self.tracker.matches();
         let inputs = KeyframeInputs {
             landmarks: matches.len(),
@@ -348,9 +349,11 @@ impl Reconstruction {
             parallax_deg,
             turn_rad: odometry.last.and_then(|last| last.step).map_or(0.0, |(step, _)| step.rotation.angle()),
         };
-        let is_assumed = |m: &&Match| map.landmark(m.landmark).is_some_and(|l| l.assumed.is_some());
-        let assumed = matches.iter().filter(is_assumed).count();
-        self.pending.turned = mostly_assumed(assumed, inputs.landmarks).then_some(inputs.parallax_deg);
+        let begins =
+            |m: &Match| distance_prior::ray_begins(map, m.landmark).and_then(|id| Some(map.keyframe(id)?.centre()));
+        let assumed = matches.iter().filter(|m| begins(m).is_some()).count();
+        let is_blind = mostly_assumed(assumed, inputs.landmarks);
+        self.pending.turned = is_blind.then(|| self.tracker.median_parallax_deg(&here, begins));
         keyframe::wants_keyframe(&inputs, &self.config)
     }
 
@@ -469,6 +472,7 @@ impl Reconstruction {
         counters.landmarks_culled += cull::cull_landmarks(map);
         let mut held = self.tags.as_ref().map_or_else(Vec::new, |tags| tags.rest_on(map));
         held.extend(self.loops.ends());
+        held.extend(distance_prior::rays_begin(map, id));
         held.sort_unstable();
         // What goes leaves its poses to others, which may be wrong while the picture contradicts them.
         if !self.contradiction.is_suspected() {

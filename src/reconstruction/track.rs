@@ -239,10 +239,11 @@ impl Tracker {
         self.search.matches.retain(|m| m.inlier);
     }
 
-    /// Median angle between the rays to the frame's landmarks from two centres, degrees.
-    pub fn median_parallax_deg(&mut self, here: &Vector3<f64>, there: &Vector3<f64>) -> f64 {
+    /// Median angle between the rays to the frame's landmarks from here and from where each was seen before, degrees; of those of which `there` says that.
+    pub fn median_parallax_deg(&mut self, here: &Vector3<f64>, there: impl Fn(&Match) -> Option<Vector3<f64>>) -> f64 {
+        let parallax = |m: &Match| there(m).map(|there| (m.point - here).angle(&(m.point - there)));
         self.angles.clear();
-        self.angles.extend(self.search.matches.iter().map(|m| (m.point - here).angle(&(m.point - there))));
+        self.angles.extend(self.search.matches.iter().filter_map(parallax));
         median(&mut self.angles).unwrap_or(0.0).to_degrees()
     }
 
@@ -294,6 +295,14 @@ impl Tracker {
         let agree = self.inlier.iter().take(tracks).filter(|agrees| **agrees).count();
         let is_enough = solution.inliers >= MIN_FLOW && 2 * solution.inliers >= self.pairs.len();
         is_enough.then_some((solution.camera_from_world, agree))
+    }
+
+    /// What the last frame saw lies elsewhere in the map now, and so does the frame.
+    pub(super) fn look_up(&mut self, map: &Map, pose: &Se3<Camera, World>) {
+        for m in &mut self.search.matches {
+            m.point = map.landmark(m.landmark).map_or(m.point, |landmark| landmark.position);
+        }
+        self.seeds.note_distance(&self.search.matches, &pose.inverse().translation);
     }
 
     /// The map's lengths are `factor` times as long from now on.

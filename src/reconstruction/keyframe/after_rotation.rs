@@ -5,8 +5,8 @@
 //! as at the start: two-view geometry ([`two_view`](crate::geometry::two_view)) between a keyframe of the turn and the newest frame, as soon as that
 //! finds enough parallax. The length of the step is what the landmarks of known distance make of it, if a few are left in view, else the
 //! wheels' way where the map is metric by them, else what the assumed distances make of it; everything else is measured. Where two motions explain what is
-//! seen, as a plane allows, and for as long as the way is straight, the one is taken that leads where the camera went before the turn: a robot drives on as it
-//! drove.
+//! seen, as a plane allows, the one is taken that leads where the wheels have gone; without these, and for as long as the way is straight, where the camera
+//! went before the turn: a robot drives on as it drove.
 //!
 //! Input: the newest frame's matches. Output: its pose; the distances assumed are from then on those that the two views have told, and the keyframes in
 //! between are solved anew. Cost: a few milliseconds, once after each turn (and at each attempt before).
@@ -23,6 +23,7 @@ use crate::geometry::{CameraModel, Se3, median};
 use crate::map::{AssumedDistance, Keyframe, KeyframeId, LandmarkId, Map, vote};
 use crate::motion::scale::ScaleFusion;
 use crate::reconstruction::Reconstruction;
+use crate::reconstruction::dead_reckoning::{Ahead, Metre};
 use crate::reconstruction::measurement::inverse_distance::{Ray, SIGMA_SHARE};
 use crate::reconstruction::measurement::{Correspondence, TWO_VIEW_SIGMA_PX};
 use crate::reconstruction::segments::Wheels;
@@ -76,6 +77,7 @@ impl Reconstruction {
             self.corrections.moved(&before, &pose);
         }
         self.active.odometry.replace(pose);
+        self.tracker.look_up(&self.active.map, &pose);
         self.contradiction.look_anew();
         // One under way began from poses that are no more; the keyframe that this frame becomes posts another.
         self.discard_job();
@@ -95,7 +97,7 @@ impl Reconstruction {
         let map = &self.active.map;
         let mut behind: Vec<KeyframeId> = map.keyframes.iter().map(|(id, _)| KeyframeId(id)).collect();
         // What another run did not know has nothing to do with this turn.
-        behind.retain(|id| !map.numbers.is_merged(*id));
+        behind.retain(|id| map.numbers.is_new(*id));
         let blind = |id: &KeyframeId| is_blind(&self.active.map, *id);
         let before_turn = behind.iter().rposition(|id| *id < from && !blind(id));
         behind.drain(..before_turn.map_or(0, |last| last + 1));
@@ -122,6 +124,14 @@ impl Way<'_> {
     /// From the frame of a time to the newest, map units.
     fn since(&self, from_ns: i64) -> Option<f64> {
         self.wheels.length(self.fusion, from_ns, self.to_ns).map(|(length, _)| length)
+    }
+
+    /// Where the camera has gone since the frame of a time, in its axes now; `None` where the wheels do not know it.
+    fn heading_since(&self, from_ns: i64) -> Option<Unit<Vector3<f64>>> {
+        let metre = Metre { units: 1.0, sigma: 0.0 };
+        let driven = Ahead::of(&self.wheels.scale, (from_ns, self.to_ns), metre)?;
+        let way = -driven.now_from_last.translation;
+        Unit::try_new(way, driven.sigma().0 / THERE_RAD)
     }
 }
 
@@ -155,7 +165,7 @@ fn place(
     let mut votes: Vec<(KeyframeId, u32)> = Vec::new();
     for m in matches {
         let Some(landmark) = map.landmark(m.landmark).filter(|l| l.assumed.is_some()) else { continue };
-        let own = landmark.observers.iter().filter(|k| !map.numbers.is_merged(**k));
+        let own = landmark.observers.iter().filter(|k| map.numbers.is_new(**k));
         own.for_each(|k| vote(&mut votes, *k));
     }
     let most = votes.iter().map(|v| v.1).max()?;
@@ -182,7 +192,10 @@ fn place(
     };
     let solution = match reconstruct_two_views(&first, &second, &options) {
         Ok(solution) => solution,
-        Err(TwoViewFailure::Ambiguous { best, runner_up }) => along(&heading_before(map, from)?, [*best, *runner_up])?,
+        Err(TwoViewFailure::Ambiguous { best, runner_up }) => {
+            let heading = way.heading_since(keyframe.timestamp_ns).or_else(|| heading_before(map, from))?;
+            along(&heading, [*best, *runner_up])?
+        }
         Err(_) => return None,
     };
     let lengths = |assumed: bool| -> Vec<f64> {
@@ -250,7 +263,7 @@ fn assume_anew(
     let mut distances: Vec<f64> = met.iter().map(|(_, point)| point.norm()).collect();
     let (Some(first), Some(scene)) = (map.keyframe(from), median(&mut distances)) else { return };
     let (world_from_first, moved) = (first.camera_from_world.inverse(), step.inverse().translation);
-    let is_since = |id: KeyframeId| id >= from && !map.numbers.is_merged(id);
+    let is_since = |id: KeyframeId| id >= from && map.numbers.is_new(id);
     let since = map.keyframes.iter().filter(|(id, _)| is_since(KeyframeId(*id)));
     let mut seen: Vec<LandmarkId> = since.flat_map(|(_, k)| k.observations.landmarks()).collect();
     seen.sort_unstable();
@@ -271,7 +284,7 @@ fn assume_anew(
 
 /// Keyframes after `from` were placed against distances that were wrong.
 fn resolve_between(map: &mut Map, from: KeyframeId, camera: &CameraModel, readout_s: f64) {
-    let is_later = |id: &KeyframeId| *id > from && !map.numbers.is_merged(*id) && is_held(map, *id);
+    let is_later = |id: &KeyframeId| *id > from && map.numbers.is_new(*id) && is_held(map, *id);
     let later: Vec<KeyframeId> = map.keyframes.iter().map(|(id, _)| KeyframeId(id)).filter(is_later).collect();
     let mut inlier = Vec::new();
     for id in later {
@@ -294,17 +307,18 @@ fn resolve_between(map: &mut Map, from: KeyframeId, camera: &CameraModel, readou
 
 #[cfg(test)]
 mod tests {
-
     use std::sync::LazyLock;
 
     use nalgebra::UnitQuaternion;
 
     use super::*;
+    use crate::geometry::ros_from_optical;
     use crate::map::scale::ScaleSource;
     use crate::map::{Landmark, examples};
     use crate::motion::hand_eye::Robot;
     use crate::motion::scale::ScaleMeasurement;
     use crate::motion::wheel::WheelReading;
+    use crate::reconstruction::keyframe::distance_prior::{ray_begins, rays_begin};
     use crate::reconstruction::track::template::observe;
 
     const TRUE_OVER_ASSUMED: f64 = 2.0;
@@ -452,12 +466,54 @@ mod tests {
     }
 
     #[test]
+    fn before_a_wall_the_wheels_tell_which_motion_it_was() {
+        let truth = moved(Vector3::z() * 0.4);
+        let (s, c) = 0.6_f64.sin_cos();
+        let wall = |x: f64, _: f64, _: f64| 3.0 / (c + s * x);
+        let by_wheels = |linear_x_mps: f64, linear_y_mps: f64| {
+            let mounted = Robot::mounted(ros_from_optical(), Vector2::zeros());
+            let mut wheels = Wheels::new(Robot { sigma: [1e-4; 7], ..mounted }, 0.01);
+            for i in 0..40 {
+                assert!(wheels.scale.add_reading(&WheelReading {
+                    from_ns: i * 50_000_000,
+                    timestamp_ns: (i + 1) * 50_000_000,
+                    linear_x_mps,
+                    linear_y_mps,
+                    angular_z_radps: 0.0,
+                    variance: [1e-6; 3],
+                }));
+            }
+            let (mut map, matches) = seen(Map::default(), &truth, wall);
+            let way = Way { to_ns: 2_000_000_000, ..silent(&wheels) };
+            place(&mut map, &matches, &camera(), 0.0, (1, &way))
+        };
+        let found = by_wheels(0.2, 0.0).expect("a place").camera_from_world;
+        assert!(found.translation.angle(&truth.translation).to_degrees() < 3.0);
+        assert!(by_wheels(0.0, 0.2).is_none(), "neither motion leads there");
+    }
+
+    #[test]
     fn a_turn_alone_is_no_motion() {
         let wheels = Wheels::new(Robot::unknown(), 0.01);
         let (mut map, matches) = scene(&moved(Vector3::zeros()));
         let before: Vec<_> = map.landmarks.iter().map(|(_, l)| l.position).collect();
         assert!(place(&mut map, &matches, &camera(), 0.0, (1, &silent(&wheels))).is_none());
         assert!(map.landmarks.iter().map(|(_, l)| l.position).eq(before), "a landmark was moved");
+    }
+
+    #[test]
+    fn a_way_rests_on_the_keyframe_that_its_distances_are_assumed_from() {
+        let (map, matches) = scene(&moved(Vector3::zeros()));
+        let [first, second] = [0, 1].map(KeyframeId);
+        let mut begin: Vec<KeyframeId> = rays_begin(&map, second).collect();
+        assert_eq!(begin.len(), matches.len());
+        begin.dedup();
+        assert_eq!(begin, [first]);
+        let told = matches[0].landmark;
+        let mut map = map;
+        map.measure_landmark(told, Vector3::z(), nalgebra::Matrix3::identity());
+        assert_eq!(ray_begins(&map, told), None);
+        assert_eq!(rays_begin(&map, second).count(), matches.len() - 1);
     }
 
     #[test]

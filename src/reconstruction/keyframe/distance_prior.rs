@@ -91,6 +91,17 @@ pub fn is_blind(map: &Map, keyframe: KeyframeId) -> bool {
     mostly_assumed(assumed, all) || is_held(map, keyframe)
 }
 
+/// The keyframe from which a landmark's distance is assumed; `None` if that is told.
+pub fn ray_begins(map: &Map, landmark: LandmarkId) -> Option<KeyframeId> {
+    map.landmark(landmark).filter(|l| l.assumed.is_some())?.observers.first().copied()
+}
+
+/// Keyframes from which the distances of what one sees are assumed: while these are not told, the way since then rests on them.
+pub fn rays_begin(map: &Map, keyframe: KeyframeId) -> impl Iterator<Item = KeyframeId> {
+    let seen = map.keyframe(keyframe).map(|k| k.observations.landmarks());
+    seen.into_iter().flatten().filter_map(|id| ray_begins(map, id))
+}
+
 /// Landmarks at assumed distances that a keyframe sees, and all that it sees.
 pub fn assumed_among(map: &Map, keyframe: KeyframeId) -> (usize, usize) {
     let Some(keyframe) = map.keyframe(keyframe) else { return (0, 0) };

@@ -23,8 +23,7 @@ pub struct Ray {
 }
 
 impl Ray {
-    /// `None` for a landmark whose distance is told. The ray begins at the first keyframe that is left of those that saw it, wherever its distance was assumed
-    /// from: that is within its standard deviation.
+    /// `None` for a landmark whose distance is told. The ray begins at the first keyframe that is left of those that saw it.
     pub fn of(id: LandmarkId, map: &Map, readout_s: f64) -> Option<Self> {
         let landmark = map.landmark(id)?;
         let assumed = landmark.assumed?;
