@@ -6,8 +6,8 @@
 //! simulator's `desk_sweep` bent by it.
 //!
 //! In: what adjustments leave ([`AdjustmentResult::noise`](crate::reconstruction::adjust::job::AdjustmentResult)). Out: the limit beyond which a place is an
-//! outlier, and weighs less from. Standard deviations stay what is supposed: covariances and the lens are fitted so. Known of the camera, it outlasts the
-//! map, not the run; who only locates learns nothing.
+//! outlier, and in a frame weighs less from. Standard deviations stay what is supposed: covariances and the lens are fitted so. Known of the camera, it
+//! outlasts the map, not the run; who only locates learns nothing.
 
 use super::CHI2_2D_95;
 

@@ -3,7 +3,7 @@
 //! Unknowns of the reduced system, in this order: six for each free pose, `W` global parameters. Everything is summed from the two rows
 //! of each observation's Jacobian.
 
-use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, SMatrix, SVector, Vector1, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, SMatrix, SVector, Vector1, Vector2, Vector3, Vector6};
 
 use super::floor::Rows;
 use super::globals::focal_scale;
@@ -13,7 +13,7 @@ use crate::geometry::Se3;
 use crate::geometry::cholesky::DenseCholesky;
 use crate::geometry::frames::{Camera, World};
 use crate::geometry::least_squares::{Damped, LeastSquares, Loss, damped};
-use crate::reconstruction::measurement::{BEHIND_CAMERA, jacobian_rows};
+use crate::reconstruction::measurement::{BEHIND_CAMERA, CHI2_2D_95, jacobian_rows};
 
 /// In the place of a fixed camera's index among the free ones.
 const FIXED: usize = usize::MAX;
@@ -25,8 +25,7 @@ pub(super) struct Adjustment<'a, const W: usize> {
     /// Index of each camera among the free ones.
     slot: Vec<usize>,
     free: usize,
-    /// Huber's limit, standard deviations.
-    limit: f64,
+    loss: Loss,
 }
 
 /// An observation at one state.
@@ -122,7 +121,7 @@ fn subtract_product<const R: usize, const C: usize>(
 }
 
 impl<'p, const W: usize> Adjustment<'p, W> {
-    pub(super) fn new(problem: &'p BundleProblem, outlier_chi2: f64) -> Self {
+    pub(super) fn new(problem: &'p BundleProblem, loss: Loss) -> Self {
         let mut free = 0;
         let slot = problem.fixed.iter().map(|fixed| {
             if *fixed {
@@ -131,7 +130,7 @@ impl<'p, const W: usize> Adjustment<'p, W> {
             free += 1;
             free - 1
         });
-        Self { problem, slot: slot.collect(), free, limit: outlier_chi2.sqrt() }
+        Self { problem, slot: slot.collect(), free, loss }
     }
 
     /// Index of a camera among the free ones.
@@ -241,7 +240,7 @@ impl<'p, const W: usize> Adjustment<'p, W> {
     ) -> Option<Linearised<W>> {
         let o = &self.problem.observations[k];
         let (e, p) = self.problem.residual(state, point, k)?;
-        let (_, weight) = Loss::Huber(self.limit).evaluate(e.norm_squared());
+        let (_, weight) = self.loss.evaluate(e.norm_squared());
         let (jx, jy) = jacobian_rows(&p, &(o.sqrt_information * focal_scale(&state.globals)));
         // d e / d point = d e / d translation * R.
         let by_point = |j: &[f64; 6]| rotation.tr_mul(&Vector3::new(j[3], j[4], j[5]));
@@ -306,20 +305,20 @@ impl<const W: usize> LeastSquares for Adjustment<'_, W> {
 
     /// Sum of the robust costs, sigma-scaled squares, and of the priors'.
     fn cost(&self, state: &BundleState) -> f64 {
-        let loss = Loss::Huber(self.limit);
-        let behind = BEHIND_CAMERA * self.limit * self.limit;
+        let price = |(e, _): (Vector2<f64>, Vector3<f64>)| self.loss.evaluate(e.norm_squared()).0;
+        let behind = BEHIND_CAMERA * CHI2_2D_95;
         let mut cost = self.problem.globals.prior_cost(&state.globals);
         cost += self.problem.lengths.iter().map(|length| length.cost(&state.poses)).sum::<f64>();
         cost += self.problem.floor.as_ref().map_or(0.0, |held| held.cost(&state.poses, &state.points));
         for (i, point) in state.points.iter().enumerate() {
             for k in self.problem.inliers(i) {
                 let residual = self.problem.residual(state, point, k);
-                cost += residual.map_or(behind, |(e, _)| loss.evaluate(e.norm_squared()).0);
+                cost += residual.map_or(behind, price);
             }
         }
         for (k, corner) in self.problem.seen_corners().filter(|(k, _)| self.problem.inlier[*k]) {
             let residual = self.problem.residual(state, &self.problem.corner(state, corner), k);
-            cost += residual.map_or(behind, |(e, _)| loss.evaluate(e.norm_squared()).0);
+            cost += residual.map_or(behind, price);
         }
         cost
     }

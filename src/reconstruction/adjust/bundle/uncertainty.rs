@@ -6,10 +6,10 @@ use nalgebra::{DVector, Matrix3};
 
 use super::globals::{GLOBALS, GlobalMatrix};
 use super::normal_equations::{Adjustment, System};
-use super::options::{BundleOptions, GAUGE_DAMPING, KNOWN};
+use super::options::{GAUGE_DAMPING, KNOWN};
 use super::problem::BundleProblem;
 use crate::geometry::cholesky::DenseCholesky;
-use crate::geometry::least_squares::LeastSquares;
+use crate::geometry::least_squares::{LeastSquares, Loss};
 use crate::geometry::median;
 
 /// Median of chi-square with two degrees of freedom.
@@ -34,9 +34,9 @@ impl<const W: usize> System<W> {
 }
 
 impl BundleProblem {
-    /// Sets what is told of the solution's uncertainty. Inliers are within Huber's limit, so that each counts in full.
-    pub(super) fn fill_covariances<const W: usize>(&mut self, outlier_chi2: f64) {
-        let adjustment = Adjustment::<W>::new(self, outlier_chi2);
+    /// Sets what is told of the solution's uncertainty; each inlier counts in full.
+    pub(super) fn fill_covariances<const W: usize>(&mut self) {
+        let adjustment = Adjustment::<W>::new(self, Loss::Squared);
         let system = adjustment.linearise(&self.state);
         let all_held = (0..GLOBALS).all(|i| self.globals.is_held(i));
         let global = if all_held { None } else { system.global_covariance() };
@@ -67,7 +67,7 @@ impl BundleProblem {
     /// Standard deviation of the direction of camera `index`'s translation, rad, everything else free but the intrinsics (the fixed
     /// cameras hold the place, the length of this translation holds the scale); `None` for a fixed camera or a singular problem.
     pub fn direction_sigma(&self, index: usize) -> Option<f64> {
-        let adjustment = Adjustment::<1>::new(self, BundleOptions::default().outlier_chi2);
+        let adjustment = Adjustment::<1>::new(self, Loss::Squared);
         let at = adjustment.slot_of(index)? * 6;
         let mut s = adjustment.linearise(&self.state).reduce(0.0).matrix;
         let translation = self.state.poses[index].translation;
