@@ -318,21 +318,32 @@ fn readout_time_of_a_rolling_shutter_is_learnt() {
 
 #[test]
 fn a_loop_takes_the_drift_back_and_leaves_the_smooth_pose_alone() {
-    // A lap and a bit around the table, quickly.
-    let config = SimulatorConfig { rate_hz: 15.0, speed: 2.0, seed: 2, ..SimulatorConfig::default() };
-    let run_with =
-        |loops: bool| run_configured(&config, &ReconstructionConfig { loops, ..Default::default() }, 0..270, |_, _| {});
-    let (closed, open) = (run_with(true), run_with(false));
-    let ((coverage, error), (_, without)) = (judge(&closed), judge(&open));
-    assert!(closed.counters.loops_closed >= 1 && open.counters.loops_closed == 0, "{:?}", closed.counters);
+    // A lap and a bit around the table, quickly. Where a map has hardly drifted by then, as in the first one, its ends are tied and nothing is moved.
+    let drives = [2, 1].map(|seed| {
+        let config = SimulatorConfig { rate_hz: 15.0, speed: 2.0, seed, ..SimulatorConfig::default() };
+        [true, false].map(|loops| {
+            run_configured(&config, &ReconstructionConfig { loops, ..Default::default() }, 0..270, |_, _| {})
+        })
+    });
+    let closed = drives.each_ref().map(|[closed, open]| loop_is_known(closed, open));
+    assert!(closed.contains(&true), "none was closed");
+}
+
+/// That a drive without looking for loops ends farther off; whether its loop was closed, or only tied.
+fn loop_is_known(closed: &Run, open: &Run) -> bool {
+    let ((coverage, error), (_, without)) = (judge(closed), judge(open));
+    let Counters { loops_closed, loops_tied, .. } = closed.counters;
+    assert!(loops_closed + loops_tied >= 1 && open.counters.loops_closed == 0, "{:?}", closed.counters);
     // A thousandth of the way, whatever the drift is: a share of that would ask for less the more a map drifts.
     assert!(coverage > 0.95 && error < without.min(0.001), "{error} of the path, {without} without the loop");
     let revisions: Vec<u32> = closed.estimates.iter().map(|e| e.map_revision).collect();
-    assert!(revisions.is_sorted() && revisions.last() > Some(&1), "the loop, and the adjustment after it");
+    let last = revisions.last().copied().unwrap_or_default();
+    assert!(revisions.is_sorted() && (last > 1) == (loops_closed > 0), "the loop, and the adjustment after it: {last}");
     // Odom goes on in steps like those before, in the new unit.
     let odom: Vec<_> = closed.estimates.iter().filter_map(|e| e.odom_from_camera).collect();
     let longest = odom.windows(2).map(|w| (w[1].translation - w[0].translation).norm()).fold(0.0, f64::max);
     let before = open.estimates.iter().filter_map(|e| e.odom_from_camera).collect::<Vec<_>>();
     let usual = before.windows(2).map(|w| (w[1].translation - w[0].translation).norm()).fold(0.0, f64::max);
     assert!(longest < 3.0 * usual, "a step of {longest}, {usual} without");
+    loops_closed > 0
 }

@@ -43,7 +43,8 @@ impl Reconstruction {
         } else {
             Adjustment::local(&active.map, newest, &optics.camera, &optics.shutter, &self.config)
         };
-        if let Some(mut job) = job.map(|job| job.judged_by(optics.noise.outlier_chi2())) {
+        let is_lens_known = optics.intrinsics.is_calibrated();
+        if let Some(mut job) = job.map(|job| job.judged_by(optics.noise.outlier_chi2(), is_lens_known)) {
             if active.fusion.is_metric() {
                 job.hold_lengths(&active.map, |from_ns, to_ns| self.wheels.held(&active.fusion, from_ns, to_ns));
                 let tags = self.tags.as_ref().map_or_else(Vec::new, |tags| tags.held(&active.map, &active.fusion));

@@ -197,9 +197,9 @@ impl Reconstruction {
     /// Adjusts the whole (new, small) map at once: how surely the newest camera's direction from the first is known (rad), and the
     /// readout time found with it (s, and its variance), and what it leaves of places; `None` if too few landmarks hold.
     fn adjust_globally(&mut self) -> Option<(f64, (f64, f64), Option<f64>)> {
-        let Optics { camera, shutter, noise, .. } = &self.optics;
+        let Optics { camera, shutter, noise, intrinsics, .. } = &self.optics;
         let job = Adjustment::global(&self.active.map, camera, shutter, START_STEPS)?;
-        let result = job.judged_by(noise.outlier_chi2()).run();
+        let result = job.judged_by(noise.outlier_chi2(), intrinsics.is_calibrated()).run();
         let supported = result.supported_landmarks();
         let told = (result.direction_sigma(), result.readout(), result.noise);
         result.merge(&mut self.active.map);

@@ -51,7 +51,7 @@ impl BundleProblem {
                 step_norm: 0.0,
                 ..LmOptions::default()
             };
-            let loss = self.loss(options.outlier_chi2);
+            let loss = self.loss(options);
             let start = std::mem::take(&mut self.state);
             let (state, _) = minimise(&Adjustment::<W>::new(self, loss), start, &lm);
             self.state = state;
@@ -62,9 +62,9 @@ impl BundleProblem {
 
     /// What a residual costs: Cauchy's loss, as wide as what is left of places where the problem tells that, else Huber's. Corners that are none, as where an
     /// edge crosses another one behind it, slide by less than any outlier limit that the others need, and together they bend a map.
-    fn loss(&self, outlier_chi2: f64) -> Loss {
-        let noise = self.noise().map(|noise| noise.clamp(LEAST_NOISE, 1.0));
-        noise.map_or(Loss::Huber(outlier_chi2.sqrt()), |noise| Loss::Cauchy(LOSS_SCALE * noise))
+    fn loss(&self, options: &BundleOptions) -> Loss {
+        let noise = self.noise().filter(|_| options.is_lens_known).map(|noise| noise.clamp(LEAST_NOISE, 1.0));
+        noise.map_or(Loss::Huber(options.outlier_chi2.sqrt()), |noise| Loss::Cauchy(LOSS_SCALE * noise))
     }
 
     fn judge_outliers(&mut self, limit: f64) {

@@ -227,9 +227,9 @@ impl Adjustment {
         globals.jacobians = jacobians;
     }
 
-    /// With this limit of squared residuals, in supposed standard deviations.
-    pub fn judged_by(mut self, outlier_chi2: f64) -> Self {
-        self.options.outlier_chi2 = outlier_chi2;
+    /// With this limit of squared residuals, in supposed standard deviations; `is_lens_known`: no guess.
+    pub fn judged_by(mut self, outlier_chi2: f64, is_lens_known: bool) -> Self {
+        (self.options.outlier_chi2, self.options.is_lens_known) = (outlier_chi2, is_lens_known);
         self
     }
 

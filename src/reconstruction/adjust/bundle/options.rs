@@ -29,12 +29,14 @@ pub struct BundleOptions {
     pub steps: usize,
     /// The outlier limit, squared and sigma-scaled; Huber's limit where the noise is not told.
     pub outlier_chi2: f64,
+    /// What is left of places is theirs: while the lens is a guess it is the lens's, which none of them may be doubted for.
+    pub is_lens_known: bool,
     /// A step that lowers the cost by less than this share ends the pass: the next keyframe's adjustment goes on from there.
     pub relative_gain: f64,
 }
 
 impl Default for BundleOptions {
     fn default() -> Self {
-        Self { steps: 5, outlier_chi2: CHI2_2D_95, relative_gain: 1e-3 }
+        Self { steps: 5, outlier_chi2: CHI2_2D_95, is_lens_known: true, relative_gain: 1e-3 }
     }
 }
