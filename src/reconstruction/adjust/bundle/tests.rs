@@ -212,7 +212,7 @@ fn a_focal_length_that_is_far_off_is_found_without_a_pull_towards_long_ones() {
             o.normalised *= factor;
         }
         free_intrinsics(&mut p, WITHOUT_DISTORTION, 1e-6);
-        p.adjust(&BundleOptions { steps: 60, relative_gain: 0.0, outlier_chi2: 1e6 });
+        p.adjust(&BundleOptions { steps: 60, relative_gain: 0.0, outlier_chi2: 1e6, ..BundleOptions::default() });
         let found = p.state.globals[1].exp();
         assert!((found / factor - 1.0).abs() < 0.03, "seed {seed}: {found}, true {factor}");
     }
