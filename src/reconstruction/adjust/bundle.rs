@@ -2,7 +2,7 @@
 //! complement.
 //!
 //! Input: cameras (some held fixed), points, observations grouped by point; undistorted coordinates on z = 1. Output: the
-//! same, moved to a minimum of `sum rho(|e|^2)` with Cauchy's rho. Levenberg-Marquardt; for damped normal equations
+//! same, moved to a minimum of `sum rho(|e|^2)` with Cauchy's rho (or Huber's: `loss`). Levenberg-Marquardt; for damped normal equations
 //! `[B E; Eᵀ C]` the reduced system is `S = B - E C⁻¹ Eᵀ` (Triggs et al. 2000, section 6.1), dense in f64, the 3x3
 //! blocks of C inverted in closed form. B holds the cameras, the targets and what all observations share ([`Globals`]: a rolling shutter's readout time, the
 //! intrinsics). Two passes: outliers are taken out between them. Sequential: same input, same bits.
@@ -60,8 +60,8 @@ impl BundleProblem {
         self.fill_covariances::<W>();
     }
 
-    /// What a residual costs: Cauchy's loss, as wide as what is left of places where the problem tells that, else Huber's. Corners that are none, as where an
-    /// edge crosses another one behind it, slide by less than any outlier limit that the others need, and together they bend a map.
+    /// What a residual costs: Cauchy's loss, as wide as what is left of places; Huber's where that is not told or the lens is a guess. Corners that are none, as
+    /// where an edge crosses another one behind it, slide by less than any outlier limit that the others need, and together they bend a map.
     fn loss(&self, options: &BundleOptions) -> Loss {
         let noise = self.noise().filter(|_| options.is_lens_known).map(|noise| noise.clamp(LEAST_NOISE, 1.0));
         noise.map_or(Loss::Huber(options.outlier_chi2.sqrt()), |noise| Loss::Cauchy(LOSS_SCALE * noise))

@@ -15,7 +15,8 @@ pub(super) const GAUGE_DAMPING: [f64; 3] = [1e-9, 1e-7, 1e-5];
 /// Holland and Welsch 1977; of what is left, as fits hide a part of the noise. Over the derived
 /// recordings errors are 4 % smaller than with Huber's loss at the outlier limit, between bare walls by a fifth and more; at 2.4 a car's drift grows by a quarter.)
 pub(super) const LOSS_SCALE: f64 = 3.6;
-/// The smallest noise that is believed, in supposed standard deviations: what is left of a fit does not show where all of it is off.
+/// The smallest noise that is believed, in supposed standard deviations: what is left of a fit does not show where all of it is off. (As `measurement::noise`
+/// believes no less: half of what is supposed, for three times what is left.)
 pub(super) const LEAST_NOISE: f64 = 1.0 / 6.0;
 /// Loss of what something beside the picture says (lengths, the floor): doubted from so many standard deviations on.
 pub(super) const LOSS_BESIDE_PICTURE: Loss = Loss::Cauchy(2.0);
